@@ -1,0 +1,2 @@
+//! Placeholder.
+//! Filled by the next commits.

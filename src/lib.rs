@@ -1,0 +1,12 @@
+//! Palpate: touches a robot skin overnight, learns from it, and tells where and how hard it is
+//! touched. The modules below stand in the order in which data flows; imports only look back.
+
+pub mod clock;
+pub mod problem;
+
+pub mod schedule;
+pub mod rig;
+pub mod campaign;
+pub mod store;
+pub mod api;
+pub mod cli;

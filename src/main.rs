@@ -1,0 +1,3 @@
+//! The palpate binary.
+//! Wiring only.
+fn main() {}

@@ -1,0 +1,496 @@
+//! The rig file: which device hangs on which wire at which address, how far and how fast it may
+//! move, and the limits that trip it. Parsed and checked here; nothing is opened.
+//! PURE. Uses: `problem`. Never: ports, files (the text is handed in).
+//!
+//! Machine coordinates: x and y grow along the stage, z grows downward from the raised home
+//! position (0), the rotary actuator's angle becomes a radius through the slot's law.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::problem::{Checks, Problem};
+
+/// Number of arms of the indenter (paper II-B).
+pub const ARMS: usize = 6;
+
+/// A rig file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RigConfig {
+    /// Name that runs carry.
+    pub name: String,
+    /// What this rig's measurements are labelled: `measured` or `virtual`.
+    pub label: Label,
+    /// Process seconds in one wall second: 1 on a lab's bench.
+    #[serde(default = "one")]
+    pub clock_rate: f64,
+    /// Wires by name; several devices may share one.
+    pub lines: BTreeMap<String, LineConfig>,
+    /// The four actuators.
+    pub axes: AxesConfig,
+    /// How the rotary actuator's angle becomes a radius.
+    pub slot: SlotConfig,
+    /// Where the skin lies on the stage.
+    pub skin: SkinPlacement,
+    /// Load cells of the six arms.
+    pub cells: CellsConfig,
+    /// The voltage stream.
+    pub ert: ErtConfig,
+    /// What trips the rig.
+    pub limits: RigLimits,
+}
+
+/// Label of everything measured with a rig.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Label {
+    /// On a lab's bench.
+    Measured,
+    /// On a stand-in.
+    Virtual,
+}
+
+impl Label {
+    /// The label as it is stored.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Label::Measured => "measured",
+            Label::Virtual => "virtual",
+        }
+    }
+}
+
+/// One Modbus wire with one owner.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum LineConfig {
+    /// Modbus TCP.
+    ModbusTcp {
+        /// `host:port`.
+        address: String,
+        /// Longest wait for one reply, wall ms.
+        #[serde(default = "default_timeout_ms")]
+        timeout_ms: u64,
+        /// Failed requests in a row that trip the rig.
+        #[serde(default = "default_retries")]
+        retries: u32,
+    },
+    /// Modbus RTU on a serial port; several addresses share it.
+    ModbusRtu {
+        /// Device path.
+        path: String,
+        /// Bits per second.
+        baud: u32,
+        /// `none`, `even` or `odd`.
+        #[serde(default)]
+        parity: Parity,
+        /// Longest wait for one reply, wall ms.
+        #[serde(default = "default_timeout_ms")]
+        timeout_ms: u64,
+        /// Failed requests in a row that trip the rig.
+        #[serde(default = "default_retries")]
+        retries: u32,
+    },
+}
+
+/// Parity of a serial line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Parity {
+    /// 8N1.
+    #[default]
+    None,
+    /// 8E1.
+    Even,
+    /// 8O1.
+    Odd,
+}
+
+/// The four actuators of the paper's rig (II-B).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AxesConfig {
+    /// Stage, along the skin's width.
+    pub x: LinearAxis,
+    /// Stage, along the skin's height.
+    pub y: LinearAxis,
+    /// Stage, downward.
+    pub z: LinearAxis,
+    /// Rotary actuator that spreads the six arms.
+    pub radial: RotaryAxis,
+}
+
+/// A register map that we drive (`field.md` 4).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AxisDevice {
+    /// IAI SCON/PCON: positions in 0.01 mm (0.01 degree on a rotary).
+    Iai,
+    /// Oriental Motor AZ: direct data operation, positions in steps.
+    OrientalAz,
+    /// Leadshine EM2RS: PR mode, positions in pulses.
+    LeadshineEm2rs,
+}
+
+/// A linear axis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LinearAxis {
+    /// Register map.
+    pub device: AxisDevice,
+    /// Wire it hangs on.
+    pub line: String,
+    /// Modbus address.
+    pub unit: u8,
+    /// Device counts in a millimetre.
+    pub counts_per_mm: f64,
+    /// Soft limits, mm, on commanded and measured positions.
+    pub travel_mm: [f64; 2],
+    /// Travelling speed, mm/s.
+    pub speed_mm_s: f64,
+    /// Acceleration and deceleration, mm/s^2.
+    pub acceleration_mm_s2: f64,
+    /// How close to the target counts as arrived, mm.
+    pub tolerance_mm: f64,
+}
+
+/// The rotary axis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RotaryAxis {
+    /// Register map.
+    pub device: AxisDevice,
+    /// Wire it hangs on.
+    pub line: String,
+    /// Modbus address.
+    pub unit: u8,
+    /// Device counts in a degree.
+    pub counts_per_deg: f64,
+    /// Soft limits, degrees, on commanded and measured positions.
+    pub travel_deg: [f64; 2],
+    /// Travelling speed, degrees/s.
+    pub speed_deg_s: f64,
+    /// Acceleration and deceleration, degrees/s^2.
+    pub acceleration_deg_s2: f64,
+    /// How close to the target counts as arrived, degrees.
+    pub tolerance_deg: f64,
+}
+
+/// An axis in its own unit (mm or degrees): what a driver needs to know.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AxisProfile {
+    /// Register map.
+    pub device: AxisDevice,
+    /// Wire it hangs on.
+    pub line: String,
+    /// Modbus address.
+    pub address: u8,
+    /// Device counts in one unit.
+    pub counts_per_unit: f64,
+    /// Soft limits.
+    pub travel: [f64; 2],
+    /// Travelling speed, units/s.
+    pub speed: f64,
+    /// Acceleration, units/s^2.
+    pub acceleration: f64,
+    /// How close to the target counts as arrived.
+    pub tolerance: f64,
+}
+
+impl LinearAxis {
+    /// The axis in its own unit, millimetres.
+    pub fn profile(&self) -> AxisProfile {
+        AxisProfile {
+            device: self.device,
+            line: self.line.clone(),
+            address: self.unit,
+            counts_per_unit: self.counts_per_mm,
+            travel: self.travel_mm,
+            speed: self.speed_mm_s,
+            acceleration: self.acceleration_mm_s2,
+            tolerance: self.tolerance_mm,
+        }
+    }
+}
+
+impl RotaryAxis {
+    /// The axis in its own unit, degrees.
+    pub fn profile(&self) -> AxisProfile {
+        AxisProfile {
+            device: self.device,
+            line: self.line.clone(),
+            address: self.unit,
+            counts_per_unit: self.counts_per_deg,
+            travel: self.travel_deg,
+            speed: self.speed_deg_s,
+            acceleration: self.acceleration_deg_s2,
+            tolerance: self.tolerance_deg,
+        }
+    }
+}
+
+/// The helical slot's law: radius = at zero + slope x angle.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SlotConfig {
+    /// Radius at angle 0, mm.
+    pub radius_at_zero_mm: f64,
+    /// Slope, mm per degree.
+    pub mm_per_deg: f64,
+    /// Radii that the slot allows, mm.
+    pub radius_mm: [f64; 2],
+    /// Play of the slot: every radius is approached from below by at least this, mm.
+    pub backlash_mm: f64,
+}
+
+impl SlotConfig {
+    /// Angle for a radius, degrees.
+    pub fn angle_deg(&self, radius_mm: f64) -> f64 {
+        (radius_mm - self.radius_at_zero_mm) / self.mm_per_deg
+    }
+
+    /// Radius at an angle, mm.
+    pub fn radius_mm(&self, angle_deg: f64) -> f64 {
+        self.radius_at_zero_mm + self.mm_per_deg * angle_deg
+    }
+}
+
+/// Where the skin lies on the stage, and where its surface is looked for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SkinPlacement {
+    /// Machine x of the skin's corner, mm.
+    pub origin_x_mm: f64,
+    /// Machine y of the skin's corner, mm.
+    pub origin_y_mm: f64,
+    /// Machine z between which the surface must be found by touch-off, mm.
+    pub surface_z_mm: [f64; 2],
+    /// Height kept above the surface in lateral and radial motion, mm.
+    pub clearance_mm: f64,
+}
+
+/// An analog input module that we read (`field.md` 4).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CellsDevice {
+    /// Advantech ADAM-6017, Modbus TCP.
+    #[serde(rename = "adam_6017")]
+    Adam6017,
+    /// Waveshare Modbus RTU Analog Input 8CH.
+    #[serde(rename = "waveshare_8ch")]
+    Waveshare8ch,
+}
+
+/// FC22 amplified load cells on an analog input module.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CellsConfig {
+    /// Register map.
+    pub device: CellsDevice,
+    /// Wire it hangs on.
+    pub line: String,
+    /// Modbus address.
+    pub unit: u8,
+    /// Input channel of arms 1 to 6.
+    pub channels: [u8; ARMS],
+    /// The module's real update period, process ms.
+    pub update_ms: f64,
+    /// Supply of the ratiometric cells, V.
+    pub supply_v: f64,
+    /// Full scale of a cell, N.
+    pub full_scale_n: f64,
+    /// Noise of a cell above which a force counts as one, N.
+    pub force_noise_n: f64,
+}
+
+impl CellsConfig {
+    /// Force change of one volt, N/V: (V / supply - 0.1) / 0.8 x full scale (FC22 amplified).
+    pub fn newtons_per_volt(&self) -> f64 {
+        self.full_scale_n / (0.8 * self.supply_v)
+    }
+
+    /// Output without load, V.
+    pub fn zero_v(&self) -> f64 {
+        0.1 * self.supply_v
+    }
+}
+
+/// The wire of the voltage stream.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum ErtConfig {
+    /// A serial server.
+    Tcp {
+        /// `host:port`.
+        address: String,
+        /// Electrodes that a packet must have.
+        electrodes: u16,
+        /// Frames a process second.
+        frame_rate_hz: f64,
+    },
+    /// A serial port.
+    Serial {
+        /// Device path.
+        path: String,
+        /// Bits per second.
+        baud: u32,
+        /// Electrodes that a packet must have.
+        electrodes: u16,
+        /// Frames a process second.
+        frame_rate_hz: f64,
+    },
+}
+
+impl ErtConfig {
+    /// Electrodes that a packet must have.
+    pub fn electrodes(&self) -> u16 {
+        match self {
+            ErtConfig::Tcp { electrodes, .. } | ErtConfig::Serial { electrodes, .. } => *electrodes,
+        }
+    }
+
+    /// Frames a process second.
+    pub fn frame_rate_hz(&self) -> f64 {
+        match self {
+            ErtConfig::Tcp { frame_rate_hz, .. } | ErtConfig::Serial { frame_rate_hz, .. } => {
+                *frame_rate_hz
+            }
+        }
+    }
+}
+
+/// What trips the rig (`design.md` 8, law 3).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RigLimits {
+    /// Force on one cell, N.
+    pub force_n: f64,
+    /// Sum over the cells, N.
+    pub force_sum_n: f64,
+    /// What the force may grow between a sample and the stop that follows it, N: the approach speed
+    /// is chosen from it.
+    pub force_margin_n: f64,
+    /// Stiffness of one tip on the skin, N/mm, for the approach speed.
+    pub stiffness_n_per_mm: f64,
+    /// Longest time without a frame, wall ms.
+    pub frame_age_ms: u64,
+    /// Longest time without a fresh sample of cells and positions while pressing, wall ms.
+    pub sample_age_ms: u64,
+    /// Largest change of a cell's zero between two tares, N.
+    pub tare_drift_n: f64,
+}
+
+impl RigConfig {
+    /// Parses and checks a rig file's text. `file` names it in the problems.
+    pub fn from_toml(file: &str, text: &str) -> Result<Self, Vec<Problem>> {
+        let config: Self =
+            toml::from_str(text).map_err(|e| vec![Problem::whole(file, e.to_string())])?;
+        config.check(file)?;
+        Ok(config)
+    }
+
+    /// The approach speed that keeps growth between sample and stop within the margin, mm/s:
+    /// speed x (update + poll) x stiffness <= margin.
+    pub fn approach_speed_mm_s(&self) -> f64 {
+        let blind_s = (self.cells.update_ms + 20.0) / 1e3;
+        let speed = self.limits.force_margin_n / (self.limits.stiffness_n_per_mm * blind_s);
+        speed.min(self.axes.z.speed_mm_s)
+    }
+
+    fn check(&self, file: &str) -> Result<(), Vec<Problem>> {
+        let mut c = Checks::of(file);
+        c.within("clock_rate", self.clock_rate, 0.01, 2000.0);
+        let profiles = [
+            ("x", self.axes.x.profile()),
+            ("y", self.axes.y.profile()),
+            ("z", self.axes.z.profile()),
+            ("radial", self.axes.radial.profile()),
+        ];
+        for (name, p) in &profiles {
+            let key = |k: &str| format!("axes.{name}.{k}");
+            let known = self.lines.contains_key(&p.line);
+            c.require(known, &key("line"), &p.line, "must be one of [lines]");
+            let unit_ok = (1..=247).contains(&p.address);
+            c.require(unit_ok, &key("unit"), p.address, "must be 1 to 247");
+            c.within(&key("counts_per_*"), p.counts_per_unit, 1e-3, 1e7);
+            c.within(&key("speed"), p.speed, 1e-3, 5000.0);
+            c.within(&key("acceleration"), p.acceleration, 1e-3, 1e5);
+            c.within(&key("tolerance"), p.tolerance, 1e-4, 5.0);
+            let ordered = p.travel[0].is_finite() && p.travel[0] < p.travel[1];
+            let shown = format!("[{}, {}]", p.travel[0], p.travel[1]);
+            c.require(ordered, &key("travel"), shown, "must be [lower, upper]");
+        }
+        let known = self.lines.contains_key(&self.cells.line);
+        c.require(known, "cells.line", &self.cells.line, "must be one of [lines]");
+        c.within("cells.update_ms", self.cells.update_ms, 0.1, 10_000.0);
+        c.within("cells.supply_v", self.cells.supply_v, 1.0, 24.0);
+        c.within("cells.full_scale_n", self.cells.full_scale_n, 1.0, 5000.0);
+        let channels = &self.cells.channels;
+        let distinct = (0..ARMS).all(|i| !channels[..i].contains(&channels[i]) && channels[i] < 8);
+        let shown = format!("{channels:?}");
+        c.require(distinct, "cells.channels", shown, "must be six different channels from 0 to 7");
+        let (low, high) = (self.slot.radius_mm[0], self.slot.radius_mm[1]);
+        c.require(
+            low > 0.0 && low < high,
+            "slot.radius_mm",
+            format!("[{low}, {high}]"),
+            "must be [lower, upper], positive",
+        );
+        c.require(
+            self.slot.mm_per_deg != 0.0,
+            "slot.mm_per_deg",
+            self.slot.mm_per_deg,
+            "must not be 0",
+        );
+        let [deg_min, deg_max] = self.axes.radial.travel_deg;
+        for r in self.slot.radius_mm {
+            let a = self.slot.angle_deg(r);
+            let limit = format!("needs {a:.2} deg, outside axes.radial.travel_deg");
+            c.require((deg_min..=deg_max).contains(&a), "slot.radius_mm", r, &limit);
+        }
+        let [top, bottom] = self.skin.surface_z_mm;
+        let z = self.axes.z.travel_mm;
+        c.require(
+            z[0] <= top - self.skin.clearance_mm && top < bottom && bottom <= z[1],
+            "skin.surface_z_mm",
+            format!("[{top}, {bottom}]"),
+            "must be [lower, upper] within axes.z.travel_mm, with clearance_mm above",
+        );
+        c.within("skin.clearance_mm", self.skin.clearance_mm, 0.5, 100.0);
+        c.within("limits.force_n", self.limits.force_n, 1.0, 0.8 * self.cells.full_scale_n);
+        c.within("limits.force_sum_n", self.limits.force_sum_n, 1.0, 5000.0);
+        c.within("limits.force_margin_n", self.limits.force_margin_n, 0.1, self.limits.force_n);
+        c.within("limits.stiffness_n_per_mm", self.limits.stiffness_n_per_mm, 0.1, 1000.0);
+        c.within("limits.tare_drift_n", self.limits.tare_drift_n, 0.01, 50.0);
+        c.require(
+            self.limits.frame_age_ms >= 50,
+            "limits.frame_age_ms",
+            self.limits.frame_age_ms,
+            "must be at least 50",
+        );
+        c.require(
+            self.limits.sample_age_ms >= 20,
+            "limits.sample_age_ms",
+            self.limits.sample_age_ms,
+            "must be at least 20",
+        );
+        c.within("ert.frame_rate_hz", self.ert.frame_rate_hz(), 0.1, 1000.0);
+        let electrodes = self.ert.electrodes();
+        let ok = (2..=64).contains(&electrodes);
+        c.require(ok, "ert.electrodes", electrodes, "must be 2 to 64");
+        c.done()
+    }
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+fn default_timeout_ms() -> u64 {
+    300
+}
+
+fn default_retries() -> u32 {
+    3
+}

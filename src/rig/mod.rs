@@ -1,0 +1,6 @@
+//! The bench: capabilities in units, and the drivers behind them. One device, one folder.
+//! Uses: `clock`, `problem`. Never: campaigns, trials, storage, HTTP.
+
+pub mod config;
+pub mod error;
+pub mod traits;

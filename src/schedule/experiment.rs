@@ -1,0 +1,247 @@
+//! An experiment file as types, checked: what to touch, how often, how deep, under which policy.
+//! PURE. Uses: `problem`. Never: files (the text is handed in), the rig, the clock.
+//!
+//! Paper: Real-Hex IV-A, Real-Random II-C and IV-A, Table I.
+
+use serde::{Deserialize, Serialize};
+
+use crate::problem::{Checks, Problem};
+
+/// An experiment file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Experiment {
+    /// Name that runs and datasets carry.
+    pub name: String,
+    /// Seed of everything drawn.
+    pub seed: u64,
+    /// Sensor file, relative to the experiment file.
+    pub sensor: String,
+    /// The multi-point indenter's campaign; exactly one of this and `real_random`.
+    pub real_hex: Option<RealHex>,
+    /// The manual indenters' campaign.
+    pub real_random: Option<RealRandom>,
+    /// How a trial is measured.
+    #[serde(default)]
+    pub measure: Measure,
+    /// What happens when something fails.
+    #[serde(default)]
+    pub policy: Policy,
+    /// Limits of this experiment; the rig's own limits hold too.
+    #[serde(default)]
+    pub limits: Limits,
+}
+
+/// Real-Hex: configurations x depths for each tip count (paper IV-A).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RealHex {
+    /// Tip counts, in the order in which they are mounted: the settings.
+    pub tips: Vec<u8>,
+    /// Configurations drawn for each setting.
+    pub configurations: u32,
+    /// Smallest and largest radius, in pitches of the point lattice.
+    #[serde(default = "default_radius_pitches")]
+    pub radius_pitches: [u32; 2],
+    /// Depth of step 0 below just above the surface, mm.
+    #[serde(default)]
+    pub first_depth_mm: f64,
+    /// Distance between steps, mm.
+    #[serde(default = "default_depth_step_mm")]
+    pub depth_step_mm: f64,
+    /// Number of steps.
+    #[serde(default = "default_depths")]
+    pub depths: u32,
+    /// Height of depth 0 above the surface found by touch-off, mm.
+    #[serde(default = "default_standoff_mm")]
+    pub standoff_mm: f64,
+    /// Configurations in a randomised block; within one, the tour is short.
+    #[serde(default = "default_block")]
+    pub block: u32,
+    /// A reference press before the first and after each so many configurations; 0 = never.
+    #[serde(default = "default_reference_every")]
+    pub reference_every: u32,
+}
+
+/// Real-Random: weights placed by hand on random points (paper II-C).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RealRandom {
+    /// Contact counts.
+    pub contacts: Vec<u8>,
+    /// Trials for each count.
+    pub trials_each: u32,
+    /// Forces of the weights, N.
+    pub weights_n: Vec<f64>,
+}
+
+/// How a trial is measured.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Measure {
+    /// Raw frames kept with a trial.
+    pub frames_per_trial: u32,
+    /// Shortest wait after motion, process ms.
+    pub settle_ms: f64,
+    /// Forces count as settled when they change by less than this between samples, N.
+    pub settle_n: f64,
+    /// Longest wait; a trial measured then is flagged `unsettled`, process ms.
+    pub settle_max_ms: f64,
+    /// Samples averaged for a tare.
+    pub tare_samples: u32,
+    /// Contacts under this are removed from the labels, N (paper III-D, IV-A).
+    pub deadband_n: f64,
+}
+
+impl Default for Measure {
+    fn default() -> Self {
+        Self {
+            frames_per_trial: 1,
+            settle_ms: 1800.0,
+            settle_n: 0.2,
+            settle_max_ms: 5000.0,
+            tare_samples: 4,
+            deadband_n: 5.0,
+        }
+    }
+}
+
+/// What happens when something fails.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Policy {
+    /// Tries at a configuration after the first.
+    pub retries: u32,
+    /// Configurations that may be skipped before the run ends as failed.
+    pub max_skipped: u32,
+    /// After a trip whose cause is gone, or a restart, go on without a person.
+    pub auto_resume: bool,
+    /// Automatic resumes allowed in one run.
+    pub max_auto_resumes: u32,
+    /// Wait before an automatic resume, wall s.
+    pub auto_resume_after_s: f64,
+}
+
+impl Default for Policy {
+    fn default() -> Self {
+        Self {
+            retries: 2,
+            max_skipped: 10,
+            auto_resume: true,
+            max_auto_resumes: 20,
+            auto_resume_after_s: 5.0,
+        }
+    }
+}
+
+/// Limits of an experiment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Limits {
+    /// Force on one tip, N.
+    pub force_n: f64,
+    /// Sum over the tips, N.
+    pub force_sum_n: f64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { force_n: 75.0, force_sum_n: 320.0 }
+    }
+}
+
+impl RealHex {
+    /// The depths in the order in which they are pressed: loading only.
+    pub fn depths_mm(&self) -> Vec<f64> {
+        (0..self.depths).map(|i| self.first_depth_mm + self.depth_step_mm * f64::from(i)).collect()
+    }
+
+    /// Deepest step, mm.
+    pub fn deepest_mm(&self) -> f64 {
+        self.first_depth_mm + self.depth_step_mm * f64::from(self.depths.saturating_sub(1))
+    }
+}
+
+impl Experiment {
+    /// Parses and checks an experiment file's text. `file` names it in the problems.
+    pub fn from_toml(file: &str, text: &str) -> Result<Self, Vec<Problem>> {
+        let experiment: Self =
+            toml::from_str(text).map_err(|e| vec![Problem::whole(file, e.to_string())])?;
+        experiment.check(file)?;
+        Ok(experiment)
+    }
+
+    fn check(&self, file: &str) -> Result<(), Vec<Problem>> {
+        let mut c = Checks::of(file);
+        if self.real_hex.is_some() == self.real_random.is_some() {
+            let limit = "must hold exactly one of [real_hex] and [real_random]";
+            return Err(vec![Problem::whole(file, limit)]);
+        }
+        if let Some(hex) = &self.real_hex {
+            let tips_ok = !hex.tips.is_empty()
+                && hex.tips.iter().all(|t| (1..=6).contains(t))
+                && (1..hex.tips.len()).all(|i| !hex.tips[..i].contains(&hex.tips[i]));
+            let shown = format!("{:?}", hex.tips);
+            c.require(tips_ok, "real_hex.tips", shown, "must be different counts from 1 to 6");
+            c.within("real_hex.configurations", f64::from(hex.configurations), 1.0, 1e6);
+            let [low, high] = hex.radius_pitches;
+            c.require(
+                (2..=high).contains(&low) && high <= 15,
+                "real_hex.radius_pitches",
+                format!("[{low}, {high}]"),
+                "must be [lower, upper] from 2 (1 would make tips touch) to 15",
+            );
+            c.within("real_hex.first_depth_mm", hex.first_depth_mm, 0.0, 8.0);
+            c.within("real_hex.depth_step_mm", hex.depth_step_mm, 0.01, 8.0);
+            c.within("real_hex.depths", f64::from(hex.depths), 1.0, 1000.0);
+            c.within("real_hex.deepest depth", hex.deepest_mm(), 0.0, 8.0);
+            c.within("real_hex.standoff_mm", hex.standoff_mm, 0.0, 5.0);
+            c.within("real_hex.block", f64::from(hex.block), 1.0, 1e6);
+        }
+        if let Some(random) = &self.real_random {
+            let ok = !random.contacts.is_empty() && random.contacts.iter().all(|n| *n >= 1);
+            let shown = format!("{:?}", random.contacts);
+            c.require(ok, "real_random.contacts", shown, "must be counts of at least 1");
+            c.within("real_random.trials_each", f64::from(random.trials_each), 1.0, 1e6);
+            let ok = !random.weights_n.is_empty() && random.weights_n.iter().all(|w| *w > 0.0);
+            let shown = format!("{:?}", random.weights_n);
+            c.require(ok, "real_random.weights_n", shown, "must be positive forces");
+        }
+        let m = &self.measure;
+        c.within("measure.frames_per_trial", f64::from(m.frames_per_trial), 1.0, 1000.0);
+        c.within("measure.settle_ms", m.settle_ms, 0.0, 600_000.0);
+        c.within("measure.settle_n", m.settle_n, 0.0, 50.0);
+        c.within("measure.settle_max_ms", m.settle_max_ms, m.settle_ms, 3_600_000.0);
+        c.within("measure.tare_samples", f64::from(m.tare_samples), 1.0, 1000.0);
+        c.within("measure.deadband_n", m.deadband_n, 0.0, 100.0);
+        c.within("policy.retries", f64::from(self.policy.retries), 0.0, 100.0);
+        c.within("policy.auto_resume_after_s", self.policy.auto_resume_after_s, 0.0, 86_400.0);
+        c.within("limits.force_n", self.limits.force_n, 0.5, 1000.0);
+        c.within("limits.force_sum_n", self.limits.force_sum_n, 0.5, 6000.0);
+        c.done()
+    }
+}
+
+fn default_radius_pitches() -> [u32; 2] {
+    [2, 12]
+}
+
+fn default_depth_step_mm() -> f64 {
+    0.5
+}
+
+fn default_depths() -> u32 {
+    11
+}
+
+fn default_standoff_mm() -> f64 {
+    1.0
+}
+
+fn default_block() -> u32 {
+    100
+}
+
+fn default_reference_every() -> u32 {
+    100
+}

@@ -1,0 +1,2 @@
+//! Placeholder while the house is laid out.
+//! Filled in by the next commits.
