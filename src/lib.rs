@@ -2,6 +2,7 @@
 //! touched. The modules below stand in the order in which data flows; imports only look back.
 
 pub mod clock;
+pub mod ids;
 pub mod problem;
 
 pub mod schedule;
