@@ -61,6 +61,9 @@ pub struct RealHex {
     /// A reference press before the first and after each so many configurations; 0 = never.
     #[serde(default = "default_reference_every")]
     pub reference_every: u32,
+    /// Depth of a reference press, mm, counted as the steps are.
+    #[serde(default = "default_reference_depth_mm")]
+    pub reference_depth_mm: f64,
 }
 
 /// Real-Random: weights placed by hand on random points (paper II-C).
@@ -196,12 +199,16 @@ impl Experiment {
             c.within("real_hex.depths", f64::from(hex.depths), 1.0, 1000.0);
             c.within("real_hex.deepest depth", hex.deepest_mm(), 0.0, 8.0);
             c.within("real_hex.standoff_mm", hex.standoff_mm, 0.0, 5.0);
-            c.within("real_hex.block", f64::from(hex.block), 1.0, 1e6);
+            c.within("real_hex.reference_depth_mm", hex.reference_depth_mm, 0.0, 8.0);
+            c.within("real_hex.block", f64::from(hex.block), 1.0, 1000.0);
         }
         if let Some(random) = &self.real_random {
-            let ok = !random.contacts.is_empty() && random.contacts.iter().all(|n| *n >= 1);
+            let ok = !random.contacts.is_empty()
+                && random.contacts.iter().all(|n| (1..=6).contains(n))
+                && (1..random.contacts.len())
+                    .all(|i| !random.contacts[..i].contains(&random.contacts[i]));
             let shown = format!("{:?}", random.contacts);
-            c.require(ok, "real_random.contacts", shown, "must be counts of at least 1");
+            c.require(ok, "real_random.contacts", shown, "must be different counts from 1 to 6");
             c.within("real_random.trials_each", f64::from(random.trials_each), 1.0, 1e6);
             let ok = !random.weights_n.is_empty() && random.weights_n.iter().all(|w| *w > 0.0);
             let shown = format!("{:?}", random.weights_n);
@@ -244,4 +251,8 @@ fn default_block() -> u32 {
 
 fn default_reference_every() -> u32 {
     100
+}
+
+fn default_reference_depth_mm() -> f64 {
+    4.0
 }

@@ -2,3 +2,8 @@
 //! PURE: no async, files, clock or unseeded chance. Uses: `problem`, sim-core's sensor.
 
 pub mod experiment;
+pub mod chance;
+pub mod configuration;
+pub mod order;
+pub mod manual;
+pub mod plan;
