@@ -1,5 +1,26 @@
 //! One run on one bench: states, safety, the engine that presses and measures.
 //! Uses: `schedule`, `rig`, `clock`, `ids`. Never: SQL, HTTP.
+//!
+//! PURE: `run_state`, `rig_state`, `interlock`, `resume`, `eta`, `record`, `halt`, `job`, `status`.
 
-pub mod journal;
 pub mod record;
+pub mod journal;
+pub mod run_state;
+pub mod rig_state;
+pub mod interlock;
+pub mod resume;
+pub mod eta;
+pub mod job;
+pub mod status;
+pub mod halt;
+pub mod estop;
+pub mod command;
+pub mod control;
+pub mod stage;
+pub mod tare;
+pub mod touch_off;
+pub mod measure;
+pub mod press;
+pub mod manual;
+pub mod show;
+pub mod engine;

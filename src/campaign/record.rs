@@ -185,9 +185,9 @@ pub struct ReferenceRecord {
 pub struct TouchOffRecord {
     /// Attached tips.
     pub tips: u8,
-    /// Machine z of the surface: mean over places and arms, mm.
+    /// Machine z of the surface: median over places and arms, mm.
     pub surface_z_mm: f64,
-    /// Each attached arm's first contact below that mean, mm: positive = a shorter tip.
+    /// Each attached arm's first contact below that median, mm: positive = a shorter tip.
     pub tip_offset_mm: Vec<(u8, f64)>,
     /// Places touched and each arm's z there, mm (skin x, skin y, arm, z).
     pub touches: Vec<(f64, f64, u8, f64)>,

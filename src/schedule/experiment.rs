@@ -94,6 +94,8 @@ pub struct Measure {
     pub tare_samples: u32,
     /// Contacts under this are removed from the labels, N (paper III-D, IV-A).
     pub deadband_n: f64,
+    /// Largest sum over one injection's values that is still noise, V.
+    pub injection_sum_v: f64,
 }
 
 impl Default for Measure {
@@ -105,6 +107,7 @@ impl Default for Measure {
             settle_max_ms: 5000.0,
             tare_samples: 4,
             deadband_n: 5.0,
+            injection_sum_v: 0.05,
         }
     }
 }
@@ -221,6 +224,7 @@ impl Experiment {
         c.within("measure.settle_max_ms", m.settle_max_ms, m.settle_ms, 3_600_000.0);
         c.within("measure.tare_samples", f64::from(m.tare_samples), 1.0, 1000.0);
         c.within("measure.deadband_n", m.deadband_n, 0.0, 100.0);
+        c.within("measure.injection_sum_v", m.injection_sum_v, 0.0, 100.0);
         c.within("policy.retries", f64::from(self.policy.retries), 0.0, 100.0);
         c.within("policy.auto_resume_after_s", self.policy.auto_resume_after_s, 0.0, 86_400.0);
         c.within("limits.force_n", self.limits.force_n, 0.5, 1000.0);

@@ -1,0 +1,218 @@
+//! A run that waits: for a person, or for the policy's automatic resume.
+//! Uses: `campaign::control`. Never: pressing.
+
+use super::*;
+
+impl Engine {
+    /// Waits for a person, or for the policy's automatic resume (`passing`: how many before).
+    async fn wait(
+        &mut self,
+        job: &Job,
+        attempts: &mut Attempts,
+        passing: Option<u32>,
+    ) -> Result<Next, JournalError> {
+        self.control.phase(Phase::Wait);
+        let mut try_at = passing.map(|n| Instant::now() + backoff(job, n));
+        let mut tick = tokio::time::interval(IDLE_TICK);
+        tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
+        loop {
+            let waited = tokio::select! {
+                envelope = self.control.inbox.requests.recv() => match envelope {
+                    Some(envelope) => self.waiting_request(job, envelope).await?,
+                    None => Some(Waited::Ended(ExitStatus::Abort)),
+                },
+                _ = tick.tick() => {
+                    self.look().await;
+                    let ended = self.raise_when_possible(job).await;
+                    if ended.is_some() {
+                        ended
+                    } else if try_at.is_some_and(|at| Instant::now() >= at) {
+                        try_at = Some(Instant::now() + LONGEST_BACKOFF);
+                        self.recover().await.then_some(Waited::Resume)
+                    } else {
+                        None
+                    }
+                }
+            };
+            match waited {
+                None => {}
+                Some(Waited::Resume) => return Ok(Next::Again),
+                Some(Waited::Confirmed(who)) => {
+                    attempts.confirmed_by = self.wanted_trial().map(|t| (t, who));
+                    let _ = self.control.run_event(RunEvent::Resume).await;
+                    return Ok(Next::Again);
+                }
+                Some(Waited::Ended(status)) => return Ok(Next::End(status, "asked for".into())),
+            }
+        }
+    }
+
+    /// After a loss of wires the run has not reached what was asked for: raises as soon as they
+    /// carry again.
+    async fn raise_when_possible(&mut self, job: &Job) -> Option<Waited> {
+        if matches!(self.control.run(), RunState::Paused(_) | RunState::Panicked) {
+            return None;
+        }
+        if job.plan.kind == Kind::RealHex {
+            let connection = self.connection.as_mut()?;
+            connection.stage.pose().await.ok()?;
+            connection.stage.raise().await.ok()?;
+        }
+        let action = self.control.run_event(RunEvent::Raised).await.ok()?;
+        self.control.phase(Phase::Wait);
+        match action {
+            RunAction::End(status) => Some(Waited::Ended(status)),
+            RunAction::Continue | RunAction::Raise | RunAction::Wait => None,
+        }
+    }
+
+    /// The policy's own way out of a trip that may pass: reset, check, home, arm, go on.
+    async fn recover(&mut self) -> bool {
+        if !matches!(self.control.run(), RunState::Paused(PausedWhy::Trip)) {
+            return false;
+        }
+        self.control.say("recovering", json!({})).await;
+        let Some(connection) = self.connection.as_ref() else { return false };
+        let bench = connection.open.bench.clone();
+        if connection.stage.pose().await.is_err() || bench.cells.read().await.is_err() {
+            return false;
+        }
+        if bench.skin.take(Instant::now(), 1).await.is_err() {
+            return false;
+        }
+        self.reset().await.is_ok() && self.home().await && self.resume().await.is_ok()
+    }
+
+    /// Arms again if a reset has disarmed the rig, and goes on.
+    async fn resume(&mut self) -> Result<(), Refusal> {
+        match self.control.rig() {
+            RigState::Homed => self.control.rig_event(RigEvent::Arm).await?,
+            RigState::Armed => {}
+            RigState::Disconnected | RigState::Disarmed | RigState::Tripped => {
+                let rig = self.control.rig().as_str();
+                let words = format!("resume is not possible while the rig is {rig}: reset, home");
+                return Err(Refusal::State(words));
+            }
+        }
+        self.control.run_event(RunEvent::Resume).await.map(|_| ())
+    }
+
+    fn wanted_trial(&self) -> Option<u32> {
+        match self.control.inbox.status.borrow().run.as_ref()?.wanted.as_ref()? {
+            Wanted::Placement { trial, .. } => Some(*trial),
+            Wanted::Tips { .. } => None,
+        }
+    }
+
+    /// A request while a run waits.
+    async fn waiting_request(
+        &mut self,
+        job: &Job,
+        envelope: Envelope,
+    ) -> Result<Option<Waited>, JournalError> {
+        let why = self.control.run().why();
+        let needs_person = matches!(why, Some(PausedWhy::TipChange | PausedWhy::ManualTrial));
+        let Envelope { request, answer } = envelope;
+        match request {
+            Request::Resume if !needs_person => {
+                let resumed = match job.plan.kind {
+                    Kind::RealHex => self.resume().await,
+                    Kind::RealRandom => self.control.run_event(RunEvent::Resume).await.map(|_| ()),
+                };
+                let waited = resumed.is_ok().then_some(Waited::Resume);
+                let _ = answer.send(resumed);
+                Ok(waited)
+            }
+            Request::Confirm { who } if needs_person => {
+                let checked = self.check_confirmed().await;
+                let waited = checked.is_ok().then_some(Waited::Confirmed(who));
+                let _ = answer.send(checked);
+                Ok(waited)
+            }
+            Request::Repeat { why } => {
+                let repeated = self.repeat_last(job, &why).await?;
+                let waited = repeated.is_ok().then_some(Waited::Confirmed(String::new()));
+                let _ = answer.send(repeated);
+                // Nobody confirmed the placement that was waited for: it is asked for again.
+                if waited.is_some() {
+                    self.control.show_run(|run| run.wanted = None);
+                }
+                Ok(waited)
+            }
+            Request::Stop | Request::Abort | Request::Suspend(_) | Request::Resume => {
+                let Some(event) = self.control.run_request(&request) else { return Ok(None) };
+                let mut outcome = self.control.run_event(event).await;
+                if outcome == Ok(RunAction::Raise) {
+                    if job.plan.kind == Kind::RealHex {
+                        self.raise_or_panic(true).await;
+                    }
+                    outcome = self.control.run_event(RunEvent::Raised).await;
+                }
+                let waited = match outcome {
+                    Ok(RunAction::End(status)) => Some(Waited::Ended(status)),
+                    _ => None,
+                };
+                let _ = answer.send(outcome.map(|_| ()));
+                Ok(waited)
+            }
+            Request::Start(_)
+            | Request::Confirm { .. }
+            | Request::PauseAtCheckpoint
+            | Request::PauseNow
+            | Request::Shutdown => {
+                let state = self.control.run().as_str();
+                let words = format!("{} is not possible while a run is {state}", name(&request));
+                let _ = answer.send(Err(Refusal::State(words)));
+                Ok(None)
+            }
+            Request::Connect
+            | Request::Disconnect
+            | Request::Home
+            | Request::Jog { .. }
+            | Request::Tare
+            | Request::Reset => {
+                self.rig_request(Envelope { request, answer }).await;
+                Ok(None)
+            }
+        }
+    }
+
+    /// A confirmed tip change is believed only if the cells agree.
+    async fn check_confirmed(&mut self) -> Result<(), Refusal> {
+        let wanted = self.control.inbox.status.borrow().run.as_ref().and_then(|r| r.wanted.clone());
+        let connection = self.connection.as_mut().ok_or_else(no_wires)?;
+        match wanted {
+            Some(Wanted::Tips { tips }) => {
+                require_tips(&mut connection.stage, tips).await.map_err(|halt| match halt {
+                    Halt::Needs(_) => Refusal::State(format!(
+                        "the cells do not show {tips} tips on arms 1 to {tips}"
+                    )),
+                    other => Refusal::State(trip_of(other).detail),
+                })
+            }
+            Some(Wanted::Placement { .. }) => Ok(()),
+            None => Err(Refusal::State("nothing is waited for".into())),
+        }
+    }
+
+    /// Takes the last manual trial back.
+    async fn repeat_last(
+        &mut self,
+        job: &Job,
+        why: &str,
+    ) -> Result<Result<(), Refusal>, JournalError> {
+        let waiting = self.control.run().why() == Some(PausedWhy::ManualTrial);
+        let progress = self.control.journal.progress(job.run).await?;
+        let last = self.wanted_trial().and_then(|next| next.checked_sub(1)).map(|configuration| {
+            TrialKey { configuration, depth_index: 0 }
+        });
+        match last {
+            Some(key) if waiting && progress.stored.contains(&key) => {
+                self.control.journal.discard(job.run, key, why).await?;
+                self.control.say("repeat", json!({ "trial": key, "why": why })).await;
+                Ok(Ok(()))
+            }
+            _ => Ok(Err(Refusal::State("there is no trial to repeat".into()))),
+        }
+    }
+}

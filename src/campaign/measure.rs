@@ -1,0 +1,111 @@
+//! Settling, frames and forces of one held load, and what may be wrong with them.
+//! Uses: `campaign::stage`, `rig::traits`. Never: storage, the plan.
+
+use super::control::Control;
+use super::halt::Halt;
+use super::record::{Flag, FrameRecord};
+use super::stage::Stage;
+use crate::rig::config::ARMS;
+use crate::rig::traits::Frame;
+use crate::schedule::experiment::Measure;
+
+/// Forces after motion, when they have come to rest.
+#[derive(Debug, Clone, Copy)]
+pub struct Settled {
+    /// Time waited, process ms.
+    pub settle_ms: f64,
+    /// Whether they came to rest before the longest wait was over.
+    pub at_rest: bool,
+}
+
+/// Waits at least `settle_ms` and until no force changes by more than `settle_n` between samples,
+/// weighing at every poll.
+pub async fn settle(
+    stage: &mut Stage,
+    control: &mut Control,
+    measure: &Measure,
+) -> Result<Settled, Halt> {
+    let start_s = stage.clock.process_s();
+    let sample_s = (stage.config.cells.update_ms / 1e3).max(0.05);
+    let mut last = stage.weigh().await?.volts;
+    let mut last_s = start_s;
+    let mut change_n = f64::INFINITY;
+    loop {
+        stage.poll_pause().await;
+        control.attend().await?;
+        let volts = stage.weigh().await?.volts;
+        let now_s = stage.clock.process_s();
+        if now_s - last_s >= sample_s {
+            let scale = stage.config.cells.newtons_per_volt();
+            change_n = (0..usize::from(stage.tips))
+                .map(|i| ((volts[i] - last[i]) * scale).abs())
+                .fold(0.0, f64::max);
+            (last, last_s) = (volts, now_s);
+        }
+        let settle_ms = (now_s - start_s) * 1e3;
+        let at_rest = change_n <= measure.settle_n;
+        if settle_ms >= measure.settle_ms && at_rest || settle_ms >= measure.settle_max_ms {
+            return Ok(Settled { settle_ms, at_rest });
+        }
+    }
+}
+
+/// Frames of a held load, with the cells read before and after them.
+#[derive(Debug, Clone)]
+pub struct Taken {
+    /// Raw frames.
+    pub frames: Vec<FrameRecord>,
+    /// Mean output of the cells around the frames, V.
+    pub volts: [f64; ARMS],
+    /// What may be wrong with the frames.
+    pub flags: Vec<Flag>,
+}
+
+/// Takes the frames of a load that is held from now on.
+pub async fn take(stage: &mut Stage, measure: &Measure) -> Result<Taken, Halt> {
+    let count = measure.frames_per_trial as usize;
+    let skin = stage.bench.skin.clone();
+    let missed_before = skin.counters().missed;
+    let (before, frames) =
+        futures::join!(stage.bench.cells.read(), skin.take(stage.clock.now(), count));
+    let (before, frames) = (before?, frames?);
+    let after = stage.weigh().await?;
+    let volts = std::array::from_fn(|i| (before.volts[i] + after.volts[i]) / 2.0);
+    let expected = usize::from(stage.config.ert.electrodes()).pow(2);
+    if let Some(wrong) = frames.iter().find(|f| f.counts.len() != expected) {
+        let found = wrong.counts.len();
+        return Err(Halt::Failed(format!("a frame of {found} values, {expected} expected")));
+    }
+    let mut flags = frame_flags(frames.iter().map(AsRef::as_ref), measure);
+    let consecutive = frames.windows(2).all(|p| p[1].sequence == p[0].sequence.wrapping_add(1));
+    if !consecutive && skin.counters().missed > missed_before {
+        flags.push(Flag::DroppedFrames);
+    }
+    let frames = frames.iter().map(|f| record(f)).collect();
+    Ok(Taken { frames, volts, flags })
+}
+
+/// What may be wrong with frames by themselves.
+pub fn frame_flags<'a>(
+    frames: impl Iterator<Item = &'a Frame> + Clone,
+    measure: &Measure,
+) -> Vec<Flag> {
+    let mut flags = Vec::new();
+    if frames.clone().any(|f| f.saturated_channels() > 0) {
+        flags.push(Flag::SaturatedChannels);
+    }
+    if frames.clone().any(|f| f.largest_injection_sum_v() > measure.injection_sum_v) {
+        flags.push(Flag::InjectionSum);
+    }
+    flags
+}
+
+/// A frame as it is stored.
+pub fn record(frame: &Frame) -> FrameRecord {
+    FrameRecord {
+        sequence: frame.sequence,
+        device_time_us: frame.device_time_us,
+        volts_per_count: frame.volts_per_count,
+        counts: frame.counts.clone(),
+    }
+}

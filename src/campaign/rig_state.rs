@@ -1,0 +1,119 @@
+//! The rig's state machine, beside the run's: one enum, one drawing, one function.
+//! PURE. Uses: nothing. Never: motion, wires, time.
+//!
+//! ```text
+//!   disconnected --connected--> disarmed --homed--> homed --arm--> armed
+//!        ^                         ^                  ^              |
+//!        |                         |                  +---disarm-----+
+//!        +-- lost (from any) ------|--- reset --- tripped <--trip-- (disarmed, homed, armed)
+//! ```
+//! A trip latches: only a reset by a person (or by the policy that a person armed) leaves it, and
+//! the rig is homed again before it may be armed (`design.md` 2 and 8, law 2).
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// The state of the rig.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum RigState {
+    /// No wire is open.
+    Disconnected,
+    /// Wires are open; nothing may move but homing.
+    Disarmed,
+    /// Every axis knows where it is; jogging is allowed.
+    Homed,
+    /// A run may move.
+    Armed,
+    /// A limit or a fault latched.
+    Tripped,
+}
+
+impl RigState {
+    /// The word as it is shown.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            RigState::Disconnected => "disconnected",
+            RigState::Disarmed => "disarmed",
+            RigState::Homed => "homed",
+            RigState::Armed => "armed",
+            RigState::Tripped => "tripped",
+        }
+    }
+}
+
+/// What happens to a rig.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RigEvent {
+    /// All devices answered and are what the rig file says.
+    Connected,
+    /// The wires were closed.
+    Lost,
+    /// Every axis has been homed.
+    Homed,
+    /// A run was armed.
+    Arm,
+    /// The run is over.
+    Disarm,
+    /// A limit, a fault or an e-stop.
+    Trip,
+    /// The trip was acknowledged.
+    Reset,
+}
+
+/// An event that the rig's state does not allow.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("a rig that is {} does not allow {event:?}", state.as_str())]
+pub struct Illegal {
+    /// The state it is in.
+    pub state: RigState,
+    /// The event refused.
+    pub event: RigEvent,
+}
+
+/// The next state.
+pub fn step(state: RigState, event: RigEvent) -> Result<RigState, Illegal> {
+    use RigEvent as E;
+    use RigState as S;
+    match (state, event) {
+        (_, E::Lost) => Ok(S::Disconnected),
+        (S::Disconnected, E::Connected) => Ok(S::Disarmed),
+        (S::Disarmed | S::Homed, E::Homed) => Ok(S::Homed),
+        (S::Homed, E::Arm) => Ok(S::Armed),
+        (S::Armed, E::Disarm) => Ok(S::Homed),
+        (S::Disarmed | S::Homed | S::Armed | S::Tripped, E::Trip) => Ok(S::Tripped),
+        (S::Tripped, E::Reset) => Ok(S::Disarmed),
+        (
+            S::Disconnected | S::Disarmed | S::Homed | S::Armed | S::Tripped,
+            E::Connected | E::Homed | E::Arm | E::Disarm | E::Trip | E::Reset,
+        ) => Err(Illegal { state, event }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_whole_table() {
+        use RigEvent as E;
+        use RigState as S;
+        let mut table = String::new();
+        for s in [S::Disconnected, S::Disarmed, S::Homed, S::Armed, S::Tripped] {
+            let row: Vec<&str> =
+                [E::Connected, E::Lost, E::Homed, E::Arm, E::Disarm, E::Trip, E::Reset]
+                    .iter()
+                    .map(|&e| step(s, e).map_or("-", RigState::as_str))
+                    .collect();
+            table += &format!("{:12} {}\n", s.as_str(), row.join(" "));
+        }
+        let expected = "\
+disconnected disarmed disconnected - - - - -
+disarmed     - disconnected homed - - tripped -
+homed        - disconnected homed armed - tripped -
+armed        - disconnected - - homed tripped -
+tripped      - disconnected - - - tripped disarmed
+";
+        assert_eq!(table, expected);
+    }
+}

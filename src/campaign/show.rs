@@ -1,0 +1,136 @@
+//! Fills the status from what the bench and the store say.
+//! Uses: `campaign::{control, stage, status}`, `rig`. Never: motion, decisions.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::watch;
+
+use super::control::Control;
+use super::eta::Pace;
+use super::job::Job;
+use super::journal::Progress;
+use super::rig_state::RigState;
+use super::run_state::RunState;
+use super::stage::Stage;
+use super::status::{Phase, RigStatus, RunStatus, Status, StreamStatus};
+use crate::rig::config::RigConfig;
+use crate::rig::registry::OpenBench;
+use crate::rig::traits::{Frame, SkinReader};
+
+/// How often the newest frame is looked for, wall: faster than any rig at speed 1 measures.
+const FRAME_TICK: Duration = Duration::from_millis(10);
+
+/// The status before any wire is open.
+pub fn closed(config: &RigConfig) -> Status {
+    Status {
+        rig: RigStatus {
+            name: config.name.clone(),
+            label: config.label.as_str().into(),
+            state: RigState::Disconnected,
+            trip: None,
+            clock_rate: config.clock_rate,
+            pose: None,
+            forces_n: Vec::new(),
+            force_limit_n: config.limits.force_n,
+            tips: None,
+            surface: None,
+            stream: StreamStatus::default(),
+            wires: Vec::new(),
+            estop_acknowledged_ms: None,
+        },
+        run: None,
+        version: 0,
+    }
+}
+
+/// The status of a run that has just been armed.
+pub fn started(job: &Job) -> RunStatus {
+    RunStatus {
+        uid: job.run,
+        scan_id: job.scan_id,
+        experiment: job.plan.experiment.clone(),
+        state: RunState::Idle.as_str().into(),
+        requested_state: None,
+        paused_why: None,
+        waiting_for: None,
+        wanted: None,
+        phase: Phase::Next,
+        trial: None,
+        trials_planned: job.plan.trials(),
+        trials_stored: 0,
+        trials_skipped: 0,
+        retries: 0,
+        eta: None,
+    }
+}
+
+/// Counts and time to go.
+pub fn progress(control: &Control, job: &Job, progress: &Progress, pace: &Pace) {
+    let depths = job.plan.depths_mm.len().max(1) as u32;
+    let stored = progress.stored.len() as u64;
+    let skipped: u64 = progress
+        .skipped
+        .iter()
+        .map(|c| {
+            let kept = progress.stored.iter().filter(|k| k.configuration == *c).count() as u64;
+            u64::from(depths).saturating_sub(kept)
+        })
+        .sum();
+    let left = job.plan.trials().saturating_sub(stored + skipped);
+    let eta = pace.eta(left, depths);
+    control.show_run(|run| {
+        run.trials_stored = stored;
+        run.trials_skipped = skipped;
+        run.retries = run.retries.max(progress.retries);
+        run.eta = Some(eta);
+    });
+}
+
+/// Where the bench stands, while nothing else asks it.
+pub async fn bench(control: &Control, stage: &Stage, open: &OpenBench) {
+    let pose = stage.pose().await.ok();
+    let reading = open.bench.cells.read().await.ok();
+    let latest = open.bench.skin.latest();
+    let counters = open.bench.skin.counters();
+    let press = control.estop.pressed();
+    let live = reading.map(|r| {
+        let cells = &stage.config.cells;
+        let forces = stage.forces_n(&r.volts);
+        (0..forces.len())
+            .map(|i| super::interlock::is_live(cells, r.volts[i]).then_some(forces[i]))
+            .collect::<Vec<_>>()
+    });
+    let wires = open.wires();
+    control.show(|status| {
+        let rig = &mut status.rig;
+        rig.pose = pose;
+        rig.tips = live.as_ref().map(|l| l.iter().filter(|f| f.is_some()).count() as u8);
+        rig.forces_n = live.unwrap_or_default();
+        rig.stream = StreamStatus {
+            frames: counters.frames,
+            missed: counters.missed,
+            garbled: counters.garbled,
+            reconnects: counters.reconnects,
+            age_ms: latest.map(|f| f.received.elapsed().as_millis() as u64),
+        };
+        rig.wires = wires;
+        if let Some(after) = press.and_then(|p| p.acknowledged_after) {
+            rig.estop_acknowledged_ms = Some(after.as_secs_f64() * 1e3);
+        }
+    });
+}
+
+/// Hands the newest frame on, for the live view.
+pub async fn forward_frames(skin: Arc<dyn SkinReader>, frames: watch::Sender<Option<Arc<Frame>>>) {
+    let mut last = None;
+    loop {
+        tokio::time::sleep(FRAME_TICK).await;
+        if let Some(frame) = skin.latest()
+            && last != Some(frame.sequence)
+        {
+            last = Some(frame.sequence);
+            frames.send_replace(Some(frame));
+        }
+    }
+}
