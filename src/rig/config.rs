@@ -85,6 +85,10 @@ pub enum LineConfig {
         /// `none`, `even` or `odd`.
         #[serde(default)]
         parity: Parity,
+        /// Silence kept between a reply and the next request, wall microseconds. If absent, the
+        /// standard's: 3.5 characters, and 1750 above 19200 baud.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        silence_us: Option<u64>,
         /// Longest wait for one reply, wall ms.
         #[serde(default = "default_timeout_ms")]
         timeout_ms: u64,
@@ -398,28 +402,49 @@ impl RigConfig {
         speed.min(self.axes.z.speed_mm_s)
     }
 
+    fn check_lines(&self, c: &mut Checks<'_>) {
+        for (name, line) in &self.lines {
+            let key = |k: &str| format!("lines.{name}.{k}");
+            let (timeout_ms, retries) = match line {
+                LineConfig::ModbusTcp { timeout_ms, retries, .. } => (*timeout_ms, *retries),
+                LineConfig::ModbusRtu { baud, timeout_ms, retries, .. } => {
+                    let ok = (1200..=4_000_000).contains(baud);
+                    c.require(ok, &key("baud"), baud, "must be from 1200 to 4000000");
+                    (*timeout_ms, *retries)
+                }
+            };
+            let ok = (5..=10_000).contains(&timeout_ms);
+            c.require(ok, &key("timeout_ms"), timeout_ms, "must be from 5 to 10000");
+            c.require((1..=10).contains(&retries), &key("retries"), retries, "must be 1 to 10");
+        }
+    }
+
     fn check(&self, file: &str) -> Result<(), Vec<Problem>> {
         let mut c = Checks::of(file);
         c.within("clock_rate", self.clock_rate, 0.01, 2000.0);
+        self.check_lines(&mut c);
         let profiles = [
-            ("x", self.axes.x.profile()),
-            ("y", self.axes.y.profile()),
-            ("z", self.axes.z.profile()),
-            ("radial", self.axes.radial.profile()),
+            ("x", "mm", self.axes.x.profile()),
+            ("y", "mm", self.axes.y.profile()),
+            ("z", "mm", self.axes.z.profile()),
+            ("radial", "deg", self.axes.radial.profile()),
         ];
-        for (name, p) in &profiles {
-            let key = |k: &str| format!("axes.{name}.{k}");
+        for (name, unit, p) in &profiles {
+            let key = |k: &str| format!("axes.{name}.{}", k.replace('*', unit));
             let known = self.lines.contains_key(&p.line);
             c.require(known, &key("line"), &p.line, "must be one of [lines]");
             let unit_ok = (1..=247).contains(&p.address);
             c.require(unit_ok, &key("unit"), p.address, "must be 1 to 247");
             c.within(&key("counts_per_*"), p.counts_per_unit, 1e-3, 1e7);
-            c.within(&key("speed"), p.speed, 1e-3, 5000.0);
-            c.within(&key("acceleration"), p.acceleration, 1e-3, 1e5);
-            c.within(&key("tolerance"), p.tolerance, 1e-4, 5.0);
+            c.within(&key("speed_*_s"), p.speed, 1e-3, 5000.0);
+            c.within(&key("acceleration_*_s2"), p.acceleration, 1e-3, 1e5);
+            c.within(&key("tolerance_*"), p.tolerance, 1e-4, 5.0);
             let ordered = p.travel[0].is_finite() && p.travel[0] < p.travel[1];
             let shown = format!("[{}, {}]", p.travel[0], p.travel[1]);
-            c.require(ordered, &key("travel"), shown, "must be [lower, upper]");
+            c.require(ordered, &key("travel_*"), &shown, "must be [lower, upper]");
+            let counts = p.travel.map(|t| (t * p.counts_per_unit).abs());
+            let fits = counts.iter().all(|&n| n < f64::from(i32::MAX));
+            c.require(fits, &key("travel_*"), shown, "must fit 32 bits of counts_per_*");
         }
         let known = self.lines.contains_key(&self.cells.line);
         c.require(known, "cells.line", &self.cells.line, "must be one of [lines]");

@@ -76,6 +76,40 @@ pub enum RigError {
         /// The deadline, wall ms.
         timeout_ms: u64,
     },
+    /// The device cannot be used as it stands: alarm, emergency stop, servo off, not prepared.
+    #[error("{device}: not ready for {operation}: {why}")]
+    NotReady {
+        /// Device name from the rig file.
+        device: String,
+        /// What was asked.
+        operation: String,
+        /// What stands in the way.
+        why: String,
+    },
+    /// A motion, refused because the emergency stop is latched; nothing was sent.
+    #[error("{device}: {operation} refused: the emergency stop is latched")]
+    Latched {
+        /// Axis name.
+        device: String,
+        /// What was asked.
+        operation: String,
+    },
+    /// A motion, withdrawn because its axis was told to stop before it was sent.
+    #[error("{device}: {operation} withdrawn: the axis was told to stop")]
+    Withdrawn {
+        /// Axis name.
+        device: String,
+        /// What was asked.
+        operation: String,
+    },
+    /// The part of the service that reads the stream cannot be started.
+    #[error("{device}: cannot start its reader: {cause}")]
+    Start {
+        /// Device name from the rig file.
+        device: String,
+        /// The system's words.
+        cause: String,
+    },
     /// The task that owns a wire has ended.
     #[error("{device}: its wire is closed")]
     Closed {
@@ -105,9 +139,14 @@ impl RigError {
             | RigError::NoFrames { .. } => Severity::Transient,
             RigError::Exception { code: 1..=3, .. }
             | RigError::WrongDevice { .. }
-            | RigError::OutsideTravel { .. } => Severity::Setup,
+            | RigError::OutsideTravel { .. }
+            | RigError::Latched { .. }
+            | RigError::Withdrawn { .. }
+            | RigError::Start { .. } => Severity::Setup,
             RigError::Exception { code: 5 | 6 | 8 | 0x0B, .. } => Severity::Transient,
-            RigError::Exception { .. } | RigError::Closed { .. } => Severity::Device,
+            RigError::Exception { .. } | RigError::NotReady { .. } | RigError::Closed { .. } => {
+                Severity::Device
+            }
         }
     }
 }

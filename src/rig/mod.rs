@@ -4,3 +4,11 @@
 pub mod config;
 pub mod error;
 pub mod traits;
+
+pub mod link;
+pub mod motion;
+pub mod station;
+pub mod words;
+
+pub mod axis;
+pub mod iai;

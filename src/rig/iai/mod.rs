@@ -1,0 +1,9 @@
+//! IAI SCON/PCON/ERC2 electric actuators: stage axes in 0.01 mm (0.01 degree on a rotary).
+//! Uses: `rig::axis`, `rig::station`. Never: another device's registers.
+//!
+//! Source: `field.md` 4 (vendor's "SCON Serial Communication Protocol [Modbus Version]").
+
+pub mod codec;
+mod driver;
+
+pub use driver::Iai;

@@ -1,0 +1,13 @@
+//! The wires: the only code that opens a port. A `Line` is one wire with one owner; a request
+//! carries the address that it is meant for, and a stop goes first.
+//! Uses: `clock`, `rig::config`, tokio-modbus, tokio-serial. Never: registers' meanings, units.
+
+mod latch;
+mod line;
+mod pdu;
+mod wire;
+
+pub use latch::{MotionGate, MotionPermit, StopLatch};
+pub use line::{Line, LineCounts, LineError, LinePolicy};
+pub use pdu::{Reply, Request};
+pub use wire::{Framing, Opener, Port, SerialSettings, serial_opener, tcp_opener};

@@ -1,0 +1,201 @@
+//! Whether an axis moves, from what its drive says, what it was told, and where it has been.
+//! PURE (times are handed in). Uses: nothing. Never: registers, waits.
+//!
+//! A drive alone cannot always tell. Just after a command it may still report the stand before it;
+//! and a drive that only says "in position" says the same of a moving axis and of one that was
+//! stopped short. So a command counts as under way for a moment, and an axis whose drive is unsure
+//! moves for as long as its position changes.
+
+/// How long a drive may take to show that it obeys, process s.
+const LATENCY_S: f64 = 0.02;
+/// An axis of which the drive is unsure stands when its position has not changed for this long,
+/// process s. At 0.01 mm a count this sees speeds down to 0.1 mm/s.
+const STILL_S: f64 = 0.1;
+/// The same while homing, which rests between its phases, process s.
+const STILL_HOMING_S: f64 = 1.0;
+/// A position that would need this many times the travelling speed is read again.
+const IMPLAUSIBLE_SPEEDUP: f64 = 3.0;
+/// Change of position that is never implausible, units.
+const PLAUSIBLE_STEP: f64 = 1.0;
+
+/// What a drive says of its motion.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Going {
+    /// It moves.
+    Moving,
+    /// It stands.
+    Standing,
+    /// It is not where it was sent: on its way, or stopped short.
+    Unsure,
+}
+
+/// What an axis was last told.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Command {
+    /// To go to a position, in its unit.
+    Move(f64),
+    /// To find its zero.
+    Home,
+    /// To stop.
+    Stop,
+}
+
+/// One reading of a drive.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Seen {
+    /// What it says of its motion.
+    pub going: Going,
+    /// Measured position, units.
+    pub position: f64,
+    /// Homing has been done.
+    pub homed: bool,
+}
+
+/// Follows one axis.
+#[derive(Debug, Clone)]
+pub struct MotionWatch {
+    tolerance: f64,
+    speed: f64,
+    command: Option<(Command, f64)>,
+    last: Option<Last>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Last {
+    position: f64,
+    read_s: f64,
+    changed_s: f64,
+    moving: bool,
+}
+
+impl MotionWatch {
+    /// Follows an axis with this arrival tolerance (units) and travelling speed (units/s).
+    pub fn new(tolerance: f64, speed: f64) -> Self {
+        Self { tolerance, speed, command: None, last: None }
+    }
+
+    /// The axis was told something at process time `t_s`.
+    pub fn commanded(&mut self, command: Command, t_s: f64) {
+        self.command = Some((command, t_s));
+    }
+
+    /// Whether the axis stood when it was last read, and has been told nothing since that would
+    /// move it.
+    pub fn stood(&self) -> bool {
+        let told_s = match self.command {
+            Some((Command::Move(_) | Command::Home, t_s)) => t_s,
+            Some((Command::Stop, _)) | None => f64::NEG_INFINITY,
+        };
+        self.last.is_some_and(|l| !l.moving && l.read_s >= told_s)
+    }
+
+    /// Whether a position is out of reach of the last one: a flipped bit rather than a motion.
+    pub fn implausible(&self, position: f64, t_s: f64) -> bool {
+        let homing = matches!(self.command, Some((Command::Home, _)));
+        !homing
+            && self.last.is_some_and(|l| {
+                let reach = IMPLAUSIBLE_SPEEDUP * self.speed * (t_s - l.read_s) + PLAUSIBLE_STEP;
+                (position - l.position).abs() > reach
+            })
+    }
+
+    /// Takes a reading of process time `t_s`; whether the axis moves.
+    pub fn observe(&mut self, seen: Seen, t_s: f64) -> bool {
+        let changed_s = match self.last {
+            Some(last) if last.position == seen.position => last.changed_s,
+            Some(_) | None => t_s,
+        };
+        let moving = self.judge(seen, changed_s, t_s);
+        self.last = Some(Last { position: seen.position, read_s: t_s, changed_s, moving });
+        moving
+    }
+
+    fn judge(&self, seen: Seen, changed_s: f64, t_s: f64) -> bool {
+        let (command, told_s) = match self.command {
+            Some((command, at_s)) => (Some(command), at_s),
+            None => (None, f64::NEG_INFINITY),
+        };
+        let fresh = t_s - told_s < LATENCY_S;
+        let still_s = match command {
+            Some(Command::Home) if !seen.homed => STILL_HOMING_S,
+            _ => STILL_S,
+        };
+        match (seen.going, command) {
+            (Going::Moving, _) => true,
+            (Going::Unsure, _) => t_s - changed_s.max(told_s) < still_s,
+            (Going::Standing, Some(Command::Move(target))) => {
+                fresh && (seen.position - target).abs() > self.tolerance
+            }
+            (Going::Standing, Some(Command::Home)) => fresh && !seen.homed,
+            (Going::Standing, Some(Command::Stop) | None) => false,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn seen(going: Going, position: f64) -> Seen {
+        Seen { going, position, homed: true }
+    }
+
+    #[test]
+    fn a_move_just_told_is_under_way_although_the_drive_still_reports_the_stand_before_it() {
+        let mut watch = MotionWatch::new(0.05, 100.0);
+        watch.commanded(Command::Move(10.0), 1.0);
+        assert!(watch.observe(seen(Going::Standing, 0.0), 1.001));
+        assert!(!watch.observe(seen(Going::Standing, 0.0), 1.1), "a drive that never starts");
+    }
+
+    #[test]
+    fn an_axis_that_is_there_already_is_not_under_way() {
+        let mut watch = MotionWatch::new(0.05, 100.0);
+        watch.commanded(Command::Move(10.0), 1.0);
+        assert!(!watch.observe(seen(Going::Standing, 10.01), 1.001));
+    }
+
+    #[test]
+    fn an_unsure_drive_moves_while_its_position_changes() {
+        let mut watch = MotionWatch::new(0.05, 100.0);
+        watch.commanded(Command::Move(10.0), 0.0);
+        assert!(watch.observe(seen(Going::Unsure, 1.0), 0.05));
+        watch.commanded(Command::Stop, 0.06);
+        assert!(watch.observe(seen(Going::Unsure, 1.4), 0.07));
+        assert!(watch.observe(seen(Going::Unsure, 1.5), 0.08));
+        assert!(watch.observe(seen(Going::Unsure, 1.5), 0.10));
+        assert!(!watch.observe(seen(Going::Unsure, 1.5), 0.19));
+        assert!(watch.stood());
+    }
+
+    #[test]
+    fn homing_may_rest_between_its_phases() {
+        let mut watch = MotionWatch::new(0.05, 100.0);
+        watch.commanded(Command::Home, 0.0);
+        let unhomed = |going, p| Seen { going, position: p, homed: false };
+        assert!(watch.observe(unhomed(Going::Unsure, 5.0), 0.5));
+        assert!(watch.observe(unhomed(Going::Unsure, 5.0), 1.4));
+        assert!(!watch.observe(unhomed(Going::Unsure, 5.0), 1.6));
+        assert!(!watch.observe(seen(Going::Standing, 0.0), 1.7));
+    }
+
+    #[test]
+    fn a_position_out_of_reach_is_implausible_and_a_quick_move_is_not() {
+        let mut watch = MotionWatch::new(0.05, 100.0);
+        watch.observe(seen(Going::Standing, 50.0), 1.0);
+        assert!(watch.implausible(50.0 + 655.36, 1.01));
+        assert!(!watch.implausible(51.5, 1.01));
+        watch.commanded(Command::Home, 1.01);
+        assert!(!watch.implausible(0.0, 1.02), "homing moves the zero");
+    }
+
+    #[test]
+    fn an_axis_told_to_move_has_not_stood_since() {
+        let mut watch = MotionWatch::new(0.05, 100.0);
+        assert!(!watch.stood(), "never read");
+        watch.observe(seen(Going::Standing, 0.0), 1.0);
+        assert!(watch.stood());
+        watch.commanded(Command::Move(5.0), 1.5);
+        assert!(!watch.stood());
+    }
+}
