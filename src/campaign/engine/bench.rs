@@ -1,11 +1,23 @@
 //! Requests that concern the rig alone: connect, home, jog, tare, reset.
 //! Uses: `campaign::stage`, `rig::registry`. Never: the plan.
 
-use super::*;
+use serde_json::json;
+
+use super::{Connection, Engine, no_wires, trip_of};
+use crate::campaign::command::{Envelope, Refusal, Request};
+use crate::campaign::control::{Control, name};
+use crate::campaign::halt::Halt;
+use crate::campaign::interlock;
+use crate::campaign::rig_state::{RigEvent, RigState};
+use crate::campaign::show;
+use crate::campaign::stage::{AxisName, Stage};
+use crate::campaign::tare;
+use crate::clock::Clock;
+use crate::rig::registry;
 
 impl Engine {
     /// Takes up a request that concerns the rig alone.
-    async fn rig_request(&mut self, envelope: Envelope) {
+    pub(super) async fn rig_request(&mut self, envelope: Envelope) {
         let Envelope { request, answer } = envelope;
         if let Err(refusal) = self.allowed(&request) {
             let _ = answer.send(Err(refusal));
@@ -58,7 +70,7 @@ impl Engine {
         }
     }
 
-    fn allowed(&self, request: &Request) -> Result<(), Refusal> {
+    pub(super) fn allowed(&self, request: &Request) -> Result<(), Refusal> {
         let rig = self.control.rig();
         let ok = match request {
             Request::Connect => rig == RigState::Disconnected,
@@ -78,11 +90,12 @@ impl Engine {
             | Request::Repeat { .. }
             | Request::Shutdown => true,
         };
-        let words = || format!("{} is not possible while the rig is {}", name(request), rig.as_str());
+        let words =
+            || format!("{} is not possible while the rig is {}", name(request), rig.as_str());
         if ok { Ok(()) } else { Err(Refusal::State(words())) }
     }
 
-    async fn connect(&mut self) -> Result<(), Refusal> {
+    pub(super) async fn connect(&mut self) -> Result<(), Refusal> {
         let clock = Clock::new(self.config.clock_rate);
         let fail = |e: crate::rig::error::RigError| Refusal::State(e.to_string());
         let open = registry::open(&self.config, &clock, &self.control.estop.latch())
@@ -104,7 +117,7 @@ impl Engine {
         self.control.rig_event(RigEvent::Connected).await
     }
 
-    async fn reset(&mut self) -> Result<(), Refusal> {
+    pub(super) async fn reset(&mut self) -> Result<(), Refusal> {
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
         self.control.estop.release();
         for axis in connection.open.bench.axes() {
@@ -117,7 +130,7 @@ impl Engine {
         self.control.rig_event(RigEvent::Reset).await
     }
 
-    async fn home(&mut self) -> bool {
+    pub(super) async fn home(&mut self) -> bool {
         self.prepared_setting = None;
         let homed =
             self.guarded(|stage, control| Box::pin(async move { stage.home(control).await })).await;
@@ -125,7 +138,7 @@ impl Engine {
     }
 
     /// Runs a motion outside a run: a halt trips the rig and raises the tips.
-    async fn guarded<F>(&mut self, motion: F) -> bool
+    pub(super) async fn guarded<F>(&mut self, motion: F) -> bool
     where
         F: for<'a> FnOnce(
             &'a mut Stage,
@@ -150,7 +163,7 @@ impl Engine {
         }
     }
 
-    fn jog_target(&self, axis: &str, to_mm: f64) -> Result<(AxisName, f64), Refusal> {
+    pub(super) fn jog_target(&self, axis: &str, to_mm: f64) -> Result<(AxisName, f64), Refusal> {
         let connection = self.connection.as_ref().ok_or_else(no_wires)?;
         let axes = &self.config.axes;
         let slot = &self.config.slot;
@@ -172,13 +185,13 @@ impl Engine {
         Ok((name, target))
     }
 
-    async fn tare(&mut self) -> Result<(), Refusal> {
+    pub(super) async fn tare(&mut self) -> Result<(), Refusal> {
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
         let stage = &mut connection.stage;
         let reading = stage.bench.cells.read().await;
         let reading = reading.map_err(|e| Refusal::State(e.to_string()))?;
-        stage.tips = interlock::live_tips(&self.config.cells, &reading.volts)
-            .map_err(Refusal::State)?;
+        stage.tips =
+            interlock::live_tips(&self.config.cells, &reading.volts).map_err(Refusal::State)?;
         let tared = tare::tare(stage, &mut self.control, 4, true).await;
         tared.map(|_| ()).map_err(|halt| Refusal::State(trip_of(halt).detail))
     }

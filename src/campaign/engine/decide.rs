@@ -1,11 +1,20 @@
 //! What follows a halt: raise, retry, skip, wait, end.
 //! Uses: `campaign::{control, journal}`. Never: pressing.
 
-use super::*;
+use serde_json::json;
+
+use super::{Attempts, Engine, Next, error_chain};
+use crate::campaign::halt::Halt;
+use crate::campaign::job::Job;
+use crate::campaign::journal::{ExitStatus, JournalError};
+use crate::campaign::record::AttemptRecord;
+use crate::campaign::run_state::{PausedWhy, RunAction, RunEvent, RunState};
+use crate::campaign::status::{Phase, Wanted};
+use crate::schedule::plan::Kind;
 
 impl Engine {
     /// What follows a halt: the tips go up in every case, then policy or a person decides.
-    async fn decide(
+    pub(super) async fn decide(
         &mut self,
         job: &Job,
         halt: Halt,
@@ -72,7 +81,7 @@ impl Engine {
         }
     }
 
-    async fn need(&mut self, wanted: Wanted) {
+    pub(super) async fn need(&mut self, wanted: Wanted) {
         let (why, words) = match &wanted {
             Wanted::Tips { tips } => {
                 (PausedWhy::TipChange, format!("mount {tips} tips on arms 1 to {tips}, confirm"))
@@ -92,7 +101,7 @@ impl Engine {
     }
 
     /// A failed try: again, or give the configuration up, or give the run up.
-    async fn failed(
+    pub(super) async fn failed(
         &mut self,
         job: &Job,
         reason: String,
@@ -122,7 +131,7 @@ impl Engine {
         Ok(Next::Again)
     }
 
-    async fn note_attempt(
+    pub(super) async fn note_attempt(
         &mut self,
         job: &Job,
         reason: &str,
@@ -145,7 +154,7 @@ impl Engine {
 
     /// Raises the tips. `after_halt`: wires that are down are tried again while waiting; any other
     /// failure is a panic, for a person.
-    async fn raise_or_panic(&mut self, after_halt: bool) {
+    pub(super) async fn raise_or_panic(&mut self, after_halt: bool) {
         let Some(connection) = self.connection.as_mut() else { return };
         if self.control.estop.pressed().is_some() {
             return;
@@ -162,7 +171,7 @@ impl Engine {
 
     /// Whether z is measured clear of the skin and at rest; true after an e-stop, which leaves the
     /// tips where they are until a person releases it.
-    async fn raised(&mut self) -> bool {
+    pub(super) async fn raised(&mut self) -> bool {
         let Some(connection) = self.connection.as_ref() else { return false };
         if self.control.estop.pressed().is_some() {
             return true;

@@ -8,34 +8,26 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use serde_json::json;
 use tokio::task::JoinHandle;
-use tokio::time::Instant;
 
 use super::command::{Envelope, Handle, Inbox, Refusal, Request, channel};
-use super::control::{Control, name};
+use super::control::Control;
 use super::estop::StopSwitch;
-use super::eta::Pace;
 use super::halt::Halt;
-use super::interlock::{self, ForceLimits, TripKind};
+use super::interlock::{self, TripKind};
 use super::job::Job;
-use super::journal::{ExitStatus, Journal, JournalError, Progress};
-use super::manual;
-use super::press::Pressing;
-use super::record::AttemptRecord;
-use super::resume;
-use super::rig_state::{RigEvent, RigState};
-use super::run_state::{PausedWhy, RunAction, RunEvent, RunState};
+use super::journal::{ExitStatus, Journal};
+use super::rig_state::RigState;
 use super::show;
-use super::stage::{AxisName, Stage};
+use super::stage::Stage;
 use super::status::{Phase, Wanted};
-use super::tare;
-use super::touch_off;
-use crate::clock::Clock;
-use crate::ids::TrialKey;
 use crate::rig::config::RigConfig;
-use crate::rig::registry::{self, OpenBench};
-use crate::schedule::plan::{Kind, Step};
+use crate::rig::registry::OpenBench;
+
+mod bench;
+mod decide;
+mod session;
+mod wait;
 
 /// How often an idle or waiting engine looks at its bench, wall.
 const IDLE_TICK: Duration = Duration::from_millis(200);

@@ -1,11 +1,30 @@
 //! A run from its arming to its end: step after step of the plan.
 //! Uses: `campaign::{press, touch_off, manual, resume}`. Never: what follows a halt (`decide`).
 
-use super::*;
+use serde_json::json;
+use tokio::time::Instant;
+
+use super::{Attempts, Engine, Next, error_chain, no_wires, raise, require_tips};
+use crate::campaign::command::{Refusal, Request};
+use crate::campaign::eta::Pace;
+use crate::campaign::halt::Halt;
+use crate::campaign::interlock::{ForceLimits, TripKind};
+use crate::campaign::job::Job;
+use crate::campaign::journal::{ExitStatus, JournalError, Progress};
+use crate::campaign::manual;
+use crate::campaign::press::Pressing;
+use crate::campaign::resume;
+use crate::campaign::rig_state::{RigEvent, RigState};
+use crate::campaign::run_state::RunEvent;
+use crate::campaign::show;
+use crate::campaign::status::{Phase, Wanted};
+use crate::campaign::touch_off;
+use crate::ids::TrialKey;
+use crate::schedule::plan::{Kind, Step};
 
 impl Engine {
     /// Checks that a run may start, and arms the rig for it.
-    async fn arm(&mut self, job: &Job) -> Result<(), Refusal> {
+    pub(super) async fn arm(&mut self, job: &Job) -> Result<(), Refusal> {
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
         if job.plan.kind == Kind::RealHex {
             self.control.rig_event(RigEvent::Arm).await?;
@@ -20,7 +39,7 @@ impl Engine {
         self.control.begin(job.run).await
     }
 
-    async fn run(&mut self, job: &Job) {
+    pub(super) async fn run(&mut self, job: &Job) {
         let (status, reason) = match self.session(job).await {
             Ok(ended) => ended,
             Err(error) => (ExitStatus::Fail, error_chain(&error)),
@@ -38,7 +57,10 @@ impl Engine {
     }
 
     /// Drives a run to its end, through halts, pauses and resumes.
-    async fn session(&mut self, job: &Job) -> Result<(ExitStatus, String), JournalError> {
+    pub(super) async fn session(
+        &mut self,
+        job: &Job,
+    ) -> Result<(ExitStatus, String), JournalError> {
         let depths = job.plan.depths_mm.len();
         let mut pace = Pace::predicted(job.predicted_trial_s / self.config.clock_rate);
         let mut attempts = Attempts::default();
@@ -65,7 +87,7 @@ impl Engine {
     }
 
     /// Takes steps until one halts or all are done.
-    async fn pass(
+    pub(super) async fn pass(
         &mut self,
         job: &Job,
         steps: impl Iterator<Item = &Step>,
@@ -92,7 +114,7 @@ impl Engine {
     }
 
     /// One step of the plan. Returns the number of trials stored.
-    async fn take(
+    pub(super) async fn take(
         &mut self,
         job: &Job,
         step: &Step,
@@ -159,7 +181,11 @@ impl Engine {
         }
     }
 
-    async fn require_space(&mut self, job: &Job, progress: &Progress) -> Result<(), Halt> {
+    pub(super) async fn require_space(
+        &mut self,
+        job: &Job,
+        progress: &Progress,
+    ) -> Result<(), Halt> {
         let left = job.plan.trials().saturating_sub(progress.stored.len() as u64);
         let needed = left * job.bytes_per_trial;
         let free = self.control.journal.free_bytes().await?;
@@ -170,7 +196,7 @@ impl Engine {
         Ok(())
     }
 
-    fn suspend(&mut self, why: String) -> Halt {
+    pub(super) fn suspend(&mut self, why: String) -> Halt {
         self.control.run_request(&Request::Suspend(why));
         Halt::Asked
     }

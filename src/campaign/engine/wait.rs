@@ -1,11 +1,27 @@
 //! A run that waits: for a person, or for the policy's automatic resume.
 //! Uses: `campaign::control`. Never: pressing.
 
-use super::*;
+use serde_json::json;
+use tokio::time::Instant;
+
+use super::{
+    Attempts, Engine, IDLE_TICK, LONGEST_BACKOFF, Next, Waited, backoff, no_wires, require_tips,
+    trip_of,
+};
+use crate::campaign::command::{Envelope, Refusal, Request};
+use crate::campaign::control::name;
+use crate::campaign::halt::Halt;
+use crate::campaign::job::Job;
+use crate::campaign::journal::{ExitStatus, JournalError};
+use crate::campaign::rig_state::{RigEvent, RigState};
+use crate::campaign::run_state::{PausedWhy, RunAction, RunEvent, RunState};
+use crate::campaign::status::{Phase, Wanted};
+use crate::ids::TrialKey;
+use crate::schedule::plan::Kind;
 
 impl Engine {
     /// Waits for a person, or for the policy's automatic resume (`passing`: how many before).
-    async fn wait(
+    pub(super) async fn wait(
         &mut self,
         job: &Job,
         attempts: &mut Attempts,
@@ -49,7 +65,7 @@ impl Engine {
 
     /// After a loss of wires the run has not reached what was asked for: raises as soon as they
     /// carry again.
-    async fn raise_when_possible(&mut self, job: &Job) -> Option<Waited> {
+    pub(super) async fn raise_when_possible(&mut self, job: &Job) -> Option<Waited> {
         if matches!(self.control.run(), RunState::Paused(_) | RunState::Panicked) {
             return None;
         }
@@ -67,7 +83,7 @@ impl Engine {
     }
 
     /// The policy's own way out of a trip that may pass: reset, check, home, arm, go on.
-    async fn recover(&mut self) -> bool {
+    pub(super) async fn recover(&mut self) -> bool {
         if !matches!(self.control.run(), RunState::Paused(PausedWhy::Trip)) {
             return false;
         }
@@ -84,7 +100,7 @@ impl Engine {
     }
 
     /// Arms again if a reset has disarmed the rig, and goes on.
-    async fn resume(&mut self) -> Result<(), Refusal> {
+    pub(super) async fn resume(&mut self) -> Result<(), Refusal> {
         match self.control.rig() {
             RigState::Homed => self.control.rig_event(RigEvent::Arm).await?,
             RigState::Armed => {}
@@ -97,7 +113,7 @@ impl Engine {
         self.control.run_event(RunEvent::Resume).await.map(|_| ())
     }
 
-    fn wanted_trial(&self) -> Option<u32> {
+    pub(super) fn wanted_trial(&self) -> Option<u32> {
         match self.control.inbox.status.borrow().run.as_ref()?.wanted.as_ref()? {
             Wanted::Placement { trial, .. } => Some(*trial),
             Wanted::Tips { .. } => None,
@@ -105,7 +121,7 @@ impl Engine {
     }
 
     /// A request while a run waits.
-    async fn waiting_request(
+    pub(super) async fn waiting_request(
         &mut self,
         job: &Job,
         envelope: Envelope,
@@ -178,7 +194,7 @@ impl Engine {
     }
 
     /// A confirmed tip change is believed only if the cells agree.
-    async fn check_confirmed(&mut self) -> Result<(), Refusal> {
+    pub(super) async fn check_confirmed(&mut self) -> Result<(), Refusal> {
         let wanted = self.control.inbox.status.borrow().run.as_ref().and_then(|r| r.wanted.clone());
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
         match wanted {
@@ -196,16 +212,17 @@ impl Engine {
     }
 
     /// Takes the last manual trial back.
-    async fn repeat_last(
+    pub(super) async fn repeat_last(
         &mut self,
         job: &Job,
         why: &str,
     ) -> Result<Result<(), Refusal>, JournalError> {
         let waiting = self.control.run().why() == Some(PausedWhy::ManualTrial);
         let progress = self.control.journal.progress(job.run).await?;
-        let last = self.wanted_trial().and_then(|next| next.checked_sub(1)).map(|configuration| {
-            TrialKey { configuration, depth_index: 0 }
-        });
+        let last = self
+            .wanted_trial()
+            .and_then(|next| next.checked_sub(1))
+            .map(|configuration| TrialKey { configuration, depth_index: 0 });
         match last {
             Some(key) if waiting && progress.stored.contains(&key) => {
                 self.control.journal.discard(job.run, key, why).await?;
