@@ -100,7 +100,7 @@ impl Default for Measure {
     fn default() -> Self {
         Self {
             frames_per_trial: 1,
-            settle_ms: 1800.0,
+            settle_ms: 2375.0,
             settle_n: 0.2,
             settle_max_ms: 5000.0,
             tare_samples: 4,

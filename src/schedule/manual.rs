@@ -146,6 +146,8 @@ mod tests {
         file.points.rows = 1;
         file.points.columns = 2;
         file.points.left_out.clear();
+        file.electrodes.rows_y_mm.clear();
+        file.electrodes.columns.clear();
         let sensor = Sensor::new(file).unwrap();
         assert_eq!(
             placements(&papers_trials(), 5, &sensor),

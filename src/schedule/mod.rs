@@ -7,3 +7,7 @@ pub mod configuration;
 pub mod order;
 pub mod manual;
 pub mod plan;
+pub mod reach;
+pub mod lint;
+pub mod estimate;
+pub mod preflight;
