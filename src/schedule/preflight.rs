@@ -154,7 +154,9 @@ impl fmt::Display for Preflight {
         let waits = format!("{} times, not in the duration", self.waits_for_person);
         line(f, "waits for a person", waits)?;
         for setting in &self.settings {
-            let name = setting.tips.map_or("by hand".into(), |t| format!("{t} tips"));
+            let name = setting
+                .tips
+                .map_or("by hand".into(), |t| format!("{t} tip{}", if t == 1 { "" } else { "s" }));
             let (time, disk) = (duration(setting.duration_s), bytes(setting.disk_bytes));
             writeln!(f, "    {name:<18} {time:>12} {:>8} trials {disk:>10}", setting.trials)?;
         }
