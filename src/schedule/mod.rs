@@ -1,9 +1,17 @@
 //! From an experiment file to a plan that leaves no choice for run time.
 //! PURE: no async, files, clock or unseeded chance. Uses: `problem`, sim-core's sensor.
 
+pub mod syntax;
 pub mod experiment;
 pub mod chance;
 pub mod configuration;
 pub mod order;
 pub mod manual;
 pub mod plan;
+pub mod reach;
+pub mod lint;
+pub mod estimate;
+pub mod preflight;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,365 @@
+//! How long a plan takes and how much it stores, with the parts that make it up.
+//! PURE. Uses: `plan`. Never: the clock, measured runs (a campaign's ETA follows those).
+//!
+//! Motion: trapezoidal speed profiles; x, y and radius move together, then z alone. Assumptions
+//! that a bench does not state are in `Assumed`, in three cases: low, likely, high. A person's time
+//! (tip changes, weights) is not part of any number here: it was not measured.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::configuration::Stand;
+use super::order::Place;
+use super::plan::{Plan, Step};
+
+/// Stored with a trial besides its frames: its row, six readings, flags, keys, bytes.
+pub const TRIAL_BYTES: u64 = 1500;
+/// Stored with a frame besides its counts, bytes.
+pub const FRAME_BYTES: u64 = 100;
+/// Stored with a configuration besides its trials: tare, events, bytes.
+pub const CONFIGURATION_BYTES: u64 = 1500;
+
+/// Speed and acceleration of an axis, mm/s and mm/s^2.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Motion {
+    /// Travelling speed.
+    pub speed_mm_s: f64,
+    /// Acceleration and deceleration.
+    pub acceleration_mm_s2: f64,
+}
+
+impl Motion {
+    /// Time of a move from stand to stand, s.
+    pub fn time_s(&self, distance_mm: f64) -> f64 {
+        let (d, v, a) = (distance_mm.abs(), self.speed_mm_s, self.acceleration_mm_s2);
+        if d * a < v * v { 2.0 * (d / a).sqrt() } else { d / v + v / a }
+    }
+}
+
+/// A bench as far as time depends on it; its reader fills it in from the rig file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Bench {
+    /// `axes.x`.
+    pub x: Motion,
+    /// `axes.y`.
+    pub y: Motion,
+    /// `axes.z`.
+    pub z: Motion,
+    /// `axes.radial` through the slot's law: of the radius, not of the angle.
+    pub radial: Motion,
+    /// Speed of a press, from the force margin and the cells' update time.
+    pub approach_mm_s: f64,
+    /// `skin.clearance_mm`.
+    pub clearance_mm: f64,
+    /// `skin.surface_z_mm`.
+    pub surface_z_mm: [f64; 2],
+    /// `slot.backlash_mm`.
+    pub backlash_mm: f64,
+    /// `cells.update_ms`, process ms.
+    pub cell_update_ms: f64,
+    /// `ert.frame_rate_hz`, frames a process second.
+    pub frame_rate_hz: f64,
+    /// Process seconds in a wall second.
+    pub clock_rate: f64,
+}
+
+/// Where the time goes, wall s.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Parts {
+    /// Travelling in x and y.
+    pub lateral_s: f64,
+    /// Spreading the arms, as far as it takes longer than the travel beside it.
+    pub radial_s: f64,
+    /// Lowering from the travelling height to depth 0.
+    pub approach_s: f64,
+    /// Pressing from depth to depth.
+    pub press_s: f64,
+    /// Waiting for forces to settle.
+    pub settle_s: f64,
+    /// Taking frames.
+    pub frames_s: f64,
+    /// Averaging the cells without load.
+    pub tare_s: f64,
+    /// Reference presses, all of it.
+    pub reference_s: f64,
+    /// Touch-offs, all of it.
+    pub touch_off_s: f64,
+    /// Raising to the travelling height.
+    pub raise_s: f64,
+    /// Wires and storage; in the high case also configurations tried again.
+    pub other_s: f64,
+}
+
+impl Parts {
+    /// The parts by name, in the order in which they are shown.
+    pub fn named(&self) -> [(&'static str, f64); 11] {
+        [
+            ("lateral motion", self.lateral_s),
+            ("radial motion", self.radial_s),
+            ("approach", self.approach_s),
+            ("press", self.press_s),
+            ("settle", self.settle_s),
+            ("frames", self.frames_s),
+            ("tare", self.tare_s),
+            ("reference presses", self.reference_s),
+            ("touch-off", self.touch_off_s),
+            ("raise", self.raise_s),
+            ("other", self.other_s),
+        ]
+    }
+
+    /// All parts together, s.
+    pub fn total_s(&self) -> f64 {
+        self.named().iter().map(|(_, s)| s).sum()
+    }
+
+    fn add(&mut self, more: &Self) {
+        self.lateral_s += more.lateral_s;
+        self.radial_s += more.radial_s;
+        self.approach_s += more.approach_s;
+        self.press_s += more.press_s;
+        self.settle_s += more.settle_s;
+        self.frames_s += more.frames_s;
+        self.tare_s += more.tare_s;
+        self.reference_s += more.reference_s;
+        self.touch_off_s += more.touch_off_s;
+        self.raise_s += more.raise_s;
+        self.other_s += more.other_s;
+    }
+}
+
+/// The prediction for one setting, or for a whole plan.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Estimate {
+    /// Attached tips; absent for a whole plan and for weights placed by hand.
+    pub tips: Option<u8>,
+    /// Trials.
+    pub trials: u64,
+    /// Likely duration, wall s.
+    pub duration_s: f64,
+    /// Duration if all goes quickly, wall s.
+    pub low_s: f64,
+    /// Duration if all goes slowly, wall s.
+    pub high_s: f64,
+    /// The likely duration's parts.
+    pub parts: Parts,
+    /// Bytes stored.
+    pub disk_bytes: u64,
+}
+
+impl Estimate {
+    fn nothing(tips: Option<u8>) -> Self {
+        let parts = Parts::default();
+        Self { tips, trials: 0, duration_s: 0.0, low_s: 0.0, high_s: 0.0, parts, disk_bytes: 0 }
+    }
+}
+
+/// What a bench does not state.
+struct Assumed {
+    /// A motion's command and the polls that see it arrive, wall ms.
+    command_ms: f64,
+    /// A durable commit, wall ms.
+    commit_ms: f64,
+    /// Frame periods between settled and the first frame that is kept: the one under way, and the
+    /// first complete one.
+    frames_dropped: f64,
+    /// Samples of the cells waited for beyond the shortest settling time.
+    settle_samples: f64,
+    /// Samples of the cells that a tare waits for beyond those it averages.
+    tare_samples: f64,
+    /// Where in its range the surface is found, 0 = highest.
+    surface_at: f64,
+    /// Share of the configurations that are tried again.
+    repeated: f64,
+}
+
+const LOW: Assumed = Assumed {
+    command_ms: 1.0,
+    commit_ms: 1.0,
+    frames_dropped: 1.0,
+    settle_samples: 0.0,
+    tare_samples: 0.0,
+    surface_at: 0.0,
+    repeated: 0.0,
+};
+
+const LIKELY: Assumed = Assumed {
+    command_ms: 10.0,
+    commit_ms: 5.0,
+    frames_dropped: 1.5,
+    settle_samples: 0.0,
+    tare_samples: 0.5,
+    surface_at: 0.5,
+    repeated: 0.0,
+};
+
+const HIGH: Assumed = Assumed {
+    command_ms: 40.0,
+    commit_ms: 30.0,
+    frames_dropped: 2.0,
+    settle_samples: 1.0,
+    tare_samples: 1.0,
+    surface_at: 1.0,
+    repeated: 0.01,
+};
+
+/// Predicts a plan on a bench: the settings in order (one nameless entry when weights are placed by
+/// hand), and the whole.
+pub fn estimate(plan: &Plan, bench: &Bench) -> (Vec<Estimate>, Estimate) {
+    let low = Walk::through(plan, bench, &LOW);
+    let high = Walk::through(plan, bench, &HIGH);
+    let mut settings = Walk::through(plan, bench, &LIKELY);
+    for ((setting, low), high) in settings.iter_mut().zip(&low).zip(&high) {
+        setting.low_s = low.duration_s;
+        setting.high_s = high.duration_s;
+    }
+    let mut whole = Estimate::nothing(None);
+    for setting in &settings {
+        whole.trials += setting.trials;
+        whole.duration_s += setting.duration_s;
+        whole.low_s += setting.low_s;
+        whole.high_s += setting.high_s;
+        whole.disk_bytes += setting.disk_bytes;
+        whole.parts.add(&setting.parts);
+    }
+    (settings, whole)
+}
+
+/// One walk through a plan's steps.
+struct Walk<'a> {
+    plan: &'a Plan,
+    bench: &'a Bench,
+    assumed: &'a Assumed,
+    here: Option<Place>,
+}
+
+impl<'a> Walk<'a> {
+    fn through(plan: &'a Plan, bench: &'a Bench, assumed: &'a Assumed) -> Vec<Estimate> {
+        let mut walk = Self { plan, bench, assumed, here: None };
+        let mut settings = vec![Estimate::nothing(None)];
+        for step in &plan.steps {
+            if let Step::TipChange { tips, .. } = step {
+                settings.push(Estimate::nothing(Some(*tips)));
+            }
+            if let Some(setting) = settings.last_mut() {
+                walk.step(step, setting);
+            }
+        }
+        settings.retain(|s| s.duration_s > 0.0 || s.trials > 0);
+        settings
+    }
+
+    fn step(&mut self, step: &Step, setting: &mut Estimate) {
+        let mut parts = Parts::default();
+        match step {
+            Step::TipChange { .. } => {}
+            Step::TouchOff { places, .. } => {
+                parts.touch_off_s = self.touch_off(places);
+            }
+            Step::Reference(press) => {
+                let press = self.press(&press.stand, &[press.depth_mm]);
+                parts.reference_s = press.total_s();
+                setting.disk_bytes += self.trial_bytes();
+            }
+            Step::Configuration(configuration) => {
+                parts = self.press(&configuration.stand, &self.plan.depths_mm);
+                parts.other_s += self.assumed.repeated * parts.total_s();
+                let trials = self.plan.depths_mm.len() as u64;
+                setting.trials += trials;
+                setting.disk_bytes += CONFIGURATION_BYTES + trials * self.trial_bytes();
+            }
+            Step::Manual(_) => {
+                parts.settle_s = self.settle_s();
+                parts.frames_s = self.frames_s();
+                parts.other_s = self.assumed.commit_ms / 1e3;
+                setting.trials += 1;
+                setting.disk_bytes += CONFIGURATION_BYTES + self.trial_bytes();
+            }
+        }
+        setting.duration_s += parts.total_s();
+        setting.parts.add(&parts);
+    }
+
+    /// Travel, tare, approach, press and measure at each depth, raise.
+    fn press(&mut self, stand: &Stand, depths_mm: &[f64]) -> Parts {
+        let mut parts = Parts::default();
+        self.travel(stand, &mut parts);
+        let (bench, measure) = (self.bench, &self.plan.measure);
+        let samples = f64::from(measure.tare_samples) + self.assumed.tare_samples;
+        parts.tare_s = self.wall(samples * bench.cell_update_ms / 1e3);
+        let lowered_mm = bench.clearance_mm - self.plan.standoff_mm;
+        parts.approach_s = self.wall(bench.z.time_s(lowered_mm));
+        let pressing = Motion { speed_mm_s: bench.approach_mm_s, ..bench.z };
+        let mut depth_mm = 0.0;
+        let mut motions = 3.0;
+        for &next_mm in depths_mm {
+            if next_mm > depth_mm {
+                parts.press_s += self.wall(pressing.time_s(next_mm - depth_mm));
+                motions += 1.0;
+            }
+            depth_mm = next_mm;
+            parts.settle_s += self.settle_s();
+            parts.frames_s += self.frames_s();
+            parts.other_s += self.assumed.commit_ms / 1e3;
+        }
+        let raised_mm = depth_mm - self.plan.standoff_mm + bench.clearance_mm;
+        parts.raise_s = self.wall(bench.z.time_s(raised_mm));
+        parts.other_s += motions * self.assumed.command_ms / 1e3;
+        parts
+    }
+
+    /// x, y and radius together; a smaller radius is overshot and approached from below.
+    fn travel(&mut self, stand: &Stand, parts: &mut Parts) {
+        let to = stand.place();
+        let from = self.here.replace(to).unwrap_or(to);
+        let bench = self.bench;
+        let lateral_s =
+            bench.x.time_s(to.x_mm - from.x_mm).max(bench.y.time_s(to.y_mm - from.y_mm));
+        let spread_mm = to.radius_mm - from.radius_mm;
+        let spread_s = if spread_mm < 0.0 {
+            bench.radial.time_s(bench.backlash_mm - spread_mm)
+                + bench.radial.time_s(bench.backlash_mm)
+        } else {
+            bench.radial.time_s(spread_mm)
+        };
+        parts.lateral_s += self.wall(lateral_s);
+        parts.radial_s += self.wall((spread_s - lateral_s).max(0.0));
+    }
+
+    /// The first place is searched from the top of the surface's range, the next from just above.
+    fn touch_off(&mut self, places: &[Stand]) -> f64 {
+        let bench = self.bench;
+        let slow = Motion { speed_mm_s: bench.approach_mm_s, ..bench.z };
+        let [top, bottom] = bench.surface_z_mm;
+        let mut searched_mm = bench.clearance_mm + self.assumed.surface_at * (bottom - top);
+        let mut total_s = 0.0;
+        for stand in places {
+            let mut parts = Parts::default();
+            self.travel(stand, &mut parts);
+            let down_s = slow.time_s(searched_mm) + bench.z.time_s(bench.clearance_mm);
+            total_s += parts.total_s() + self.wall(down_s) + 3.0 * self.assumed.command_ms / 1e3;
+            searched_mm = bench.clearance_mm;
+        }
+        total_s
+    }
+
+    fn settle_s(&self) -> f64 {
+        let more_ms = self.assumed.settle_samples * self.bench.cell_update_ms;
+        let measure = &self.plan.measure;
+        self.wall((measure.settle_ms + more_ms).min(measure.settle_max_ms) / 1e3)
+    }
+
+    fn frames_s(&self) -> f64 {
+        let frames = f64::from(self.plan.measure.frames_per_trial) + self.assumed.frames_dropped;
+        self.wall(frames / self.bench.frame_rate_hz)
+    }
+
+    fn trial_bytes(&self) -> u64 {
+        let frame = FRAME_BYTES + 2 * u64::from(self.plan.channels);
+        TRIAL_BYTES + u64::from(self.plan.measure.frames_per_trial) * frame
+    }
+
+    fn wall(&self, process_s: f64) -> f64 {
+        process_s / self.bench.clock_rate
+    }
+}
