@@ -187,7 +187,7 @@ impl Store {
     }
 
     /// One trial, with its mean voltages.
-    pub async fn trial(&self, trial: TrialId) -> Result<Option<TrialRow>, StoreError> {
+    pub async fn trial_by_id(&self, trial: TrialId) -> Result<Option<TrialRow>, StoreError> {
         let mut view = self.read(READING).await?;
         let mut query = QueryBuilder::new(SELECT_WITH_VOLTAGES);
         let rows = query
