@@ -113,6 +113,7 @@ impl Store {
             .acquire_timeout(READER_TIMEOUT)
             .idle_timeout(None)
             .max_lifetime(None)
+            .test_before_acquire(false)
             .connect_with(options.read_only(true).pragma("query_only", "ON"))
             .await
             .map_err(open)?;
