@@ -12,6 +12,7 @@
 mod actions;
 mod bench;
 mod columns;
+mod counts;
 mod error;
 mod events;
 mod filter;
@@ -39,11 +40,12 @@ use sqlx::{ConnectOptions, Sqlite, Transaction};
 
 pub use actions::{ActionRow, NewAction};
 pub use bench::SkipRow;
+pub use counts::SettingCount;
 pub use error::StoreError;
 pub use filter::{Comparison, Filter, FilterValue, TrialColumn};
 pub use keys::{KeyRow, Role};
 pub use lock::LockRow;
-pub use runs::{Label, NewRun, RunKind, RunPage, RunRow, SettingCount};
+pub use runs::{Label, NewRun, RunKind, RunPage, RunRow};
 pub use trial_rows::{Contact, MAX_PAGE, Order, TrialQuery, TrialRow};
 
 use crate::clock::Clock;
@@ -106,8 +108,8 @@ impl Store {
             .journal_mode(SqliteJournalMode::Wal)
             .synchronous(SqliteSynchronous::Full)
             .pragma("journal_size_limit", LOG_BYTES);
-        let mut connection = writing.connect().await.map_err(open)?;
-        MIGRATIONS.run(&mut connection).await.map_err(StoreError::Migrate)?;
+        let writer = Writer::start(writing)?;
+        writer.open(path, &MIGRATIONS).await?;
         let readers = SqlitePoolOptions::new()
             .max_connections(READERS)
             .acquire_timeout(READER_TIMEOUT)
@@ -117,7 +119,6 @@ impl Store {
             .connect_with(options.read_only(true).pragma("query_only", "ON"))
             .await
             .map_err(open)?;
-        let writer = Writer::start(writing.create_if_missing(false), connection)?;
         let runs = Mutex::new(HashMap::new());
         Ok(Self { inner: Arc::new(Inner { path: path.to_owned(), clock, writer, readers, runs }) })
     }

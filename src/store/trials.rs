@@ -1,7 +1,9 @@
 //! Trials going in and being taken back: each one transaction, each key once.
 //! Uses: `campaign::record`, `store::writer`. Never: a judgement on a trial (`campaign` made it).
 
+use sqlx::query_builder::Separated;
 use sqlx::sqlite::SqliteConnection;
+use sqlx::{QueryBuilder, Sqlite};
 
 use super::columns::{counts_blob, time_text, volts_blob};
 use super::runs::RunKind;
@@ -12,6 +14,9 @@ use crate::ids::{RunUid, TrialId, TrialKey};
 
 /// The most contacts of a trial (`design.md` 2).
 const CONTACTS_MAX: usize = 6;
+
+/// Rows of one statement.
+const ROWS_AT_ONCE: usize = 100;
 
 const STORING: &str = "storing a trial";
 
@@ -217,23 +222,17 @@ async fn insert_tips(
     trial: TrialId,
     arms: &[ArmReading],
 ) -> Result<(), StoreError> {
-    for a in arms {
-        sqlx::query(
-            "INSERT INTO trial_tips (trial, arm, x_mm, y_mm, force_n, cell_v, tare_v)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
-        )
-        .bind(trial.0)
-        .bind(a.arm)
-        .bind(a.x_mm)
-        .bind(a.y_mm)
-        .bind(a.force_n)
-        .bind(a.cell_v)
-        .bind(a.tare_v)
-        .execute(&mut *connection)
-        .await
-        .map_err(StoreError::sql(STORING))?;
-    }
-    Ok(())
+    let into = "INSERT INTO trial_tips (trial, arm, x_mm, y_mm, force_n, cell_v, tare_v) ";
+    insert_many(connection, into, arms, |mut row, _, a| {
+        row.push_bind(trial.0)
+            .push_bind(a.arm)
+            .push_bind(a.x_mm)
+            .push_bind(a.y_mm)
+            .push_bind(a.force_n)
+            .push_bind(a.cell_v)
+            .push_bind(a.tare_v);
+    })
+    .await
 }
 
 async fn insert_placed(
@@ -241,21 +240,15 @@ async fn insert_placed(
     trial: TrialId,
     placed: &[PlacedContact],
 ) -> Result<(), StoreError> {
-    for (n, p) in placed.iter().enumerate() {
-        sqlx::query(
-            "INSERT INTO placed_contacts (trial, n, x_mm, y_mm, force_n)
-             VALUES (?1, ?2, ?3, ?4, ?5)",
-        )
-        .bind(trial.0)
-        .bind(n as i64)
-        .bind(p.x_mm)
-        .bind(p.y_mm)
-        .bind(p.force_n)
-        .execute(&mut *connection)
-        .await
-        .map_err(StoreError::sql(STORING))?;
-    }
-    Ok(())
+    let into = "INSERT INTO placed_contacts (trial, n, x_mm, y_mm, force_n) ";
+    insert_many(connection, into, placed, |mut row, n, p| {
+        row.push_bind(trial.0)
+            .push_bind(n)
+            .push_bind(p.x_mm)
+            .push_bind(p.y_mm)
+            .push_bind(p.force_n);
+    })
+    .await
 }
 
 async fn insert_frames(
@@ -263,21 +256,35 @@ async fn insert_frames(
     trial: TrialId,
     frames: &[FrameRecord],
 ) -> Result<(), StoreError> {
-    for (n, f) in frames.iter().enumerate() {
-        sqlx::query(
-            "INSERT INTO frames (trial, n, sequence, device_time_us, volts_per_count, counts)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
-        )
-        .bind(trial.0)
-        .bind(n as i64)
-        .bind(f.sequence)
-        // A counter of microseconds; the sign bit is reached after 292,000 years.
-        .bind(f.device_time_us.cast_signed())
-        .bind(f.volts_per_count)
-        .bind(counts_blob(&f.counts))
-        .execute(&mut *connection)
-        .await
-        .map_err(StoreError::sql(STORING))?;
+    let into = "INSERT INTO frames (trial, n, sequence, device_time_us, volts_per_count, counts) ";
+    insert_many(connection, into, frames, |mut row, n, f| {
+        row.push_bind(trial.0)
+            .push_bind(n)
+            .push_bind(f.sequence)
+            // A counter of microseconds; the sign bit is reached after 292,000 years.
+            .push_bind(f.device_time_us.cast_signed())
+            .push_bind(f.volts_per_count)
+            .push_bind(counts_blob(&f.counts));
+    })
+    .await
+}
+
+/// One statement for all rows: each statement is a change of threads, and back.
+async fn insert_many<T>(
+    connection: &mut SqliteConnection,
+    into: &'static str,
+    rows: &[T],
+    mut bind: impl FnMut(Separated<'_, Sqlite, &'static str>, i64, &T),
+) -> Result<(), StoreError> {
+    // Far under SQLite's 32,766 parameters of a statement.
+    for (chunk, rows) in rows.chunks(ROWS_AT_ONCE).enumerate() {
+        let first = (chunk * ROWS_AT_ONCE) as i64;
+        QueryBuilder::<Sqlite>::new(into)
+            .push_values(rows.iter().zip(first..), |row, (value, n)| bind(row, n, value))
+            .build()
+            .execute(&mut *connection)
+            .await
+            .map_err(StoreError::sql(STORING))?;
     }
     Ok(())
 }

@@ -4,9 +4,11 @@
 //! A job is a whole transaction. It runs to its end even when its caller has gone, and a caller on
 //! a busy runtime cannot hold up the next one (law 5).
 
+use std::path::Path;
 use std::time::Duration;
 
 use futures::future::LocalBoxFuture;
+use sqlx::migrate::Migrator;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{ConnectOptions, Connection};
 use tokio::sync::{mpsc, oneshot};
@@ -18,6 +20,9 @@ const WAITING_JOBS: usize = 64;
 
 /// Longest time from handing a job over to its answer.
 const DEADLINE: Duration = Duration::from_secs(30);
+
+/// Longest time for opening: a migration may have to rewrite a large file.
+const OPEN_DEADLINE: Duration = Duration::from_secs(600);
 
 type Job = Box<dyn for<'h> FnOnce(&'h mut Hand) -> LocalBoxFuture<'h, ()> + Send>;
 
@@ -37,11 +42,8 @@ struct Hand {
 }
 
 impl Writer {
-    /// Starts the thread on an open connection; `options` open it again after a failure.
-    pub(super) fn start(
-        options: SqliteConnectOptions,
-        connection: SqliteConnection,
-    ) -> Result<Self, StoreError> {
+    /// Starts the thread. `options` open the connection, and open it again after a failure.
+    pub(super) fn start(options: SqliteConnectOptions) -> Result<Self, StoreError> {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()
@@ -49,7 +51,7 @@ impl Writer {
         let (jobs, mut inbox) = mpsc::channel::<Job>(WAITING_JOBS);
         let mut hand = Hand {
             options,
-            connection: Some(connection),
+            connection: None,
             closed: false,
             #[cfg(test)]
             fail_after_commit: false,
@@ -70,13 +72,33 @@ impl Writer {
         Ok(Self { jobs })
     }
 
+    /// Opens the file, creating it where the options say so, and brings its tables up to date.
+    pub(super) async fn open(
+        &self,
+        path: &Path,
+        migrations: &'static Migrator,
+    ) -> Result<(), StoreError> {
+        let path = path.to_owned();
+        self.hand_over("opening the database", OPEN_DEADLINE, async move |hand| {
+            let connecting = hand.options.connect().await;
+            let mut connection = connecting.map_err(|source| StoreError::Open { path, source })?;
+            migrations.run(&mut connection).await.map_err(StoreError::Migrate)?;
+            // Should the file vanish later, an empty one must not take its place.
+            hand.options = hand.options.clone().create_if_missing(false);
+            hand.connection = Some(connection);
+            Ok(())
+        })
+        .await
+    }
+
     /// Runs `work` in one transaction. An error of `work` rolls it back.
     pub(super) async fn run<T, F>(&self, operation: &'static str, work: F) -> Result<T, StoreError>
     where
         T: Send + 'static,
         F: AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError> + Send + 'static,
     {
-        self.hand_over(operation, async move |hand| hand.transact(operation, work).await).await
+        self.hand_over(operation, DEADLINE, async move |hand| hand.transact(operation, work).await)
+            .await
     }
 
     /// Runs `work` in one transaction; when its outcome is unknown afterwards, makes what is in the
@@ -92,9 +114,11 @@ impl Writer {
         F: AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError> + Send + 'static,
         L: AsyncFnOnce(&mut SqliteConnection) -> Result<Option<T>, StoreError> + Send + 'static,
     {
-        self.hand_over(operation, async move |hand| match hand.transact(operation, work).await {
-            Err(error) if error.outcome_unknown() => hand.settle(operation, error, look).await,
-            known => known,
+        self.hand_over(operation, DEADLINE, async move |hand| {
+            match hand.transact(operation, work).await {
+                Err(error) if error.outcome_unknown() => hand.settle(operation, error, look).await,
+                known => known,
+            }
         })
         .await
     }
@@ -102,7 +126,7 @@ impl Writer {
     /// Closes the connection after the jobs handed over before, and ends the thread.
     pub(super) async fn close(&self) {
         let closing = self
-            .hand_over("closing the store", async |hand| {
+            .hand_over("closing the store", DEADLINE, async |hand| {
                 hand.close().await;
                 hand.closed = true;
                 Ok(())
@@ -116,14 +140,19 @@ impl Writer {
     /// Makes the next transaction report a failed commit although it was stored.
     #[cfg(test)]
     pub(super) async fn fail_after_next_commit(&self) -> Result<(), StoreError> {
-        self.hand_over("arranging a failure", async |hand| {
+        self.hand_over("arranging a failure", DEADLINE, async |hand| {
             hand.fail_after_commit = true;
             Ok(())
         })
         .await
     }
 
-    async fn hand_over<T, F>(&self, operation: &'static str, work: F) -> Result<T, StoreError>
+    async fn hand_over<T, F>(
+        &self,
+        operation: &'static str,
+        deadline: Duration,
+        work: F,
+    ) -> Result<T, StoreError>
     where
         T: Send + 'static,
         F: AsyncFnOnce(&mut Hand) -> Result<T, StoreError> + Send + 'static,
@@ -140,9 +169,9 @@ impl Writer {
             self.jobs.send(job).await.map_err(|_| closed())?;
             answered.await.map_err(|_| closed())?
         };
-        tokio::time::timeout(DEADLINE, done)
+        tokio::time::timeout(deadline, done)
             .await
-            .unwrap_or(Err(StoreError::Late { operation, limit_s: DEADLINE.as_secs() }))
+            .unwrap_or(Err(StoreError::Late { operation, limit_s: deadline.as_secs() }))
     }
 }
 

@@ -108,3 +108,18 @@ async fn a_file_that_is_no_database_is_named() {
     let Err(error) = error else { panic!("it opened") };
     assert!(error.to_string().contains("palpate.sqlite"), "{error}");
 }
+
+#[test]
+fn its_futures_may_move_between_threads() {
+    fn movable<T: Send>(_: T) {}
+    let folder = Folder::new();
+    let path = folder.file();
+    movable(crate::store::Store::open(&path, crate::clock::Clock::new(1.0)));
+    fn methods(store: &crate::store::Store, query: &crate::store::TrialQuery) {
+        movable(store.trials(query));
+        movable(store.set_lock("", ""));
+        movable(store.integrity_check());
+        movable(store.close());
+    }
+    let _ = methods;
+}

@@ -369,3 +369,34 @@ async fn what_stands_beside_the_trials_comes_back() {
     let cause = missing.source.downcast_ref::<StoreError>();
     assert!(matches!(cause, Some(StoreError::NoSuchRun(_))), "{missing:?}");
 }
+
+#[tokio::test]
+async fn a_caller_that_goes_away_leaves_a_whole_trial() {
+    let folder = Folder::new();
+    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    store.trial(run, &hex_trial(0, 0, &[9.0])).await.unwrap();
+    let put = hex_trial(1, 0, &[9.0, 8.0]);
+    // The first poll hands the trial over; then its caller is gone.
+    let gone = tokio::time::timeout(std::time::Duration::ZERO, store.trial(run, &put)).await;
+    // The writer works in order: when this is stored, so is the trial.
+    store.set_setting("after", "it").await.unwrap();
+    let stored = store.trials(&TrialQuery { limit: 9, ..Default::default() }).await.unwrap();
+    assert_eq!(stored.len(), 2, "{gone:?}");
+    assert_eq!(stored[1].arms, put.arms);
+}
+
+#[tokio::test]
+async fn a_long_read_neither_waits_nor_is_waited_for() {
+    let folder = Folder::new();
+    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    store.trial(run, &hex_trial(0, 0, &[9.0])).await.unwrap();
+    let mut view = store.read("a long read").await.unwrap();
+    let count = "SELECT count(*) FROM trials";
+    let before: i64 = sqlx::query_scalar(count).fetch_one(&mut *view).await.unwrap();
+    for c in 1..20 {
+        store.trial(run, &hex_trial(c, 0, &[9.0])).await.unwrap();
+    }
+    let within: i64 = sqlx::query_scalar(count).fetch_one(&mut *view).await.unwrap();
+    assert_eq!((before, within), (1, 1));
+    assert_eq!(store.progress(run).await.unwrap().stored.len(), 20);
+}
