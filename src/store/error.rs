@@ -34,6 +34,15 @@ pub enum StoreError {
         #[source]
         source: sqlx::Error,
     },
+    /// A write failed, and the database was asked since: it is not stored.
+    #[error("{operation} failed, and nothing of it is stored")]
+    NotStored {
+        /// What was being done.
+        operation: &'static str,
+        /// The failure.
+        #[source]
+        source: Box<StoreError>,
+    },
     /// A write did not finish in time: its outcome is unknown.
     #[error("{operation} was not finished by the store within {limit_s} s")]
     Late {
@@ -122,6 +131,7 @@ impl StoreError {
             Self::Open { .. }
             | Self::Migrate(_)
             | Self::StartWriter(_)
+            | Self::NotStored { .. }
             | Self::Closed { .. }
             | Self::Refused { .. }
             | Self::Unreadable { .. }

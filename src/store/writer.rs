@@ -230,8 +230,9 @@ impl Hand {
     }
 
     /// Finds out what became of a write whose commit failed. What the log holds is first copied
-    /// into the database file and synced, so that a "yes" is durable; a failure on the way leaves
-    /// the first error standing.
+    /// into the database file and synced, so that a "yes" is durable, and the log is emptied, so
+    /// that a "no" stays one: frames of a failed commit would come back at the next start. A
+    /// failure on the way leaves the first error standing, and the outcome unknown.
     async fn settle<T>(
         &mut self,
         operation: &'static str,
@@ -241,19 +242,22 @@ impl Hand {
         let sql = StoreError::sql(operation);
         let found = async {
             let connection = self.connection(operation).await?;
-            let (busy, in_log, copied): (i64, i64, i64) =
-                sqlx::query_as("PRAGMA wal_checkpoint(FULL)")
-                    .fetch_one(&mut *connection)
-                    .await
-                    .map_err(&sql)?;
-            if busy == 0 && in_log == copied { look(connection).await } else { Ok(None) }
+            let (busy, _, _): (i64, i64, i64) = sqlx::query_as("PRAGMA wal_checkpoint(TRUNCATE)")
+                .fetch_one(&mut *connection)
+                .await
+                .map_err(&sql)?;
+            if busy == 0 { look(connection).await.map(Some) } else { Ok(None) }
         };
         match found.await {
-            Ok(Some(value)) => {
+            Ok(Some(Some(value))) => {
                 tracing::warn!(operation, "the failed write is stored after all");
                 Ok(value)
             }
-            Ok(None) => Err(error),
+            Ok(Some(None)) => Err(StoreError::NotStored { operation, source: Box::new(error) }),
+            Ok(None) => {
+                tracing::error!(operation, "a reader keeps the log: the outcome stays unknown");
+                Err(error)
+            }
             Err(second) => {
                 tracing::error!(operation, error = %second, "looking again failed too");
                 self.close().await;

@@ -151,9 +151,10 @@ async fn a_full_disk_is_an_error_and_later_trials_go_on() {
         }
         assert!(stored < 1000, "the limit did not hold");
     };
-    let cause = std::error::Error::source(&error).unwrap();
-    let cause = std::error::Error::source(cause).unwrap().to_string();
-    assert!(cause.contains("full"), "{cause}");
+    let cause = error.source.downcast_ref::<StoreError>().unwrap();
+    let StoreError::NotStored { source, .. } = cause else { panic!("{cause:?}") };
+    let words = std::error::Error::source(source).unwrap().to_string();
+    assert!(words.contains("full"), "{words}");
     assert_eq!(store.progress(run).await.unwrap().stored.len(), stored as usize);
     // The writer was opened anew, and with it the limit is gone: space has been made.
     store.trial(run, &hex_trial(stored, 0, &[9.0, 3.0])).await.unwrap();
