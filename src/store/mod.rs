@@ -1,2 +1,199 @@
-//! Placeholder.
-//! Filled by the next commits.
+//! Durable records in one SQLite file: runs, trials, events, and who did what.
+//! Uses: `campaign` (its records and its `Journal`, which this implements), `clock`, `ids`, sqlx.
+//! Never: HTTP, the rig, a write from any connection but the writer's.
+//!
+//! ```text
+//! campaign, api --jobs--> writer thread, one connection, WAL, synchronous=FULL --> palpate.sqlite
+//!                                                     read-only connections <-----/
+//! ```
+//! One trial is one transaction; its key is unique in the file (`design.md` 8, law 1). Reads never
+//! wait for the writer, nor the writer for reads (law 5).
+
+mod actions;
+mod bench;
+mod columns;
+mod counts;
+mod error;
+mod events;
+mod filter;
+mod journal;
+mod keys;
+mod lock;
+mod queue;
+mod runs;
+mod trial_rows;
+mod trials;
+mod writer;
+
+#[cfg(test)]
+mod tests;
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use sqlx::sqlite::{
+    SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
+};
+use sqlx::{ConnectOptions, Sqlite, Transaction};
+
+pub use actions::{ActionRow, NewAction};
+pub use bench::SkipRow;
+pub use counts::SettingCount;
+pub use error::StoreError;
+pub use filter::{Comparison, Filter, FilterValue, TrialColumn};
+pub use keys::{KeyRow, Role};
+pub use lock::LockRow;
+pub use runs::{Label, NewRun, RunKind, RunPage, RunRow};
+pub use trial_rows::{Contact, MAX_PAGE, Order, TrialQuery, TrialRow};
+
+use crate::clock::Clock;
+use crate::ids::RunUid;
+use writer::Writer;
+
+/// A page holds about five trials' voltages (`stack.md` part 2: a fifth smaller than 4096).
+const PAGE_BYTES: u32 = 16_384;
+
+/// How long SQLite waits for another process's lock.
+const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Connections that read.
+const READERS: u32 = 4;
+
+/// Longest wait for one of them.
+const READER_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// The log is cut back to this after a long read had let it grow.
+const LOG_BYTES: &str = "67108864";
+
+/// The tables, as they grew.
+static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!();
+
+/// The database of a rig. Clones share it.
+#[derive(Clone)]
+pub struct Store {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    path: PathBuf,
+    clock: Clock,
+    writer: Writer,
+    readers: SqlitePool,
+    runs: Mutex<HashMap<RunUid, RunFacts>>,
+}
+
+/// What never changes in a run and every insert needs.
+#[derive(Debug, Clone, Copy)]
+struct RunFacts {
+    scan_id: i64,
+    kind: RunKind,
+    deadband_n: f64,
+}
+
+impl Store {
+    /// Opens the database file, creating it and bringing its tables up to date as needed.
+    pub async fn open(path: &Path, clock: Clock) -> Result<Self, StoreError> {
+        let open = |source| StoreError::Open { path: path.to_owned(), source };
+        let options = SqliteConnectOptions::new()
+            .filename(path)
+            .busy_timeout(BUSY_TIMEOUT)
+            .foreign_keys(true)
+            .disable_statement_logging();
+        let writing = options
+            .clone()
+            .create_if_missing(true)
+            .page_size(PAGE_BYTES)
+            .journal_mode(SqliteJournalMode::Wal)
+            .synchronous(SqliteSynchronous::Full)
+            .pragma("journal_size_limit", LOG_BYTES);
+        let writer = Writer::start(writing)?;
+        writer.open(path, &MIGRATIONS).await?;
+        let readers = SqlitePoolOptions::new()
+            .max_connections(READERS)
+            .acquire_timeout(READER_TIMEOUT)
+            .idle_timeout(None)
+            .max_lifetime(None)
+            .test_before_acquire(false)
+            .connect_with(options.read_only(true).pragma("query_only", "ON"))
+            .await
+            .map_err(open)?;
+        let runs = Mutex::new(HashMap::new());
+        Ok(Self { inner: Arc::new(Inner { path: path.to_owned(), clock, writer, readers, runs }) })
+    }
+
+    /// The database file.
+    pub fn path(&self) -> &Path {
+        &self.inner.path
+    }
+
+    /// Ends all connections after the writes handed over so far; the log is merged into the file.
+    pub async fn close(&self) {
+        self.inner.readers.close().await;
+        self.inner.writer.close().await;
+    }
+
+    /// Bytes that can still be stored on the database's disk.
+    pub async fn free_bytes(&self) -> Result<u64, StoreError> {
+        let folder = match self.inner.path.parent() {
+            Some(folder) if !folder.as_os_str().is_empty() => folder,
+            _ => Path::new("."),
+        };
+        let disk =
+            nix::sys::statvfs::statvfs(folder).map_err(|e| StoreError::FreeSpace(e.into()))?;
+        Ok(disk.blocks_available() * disk.fragment_size())
+    }
+
+    /// Reads the whole file and checks its structure, its indexes and its references.
+    pub async fn integrity_check(&self) -> Result<(), StoreError> {
+        const OPERATION: &str = "checking the database";
+        let sql = StoreError::sql(OPERATION);
+        let mut reading = self.read(OPERATION).await?;
+        let mut findings: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check")
+            .fetch_all(&mut *reading)
+            .await
+            .map_err(&sql)?;
+        findings.retain(|line| line != "ok");
+        let orphans = sqlx::query("PRAGMA foreign_key_check").fetch_all(&mut *reading).await;
+        match orphans.map_err(&sql)?.len() {
+            0 => {}
+            n => findings.push(format!("{n} rows refer to rows that are not there")),
+        }
+        if findings.is_empty() { Ok(()) } else { Err(StoreError::Damaged { findings }) }
+    }
+
+    /// A view of the file as it is now, which later writes do not change.
+    async fn read(
+        &self,
+        operation: &'static str,
+    ) -> Result<Transaction<'static, Sqlite>, StoreError> {
+        self.inner.readers.begin().await.map_err(StoreError::sql(operation))
+    }
+
+    /// The time as it is stored.
+    fn now_text(&self) -> String {
+        columns::time_text(self.inner.clock.timestamp())
+    }
+
+    async fn facts(&self, run: RunUid, operation: &'static str) -> Result<RunFacts, StoreError> {
+        let known = || self.inner.runs.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(facts) = known().get(&run) {
+            return Ok(*facts);
+        }
+        let row = sqlx::query("SELECT scan_id, kind, deadband_n FROM runs WHERE uid = ?1")
+            .bind(run.to_string())
+            .fetch_optional(&self.inner.readers)
+            .await
+            .map_err(StoreError::sql(operation))?
+            .ok_or(StoreError::NoSuchRun(run))?;
+        let columns = columns::Columns::of(&row, operation);
+        let facts = RunFacts {
+            scan_id: columns.get("scan_id")?,
+            kind: columns.word("kind")?,
+            deadband_n: columns.get("deadband_n")?,
+        };
+        known().insert(run, facts);
+        Ok(facts)
+    }
+}

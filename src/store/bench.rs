@@ -1,0 +1,371 @@
+//! What a run leaves beside its trials: failed attempts, skips, tares, reference presses, touch-offs.
+//! Uses: `campaign::record`, `store::writer`. Never: trials (law 1 keeps them apart).
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::columns::{Columns, counts_blob, time_text};
+use super::trial_rows::{arm, frame};
+use super::{Store, StoreError};
+use crate::campaign::record::{AttemptRecord, Pose, ReferenceRecord, TareRecord, TouchOffRecord};
+use crate::ids::{RunUid, TrialKey};
+
+/// A configuration that was given up.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct SkipRow {
+    /// Its position in the plan.
+    pub configuration: u32,
+    /// Why.
+    pub reason: String,
+    /// When.
+    #[schema(value_type = String, format = DateTime)]
+    pub at: Timestamp,
+}
+
+impl Store {
+    pub(super) async fn insert_attempt(
+        &self,
+        run: RunUid,
+        attempt: &AttemptRecord,
+    ) -> Result<(), StoreError> {
+        const OPERATION: &str = "storing an attempt";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let attempt = attempt.clone();
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                sqlx::query(
+                    "INSERT INTO attempts (run, configuration, depth_index, attempt, reason, at)
+                     VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+                )
+                .bind(scan_id)
+                .bind(attempt.key.configuration)
+                .bind(attempt.key.depth_index)
+                .bind(attempt.attempt)
+                .bind(attempt.reason)
+                .bind(time_text(attempt.at))
+                .execute(connection)
+                .await
+                .map_err(StoreError::sql(OPERATION))?;
+                Ok(())
+            })
+            .await
+    }
+
+    pub(super) async fn insert_skip(
+        &self,
+        run: RunUid,
+        configuration: u32,
+        reason: &str,
+    ) -> Result<(), StoreError> {
+        const OPERATION: &str = "storing a skip";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let (reason, now) = (reason.to_owned(), self.now_text());
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                // Giving up twice is giving up once: the first reason stands.
+                sqlx::query(
+                    "INSERT INTO skips (run, configuration, reason, at) VALUES (?1, ?2, ?3, ?4)
+                     ON CONFLICT (run, configuration) DO NOTHING",
+                )
+                .bind(scan_id)
+                .bind(configuration)
+                .bind(reason)
+                .bind(now)
+                .execute(connection)
+                .await
+                .map_err(StoreError::sql(OPERATION))?;
+                Ok(())
+            })
+            .await
+    }
+
+    pub(super) async fn insert_tare(
+        &self,
+        run: RunUid,
+        tare: &TareRecord,
+    ) -> Result<(), StoreError> {
+        const OPERATION: &str = "storing a tare";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let tare = tare.clone();
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                let sql = StoreError::sql(OPERATION);
+                let id: i64 = sqlx::query_scalar(
+                    "INSERT INTO tares (run, configuration, samples, at) VALUES (?1, ?2, ?3, ?4)
+                     RETURNING id",
+                )
+                .bind(scan_id)
+                .bind(tare.configuration)
+                .bind(tare.samples)
+                .bind(time_text(tare.at))
+                .fetch_one(&mut *connection)
+                .await
+                .map_err(&sql)?;
+                for (arm, volts) in tare.volts {
+                    sqlx::query("INSERT INTO tare_arms (tare, arm, cell_v) VALUES (?1, ?2, ?3)")
+                        .bind(id)
+                        .bind(arm)
+                        .bind(volts)
+                        .execute(&mut *connection)
+                        .await
+                        .map_err(&sql)?;
+                }
+                Ok(())
+            })
+            .await
+    }
+
+    pub(super) async fn insert_reference(
+        &self,
+        run: RunUid,
+        press: &ReferenceRecord,
+    ) -> Result<(), StoreError> {
+        const OPERATION: &str = "storing a reference press";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let press = press.clone();
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                let sql = StoreError::sql(OPERATION);
+                let id: i64 = sqlx::query_scalar(
+                    "INSERT INTO reference_presses (run, before_configuration, reached_x_mm,
+                         reached_y_mm, reached_z_mm, reached_radius_mm, depth_mm, sequence,
+                         device_time_us, volts_per_count, counts, at)
+                     VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12) RETURNING id",
+                )
+                .bind(scan_id)
+                .bind(press.before_configuration)
+                .bind(press.reached.x_mm)
+                .bind(press.reached.y_mm)
+                .bind(press.reached.z_mm)
+                .bind(press.reached.radius_mm)
+                .bind(press.depth_mm)
+                .bind(press.frame.sequence)
+                .bind(press.frame.device_time_us.cast_signed())
+                .bind(press.frame.volts_per_count)
+                .bind(counts_blob(&press.frame.counts))
+                .bind(time_text(press.at))
+                .fetch_one(&mut *connection)
+                .await
+                .map_err(&sql)?;
+                for a in press.arms {
+                    sqlx::query(
+                        "INSERT INTO reference_tips
+                             (press, arm, x_mm, y_mm, force_n, cell_v, tare_v)
+                         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)",
+                    )
+                    .bind(id)
+                    .bind(a.arm)
+                    .bind(a.x_mm)
+                    .bind(a.y_mm)
+                    .bind(a.force_n)
+                    .bind(a.cell_v)
+                    .bind(a.tare_v)
+                    .execute(&mut *connection)
+                    .await
+                    .map_err(&sql)?;
+                }
+                Ok(())
+            })
+            .await
+    }
+
+    pub(super) async fn insert_touch_off(
+        &self,
+        run: RunUid,
+        found: &TouchOffRecord,
+    ) -> Result<(), StoreError> {
+        const OPERATION: &str = "storing a touch-off";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let found = found.clone();
+        let json = |value: serde_json::Result<String>| {
+            let limit = "must be numbers that JSON can hold";
+            let field = "touches";
+            value.map_err(|_| StoreError::Refused { operation: OPERATION, field, limit })
+        };
+        let offsets = json(serde_json::to_string(&found.tip_offset_mm))?;
+        let touches = json(serde_json::to_string(&found.touches))?;
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                sqlx::query(
+                    "INSERT INTO touch_offs
+                         (run, tips, surface_z_mm, tip_offsets_mm, touches_mm, at)
+                     VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+                )
+                .bind(scan_id)
+                .bind(found.tips)
+                .bind(found.surface_z_mm)
+                .bind(offsets)
+                .bind(touches)
+                .bind(time_text(found.at))
+                .execute(connection)
+                .await
+                .map_err(StoreError::sql(OPERATION))?;
+                Ok(())
+            })
+            .await
+    }
+
+    /// Configurations that a run gave up, in the order of its plan.
+    pub async fn skips(&self, run: RunUid) -> Result<Vec<SkipRow>, StoreError> {
+        const OPERATION: &str = "reading skips";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let rows = sqlx::query("SELECT * FROM skips WHERE run = ?1 ORDER BY configuration")
+            .bind(scan_id)
+            .fetch_all(&self.inner.readers)
+            .await
+            .map_err(StoreError::sql(OPERATION))?;
+        rows.iter()
+            .map(|row| {
+                let c = Columns::of(row, OPERATION);
+                let configuration = c.whole("configuration")?;
+                Ok(SkipRow { configuration, reason: c.get("reason")?, at: c.time("at")? })
+            })
+            .collect()
+    }
+
+    /// How many tries of a run did not become, or did not stay, trials.
+    pub async fn attempt_count(&self, run: RunUid) -> Result<u64, StoreError> {
+        const OPERATION: &str = "counting attempts";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let count: i64 = sqlx::query_scalar("SELECT count(*) FROM attempts WHERE run = ?1")
+            .bind(scan_id)
+            .fetch_one(&self.inner.readers)
+            .await
+            .map_err(StoreError::sql(OPERATION))?;
+        Ok(count.unsigned_abs())
+    }
+
+    /// The last failed attempts of a run, and trials taken back, newest first.
+    pub async fn attempts(
+        &self,
+        run: RunUid,
+        limit: u32,
+    ) -> Result<Vec<AttemptRecord>, StoreError> {
+        const OPERATION: &str = "reading attempts";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let rows = sqlx::query(
+            "SELECT configuration, depth_index, attempt, reason, at FROM attempts
+             WHERE run = ?1 ORDER BY id DESC LIMIT ?2",
+        )
+        .bind(scan_id)
+        .bind(limit)
+        .fetch_all(&self.inner.readers)
+        .await
+        .map_err(StoreError::sql(OPERATION))?;
+        rows.iter()
+            .map(|row| {
+                let c = Columns::of(row, OPERATION);
+                let (configuration, depth_index) =
+                    (c.whole("configuration")?, c.whole("depth_index")?);
+                Ok(AttemptRecord {
+                    key: TrialKey { configuration, depth_index },
+                    attempt: c.whole("attempt")?,
+                    reason: c.get("reason")?,
+                    at: c.time("at")?,
+                })
+            })
+            .collect()
+    }
+
+    /// The tares of a run, in the order in which they were taken.
+    pub async fn tares(&self, run: RunUid) -> Result<Vec<TareRecord>, StoreError> {
+        const OPERATION: &str = "reading tares";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let rows = sqlx::query(
+            "SELECT t.id, t.configuration, t.samples, t.at, a.arm, a.cell_v
+             FROM tares t LEFT JOIN tare_arms a ON a.tare = t.id
+             WHERE t.run = ?1 ORDER BY t.id, a.arm",
+        )
+        .bind(scan_id)
+        .fetch_all(&self.inner.readers)
+        .await
+        .map_err(StoreError::sql(OPERATION))?;
+        let mut tares: Vec<(i64, TareRecord)> = Vec::new();
+        for row in &rows {
+            let c = Columns::of(row, OPERATION);
+            let id = c.get("id")?;
+            if tares.last().is_none_or(|(last, _)| *last != id) {
+                let (configuration, samples) = (c.whole("configuration")?, c.whole("samples")?);
+                let volts = Vec::new();
+                tares.push((id, TareRecord { configuration, volts, samples, at: c.time("at")? }));
+            }
+            if let (Some((_, tare)), Some(arm)) = (tares.last_mut(), c.whole_or_none("arm")?) {
+                tare.volts.push((arm, c.get("cell_v")?));
+            }
+        }
+        Ok(tares.into_iter().map(|(_, tare)| tare).collect())
+    }
+
+    /// The reference presses of a run, in the order in which they were made.
+    pub async fn references(&self, run: RunUid) -> Result<Vec<ReferenceRecord>, StoreError> {
+        const OPERATION: &str = "reading reference presses";
+        let sql = StoreError::sql(OPERATION);
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let mut view = self.read(OPERATION).await?;
+        let rows = sqlx::query("SELECT * FROM reference_presses WHERE run = ?1 ORDER BY id")
+            .bind(scan_id)
+            .fetch_all(&mut *view)
+            .await
+            .map_err(&sql)?;
+        let tips = sqlx::query(
+            "SELECT t.* FROM reference_presses p JOIN reference_tips t ON t.press = p.id
+             WHERE p.run = ?1 ORDER BY p.id, t.arm",
+        )
+        .bind(scan_id)
+        .fetch_all(&mut *view)
+        .await
+        .map_err(&sql)?;
+        let mut arms: std::collections::HashMap<i64, Vec<_>> = std::collections::HashMap::new();
+        for row in &tips {
+            let c = Columns::of(row, OPERATION);
+            arms.entry(c.get("press")?).or_default().push(arm(&c)?);
+        }
+        rows.iter()
+            .map(|row| {
+                let c = Columns::of(row, OPERATION);
+                Ok(ReferenceRecord {
+                    before_configuration: c.whole("before_configuration")?,
+                    reached: Pose {
+                        x_mm: c.get("reached_x_mm")?,
+                        y_mm: c.get("reached_y_mm")?,
+                        z_mm: c.get("reached_z_mm")?,
+                        radius_mm: c.get("reached_radius_mm")?,
+                    },
+                    depth_mm: c.get("depth_mm")?,
+                    arms: arms.remove(&c.get("id")?).unwrap_or_default(),
+                    frame: frame(&c)?,
+                    at: c.time("at")?,
+                })
+            })
+            .collect()
+    }
+
+    /// The touch-offs of a run, in the order in which they were made.
+    pub async fn touch_offs(&self, run: RunUid) -> Result<Vec<TouchOffRecord>, StoreError> {
+        const OPERATION: &str = "reading touch-offs";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let rows = sqlx::query("SELECT * FROM touch_offs WHERE run = ?1 ORDER BY id")
+            .bind(scan_id)
+            .fetch_all(&self.inner.readers)
+            .await
+            .map_err(StoreError::sql(OPERATION))?;
+        rows.iter()
+            .map(|row| {
+                let c = Columns::of(row, OPERATION);
+                Ok(TouchOffRecord {
+                    tips: c.whole("tips")?,
+                    surface_z_mm: c.get("surface_z_mm")?,
+                    tip_offset_mm: c.json("tip_offsets_mm")?,
+                    touches: c.json("touches_mm")?,
+                    at: c.time("at")?,
+                })
+            })
+            .collect()
+    }
+}

@@ -1,0 +1,163 @@
+//! How values stand in columns: times, ids, words, arrays of numbers, and reading them back.
+//! Uses: `store::error`. Never: statements.
+
+use std::fmt::Write;
+
+use jiff::Timestamp;
+use sha2::{Digest, Sha256};
+use sqlx::Row;
+use sqlx::sqlite::{Sqlite, SqliteRow};
+
+use super::error::StoreError;
+use crate::ids::RunUid;
+
+/// A time as it is stored: RFC 3339, UTC, milliseconds (the rest is cut off).
+pub(super) fn time_text(at: Timestamp) -> String {
+    format!("{at:.3}")
+}
+
+/// Bytes as lower-case hexadecimal digits.
+pub(super) fn hex(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
+        // Writing to a string does not fail.
+        let _ = write!(text, "{byte:02x}");
+        text
+    })
+}
+
+/// The sha256 of a text, in hexadecimal digits.
+pub(super) fn sha256_hex(text: &str) -> String {
+    hex(&Sha256::digest(text.as_bytes()))
+}
+
+/// Counts as they are stored: little-endian i16.
+pub(super) fn counts_blob(counts: &[i16]) -> Vec<u8> {
+    counts.iter().flat_map(|c| c.to_le_bytes()).collect()
+}
+
+/// Volts as they are stored: little-endian f32.
+pub(super) fn volts_blob(volts: &[f32]) -> Vec<u8> {
+    volts.iter().flat_map(|v| v.to_le_bytes()).collect()
+}
+
+/// A row together with the operation that reads it, so that errors can name both.
+pub(super) struct Columns<'r> {
+    row: &'r SqliteRow,
+    operation: &'static str,
+}
+
+impl<'r> Columns<'r> {
+    /// Reads `row` on behalf of `operation`.
+    pub(super) fn of(row: &'r SqliteRow, operation: &'static str) -> Self {
+        Self { row, operation }
+    }
+
+    /// True when the query asked for this column.
+    pub(super) fn has(&self, column: &str) -> bool {
+        self.row.try_column(column).is_ok()
+    }
+
+    /// A column of a type that SQLite knows.
+    pub(super) fn get<T>(&self, column: &'static str) -> Result<T, StoreError>
+    where
+        T: sqlx::Decode<'r, Sqlite> + sqlx::Type<Sqlite>,
+    {
+        self.row.try_get(column).map_err(StoreError::sql(self.operation))
+    }
+
+    /// A whole number that was stored from a narrower or unsigned type.
+    pub(super) fn whole<T: TryFrom<i64>>(&self, column: &'static str) -> Result<T, StoreError> {
+        let value: i64 = self.get(column)?;
+        T::try_from(value).map_err(|_| self.unreadable(column, value))
+    }
+
+    /// A whole number that may be absent.
+    pub(super) fn whole_or_none<T: TryFrom<i64>>(
+        &self,
+        column: &'static str,
+    ) -> Result<Option<T>, StoreError> {
+        let Some(value) = self.get::<Option<i64>>(column)? else { return Ok(None) };
+        T::try_from(value).map(Some).map_err(|_| self.unreadable(column, value))
+    }
+
+    /// A time.
+    pub(super) fn time(&self, column: &'static str) -> Result<Timestamp, StoreError> {
+        let text: &str = self.get(column)?;
+        text.parse().map_err(|_| self.unreadable(column, text))
+    }
+
+    /// A time that may be absent.
+    pub(super) fn time_or_none(
+        &self,
+        column: &'static str,
+    ) -> Result<Option<Timestamp>, StoreError> {
+        let Some(text) = self.get::<Option<&str>>(column)? else { return Ok(None) };
+        text.parse().map(Some).map_err(|_| self.unreadable(column, text))
+    }
+
+    /// A run's id.
+    pub(super) fn uid(&self, column: &'static str) -> Result<RunUid, StoreError> {
+        let text: &str = self.get(column)?;
+        text.parse().map_err(|_| self.unreadable(column, text))
+    }
+
+    /// A run's id that may be absent.
+    pub(super) fn uid_or_none(&self, column: &'static str) -> Result<Option<RunUid>, StoreError> {
+        let Some(text) = self.get::<Option<&str>>(column)? else { return Ok(None) };
+        text.parse().map(Some).map_err(|_| self.unreadable(column, text))
+    }
+
+    /// A JSON value, or a word as serde names it.
+    pub(super) fn json<T: serde::de::DeserializeOwned>(
+        &self,
+        column: &'static str,
+    ) -> Result<T, StoreError> {
+        let text: &str = self.get(column)?;
+        serde_json::from_str(text).map_err(|_| self.unreadable(column, text))
+    }
+
+    /// One of an enum's words.
+    pub(super) fn word<T: serde::de::DeserializeOwned>(
+        &self,
+        column: &'static str,
+    ) -> Result<T, StoreError> {
+        let text: &str = self.get(column)?;
+        word(text).ok_or_else(|| self.unreadable(column, text))
+    }
+
+    /// Counts of a frame.
+    pub(super) fn counts(&self, column: &'static str) -> Result<Vec<i16>, StoreError> {
+        let bytes: &[u8] = self.get(column)?;
+        let (values, rest) = bytes.as_chunks::<2>();
+        if rest.is_empty() {
+            Ok(values.iter().map(|b| i16::from_le_bytes(*b)).collect())
+        } else {
+            Err(self.unreadable(column, format!("{} bytes", bytes.len())))
+        }
+    }
+
+    /// Voltages.
+    pub(super) fn volts(&self, column: &'static str) -> Result<Vec<f32>, StoreError> {
+        let bytes: &[u8] = self.get(column)?;
+        let (values, rest) = bytes.as_chunks::<4>();
+        if rest.is_empty() {
+            Ok(values.iter().map(|b| f32::from_le_bytes(*b)).collect())
+        } else {
+            Err(self.unreadable(column, format!("{} bytes", bytes.len())))
+        }
+    }
+
+    /// The error of a value that cannot be understood.
+    pub(super) fn unreadable(
+        &self,
+        column: &'static str,
+        value: impl std::fmt::Display,
+    ) -> StoreError {
+        StoreError::Unreadable { operation: self.operation, column, value: value.to_string() }
+    }
+}
+
+/// An enum's value from the word that serde gives it.
+pub(super) fn word<T: serde::de::DeserializeOwned>(text: &str) -> Option<T> {
+    serde_json::from_value(serde_json::Value::String(text.to_owned())).ok()
+}

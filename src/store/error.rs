@@ -1,0 +1,152 @@
+//! What can go wrong with the store: one enum, each variant names the operation.
+//! Uses: sqlx's errors as sources. Never: HTTP, logging.
+
+use std::path::PathBuf;
+
+use crate::campaign::journal::JournalError;
+use crate::ids::{RunUid, TrialKey};
+
+/// The store could not do what was asked.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The database file cannot be opened or created.
+    #[error("opening the database {path} failed")]
+    Open {
+        /// The file.
+        path: PathBuf,
+        /// Its cause.
+        #[source]
+        source: sqlx::Error,
+    },
+    /// The tables cannot be brought up to date.
+    #[error("bringing the tables of the database up to date failed")]
+    Migrate(#[source] sqlx::migrate::MigrateError),
+    /// The writer's thread cannot be started.
+    #[error("starting the store's writer failed")]
+    StartWriter(#[source] std::io::Error),
+    /// A statement failed. After a failed write the outcome is unknown unless a constraint
+    /// refused it: read again before going on.
+    #[error("{operation} failed in the database")]
+    Sql {
+        /// What was being done.
+        operation: &'static str,
+        /// Its cause.
+        #[source]
+        source: sqlx::Error,
+    },
+    /// A write failed, and the database was asked since: it is not stored.
+    #[error("{operation} failed, and nothing of it is stored")]
+    NotStored {
+        /// What was being done.
+        operation: &'static str,
+        /// The failure.
+        #[source]
+        source: Box<StoreError>,
+    },
+    /// A write did not finish in time: its outcome is unknown.
+    #[error("{operation} was not finished by the store within {limit_s} s")]
+    Late {
+        /// What was being done.
+        operation: &'static str,
+        /// The deadline, s.
+        limit_s: u64,
+    },
+    /// The store has been closed.
+    #[error("{operation}: the store is closed")]
+    Closed {
+        /// What was asked.
+        operation: &'static str,
+    },
+    /// A record was refused before anything was written.
+    #[error("{operation}: {field} {limit}")]
+    Refused {
+        /// What was being done.
+        operation: &'static str,
+        /// The field.
+        field: &'static str,
+        /// What is allowed.
+        limit: &'static str,
+    },
+    /// A stored value cannot be understood.
+    #[error("{operation}: column {column} holds {value:?}")]
+    Unreadable {
+        /// What was being done.
+        operation: &'static str,
+        /// The column.
+        column: &'static str,
+        /// What it holds.
+        value: String,
+    },
+    /// The database file is damaged.
+    #[error("the database is damaged: {}", findings.join("; "))]
+    Damaged {
+        /// What SQLite found.
+        findings: Vec<String>,
+    },
+    /// The disk cannot be asked how much it still holds.
+    #[error("asking the disk for its free space failed")]
+    FreeSpace(#[source] std::io::Error),
+    /// There is no such run.
+    #[error("there is no run {0}")]
+    NoSuchRun(RunUid),
+    /// The run has ended; it does not change any more.
+    #[error("run {0} has ended")]
+    RunEnded(RunUid),
+    /// The run does not wait in the queue.
+    #[error("run {0} is not in the queue")]
+    NotQueued(RunUid),
+    /// The run has no such trial.
+    #[error("run {run} has no trial of configuration {} at depth {}", key.configuration, key.depth_index)]
+    NoSuchTrial {
+        /// The run.
+        run: RunUid,
+        /// The trial's place in it.
+        key: TrialKey,
+    },
+    /// Somebody else holds the operator lock.
+    #[error("{holder} holds the operator lock: {note}")]
+    LockHeld {
+        /// Who.
+        holder: String,
+        /// Why, in their words.
+        note: String,
+    },
+}
+
+impl StoreError {
+    /// Adds the operation to sqlx's error; for `map_err`.
+    pub(super) fn sql(operation: &'static str) -> impl Fn(sqlx::Error) -> Self {
+        move |source| Self::Sql { operation, source }
+    }
+
+    /// True when a write that ended like this may still have been stored: the disk, the file or the
+    /// connection failed, and no rule of ours refused it. (A failed fsync was seen to leave its row
+    /// behind: `stack.md` part 2, section 3.)
+    pub fn outcome_unknown(&self) -> bool {
+        match self {
+            Self::Sql { source: sqlx::Error::Database(e), .. } => {
+                matches!(e.kind(), sqlx::error::ErrorKind::Other)
+            }
+            Self::Sql { .. } | Self::Late { .. } => true,
+            Self::Open { .. }
+            | Self::Migrate(_)
+            | Self::StartWriter(_)
+            | Self::NotStored { .. }
+            | Self::Closed { .. }
+            | Self::Refused { .. }
+            | Self::Unreadable { .. }
+            | Self::Damaged { .. }
+            | Self::FreeSpace(_)
+            | Self::NoSuchRun(_)
+            | Self::RunEnded(_)
+            | Self::NotQueued(_)
+            | Self::NoSuchTrial { .. }
+            | Self::LockHeld { .. } => false,
+        }
+    }
+
+    /// The same error as the campaign sees it.
+    pub(super) fn of(what: &'static str) -> impl Fn(Self) -> JournalError {
+        move |source| JournalError { what, source: Box::new(source) }
+    }
+}

@@ -1,0 +1,98 @@
+//! Events: appended with a number, read from a number on.
+//! Uses: `campaign::journal` (`Event`), `store::writer`. Never: who listens.
+
+use super::columns::{Columns, time_text};
+use super::{Store, StoreError};
+use crate::campaign::journal::Event;
+use crate::ids::RunUid;
+
+impl Store {
+    pub(super) async fn append_event(
+        &self,
+        run: Option<RunUid>,
+        kind: &str,
+        data: serde_json::Value,
+    ) -> Result<Event, StoreError> {
+        const OPERATION: &str = "storing an event";
+        let scan_id = match run {
+            Some(run) => Some(self.facts(run, OPERATION).await?.scan_id),
+            None => None,
+        };
+        // The event that is returned and the one that is read later are equal: both in ms.
+        let now = time_text(self.inner.clock.timestamp());
+        let at = now.parse().map_err(|_| StoreError::Unreadable {
+            operation: OPERATION,
+            column: "at",
+            value: now.clone(),
+        })?;
+        let (text, word) = (data.to_string(), kind.to_owned());
+        let seq = self
+            .inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                sqlx::query_scalar(
+                    "INSERT INTO events (run, at, kind, data) VALUES (?1, ?2, ?3, ?4)
+                     RETURNING seq",
+                )
+                .bind(scan_id)
+                .bind(now)
+                .bind(word)
+                .bind(text)
+                .fetch_one(connection)
+                .await
+                .map_err(StoreError::sql(OPERATION))
+            })
+            .await?;
+        Ok(Event { seq, run, at, kind: kind.to_owned(), data })
+    }
+
+    /// Up to `limit` events after number `seq`, in order; of one run, or of all.
+    pub async fn events_since(
+        &self,
+        seq: i64,
+        limit: u32,
+        run: Option<RunUid>,
+    ) -> Result<Vec<Event>, StoreError> {
+        const OPERATION: &str = "reading events";
+        let statement = match run {
+            Some(run) => {
+                let scan_id = self.facts(run, OPERATION).await?.scan_id;
+                sqlx::query(
+                    "SELECT e.*, r.uid FROM events e JOIN runs r ON r.scan_id = e.run
+                     WHERE e.seq > ?1 AND e.run = ?3 ORDER BY e.seq LIMIT ?2",
+                )
+                .bind(seq)
+                .bind(limit)
+                .bind(scan_id)
+            }
+            None => sqlx::query(
+                "SELECT e.*, r.uid FROM events e LEFT JOIN runs r ON r.scan_id = e.run
+                 WHERE e.seq > ?1 ORDER BY e.seq LIMIT ?2",
+            )
+            .bind(seq)
+            .bind(limit),
+        };
+        let rows =
+            statement.fetch_all(&self.inner.readers).await.map_err(StoreError::sql(OPERATION))?;
+        rows.iter()
+            .map(|row| {
+                let c = Columns::of(row, OPERATION);
+                Ok(Event {
+                    seq: c.get("seq")?,
+                    run: c.uid_or_none("uid")?,
+                    at: c.time("at")?,
+                    kind: c.get("kind")?,
+                    data: c.json("data")?,
+                })
+            })
+            .collect()
+    }
+
+    /// The number of the last event; 0 before the first.
+    pub async fn last_event_seq(&self) -> Result<i64, StoreError> {
+        sqlx::query_scalar("SELECT coalesce(max(seq), 0) FROM events")
+            .fetch_one(&self.inner.readers)
+            .await
+            .map_err(StoreError::sql("reading the number of the last event"))
+    }
+}

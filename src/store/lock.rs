@@ -1,0 +1,124 @@
+//! The operator lock, which blocks starting and editing but never stopping, and the settings.
+//! Uses: `store::writer`. Never: the rig's lock file (one process per rig is another matter).
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use sqlx::sqlite::{SqliteConnection, SqliteRow};
+use utoipa::ToSchema;
+
+use super::columns::Columns;
+use super::{Store, StoreError};
+
+/// The lock while it is held.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct LockRow {
+    /// Who holds it.
+    pub holder: String,
+    /// Why, in their words.
+    pub note: String,
+    /// Since when.
+    #[schema(value_type = String, format = DateTime)]
+    pub since: Timestamp,
+}
+
+impl LockRow {
+    fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
+        let c = Columns::of(row, operation);
+        Ok(Self { holder: c.get("holder")?, note: c.get("note")?, since: c.time("since")? })
+    }
+}
+
+impl Store {
+    /// Takes the lock, or changes its note when the same holder has it. Another's stays.
+    pub async fn set_lock(&self, holder: &str, note: &str) -> Result<LockRow, StoreError> {
+        const OPERATION: &str = "taking the operator lock";
+        let (holder, note, now) = (holder.to_owned(), note.to_owned(), self.now_text());
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                if let Some(held) = held(connection, OPERATION).await?
+                    && held.holder != holder
+                {
+                    return Err(StoreError::LockHeld { holder: held.holder, note: held.note });
+                }
+                let row = sqlx::query(
+                    "INSERT INTO operator_lock (id, holder, note, since) VALUES (1, ?1, ?2, ?3)
+                     ON CONFLICT (id) DO UPDATE SET note = ?2
+                     RETURNING *",
+                )
+                .bind(holder)
+                .bind(note)
+                .bind(now)
+                .fetch_one(connection)
+                .await
+                .map_err(StoreError::sql(OPERATION))?;
+                LockRow::read(&row, OPERATION)
+            })
+            .await
+    }
+
+    /// Gives the lock back, whoever holds it (the caller checks who may). Returns what it was.
+    pub async fn clear_lock(&self) -> Result<Option<LockRow>, StoreError> {
+        const OPERATION: &str = "giving the operator lock back";
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                let was = held(connection, OPERATION).await?;
+                sqlx::query("DELETE FROM operator_lock")
+                    .execute(connection)
+                    .await
+                    .map_err(StoreError::sql(OPERATION))?;
+                Ok(was)
+            })
+            .await
+    }
+
+    /// The lock, if it is held.
+    pub async fn lock(&self) -> Result<Option<LockRow>, StoreError> {
+        const OPERATION: &str = "reading the operator lock";
+        held(&mut *self.read(OPERATION).await?, OPERATION).await
+    }
+
+    /// A setting's value.
+    pub async fn setting(&self, name: &str) -> Result<Option<String>, StoreError> {
+        sqlx::query_scalar("SELECT value FROM settings WHERE name = ?1")
+            .bind(name)
+            .fetch_optional(&self.inner.readers)
+            .await
+            .map_err(StoreError::sql("reading a setting"))
+    }
+
+    /// Stores a setting.
+    pub async fn set_setting(&self, name: &str, value: &str) -> Result<(), StoreError> {
+        const OPERATION: &str = "storing a setting";
+        let (name, value, now) = (name.to_owned(), value.to_owned(), self.now_text());
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                sqlx::query(
+                    "INSERT INTO settings (name, value, updated_at) VALUES (?1, ?2, ?3)
+                     ON CONFLICT (name) DO UPDATE SET value = ?2, updated_at = ?3",
+                )
+                .bind(name)
+                .bind(value)
+                .bind(now)
+                .execute(connection)
+                .await
+                .map_err(StoreError::sql(OPERATION))?;
+                Ok(())
+            })
+            .await
+    }
+}
+
+async fn held(
+    connection: &mut SqliteConnection,
+    operation: &'static str,
+) -> Result<Option<LockRow>, StoreError> {
+    sqlx::query("SELECT * FROM operator_lock")
+        .fetch_optional(connection)
+        .await
+        .map_err(StoreError::sql(operation))?
+        .map(|row| LockRow::read(&row, operation))
+        .transpose()
+}

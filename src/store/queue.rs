@@ -1,0 +1,118 @@
+//! The queue: runs in the state `queued`, in the order of their positions, 1 first.
+//! Uses: `store::runs`, `store::writer`. Never: starting one (the service does, when it may).
+
+use sqlx::sqlite::SqliteConnection;
+
+use super::runs::{self, NewRun, RunRow};
+use super::{Store, StoreError};
+use crate::ids::RunUid;
+
+impl Store {
+    /// Stores a new run at the end of the queue.
+    pub async fn enqueue(&self, new: NewRun) -> Result<RunRow, StoreError> {
+        const OPERATION: &str = "queueing a run";
+        let now = self.now_text();
+        self.inner
+            .writer
+            .run(OPERATION, async move |c| runs::insert(c, new, true, now, OPERATION).await)
+            .await
+    }
+
+    /// The queue, the next first.
+    pub async fn queue(&self) -> Result<Vec<RunRow>, StoreError> {
+        const OPERATION: &str = "reading the queue";
+        let rows = sqlx::query("SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position")
+            .fetch_all(&self.inner.readers)
+            .await
+            .map_err(StoreError::sql(OPERATION))?;
+        runs::read_all(&rows, OPERATION)
+    }
+
+    /// The run that is next, which stays in the queue until its state changes.
+    pub async fn next_queued(&self) -> Result<Option<RunRow>, StoreError> {
+        const OPERATION: &str = "reading the queue";
+        sqlx::query("SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position LIMIT 1")
+            .fetch_optional(&self.inner.readers)
+            .await
+            .map_err(StoreError::sql(OPERATION))?
+            .map(|row| RunRow::read(&row, OPERATION))
+            .transpose()
+    }
+
+    /// Moves a run to a position, from 1; beyond the end means the end. Returns the queue.
+    pub async fn move_item(&self, run: RunUid, position: u32) -> Result<Vec<RunRow>, StoreError> {
+        const OPERATION: &str = "moving a run in the queue";
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                let sql = StoreError::sql(OPERATION);
+                let mut order = order(connection, OPERATION).await?;
+                let text = run.to_string();
+                let from = order.iter().position(|uid| *uid == text);
+                let moved = order.remove(from.ok_or(StoreError::NotQueued(run))?);
+                let to = (position.max(1) as usize - 1).min(order.len());
+                order.insert(to, moved);
+                number(connection, &order, OPERATION).await?;
+                let rows = sqlx::query(
+                    "SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position",
+                )
+                .fetch_all(connection)
+                .await
+                .map_err(&sql)?;
+                runs::read_all(&rows, OPERATION)
+            })
+            .await
+    }
+
+    /// Takes a run out of the queue for good; its row stays, in the state `removed`.
+    pub async fn remove(&self, run: RunUid) -> Result<RunRow, StoreError> {
+        const OPERATION: &str = "removing a run from the queue";
+        let now = self.now_text();
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                let row = sqlx::query(
+                    "UPDATE runs SET state = 'removed', queue_position = NULL, ended_at = ?2
+                     WHERE uid = ?1 AND state = 'queued' RETURNING *",
+                )
+                .bind(run.to_string())
+                .bind(now)
+                .fetch_optional(&mut *connection)
+                .await
+                .map_err(StoreError::sql(OPERATION))?
+                .ok_or(StoreError::NotQueued(run))?;
+                let order = order(connection, OPERATION).await?;
+                number(connection, &order, OPERATION).await?;
+                RunRow::read(&row, OPERATION)
+            })
+            .await
+    }
+}
+
+/// The ids of the queue, the next first.
+async fn order(
+    connection: &mut SqliteConnection,
+    operation: &'static str,
+) -> Result<Vec<String>, StoreError> {
+    sqlx::query_scalar("SELECT uid FROM runs WHERE state = 'queued' ORDER BY queue_position")
+        .fetch_all(connection)
+        .await
+        .map_err(StoreError::sql(operation))
+}
+
+/// Gives the positions 1, 2, .. in this order.
+async fn number(
+    connection: &mut SqliteConnection,
+    order: &[String],
+    operation: &'static str,
+) -> Result<(), StoreError> {
+    for (i, uid) in order.iter().enumerate() {
+        sqlx::query("UPDATE runs SET queue_position = ?2 WHERE uid = ?1")
+            .bind(uid)
+            .bind(i as i64 + 1)
+            .execute(&mut *connection)
+            .await
+            .map_err(StoreError::sql(operation))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,124 @@
+//! The store, function by function, on real files.
+//! Uses: `store`. Never: a file outside its own temporary folder.
+
+mod people;
+mod runs;
+mod schema;
+mod trials;
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use jiff::Timestamp;
+
+use super::{Label, NewRun, RunKind, Store};
+use crate::campaign::record::{ArmReading, Flag, FrameRecord, PlacedContact, Pose, TrialRecord};
+use crate::clock::Clock;
+use crate::ids::{RunUid, TrialKey};
+
+/// A folder of its own, removed at the end of its test.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new() -> Self {
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        let n = NEXT.fetch_add(1, Ordering::Relaxed);
+        let path = std::env::temp_dir().join(format!("palpate-store-{}-{n}", std::process::id()));
+        std::fs::create_dir_all(&path).unwrap();
+        Self(path)
+    }
+
+    fn file(&self) -> PathBuf {
+        self.0.join("palpate.sqlite")
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+async fn open(path: &Path) -> Store {
+    Store::open(path, Clock::new(1.0)).await.unwrap()
+}
+
+fn time(text: &str) -> Timestamp {
+    text.parse().unwrap()
+}
+
+fn new_run(kind: RunKind) -> NewRun {
+    NewRun {
+        uid: RunUid::new(),
+        experiment: "quickstart".into(),
+        kind,
+        definition: "name = \"quickstart\"\n".into(),
+        seed: 7,
+        rig: "rig".into(),
+        sensor: "sensor".into(),
+        calibration_id: None,
+        label: Label::Virtual,
+        version: "0.1.0".into(),
+        git_commit: Some("abc".into()),
+        deadband_n: 5.0,
+        tip_diameter_mm: Some(20.0),
+        trials_planned: 22,
+        auto_resume: true,
+        submitted_by: "local".into(),
+    }
+}
+
+/// A trial whose every number depends on its key, so that a mix-up shows.
+fn hex_trial(configuration: u32, depth_index: u32, forces_n: &[f64]) -> TrialRecord {
+    let c = f64::from(configuration);
+    let at = |shift: f64| Pose { x_mm: 0.1 + c, y_mm: 0.2 * c, z_mm: shift, radius_mm: 34.641 };
+    let arms = forces_n.iter().zip(1u8..).map(|(&force_n, arm)| ArmReading {
+        arm,
+        x_mm: c + f64::from(arm) / 3.0,
+        y_mm: f64::from(arm) * 1.1,
+        force_n,
+        cell_v: 0.1 + force_n / 27.8,
+        tare_v: 0.497,
+    });
+    let counts = (0..784).map(|i| (i * 83 + configuration as i32 * 31) as i16).collect();
+    TrialRecord {
+        key: TrialKey { configuration, depth_index },
+        attempt: 1,
+        tips: forces_n.len() as u8,
+        depth_mm: Some(0.5 * f64::from(depth_index)),
+        target: Some(at(0.5)),
+        reached: Some(at(0.501)),
+        arms: arms.collect(),
+        placed: vec![],
+        placed_by: None,
+        frames: vec![FrameRecord {
+            sequence: u32::MAX - configuration,
+            device_time_us: u64::MAX - u64::from(depth_index),
+            volts_per_count: 12.0 / 32_768.0 * 1.000_123,
+            counts,
+        }],
+        flags: vec![],
+        settle_ms: 1800.25,
+        overshoot_n: Some(0.125),
+        started_at: time("2026-11-20T18:00:00.123Z"),
+        measured_at: time("2026-11-20T18:00:02.004Z"),
+    }
+}
+
+/// Weights placed by hand, each under the deadband.
+fn random_trial(configuration: u32, weights: usize) -> TrialRecord {
+    let mut trial = hex_trial(configuration, 0, &[]);
+    let mut second = trial.frames[0].clone();
+    second.sequence = 12;
+    second.counts[5] = i16::MIN;
+    trial.frames.push(second);
+    trial.tips = weights as u8;
+    (trial.depth_mm, trial.target, trial.reached) = (None, None, None);
+    trial.overshoot_n = None;
+    trial.placed_by = Some("Ada".into());
+    trial.flags = vec![Flag::Unsettled, Flag::SaturatedChannels];
+    trial.placed = (0..weights)
+        .map(|i| PlacedContact { x_mm: 100.0 + i as f64, y_mm: 55.0, force_n: 4.905 })
+        .collect();
+    trial
+}

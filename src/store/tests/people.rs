@@ -1,0 +1,99 @@
+//! Events, the log of actions, keys, the lock.
+//! Uses: `store`. Never: HTTP.
+
+use serde_json::json;
+
+use super::{Folder, new_run, open};
+use crate::campaign::journal::Journal;
+use crate::store::{NewAction, Role, RunKind, StoreError};
+
+#[tokio::test]
+async fn events_are_numbered_without_gaps() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
+    assert_eq!(store.last_event_seq().await.unwrap(), 0);
+    let mut sent = Vec::new();
+    for i in 0..6 {
+        let of = (i % 2 == 0).then_some(run);
+        sent.push(store.event(of, "state", json!({"n": i, "x": 0.1})).await.unwrap());
+    }
+    assert_eq!(sent.iter().map(|e| e.seq).collect::<Vec<_>>(), [1, 2, 3, 4, 5, 6]);
+    assert_eq!(store.events_since(0, 100, None).await.unwrap(), sent);
+    assert_eq!(store.events_since(2, 2, None).await.unwrap(), sent[2..4]);
+    let of_run = store.events_since(1, 100, Some(run)).await.unwrap();
+    assert_eq!(of_run.iter().map(|e| e.seq).collect::<Vec<_>>(), [3, 5]);
+    assert_eq!(store.last_event_seq().await.unwrap(), 6);
+}
+
+#[tokio::test]
+async fn actions_are_logged_newest_first() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
+    let action = |name: &str, accepted: bool| NewAction {
+        run: accepted.then_some(run),
+        action: name.into(),
+        who: "local".into(),
+        why: Some("tip loose".into()),
+        accepted,
+        detail: (!accepted).then(|| "run is not paused".into()),
+    };
+    assert_eq!(store.log_action(action("pause", true)).await.unwrap(), 1);
+    assert_eq!(store.log_action(action("resume", false)).await.unwrap(), 2);
+    let all = store.actions(None, 10, None).await.unwrap();
+    assert_eq!(all.iter().map(|a| a.action.as_str()).collect::<Vec<_>>(), ["resume", "pause"]);
+    assert_eq!((all[0].accepted, all[0].run, all[1].run), (false, None, Some(run)));
+    assert_eq!(all[0].detail.as_deref(), Some("run is not paused"));
+    assert_eq!(store.actions(Some(run), 10, None).await.unwrap(), all[1..]);
+    assert_eq!(store.actions(None, 10, Some(2)).await.unwrap(), all[1..]);
+}
+
+#[tokio::test]
+async fn a_key_opens_until_it_is_revoked_and_is_not_in_the_file() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let (row, secret) = store.create_key("night shift", Role::Operator, [0xAB; 32]).await.unwrap();
+    assert_eq!(secret, format!("palpate_{}", "ab".repeat(32)));
+    assert_eq!(store.key_by_secret(&secret).await.unwrap(), Some(row.clone()));
+    for wrong in ["", "palpate_", &secret[..secret.len() - 1], &secret.to_uppercase()] {
+        assert_eq!(store.key_by_secret(wrong).await.unwrap(), None);
+    }
+    store.note_key_use(&row).await.unwrap();
+    let used = store.key_by_secret(&secret).await.unwrap().unwrap();
+    assert!(used.last_used_at.is_some());
+    // Within the minute nothing is written again, not even from an old row.
+    store.note_key_use(&row).await.unwrap();
+    assert_eq!(store.keys().await.unwrap(), [used]);
+    assert!(store.revoke_key(row.id).await.unwrap());
+    assert!(!store.revoke_key(row.id).await.unwrap());
+    assert_eq!(store.key_by_secret(&secret).await.unwrap(), None);
+    assert!(store.keys().await.unwrap()[0].revoked_at.is_some());
+    // The same random bytes make the same key: refused, not doubled.
+    store.create_key("again", Role::Viewer, [0xAB; 32]).await.unwrap_err();
+    store.close().await;
+    let file = std::fs::read(folder.file()).unwrap();
+    let found = file.windows(secret.len()).any(|w| w == secret.as_bytes());
+    assert!(!found, "the key's text is in the file");
+}
+
+#[test]
+fn roles_grow() {
+    assert!(Role::Viewer < Role::Operator && Role::Operator < Role::Admin);
+}
+
+#[tokio::test]
+async fn the_lock_has_one_holder() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    assert_eq!(store.lock().await.unwrap(), None);
+    let first = store.set_lock("Ada", "changing tips").await.unwrap();
+    assert_eq!(store.lock().await.unwrap(), Some(first.clone()));
+    let error = store.set_lock("Bob", "mine").await.unwrap_err();
+    assert!(matches!(&error, StoreError::LockHeld { holder, .. } if holder == "Ada"), "{error}");
+    let again = store.set_lock("Ada", "still changing tips").await.unwrap();
+    assert_eq!((again.note.as_str(), again.since), ("still changing tips", first.since));
+    assert_eq!(store.clear_lock().await.unwrap(), Some(again));
+    assert_eq!(store.clear_lock().await.unwrap(), None);
+    store.set_lock("Bob", "mine").await.unwrap();
+}

@@ -1,0 +1,146 @@
+//! Runs and the queue: numbers, provenance, states, ends, order.
+//! Uses: `store`, `campaign::journal`. Never: trials (see `trials.rs`).
+
+use super::{Folder, hex_trial, new_run, open};
+use crate::campaign::journal::{ExitStatus, Journal};
+use crate::ids::RunUid;
+use crate::store::{RunKind, StoreError};
+
+#[tokio::test]
+async fn a_run_keeps_its_provenance() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let new = new_run(RunKind::RealRandom);
+    let row = store.create_run(new.clone()).await.unwrap();
+    assert_eq!((row.scan_id, row.state.as_str(), row.seed), (1, "idle", 7));
+    assert_eq!(row.definition, new.definition);
+    // printf rig | sha256sum
+    let known = "c00ae0a63348054ecc8343f23278fe13bfa5c44255e208ff6102ffc2d7910a53";
+    assert_eq!(row.rig_sha256, known);
+    assert_ne!(row.rig_sha256, row.sensor_sha256);
+    assert_eq!(store.run(new.uid).await.unwrap(), Some(row.clone()));
+    assert_eq!(store.run_by_scan_id(1).await.unwrap(), Some(row));
+    assert_eq!(store.run(RunUid::new()).await.unwrap(), None);
+    let twice = store.create_run(new).await.unwrap_err();
+    assert!(!twice.outcome_unknown(), "a refused id is known not to be stored: {twice}");
+    let mut huge = new_run(RunKind::RealHex);
+    huge.seed = u64::MAX;
+    assert!(matches!(store.create_run(huge).await, Err(StoreError::Refused { field: "seed", .. })));
+}
+
+#[tokio::test]
+async fn states_go_on_until_the_end_and_no_further() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let run = store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid;
+    assert_eq!(store.run(run).await.unwrap().unwrap().queue_position, Some(1));
+    store.run_state(run, "running", Some("pausing"), None).await.unwrap();
+    let row = store.run(run).await.unwrap().unwrap();
+    assert_eq!((row.state.as_str(), row.queue_position), ("running", None));
+    assert_eq!(row.requested_state.as_deref(), Some("pausing"));
+    let started = row.started_at.unwrap();
+    store.run_state(run, "paused", None, Some("tip change")).await.unwrap();
+    let row = store.run(run).await.unwrap().unwrap();
+    assert_eq!((row.paused_why.as_deref(), row.requested_state), (Some("tip change"), None));
+    assert_eq!(row.started_at, Some(started));
+    assert!(store.run_state(run, "queued", None, None).await.is_err());
+
+    store.end_run(run, ExitStatus::Success, "finished").await.unwrap();
+    let ended = store.run(run).await.unwrap().unwrap();
+    assert_eq!((ended.state.as_str(), ended.exit_status), ("ended", Some(ExitStatus::Success)));
+    assert_eq!((ended.reason.as_deref(), ended.paused_why.clone()), (Some("finished"), None));
+    store.end_run(run, ExitStatus::Success, "asked twice").await.unwrap();
+    assert!(store.end_run(run, ExitStatus::Fail, "no").await.is_err());
+    assert!(store.run_state(run, "running", None, None).await.is_err());
+    assert_eq!(store.run(run).await.unwrap().unwrap(), ended);
+    let unknown = store.run_state(RunUid::new(), "running", None, None).await.unwrap_err();
+    let cause = std::error::Error::source(&unknown).unwrap().to_string();
+    assert!(cause.contains("there is no run"), "{cause}");
+}
+
+#[tokio::test]
+async fn open_runs_are_interrupted_at_the_start() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let mut uids = Vec::new();
+    for state in ["running", "paused", "ended", "queued"] {
+        let new = new_run(RunKind::RealHex);
+        let uid = new.uid;
+        if state == "queued" {
+            store.enqueue(new).await.unwrap();
+        } else {
+            store.create_run(new).await.unwrap();
+            store.run_state(uid, "running", None, None).await.unwrap();
+        }
+        if state == "paused" {
+            store.run_state(uid, state, Some("running"), Some("operator")).await.unwrap();
+        }
+        if state == "ended" {
+            store.end_run(uid, ExitStatus::Abort, "by request").await.unwrap();
+        }
+        uids.push(uid);
+    }
+    let found = store.interrupt_open_runs().await.unwrap();
+    assert_eq!(found.iter().map(|r| r.uid).collect::<Vec<_>>(), uids[..2]);
+    assert!(found.iter().all(|r| r.state == "interrupted" && r.requested_state.is_none()));
+    assert!(store.interrupt_open_runs().await.unwrap().is_empty());
+    store.run_state(uids[0], "running", None, None).await.unwrap();
+}
+
+#[tokio::test]
+async fn the_queue_is_in_the_order_that_was_asked_for() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let mut uids = Vec::new();
+    for _ in 0..4 {
+        uids.push(store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid);
+    }
+    let order = |rows: Vec<crate::store::RunRow>| {
+        let positions: Vec<_> = rows.iter().map(|r| r.queue_position.unwrap()).collect();
+        assert_eq!(positions, (1..=rows.len() as u32).collect::<Vec<_>>());
+        rows.into_iter().map(|r| r.uid).collect::<Vec<_>>()
+    };
+    let [a, b, c, d] = uids[..] else { panic!() };
+    assert_eq!(order(store.queue().await.unwrap()), [a, b, c, d]);
+    assert_eq!(order(store.move_item(d, 1).await.unwrap()), [d, a, b, c]);
+    assert_eq!(order(store.move_item(d, 99).await.unwrap()), [a, b, c, d]);
+    assert_eq!(order(store.move_item(a, 3).await.unwrap()), [b, c, a, d]);
+    assert_eq!(store.next_queued().await.unwrap().unwrap().uid, b);
+    let removed = store.remove(c).await.unwrap();
+    assert_eq!((removed.state.as_str(), removed.queue_position), ("removed", None));
+    assert_eq!(order(store.queue().await.unwrap()), [b, a, d]);
+    assert!(matches!(store.remove(c).await, Err(StoreError::NotQueued(u)) if u == c));
+    assert!(matches!(store.move_item(c, 1).await, Err(StoreError::NotQueued(_))));
+    assert!(store.run_state(c, "running", None, None).await.is_err());
+    store.run_state(b, "running", None, None).await.unwrap();
+    assert_eq!(store.next_queued().await.unwrap().unwrap().uid, a);
+}
+
+#[tokio::test]
+async fn runs_come_in_pages_newest_first() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    for _ in 0..5 {
+        store.create_run(new_run(RunKind::RealHex)).await.unwrap();
+    }
+    let mut seen = Vec::new();
+    let mut before = None;
+    loop {
+        let page = store.runs(2, before).await.unwrap();
+        seen.extend(page.runs.iter().map(|r| r.scan_id));
+        before = page.next;
+        if before.is_none() {
+            break;
+        }
+    }
+    assert_eq!(seen, [5, 4, 3, 2, 1]);
+}
+
+#[tokio::test]
+async fn nothing_is_stored_for_a_run_that_is_not_there() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    assert!(store.trial(RunUid::new(), &hex_trial(0, 0, &[9.0])).await.is_err());
+    assert!(store.event(Some(RunUid::new()), "state", serde_json::json!({})).await.is_err());
+    assert!(store.events_since(0, 10, None).await.unwrap().is_empty());
+}

@@ -1,0 +1,125 @@
+//! The file itself: migrations that only grow, pragmas, readers that cannot write.
+//! Uses: `store`. Never: values that depend on the machine.
+
+use sqlx::Row;
+
+use super::{Folder, open};
+use crate::store::columns::sha256_hex;
+use crate::store::{MIGRATIONS, PAGE_BYTES};
+
+/// Merged migrations by the sha256 of their files. A line is added, never changed.
+const MERGED: [(&str, &str); 1] = [(
+    "0001_create_tables.sql",
+    "7f8fd10f7d423db439b80b2fc3526c5c772af618a790e2bc19d1263564d2e0b2",
+)];
+
+#[test]
+fn migrations_only_grow_and_are_all_in_the_binary() {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("migrations");
+    let mut files: Vec<(String, String)> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|e| e == "sql"))
+        .map(|path| {
+            let text = std::fs::read_to_string(&path).unwrap();
+            assert!(text.starts_with("--"), "{} does not say why", path.display());
+            let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            (name, sha256_hex(&text))
+        })
+        .collect();
+    files.sort();
+    let merged: Vec<_> = MERGED.iter().map(|(n, h)| (n.to_string(), h.to_string())).collect();
+    assert_eq!(files, merged);
+    assert_eq!(MIGRATIONS.iter().count(), merged.len(), "touch src/store/mod.rs");
+}
+
+#[tokio::test]
+async fn the_writer_is_durable_and_the_file_is_laid_out_as_stated() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let asked = store
+        .inner
+        .writer
+        .run("asking", async |c| {
+            let mut answers = Vec::new();
+            for pragma in ["page_size", "synchronous", "foreign_keys", "busy_timeout"] {
+                let sql = sqlx::AssertSqlSafe(format!("PRAGMA {pragma}"));
+                let row = sqlx::query(sql).fetch_one(&mut *c).await.unwrap();
+                answers.push(row.get::<i64, _>(0));
+            }
+            let mode: String =
+                sqlx::query_scalar("PRAGMA journal_mode").fetch_one(c).await.unwrap();
+            Ok((answers, mode))
+        })
+        .await
+        .unwrap();
+    // synchronous 2 is FULL.
+    assert_eq!(asked, (vec![i64::from(PAGE_BYTES), 2, 1, 5000], "wal".to_owned()));
+}
+
+#[tokio::test]
+async fn a_reader_cannot_write() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let tried = sqlx::query("INSERT INTO settings VALUES ('a', 'b', 'c')")
+        .execute(&store.inner.readers)
+        .await;
+    let error = tried.unwrap_err().to_string();
+    assert!(error.contains("readonly"), "{error}");
+    assert_eq!(store.setting("a").await.unwrap(), None);
+    store.set_setting("a", "b").await.unwrap();
+    assert_eq!(store.setting("a").await.unwrap().as_deref(), Some("b"));
+}
+
+#[tokio::test]
+async fn it_opens_again_and_refuses_to_be_used_when_closed() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    store.set_setting("kept", "yes").await.unwrap();
+    store.close().await;
+    assert!(store.set_setting("kept", "no").await.is_err());
+    assert!(store.setting("kept").await.is_err());
+    let again = open(&folder.file()).await;
+    assert_eq!(again.setting("kept").await.unwrap().as_deref(), Some("yes"));
+    again.integrity_check().await.unwrap();
+    assert!(again.free_bytes().await.unwrap() > 0);
+}
+
+#[tokio::test]
+async fn damage_is_found() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    store.close().await;
+    let mut bytes = std::fs::read(folder.file()).unwrap();
+    let page = PAGE_BYTES as usize;
+    // The type byte and the cell count of the last page's b-tree header.
+    let last = bytes.len() - page;
+    bytes[last..last + 8].fill(0xA5);
+    std::fs::write(folder.file(), bytes).unwrap();
+    let again = open(&folder.file()).await;
+    assert!(again.integrity_check().await.is_err());
+}
+
+#[tokio::test]
+async fn a_file_that_is_no_database_is_named() {
+    let folder = Folder::new();
+    std::fs::write(folder.file(), b"this is not a database, not at all, no").unwrap();
+    let error = crate::store::Store::open(&folder.file(), crate::clock::Clock::new(1.0)).await;
+    let Err(error) = error else { panic!("it opened") };
+    assert!(error.to_string().contains("palpate.sqlite"), "{error}");
+}
+
+#[test]
+fn its_futures_may_move_between_threads() {
+    fn movable<T: Send>(_: T) {}
+    let folder = Folder::new();
+    let path = folder.file();
+    movable(crate::store::Store::open(&path, crate::clock::Clock::new(1.0)));
+    fn methods(store: &crate::store::Store, query: &crate::store::TrialQuery) {
+        movable(store.trials(query));
+        movable(store.set_lock("", ""));
+        movable(store.integrity_check());
+        movable(store.close());
+    }
+    let _ = methods;
+}

@@ -1,0 +1,403 @@
+//! Trials: in and out bit for bit, once per key, labelled by the deadband, taken back, in pages.
+//! Uses: `store`, `campaign`. Never: processes (see `tests/store_durability.rs`).
+
+use super::{Folder, hex_trial, new_run, open, random_trial, time};
+use crate::campaign::journal::Journal;
+use crate::campaign::record::{AttemptRecord, Flag, ReferenceRecord, TareRecord, TouchOffRecord};
+use crate::ids::{RunUid, TrialId, TrialKey};
+use crate::store::{
+    Comparison, Filter, FilterValue, Order, RunKind, SettingCount, Store, StoreError, TrialColumn,
+    TrialQuery,
+};
+
+async fn with_run(folder: &Folder, kind: RunKind) -> (Store, RunUid) {
+    let store = open(&folder.file()).await;
+    let run = store.create_run(new_run(kind)).await.unwrap().uid;
+    (store, run)
+}
+
+fn number(column: &str, comparison: &str, value: f64) -> Filter {
+    let column = TrialColumn::from_name(column).unwrap();
+    let comparison = Comparison::from_suffix(comparison).unwrap();
+    Filter::Compare(column, comparison, FilterValue::Number(value))
+}
+
+#[tokio::test]
+async fn a_trial_comes_back_bit_for_bit() {
+    let folder = Folder::new();
+    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let put = hex_trial(3, 7, &[0.1 + 0.2, 5.0, 4.999_999_999, -0.31, 41.7]);
+    let id = store.trial(run, &put).await.unwrap();
+    let got = store.trial_by_id(id).await.unwrap().unwrap();
+    assert_eq!((got.run, got.configuration, got.depth_index, got.attempt), (run, 3, 7, 1));
+    assert_eq!((got.target, got.reached, got.depth_mm), (put.target, put.reached, put.depth_mm));
+    assert_eq!(got.arms, put.arms);
+    assert_eq!(
+        got.forces_n,
+        [Some(0.1 + 0.2), Some(5.0), Some(4.999_999_999), Some(-0.31), Some(41.7), None]
+    );
+    assert_eq!((got.settle_ms, got.overshoot_n), (put.settle_ms, put.overshoot_n));
+    assert_eq!((got.started_at, got.measured_at), (put.started_at, put.measured_at));
+    assert_eq!(got.flags, []);
+    // At the deadband counts, just under it does not.
+    assert_eq!((got.contact_count, got.max_force_n), (2, Some(41.7)));
+    let contacts: Vec<_> = got.contacts.iter().map(|c| (c.force_n, c.diameter_mm)).collect();
+    assert_eq!(contacts, [(5.0, Some(20.0)), (41.7, Some(20.0))]);
+
+    assert_eq!(store.frames(id).await.unwrap(), put.frames);
+    let bits = |v: &[f32]| v.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+    let mean = bits(&put.mean_voltages_v());
+    assert_eq!(bits(&store.trial_voltages(id).await.unwrap().unwrap()), mean);
+    assert_eq!(bits(&got.voltages_v.unwrap()), mean);
+    assert_eq!(store.trial_by_id(TrialId(id.0 + 1)).await.unwrap(), None);
+}
+
+#[tokio::test]
+async fn weights_under_the_deadband_stay_contacts() {
+    let folder = Folder::new();
+    let (store, run) = with_run(&folder, RunKind::RealRandom).await;
+    let put = random_trial(0, 3);
+    let id = store.trial(run, &put).await.unwrap();
+    let got = store.trial_by_id(id).await.unwrap().unwrap();
+    assert_eq!((got.contact_count, got.max_force_n), (3, Some(4.905)));
+    assert_eq!(got.contacts.len(), 3);
+    assert_eq!((got.depth_mm, got.target, got.overshoot_n), (None, None, None));
+    assert_eq!(got.forces_n, [None; 6]);
+    assert_eq!((got.placed_by.as_deref(), got.frame_count), (Some("Ada"), 2));
+    assert_eq!(got.flags, put.flags);
+    assert_eq!(store.frames(id).await.unwrap(), put.frames);
+    assert_eq!(store.contact_counts(run).await.unwrap(), [0, 0, 0, 1, 0, 0, 0]);
+    assert_eq!(store.contact_counts_at(run, 9.0).await.unwrap(), [0, 0, 0, 1, 0, 0, 0]);
+}
+
+#[tokio::test]
+async fn a_key_is_stored_once() {
+    let folder = Folder::new();
+    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let first = hex_trial(0, 0, &[9.0]);
+    let id = store.trial(run, &first).await.unwrap();
+    let mut second = hex_trial(0, 0, &[11.0, 12.0]);
+    second.attempt = 2;
+    assert_eq!(store.trial(run, &second).await.unwrap(), id);
+    let got = store.trial_by_id(id).await.unwrap().unwrap();
+    assert_eq!((got.attempt, got.arms), (1, first.arms));
+    assert_eq!(store.progress(run).await.unwrap().stored.len(), 1);
+    // The same key in another run is another trial.
+    let other = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
+    assert_ne!(store.trial(other, &second).await.unwrap(), id);
+}
+
+#[tokio::test]
+async fn a_bad_record_is_refused_whole() {
+    let folder = Folder::new();
+    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let mut none = hex_trial(0, 0, &[9.0]);
+    none.frames.clear();
+    let mut nan = hex_trial(0, 0, &[9.0]);
+    nan.overshoot_n = Some(f64::NAN);
+    let mut uneven = hex_trial(0, 0, &[9.0]);
+    uneven.frames.push(uneven.frames[0].clone());
+    uneven.frames[1].counts.pop();
+    let mut arm = hex_trial(0, 0, &[9.0, 9.0]);
+    arm.arms[1].arm = 7;
+    for bad in [none, nan, uneven, arm] {
+        store.trial(run, &bad).await.unwrap_err();
+    }
+    assert!(store.trials(&TrialQuery { limit: 9, ..Default::default() }).await.unwrap().is_empty());
+    // The refusals left the writer usable.
+    store.trial(run, &hex_trial(0, 0, &[9.0])).await.unwrap();
+}
+
+#[tokio::test]
+async fn a_commit_that_failed_but_was_stored_is_found() {
+    let folder = Folder::new();
+    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let trial = hex_trial(0, 0, &[9.0]);
+    store.inner.writer.fail_after_next_commit().await.unwrap();
+    let id = store.trial(run, &trial).await.unwrap();
+    assert_eq!(store.trial(run, &trial).await.unwrap(), id);
+    assert_eq!(store.contact_counts(run).await.unwrap().iter().sum::<u64>(), 1);
+    // A write without a key cannot be looked for: the failure is passed on.
+    store.inner.writer.fail_after_next_commit().await.unwrap();
+    store.event(None, "state", serde_json::json!({})).await.unwrap_err();
+    store.event(None, "state", serde_json::json!({})).await.unwrap();
+    // A trial taken back by a commit that seemed to fail is gone.
+    store.inner.writer.fail_after_next_commit().await.unwrap();
+    store.discard(run, trial.key, "again").await.unwrap();
+    assert_eq!(store.trial_by_id(id).await.unwrap(), None);
+}
+
+#[tokio::test]
+async fn a_full_disk_is_an_error_and_later_trials_go_on() {
+    let folder = Folder::new();
+    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    store
+        .inner
+        .writer
+        .run("filling the disk", async |c| {
+            let pages: i64 =
+                sqlx::query_scalar("PRAGMA page_count").fetch_one(&mut *c).await.unwrap();
+            let sql = format!("PRAGMA max_page_count = {}", pages + 2);
+            sqlx::query(sqlx::AssertSqlSafe(sql)).execute(c).await.unwrap();
+            Ok(())
+        })
+        .await
+        .unwrap();
+    let mut stored = 0;
+    let error = loop {
+        match store.trial(run, &hex_trial(stored, 0, &[9.0, 3.0])).await {
+            Ok(_) => stored += 1,
+            Err(error) => break error,
+        }
+        assert!(stored < 1000, "the limit did not hold");
+    };
+    let cause = error.source.downcast_ref::<StoreError>().unwrap();
+    let StoreError::NotStored { source, .. } = cause else { panic!("{cause:?}") };
+    let words = std::error::Error::source(source).unwrap().to_string();
+    assert!(words.contains("full"), "{words}");
+    assert_eq!(store.progress(run).await.unwrap().stored.len(), stored as usize);
+    // The writer was opened anew, and with it the limit is gone: space has been made.
+    store.trial(run, &hex_trial(stored, 0, &[9.0, 3.0])).await.unwrap();
+    store.integrity_check().await.unwrap();
+}
+
+#[tokio::test]
+async fn labels_follow_from_raw_forces_and_any_deadband() {
+    let folder = Folder::new();
+    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    for (c, forces) in [&[1.0, 2.0][..], &[6.0, 2.0], &[6.0, 7.0], &[20.0], &[4.0, 9.0, 9.0]]
+        .into_iter()
+        .enumerate()
+    {
+        store.trial(run, &hex_trial(c as u32, 0, forces)).await.unwrap();
+    }
+    assert_eq!(store.contact_counts(run).await.unwrap(), [1, 2, 2, 0, 0, 0, 0]);
+    assert_eq!(
+        store.contact_counts_at(run, 5.0).await.unwrap(),
+        store.contact_counts(run).await.unwrap()
+    );
+    assert_eq!(store.contact_counts_at(run, 0.0).await.unwrap(), [0, 1, 3, 1, 0, 0, 0]);
+    assert_eq!(store.contact_counts_at(run, 8.0).await.unwrap(), [3, 1, 1, 0, 0, 0, 0]);
+    let settings = store.stored_per_setting(run).await.unwrap();
+    let row = |tips, stored| SettingCount { tips, stored };
+    assert_eq!(settings, [row(1, 1), row(2, 3), row(3, 1)]);
+}
+
+#[tokio::test]
+async fn a_trial_taken_back_keeps_its_record_and_frees_its_key() {
+    let folder = Folder::new();
+    let (store, run) = with_run(&folder, RunKind::RealRandom).await;
+    let (kept, back) = (random_trial(0, 2), random_trial(1, 4));
+    store.trial(run, &kept).await.unwrap();
+    let id = store.trial(run, &back).await.unwrap();
+    store.discard(run, back.key, "a weight fell").await.unwrap();
+    assert_eq!(store.trial_by_id(id).await.unwrap(), None);
+    assert!(store.frames(id).await.unwrap().is_empty());
+    let progress = store.progress(run).await.unwrap();
+    assert_eq!(progress.stored.into_iter().collect::<Vec<_>>(), [kept.key]);
+    assert_eq!((progress.retries, store.attempt_count(run).await.unwrap()), (1, 1));
+    let attempts = store.attempts(run, 10).await.unwrap();
+    assert_eq!((attempts[0].key, attempts[0].reason.as_str()), (back.key, "a weight fell"));
+
+    let (record, frames): (String, i64) = sqlx::query_as(
+        "SELECT record, (SELECT count(*) FROM attempt_frames) FROM attempts WHERE trial = ?1",
+    )
+    .bind(id.0)
+    .fetch_one(&store.inner.readers)
+    .await
+    .unwrap();
+    let record: crate::store::TrialRow = serde_json::from_str(&record).unwrap();
+    assert_eq!((record.trial_id, record.contacts.len(), frames), (id, 4, 2));
+
+    // Measured again, it is another trial with an id of its own.
+    let again = store.trial(run, &back).await.unwrap();
+    assert!(again > id);
+    store.discard(run, TrialKey { configuration: 9, depth_index: 9 }, "no").await.unwrap_err();
+    store.integrity_check().await.unwrap();
+}
+
+#[tokio::test]
+async fn pages_meet_every_trial_once_and_filters_hold() {
+    let folder = Folder::new();
+    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let other = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
+    for c in 0..15 {
+        for d in 0..3 {
+            let mut trial = hex_trial(c, d, &[f64::from(c), f64::from(d) * 4.0]);
+            if c == 4 {
+                trial.flags.push(Flag::DepthMissed);
+            }
+            store.trial(run, &trial).await.unwrap();
+            store.trial(other, &trial).await.unwrap();
+        }
+    }
+    for order in [Order::OldestFirst, Order::NewestFirst] {
+        let mut query = TrialQuery { run: Some(run), limit: 7, order, ..Default::default() };
+        let mut seen = Vec::new();
+        loop {
+            let page = store.trials(&query).await.unwrap();
+            let Some(last) = page.last() else { break };
+            query.after = Some(last.trial_id);
+            seen.extend(page.iter().map(|t| (t.configuration, t.depth_index)));
+        }
+        if order == Order::NewestFirst {
+            seen.reverse();
+        }
+        let all: Vec<_> = (0..15).flat_map(|c| (0..3).map(move |d| (c, d))).collect();
+        assert_eq!(seen, all);
+    }
+
+    let ask = async |filters: Vec<Filter>| {
+        let query = TrialQuery { run: Some(run), filters, limit: 100, ..Default::default() };
+        store.trials(&query).await.unwrap()
+    };
+    // Forces are c and 4 d: both at or over 5 N for c >= 5 and d = 2.
+    let two = ask(vec![number("contact_count", "eq", 2.0)]).await;
+    assert_eq!(two.len(), 10);
+    assert!(two.iter().all(|t| t.depth_index == 2 && t.contacts.len() == 2));
+    let strong =
+        ask(vec![number("contact_count", "eq", 2.0), number("max_force_n", "gt", 12.0)]).await;
+    assert_eq!(strong.iter().map(|t| t.configuration).collect::<Vec<_>>(), [13, 14]);
+    let some = [FilterValue::Number(1.0), FilterValue::Number(3.0)].to_vec();
+    let some = ask(vec![
+        Filter::OneOf(TrialColumn::Configuration, some),
+        number("depth_index", "lte", 1.0),
+    ])
+    .await;
+    assert_eq!(some.len(), 4);
+    assert!(ask(vec![Filter::OneOf(TrialColumn::Tips, vec![])]).await.is_empty());
+    assert!(ask(vec![number("started_at", "gt", 0.0)]).await.is_empty());
+    let late = FilterValue::Time(time("2026-11-20T18:00:00.123Z"));
+    let late = Filter::Compare(TrialColumn::StartedAt, Comparison::GreaterOrEqual, late);
+    assert_eq!(ask(vec![late]).await.len(), 45);
+}
+
+#[tokio::test]
+async fn flags_and_voltages_are_brought_when_asked_for() {
+    let folder = Folder::new();
+    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let mut flagged = hex_trial(1, 0, &[9.0]);
+    flagged.flags = vec![Flag::Unsettled, Flag::DroppedFrames];
+    store.trial(run, &hex_trial(0, 0, &[9.0])).await.unwrap();
+    store.trial(run, &flagged).await.unwrap();
+    let base = TrialQuery { run: Some(run), limit: 9, ..Default::default() };
+    let found = async |query: TrialQuery| -> Vec<u32> {
+        store.trials(&query).await.unwrap().iter().map(|t| t.configuration).collect()
+    };
+    assert_eq!(found(TrialQuery { flagged: Some(true), ..base.clone() }).await, [1]);
+    assert_eq!(found(TrialQuery { flagged: Some(false), ..base.clone() }).await, [0]);
+    let both = vec![Flag::DroppedFrames, Flag::Unsettled];
+    assert_eq!(found(TrialQuery { flags: both, ..base.clone() }).await, [1]);
+    let other = vec![Flag::StillCell];
+    assert!(found(TrialQuery { flags: other, ..base.clone() }).await.is_empty());
+    assert!(store.trials(&base).await.unwrap().iter().all(|t| t.voltages_v.is_none()));
+    let with = store.trials(&TrialQuery { with_voltages: true, ..base }).await.unwrap();
+    assert_eq!(with[1].voltages_v, Some(flagged.mean_voltages_v()));
+}
+
+#[tokio::test]
+async fn pages_follow_an_index_without_sorting() {
+    let folder = Folder::new();
+    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let after = Some(TrialId(0));
+    let of_run = TrialQuery { run: Some(run), after, limit: 10, ..Default::default() };
+    let steps = store.explain(&of_run).await.unwrap();
+    assert!(steps[0].contains("INDEX trials_in_order (run=? AND id>?)"), "{steps:?}");
+    let all = TrialQuery { after, limit: 10, with_voltages: true, ..Default::default() };
+    let plain = store.explain(&all).await.unwrap();
+    assert!(plain[0].contains("INTEGER PRIMARY KEY"), "{plain:?}");
+    for step in steps.iter().chain(&plain) {
+        assert!(!step.contains("TEMP B-TREE"), "{step}");
+    }
+    let filters = vec![number("contact_count", "eq", 3.0), number("max_force_n", "gt", 10.0)];
+    let query = TrialQuery { filters, limit: 10, ..Default::default() };
+    let steps = store.explain(&query).await.unwrap();
+    assert!(
+        steps[0].contains("trials_by_contacts (contact_count=? AND max_force_n>?)"),
+        "{steps:?}"
+    );
+}
+
+#[tokio::test]
+async fn what_stands_beside_the_trials_comes_back() {
+    let folder = Folder::new();
+    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let at = time("2026-11-20T18:00:00.5Z");
+    let like = hex_trial(2, 0, &[10.0, 11.0]);
+    let tares = [3, 4].map(|configuration| TareRecord {
+        configuration,
+        volts: vec![(1, 0.501), (2, 0.4987)],
+        samples: 4,
+        at,
+    });
+    for tare in &tares {
+        store.tare(run, tare).await.unwrap();
+    }
+    assert_eq!(store.tares(run).await.unwrap(), tares);
+    let presses = [0, 100].map(|before_configuration| ReferenceRecord {
+        before_configuration,
+        reached: like.reached.unwrap(),
+        depth_mm: 3.0,
+        arms: like.arms.clone(),
+        frame: like.frames[0].clone(),
+        at,
+    });
+    for press in &presses {
+        store.reference(run, press).await.unwrap();
+    }
+    assert_eq!(store.references(run).await.unwrap(), presses);
+    let found = TouchOffRecord {
+        tips: 2,
+        surface_z_mm: 41.300_1,
+        tip_offset_mm: vec![(1, -0.1), (2, 0.1)],
+        touches: vec![(270.0, 280.0, 1, 41.2), (270.0, 297.3, 2, 41.4)],
+        at,
+    };
+    store.touch_off(run, &found).await.unwrap();
+    assert_eq!(store.touch_offs(run).await.unwrap(), [found]);
+    let key = TrialKey { configuration: 5, depth_index: 2 };
+    let attempt = AttemptRecord { key, attempt: 1, reason: "cell 2: 0 V".into(), at };
+    store.attempt(run, &attempt).await.unwrap();
+    assert_eq!(store.attempts(run, 5).await.unwrap(), [attempt]);
+    store.skip(run, 5, "cell 2: 0 V three times").await.unwrap();
+    store.skip(run, 5, "again").await.unwrap();
+    let skips = store.skips(run).await.unwrap();
+    assert_eq!((skips.len(), skips[0].reason.as_str()), (1, "cell 2: 0 V three times"));
+    let progress = store.progress(run).await.unwrap();
+    assert_eq!((progress.skipped.into_iter().collect::<Vec<_>>(), progress.retries), (vec![5], 1));
+    assert!(progress.stored.is_empty(), "none of these is a trial");
+    let missing = store.tare(RunUid::new(), &tares[0]).await.unwrap_err();
+    let cause = missing.source.downcast_ref::<StoreError>();
+    assert!(matches!(cause, Some(StoreError::NoSuchRun(_))), "{missing:?}");
+}
+
+#[tokio::test]
+async fn a_caller_that_goes_away_leaves_a_whole_trial() {
+    let folder = Folder::new();
+    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    store.trial(run, &hex_trial(0, 0, &[9.0])).await.unwrap();
+    let put = hex_trial(1, 0, &[9.0, 8.0]);
+    // The first poll hands the trial over; then its caller is gone.
+    let gone = tokio::time::timeout(std::time::Duration::ZERO, store.trial(run, &put)).await;
+    // The writer works in order: when this is stored, so is the trial.
+    store.set_setting("after", "it").await.unwrap();
+    let stored = store.trials(&TrialQuery { limit: 9, ..Default::default() }).await.unwrap();
+    assert_eq!(stored.len(), 2, "{gone:?}");
+    assert_eq!(stored[1].arms, put.arms);
+}
+
+#[tokio::test]
+async fn a_long_read_neither_waits_nor_is_waited_for() {
+    let folder = Folder::new();
+    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    store.trial(run, &hex_trial(0, 0, &[9.0])).await.unwrap();
+    let mut view = store.read("a long read").await.unwrap();
+    let count = "SELECT count(*) FROM trials";
+    let before: i64 = sqlx::query_scalar(count).fetch_one(&mut *view).await.unwrap();
+    for c in 1..20 {
+        store.trial(run, &hex_trial(c, 0, &[9.0])).await.unwrap();
+    }
+    let within: i64 = sqlx::query_scalar(count).fetch_one(&mut *view).await.unwrap();
+    assert_eq!((before, within), (1, 1));
+    assert_eq!(store.progress(run).await.unwrap().stored.len(), 20);
+}

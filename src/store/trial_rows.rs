@@ -1,0 +1,415 @@
+//! Trials coming out: single rows, pages that follow an index, voltages and raw frames.
+//! Uses: `store::filter`, `campaign::record`. Never: a write, an OFFSET, a query per row.
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use sqlx::sqlite::{SqliteConnection, SqliteRow};
+use sqlx::{QueryBuilder, Sqlite};
+use utoipa::ToSchema;
+
+use super::columns::Columns;
+use super::filter::Filter;
+use super::runs::RunKind;
+use super::trials::pose;
+use super::{Store, StoreError};
+use crate::campaign::record::{ArmReading, Flag, FrameRecord, PlacedContact, Pose};
+use crate::ids::{RunUid, TrialId, TrialKey};
+
+/// The largest page.
+pub const MAX_PAGE: u32 = 10_000;
+
+const READING: &str = "reading trials";
+
+/// What a row is made of; `CROSS JOIN` keeps SQLite walking the trials in their order.
+const SELECT: &str = "SELECT t.*, r.uid, r.experiment, r.kind, r.deadband_n, r.tip_diameter_mm
+     FROM trials t CROSS JOIN runs r ON r.scan_id = t.run";
+
+/// The same with the mean voltages.
+const SELECT_WITH_VOLTAGES: &str =
+    "SELECT t.*, r.uid, r.experiment, r.kind, r.deadband_n, r.tip_diameter_mm, v.voltages_v
+     FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
+     CROSS JOIN trial_voltages v ON v.trial = t.id";
+
+/// A place on the skin that was pressed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Contact {
+    /// Centre on the skin, mm.
+    pub x_mm: f64,
+    /// Centre on the skin, mm.
+    pub y_mm: f64,
+    /// Force, N.
+    pub force_n: f64,
+    /// Diameter, mm, where it is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub diameter_mm: Option<f64>,
+}
+
+/// A stored trial.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct TrialRow {
+    /// Its id.
+    pub trial_id: TrialId,
+    /// Its run.
+    pub run: RunUid,
+    /// Its run's number for people.
+    pub scan_id: i64,
+    /// Name of the experiment.
+    pub experiment: String,
+    /// Position of the configuration in the plan.
+    pub configuration: u32,
+    /// Position of the depth in the configuration.
+    pub depth_index: u32,
+    /// Which try it was, from 1.
+    pub attempt: u32,
+    /// Depth, mm; absent when weights were placed by hand.
+    pub depth_mm: Option<f64>,
+    /// Attached tips, or placed contacts.
+    pub tips: u8,
+    /// Number of `contacts`.
+    pub contact_count: u8,
+    /// Largest raw force, N, also when it lies under the deadband.
+    pub max_force_n: Option<f64>,
+    /// Real-Hex: the tips at or above the run's deadband. Real-Random: the placed weights.
+    pub contacts: Vec<Contact>,
+    /// Raw forces of arms 1 to 6, N; absent where no tip is attached.
+    #[schema(value_type = Vec<Option<f64>>, min_items = 6, max_items = 6)]
+    pub forces_n: [Option<f64>; 6],
+    /// Every attached tip as it was read.
+    pub arms: Vec<ArmReading>,
+    /// Where the stage was sent.
+    pub target: Option<Pose>,
+    /// Where it measured itself to be.
+    pub reached: Option<Pose>,
+    /// Who placed the weights.
+    pub placed_by: Option<String>,
+    /// What may be wrong with it.
+    pub flags: Vec<Flag>,
+    /// Time between the end of motion and the measurement, process ms.
+    pub settle_ms: f64,
+    /// Largest force while approaching and settling over the measured one, N.
+    pub overshoot_n: Option<f64>,
+    /// Raw frames kept.
+    pub frame_count: u32,
+    /// Start of its motion.
+    #[schema(value_type = String, format = DateTime)]
+    pub started_at: Timestamp,
+    /// Its last frame.
+    #[schema(value_type = String, format = DateTime)]
+    pub measured_at: Timestamp,
+    /// Mean of its frames, V, injection-major, where it was asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub voltages_v: Option<Vec<f32>>,
+}
+
+/// In which order trials come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Order {
+    /// As they were stored.
+    #[default]
+    OldestFirst,
+    /// The last one first.
+    NewestFirst,
+}
+
+/// Which trials.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct TrialQuery {
+    /// Of this run only.
+    pub run: Option<RunUid>,
+    /// All of these hold.
+    pub filters: Vec<Filter>,
+    /// All of these flags are set.
+    pub flags: Vec<Flag>,
+    /// Only with, or only without, any flag.
+    pub flagged: Option<bool>,
+    /// The cursor: the last id of the page before.
+    pub after: Option<TrialId>,
+    /// The order, which the cursor follows.
+    pub order: Order,
+    /// Up to so many, at most [`MAX_PAGE`].
+    pub limit: u32,
+    /// Bring the mean voltages along.
+    pub with_voltages: bool,
+}
+
+impl TrialQuery {
+    fn build(&self, scan_id: Option<i64>) -> QueryBuilder<Sqlite> {
+        let select = if self.with_voltages { SELECT_WITH_VOLTAGES } else { SELECT };
+        let mut query = QueryBuilder::new(select);
+        query.push(" WHERE TRUE");
+        if let Some(scan_id) = scan_id {
+            query.push(" AND t.run = ").push_bind(scan_id);
+        }
+        if let Some(after) = self.after {
+            let side = match self.order {
+                Order::OldestFirst => " AND t.id > ",
+                Order::NewestFirst => " AND t.id < ",
+            };
+            query.push(side).push_bind(after.0);
+        }
+        for filter in &self.filters {
+            filter.push_onto(&mut query);
+        }
+        match self.flagged {
+            Some(true) => drop(query.push(" AND t.flags <> '[]'")),
+            Some(false) => drop(query.push(" AND t.flags = '[]'")),
+            None => {}
+        }
+        for flag in &self.flags {
+            let word = serde_json::to_value(flag).unwrap_or_default();
+            query.push(" AND EXISTS (SELECT 1 FROM json_each(t.flags) WHERE value = ");
+            query.push_bind(word.as_str().unwrap_or_default().to_owned()).push(")");
+        }
+        query.push(match self.order {
+            Order::OldestFirst => " ORDER BY t.id LIMIT ",
+            Order::NewestFirst => " ORDER BY t.id DESC LIMIT ",
+        });
+        query.push_bind(i64::from(self.limit.min(MAX_PAGE)));
+        query
+    }
+}
+
+impl Store {
+    /// A page of trials. The next one starts `after` its last id.
+    pub async fn trials(&self, query: &TrialQuery) -> Result<Vec<TrialRow>, StoreError> {
+        let scan_id = match query.run {
+            Some(run) => Some(self.facts(run, READING).await?.scan_id),
+            None => None,
+        };
+        let mut view = self.read(READING).await?;
+        let rows = query
+            .build(scan_id)
+            .build()
+            .fetch_all(&mut *view)
+            .await
+            .map_err(StoreError::sql(READING))?;
+        assemble(&mut view, rows, READING).await
+    }
+
+    /// One trial, with its mean voltages.
+    pub async fn trial_by_id(&self, trial: TrialId) -> Result<Option<TrialRow>, StoreError> {
+        let mut view = self.read(READING).await?;
+        let mut query = QueryBuilder::new(SELECT_WITH_VOLTAGES);
+        let rows = query
+            .push(" WHERE t.id = ")
+            .push_bind(trial.0)
+            .build()
+            .fetch_all(&mut *view)
+            .await
+            .map_err(StoreError::sql(READING))?;
+        Ok(assemble(&mut view, rows, READING).await?.pop())
+    }
+
+    /// The mean of a trial's frames, V, injection-major.
+    pub async fn trial_voltages(&self, trial: TrialId) -> Result<Option<Vec<f32>>, StoreError> {
+        const OPERATION: &str = "reading a trial's voltages";
+        sqlx::query("SELECT voltages_v FROM trial_voltages WHERE trial = ?1")
+            .bind(trial.0)
+            .fetch_optional(&self.inner.readers)
+            .await
+            .map_err(StoreError::sql(OPERATION))?
+            .map(|row| Columns::of(&row, OPERATION).volts("voltages_v"))
+            .transpose()
+    }
+
+    /// The raw frames of a trial, in the order in which they were taken.
+    pub async fn frames(&self, trial: TrialId) -> Result<Vec<FrameRecord>, StoreError> {
+        const OPERATION: &str = "reading a trial's frames";
+        let rows = sqlx::query("SELECT * FROM frames WHERE trial = ?1 ORDER BY n")
+            .bind(trial.0)
+            .fetch_all(&self.inner.readers)
+            .await
+            .map_err(StoreError::sql(OPERATION))?;
+        rows.iter().map(|row| frame(&Columns::of(row, OPERATION))).collect()
+    }
+
+    /// How SQLite would find a page: its plan, a line per step.
+    #[cfg(test)]
+    pub(super) async fn explain(&self, query: &TrialQuery) -> Result<Vec<String>, StoreError> {
+        let scan_id = match query.run {
+            Some(run) => Some(self.facts(run, READING).await?.scan_id),
+            None => None,
+        };
+        let sql = format!("EXPLAIN QUERY PLAN {}", query.build(scan_id).sql().as_str());
+        let mut statement = sqlx::query(sqlx::AssertSqlSafe(sql));
+        for _ in 0..query.filters.len() + query.flags.len() + 3 {
+            statement = statement.bind(1);
+        }
+        let rows = statement
+            .fetch_all(&self.inner.readers)
+            .await
+            .map_err(StoreError::sql("explaining a query"))?;
+        rows.iter().map(|row| Columns::of(row, "explaining a query").get("detail")).collect()
+    }
+}
+
+/// A frame from its columns.
+pub(super) fn frame(c: &Columns<'_>) -> Result<FrameRecord, StoreError> {
+    Ok(FrameRecord {
+        sequence: c.whole("sequence")?,
+        device_time_us: c.get::<i64>("device_time_us")?.cast_unsigned(),
+        volts_per_count: c.get("volts_per_count")?,
+        counts: c.counts("counts")?,
+    })
+}
+
+/// An attached tip from its columns.
+pub(super) fn arm(c: &Columns<'_>) -> Result<ArmReading, StoreError> {
+    Ok(ArmReading {
+        arm: c.whole("arm")?,
+        x_mm: c.get("x_mm")?,
+        y_mm: c.get("y_mm")?,
+        force_n: c.get("force_n")?,
+        cell_v: c.get("cell_v")?,
+        tare_v: c.get("tare_v")?,
+    })
+}
+
+/// A trial by its key, as a transaction of the writer sees it.
+pub(super) async fn row_of_key(
+    connection: &mut SqliteConnection,
+    scan_id: i64,
+    key: TrialKey,
+    operation: &'static str,
+) -> Result<Option<TrialRow>, StoreError> {
+    let mut query = QueryBuilder::new(SELECT_WITH_VOLTAGES);
+    query.push(" WHERE t.run = ").push_bind(scan_id);
+    query.push(" AND t.configuration = ").push_bind(key.configuration);
+    query.push(" AND t.depth_index = ").push_bind(key.depth_index);
+    let rows =
+        query.build().fetch_all(&mut *connection).await.map_err(StoreError::sql(operation))?;
+    Ok(assemble(connection, rows, operation).await?.pop())
+}
+
+/// Joins a page of trials with their tips and placed contacts: two queries for the whole page.
+async fn assemble(
+    connection: &mut SqliteConnection,
+    rows: Vec<SqliteRow>,
+    operation: &'static str,
+) -> Result<Vec<TrialRow>, StoreError> {
+    let sql = StoreError::sql(operation);
+    let ids = rows
+        .iter()
+        .map(|row| Columns::of(row, operation).get::<i64>("id"))
+        .collect::<Result<Vec<_>, _>>()?;
+    let wanted = format!("{ids:?}");
+    let tips = sqlx::query(
+        "SELECT p.* FROM json_each(?1) wanted CROSS JOIN trial_tips p ON p.trial = wanted.value
+         ORDER BY wanted.key, p.arm",
+    )
+    .bind(&wanted)
+    .fetch_all(&mut *connection)
+    .await
+    .map_err(&sql)?;
+    let placed = sqlx::query(
+        "SELECT p.* FROM json_each(?1) wanted CROSS JOIN placed_contacts p
+         ON p.trial = wanted.value ORDER BY wanted.key, p.n",
+    )
+    .bind(&wanted)
+    .fetch_all(&mut *connection)
+    .await
+    .map_err(&sql)?;
+    let mut tips = Belonging::of(&tips, operation);
+    let mut placed = Belonging::of(&placed, operation);
+    ids.iter()
+        .zip(&rows)
+        .map(|(id, row)| {
+            let arms = tips.take(*id, arm)?;
+            let placed = placed.take(*id, |c| {
+                let (x_mm, y_mm) = (c.get("x_mm")?, c.get("y_mm")?);
+                Ok(PlacedContact { x_mm, y_mm, force_n: c.get("force_n")? })
+            })?;
+            trial_row(&Columns::of(row, operation), arms, placed)
+        })
+        .collect()
+}
+
+/// Rows of a child table in the order of their parents.
+struct Belonging<'r> {
+    rows: &'r [SqliteRow],
+    operation: &'static str,
+}
+
+impl<'r> Belonging<'r> {
+    fn of(rows: &'r [SqliteRow], operation: &'static str) -> Self {
+        Self { rows, operation }
+    }
+
+    /// The rows at the front that belong to this trial.
+    fn take<T>(
+        &mut self,
+        trial: i64,
+        read: impl Fn(&Columns<'_>) -> Result<T, StoreError>,
+    ) -> Result<Vec<T>, StoreError> {
+        let mut taken = Vec::new();
+        while let Some((first, rest)) = self.rows.split_first() {
+            let columns = Columns::of(first, self.operation);
+            if columns.get::<i64>("trial")? != trial {
+                break;
+            }
+            taken.push(read(&columns)?);
+            self.rows = rest;
+        }
+        Ok(taken)
+    }
+}
+
+fn trial_row(
+    c: &Columns<'_>,
+    arms: Vec<ArmReading>,
+    placed: Vec<PlacedContact>,
+) -> Result<TrialRow, StoreError> {
+    let (deadband_n, diameter_mm): (f64, Option<f64>) =
+        (c.get("deadband_n")?, c.get("tip_diameter_mm")?);
+    let contact = |x_mm, y_mm, force_n| Contact { x_mm, y_mm, force_n, diameter_mm };
+    let contacts = match c.word::<RunKind>("kind")? {
+        RunKind::RealHex => arms
+            .iter()
+            .filter(|a| a.force_n >= deadband_n)
+            .map(|a| contact(a.x_mm, a.y_mm, a.force_n))
+            .collect(),
+        RunKind::RealRandom => placed.iter().map(|p| contact(p.x_mm, p.y_mm, p.force_n)).collect(),
+    };
+    let mut forces_n = [None; 6];
+    for a in &arms {
+        if let Some(force) = usize::from(a.arm).checked_sub(1).and_then(|i| forces_n.get_mut(i)) {
+            *force = Some(a.force_n);
+        }
+    }
+    Ok(TrialRow {
+        trial_id: TrialId(c.get("id")?),
+        run: c.uid("uid")?,
+        scan_id: c.get("run")?,
+        experiment: c.get("experiment")?,
+        configuration: c.whole("configuration")?,
+        depth_index: c.whole("depth_index")?,
+        attempt: c.whole("attempt")?,
+        depth_mm: c.get("depth_mm")?,
+        tips: c.whole("tips")?,
+        contact_count: c.whole("contact_count")?,
+        max_force_n: c.get("max_force_n")?,
+        contacts,
+        forces_n,
+        arms,
+        target: pose([
+            c.get("target_x_mm")?,
+            c.get("target_y_mm")?,
+            c.get("target_z_mm")?,
+            c.get("target_radius_mm")?,
+        ]),
+        reached: pose([
+            c.get("reached_x_mm")?,
+            c.get("reached_y_mm")?,
+            c.get("reached_z_mm")?,
+            c.get("reached_radius_mm")?,
+        ]),
+        placed_by: c.get("placed_by")?,
+        flags: c.json("flags")?,
+        settle_ms: c.get("settle_ms")?,
+        overshoot_n: c.get("overshoot_n")?,
+        frame_count: c.whole("frame_count")?,
+        started_at: c.time("started_at")?,
+        measured_at: c.time("measured_at")?,
+        voltages_v: if c.has("voltages_v") { Some(c.volts("voltages_v")?) } else { None },
+    })
+}

@@ -1,0 +1,339 @@
+//! Trials going in and being taken back: each one transaction, each key once.
+//! Uses: `campaign::record`, `store::writer`. Never: a judgement on a trial (`campaign` made it).
+
+use sqlx::query_builder::Separated;
+use sqlx::sqlite::SqliteConnection;
+use sqlx::{QueryBuilder, Sqlite};
+
+use super::columns::{counts_blob, time_text, volts_blob};
+use super::runs::RunKind;
+use super::trial_rows::row_of_key;
+use super::{RunFacts, Store, StoreError};
+use crate::campaign::record::{ArmReading, FrameRecord, PlacedContact, Pose, TrialRecord};
+use crate::ids::{RunUid, TrialId, TrialKey};
+
+/// The most contacts of a trial (`design.md` 2).
+const CONTACTS_MAX: usize = 6;
+
+/// Rows of one statement.
+const ROWS_AT_ONCE: usize = 100;
+
+const STORING: &str = "storing a trial";
+
+/// A trial as its columns want it, checked.
+struct Entry {
+    scan_id: i64,
+    record: TrialRecord,
+    voltages_v: Vec<f32>,
+    flags: String,
+    contact_count: u8,
+    max_force_n: Option<f64>,
+}
+
+impl Entry {
+    fn new(facts: RunFacts, record: TrialRecord) -> Result<Self, StoreError> {
+        check(&record)?;
+        let forces = record.arms.iter().map(|a| a.force_n);
+        let contacts = match facts.kind {
+            RunKind::RealHex => forces.clone().filter(|f| *f >= facts.deadband_n).count(),
+            RunKind::RealRandom => record.placed.len(),
+        };
+        let largest = forces.chain(record.placed.iter().map(|p| p.force_n)).reduce(f64::max);
+        let contact_count = u8::try_from(contacts)
+            .ok()
+            .filter(|n| usize::from(*n) <= CONTACTS_MAX)
+            .ok_or_else(|| refused("the number of contacts", "must be at most 6"))?;
+        let flags = serde_json::to_string(&record.flags)
+            .map_err(|_| refused("flags", "must be words that JSON can hold"))?;
+        Ok(Self {
+            scan_id: facts.scan_id,
+            voltages_v: record.mean_voltages_v(),
+            record,
+            flags,
+            contact_count,
+            max_force_n: largest,
+        })
+    }
+
+    /// Inserts everything; an existing key is left as it is. Returns the trial's id.
+    async fn insert(&self, connection: &mut SqliteConnection) -> Result<TrialId, StoreError> {
+        let Some(id) = self.insert_row(connection).await? else {
+            let stored = id_of_key(connection, self.scan_id, self.record.key, STORING).await?;
+            return stored.ok_or_else(|| refused("its key", "is neither new nor stored"));
+        };
+        sqlx::query("INSERT INTO trial_voltages (trial, voltages_v) VALUES (?1, ?2)")
+            .bind(id.0)
+            .bind(volts_blob(&self.voltages_v))
+            .execute(&mut *connection)
+            .await
+            .map_err(StoreError::sql(STORING))?;
+        insert_tips(connection, id, &self.record.arms).await?;
+        insert_placed(connection, id, &self.record.placed).await?;
+        insert_frames(connection, id, &self.record.frames).await?;
+        Ok(id)
+    }
+
+    async fn insert_row(
+        &self,
+        connection: &mut SqliteConnection,
+    ) -> Result<Option<TrialId>, StoreError> {
+        let r = &self.record;
+        let statement = sqlx::query_scalar(
+            "INSERT INTO trials (run, configuration, depth_index, attempt, tips, depth_mm,
+                 target_x_mm, target_y_mm, target_z_mm, target_radius_mm,
+                 reached_x_mm, reached_y_mm, reached_z_mm, reached_radius_mm,
+                 placed_by, flags, settle_ms, overshoot_n, contact_count, max_force_n,
+                 frame_count, started_at, measured_at)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17,
+                 ?18, ?19, ?20, ?21, ?22, ?23)
+             ON CONFLICT (run, configuration, depth_index) DO NOTHING
+             RETURNING id",
+        )
+        .bind(self.scan_id)
+        .bind(r.key.configuration)
+        .bind(r.key.depth_index)
+        .bind(r.attempt)
+        .bind(r.tips)
+        .bind(r.depth_mm);
+        let statement = [r.target, r.reached].iter().fold(statement, |statement, pose| {
+            statement
+                .bind(pose.map(|p| p.x_mm))
+                .bind(pose.map(|p| p.y_mm))
+                .bind(pose.map(|p| p.z_mm))
+                .bind(pose.map(|p| p.radius_mm))
+        });
+        let id: Option<i64> = statement
+            .bind(r.placed_by.as_deref())
+            .bind(self.flags.as_str())
+            .bind(r.settle_ms)
+            .bind(r.overshoot_n)
+            .bind(self.contact_count)
+            .bind(self.max_force_n)
+            .bind(self.record.frames.len() as i64)
+            .bind(time_text(r.started_at))
+            .bind(time_text(r.measured_at))
+            .fetch_optional(connection)
+            .await
+            .map_err(StoreError::sql(STORING))?;
+        Ok(id.map(TrialId))
+    }
+}
+
+impl Store {
+    pub(super) async fn insert_trial(
+        &self,
+        run: RunUid,
+        trial: &TrialRecord,
+    ) -> Result<TrialId, StoreError> {
+        let facts = self.facts(run, STORING).await?;
+        let entry = Entry::new(facts, trial.clone())?;
+        let key = trial.key;
+        self.inner
+            .writer
+            .run_and_settle(
+                STORING,
+                async move |connection| entry.insert(connection).await,
+                async move |connection| id_of_key(connection, facts.scan_id, key, STORING).await,
+            )
+            .await
+    }
+
+    /// Moves a trial to the attempts: its row as JSON, its raw frames as they are.
+    pub(super) async fn take_back(
+        &self,
+        run: RunUid,
+        key: TrialKey,
+        reason: &str,
+    ) -> Result<(), StoreError> {
+        const OPERATION: &str = "taking a trial back";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let (reason, now) = (reason.to_owned(), self.now_text());
+        self.inner
+            .writer
+            .run_and_settle(
+                OPERATION,
+                async move |connection| {
+                    let row = row_of_key(connection, scan_id, key, OPERATION).await?;
+                    let row = row.ok_or(StoreError::NoSuchTrial { run, key })?;
+                    let record = serde_json::to_string(&row).map_err(|e| {
+                        let value = e.to_string();
+                        StoreError::Unreadable { operation: OPERATION, column: "record", value }
+                    })?;
+                    move_to_attempts(connection, scan_id, &row, record, reason, now).await
+                },
+                async move |connection| {
+                    let stored = id_of_key(connection, scan_id, key, OPERATION).await?;
+                    Ok(stored.is_none().then_some(()))
+                },
+            )
+            .await
+    }
+}
+
+fn refused(field: &'static str, limit: &'static str) -> StoreError {
+    StoreError::Refused { operation: STORING, field, limit }
+}
+
+/// SQLite would store NaN as NULL, and frames of different lengths have no mean.
+fn check(record: &TrialRecord) -> Result<(), StoreError> {
+    let Some(first) = record.frames.first() else {
+        return Err(refused("frames", "must hold at least one"));
+    };
+    if record.frames.iter().any(|f| f.counts.len() != first.counts.len()) {
+        return Err(refused("frames", "must be of one length"));
+    }
+    let poses = [record.target, record.reached].into_iter().flatten();
+    let numbers = [Some(record.settle_ms), record.depth_mm, record.overshoot_n]
+        .into_iter()
+        .flatten()
+        .chain(poses.flat_map(|p| [p.x_mm, p.y_mm, p.z_mm, p.radius_mm]))
+        .chain(record.arms.iter().flat_map(|a| [a.x_mm, a.y_mm, a.force_n, a.cell_v, a.tare_v]))
+        .chain(record.placed.iter().flat_map(|p| [p.x_mm, p.y_mm, p.force_n]))
+        .chain(record.frames.iter().map(|f| f64::from(f.volts_per_count)));
+    for number in numbers {
+        if !number.is_finite() {
+            return Err(refused("every number", "must be finite"));
+        }
+    }
+    Ok(())
+}
+
+/// The id of the trial with this key, if it is stored.
+async fn id_of_key(
+    connection: &mut SqliteConnection,
+    scan_id: i64,
+    key: TrialKey,
+    operation: &'static str,
+) -> Result<Option<TrialId>, StoreError> {
+    let id: Option<i64> = sqlx::query_scalar(
+        "SELECT id FROM trials WHERE run = ?1 AND configuration = ?2 AND depth_index = ?3",
+    )
+    .bind(scan_id)
+    .bind(key.configuration)
+    .bind(key.depth_index)
+    .fetch_optional(connection)
+    .await
+    .map_err(StoreError::sql(operation))?;
+    Ok(id.map(TrialId))
+}
+
+async fn insert_tips(
+    connection: &mut SqliteConnection,
+    trial: TrialId,
+    arms: &[ArmReading],
+) -> Result<(), StoreError> {
+    let into = "INSERT INTO trial_tips (trial, arm, x_mm, y_mm, force_n, cell_v, tare_v) ";
+    insert_many(connection, into, arms, |mut row, _, a| {
+        row.push_bind(trial.0)
+            .push_bind(a.arm)
+            .push_bind(a.x_mm)
+            .push_bind(a.y_mm)
+            .push_bind(a.force_n)
+            .push_bind(a.cell_v)
+            .push_bind(a.tare_v);
+    })
+    .await
+}
+
+async fn insert_placed(
+    connection: &mut SqliteConnection,
+    trial: TrialId,
+    placed: &[PlacedContact],
+) -> Result<(), StoreError> {
+    let into = "INSERT INTO placed_contacts (trial, n, x_mm, y_mm, force_n) ";
+    insert_many(connection, into, placed, |mut row, n, p| {
+        row.push_bind(trial.0)
+            .push_bind(n)
+            .push_bind(p.x_mm)
+            .push_bind(p.y_mm)
+            .push_bind(p.force_n);
+    })
+    .await
+}
+
+async fn insert_frames(
+    connection: &mut SqliteConnection,
+    trial: TrialId,
+    frames: &[FrameRecord],
+) -> Result<(), StoreError> {
+    let into = "INSERT INTO frames (trial, n, sequence, device_time_us, volts_per_count, counts) ";
+    insert_many(connection, into, frames, |mut row, n, f| {
+        row.push_bind(trial.0)
+            .push_bind(n)
+            .push_bind(f.sequence)
+            // A counter of microseconds; the sign bit is reached after 292,000 years.
+            .push_bind(f.device_time_us.cast_signed())
+            .push_bind(f.volts_per_count)
+            .push_bind(counts_blob(&f.counts));
+    })
+    .await
+}
+
+/// One statement for all rows: each statement is a change of threads, and back.
+async fn insert_many<T>(
+    connection: &mut SqliteConnection,
+    into: &'static str,
+    rows: &[T],
+    mut bind: impl FnMut(Separated<'_, Sqlite, &'static str>, i64, &T),
+) -> Result<(), StoreError> {
+    // Far under SQLite's 32,766 parameters of a statement.
+    for (chunk, rows) in rows.chunks(ROWS_AT_ONCE).enumerate() {
+        let first = (chunk * ROWS_AT_ONCE) as i64;
+        QueryBuilder::<Sqlite>::new(into)
+            .push_values(rows.iter().zip(first..), |row, (value, n)| bind(row, n, value))
+            .build()
+            .execute(&mut *connection)
+            .await
+            .map_err(StoreError::sql(STORING))?;
+    }
+    Ok(())
+}
+
+async fn move_to_attempts(
+    connection: &mut SqliteConnection,
+    scan_id: i64,
+    row: &super::TrialRow,
+    record: String,
+    reason: String,
+    now: String,
+) -> Result<(), StoreError> {
+    let sql = StoreError::sql("taking a trial back");
+    let attempt: i64 = sqlx::query_scalar(
+        "INSERT INTO attempts (run, configuration, depth_index, attempt, reason, at, trial, record)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8) RETURNING id",
+    )
+    .bind(scan_id)
+    .bind(row.configuration)
+    .bind(row.depth_index)
+    .bind(row.attempt)
+    .bind(reason)
+    .bind(now)
+    .bind(row.trial_id.0)
+    .bind(record)
+    .fetch_one(&mut *connection)
+    .await
+    .map_err(&sql)?;
+    sqlx::query(
+        "INSERT INTO attempt_frames
+             (attempt, n, sequence, device_time_us, volts_per_count, counts)
+         SELECT ?1, n, sequence, device_time_us, volts_per_count, counts
+         FROM frames WHERE trial = ?2",
+    )
+    .bind(attempt)
+    .bind(row.trial_id.0)
+    .execute(&mut *connection)
+    .await
+    .map_err(&sql)?;
+    sqlx::query("DELETE FROM trials WHERE id = ?1")
+        .bind(row.trial_id.0)
+        .execute(&mut *connection)
+        .await
+        .map_err(&sql)?;
+    Ok(())
+}
+
+/// The target or the reached pose of a trial, from its four columns.
+pub(super) fn pose(parts: [Option<f64>; 4]) -> Option<Pose> {
+    let [x_mm, y_mm, z_mm, radius_mm] = parts;
+    Some(Pose { x_mm: x_mm?, y_mm: y_mm?, z_mm: z_mm?, radius_mm: radius_mm? })
+}

@@ -1,0 +1,276 @@
+//! The one connection that writes, on a thread of its own: jobs in, answers out, in order.
+//! Uses: sqlx, `store::error`. Never: a wait on a reader, a browser, or the runtime of a caller.
+//!
+//! A job is a whole transaction. It runs to its end even when its caller has gone, and a caller on
+//! a busy runtime cannot hold up the next one (law 5).
+
+use std::path::Path;
+use std::time::Duration;
+
+use futures::future::LocalBoxFuture;
+use sqlx::migrate::Migrator;
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use sqlx::{ConnectOptions, Connection};
+use tokio::sync::{mpsc, oneshot};
+
+use super::error::StoreError;
+
+/// Jobs that may wait; a caller beyond them waits to hand its job over.
+const WAITING_JOBS: usize = 64;
+
+/// Longest time from handing a job over to its answer.
+const DEADLINE: Duration = Duration::from_secs(30);
+
+/// Longest time for opening: a migration may have to rewrite a large file.
+const OPEN_DEADLINE: Duration = Duration::from_secs(600);
+
+type Job = Box<dyn for<'h> FnOnce(&'h mut Hand) -> LocalBoxFuture<'h, ()> + Send>;
+
+/// Hands jobs to the thread that writes.
+#[derive(Clone)]
+pub(super) struct Writer {
+    jobs: mpsc::Sender<Job>,
+}
+
+/// The connection, reopened when it can no longer be trusted.
+struct Hand {
+    options: SqliteConnectOptions,
+    connection: Option<SqliteConnection>,
+    closed: bool,
+    #[cfg(test)]
+    fail_after_commit: bool,
+}
+
+impl Writer {
+    /// Starts the thread. `options` open the connection, and open it again after a failure.
+    pub(super) fn start(options: SqliteConnectOptions) -> Result<Self, StoreError> {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .map_err(StoreError::StartWriter)?;
+        let (jobs, mut inbox) = mpsc::channel::<Job>(WAITING_JOBS);
+        let mut hand = Hand {
+            options,
+            connection: None,
+            closed: false,
+            #[cfg(test)]
+            fail_after_commit: false,
+        };
+        std::thread::Builder::new()
+            .name("store-writer".into())
+            .spawn(move || {
+                runtime.block_on(async move {
+                    while !hand.closed
+                        && let Some(job) = inbox.recv().await
+                    {
+                        job(&mut hand).await;
+                    }
+                    hand.close().await;
+                });
+            })
+            .map_err(StoreError::StartWriter)?;
+        Ok(Self { jobs })
+    }
+
+    /// Opens the file, creating it where the options say so, and brings its tables up to date.
+    pub(super) async fn open(
+        &self,
+        path: &Path,
+        migrations: &'static Migrator,
+    ) -> Result<(), StoreError> {
+        let path = path.to_owned();
+        self.hand_over("opening the database", OPEN_DEADLINE, async move |hand| {
+            let connecting = hand.options.connect().await;
+            let mut connection = connecting.map_err(|source| StoreError::Open { path, source })?;
+            migrations.run(&mut connection).await.map_err(StoreError::Migrate)?;
+            // Should the file vanish later, an empty one must not take its place.
+            hand.options = hand.options.clone().create_if_missing(false);
+            hand.connection = Some(connection);
+            Ok(())
+        })
+        .await
+    }
+
+    /// Runs `work` in one transaction. An error of `work` rolls it back.
+    pub(super) async fn run<T, F>(&self, operation: &'static str, work: F) -> Result<T, StoreError>
+    where
+        T: Send + 'static,
+        F: AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError> + Send + 'static,
+    {
+        self.hand_over(operation, DEADLINE, async move |hand| hand.transact(operation, work).await)
+            .await
+    }
+
+    /// Runs `work` in one transaction; when its outcome is unknown afterwards, makes what is in the
+    /// file durable on a new connection and asks `look` whether the work is there.
+    pub(super) async fn run_and_settle<T, F, L>(
+        &self,
+        operation: &'static str,
+        work: F,
+        look: L,
+    ) -> Result<T, StoreError>
+    where
+        T: Send + 'static,
+        F: AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError> + Send + 'static,
+        L: AsyncFnOnce(&mut SqliteConnection) -> Result<Option<T>, StoreError> + Send + 'static,
+    {
+        self.hand_over(operation, DEADLINE, async move |hand| {
+            match hand.transact(operation, work).await {
+                Err(error) if error.outcome_unknown() => hand.settle(operation, error, look).await,
+                known => known,
+            }
+        })
+        .await
+    }
+
+    /// Closes the connection after the jobs handed over before, and ends the thread.
+    pub(super) async fn close(&self) {
+        let closing = self
+            .hand_over("closing the store", DEADLINE, async |hand| {
+                hand.close().await;
+                hand.closed = true;
+                Ok(())
+            })
+            .await;
+        if let Err(error) = closing {
+            tracing::debug!(%error, "the writer was closed before");
+        }
+    }
+
+    /// Makes the next transaction report a failed commit although it was stored.
+    #[cfg(test)]
+    pub(super) async fn fail_after_next_commit(&self) -> Result<(), StoreError> {
+        self.hand_over("arranging a failure", DEADLINE, async |hand| {
+            hand.fail_after_commit = true;
+            Ok(())
+        })
+        .await
+    }
+
+    async fn hand_over<T, F>(
+        &self,
+        operation: &'static str,
+        deadline: Duration,
+        work: F,
+    ) -> Result<T, StoreError>
+    where
+        T: Send + 'static,
+        F: AsyncFnOnce(&mut Hand) -> Result<T, StoreError> + Send + 'static,
+    {
+        let (answer, answered) = oneshot::channel();
+        let job: Job = Box::new(move |hand| {
+            Box::pin(async move {
+                // A caller that has gone does not want the answer.
+                let _ = answer.send(work(hand).await);
+            })
+        });
+        let closed = || StoreError::Closed { operation };
+        let done = async {
+            self.jobs.send(job).await.map_err(|_| closed())?;
+            answered.await.map_err(|_| closed())?
+        };
+        tokio::time::timeout(deadline, done)
+            .await
+            .unwrap_or(Err(StoreError::Late { operation, limit_s: deadline.as_secs() }))
+    }
+}
+
+impl Hand {
+    async fn connection(
+        &mut self,
+        operation: &'static str,
+    ) -> Result<&mut SqliteConnection, StoreError> {
+        let connection = match self.connection.take() {
+            Some(connection) => connection,
+            None => self.options.connect().await.map_err(StoreError::sql(operation))?,
+        };
+        Ok(self.connection.insert(connection))
+    }
+
+    async fn transact<T>(
+        &mut self,
+        operation: &'static str,
+        work: impl AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError>,
+    ) -> Result<T, StoreError> {
+        let result = self.attempt(operation, work).await;
+        if let Err(error) = &result
+            && error.outcome_unknown()
+        {
+            tracing::error!(%error, cause = ?std::error::Error::source(error), "a write failed");
+            self.close().await;
+        }
+        result
+    }
+
+    async fn attempt<T>(
+        &mut self,
+        operation: &'static str,
+        work: impl AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError>,
+    ) -> Result<T, StoreError> {
+        let sql = StoreError::sql(operation);
+        let connection = self.connection(operation).await?;
+        let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await.map_err(&sql)?;
+        match work(&mut transaction).await {
+            Ok(value) => {
+                transaction.commit().await.map_err(&sql)?;
+                #[cfg(test)]
+                if std::mem::take(&mut self.fail_after_commit) {
+                    return Err(sql(sqlx::Error::WorkerCrashed));
+                }
+                Ok(value)
+            }
+            Err(error) => {
+                // SQLite takes some failed transactions back by itself; then there is none to take.
+                if transaction.rollback().await.is_err() {
+                    self.close().await;
+                }
+                Err(error)
+            }
+        }
+    }
+
+    /// Finds out what became of a write whose commit failed. What the log holds is first copied
+    /// into the database file and synced, so that a "yes" is durable, and the log is emptied, so
+    /// that a "no" stays one: frames of a failed commit would come back at the next start. A
+    /// failure on the way leaves the first error standing, and the outcome unknown.
+    async fn settle<T>(
+        &mut self,
+        operation: &'static str,
+        error: StoreError,
+        look: impl AsyncFnOnce(&mut SqliteConnection) -> Result<Option<T>, StoreError>,
+    ) -> Result<T, StoreError> {
+        let sql = StoreError::sql(operation);
+        let found = async {
+            let connection = self.connection(operation).await?;
+            let (busy, _, _): (i64, i64, i64) = sqlx::query_as("PRAGMA wal_checkpoint(TRUNCATE)")
+                .fetch_one(&mut *connection)
+                .await
+                .map_err(&sql)?;
+            if busy == 0 { look(connection).await.map(Some) } else { Ok(None) }
+        };
+        match found.await {
+            Ok(Some(Some(value))) => {
+                tracing::warn!(operation, "the failed write is stored after all");
+                Ok(value)
+            }
+            Ok(Some(None)) => Err(StoreError::NotStored { operation, source: Box::new(error) }),
+            Ok(None) => {
+                tracing::error!(operation, "a reader keeps the log: the outcome stays unknown");
+                Err(error)
+            }
+            Err(second) => {
+                tracing::error!(operation, error = %second, "looking again failed too");
+                self.close().await;
+                Err(error)
+            }
+        }
+    }
+
+    async fn close(&mut self) {
+        if let Some(connection) = self.connection.take()
+            && let Err(error) = connection.close().await
+        {
+            tracing::debug!(%error, "closing the writer's connection failed");
+        }
+    }
+}
