@@ -337,9 +337,8 @@ async fn collect(config: &RigConfig, open: &OpenBench, clock: &Clock) -> Vec<Arc
 fn signal(frames: &[Arc<Frame>], found: &mut StreamFound, problems: &mut Vec<String>) {
     let voltages: Vec<Vec<f32>> = frames.iter().map(|f| f.voltages_v()).collect();
     let channels = voltages.iter().map(Vec::len).min().unwrap_or(0);
-    let per_channel: Vec<(f64, f64)> = (0..channels)
-        .map(|c| mean_and_sd(voltages.iter().map(|v| f64::from(v[c]))))
-        .collect();
+    let per_channel: Vec<(f64, f64)> =
+        (0..channels).map(|c| mean_and_sd(voltages.iter().map(|v| f64::from(v[c])))).collect();
     let (_, frame_sd) = mean_and_sd(per_channel.iter().map(|(mean, _)| *mean));
     let variance = per_channel.iter().map(|(_, sd)| sd * sd).sum::<f64>() / channels.max(1) as f64;
     let noise_sd = variance.sqrt();
@@ -388,7 +387,11 @@ fn mean_and_sd(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
 impl fmt::Display for CheckReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "rig {} ({})\n", self.rig, self.label)?;
-        writeln!(f, "{:<8}{:>14}{:>8}{:>8}{:>12}  device", "axis", "position", "homed", "alarm", "status")?;
+        writeln!(
+            f,
+            "{:<8}{:>14}{:>8}{:>8}{:>12}  device",
+            "axis", "position", "homed", "alarm", "status"
+        )?;
         for a in &self.axes {
             let position = shown(a.position, |p| format!("{p:.3} {}", a.unit));
             let homed = shown(a.homed, |h| if h { "yes".into() } else { "no".into() });
@@ -399,7 +402,11 @@ impl fmt::Display for CheckReport {
         }
         self.fmt_cells(f)?;
         self.fmt_stream(f)?;
-        writeln!(f, "\n{:<12}{:>10}{:>9}{:>10}{:>12}{:>12}", "line", "answered", "retries", "timeouts", "reconnects", "last")?;
+        writeln!(
+            f,
+            "\n{:<12}{:>10}{:>9}{:>10}{:>12}{:>12}",
+            "line", "answered", "retries", "timeouts", "reconnects", "last"
+        )?;
         for l in &self.lines {
             let c = &l.counts;
             let last = format!("{} us", c.last_round_trip_us);
@@ -410,7 +417,11 @@ impl fmt::Display for CheckReport {
         for problem in &self.problems {
             writeln!(f, "WRONG  {problem}")?;
         }
-        if self.is_sound() { writeln!(f, "All devices answer as the rig file says.") } else { Ok(()) }
+        if self.is_sound() {
+            writeln!(f, "All devices answer as the rig file says.")
+        } else {
+            Ok(())
+        }
     }
 }
 
@@ -435,12 +446,25 @@ impl CheckReport {
         let s = &self.stream;
         let rate = shown(s.frame_rate_hz, |r| format!("{r:.2} frames/s"));
         let clock = shown(s.device_rate, |r| format!("{r:.2}"));
-        writeln!(f, "\nert: {rate}, its clock at {clock} of the wall's; {} frames looked at, {} missed, {} garbled", s.frames, s.missed, s.garbled)?;
+        writeln!(
+            f,
+            "\nert: {rate}, its clock at {clock} of the wall's; {} frames looked at, {} missed, {} garbled",
+            s.frames, s.missed, s.garbled
+        )?;
         let volts = |v: Option<f64>| shown(v, |v| format!("{v:.5} V"));
         let snr = shown(s.signal_to_noise, |r| format!("{r:.1} ({:.1} dB)", 20.0 * r.log10()));
-        writeln!(f, "  frame sd {}, noise sd {}, ratio {snr}", volts(s.frame_sd_v), volts(s.noise_sd_v))?;
+        writeln!(
+            f,
+            "  frame sd {}, noise sd {}, ratio {snr}",
+            volts(s.frame_sd_v),
+            volts(s.noise_sd_v)
+        )?;
         let saturated = shown(s.saturated_channels, |n| n.to_string());
-        writeln!(f, "  largest injection sum {}, saturated channels {saturated}", volts(s.injection_sum_v))?;
+        writeln!(
+            f,
+            "  largest injection sum {}, saturated channels {saturated}",
+            volts(s.injection_sum_v)
+        )?;
         if let Some(line) = &s.status_line { writeln!(f, "  says: {line}") } else { Ok(()) }
     }
 }

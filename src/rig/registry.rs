@@ -8,8 +8,8 @@ use std::time::Duration;
 use super::adam_6017::Adam6017;
 use super::axis::ModbusAxis;
 use super::config::{AxisDevice, AxisProfile, CellsDevice, LineConfig, RigConfig};
-use super::ert_stream::ErtStream;
 use super::error::RigError;
+use super::ert_stream::ErtStream;
 use super::iai::Iai;
 use super::leadshine_em2rs::LeadshineEm2rs;
 use super::link::{

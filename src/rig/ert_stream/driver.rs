@@ -197,8 +197,7 @@ impl SkinReader for ErtStream {
 }
 
 fn start(reader: Reader) -> Result<JoinHandle<()>, RigError> {
-    let failed =
-        |e: std::io::Error| RigError::Start { device: "ert".into(), cause: e.to_string() };
+    let failed = |e: std::io::Error| RigError::Start { device: "ert".into(), cause: e.to_string() };
     let runtime =
         tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
     let shared = Arc::clone(&reader.shared);

@@ -469,7 +469,9 @@ impl Wire {
                     _ => Next::GiveUp,
                 }
             }
-            LineError::NoReply { .. } | LineError::Disconnected { .. } | LineError::Garbled { .. } => {
+            LineError::NoReply { .. }
+            | LineError::Disconnected { .. }
+            | LineError::Garbled { .. } => {
                 match error {
                     LineError::NoReply { .. } => count(&self.counters.timeouts),
                     LineError::Garbled { .. } => count(&self.counters.garbled),

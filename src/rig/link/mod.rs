@@ -7,6 +7,9 @@ mod line;
 mod pdu;
 mod wire;
 
+#[cfg(test)]
+mod tests;
+
 pub use latch::{MotionGate, MotionPermit, StopLatch};
 pub use line::{Line, LineCounts, LineError, LinePolicy};
 pub use pdu::{Reply, Request};

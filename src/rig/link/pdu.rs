@@ -83,10 +83,9 @@ impl Request {
             (Request::WriteCoil { address, on }, Reply::Coil { address: a, on: o }) => {
                 (address, on) == (a, o)
             }
-            (
-                Request::WriteRegister { address, word },
-                Reply::Register { address: a, word: w },
-            ) => (address, word) == (a, w),
+            (Request::WriteRegister { address, word }, Reply::Register { address: a, word: w }) => {
+                (address, word) == (a, w)
+            }
             (
                 Request::WriteRegisters { address, words },
                 Reply::Registers { address: a, count },
