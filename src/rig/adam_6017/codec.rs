@@ -84,6 +84,6 @@ mod tests {
     #[test]
     fn a_load_cell_without_load_reads_half_a_volt() {
         assert!((Range::Volts0To5.volts(6554) - 0.5).abs() < 1e-4);
-        assert!((Range::PlusMinus5.volts(36045) - 0.5).abs() < 1e-4);
+        assert!((Range::PlusMinus5.volts(36044) - 0.5).abs() < 1e-4);
     }
 }

@@ -342,14 +342,15 @@ mod tests {
             let mut bytes: Vec<u8> = clean.concat();
             let mut touched = std::collections::BTreeSet::new();
             let mut hurts = hurts;
-            hurts.sort_by_key(|(at, _)| std::cmp::Reverse(*at));
+            hurts.sort_by_key(|(at, _)| std::cmp::Reverse(at % (16 * length)));
             for (at, damage) in hurts {
                 let at = at % (16 * length);
                 touched.insert(at / length);
+                let at = at.min(bytes.len() - 1);
                 match damage {
-                    Damage::Flip(mask) => bytes[at.min(bytes.len() - 1)] ^= mask,
-                    Damage::Lose => { bytes.remove(at.min(bytes.len() - 1)); }
-                    Damage::Double => { let b = bytes[at.min(bytes.len() - 1)]; bytes.insert(at.min(bytes.len()), b); }
+                    Damage::Flip(mask) => bytes[at] ^= mask,
+                    Damage::Lose => drop(bytes.remove(at)),
+                    Damage::Double => bytes.insert(at, bytes[at]),
                 }
             }
             let mut whole = Decoder::new(4);

@@ -103,6 +103,7 @@ impl ErtStream {
         let reader = Reader {
             opener,
             decoder: Decoder::new(config.electrodes()),
+            events: Vec::new(),
             shared: Arc::clone(&shared),
             newest: newest_in,
             feed: feed.clone(),
@@ -215,6 +216,8 @@ fn start(reader: Reader) -> Result<JoinHandle<()>, RigError> {
 struct Reader {
     opener: Opener,
     decoder: Decoder,
+    /// What the bytes just read have completed: at most a few frames.
+    events: Vec<Event>,
     shared: Arc<Shared>,
     newest: watch::Sender<Option<Arc<Frame>>>,
     feed: broadcast::Sender<Arc<Frame>>,
@@ -262,27 +265,31 @@ impl Reader {
         }
     }
 
+    /// Counts first, then gives out: a taker that sees a frame sees it counted.
     fn digest(&mut self, bytes: &[u8]) {
         let received = self.clock.now();
         let host_s = self.clock.process_s_at(received);
-        let (shared, newest, feed) = (&self.shared, &self.newest, &self.feed);
-        self.decoder.push(bytes, |event| match event {
-            Event::Status(line) => lock(&shared.status).0 = Some(line),
-            Event::Frame(raw) => {
-                lock(&shared.timing).arrived(raw.device_time_us, host_s);
-                let frame = Arc::new(frame(raw, received));
-                newest.send_replace(Some(Arc::clone(&frame)));
-                // Nobody may be taking frames just now.
-                let _ = feed.send(frame);
-            }
-        });
-        let tally = self.decoder.tally();
+        let (decoder, events) = (&mut self.decoder, &mut self.events);
+        decoder.push(bytes, |event| events.push(event));
+        let (tally, shared) = (self.decoder.tally(), &self.shared);
         if tally.frames != shared.frames.swap(tally.frames, Ordering::Relaxed) {
             lock(&shared.status).1 = None;
         }
         shared.missed.store(tally.missed, Ordering::Relaxed);
         shared.garbled.store(tally.garbled, Ordering::Relaxed);
         shared.dropped_bytes.store(tally.dropped_bytes, Ordering::Relaxed);
+        for event in self.events.drain(..) {
+            match event {
+                Event::Status(line) => lock(&shared.status).0 = Some(line),
+                Event::Frame(raw) => {
+                    lock(&shared.timing).arrived(raw.device_time_us, host_s);
+                    let frame = Arc::new(frame(raw, received));
+                    self.newest.send_replace(Some(Arc::clone(&frame)));
+                    // Nobody may be taking frames just now.
+                    let _ = self.feed.send(frame);
+                }
+            }
+        }
     }
 }
 

@@ -7,4 +7,7 @@ pub mod codec;
 mod driver;
 pub mod timing;
 
+#[cfg(test)]
+mod tests;
+
 pub use driver::ErtStream;

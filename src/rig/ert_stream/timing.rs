@@ -63,7 +63,7 @@ impl DeviceTiming {
     /// Host time of the first sample of a frame, not later than it was; `None` before any arrival.
     pub fn sampled_s(&self, device_us: u64) -> Option<f64> {
         let least = self.least_now.min(self.least_before);
-        least.is_finite().then(|| device_us as f64 * 1e-6 + least - self.lead_s)
+        least.is_finite().then_some(device_us as f64 * 1e-6 + least - self.lead_s)
     }
 
     /// The wire was opened again: what was learnt may not hold.
