@@ -19,8 +19,10 @@ use crate::rig::traits::{Axis, CellVolts, Frame};
 const ROUND_TRIPS: usize = 20;
 /// Samples of the cells.
 const CELL_SAMPLES: usize = 10;
-/// Frames that are looked at.
+/// Frames that are looked at, at least,
 const FRAMES: usize = 30;
+/// and wall time over which they are, so that rates are measured well on an accelerated rig too.
+const FRAMES_OVER: Duration = Duration::from_millis(700);
 /// A frame rate that differs from the file's by more than this part is wrong.
 const RATE_TOLERANCE: f64 = 0.1;
 /// Output, as a part of the supply, below which a cell counts as disconnected (live zero is 0.1).
@@ -223,8 +225,12 @@ async fn collect(config: &RigConfig, open: &OpenBench, clock: &Clock) -> Vec<Arc
     let needed = clock.wall(FRAMES as f64 / config.ert.frame_rate_hz());
     let age = Duration::from_millis(config.limits.frame_age_ms);
     let deadline: Instant = clock.now() + 2 * needed + age + Duration::from_secs(1);
-    let mut frames = Vec::with_capacity(FRAMES);
-    while frames.len() < FRAMES {
+    let mut frames: Vec<Arc<Frame>> = Vec::with_capacity(FRAMES);
+    let enough = |frames: &[Arc<Frame>]| {
+        let span = frames.first().zip(frames.last()).map(|(a, b)| b.received - a.received);
+        frames.len() >= FRAMES && span >= Some(FRAMES_OVER)
+    };
+    while !enough(&frames) {
         match tokio::time::timeout_at(deadline, feed.recv()).await {
             Ok(Ok(frame)) => frames.push(frame),
             Ok(Err(tokio::sync::broadcast::error::RecvError::Lagged(_))) => {}
