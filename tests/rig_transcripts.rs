@@ -22,7 +22,7 @@ use palpate::rig::leadshine_em2rs::LeadshineEm2rs;
 use palpate::rig::link::{Framing, Line, LinePolicy, MotionGate, Opener, Port, StopLatch};
 use palpate::rig::oriental_az::OrientalAz;
 use palpate::rig::station::Station;
-use palpate::rig::traits::{Axis, LoadCells, SkinReader};
+use palpate::rig::traits::{Axis, AxisStatus, LoadCells, SkinReader};
 use palpate::rig::waveshare_8ch::Waveshare8ch;
 use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream};
 use tokio::sync::mpsc;
@@ -189,15 +189,35 @@ async fn a_damaged_or_late_reply_never_passes_as_a_position() {
     within(async {
         let (line, device) = line("iai_rtu_faults.txt", Framing::Rtu);
         let x = axis(&line, 2, Iai, AxisDevice::Iai, 100.0);
-        for _ in 0..4 {
+        for _ in 0..6 {
             assert_eq!(x.status().await.unwrap().position, 10.0);
         }
         device.await.unwrap();
         let counts = line.counts();
-        assert_eq!((counts.answered, counts.retries, counts.reconnects), (4, 4, 4));
+        assert_eq!((counts.answered, counts.retries, counts.reconnects), (6, 4, 4));
         assert_eq!(counts.timeouts + counts.garbled, 4);
     })
     .await;
+}
+
+#[tokio::test]
+async fn a_move_whose_reply_was_lost_is_sent_again_only_if_the_axis_stands() {
+    within(async {
+        let (line, device) = line("iai_tcp_lost_moves.txt", Framing::Tcp);
+        let x = axis(&line, 1, Iai, AxisDevice::Iai, 100.0);
+        assert!(!status_of(&x).await.moving);
+        x.start_move(12.34, 100.0).await.unwrap();
+        assert_eq!(status_of(&x).await.position, 12.34);
+        x.start_move(20.0, 100.0).await.unwrap();
+        assert_eq!(status_of(&x).await.position, 13.0);
+        assert_eq!(status_of(&x).await.position, 13.2, "0x4000 in the high word is no place");
+        device.await.unwrap();
+    })
+    .await;
+}
+
+async fn status_of<D: Drive>(x: &ModbusAxis<D>) -> AxisStatus {
+    x.status().await.unwrap()
 }
 
 #[tokio::test]
@@ -255,7 +275,7 @@ async fn adam_6017_over_tcp() {
         let early = module.read().await.unwrap_err();
         assert!(matches!(early, RigError::NotReady { .. }), "ranges are not known yet: {early}");
         assert_eq!(module.prepare().await.unwrap(), "ADAM-6017, Volts0To5");
-        for _ in 0..4 {
+        for _ in 0..5 {
             let volts = module.read().await.unwrap().volts;
             assert!((volts[0] - 0.5).abs() < 1e-4, "{volts:?}");
             assert_eq!((volts[3], volts[4]), (0.0, 5.0));

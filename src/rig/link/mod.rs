@@ -6,6 +6,7 @@ mod counts;
 mod latch;
 mod line;
 mod pdu;
+mod swept;
 mod wire;
 
 #[cfg(test)]

@@ -12,6 +12,7 @@ use tokio::net::TcpStream;
 use tokio_modbus::client::Context;
 use tokio_serial::{SerialPort, SerialPortBuilderExt};
 
+use super::swept::Swept;
 use crate::rig::config::Parity;
 
 /// Silence after which a serial line counts as drained. The late rest of a reply comes within it.
@@ -96,7 +97,7 @@ pub(super) async fn attach(
             tokio::time::timeout(limit, drain).await.map_err(|_| {
                 io::Error::new(io::ErrorKind::InvalidData, "the line does not fall silent")
             })??;
-            Ok(tokio_modbus::client::rtu::attach(port))
+            Ok(tokio_modbus::client::rtu::attach(Swept::new(port)))
         }
     }
 }
