@@ -23,8 +23,6 @@ const CELL_SAMPLES: usize = 10;
 const FRAMES: usize = 30;
 /// and wall time over which they are, so that rates are measured well on an accelerated rig too.
 const FRAMES_OVER: Duration = Duration::from_millis(1500);
-/// What the last frame may have waited longer on its way than the first, wall s.
-const FRAME_LAG_S: f64 = 0.4;
 /// A frame rate that differs from the file's by more than this part is wrong.
 const RATE_TOLERANCE: f64 = 0.1;
 /// Output, as a part of the supply, below which a cell counts as disconnected (live zero is 0.1).
@@ -199,27 +197,48 @@ async fn check_stream(
         return found;
     };
     let device_s = (last.device_time_us as f64 - first.device_time_us as f64) * 1e-6;
-    let steps = f64::from(last.sequence.wrapping_sub(first.sequence));
-    let wall_s = (last.received - first.received).as_secs_f64();
-    if device_s > 0.0 && wall_s > 0.0 {
-        let (rate, device_rate) = (steps / device_s, device_s / wall_s);
+    if device_s > 0.0 {
+        let rate = f64::from(last.sequence.wrapping_sub(first.sequence)) / device_s;
         found.frame_rate_hz = Some(rate);
-        found.device_rate = Some(device_rate);
         let stated = config.ert.frame_rate_hz();
         if (rate / stated - 1.0).abs() > RATE_TOLERANCE {
             problems.push(format!("ert: {rate:.1} frames/s, but the rig file says {stated}"));
         }
-        let off_s = (device_s / clock.rate() - wall_s).abs();
-        if off_s > RATE_TOLERANCE * wall_s + FRAME_LAG_S {
-            let stated = clock.rate();
-            problems.push(format!(
-                "ert: its clock runs at {device_rate:.2} times the wall's, \
-                 but clock_rate is {stated}: frames cannot be placed in time"
-            ));
-        }
+    }
+    found.device_rate = device_rate(&frames);
+    if let Some(rate) = found.device_rate
+        && (rate / clock.rate() - 1.0).abs() > 2.0 * RATE_TOLERANCE
+    {
+        let stated = clock.rate();
+        problems.push(format!(
+            "ert: its clock runs at {rate:.2} times the wall's, but clock_rate is {stated}: \
+             frames cannot be placed in time"
+        ));
     }
     signal(&frames, &mut found, problems);
     found
+}
+
+/// Device seconds in a wall second, from the least delayed frame of the first third of the wall
+/// time and that of the last: what waits in buffers in between does not count.
+fn device_rate(frames: &[Arc<Frame>]) -> Option<f64> {
+    let first = frames.first()?;
+    let place = |f: &Frame| {
+        let wall_s = (f.received - first.received).as_secs_f64();
+        (wall_s, (f.device_time_us as f64 - first.device_time_us as f64) * 1e-6)
+    };
+    let span_s = place(frames.last()?).0;
+    // Least delayed is most advanced in device time for its wall time, at about the true rate.
+    let (_, device_s) = place(frames.last()?);
+    let about = device_s / span_s;
+    let least_delayed = |from: f64, to: f64| {
+        let within = frames.iter().map(|f| place(f)).filter(|p| (from..=to).contains(&p.0));
+        within.max_by(|a, b| (a.1 - about * a.0).total_cmp(&(b.1 - about * b.0)))
+    };
+    let early = least_delayed(0.0, span_s / 3.0)?;
+    let late = least_delayed(span_s * 2.0 / 3.0, span_s)?;
+    let rate = (late.1 - early.1) / (late.0 - early.0);
+    rate.is_finite().then_some(rate)
 }
 
 /// Waits for frames, at most a second longer than they take.
@@ -296,6 +315,25 @@ fn mean_and_sd(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_devices_rate_is_seen_through_frames_that_wait() {
+        let start = Clock::new(1.0).now();
+        let frames: Vec<Arc<Frame>> = (0..300_u32)
+            .map(|n| {
+                let lag_ms = if n % 10 == 0 { 1 } else { 400 + u64::from(n) % 37 };
+                let received = start + Duration::from_millis(5 * u64::from(n) + lag_ms);
+                // 20 device seconds in a wall second.
+                let device_time_us = u64::from(n) * 100_000;
+                let (sequence, counts) = (n, Vec::new());
+                let volts_per_count = 1e-3;
+                Arc::new(Frame { sequence, device_time_us, volts_per_count, counts, received })
+            })
+            .collect();
+        let rate = device_rate(&frames).unwrap();
+        assert!((rate - 20.0).abs() < 0.5, "{rate}");
+        assert_eq!(device_rate(&frames[..1]), None);
+    }
 
     fn frames(noise: i16, broken: i16) -> Vec<Arc<Frame>> {
         let received = Clock::new(1.0).now();

@@ -20,13 +20,15 @@ use super::timing::DeviceTiming;
 use crate::clock::Clock;
 use crate::rig::config::{ErtConfig, Parity};
 use crate::rig::error::RigError;
-use crate::rig::link::{Opener, Port, SerialSettings, serial_opener, tcp_opener};
+use crate::rig::link::{Opener, Port, SerialSettings, serial_opener, tcp_stream_opener};
 use crate::rig::traits::{Frame, SkinReader, StreamCounters};
 
 /// Frames that a taker may lag behind before it loses some.
 const FEED: usize = 256;
 /// Bytes read at once: more than a packet, less than a second of them.
 const READ_BYTES: usize = 16 * 1024;
+/// Bytes that may wait in the kernel: some forty packets.
+const BUFFER_BYTES: u32 = 64 * 1024;
 /// First and longest wait before the wire is opened again, wall time.
 const BACKOFF: [Duration; 2] = [Duration::from_millis(50), Duration::from_secs(1)];
 /// Longest wait for the wire to open, wall time.
@@ -68,7 +70,9 @@ impl ErtStream {
     /// frame: a silent wire is opened again after it, and a taker gives up.
     pub fn open(config: &ErtConfig, frame_age: Duration, clock: Clock) -> Result<Self, RigError> {
         let (opener, sending_s) = match config {
-            ErtConfig::Tcp { address, .. } => (tcp_opener(address.clone()), 0.0),
+            ErtConfig::Tcp { address, .. } => {
+                (tcp_stream_opener(address.clone(), BUFFER_BYTES), 0.0)
+            }
             ErtConfig::Serial { path, baud, .. } => {
                 let settings =
                     SerialSettings { path: path.clone(), baud: *baud, parity: Parity::None };

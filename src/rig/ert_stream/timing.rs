@@ -31,11 +31,12 @@ pub struct DeviceTiming {
 }
 
 impl DeviceTiming {
-    /// For a device with this frame period (process s), whose packets need `sending_s` wall
-    /// seconds on the wire, on a rig at `rate` process seconds a wall second.
+    /// For a device with this frame period, whose packets need `sending_s` on the wire (both in
+    /// process s: an accelerated stand-in's line is accelerated too), on a rig at `rate` process
+    /// seconds a wall second.
     pub fn new(frame_period_s: f64, sending_s: f64, rate: f64) -> Self {
         Self {
-            lead_s: frame_period_s + (sending_s + TRANSPORT_MARGIN_S) * rate,
+            lead_s: frame_period_s + sending_s + TRANSPORT_MARGIN_S * rate,
             half_window_s: HALF_WINDOW_S * rate,
             half_began_s: f64::NEG_INFINITY,
             least_now: f64::INFINITY,

@@ -16,4 +16,6 @@ pub use counts::LineCounts;
 pub use latch::{MotionGate, MotionPermit, StopLatch};
 pub use line::{Line, LineError, LinePolicy};
 pub use pdu::{Reply, Request};
-pub use wire::{Framing, Opener, Port, SerialSettings, serial_opener, tcp_opener};
+pub use wire::{
+    Framing, Opener, Port, SerialSettings, serial_opener, tcp_opener, tcp_stream_opener,
+};

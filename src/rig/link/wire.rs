@@ -8,7 +8,7 @@ use std::pin::Pin;
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite};
-use tokio::net::TcpStream;
+use tokio::net::{TcpSocket, TcpStream, lookup_host};
 use tokio_modbus::client::Context;
 use tokio_serial::{SerialPort, SerialPortBuilderExt};
 
@@ -57,6 +57,26 @@ pub fn tcp_opener(address: String) -> Opener {
             let stream = TcpStream::connect(address).await?;
             stream.set_nodelay(true)?;
             Ok(Box::new(stream) as Box<dyn Port>)
+        })
+    })
+}
+
+/// Opens a TCP connection for a stream that is read only, with a receive buffer of `bytes`: what
+/// does not fit is the sender's to drop, instead of growing old in ours.
+pub fn tcp_stream_opener(address: String, bytes: u32) -> Opener {
+    Box::new(move || {
+        let address = address.clone();
+        Box::pin(async move {
+            let mut failed = io::Error::from(io::ErrorKind::NotFound);
+            for at in lookup_host(address).await? {
+                let socket = if at.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
+                socket.set_recv_buffer_size(bytes)?;
+                match socket.connect(at).await {
+                    Ok(stream) => return Ok(Box::new(stream) as Box<dyn Port>),
+                    Err(error) => failed = error,
+                }
+            }
+            Err(failed)
         })
     })
 }
