@@ -172,7 +172,8 @@ impl CheckReport {
         let clock = shown(s.device_rate, |r| format!("{r:.2}"));
         writeln!(
             f,
-            "\nert: {rate}, its clock at {clock} of the wall's; {} frames seen, {} missed, {} garbled",
+            "\nert: {rate}, its clock at {clock} of the wall's; \
+             {} frames seen, {} missed, {} garbled",
             s.frames, s.missed, s.garbled
         )?;
         let volts = |v: Option<f64>| shown(v, |v| format!("{v:.5} V"));
