@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use async_trait::async_trait;
+use tokio::time::Instant;
 
 use super::config::AxisProfile;
 use super::error::{RigError, Severity};
@@ -74,6 +75,13 @@ pub trait Drive: Send + Sync + 'static {
     ) -> impl Future<Output = Result<String, RigError>> + Send;
 }
 
+/// One look at a drive.
+struct Look {
+    state: DriveState,
+    seen: Seen,
+    at: Instant,
+}
+
 /// An axis of the rig on a drive.
 #[derive(Debug)]
 pub struct ModbusAxis<D> {
@@ -116,18 +124,26 @@ impl<D: Drive> ModbusAxis<D> {
         self.gate.permit().map_err(|e| self.station.named(operation, e))
     }
 
-    async fn state(&self) -> Result<DriveState, RigError> {
+    /// Reads the drive once.
+    async fn look(&self) -> Result<Look, RigError> {
+        let asked_s = self.clock.process_s();
         let requests = self.drive.status_requests();
         let mut blocks = Vec::with_capacity(requests.len());
         for request in requests {
             blocks.push(self.station.read("status", request).await?);
         }
+        let at = self.clock.now();
         let state = self.drive.parse_status(&blocks);
-        state.ok_or_else(|| self.station.garbled("status", "too few registers".into()))
-    }
-
-    fn position(&self, counts: i32) -> f64 {
-        f64::from(counts) / self.profile.counts_per_unit
+        let state =
+            state.ok_or_else(|| self.station.garbled("status", "too few registers".into()))?;
+        let seen = Seen {
+            asked_s,
+            arrived_s: self.clock.process_s_at(at),
+            going: state.going,
+            position: f64::from(state.counts) / self.profile.counts_per_unit,
+            homed: state.homed,
+        };
+        Ok(Look { state, seen, at })
     }
 
     async fn send(
@@ -217,17 +233,13 @@ impl<D: Drive> Axis for ModbusAxis<D> {
     }
 
     async fn status(&self) -> Result<AxisStatus, RigError> {
-        let mut state = self.state().await?;
-        let mut at = self.clock.now();
-        let suspicious = {
-            let position = self.position(state.counts);
-            self.watch().implausible(position, self.clock.process_s_at(at))
-        };
+        let mut look = self.look().await?;
+        let suspicious = self.watch().implausible(look.seen);
         if suspicious {
             // Modbus TCP has no checksum: a flipped bit does not come twice.
-            state = self.state().await?;
-            at = self.clock.now();
+            look = self.look().await?;
         }
+        let Look { state, seen, at } = look;
         let mut alarm = state.alarm;
         if state.fault && alarm.is_none() {
             alarm = match self.drive.alarm_request() {
@@ -238,9 +250,8 @@ impl<D: Drive> Axis for ModbusAxis<D> {
                 None => Some(0),
             };
         }
-        let position = self.position(state.counts);
-        let seen = Seen { going: state.going, position, homed: state.homed };
-        let moving = self.watch().observe(seen, self.clock.process_s_at(at)) && !state.fault;
+        let position = seen.position;
+        let moving = self.watch().observe(seen) && !state.fault;
         let (homed, ready) = (state.homed, state.ready);
         Ok(AxisStatus { position, moving, homed, ready, alarm, at })
     }

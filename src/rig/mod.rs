@@ -12,3 +12,13 @@ pub mod words;
 
 pub mod axis;
 pub mod iai;
+pub mod leadshine_em2rs;
+pub mod oriental_az;
+
+pub mod adam_6017;
+pub mod waveshare_8ch;
+
+pub mod ert_stream;
+
+pub mod check;
+pub mod registry;

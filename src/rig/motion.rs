@@ -5,6 +5,10 @@
 //! and a drive that only says "in position" says the same of a moving axis and of one that was
 //! stopped short. So a command counts as under way for a moment, and an axis whose drive is unsure
 //! moves for as long as its position changes.
+//!
+//! A reading was taken somewhere between the request and its reply. Between two readings there was
+//! at least the time from the first one's reply to the second one's request, and only that counts
+//! towards a stand: a reply that came late proves nothing.
 
 /// How long a drive may take to show that it obeys, process s.
 const LATENCY_S: f64 = 0.02;
@@ -43,6 +47,10 @@ pub enum Command {
 /// One reading of a drive.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Seen {
+    /// When it was asked for, process s.
+    pub asked_s: f64,
+    /// When it arrived, process s.
+    pub arrived_s: f64,
     /// What it says of its motion.
     pub going: Going,
     /// Measured position, units.
@@ -62,9 +70,9 @@ pub struct MotionWatch {
 
 #[derive(Debug, Clone, Copy)]
 struct Last {
-    position: f64,
-    read_s: f64,
-    changed_s: f64,
+    seen: Seen,
+    /// Arrival of the first reading at this position since the last command.
+    there_since_s: f64,
     moving: bool,
 }
 
@@ -86,43 +94,44 @@ impl MotionWatch {
             Some((Command::Move(_) | Command::Home, t_s)) => t_s,
             Some((Command::Stop, _)) | None => f64::NEG_INFINITY,
         };
-        self.last.is_some_and(|l| !l.moving && l.read_s >= told_s)
+        self.last.is_some_and(|l| !l.moving && l.seen.asked_s >= told_s)
     }
 
     /// Whether a position is out of reach of the last one: a flipped bit rather than a motion.
-    pub fn implausible(&self, position: f64, t_s: f64) -> bool {
+    pub fn implausible(&self, seen: Seen) -> bool {
         let homing = matches!(self.command, Some((Command::Home, _)));
         !homing
             && self.last.is_some_and(|l| {
-                let reach = IMPLAUSIBLE_SPEEDUP * self.speed * (t_s - l.read_s) + PLAUSIBLE_STEP;
-                (position - l.position).abs() > reach
+                let longest_s = seen.arrived_s - l.seen.asked_s;
+                let reach = IMPLAUSIBLE_SPEEDUP * self.speed * longest_s + PLAUSIBLE_STEP;
+                (seen.position - l.seen.position).abs() > reach
             })
     }
 
-    /// Takes a reading of process time `t_s`; whether the axis moves.
-    pub fn observe(&mut self, seen: Seen, t_s: f64) -> bool {
-        let changed_s = match self.last {
-            Some(last) if last.position == seen.position => last.changed_s,
-            Some(_) | None => t_s,
+    /// Takes a reading; whether the axis moves.
+    pub fn observe(&mut self, seen: Seen) -> bool {
+        let told_s = self.command.map_or(f64::NEG_INFINITY, |(_, t_s)| t_s);
+        let there_since_s = match self.last {
+            Some(l) if l.seen.position == seen.position && l.seen.asked_s >= told_s => {
+                l.there_since_s
+            }
+            Some(_) | None => seen.arrived_s,
         };
-        let moving = self.judge(seen, changed_s, t_s);
-        self.last = Some(Last { position: seen.position, read_s: t_s, changed_s, moving });
+        let moving = self.judge(seen, there_since_s);
+        self.last = Some(Last { seen, there_since_s, moving });
         moving
     }
 
-    fn judge(&self, seen: Seen, changed_s: f64, t_s: f64) -> bool {
-        let (command, told_s) = match self.command {
-            Some((command, at_s)) => (Some(command), at_s),
-            None => (None, f64::NEG_INFINITY),
-        };
-        let fresh = t_s - told_s < LATENCY_S;
+    fn judge(&self, seen: Seen, there_since_s: f64) -> bool {
+        let command = self.command.map(|(command, _)| command);
+        let fresh = self.command.is_some_and(|(_, told_s)| seen.asked_s - told_s < LATENCY_S);
         let still_s = match command {
             Some(Command::Home) if !seen.homed => STILL_HOMING_S,
             _ => STILL_S,
         };
         match (seen.going, command) {
             (Going::Moving, _) => true,
-            (Going::Unsure, _) => t_s - changed_s.max(told_s) < still_s,
+            (Going::Unsure, _) => seen.asked_s - there_since_s < still_s,
             (Going::Standing, Some(Command::Move(target))) => {
                 fresh && (seen.position - target).abs() > self.tolerance
             }
@@ -136,64 +145,78 @@ impl MotionWatch {
 mod tests {
     use super::*;
 
-    fn seen(going: Going, position: f64) -> Seen {
-        Seen { going, position, homed: true }
+    /// A reading that was asked for and arrived within a microsecond.
+    fn seen(going: Going, position: f64, t_s: f64) -> Seen {
+        Seen { asked_s: t_s, arrived_s: t_s + 1e-6, going, position, homed: true }
     }
 
     #[test]
     fn a_move_just_told_is_under_way_although_the_drive_still_reports_the_stand_before_it() {
         let mut watch = MotionWatch::new(0.05, 100.0);
         watch.commanded(Command::Move(10.0), 1.0);
-        assert!(watch.observe(seen(Going::Standing, 0.0), 1.001));
-        assert!(!watch.observe(seen(Going::Standing, 0.0), 1.1), "a drive that never starts");
+        assert!(watch.observe(seen(Going::Standing, 0.0, 1.001)));
+        assert!(!watch.observe(seen(Going::Standing, 0.0, 1.1)), "a drive that never starts");
     }
 
     #[test]
     fn an_axis_that_is_there_already_is_not_under_way() {
         let mut watch = MotionWatch::new(0.05, 100.0);
         watch.commanded(Command::Move(10.0), 1.0);
-        assert!(!watch.observe(seen(Going::Standing, 10.01), 1.001));
+        assert!(!watch.observe(seen(Going::Standing, 10.01, 1.001)));
     }
 
     #[test]
     fn an_unsure_drive_moves_while_its_position_changes() {
         let mut watch = MotionWatch::new(0.05, 100.0);
         watch.commanded(Command::Move(10.0), 0.0);
-        assert!(watch.observe(seen(Going::Unsure, 1.0), 0.05));
+        assert!(watch.observe(seen(Going::Unsure, 1.0, 0.05)));
         watch.commanded(Command::Stop, 0.06);
-        assert!(watch.observe(seen(Going::Unsure, 1.4), 0.07));
-        assert!(watch.observe(seen(Going::Unsure, 1.5), 0.08));
-        assert!(watch.observe(seen(Going::Unsure, 1.5), 0.10));
-        assert!(!watch.observe(seen(Going::Unsure, 1.5), 0.19));
+        assert!(watch.observe(seen(Going::Unsure, 1.4, 0.07)));
+        assert!(watch.observe(seen(Going::Unsure, 1.5, 0.08)));
+        assert!(watch.observe(seen(Going::Unsure, 1.5, 0.10)));
+        assert!(!watch.observe(seen(Going::Unsure, 1.5, 0.19)));
         assert!(watch.stood());
+    }
+
+    #[test]
+    fn a_late_reply_after_a_command_proves_no_stand() {
+        let mut watch = MotionWatch::new(0.05, 100.0);
+        watch.observe(seen(Going::Unsure, 5.0, 0.5));
+        watch.commanded(Command::Move(10.0), 1.0);
+        // Taken just after the command, before anything moved, but a second on the way.
+        let late = Seen { arrived_s: 2.0, ..seen(Going::Unsure, 5.0, 1.001) };
+        assert!(watch.observe(late));
+        assert!(watch.observe(seen(Going::Unsure, 5.0, 2.05)));
+        assert!(!watch.observe(seen(Going::Unsure, 5.0, 2.2)), "now it has stood for 0.2 s");
     }
 
     #[test]
     fn homing_may_rest_between_its_phases() {
         let mut watch = MotionWatch::new(0.05, 100.0);
         watch.commanded(Command::Home, 0.0);
-        let unhomed = |going, p| Seen { going, position: p, homed: false };
-        assert!(watch.observe(unhomed(Going::Unsure, 5.0), 0.5));
-        assert!(watch.observe(unhomed(Going::Unsure, 5.0), 1.4));
-        assert!(!watch.observe(unhomed(Going::Unsure, 5.0), 1.6));
-        assert!(!watch.observe(seen(Going::Standing, 0.0), 1.7));
+        let unhomed = |going, p, t| Seen { homed: false, ..seen(going, p, t) };
+        assert!(watch.observe(unhomed(Going::Unsure, 5.0, 0.5)));
+        assert!(watch.observe(unhomed(Going::Unsure, 5.0, 1.4)));
+        assert!(!watch.observe(unhomed(Going::Unsure, 5.0, 1.6)));
+        assert!(!watch.observe(seen(Going::Standing, 0.0, 1.7)));
     }
 
     #[test]
     fn a_position_out_of_reach_is_implausible_and_a_quick_move_is_not() {
         let mut watch = MotionWatch::new(0.05, 100.0);
-        watch.observe(seen(Going::Standing, 50.0), 1.0);
-        assert!(watch.implausible(50.0 + 655.36, 1.01));
-        assert!(!watch.implausible(51.5, 1.01));
+        watch.observe(seen(Going::Standing, 50.0, 1.0));
+        assert!(watch.implausible(seen(Going::Standing, 50.0 + 655.36, 1.01)));
+        assert!(!watch.implausible(seen(Going::Standing, 51.5, 1.01)));
         watch.commanded(Command::Home, 1.01);
-        assert!(!watch.implausible(0.0, 1.02), "homing moves the zero");
+        let home = seen(Going::Standing, 0.0, 1.02);
+        assert!(!watch.implausible(home), "homing moves the zero");
     }
 
     #[test]
     fn an_axis_told_to_move_has_not_stood_since() {
         let mut watch = MotionWatch::new(0.05, 100.0);
         assert!(!watch.stood(), "never read");
-        watch.observe(seen(Going::Standing, 0.0), 1.0);
+        watch.observe(seen(Going::Standing, 0.0, 1.0));
         assert!(watch.stood());
         watch.commanded(Command::Move(5.0), 1.5);
         assert!(!watch.stood());

@@ -31,7 +31,8 @@ mod tests {
     proptest! {
         #[test]
         fn every_value_survives_its_two_registers(value: i32) {
-            prop_assert_eq!(from_words(&[7, to_words(value)[0], to_words(value)[1]], 1), Some(value));
+            let [high, low] = to_words(value);
+            prop_assert_eq!(from_words(&[7, high, low], 1), Some(value));
         }
     }
 

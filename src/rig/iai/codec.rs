@@ -122,8 +122,7 @@ mod tests {
 
     #[test]
     fn a_move_is_one_block_in_hundredths() {
-        let order =
-            MoveOrder { target: 123_45, speed: 250_00.0, acceleration: 1500_00.0, tolerance: 5.0 };
+        let order = MoveOrder { target: 12_345, speed: 25e3, acceleration: 150e3, tolerance: 5.0 };
         // 1500 mm/s^2 = 0.153 G.
         let words = vec![0, 12345, 0, 5, 0, 25000, 15, 0, 0];
         assert_eq!(move_block(&order), Request::WriteRegisters { address: 0x9900, words });

@@ -12,15 +12,15 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use serde::Serialize;
 use tokio::sync::{Notify, mpsc, oneshot};
 use tokio::time::Instant;
 use tokio_modbus::client::{Client, Context};
 use tokio_modbus::slave::{Slave, SlaveContext};
 
+use super::counts::{Counters, LineCounts, count};
 use super::latch::MotionPermit;
 use super::pdu::{Reply, Request};
 use super::wire::{self, Framing, Opener};
@@ -86,43 +86,6 @@ pub enum LineError {
     Closed,
 }
 
-/// What a line has done so far.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
-pub struct LineCounts {
-    /// Requests answered soundly.
-    pub answered: u64,
-    /// Attempts beyond the first.
-    pub retries: u64,
-    /// Replies that did not come in time.
-    pub timeouts: u64,
-    /// Replies that made no sense.
-    pub garbled: u64,
-    /// Modbus exceptions.
-    pub exceptions: u64,
-    /// Connections opened after the first.
-    pub reconnects: u64,
-    /// Requests that a stop cut off.
-    pub cut_off: u64,
-    /// Last request to reply, microseconds; 0 before the first.
-    pub last_round_trip_us: u64,
-}
-
-#[derive(Debug, Default)]
-struct Counters {
-    answered: AtomicU64,
-    retries: AtomicU64,
-    timeouts: AtomicU64,
-    garbled: AtomicU64,
-    exceptions: AtomicU64,
-    reconnects: AtomicU64,
-    cut_off: AtomicU64,
-    last_round_trip_us: AtomicU64,
-}
-
-fn count(counter: &AtomicU64) {
-    counter.fetch_add(1, Ordering::Relaxed);
-}
-
 /// A wire's handle. Dropping it ends the owner.
 #[derive(Debug)]
 pub struct Line {
@@ -181,17 +144,7 @@ impl Line {
 
     /// What the line has done so far.
     pub fn counts(&self) -> LineCounts {
-        let get = |c: &AtomicU64| c.load(Ordering::Relaxed);
-        LineCounts {
-            answered: get(&self.counters.answered),
-            retries: get(&self.counters.retries),
-            timeouts: get(&self.counters.timeouts),
-            garbled: get(&self.counters.garbled),
-            exceptions: get(&self.counters.exceptions),
-            reconnects: get(&self.counters.reconnects),
-            cut_off: get(&self.counters.cut_off),
-            last_round_trip_us: get(&self.counters.last_round_trip_us),
-        }
+        self.counters.counts()
     }
 
     /// Asks one device; retried within the count.

@@ -2,12 +2,20 @@
 //! carries the address that it is meant for, and a stop goes first.
 //! Uses: `clock`, `rig::config`, tokio-modbus, tokio-serial. Never: registers' meanings, units.
 
+mod counts;
 mod latch;
 mod line;
 mod pdu;
+mod swept;
 mod wire;
 
+#[cfg(test)]
+mod tests;
+
+pub use counts::LineCounts;
 pub use latch::{MotionGate, MotionPermit, StopLatch};
-pub use line::{Line, LineCounts, LineError, LinePolicy};
+pub use line::{Line, LineError, LinePolicy};
 pub use pdu::{Reply, Request};
-pub use wire::{Framing, Opener, Port, SerialSettings, serial_opener, tcp_opener};
+pub use wire::{
+    Framing, Opener, Port, SerialSettings, serial_opener, tcp_opener, tcp_stream_opener,
+};

@@ -8,10 +8,11 @@ use std::pin::Pin;
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite};
-use tokio::net::TcpStream;
+use tokio::net::{TcpSocket, TcpStream, lookup_host};
 use tokio_modbus::client::Context;
 use tokio_serial::{SerialPort, SerialPortBuilderExt};
 
+use super::swept::Swept;
 use crate::rig::config::Parity;
 
 /// Silence after which a serial line counts as drained. The late rest of a reply comes within it.
@@ -60,6 +61,26 @@ pub fn tcp_opener(address: String) -> Opener {
     })
 }
 
+/// Opens a TCP connection for a stream that is read only, with a receive buffer of `bytes`: what
+/// does not fit is the sender's to drop, instead of growing old in ours.
+pub fn tcp_stream_opener(address: String, bytes: u32) -> Opener {
+    Box::new(move || {
+        let address = address.clone();
+        Box::pin(async move {
+            let mut failed = io::Error::from(io::ErrorKind::NotFound);
+            for at in lookup_host(address).await? {
+                let socket = if at.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
+                socket.set_recv_buffer_size(bytes)?;
+                match socket.connect(at).await {
+                    Ok(stream) => return Ok(Box::new(stream) as Box<dyn Port>),
+                    Err(error) => failed = error,
+                }
+            }
+            Err(failed)
+        })
+    })
+}
+
 /// Opens a serial port. The port is not claimed exclusively: on a pseudo-terminal that claim
 /// outlives the process that made it, and the rig's lock file already keeps others away.
 pub fn serial_opener(settings: SerialSettings) -> Opener {
@@ -96,7 +117,7 @@ pub(super) async fn attach(
             tokio::time::timeout(limit, drain).await.map_err(|_| {
                 io::Error::new(io::ErrorKind::InvalidData, "the line does not fall silent")
             })??;
-            Ok(tokio_modbus::client::rtu::attach(port))
+            Ok(tokio_modbus::client::rtu::attach(Swept::new(port)))
         }
     }
 }

@@ -1,0 +1,9 @@
+//! Leadshine / StepperOnline EM2RS, DM556RS, DM882RS: stepping drives in PR mode over RS-485.
+//! Uses: `rig::axis`, `rig::station`. Never: another device's registers.
+//!
+//! Source: `field.md` 4. RTU, 38400 baud and 8N1 from the factory.
+
+pub mod codec;
+mod driver;
+
+pub use driver::LeadshineEm2rs;

@@ -1,0 +1,127 @@
+//! The register map of Oriental Motor AZ drivers, as requests and meanings.
+//! PURE. Uses: `link::Request`, `words`. Never: ports, waits, units other than steps.
+//!
+//! Source: `field.md` 4; all values are 32-bit, high word at the lower address. Bits of the output
+//! status are the drive's default remote outputs `[unverified]`: check them against the manual and
+//! the drive's own set-up before trusting them.
+
+use crate::rig::axis::{DriveState, MoveOrder};
+use crate::rig::link::Request;
+use crate::rig::motion::Going;
+use crate::rig::words::{bit, from_words, to_count, to_words};
+
+/// Direct data operation: data number, type, position, speed, start rate, stop rate, current,
+/// trigger; sixteen registers, written as one block.
+pub const OPERATION: u16 = 0x0058;
+/// Driver input command.
+pub const INPUT: u16 = 0x007C;
+/// Driver output status, and after it the present alarm.
+pub const OUTPUT: u16 = 0x007E;
+/// Feedback position.
+pub const FEEDBACK: u16 = 0x00CC;
+
+/// Input command bit 4: homing.
+pub const IN_HOME: i32 = 1 << 4;
+/// Input command bit 5: stop.
+pub const IN_STOP: i32 = 1 << 5;
+/// Input command bit 7: alarm reset.
+pub const IN_ALARM_RESET: i32 = 1 << 7;
+
+/// Output status bits in the low word at 0x007F `[unverified]`.
+mod output {
+    /// HOME-END.
+    pub const HOME_END: u32 = 4;
+    /// READY: takes a command. Off while it moves.
+    pub const READY: u32 = 5;
+    /// ALM-A.
+    pub const ALARM: u32 = 7;
+    /// MOVE.
+    pub const MOVE: u32 = 13;
+}
+
+/// Operation type: absolute positioning.
+const ABSOLUTE: i32 = 1;
+/// Current, 0.1 %: all of it.
+const FULL_CURRENT: i32 = 1000;
+/// Trigger: everything of the block at once.
+const TRIGGER_ALL: i32 = 1;
+/// Speeds that the drive takes, Hz.
+const SPEED_MAX: i32 = 4_000_000;
+/// Rates that the drive takes, 0.001 kHz/s = Hz/s.
+const RATE_MAX: i32 = 1_000_000_000;
+
+/// Writes the input command.
+pub fn input(bits: i32) -> Request {
+    Request::WriteRegisters { address: INPUT, words: to_words(bits).to_vec() }
+}
+
+/// Reads output status and alarm.
+pub fn read_output() -> Request {
+    Request::ReadHolding { address: OUTPUT, count: 4 }
+}
+
+/// Reads the feedback position.
+pub fn read_feedback() -> Request {
+    Request::ReadHolding { address: FEEDBACK, count: 2 }
+}
+
+/// An absolute move as direct data operation.
+pub fn move_block(order: &MoveOrder) -> Request {
+    let rate = to_count(order.acceleration, 1, RATE_MAX);
+    let values = [
+        0,
+        ABSOLUTE,
+        order.target,
+        to_count(order.speed, 1, SPEED_MAX),
+        rate,
+        rate,
+        FULL_CURRENT,
+        TRIGGER_ALL,
+    ];
+    let words = values.into_iter().flat_map(to_words).collect();
+    Request::WriteRegisters { address: OPERATION, words }
+}
+
+/// The state in output status, alarm and feedback position; `None` if a block is short.
+pub fn parse(output: &[u16], feedback: &[u16]) -> Option<DriveState> {
+    let low = *output.get(1)?;
+    let code = from_words(output, 2)? as u32;
+    let (moving, alarm) = (bit(low, output::MOVE), bit(low, output::ALARM));
+    Some(DriveState {
+        counts: from_words(feedback, 0)?,
+        going: if moving { Going::Moving } else { Going::Standing },
+        homed: bit(low, output::HOME_END),
+        ready: (bit(low, output::READY) || moving) && !alarm,
+        fault: alarm,
+        alarm: alarm.then_some(code),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_move_is_one_block_of_sixteen() {
+        let order =
+            MoveOrder { target: -70_000, speed: 2000.4, acceleration: 1.5e5, tolerance: 5.0 };
+        let Request::WriteRegisters { address, words } = move_block(&order) else {
+            panic!("a block write");
+        };
+        assert_eq!(address, 0x0058);
+        let expected = [0, 0, 0, 1, 0xFFFE, 0xEE90, 0, 2000, 2, 0x49F0, 2, 0x49F0, 0, 1000, 0, 1];
+        assert_eq!(words, expected);
+    }
+
+    #[test]
+    fn the_outputs_are_read_bit_by_bit() {
+        let moving = parse(&[0, 0x2010, 0, 0], &[0, 500]).unwrap();
+        assert_eq!((moving.going, moving.homed, moving.ready), (Going::Moving, true, true));
+        let standing = parse(&[0, 0x4020, 0, 0], &[0xFFFF, 0xFFFF]).unwrap();
+        assert_eq!((standing.going, standing.homed), (Going::Standing, false));
+        assert_eq!((standing.ready, standing.counts), (true, -1));
+        let alarm = parse(&[0, 0x00A0, 0, 0x30], &[0, 0]).unwrap();
+        assert_eq!((alarm.ready, alarm.alarm), (false, Some(0x30)));
+        assert_eq!(parse(&[0, 0x20, 0], &[0, 0]), None);
+    }
+}
