@@ -213,6 +213,11 @@ impl ForwardModel {
         &self.point_rows[point]
     }
 
+    /// Multiply-adds that the reduction of the network takes, per frame.
+    pub fn multiply_adds(&self) -> usize {
+        self.reduction.multiply_adds()
+    }
+
     /// Name of the model: `sim-` and the start of a sha256 over all that its frames depend on.
     pub fn model_hash(&self) -> &str {
         &self.hash

@@ -76,8 +76,10 @@ impl KronReduction {
 
     /// Multiply-adds of one reduction, counted on the plan.
     pub fn multiply_adds(&self) -> usize {
-        let of = |f: &Front| (0..f.pivots).map(|k| (f.rows - k) * (f.rows - k + 1) / 2).sum();
-        self.fronts.iter().map(of).collect::<Vec<usize>>().iter().sum()
+        let of = |f: &Front| -> usize {
+            (0..f.pivots).map(|k| (f.rows - k) * (f.rows - k + 1) / 2).sum()
+        };
+        self.fronts.iter().map(of).sum()
     }
 
     /// Removes the nodes. `to_top_s`: conductance of each node to the top layer, S, >= 0, indexed by
