@@ -13,7 +13,9 @@ use super::order::{Part, dissect};
 use super::{Resistor, SheetNetwork};
 
 /// Pivots that update the rest of a front together.
-const PANEL: usize = 4;
+const PANEL: usize = 8;
+/// Columns and rows are updated in squares of this side.
+const TILE: usize = 4;
 
 /// One dense front.
 #[derive(Debug)]
@@ -28,6 +30,13 @@ struct Front {
     resistors: Vec<(u32, f64)>,
     /// Per child, in the order of the stack from its top: row here of each of its rows, top last.
     children: Vec<Vec<u32>>,
+}
+
+impl Front {
+    /// Height of a column: rows and top, padded to whole tiles.
+    fn lead(&self) -> usize {
+        (self.rows + 1).next_multiple_of(TILE)
+    }
 }
 
 /// The plan of the removal; holds for every load of the same network.
@@ -89,11 +98,11 @@ impl KronReduction {
         let KronWork { front: buffer, stack, reduced } = work;
         stack.clear();
         for front in &self.fronts {
-            let lead = front.rows + 1;
-            if buffer.len() < lead * front.rows {
-                buffer.resize(lead * front.rows, 0.0);
+            let lead = front.lead();
+            if buffer.len() < lead * lead {
+                buffer.resize(lead * lead, 0.0);
             }
-            let block = &mut buffer[..lead * front.rows];
+            let block = &mut buffer[..lead * lead];
             block.fill(0.0);
             for &(at, conductance) in &front.resistors {
                 block[at as usize] += conductance;
@@ -107,9 +116,9 @@ impl KronReduction {
                 extend_add(block, lead, rows, update);
                 stack.truncate(stack.len() - size);
             }
-            remove_pivots(block, front.rows, front.pivots);
+            remove_pivots(block, lead, front.rows, front.pivots);
             for j in front.pivots..front.rows {
-                stack.extend_from_slice(&block[j * lead + j + 1..(j + 1) * lead]);
+                stack.extend_from_slice(&block[j * lead + j + 1..=j * lead + front.rows]);
             }
         }
         let lead = self.kept + 1;
@@ -140,34 +149,53 @@ fn extend_add(block: &mut [f64], lead: usize, rows: &[u32], update: &[f64]) {
     }
 }
 
-/// Removes the first `pivots` nodes of a front of `rows` nodes and the top.
-fn remove_pivots(block: &mut [f64], rows: usize, pivots: usize) {
-    let lead = rows + 1;
+/// Removes the first `pivots` nodes of a front of `rows` nodes and the top. Entries on and above the
+/// diagonal, and in the padding columns, are scratch: nothing reads them.
+fn remove_pivots(block: &mut [f64], lead: usize, rows: usize, pivots: usize) {
     let mut start = 0;
     while start < pivots {
         let width = PANEL.min(pivots - start);
         let (panel, rest) = block[start * lead..].split_at_mut(width * lead);
         factor_panel(panel, lead, start);
         let first = start + width;
-        for (column, target) in rest.chunks_exact_mut(lead).enumerate() {
-            let j = first + column;
-            let target = &mut target[j + 1..];
-            if width == PANEL {
-                let [c0, c1, c2, c3] = [0, 1, 2, 3].map(|q| &panel[q * lead..][..lead]);
-                let [f0, f1, f2, f3] = [c0[j], c1[j], c2[j], c3[j]];
-                let tails =
-                    c0[j + 1..].iter().zip(&c1[j + 1..]).zip(&c2[j + 1..]).zip(&c3[j + 1..]);
-                for (t, (((a, b), c), d)) in target.iter_mut().zip(tails) {
-                    *t += f0 * a + f1 * b + f2 * c + f3 * d;
-                }
-            } else {
-                for source in panel.chunks_exact(lead) {
-                    add_scaled(target, source[j], &source[j + 1..]);
-                }
+        // Up to three single columns, then tiles at multiples of four.
+        let aligned = first.next_multiple_of(TILE).min(rows);
+        let (single, tiled) = rest.split_at_mut((aligned - first) * lead);
+        for (j, target) in (first..aligned).zip(single.chunks_exact_mut(lead)) {
+            for source in panel.chunks_exact(lead) {
+                add_scaled(&mut target[j + 1..], source[j], &source[j + 1..]);
             }
+        }
+        for (tile, columns) in tiled.chunks_exact_mut(TILE * lead).enumerate() {
+            update_tiles(panel, columns, lead, aligned + TILE * tile);
         }
         start = first;
     }
+}
+
+/// Updates four columns from `from` on, in tiles of four by four.
+fn update_tiles(panel: &[f64], columns: &mut [f64], lead: usize, from: usize) {
+    for row in (from..lead).step_by(TILE) {
+        let mut sums = [[0.0; TILE]; TILE];
+        for source in panel.chunks_exact(lead) {
+            let (left, down) = (four(source, from), four(source, row));
+            for (sums, factor) in sums.iter_mut().zip(left) {
+                for (sum, value) in sums.iter_mut().zip(down) {
+                    *sum += factor * value;
+                }
+            }
+        }
+        for (target, sums) in columns.chunks_exact_mut(lead).zip(&sums) {
+            for (value, sum) in target[row..row + TILE].iter_mut().zip(sums) {
+                *value += sum;
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn four(values: &[f64], at: usize) -> &[f64; TILE] {
+    values[at..].first_chunk().expect("columns are padded to whole tiles")
 }
 
 /// Scales a panel's columns by `1 / sqrt(d)`, each updated by those before it.
@@ -180,10 +208,22 @@ fn factor_panel(panel: &mut [f64], lead: usize, start: usize) {
         for source in before.chunks_exact(lead) {
             add_scaled(column, source[row], &source[row + 1..]);
         }
-        let d: f64 = column.iter().sum();
+        let d = sum(column);
         let scale = if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 };
         column.iter_mut().for_each(|value| *value *= scale);
     }
+}
+
+/// Sum in eight strands, which a processor adds side by side.
+fn sum(values: &[f64]) -> f64 {
+    let (strands, tail) = values.as_chunks::<8>();
+    let mut sums = [0.0; 8];
+    for strand in strands {
+        for (sum, value) in sums.iter_mut().zip(strand) {
+            *sum += value;
+        }
+    }
+    sums.iter().sum::<f64>() + tail.iter().sum::<f64>()
 }
 
 #[inline]
@@ -249,7 +289,7 @@ fn fronts(
                 front.pivots as u32 + row_of(&remains[index], at)
             }
         };
-        let at = row(low) * (front.rows as u32 + 1) + row(high);
+        let at = row(low) * front.lead() as u32 + row(high);
         front.resistors.push((at, r.conductance_s));
     }
     fronts

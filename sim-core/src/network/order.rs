@@ -14,7 +14,7 @@ pub struct Part {
 }
 
 /// Sets of at most this size are not cut again.
-const LEAF: usize = 10;
+const LEAF: usize = 14;
 /// Directions of the cuts.
 const DIRECTIONS: usize = 6;
 /// Where to cut: share of the set on the lower side.
