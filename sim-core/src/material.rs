@@ -10,9 +10,7 @@ pub fn isotropic_mpa(youngs_mpa: f64, poisson: f64) -> [[f64; 6]; 6] {
     let shear = youngs_mpa / (2.0 * (1.0 + poisson));
     let mut d = [[0.0; 6]; 6];
     for i in 0..3 {
-        for j in 0..3 {
-            d[i][j] = lambda;
-        }
+        d[i][..3].fill(lambda);
         d[i][i] += 2.0 * shear;
         d[i + 3][i + 3] = shear;
     }

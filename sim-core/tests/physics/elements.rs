@@ -105,12 +105,12 @@ fn rigid_motion_costs_nothing_and_the_matrix_is_symmetric() {
         let k = hex8::stiffness(&nodes, &d);
         let scale = k[0][0].abs();
         let rotation: Vec<f64> = nodes.iter().flat_map(|x| [-x[1], x[0], 0.0]).collect();
-        for i in 0..24 {
-            let translated: f64 = (0..8).map(|n| k[i][3 * n + 2]).sum();
-            let turned: f64 = (0..24).map(|j| k[i][j] * rotation[j]).sum();
+        for (i, row) in k.iter().enumerate() {
+            let translated: f64 = (0..8).map(|n| row[3 * n + 2]).sum();
+            let turned: f64 = row.iter().zip(&rotation).map(|(k, r)| k * r).sum();
             assert!(translated.abs() < 1e-10 * scale && turned.abs() < 1e-9 * scale);
-            for j in 0..24 {
-                assert!((k[i][j] - k[j][i]).abs() < 1e-10 * scale);
+            for (j, other) in k.iter().enumerate() {
+                assert!((row[j] - other[i]).abs() < 1e-10 * scale);
             }
         }
     }

@@ -103,6 +103,21 @@ fn twin_a_lost_resistor_is_seen() {
 }
 
 #[test]
+fn the_order_of_removal_does_not_matter() {
+    let m = model();
+    let sheet = vec![1e-4; m.mesh().triangles.len()];
+    let network = SheetNetwork::new(m.mesh(), &sheet, m.circuit()).unwrap();
+    // A barely touched skin: condition number 1e13, where a plain Cholesky loses its digits.
+    let to_top = vec![6e-13; network.places_mm.len()];
+    let mut turned = network.clone();
+    for place in &mut turned.places_mm {
+        *place = [0.8 * place[0] - 0.6 * place[1], 0.6 * place[0] + 0.8 * place[1]];
+    }
+    let error = worst(&impedance(&network, &to_top), &impedance(&turned, &to_top));
+    assert!(error < 1e-12, "{error:e}");
+}
+
+#[test]
 fn two_resistors_in_a_row_have_the_closed_form() {
     // e0 - 1 kohm - e1, e1 to the top over 2 kohm: Z = [[3, 2], [2, 2]] kohm.
     let network = SheetNetwork {

@@ -53,7 +53,7 @@ pub struct TipLoad {
     pub x_mm: f64,
     /// Place on the skin from its corner, mm.
     pub y_mm: f64,
-    /// Force, N; what is not a positive number does not press.
+    /// Force, N; what is not a positive number, or has no place, does not press.
     pub force_n: f64,
 }
 
@@ -91,9 +91,14 @@ impl Skin {
     /// stand between points share their force over the three nearest.
     pub fn solve(&self, tips: &[TipLoad]) -> Vec<f64> {
         let mut forces = Vec::with_capacity(6 * tips.len());
-        for tip in tips.iter().filter(|t| t.force_n > 0.0 && t.force_n.is_finite()) {
-            let shares = self.vertex_shares(tip);
-            for (point, weight) in points_under(self.model.sensor(), tip.x_mm, tip.y_mm) {
+        let presses = |t: &&TipLoad| {
+            t.force_n > 0.0 && [t.force_n, t.x_mm, t.y_mm].into_iter().all(f64::is_finite)
+        };
+        for tip in tips.iter().filter(presses) {
+            let points = points_under(self.model.sensor(), tip.x_mm, tip.y_mm);
+            let Some(&(nearest, _)) = points.first() else { continue };
+            let shares = self.vertex_shares(tip.arm, nearest);
+            for (point, weight) in points {
                 for (row, share) in self.model.point_rows(point).iter().zip(shares) {
                     forces.push(VertexForce { row: *row, force_n: tip.force_n * weight * share });
                 }
@@ -104,12 +109,11 @@ impl Skin {
     }
 
     /// Shares of a tip's force on its six vertices (sum 1): a fixed tilt of the tip, and one of the
-    /// place, so that a tip that comes back stands as before.
-    fn vertex_shares(&self, tip: &TipLoad) -> [f64; 6] {
+    /// nearest point, so that a tip that comes back stands as before.
+    fn vertex_shares(&self, arm: usize, nearest: usize) -> [f64; 6] {
         let half_sd = self.tilt_sd / 2f64.sqrt();
-        let own = format!("tilt of tip {}", tip.arm);
-        let at = [tip.x_mm, tip.y_mm].map(|v| (v / PLACE_MM).round() as i64);
-        let press = format!("tilt of tip {} at {at:?}", tip.arm);
+        let own = format!("tilt of tip {arm}");
+        let press = format!("tilt of tip {arm} on point {nearest}");
         let tilt = [0, 1].map(|axis| {
             half_sd * (normal_at(self.seed, &own, axis) + normal_at(self.seed, &press, axis))
         });
@@ -124,10 +128,7 @@ impl Skin {
     }
 }
 
-/// Presses whose places round to the same multiple of this are the same press, mm.
-const PLACE_MM: f64 = 8.0;
-
-/// The points that carry a tip, with weights (sum 1): one, or the three nearest.
+/// The points that carry a tip, nearest first, with weights (sum 1): one, or the three nearest.
 fn points_under(sensor: &Sensor, x_mm: f64, y_mm: f64) -> Vec<(usize, f64)> {
     let mut nearest: Vec<(f64, usize)> = Vec::with_capacity(4);
     for (index, p) in sensor.points().iter().enumerate() {
