@@ -2,13 +2,14 @@
 //! bonded layers, compression sets the foam's resistance, a resistor network gives the voltages.
 //! Uses: faer for the elastic solve. Never: async, files, clock, database, unseeded chance.
 //!
-//! Data flows one way: `sensor -> mesh -> (element, material, assemble, boundary, solve) ->
+//! Data flows one way: `sensor -> mesh -> (element, material, order, boundary, assemble, solve) ->
 //! responses -> fields, piezo -> network -> forward`.
 
 pub mod sensor;
 pub mod mesh;
 pub mod material;
 pub mod element;
+pub mod order;
 pub mod boundary;
 pub mod assemble;
 pub mod solve;

@@ -69,7 +69,7 @@ impl UnitResponses {
     pub fn key(sensor: &Sensor) -> [u8; 32] {
         let file = &sensor.file;
         let mut digest =
-            Digest::new("unit responses 1; mesh rhombille 1; hex8 2x2x2 no B-bar; llt");
+            Digest::new("unit responses 1; mesh rhombille 1; hex8 2x2x2 no B-bar; llt nd");
         digest.numbers([file.width_mm, file.height_mm, file.tip_diameter_mm]);
         digest.numbers(sensor.points().iter().flat_map(|p| [p.x_mm, p.y_mm]));
         for layer in [&file.layers.bottom, &file.layers.foam, &file.layers.top] {
@@ -185,15 +185,23 @@ fn checksum(bytes: &[u8]) -> [u8; 32] {
     digest.finish()
 }
 
+/// A loaded node and its row of the table.
+type Slot<'a> = (u32, &'a mut [f32]);
+
 /// One row per vertex; blocks of right-hand sides are shared out over threads.
 fn solve_rows(mesh: &Mesh, vertices: &[u32]) -> Result<Vec<f32>, ResponsesError> {
     let boundary = FixedBottom::new(mesh);
     let factor = Factor::new(&assemble::stiffness(mesh, &boundary)?)?;
     let nodes = mesh.plane_nodes();
+    let surface = mesh.levels() - 1;
     let mut rows = vec![0f32; vertices.len() * nodes];
+    // Loads that reach the same parts of the factor are solved together.
+    let mut slots: Vec<Slot<'_>> =
+        vertices.iter().copied().zip(rows.chunks_exact_mut(nodes)).collect();
+    slots.sort_by_key(|(vertex, _)| boundary.unknown(surface, *vertex as usize, 2));
     let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    let mut shares: Vec<Vec<(&[u32], &mut [f32])>> = (0..threads).map(|_| Vec::new()).collect();
-    for (i, block) in vertices.chunks(BLOCK).zip(rows.chunks_mut(BLOCK * nodes)).enumerate() {
+    let mut shares: Vec<Vec<&mut [Slot<'_>]>> = (0..threads).map(|_| Vec::new()).collect();
+    for (i, block) in slots.chunks_mut(BLOCK).enumerate() {
         shares[i % threads].push(block);
     }
     std::thread::scope(|scope| {
@@ -212,27 +220,28 @@ fn solve_share(
     mesh: &Mesh,
     boundary: &FixedBottom,
     factor: &Factor,
-    share: Vec<(&[u32], &mut [f32])>,
+    share: Vec<&mut [Slot<'_>]>,
 ) -> Result<(), SolveError> {
-    let unknowns = boundary.unknowns();
-    let (nodes, surface) = (mesh.plane_nodes(), mesh.levels() - 1);
-    let down = |column: &[f64], level: usize, node: usize| {
-        boundary.unknown(level, node, 2).map_or(0.0, |unknown| -column[unknown])
-    };
-    let mut block = vec![0.0; unknowns * BLOCK];
-    for (vertices, rows) in share {
-        let block = &mut block[..unknowns * vertices.len()];
-        block.fill(0.0);
-        for (column, &vertex) in block.chunks_exact_mut(unknowns).zip(vertices) {
-            if let Some(unknown) = boundary.unknown(surface, vertex as usize, 2) {
-                column[unknown] = -1.0;
+    let surface = mesh.levels() - 1;
+    let [bottom, top] = mesh.foam_levels;
+    let mut block = Vec::new();
+    for slots in share {
+        let columns = slots.len();
+        block.clear();
+        block.resize(boundary.unknowns() * columns, 0.0);
+        for (column, (vertex, _)) in slots.iter().enumerate() {
+            if let Some(unknown) = boundary.unknown(surface, *vertex as usize, 2) {
+                block[unknown * columns + column] = -1.0;
             }
         }
-        factor.solve(block, vertices.len())?;
-        for (column, row) in block.chunks_exact(unknowns).zip(rows.chunks_exact_mut(nodes)) {
-            let [bottom, top] = mesh.foam_levels;
-            for (node, value) in row.iter_mut().enumerate() {
-                *value = (down(column, top, node) - down(column, bottom, node)) as f32;
+        factor.solve(&mut block, columns)?;
+        let up = |level: usize, node: usize, column: usize| {
+            let unknown = boundary.unknown(level, node, 2);
+            unknown.map_or(0.0, |unknown| block[unknown * columns + column])
+        };
+        for node in 0..mesh.plane_nodes() {
+            for (column, (_, row)) in slots.iter_mut().enumerate() {
+                row[node] = (up(bottom, node, column) - up(top, node, column)) as f32;
             }
         }
     }

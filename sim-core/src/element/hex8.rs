@@ -90,8 +90,8 @@ pub fn stiffness(nodes_mm: &[[f64; 3]; 8], d_mpa: &[[f64; 6]; 6]) -> Stiffness {
             for (j, dbj) in db.iter().enumerate() {
                 for a in 0..3 {
                     for c in 0..3 {
-                        k[3 * i + a][3 * j + c] +=
-                            (0..6).map(|v| bi[v][a] * dbj[v][c]).sum::<f64>();
+                        let products = bi.iter().zip(dbj).map(|(b, db)| b[a] * db[c]);
+                        k[3 * i + a][3 * j + c] += products.sum::<f64>();
                     }
                 }
             }

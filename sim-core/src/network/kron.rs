@@ -1,5 +1,5 @@
 //! Exact removal of all nodes but the electrodes and the top layer, without a subtraction.
-//! Uses: `network::order`. Never: a diagonal entry (that is where the digits would be lost).
+//! Uses: `order`. Never: a diagonal entry (that is where the digits would be lost).
 //!
 //! Star-mesh transform (Grassmann-Taksar-Heyman): the top layer is one more node, and a node k is
 //! removed by `d = sum_j a_jk`, `a_ij += a_ik a_jk / d`, where the sum runs over all nodes still
@@ -9,8 +9,8 @@
 //! Multifrontal: each part of the dissection is a small dense front (column-major, below the
 //! diagonal only, last row = top); what remains of it is added to its parent's front.
 
-use super::order::{Part, dissect};
 use super::{Resistor, SheetNetwork};
+use crate::order::{Part, dissect};
 
 /// Pivots that update the rest of a front together.
 const PANEL: usize = 8;

@@ -6,7 +6,6 @@
 //! `readout` turns what is left into the impedances Z and the voltages.
 
 pub mod kron;
-pub mod order;
 pub mod readout;
 pub mod sheet;
 

@@ -1,5 +1,5 @@
-//! Nested dissection: in which order the network's nodes are removed.
-//! Uses: nothing but places and neighbours. Never: conductances (the order holds for every load).
+//! Nested dissection: in which order the nodes of a plane net are removed.
+//! Uses: nothing but places and neighbours. Never: values (the order holds for every load).
 //!
 //! The set is cut by a straight line; the nodes on one side that touch the other are the separator
 //! and go last; both sides are cut again. The line is the best of six directions and five places.
@@ -20,7 +20,8 @@ const DIRECTIONS: usize = 6;
 /// Where to cut: share of the set on the lower side.
 const SHARES: [f64; 5] = [0.40, 0.45, 0.50, 0.55, 0.60];
 
-/// Orders all nodes but the kept ones. `neighbours[i]` are the nodes that share a resistor with i.
+/// Orders all nodes but the kept ones. `neighbours[i]` are the nodes that share a resistor or a
+/// brick with i.
 /// The parts come children first; the last one is the root.
 pub fn dissect(places_mm: &[[f64; 2]], neighbours: &[Vec<u32>], kept: &[u32]) -> Vec<Part> {
     let mut side = vec![Side::Outside; places_mm.len()];
