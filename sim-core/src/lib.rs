@@ -1,5 +1,22 @@
 //! The electromechanical model of an ERT skin, as the paper builds it (III): forces deform three
 //! bonded layers, compression sets the foam's resistance, a resistor network gives the voltages.
 //! Uses: faer for the elastic solve. Never: async, files, clock, database, unseeded chance.
+//!
+//! Data flows one way: `sensor -> mesh -> (element, material, order, boundary, assemble, solve) ->
+//! responses -> fields, piezo -> network -> forward`.
 
 pub mod sensor;
+pub mod mesh;
+pub mod material;
+pub mod element;
+pub mod order;
+pub mod boundary;
+pub mod assemble;
+pub mod solve;
+pub mod responses;
+pub mod piezo;
+pub mod fields;
+pub mod circuit;
+pub mod network;
+pub mod forward;
+mod digest;

@@ -1,0 +1,54 @@
+//! The readout circuit: where the electrodes stand, what is in series with them, source and gain.
+//! Uses: `sensor`. Never: the foam.
+
+use crate::digest::Digest;
+use crate::sensor::Sensor;
+
+/// One electrode.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ElectrodeSite {
+    /// Place on the skin, mm.
+    pub x_mm: f64,
+    /// Place on the skin, mm.
+    pub y_mm: f64,
+    /// Contact (spreading) resistance to the sheet, ohm: shared over the nodes of its triangle by
+    /// their weights. 0 only where the electrode stands on a node, which it then is.
+    pub contact_ohm: f64,
+    /// Resistance of the lead, ohm; carries current only while this electrode is the sink.
+    pub lead_ohm: f64,
+}
+
+/// The readout circuit (paper III-C), ideal or not.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReadoutCircuit {
+    /// The electrodes, in measuring order.
+    pub electrodes: Vec<ElectrodeSite>,
+    /// Source between top layer and sink, V.
+    pub source_v: f64,
+    /// Gain of the readout.
+    pub gain: f64,
+}
+
+impl ReadoutCircuit {
+    /// The sensor file's: ideal electrodes on their nodes.
+    pub fn nominal(sensor: &Sensor) -> Self {
+        let ideal = |&[x_mm, y_mm]: &[f64; 2]| ElectrodeSite {
+            x_mm,
+            y_mm,
+            contact_ohm: 0.0,
+            lead_ohm: 0.0,
+        };
+        Self {
+            electrodes: sensor.electrodes_mm().iter().map(ideal).collect(),
+            source_v: sensor.file.circuit.source_v,
+            gain: sensor.file.circuit.gain,
+        }
+    }
+
+    pub(crate) fn digest(&self, digest: &mut Digest) {
+        digest.numbers(
+            self.electrodes.iter().flat_map(|e| [e.x_mm, e.y_mm, e.contact_ohm, e.lead_ohm]),
+        );
+        digest.numbers([self.source_v, self.gain]);
+    }
+}

@@ -1,0 +1,4 @@
+//! Finite elements, one a file.
+//! Uses: nothing. Never: the mesh or the materials' names.
+
+pub mod hex8;

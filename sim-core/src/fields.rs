@@ -1,0 +1,135 @@
+//! How one skin differs from the nominal one, node by node: materials, sheet, foam law.
+//! Uses: `mesh` for the counts. Never: chance (a reality gap or a calibration fills these in).
+
+use crate::digest::Digest;
+use crate::mesh::Mesh;
+
+/// A monotone map from linear to real foam compression, sampled evenly and joined by straight lines;
+/// beyond its last sample it goes on with the last slope.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DisplacementLut {
+    step_mm: f64,
+    samples_mm: Vec<f64>,
+}
+
+/// What is wrong with a displacement table.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum LutError {
+    /// It needs a positive step and two samples.
+    #[error("displacement table: needs a positive step and at least two samples")]
+    TooShort,
+    /// It must start at zero, be finite and never fall.
+    #[error("displacement table: sample {index} = {value_mm} mm breaks the rise from zero")]
+    NotRising {
+        /// Index of the sample.
+        index: usize,
+        /// Its value, mm.
+        value_mm: f64,
+    },
+}
+
+impl DisplacementLut {
+    /// From samples at 0, `step_mm`, 2 `step_mm`, ..
+    pub fn new(step_mm: f64, samples_mm: Vec<f64>) -> Result<Self, LutError> {
+        if !(step_mm > 0.0 && step_mm.is_finite()) || samples_mm.len() < 2 {
+            return Err(LutError::TooShort);
+        }
+        let mut before = 0.0;
+        for (index, &value_mm) in samples_mm.iter().enumerate() {
+            let rises = value_mm.is_finite() && value_mm >= before;
+            if !rises || (index == 0 && value_mm != 0.0) {
+                return Err(LutError::NotRising { index, value_mm });
+            }
+            before = value_mm;
+        }
+        Ok(Self { step_mm, samples_mm })
+    }
+
+    /// From a law, sampled up to `end_mm`.
+    pub fn sample(step_mm: f64, end_mm: f64, law: impl Fn(f64) -> f64) -> Result<Self, LutError> {
+        let count = (end_mm / step_mm).ceil().max(1.0) as usize;
+        Self::new(step_mm, (0..=count).map(|i| law(i as f64 * step_mm)).collect())
+    }
+
+    /// Real compression of a linear one, mm.
+    #[inline]
+    pub fn apply(&self, linear_mm: f64) -> f64 {
+        let place = linear_mm / self.step_mm;
+        let cell = (place as usize).min(self.samples_mm.len() - 2);
+        let (low, high) = (self.samples_mm[cell], self.samples_mm[cell + 1]);
+        low + (high - low) * (place - cell as f64)
+    }
+}
+
+/// Natural logarithms of factors on the nominal values (0 = nominal), and the foam's law.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NodeFields {
+    /// On a of Eq. 1, per node.
+    pub ln_a: Vec<f64>,
+    /// On b of Eq. 1, per node.
+    pub ln_b: Vec<f64>,
+    /// On c of Eq. 1, per node.
+    pub ln_c: Vec<f64>,
+    /// On the foam's compression, per node.
+    pub ln_compliance: Vec<f64>,
+    /// On the sheet's conductance, per triangle.
+    pub ln_sheet_conductance: Vec<f64>,
+    /// The foam's law after the compliance; `None` = linear.
+    pub displacement: Option<DisplacementLut>,
+}
+
+/// A field's length does not fit the mesh.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("node fields: {field} has {found} values, the mesh needs {needed}")]
+pub struct FieldLength {
+    /// Name of the field.
+    pub field: &'static str,
+    /// Values found.
+    pub found: usize,
+    /// Values needed.
+    pub needed: usize,
+}
+
+impl NodeFields {
+    /// The nominal skin of a mesh.
+    pub fn nominal(mesh: &Mesh) -> Self {
+        let zeros = vec![0.0; mesh.plane_nodes()];
+        Self {
+            ln_a: zeros.clone(),
+            ln_b: zeros.clone(),
+            ln_c: zeros.clone(),
+            ln_compliance: zeros,
+            ln_sheet_conductance: vec![0.0; mesh.triangles.len()],
+            displacement: None,
+        }
+    }
+
+    /// Checks the lengths against a mesh.
+    pub fn check(&self, mesh: &Mesh) -> Result<(), FieldLength> {
+        let (nodes, triangles) = (mesh.plane_nodes(), mesh.triangles.len());
+        for (field, values, needed) in [
+            ("ln_a", &self.ln_a, nodes),
+            ("ln_b", &self.ln_b, nodes),
+            ("ln_c", &self.ln_c, nodes),
+            ("ln_compliance", &self.ln_compliance, nodes),
+            ("ln_sheet_conductance", &self.ln_sheet_conductance, triangles),
+        ] {
+            if values.len() != needed {
+                return Err(FieldLength { field, found: values.len(), needed });
+            }
+        }
+        Ok(())
+    }
+
+    pub(crate) fn digest(&self, digest: &mut Digest) {
+        for field in
+            [&self.ln_a, &self.ln_b, &self.ln_c, &self.ln_compliance, &self.ln_sheet_conductance]
+        {
+            digest.numbers(field.iter().copied());
+        }
+        if let Some(lut) = &self.displacement {
+            digest.numbers([lut.step_mm]);
+            digest.numbers(lut.samples_mm.iter().copied());
+        }
+    }
+}

@@ -1,0 +1,26 @@
+//! The resistive fabric as a network: linear triangles, one resistor per edge.
+//! Uses: `mesh`. Never: the foam.
+//!
+//! `g_edge = sum over its triangles of sigma cot(angle opposite) / 2`, sigma = conductance per
+//! square (S). It is the P1 finite element of the Laplacian; all g are positive on acute triangles.
+
+use std::collections::BTreeMap;
+
+use super::Resistor;
+use crate::mesh::Mesh;
+
+/// Resistors of the sheet, ordered by their ends; `sheet_s` per triangle, S.
+pub fn resistors(mesh: &Mesh, sheet_s: &[f64]) -> Vec<Resistor> {
+    let mut edges: BTreeMap<(u32, u32), f64> = BTreeMap::new();
+    for (triangle, &sigma) in mesh.triangles.iter().zip(sheet_s) {
+        let area = mesh.triangle_area_mm2(triangle);
+        for corner in 0..3 {
+            let [apex, a, b] = [0, 1, 2].map(|k| triangle[(corner + k) % 3]);
+            let [p, q, r] = [apex, a, b].map(|n| mesh.nodes_mm[n as usize]);
+            let dot = (q[0] - p[0]) * (r[0] - p[0]) + (q[1] - p[1]) * (r[1] - p[1]);
+            let cot = dot / (2.0 * area);
+            *edges.entry((a.min(b), a.max(b))).or_default() += 0.5 * sigma * cot;
+        }
+    }
+    edges.into_iter().map(|((a, b), conductance_s)| Resistor { a, b, conductance_s }).collect()
+}

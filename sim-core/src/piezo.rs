@@ -1,0 +1,26 @@
+//! The foam as a resistor (paper Eq. 1): `f(x) = a / (exp(b x) - 1) + c`.
+//! Uses: `sensor::Piezo`. Never: how x came about.
+//!
+//! x: compression, mm, > 0; a, c: ohm; b: 1/mm. f(0) is infinite: x counts as at least 1e-4 mm
+//! inside f (1.6e12 ohm with the paper's numbers, harmless beside a 1e4 ohm/sq sheet), so that an
+//! untouched skin is a legal input.
+
+use crate::sensor::Piezo;
+
+/// Smallest compression inside f, mm (`field.md` 2).
+pub const LEAST_COMPRESSION_MM: f64 = 1e-4;
+/// Area of the specimen on which Eq. 1 was fitted, mm2 (paper III-B).
+pub const SPECIMEN_AREA_MM2: f64 = 400.0;
+
+/// Resistance of the specimen at a compression, ohm.
+pub fn resistance_ohm(piezo: &Piezo, compression_mm: f64) -> f64 {
+    let x = compression_mm.max(LEAST_COMPRESSION_MM);
+    piezo.a_ohm / (piezo.b_per_mm * x).exp_m1() + piezo.c_ohm
+}
+
+/// `1 / f(x)`, S, of plain numbers; for the forward model's inner loop.
+#[inline]
+pub(crate) fn conductance_s(a_ohm: f64, b_per_mm: f64, c_ohm: f64, compression_mm: f64) -> f64 {
+    let x = compression_mm.max(LEAST_COMPRESSION_MM);
+    1.0 / (a_ohm / (b_per_mm * x).exp_m1() + c_ohm)
+}

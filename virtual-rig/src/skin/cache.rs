@@ -1,0 +1,59 @@
+//! The disk cache of unit responses: one file per sensor, named by its key.
+//! Uses: `sim_core::responses`. Never: trusts a file (length, key and checksum are checked).
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use sim_core::responses::{ResponsesError, UnitResponses};
+use sim_core::sensor::Sensor;
+
+/// Reads the unit responses of a sensor, or solves them and leaves them for the next time. A cache
+/// that cannot be read or written costs seconds, not the skin: it is logged.
+pub(super) fn unit_responses(
+    sensor: &Sensor,
+    dir: Option<&Path>,
+) -> Result<Arc<UnitResponses>, ResponsesError> {
+    let path = dir.map(|dir| file(dir, sensor));
+    if let Some(path) = &path
+        && let Some(cached) = read(path, sensor)
+    {
+        return Ok(Arc::new(cached));
+    }
+    let solved = UnitResponses::solve(sensor)?;
+    if let Some(path) = &path
+        && let Err(error) = write(path, &solved)
+    {
+        tracing::warn!(path = %path.display(), %error, "writing the cache of unit responses");
+    }
+    Ok(Arc::new(solved))
+}
+
+fn file(dir: &Path, sensor: &Sensor) -> PathBuf {
+    let key: String =
+        UnitResponses::key(sensor)[..8].iter().map(|byte| format!("{byte:02x}")).collect();
+    dir.join(format!("unit-responses-{key}.bin"))
+}
+
+fn read(path: &Path, sensor: &Sensor) -> Option<UnitResponses> {
+    let bytes = match std::fs::read(path) {
+        Ok(bytes) => bytes,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return None,
+        Err(error) => {
+            tracing::warn!(path = %path.display(), %error, "reading the cache of unit responses");
+            return None;
+        }
+    };
+    UnitResponses::from_bytes(&bytes, sensor)
+        .inspect_err(|error| tracing::warn!(path = %path.display(), %error, "solving again"))
+        .ok()
+}
+
+/// Writes beside the file and renames, so that a reader never sees half of it.
+fn write(path: &Path, responses: &UnitResponses) -> std::io::Result<()> {
+    if let Some(dir) = path.parent() {
+        std::fs::create_dir_all(dir)?;
+    }
+    let partial = path.with_extension(format!("{}.tmp", std::process::id()));
+    std::fs::write(&partial, responses.to_bytes())?;
+    std::fs::rename(&partial, path)
+}

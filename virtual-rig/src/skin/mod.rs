@@ -1,0 +1,233 @@
+//! A seed is a skin: the reality gap on top of the nominal model, and the mechanics of the tips.
+//! Uses: `sim-core`, gap files. Never: wires, registers, the clock (process times are handed in).
+//!
+//! [`Skin`] answers with the static voltages of a held load; [`Readout`] makes frames of them, with
+//! drift and noise; [`mechanics::Mechanics`] says how hard each tip presses.
+
+mod cache;
+pub mod chance;
+pub mod gap;
+pub mod mechanics;
+mod readout;
+#[cfg(test)]
+mod tests;
+
+use std::path::Path;
+
+use rand_distr::{Distribution, StandardNormal};
+use sim_core::circuit::{ElectrodeSite, ReadoutCircuit};
+use sim_core::fields::{DisplacementLut, LutError, NodeFields};
+use sim_core::forward::{ForwardModel, ModelError, POINT_TOLERANCE_MM, VertexForce, Workspace};
+use sim_core::mesh::Mesh;
+use sim_core::responses::ResponsesError;
+use sim_core::sensor::Sensor;
+
+use chance::{SmoothField, normal_at, stream};
+pub use gap::{Gap, GapError};
+pub use readout::Readout;
+
+/// Linear compressions beyond this are not told apart, mm (240 N compress 20 mm).
+const LUT_END_MM: f64 = 30.0;
+const LUT_STEP_MM: f64 = 0.01;
+
+/// Why there is no skin.
+#[derive(Debug, thiserror::Error)]
+pub enum SkinError {
+    /// The elastic solve failed.
+    #[error(transparent)]
+    Responses(#[from] ResponsesError),
+    /// The model could not be built.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// The gap's foam law falls somewhere.
+    #[error("gap: foam law: {0}")]
+    Foam(#[from] LutError),
+}
+
+/// A tip, or a weight, that presses on the skin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TipLoad {
+    /// Which tip (0 = arm 1): its tilt is its own.
+    pub arm: usize,
+    /// Place on the skin from its corner, mm.
+    pub x_mm: f64,
+    /// Place on the skin from its corner, mm.
+    pub y_mm: f64,
+    /// Force, N; what is not a positive number, or has no place, does not press.
+    pub force_n: f64,
+}
+
+/// One skin: a sensor, a gap and a seed. `Send + Sync`.
+#[derive(Debug)]
+pub struct Skin {
+    model: ForwardModel,
+    tilt_sd: f64,
+    seed: u64,
+}
+
+impl Skin {
+    /// Builds a skin. The unit responses (seconds of work) are read from `cache_dir` if they are
+    /// there, and left there if they are not.
+    pub fn new(
+        sensor: Sensor,
+        gap: Gap,
+        seed: u64,
+        cache_dir: Option<&Path>,
+    ) -> Result<Self, SkinError> {
+        let responses = cache::unit_responses(&sensor, cache_dir)?;
+        let mesh = Mesh::new(&sensor).map_err(ModelError::Mesh)?;
+        let circuit = circuit(&sensor, &gap, seed);
+        let fields = fields(&mesh, &sensor, &gap, seed)?;
+        let model = ForwardModel::with(&sensor, responses, fields, circuit)?;
+        Ok(Self { model, tilt_sd: gap.tips.tilt_sd, seed })
+    }
+
+    /// The forward model of this very skin (the truth that a calibration looks for).
+    pub fn model(&self) -> &ForwardModel {
+        &self.model
+    }
+
+    /// Static voltages of a held load, V after gain, injection-major, electrodes squared. Tips that
+    /// stand between points share their force over the three nearest.
+    pub fn solve(&self, tips: &[TipLoad]) -> Vec<f64> {
+        let mut forces = Vec::with_capacity(6 * tips.len());
+        let presses = |t: &&TipLoad| {
+            t.force_n > 0.0 && [t.force_n, t.x_mm, t.y_mm].into_iter().all(f64::is_finite)
+        };
+        for tip in tips.iter().filter(presses) {
+            let points = points_under(self.model.sensor(), tip.x_mm, tip.y_mm);
+            let Some(&(nearest, _)) = points.first() else { continue };
+            let shares = self.vertex_shares(tip.arm, nearest);
+            for (point, weight) in points {
+                for (row, share) in self.model.point_rows(point).iter().zip(shares) {
+                    forces.push(VertexForce { row: *row, force_n: tip.force_n * weight * share });
+                }
+            }
+        }
+        let mut work = Workspace::default();
+        self.model.voltages_of_vertex_forces(&forces, &mut work).to_vec()
+    }
+
+    /// Shares of a tip's force on its six vertices (sum 1): a fixed tilt of the tip, and one of the
+    /// nearest point, so that a tip that comes back stands as before.
+    fn vertex_shares(&self, arm: usize, nearest: usize) -> [f64; 6] {
+        let half_sd = self.tilt_sd / 2f64.sqrt();
+        let own = format!("tilt of tip {arm}");
+        let press = format!("tilt of tip {arm} on point {nearest}");
+        let tilt = [0, 1].map(|axis| {
+            half_sd * (normal_at(self.seed, &own, axis) + normal_at(self.seed, &press, axis))
+        });
+        let shares: [f64; 6] = std::array::from_fn(|vertex| {
+            // Vertices run counter-clockwise from +y.
+            let angle =
+                std::f64::consts::FRAC_PI_2 + std::f64::consts::FRAC_PI_3 * f64::from(vertex as u8);
+            (1.0 + tilt[0] * angle.cos() + tilt[1] * angle.sin()).max(0.0)
+        });
+        let sum: f64 = shares.iter().sum();
+        shares.map(|share| share / sum)
+    }
+}
+
+/// The points that carry a tip, nearest first, with weights (sum 1): one, or the three nearest.
+fn points_under(sensor: &Sensor, x_mm: f64, y_mm: f64) -> Vec<(usize, f64)> {
+    let mut nearest: Vec<(f64, usize)> = Vec::with_capacity(4);
+    for (index, p) in sensor.points().iter().enumerate() {
+        let distance = (p.x_mm - x_mm).hypot(p.y_mm - y_mm);
+        let at = nearest.partition_point(|&(d, _)| d <= distance);
+        if at < 3 {
+            nearest.insert(at, (distance, index));
+            nearest.truncate(3);
+        }
+    }
+    let single =
+        |nearest: &[(f64, usize)]| nearest.first().map(|n| (n.1, 1.0)).into_iter().collect();
+    if nearest.len() < 3 || nearest[0].0 <= POINT_TOLERANCE_MM {
+        return single(&nearest);
+    }
+    let [a, b, c] = [0, 1, 2].map(|k| sensor.points()[nearest[k].1]);
+    let area = |p: [f64; 2], q: [f64; 2], r: [f64; 2]| {
+        (q[0] - p[0]) * (r[1] - p[1]) - (r[0] - p[0]) * (q[1] - p[1])
+    };
+    let [a, b, c, at] = [[a.x_mm, a.y_mm], [b.x_mm, b.y_mm], [c.x_mm, c.y_mm], [x_mm, y_mm]];
+    let whole = area(a, b, c);
+    if whole.abs() < 1.0 {
+        return single(&nearest); // three in a row, at the lattice's rim
+    }
+    let weights =
+        [area(at, b, c), area(a, at, c), area(a, b, at)].map(|part| (part / whole).max(0.0));
+    let sum: f64 = weights.iter().sum();
+    nearest.iter().zip(weights).map(|(n, w)| (n.1, w / sum)).filter(|p| p.1 > 0.0).collect()
+}
+
+/// The readout circuit of a seed: moved electrodes, contacts, leads, loose ones.
+fn circuit(sensor: &Sensor, gap: &Gap, seed: u64) -> ReadoutCircuit {
+    let mut nominal = ReadoutCircuit::nominal(sensor);
+    let g = &gap.electrodes;
+    let mut rng = stream(seed, "electrodes");
+    let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+    for site in &mut nominal.electrodes {
+        *site = ElectrodeSite {
+            x_mm: (site.x_mm + g.offset_sd_mm * normal()).clamp(0.0, sensor.file.width_mm),
+            y_mm: (site.y_mm + g.offset_sd_mm * normal()).clamp(0.0, sensor.file.height_mm),
+            contact_ohm: g.contact_ohm,
+            lead_ohm: g.lead_ohm * (g.lead_ln_sd * normal()).exp(),
+        };
+    }
+    // The loose ones: those with the largest draws of a stream of their own.
+    let mut draws: Vec<(f64, usize)> = (0..nominal.electrodes.len())
+        .map(|k| (normal_at(seed, "loose electrodes", k as u64), k))
+        .collect();
+    draws.sort_by(|a, b| b.0.total_cmp(&a.0));
+    for &(_, k) in draws.iter().take(g.loose as usize) {
+        nominal.electrodes[k].lead_ohm += g.loose_ohm;
+    }
+    nominal
+}
+
+/// The node fields of a seed.
+fn fields(mesh: &Mesh, sensor: &Sensor, gap: &Gap, seed: u64) -> Result<NodeFields, LutError> {
+    let g = &gap.fields;
+    let smooth = |name: &str, sd: f64, places: &[[f64; 2]]| -> Vec<f64> {
+        let share = sd / (g.correlation_mm.len() as f64).sqrt();
+        let mut out = vec![0.0; places.len()];
+        for (scale, &length_mm) in g.correlation_mm.iter().enumerate() {
+            let mut rng = stream(seed, &format!("{name} at scale {scale}"));
+            let field = SmoothField::draw(&mut rng, length_mm);
+            for (value, &[x, y]) in out.iter_mut().zip(places) {
+                *value += share * field.at([x, y, 0.0]);
+            }
+        }
+        out
+    };
+    let nodes = &mesh.nodes_mm;
+    let centres: Vec<[f64; 2]> = mesh
+        .triangles
+        .iter()
+        .map(|t| [0, 1].map(|axis| t.iter().map(|&n| nodes[n as usize][axis]).sum::<f64>() / 3.0))
+        .collect();
+    let mut ln_a = smooth("ln a", g.ln_a_sd, nodes);
+    let mut rng = stream(seed, "ln a, white");
+    for value in &mut ln_a {
+        let white: f64 = StandardNormal.sample(&mut rng);
+        *value += g.ln_a_white_sd * white;
+    }
+    let mut ln_compliance = smooth("ln compliance", g.ln_compliance_sd, nodes);
+    let near_electrode = |&[x, y]: &[f64; 2]| {
+        let near = |e: &[f64; 2]| (e[0] - x).hypot(e[1] - y) <= gap.electrodes.soft_radius_mm;
+        sensor.electrodes_mm().iter().any(near)
+    };
+    for (value, place) in ln_compliance.iter_mut().zip(nodes) {
+        if near_electrode(place) {
+            *value += gap.electrodes.soft_compliance.ln_1p();
+        }
+    }
+    let foam = &gap.foam;
+    Ok(NodeFields {
+        ln_a,
+        ln_b: smooth("ln b", g.ln_b_sd, nodes),
+        ln_c: smooth("ln c", g.ln_c_sd, nodes),
+        ln_compliance,
+        ln_sheet_conductance: smooth("ln sheet", g.ln_sheet_sd, &centres),
+        displacement: Some(DisplacementLut::sample(LUT_STEP_MM, LUT_END_MM, |x| foam.apply(x))?),
+    })
+}
