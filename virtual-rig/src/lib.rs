@@ -1,4 +1,27 @@
-//! Placeholder while the house is laid out.
-//! Filled in by the next commits.
+//! The stand-in lab: real wires, real physics behind them, and a virtual operator.
+//! Register tables and packets are written from the devices' documents and share no codec with the
+//! service. Uses: sim-core's skin, tokio's sockets. Never: the service's own code.
+//!
+//! Reading order: `config` (what hangs on which wire), `kinematics` and `drive` (a motor),
+//! `device` (register maps), `bench` (the whole lab as one value), `modbus`, `ert`, `control`
+//! (its wires), `fault` (what goes wrong), `run` and `operator` (the two processes).
 
+pub mod config;
+pub mod clock;
+pub mod kinematics;
+pub mod drive;
+pub mod modbus;
+pub mod device;
+pub mod fault;
 pub mod skin;
+pub mod bench;
+pub mod solver;
+pub mod lab;
+pub mod wire;
+pub mod ert;
+pub mod control;
+pub mod run;
+pub mod operator;
+
+pub use operator::{OperatorArgs, OperatorError, operator_main};
+pub use run::{Ready, RigArgs, RunError, VirtualRig, rig_main};

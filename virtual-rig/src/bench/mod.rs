@@ -1,0 +1,480 @@
+//! The lab's bench as one value: four axes, the indenter, its cells, the skin's readout, and what
+//! goes wrong with them. Everything happens at process times that are handed in.
+//! PURE. Uses: `device`, `drive`, `fault`, `skin`. Never: clocks, sockets, threads, solving.
+
+mod cells;
+mod contact;
+mod frames;
+mod report;
+
+pub use contact::{Load, Weight};
+pub use frames::TakenFrame;
+pub use report::{AxisReport, Report, StopReceipt};
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use self::cells::CellBank;
+use self::contact::{Indenter, Play, Pose};
+use self::frames::FrameLedger;
+use crate::config::{ARMS, AxisName, RigFile};
+use crate::device::{AxisMap, CellsMap, INPUTS};
+use crate::drive::{Alarm, Drive, Mechanism};
+use crate::fault::{Board, Fault, Kind, Target, WireFault};
+use crate::modbus::{Exception, Request, answer};
+use crate::skin::mechanics::Mechanics;
+
+/// Stop receipts that are kept.
+const RECEIPTS_MAX: usize = 4096;
+/// A tip that has risen by this much since its deepest is unloading, mm.
+const UNLOADING_MM: f64 = 0.005;
+
+/// What a wire does with one request.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Served {
+    /// Protocol data unit of the answer; absent: nobody is there.
+    pub answer: Option<Vec<u8>>,
+    /// What goes wrong with it.
+    pub fault: Option<WireFault>,
+}
+
+/// Counters of the Modbus wires.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+pub struct WireCounters {
+    /// Requests received.
+    pub requests: u64,
+    /// Of them, writes.
+    pub writes: u64,
+    /// Exceptions answered.
+    pub exceptions: u64,
+    /// Requests that a fault struck.
+    pub struck: u64,
+}
+
+/// Why the operator's hand was held back.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum Refusal {
+    /// Tips are pressing.
+    #[error("tips are pressing: raise z first")]
+    Pressing,
+    /// More tips than arms.
+    #[error("tips must be 0 to 6")]
+    Tips,
+    /// A weight beside the skin.
+    #[error("a weight must stand on the skin")]
+    OffSkin,
+    /// A weight without weight.
+    #[error("a weight's force_n must be positive and at most 1000")]
+    Force,
+}
+
+struct Axis {
+    drive: Drive,
+    map: AxisMap,
+    line: String,
+    unit: u8,
+    servo_at_power_up: bool,
+    /// The device as stale reads show it, and since when.
+    stale: Option<(AxisMap, Drive, f64)>,
+}
+
+/// The bench.
+pub struct Bench {
+    axes: [Axis; 4],
+    cells_map: CellsMap,
+    cells_at: (String, u8),
+    stale_cells: Option<[f64; INPUTS]>,
+    cells: CellBank,
+    indenter: Indenter,
+    play: Play,
+    weights: Vec<Weight>,
+    frames: FrameLedger,
+    faults: Board,
+    now_s: f64,
+    /// The held load while nothing moves in contact.
+    load: Option<Arc<Load>>,
+    pressing: bool,
+    deepest_z_mm: f64,
+    presses: u64,
+    lateral_in_contact: u64,
+    /// Motion of x, y, radial that has been counted already.
+    counted_motion: [u64; 4],
+    stops: VecDeque<StopReceipt>,
+    stops_total: u64,
+    counters: WireCounters,
+    /// Loads that will soon be held.
+    expected: Vec<Arc<Load>>,
+}
+
+impl Bench {
+    /// A bench at power-up: axes anywhere (z clear of the skin), not homed, six tips attached.
+    pub fn power_up(
+        rig: &RigFile,
+        skin_size_mm: [f64; 2],
+        mechanics: Mechanics,
+        faults: Vec<Fault>,
+        seed: u64,
+    ) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let [top, bottom] = rig.skin.surface_z_mm;
+        let surface_z_mm = top + rng.random_range(0.2..0.6) * (bottom - top);
+        let mut axis = |name: AxisName| {
+            let file = rig.axis(name);
+            let [lower, upper] = file.travel;
+            let upper =
+                if name == AxisName::Z { upper.min(top - 5.0).max(lower + 1.0) } else { upper };
+            let at = lower + rng.random_range(0.05..0.95) * (upper - lower);
+            let (speed, acceleration) = (file.speed, file.acceleration);
+            let mechanism = Mechanism { travel: file.travel, speed, acceleration };
+            let servo_at_power_up = AxisMap::servo_at_power_up(file.device);
+            Axis {
+                drive: Drive::power_up(mechanism, at, servo_at_power_up),
+                map: AxisMap::new(file.device, file.counts_per_unit),
+                line: file.line.clone(),
+                unit: file.unit,
+                servo_at_power_up,
+                stale: None,
+            }
+        };
+        let axes = AxisName::ALL.map(&mut axis);
+        let play = Play::new(rig.slot, axes[AxisName::Radial.index()].drive.position(0.0));
+        Self {
+            axes,
+            cells_map: CellsMap::new(rig.cells.device),
+            cells_at: (rig.cells.line.clone(), rig.cells.unit),
+            stale_cells: None,
+            cells: CellBank::new(rig.cells.clone(), rng.random()),
+            indenter: Indenter::new(rig.skin, skin_size_mm, surface_z_mm, mechanics),
+            play,
+            weights: Vec::new(),
+            frames: FrameLedger::new(rig.ert.frame_rate_hz()),
+            faults: Board::new(faults),
+            now_s: 0.0,
+            load: None,
+            pressing: false,
+            deepest_z_mm: f64::NEG_INFINITY,
+            presses: 0,
+            lateral_in_contact: 0,
+            counted_motion: [0; 4],
+            stops: VecDeque::new(),
+            stops_total: 0,
+            counters: WireCounters::default(),
+            expected: Vec::new(),
+        }
+    }
+
+    fn drive(&self, name: AxisName) -> &Drive {
+        &self.axes[name.index()].drive
+    }
+
+    fn pose(&self, t_s: f64) -> Pose {
+        let at = |name: AxisName| self.drive(name).position(t_s);
+        Pose {
+            x_mm: at(AxisName::X),
+            y_mm: at(AxisName::Y),
+            z_mm: at(AxisName::Z),
+            radius_mm: self.play.radius_mm(at(AxisName::Radial)),
+        }
+    }
+
+    /// Lets process time pass, without a command in between.
+    pub fn advance(&mut self, t_s: f64) {
+        self.frames.skip_to(t_s);
+        while self.now_s < t_s {
+            let end_s = self.frames.end_s();
+            let until = end_s.min(t_s).max(self.now_s);
+            self.pass(self.now_s, until);
+            self.now_s = until;
+            if until >= end_s {
+                if !self.frames.spoilt() {
+                    self.hold_load();
+                }
+                let load = self.load.clone();
+                self.frames.finish(|| load.unwrap_or_default());
+            }
+        }
+        for axis in &mut self.axes {
+            axis.drive.refresh(t_s);
+        }
+        if !self.faults.is_empty() {
+            self.strike();
+        }
+    }
+
+    /// What motion does between two times within one frame.
+    fn pass(&mut self, from_s: f64, to_s: f64) {
+        let turning = AxisName::ALL.map(|n| self.drive(n).turns_between(from_s));
+        if turning == [false; 4] {
+            return;
+        }
+        self.load = None;
+        let deepest_mm = self.drive(AxisName::Z).range(from_s, to_s)[1];
+        let end = self.pose(to_s);
+        let touching = !self.indenter.surely_clear(deepest_mm)
+            && self.indenter.touches(&Pose { z_mm: deepest_mm, ..end });
+        if touching || self.pressing {
+            self.frames.spoil();
+        }
+        if touching {
+            self.presses += u64::from(!self.pressing);
+            self.deepest_z_mm = self.deepest_z_mm.max(deepest_mm);
+            self.count_lateral(turning);
+        }
+        self.pressing = touching && self.indenter.touches(&end);
+        if !self.pressing {
+            self.deepest_z_mm = f64::NEG_INFINITY;
+        }
+        self.play.follow(self.drive(AxisName::Radial).position(to_s));
+    }
+
+    fn count_lateral(&mut self, turning: [bool; 4]) {
+        for name in [AxisName::X, AxisName::Y, AxisName::Radial] {
+            let motion = self.drive(name).motions();
+            let counted = &mut self.counted_motion[name.index()];
+            if turning[name.index()] && *counted != motion {
+                *counted = motion;
+                self.lateral_in_contact += 1;
+            }
+        }
+    }
+
+    fn unloading(&self, z_mm: f64) -> bool {
+        z_mm < self.deepest_z_mm - UNLOADING_MM
+    }
+
+    /// Computes the held load if it is not known.
+    fn hold_load(&mut self) {
+        if self.load.is_none() {
+            let pose = self.pose(self.now_s);
+            let unloading = self.unloading(pose.z_mm);
+            self.load = Some(Arc::new(self.indenter.load(&pose, unloading, &self.weights)));
+        }
+    }
+
+    /// Lets the faults that change the bench itself take effect.
+    fn strike(&mut self) {
+        let t_s = self.now_s;
+        self.faults.update(t_s, self.frames.sequence(), self.presses);
+        for name in AxisName::ALL {
+            let jam = self.faults.stuck(name, t_s);
+            let sudden = self.faults.sudden(name, t_s);
+            let stale = self.faults.stale_since(&Target::Axis(name), t_s).is_some();
+            if jam.is_some() || sudden.is_some() {
+                self.hold_cells();
+            }
+            let axis = &mut self.axes[name.index()];
+            axis.drive.set_jam(t_s, jam.is_some(), jam.flatten());
+            match sudden {
+                Some(Kind::Alarm { code }) => axis.drive.trip(t_s, Alarm::Scripted(code)),
+                Some(Kind::PowerLoss) => axis.drive.power_cycle(t_s, axis.servo_at_power_up),
+                _ => {}
+            }
+            if !stale {
+                axis.stale = None;
+            } else if axis.stale.is_none() {
+                axis.stale = Some((axis.map.clone(), axis.drive.clone(), t_s));
+            }
+        }
+        if self.faults.stale_since(&Target::Cells, t_s).is_none() {
+            self.stale_cells = None;
+        } else if self.stale_cells.is_none() {
+            self.stale_cells = Some(self.cell_volts());
+        }
+    }
+
+    /// Takes the module's last conversion now, before motion changes what led to it.
+    fn hold_cells(&mut self) {
+        self.cell_volts();
+    }
+
+    /// The inputs of the analog module as last converted, V.
+    fn cell_volts(&mut self) -> [f64; INPUTS] {
+        let conversion = self.cells.conversion(self.now_s);
+        if let Some(held) = self.cells.held(conversion) {
+            return held;
+        }
+        let pose = self.pose(self.cells.time_s(conversion));
+        let forces = self.indenter.forces_n(&pose, self.unloading(pose.z_mm));
+        let faults = self.faults.cells(self.now_s);
+        self.cells.convert(conversion, &forces, self.indenter.mounted(), &faults)
+    }
+
+    /// Whom a request means.
+    fn target(&self, line: &str, unit: u8) -> Option<Target> {
+        let axis = |&n: &AxisName| {
+            let axis = &self.axes[n.index()];
+            axis.line == line && axis.unit == unit
+        };
+        if self.cells_at.0 == line && self.cells_at.1 == unit {
+            return Some(Target::Cells);
+        }
+        AxisName::ALL.iter().copied().find(axis).map(Target::Axis)
+    }
+
+    /// Carries out one request at a process time. `received_unix_s` is when its bytes came.
+    pub fn serve(
+        &mut self,
+        line: &str,
+        unit: u8,
+        pdu: &[u8],
+        t_s: f64,
+        received_unix_s: f64,
+    ) -> Served {
+        self.advance(t_s);
+        self.counters.requests += 1;
+        let target = self.target(line, unit);
+        let fault = self.faults.strike_request(target.as_ref(), line, self.now_s);
+        self.counters.struck += u64::from(fault.is_some());
+        let Some(target) = target else { return Served { answer: None, fault } };
+        let answer = match fault {
+            Some(WireFault::NoReply { executed: false })
+            | Some(WireFault::Disconnect { executed: false }) => Vec::new(),
+            Some(WireFault::Exception(code)) => answer(pdu, &Err(Exception::Scripted(code))),
+            _ => self.carry_out(&target, pdu, received_unix_s),
+        };
+        self.counters.exceptions += u64::from(answer.first().is_some_and(|f| f & 0x80 != 0));
+        Served { answer: Some(answer), fault }
+    }
+
+    fn carry_out(&mut self, target: &Target, pdu: &[u8], received_unix_s: f64) -> Vec<u8> {
+        let request = match Request::parse(pdu) {
+            Ok(request) => request,
+            Err(exception) => return answer(pdu, &Err(exception)),
+        };
+        self.counters.writes += u64::from(request.writes());
+        let outcome = match target {
+            Target::Axis(name) => self.carry_out_axis(*name, &request, received_unix_s),
+            Target::Cells | Target::Ert | Target::Line(_) => {
+                let volts = self.cell_volts();
+                let volts = self.stale_cells.unwrap_or(volts);
+                self.cells_map.serve(&request, &volts)
+            }
+        };
+        answer(pdu, &outcome)
+    }
+
+    fn carry_out_axis(
+        &mut self,
+        name: AxisName,
+        request: &Request,
+        received_unix_s: f64,
+    ) -> Result<crate::modbus::Reply, Exception> {
+        let t_s = self.now_s;
+        if request.writes() {
+            self.hold_cells();
+        }
+        let axis = &mut self.axes[name.index()];
+        if let Some((map, drive, since_s)) = &mut axis.stale
+            && !request.writes()
+        {
+            return map.serve(request, drive, *since_s);
+        }
+        let (motions, stops) = (axis.drive.motions(), axis.drive.stops());
+        let outcome = axis.map.serve(request, &mut axis.drive, t_s);
+        let (moved, stopped) = (axis.drive.motions() != motions, axis.drive.stops() != stops);
+        if stopped {
+            self.stops_total += 1;
+            if self.stops.len() >= RECEIPTS_MAX {
+                self.stops.pop_front();
+            }
+            let axis = name.as_str();
+            self.stops.push_back(StopReceipt { axis, unix_s: received_unix_s, process_s: t_s });
+        }
+        if moved && name == AxisName::Z {
+            self.expect_load();
+        }
+        outcome
+    }
+
+    /// Foresees the load at the end of the motions under way, so that it can be solved meanwhile.
+    fn expect_load(&mut self) {
+        let at = |name: AxisName| self.drive(name).resting_position();
+        let pose = Pose {
+            x_mm: at(AxisName::X),
+            y_mm: at(AxisName::Y),
+            z_mm: at(AxisName::Z),
+            radius_mm: self.play.radius_mm(at(AxisName::Radial)),
+        };
+        if self.indenter.surely_clear(pose.z_mm) {
+            return;
+        }
+        let unloading = self.unloading(pose.z_mm);
+        self.expected.push(Arc::new(self.indenter.load(&pose, unloading, &self.weights)));
+    }
+
+    /// Loads that will be held soon, for the solver.
+    pub fn take_expected(&mut self) -> Vec<Arc<Load>> {
+        std::mem::take(&mut self.expected)
+    }
+
+    /// Frames taken since the last time.
+    pub fn take_frames(&mut self) -> VecDeque<TakenFrame> {
+        self.frames.take()
+    }
+
+    /// Process time at which the frame in progress ends, s.
+    pub fn frame_end_s(&self) -> f64 {
+        self.frames.end_s()
+    }
+
+    /// Faults of the stream at work.
+    pub fn stream_faults(&mut self) -> Vec<Kind> {
+        if self.faults.is_empty() { Vec::new() } else { self.faults.stream(self.now_s) }
+    }
+
+    /// Whether a wire is cut.
+    pub fn disconnected(&mut self, line: &str, t_s: f64) -> bool {
+        self.advance(t_s);
+        self.faults.disconnected(line, t_s)
+    }
+
+    /// Adds a fault while the rig runs.
+    pub fn add_fault(&mut self, fault: Fault) {
+        self.faults.add(fault);
+        self.strike();
+    }
+
+    /// Takes all faults away, and mends what they broke.
+    pub fn clear_faults(&mut self) {
+        self.faults.clear();
+        self.strike();
+    }
+
+    /// The operator attaches tips to arms 1 to n.
+    pub fn mount(&mut self, tips: usize) -> Result<(), Refusal> {
+        if tips > ARMS {
+            return Err(Refusal::Tips);
+        }
+        let pose = self.pose(self.now_s);
+        if self.indenter.touches(&pose) {
+            return Err(Refusal::Pressing);
+        }
+        let before = self.indenter.mounted();
+        self.indenter.mount(tips);
+        if self.indenter.touches(&pose) {
+            self.indenter.mount(before);
+            return Err(Refusal::Pressing);
+        }
+        self.cells.forget();
+        Ok(())
+    }
+
+    /// The operator puts weights down, in place of those that stood there.
+    pub fn place(&mut self, weights: Vec<Weight>) -> Result<(), Refusal> {
+        for w in &weights {
+            if !self.indenter.on_skin(w.x_mm, w.y_mm) {
+                return Err(Refusal::OffSkin);
+            }
+            if !(w.force_n > 0.0 && w.force_n <= 1000.0) {
+                return Err(Refusal::Force);
+            }
+        }
+        self.weights = weights;
+        self.load = None;
+        self.frames.spoil();
+        Ok(())
+    }
+}

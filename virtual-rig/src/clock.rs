@@ -1,0 +1,39 @@
+//! The rig's own clock: process seconds since it was switched on, `rate` of them in a wall second.
+//! The only place of this crate that asks what time it is.
+//! Never: waiting.
+
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+/// Process time of the rig.
+#[derive(Debug, Clone, Copy)]
+pub struct RigClock {
+    origin: Instant,
+    rate: f64,
+}
+
+impl RigClock {
+    /// A clock that starts now.
+    pub fn start(rate: f64) -> Self {
+        Self { origin: Instant::now(), rate }
+    }
+
+    /// Process seconds since the start.
+    pub fn process_s(&self) -> f64 {
+        self.origin.elapsed().as_secs_f64() * self.rate
+    }
+
+    /// Process seconds in a wall second.
+    pub fn rate(&self) -> f64 {
+        self.rate
+    }
+
+    /// Wall time until a process time; zero if it has passed.
+    pub fn wall_until(&self, process_s: f64) -> Duration {
+        Duration::from_secs_f64(((process_s - self.process_s()) / self.rate).clamp(0.0, 3600.0))
+    }
+}
+
+/// Wall seconds since 1970, for receipts that another process compares with its own.
+pub fn unix_s() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
+}

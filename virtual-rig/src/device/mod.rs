@@ -1,0 +1,117 @@
+//! The devices of the rig as register maps, written from their documents (`field.md` 4).
+//! A map turns requests into what a drive or an input module does; it knows no wire.
+//! PURE. Uses: `drive`, `modbus`. Never: sockets, clocks, faults.
+
+pub mod adam_6017;
+pub mod em2rs;
+pub mod iai;
+pub mod oriental_az;
+pub mod waveshare_8ch;
+
+use crate::config::{AxisDevice, CellsDevice};
+use crate::drive::Drive;
+use crate::modbus::{Exception, Reply, Request};
+
+/// Inputs of an analog module.
+pub const INPUTS: usize = 8;
+
+/// The register map of an axis.
+#[derive(Debug, Clone)]
+pub enum AxisMap {
+    /// IAI SCON/PCON.
+    Iai(iai::Iai),
+    /// Oriental Motor AZ.
+    OrientalAz(oriental_az::OrientalAz),
+    /// Leadshine EM2RS.
+    Em2rs(em2rs::Em2rs),
+}
+
+impl AxisMap {
+    /// The map of a device with so many counts in its axis's unit.
+    pub fn new(device: AxisDevice, counts_per_unit: f64) -> Self {
+        match device {
+            AxisDevice::Iai => Self::Iai(iai::Iai::new(counts_per_unit)),
+            AxisDevice::OrientalAz => {
+                Self::OrientalAz(oriental_az::OrientalAz::new(counts_per_unit))
+            }
+            AxisDevice::LeadshineEm2rs => Self::Em2rs(em2rs::Em2rs::new(counts_per_unit)),
+        }
+    }
+
+    /// Whether the motor is on at power-up: IAI wants a servo-on, the others do not.
+    pub fn servo_at_power_up(device: AxisDevice) -> bool {
+        device != AxisDevice::Iai
+    }
+
+    /// Answers one request at a process time.
+    pub fn serve(
+        &mut self,
+        request: &Request,
+        drive: &mut Drive,
+        t_s: f64,
+    ) -> Result<Reply, Exception> {
+        match self {
+            AxisMap::Iai(map) => map.serve(request, drive, t_s),
+            AxisMap::OrientalAz(map) => map.serve(request, drive, t_s),
+            AxisMap::Em2rs(map) => map.serve(request, drive, t_s),
+        }
+    }
+}
+
+/// The register map of an analog input module.
+#[derive(Debug, Clone)]
+pub enum CellsMap {
+    /// Advantech ADAM-6017.
+    Adam6017(adam_6017::Adam6017),
+    /// Waveshare Modbus RTU Analog Input 8CH.
+    Waveshare8ch(waveshare_8ch::Waveshare8ch),
+}
+
+impl CellsMap {
+    /// The map of a module.
+    pub fn new(device: CellsDevice) -> Self {
+        match device {
+            CellsDevice::Adam6017 => Self::Adam6017(adam_6017::Adam6017::default()),
+            CellsDevice::Waveshare8ch => Self::Waveshare8ch(waveshare_8ch::Waveshare8ch::default()),
+        }
+    }
+
+    /// Answers one request, given the inputs' voltages at the module's last conversion, V.
+    pub fn serve(&mut self, request: &Request, volts: &[f64; INPUTS]) -> Result<Reply, Exception> {
+        match self {
+            CellsMap::Adam6017(map) => map.serve(request, volts),
+            CellsMap::Waveshare8ch(map) => map.serve(request, volts),
+        }
+    }
+}
+
+/// Reads `count` registers one by one; one that the device does not have refuses the whole.
+fn read_each(
+    address: u16,
+    count: u16,
+    mut register: impl FnMut(u16) -> Option<u16>,
+) -> Result<Reply, Exception> {
+    let values: Option<Vec<u16>> =
+        (0..count).map(|i| address.checked_add(i).and_then(&mut register)).collect();
+    values.map(Reply::Registers).ok_or(Exception::IllegalAddress)
+}
+
+/// High word of a 32-bit value.
+fn high(value: i32) -> u16 {
+    (value as u32 >> 16) as u16
+}
+
+/// Low word of a 32-bit value.
+fn low(value: i32) -> u16 {
+    value as u32 as u16
+}
+
+/// A 32-bit value from its words.
+fn long(high: u16, low: u16) -> i32 {
+    (u32::from(high) << 16 | u32::from(low)) as i32
+}
+
+/// Counts of a value, as a 32-bit register pair holds them.
+fn counts(value: f64, counts_per_unit: f64) -> i32 {
+    (value * counts_per_unit).round() as i32
+}

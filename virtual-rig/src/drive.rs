@@ -1,0 +1,366 @@
+//! One motor with its counter, servo, homing and alarms: what every register map drives.
+//! PURE. Uses: `kinematics`. Never: registers, clocks (times are handed in).
+//!
+//! Positions of the motor are true positions in the axis's unit (mm or degrees). The counter reads
+//! zero at power-up wherever the motor stands, and true positions once homed.
+
+use crate::kinematics::{Pace, Trajectory};
+
+/// Beyond the soft travel by this much stands the iron, units.
+const HARD_STOP_MARGIN: f64 = 2.0;
+/// Search for the index mark at the end of homing, s.
+const INDEX_SEARCH_S: f64 = 0.3;
+/// Homing goes at this part of the travelling speed.
+const HOMING_SPEED_PART: f64 = 0.25;
+
+/// Why a drive has stopped itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Alarm {
+    /// A move was asked for with the motor off.
+    ServoOff,
+    /// A move was asked for before homing.
+    NotHomed,
+    /// A target or a speed outside what the drive can do.
+    BadCommand,
+    /// The motor does not follow, or ran into the iron.
+    Deviation,
+    /// Asked for by a fault script, with the device's own code.
+    Scripted(u16),
+}
+
+/// Limits and speeds of the mechanics, in the axis's unit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Mechanism {
+    /// Travel, lower and upper end.
+    pub travel: [f64; 2],
+    /// Travelling speed that the rig file states; the motor can do half as much again.
+    pub speed: f64,
+    /// Acceleration that the rig file states; the motor can do twice as much.
+    pub acceleration: f64,
+}
+
+impl Mechanism {
+    /// Fastest the motor can go.
+    pub fn top_speed(&self) -> f64 {
+        1.5 * self.speed
+    }
+
+    /// Hardest it can accelerate.
+    pub fn top_acceleration(&self) -> f64 {
+        2.0 * self.acceleration
+    }
+
+    /// The iron ends.
+    fn iron(&self) -> [f64; 2] {
+        [self.travel[0] - HARD_STOP_MARGIN, self.travel[1] + HARD_STOP_MARGIN]
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Jam {
+    position: f64,
+    since_s: f64,
+    alarm_after_s: Option<f64>,
+}
+
+/// A motor, its counter and its state.
+#[derive(Debug, Clone)]
+pub struct Drive {
+    mechanism: Mechanism,
+    motion: Trajectory,
+    pace: Pace,
+    /// True position at which the counter reads zero.
+    counter_zero: f64,
+    servo: bool,
+    homed: bool,
+    homing_until_s: Option<f64>,
+    crash_at_s: Option<f64>,
+    alarm: Option<Alarm>,
+    jam: Option<Jam>,
+    motions: u64,
+    stops: u64,
+}
+
+impl Drive {
+    /// A drive at power-up: somewhere, not homed, the counter at zero.
+    pub fn power_up(mechanism: Mechanism, position: f64, servo: bool) -> Self {
+        let pace = Pace {
+            speed: mechanism.speed,
+            acceleration: mechanism.acceleration,
+            deceleration: mechanism.acceleration,
+        };
+        Self {
+            mechanism,
+            motion: Trajectory::at_rest(position),
+            pace,
+            counter_zero: position,
+            servo,
+            homed: false,
+            homing_until_s: None,
+            crash_at_s: None,
+            alarm: None,
+            jam: None,
+            motions: 0,
+            stops: 0,
+        }
+    }
+
+    /// Lets time-bound changes take effect: homing done, a jam or the iron noticed.
+    pub fn refresh(&mut self, t_s: f64) {
+        if self.homing_until_s.is_some_and(|end| t_s >= end) && self.jam.is_none() {
+            self.homing_until_s = None;
+            self.homed = true;
+            self.counter_zero = 0.0;
+        }
+        if self.crash_at_s.is_some_and(|at| t_s >= at) {
+            self.crash_at_s = None;
+            self.trip(t_s, Alarm::Deviation);
+        }
+        let overdue = |j: &Jam| j.alarm_after_s.is_some_and(|s| t_s >= j.since_s + s);
+        if self.jam.as_ref().is_some_and(overdue) && self.moving(t_s) {
+            self.trip(t_s, Alarm::Deviation);
+        }
+    }
+
+    /// True position.
+    pub fn position(&self, t_s: f64) -> f64 {
+        self.jam.map_or_else(|| self.motion.position(t_s), |j| j.position)
+    }
+
+    /// True velocity.
+    pub fn velocity(&self, t_s: f64) -> f64 {
+        if self.jam.is_some() { 0.0 } else { self.motion.velocity(t_s) }
+    }
+
+    /// Smallest and largest true position between two times without a command between them.
+    pub fn range(&self, from_s: f64, to_s: f64) -> [f64; 2] {
+        self.jam.map_or_else(|| self.motion.range(from_s, to_s), |j| [j.position; 2])
+    }
+
+    /// Where the present motion will end, as things stand.
+    pub fn resting_position(&self) -> f64 {
+        self.jam.map_or_else(|| self.motion.target(), |j| j.position)
+    }
+
+    /// What the motor's counter shows.
+    pub fn counter(&self, t_s: f64) -> f64 {
+        self.position(t_s) - self.counter_zero
+    }
+
+    /// What the drive has been told to be at by now.
+    pub fn commanded_counter(&self, t_s: f64) -> f64 {
+        self.motion.position(t_s) - self.counter_zero
+    }
+
+    /// Counter value at which the present command will end.
+    pub fn commanded_end_counter(&self) -> f64 {
+        self.motion.target() - self.counter_zero
+    }
+
+    /// Whether the drive believes itself under way.
+    pub fn moving(&self, t_s: f64) -> bool {
+        let jammed_short =
+            self.jam.is_some_and(|j| (j.position - self.motion.target()).abs() > 1e-6);
+        self.motion.moving(t_s) || jammed_short || self.homing_until_s.is_some()
+    }
+
+    /// Whether the motor truly turns at any time between two times.
+    pub fn turns_between(&self, from_s: f64) -> bool {
+        self.jam.is_none() && self.motion.moving(from_s)
+    }
+
+    /// Motor on.
+    pub fn servo(&self) -> bool {
+        self.servo
+    }
+
+    /// Homing has been done.
+    pub fn homed(&self) -> bool {
+        self.homed
+    }
+
+    /// Homing is under way.
+    pub fn homing(&self) -> bool {
+        self.homing_until_s.is_some()
+    }
+
+    /// What has stopped it.
+    pub fn alarm(&self) -> Option<Alarm> {
+        self.alarm
+    }
+
+    /// Motions begun so far: tells one motion from the next.
+    pub fn motions(&self) -> u64 {
+        self.motions
+    }
+
+    /// Stop commands received so far.
+    pub fn stops(&self) -> u64 {
+        self.stops
+    }
+
+    /// The mechanics.
+    pub fn mechanism(&self) -> &Mechanism {
+        &self.mechanism
+    }
+
+    /// Switches the motor; a moving motor brakes first.
+    pub fn set_servo(&mut self, t_s: f64, on: bool) {
+        if self.servo && !on {
+            self.brake(t_s);
+        }
+        self.servo = on;
+    }
+
+    /// Starts an absolute move to a counter value.
+    pub fn start_move(&mut self, t_s: f64, counter: f64, pace: Pace) {
+        let target = counter + self.counter_zero;
+        let top = self.mechanism.top_acceleration();
+        let pace = Pace {
+            speed: pace.speed.clamp(1e-4, self.mechanism.top_speed()),
+            acceleration: pace.acceleration.clamp(1e-3, top),
+            deceleration: pace.deceleration.clamp(1e-3, top),
+        };
+        let [low, high] = self.mechanism.iron();
+        let reached = target.clamp(low, high);
+        self.homing_until_s = None;
+        self.begin(t_s, reached, pace);
+        self.crash_at_s = (reached != target).then(|| self.motion.end_s());
+    }
+
+    /// Starts homing: to the sensor at 0, then the index search.
+    pub fn start_home(&mut self, t_s: f64) {
+        let pace = Pace { speed: HOMING_SPEED_PART * self.mechanism.speed, ..self.default_pace() };
+        self.homed = false;
+        self.begin(t_s, 0.0, pace);
+        self.homing_until_s = Some(self.motion.end_s() + INDEX_SEARCH_S);
+    }
+
+    /// A stop command: counted, and obeyed.
+    pub fn stop(&mut self, t_s: f64) {
+        self.stops += 1;
+        self.brake(t_s);
+    }
+
+    /// Makes the present position the counter's zero.
+    pub fn set_zero(&mut self, t_s: f64) {
+        self.counter_zero = self.position(t_s);
+        self.homed = true;
+    }
+
+    /// Stops and latches an alarm; a serious one switches the motor off.
+    pub fn trip(&mut self, t_s: f64, alarm: Alarm) {
+        self.brake(t_s);
+        if matches!(alarm, Alarm::Deviation | Alarm::Scripted(_)) {
+            self.servo = false;
+        }
+        self.alarm = Some(alarm);
+    }
+
+    /// Clears the alarm.
+    pub fn reset_alarm(&mut self) {
+        self.alarm = None;
+    }
+
+    /// Blocks or frees the motor. A freed motor goes on to where it was sent.
+    pub fn set_jam(&mut self, t_s: f64, jammed: bool, alarm_after_s: Option<f64>) {
+        match (self.jam, jammed) {
+            (None, true) => {
+                let position = self.motion.position(t_s);
+                self.jam = Some(Jam { position, since_s: t_s, alarm_after_s });
+            }
+            (Some(jam), false) => {
+                self.jam = None;
+                let (target, homing) = (self.motion.target(), self.homing_until_s.is_some());
+                self.motion = Trajectory::to_target(t_s, jam.position, 0.0, target, self.pace);
+                self.homing_until_s = homing.then(|| self.motion.end_s() + INDEX_SEARCH_S);
+                self.motions += 1;
+            }
+            (None, false) | (Some(_), true) => {}
+        }
+    }
+
+    /// Loses power and has it back: where it stands, not homed, the counter at zero.
+    pub fn power_cycle(&mut self, t_s: f64, servo: bool) {
+        let position = self.position(t_s);
+        let kept = (self.motions + 1, self.stops);
+        *self = Self::power_up(self.mechanism, position, servo);
+        (self.motions, self.stops) = kept;
+    }
+
+    fn default_pace(&self) -> Pace {
+        let a = self.mechanism.acceleration;
+        Pace { speed: self.mechanism.speed, acceleration: a, deceleration: a }
+    }
+
+    fn begin(&mut self, t_s: f64, target: f64, pace: Pace) {
+        let (p, v) = (self.motion.position(t_s), self.motion.velocity(t_s));
+        let (p, v) = self.jam.map_or((p, v), |j| (j.position, 0.0));
+        self.motion = Trajectory::to_target(t_s, p, v, target, pace);
+        self.pace = pace;
+        self.crash_at_s = None;
+        self.motions += 1;
+    }
+
+    fn brake(&mut self, t_s: f64) {
+        let (p, v) = (self.motion.position(t_s), self.motion.velocity(t_s));
+        let (p, v) = self.jam.map_or((p, v), |j| (j.position, 0.0));
+        self.motion = Trajectory::to_stand(t_s, p, v, self.pace.deceleration);
+        self.homing_until_s = None;
+        self.crash_at_s = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STAGE: Mechanism = Mechanism { travel: [0.0, 560.0], speed: 250.0, acceleration: 1500.0 };
+    const PACE: Pace = Pace { speed: 250.0, acceleration: 1500.0, deceleration: 1500.0 };
+
+    #[test]
+    fn homing_takes_time_and_makes_the_counter_true() {
+        let mut drive = Drive::power_up(STAGE, 200.0, true);
+        assert_eq!(drive.counter(0.0), 0.0);
+        drive.start_home(0.0);
+        drive.refresh(1.0);
+        assert!(!drive.homed() && drive.moving(1.0));
+        drive.refresh(10.0);
+        assert!(drive.homed() && !drive.moving(10.0));
+        assert_eq!((drive.position(10.0), drive.counter(10.0)), (0.0, 0.0));
+    }
+
+    #[test]
+    fn a_stopped_homing_is_no_homing() {
+        let mut drive = Drive::power_up(STAGE, 200.0, true);
+        drive.start_home(0.0);
+        drive.stop(1.0);
+        drive.refresh(20.0);
+        assert!(!drive.homed());
+        assert_eq!(drive.stops(), 1);
+    }
+
+    #[test]
+    fn a_jammed_axis_stands_still_and_stays_under_way_until_freed() {
+        let mut drive = Drive::power_up(STAGE, 0.0, true);
+        drive.start_move(0.0, 100.0, PACE);
+        drive.set_jam(0.2, true, None);
+        let stuck = drive.position(0.2);
+        assert!(stuck > 1.0 && stuck < 99.0);
+        assert_eq!(drive.position(50.0), stuck);
+        assert!(drive.moving(50.0));
+        drive.set_jam(50.0, false, None);
+        assert_eq!(drive.position(60.0), 100.0);
+        assert!(!drive.moving(60.0));
+    }
+
+    #[test]
+    fn the_iron_raises_an_alarm_and_drops_the_servo() {
+        let mut drive = Drive::power_up(STAGE, 500.0, true);
+        drive.start_move(0.0, 300.0, PACE);
+        drive.refresh(10.0);
+        assert_eq!(drive.alarm(), Some(Alarm::Deviation));
+        assert_eq!(drive.position(10.0), 562.0);
+        assert!(!drive.servo());
+    }
+}

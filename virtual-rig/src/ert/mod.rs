@@ -1,0 +1,6 @@
+//! The voltage stream: packets, and the thread that takes frames and sends them.
+//! Uses: `bench`, `solver`, `skin`. Never: Modbus.
+
+pub mod packet;
+pub mod sinks;
+pub mod stream;

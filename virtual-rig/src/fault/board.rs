@@ -1,0 +1,231 @@
+//! Which faults are at work: began when their start was reached, over when their time or their
+//! count is used up.
+//! PURE. Uses: `fault`. Never: clocks (times are handed in), wires.
+
+use super::{Fault, Kind, Part, Start, Target};
+use crate::config::AxisName;
+
+#[derive(Debug, Clone)]
+struct Entry {
+    fault: Fault,
+    began_s: Option<f64>,
+    struck: u32,
+}
+
+impl Entry {
+    fn active(&self, t_s: f64) -> bool {
+        let Some(began) = self.began_s else { return false };
+        self.fault.for_s.is_none_or(|f| t_s < began + f)
+            && self.fault.count.is_none_or(|c| self.struck < c)
+    }
+}
+
+/// What happens to one request.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum WireFault {
+    /// Carried out or not, it stays without an answer.
+    NoReply {
+        /// Whether the request is carried out.
+        executed: bool,
+    },
+    /// Refused with a code.
+    Exception(u8),
+    /// The connection goes.
+    Disconnect {
+        /// Whether the request is carried out.
+        executed: bool,
+    },
+    /// Answered late.
+    Late {
+        /// Wall ms.
+        delay_ms: u64,
+    },
+    /// Answered with mangled bytes.
+    Garbled(Part),
+}
+
+/// All faults of a rig.
+#[derive(Debug, Clone, Default)]
+pub struct Board {
+    entries: Vec<Entry>,
+}
+
+impl Board {
+    /// A board with a script's faults.
+    pub fn new(faults: Vec<Fault>) -> Self {
+        let mut board = Self::default();
+        for fault in faults {
+            board.entries.push(Entry { fault, began_s: None, struck: 0 });
+        }
+        board
+    }
+
+    /// Adds a fault while the rig runs.
+    pub fn add(&mut self, fault: Fault) {
+        self.entries.push(Entry { fault, began_s: None, struck: 0 });
+    }
+
+    /// Whether there is nothing that could go wrong.
+    pub fn is_empty(&self) -> bool {
+        self.entries.is_empty()
+    }
+
+    /// Takes all faults away.
+    pub fn clear(&mut self) {
+        self.entries.clear();
+    }
+
+    /// Begins what is due.
+    pub fn update(&mut self, t_s: f64, frame: u32, presses: u64) {
+        for entry in self.entries.iter_mut().filter(|e| e.began_s.is_none()) {
+            let due = match entry.fault.start {
+                Start::Now => true,
+                Start::Time(at) => t_s >= at,
+                Start::Frame(at) => frame >= at,
+                Start::Press(at) => presses >= at,
+            };
+            entry.began_s = due.then_some(t_s);
+        }
+    }
+
+    /// Faults at work: what, since when, and the counter to charge.
+    fn active(&mut self, t_s: f64) -> impl Iterator<Item = (&Fault, f64, &mut u32)> {
+        self.entries
+            .iter_mut()
+            .filter(move |e| e.active(t_s))
+            .filter_map(|e| Some((&e.fault, e.began_s?, &mut e.struck)))
+    }
+
+    /// The fault of the wire, if any, that strikes a request to a device on a line.
+    pub fn strike_request(
+        &mut self,
+        device: Option<&Target>,
+        line: &str,
+        t_s: f64,
+    ) -> Option<WireFault> {
+        for (fault, _, struck) in self.active(t_s) {
+            let meant = match &fault.target {
+                Target::Line(name) => name == line,
+                target => Some(target) == device,
+            };
+            let wire = match fault.kind {
+                Kind::NoReply { executed } => WireFault::NoReply { executed },
+                Kind::Exception { code } => WireFault::Exception(code),
+                Kind::Disconnect { executed } => WireFault::Disconnect { executed },
+                Kind::LateReply { delay_ms } => WireFault::Late { delay_ms },
+                Kind::GarbledReply { part } => WireFault::Garbled(part),
+                _ => continue,
+            };
+            if meant {
+                *struck += 1;
+                return Some(wire);
+            }
+        }
+        None
+    }
+
+    /// Whether a wire is cut right now, so that nobody may connect.
+    pub fn disconnected(&mut self, line: &str, t_s: f64) -> bool {
+        self.active(t_s).any(|(fault, _, _)| {
+            matches!(fault.kind, Kind::Disconnect { .. })
+                && fault.for_s.is_some()
+                && fault.target == Target::Line(line.to_owned())
+        })
+    }
+
+    /// Since when a device's reads are stale.
+    pub fn stale_since(&mut self, device: &Target, t_s: f64) -> Option<f64> {
+        self.active(t_s)
+            .find(|(f, _, _)| f.kind == Kind::StaleRegisters && f.target == *device)
+            .map(|(_, began, _)| began)
+    }
+
+    /// Whether an axis is stuck, and after how long its drive notices.
+    pub fn stuck(&mut self, axis: AxisName, t_s: f64) -> Option<Option<f64>> {
+        let target = Target::Axis(axis);
+        self.active(t_s).find_map(|(f, _, _)| match f.kind {
+            Kind::StuckAxis { alarm_after_s } if f.target == target => Some(alarm_after_s),
+            _ => None,
+        })
+    }
+
+    /// Alarms and power losses of an axis that are due and have not struck yet.
+    pub fn sudden(&mut self, axis: AxisName, t_s: f64) -> Option<Kind> {
+        let target = Target::Axis(axis);
+        let (fault, _, struck) = self.active(t_s).find(|(f, _, struck)| {
+            f.target == target
+                && **struck == 0
+                && matches!(f.kind, Kind::Alarm { .. } | Kind::PowerLoss)
+        })?;
+        *struck += 1;
+        Some(fault.kind)
+    }
+
+    /// Faults of the cells at work, with their beginnings.
+    pub fn cells(&mut self, t_s: f64) -> Vec<(Kind, f64)> {
+        self.active(t_s)
+            .filter(|(f, _, _)| f.target == Target::Cells)
+            .map(|(f, began, _)| (f.kind, began))
+            .collect()
+    }
+
+    /// Faults of the stream at work.
+    pub fn stream(&mut self, t_s: f64) -> Vec<Kind> {
+        self.active(t_s)
+            .filter(|(f, _, _)| f.target == Target::Ert)
+            .map(|(f, _, struck)| {
+                *struck = struck.saturating_add(1);
+                f.kind
+            })
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fault(kind: Kind, target: Target, start: Start) -> Fault {
+        Fault { kind, target, start, for_s: None, count: None }
+    }
+
+    #[test]
+    fn a_fault_begins_lasts_and_ends() {
+        let kind = Kind::NoReply { executed: false };
+        let z = Target::Axis(AxisName::Z);
+        let timed = Fault { for_s: Some(1.0), ..fault(kind, z.clone(), Start::Time(5.0)) };
+        let mut board = Board::new(vec![timed]);
+        let mut at = |t: f64| {
+            board.update(t, 0, 0);
+            board.strike_request(Some(&z), "stage", t).is_some()
+        };
+        assert_eq!([4.9, 5.0, 5.9, 6.1].map(&mut at), [false, true, true, false]);
+    }
+
+    #[test]
+    fn a_counted_fault_strikes_so_often() {
+        let target = Target::Line("stage".into());
+        let counted =
+            Fault { count: Some(2), ..fault(Kind::Exception { code: 6 }, target, Start::Now) };
+        let mut board = Board::new(vec![counted]);
+        board.update(0.0, 0, 0);
+        let x = Target::Axis(AxisName::X);
+        let mut strike = || board.strike_request(Some(&x), "stage", 0.0);
+        assert_eq!(strike(), Some(WireFault::Exception(6)));
+        assert!(strike().is_some());
+        assert_eq!(strike(), None);
+    }
+
+    #[test]
+    fn another_device_is_spared() {
+        let kind = Kind::LateReply { delay_ms: 5 };
+        let mut board = Board::new(vec![fault(kind, Target::Cells, Start::Press(2))]);
+        board.update(1.0, 100, 1);
+        assert_eq!(board.strike_request(Some(&Target::Cells), "cells", 1.0), None);
+        board.update(2.0, 100, 2);
+        let z = Target::Axis(AxisName::Z);
+        assert_eq!(board.strike_request(Some(&z), "stage", 2.0), None);
+        let late = Some(WireFault::Late { delay_ms: 5 });
+        assert_eq!(board.strike_request(Some(&Target::Cells), "cells", 2.0), late);
+    }
+}

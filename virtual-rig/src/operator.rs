@@ -1,0 +1,387 @@
+//! The virtual operator: a process that does with its hands what a run asks for (mounts tips, puts
+//! weights down) and says so over the service's public API, as a person would.
+//! Uses: reqwest, the rig's control socket. Never: the service's insides, the rig's own wires.
+
+use std::io;
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use serde::Deserialize;
+use serde_json::{Value, json};
+use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
+use tokio::net::TcpStream;
+use tokio::time::timeout;
+
+use crate::bench::Weight;
+use crate::run::{RunError, end_of_life};
+
+/// Environment variable that holds the operator's key.
+const KEY_VARIABLE: &str = "PALPATE_KEY";
+/// How often a person would look, wall.
+const LOOK: Duration = Duration::from_millis(100);
+/// And how often at most when the rig's clock runs fast.
+const LOOK_MIN: Duration = Duration::from_millis(5);
+/// The service has been away for so long: go home.
+const AWAY_MAX: Duration = Duration::from_secs(10);
+/// Longest wait for one answer, of the service or of the control socket.
+const ANSWER: Duration = Duration::from_secs(5);
+/// The same wish still shows after so long: the confirmation was lost, or the trial is repeated.
+const AGAIN: Duration = Duration::from_secs(1);
+
+/// `palpate virtual-operator`: mounts tips, sets weights, confirms.
+#[derive(Debug, Clone, Args)]
+pub struct OperatorArgs {
+    /// Base URL of the service.
+    #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:8080")]
+    pub url: String,
+    /// Address of the rig's control socket.
+    #[arg(long, value_name = "ADDRESS")]
+    pub control: String,
+    /// Process seconds in a wall second: a fast rig wants a fast operator.
+    #[arg(long, value_name = "N", default_value_t = 1.0)]
+    pub speed: f64,
+    /// Name under which actions are logged.
+    #[arg(long, default_value = "virtual operator")]
+    pub who: String,
+    /// End when standard input closes: a child dies with its parent.
+    #[arg(long)]
+    pub with_parent: bool,
+}
+
+/// Why the operator cannot work.
+#[derive(Debug, thiserror::Error)]
+pub enum OperatorError {
+    /// The runtime or the signals could not be had.
+    #[error(transparent)]
+    Start(#[from] RunError),
+    /// The HTTP client could not be built.
+    #[error("HTTP client: {0}")]
+    Client(#[source] reqwest::Error),
+}
+
+/// Why one look or one action failed; the next look is the retry.
+#[derive(Debug, thiserror::Error)]
+enum HandError {
+    #[error("service: {0}")]
+    Service(#[from] reqwest::Error),
+    #[error("service answered {status} to {action}")]
+    Refused { action: &'static str, status: reqwest::StatusCode },
+    #[error("control socket: {0}")]
+    Control(#[from] io::Error),
+    #[error("the rig refused: {0}")]
+    Rig(String),
+}
+
+/// What the service says about itself, as far as the operator reads it.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+struct Status {
+    #[serde(default)]
+    run: Option<Run>,
+}
+
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+struct Run {
+    uid: String,
+    state: String,
+    #[serde(default)]
+    paused_why: Option<String>,
+    #[serde(default)]
+    wanted: Option<Value>,
+}
+
+/// What a paused run waits for.
+#[derive(Debug, Clone, PartialEq)]
+enum Wish {
+    Tips(usize),
+    Weights { trial: u64, contacts: Vec<Weight> },
+}
+
+impl Run {
+    /// What the run waits for, if it is something that hands can do.
+    fn wish(&self) -> Option<Wish> {
+        #[derive(Deserialize)]
+        struct Tips {
+            tips: usize,
+        }
+        #[derive(Deserialize)]
+        struct Trial {
+            trial: u64,
+            contacts: Vec<Weight>,
+        }
+        let wanted = self.wanted.clone().filter(|_| self.state == "paused")?;
+        match self.paused_why.as_deref()? {
+            "tip_change" => {
+                serde_json::from_value(wanted).ok().map(|Tips { tips }| Wish::Tips(tips))
+            }
+            "manual_trial" => serde_json::from_value(wanted)
+                .ok()
+                .map(|Trial { trial, contacts }| Wish::Weights { trial, contacts }),
+            _ => None,
+        }
+    }
+}
+
+/// Works until a signal, until the parent goes, or until the service has been away for 10 s.
+pub fn operator_main(args: OperatorArgs) -> Result<(), OperatorError> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .map_err(RunError::Start)?;
+    runtime.block_on(async {
+        let ended = end_of_life(args.with_parent)?;
+        let key = std::env::var(KEY_VARIABLE).ok();
+        let mut operator = Operator::new(args, key)?;
+        tokio::select! {
+            () = ended => {}
+            () = operator.work(AWAY_MAX) => {}
+        }
+        Ok(())
+    })
+}
+
+struct Operator {
+    args: OperatorArgs,
+    key: Option<String>,
+    client: reqwest::Client,
+    control: Option<BufReader<TcpStream>>,
+    weights_down: bool,
+    confirmed: Option<(String, Wish, Instant)>,
+}
+
+impl Operator {
+    fn new(args: OperatorArgs, key: Option<String>) -> Result<Self, OperatorError> {
+        let client =
+            reqwest::Client::builder().timeout(ANSWER).build().map_err(OperatorError::Client)?;
+        Ok(Self { args, key, client, control: None, weights_down: false, confirmed: None })
+    }
+
+    /// Looks and acts until the service has been away for `away_max`.
+    async fn work(&mut self, away_max: Duration) {
+        let look = LOOK.div_f64(self.args.speed.max(1.0)).max(LOOK_MIN);
+        let mut seen = Instant::now();
+        let mut told = String::new();
+        loop {
+            let outcome = match self.look().await {
+                Ok(status) => {
+                    seen = Instant::now();
+                    self.act(status).await
+                }
+                Err(error) => Err(error),
+            };
+            if seen.elapsed() > away_max {
+                return;
+            }
+            let trouble = outcome.err().map(|e| e.to_string()).unwrap_or_default();
+            if trouble != told && !trouble.is_empty() {
+                tracing::warn!(trouble, "virtual operator");
+            }
+            told = trouble;
+            tokio::time::sleep(look).await;
+        }
+    }
+
+    fn with_key(&self, request: reqwest::RequestBuilder) -> reqwest::RequestBuilder {
+        match &self.key {
+            Some(key) => request.bearer_auth(key),
+            None => request,
+        }
+    }
+
+    async fn look(&self) -> Result<Status, HandError> {
+        let url = format!("{}/api/v1/status", self.args.url.trim_end_matches('/'));
+        let answer = self.with_key(self.client.get(url)).send().await?;
+        let status = answer.status();
+        if !status.is_success() {
+            return Err(HandError::Refused { action: "status", status });
+        }
+        Ok(answer.json().await?)
+    }
+
+    async fn act(&mut self, status: Status) -> Result<(), HandError> {
+        let wish = status.run.as_ref().and_then(Run::wish);
+        let (Some(run), Some(wish)) = (status.run, wish) else {
+            self.confirmed = None;
+            return Ok(());
+        };
+        if let Some((uid, done, when)) = &self.confirmed
+            && *uid == run.uid
+            && *done == wish
+            && when.elapsed() < AGAIN
+        {
+            return Ok(());
+        }
+        let why = self.do_by_hand(&wish).await?;
+        self.confirm(&run.uid, &why).await?;
+        self.confirmed = Some((run.uid, wish, Instant::now()));
+        Ok(())
+    }
+
+    async fn do_by_hand(&mut self, wish: &Wish) -> Result<String, HandError> {
+        match wish {
+            Wish::Tips(tips) => {
+                if self.weights_down {
+                    self.tell_rig(&json!({ "cmd": "clear" })).await?;
+                    self.weights_down = false;
+                }
+                self.tell_rig(&json!({ "cmd": "mount", "tips": tips })).await?;
+                Ok(format!("mounted {tips} tips"))
+            }
+            Wish::Weights { trial, contacts } => {
+                self.tell_rig(&json!({ "cmd": "place", "weights": contacts })).await?;
+                self.weights_down = !contacts.is_empty();
+                Ok(format!("placed {} weights for trial {trial}", contacts.len()))
+            }
+        }
+    }
+
+    async fn confirm(&self, uid: &str, why: &str) -> Result<(), HandError> {
+        let base = self.args.url.trim_end_matches('/');
+        let url = format!("{base}/api/v1/runs/{uid}/actions");
+        let body = json!({ "action": "confirm", "who": self.args.who, "why": why });
+        let answer = self.with_key(self.client.post(url)).json(&body).send().await?;
+        let status = answer.status();
+        if status.is_success() {
+            Ok(())
+        } else {
+            Err(HandError::Refused { action: "confirm", status })
+        }
+    }
+
+    /// Says one line to the rig and hears one.
+    async fn tell_rig(&mut self, command: &Value) -> Result<(), HandError> {
+        let reply = timeout(ANSWER, self.exchange(command)).await;
+        let reply = reply.map_err(io::Error::other).and_then(|r| r);
+        if reply.is_err() {
+            self.control = None;
+        }
+        let reply: Value = serde_json::from_str(&reply?).map_err(io::Error::other)?;
+        if reply["ok"] == Value::Bool(true) {
+            return Ok(());
+        }
+        Err(HandError::Rig(reply["error"].as_str().unwrap_or("no reason given").to_owned()))
+    }
+
+    async fn exchange(&mut self, command: &Value) -> io::Result<String> {
+        let wire = match &mut self.control {
+            Some(wire) => wire,
+            none => none.insert(BufReader::new(TcpStream::connect(&self.args.control).await?)),
+        };
+        wire.get_mut().write_all(format!("{command}\n").as_bytes()).await?;
+        let mut reply = String::new();
+        if wire.read_line(&mut reply).await? == 0 {
+            return Err(io::ErrorKind::UnexpectedEof.into());
+        }
+        Ok(reply)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::{Arc, Mutex};
+    use tokio::io::AsyncReadExt;
+    use tokio::net::TcpListener;
+
+    type Heard = Arc<Mutex<Vec<String>>>;
+
+    /// A control socket that agrees with everything.
+    async fn willing_rig(heard: Heard) -> String {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap().to_string();
+        tokio::spawn(async move {
+            let (stream, _) = listener.accept().await.unwrap();
+            let mut stream = BufReader::new(stream);
+            let mut line = String::new();
+            while stream.read_line(&mut line).await.unwrap() > 0 {
+                heard.lock().unwrap().push(line.trim().to_owned());
+                line.clear();
+                stream.get_mut().write_all(b"{\"ok\":true}\n").await.unwrap();
+            }
+        });
+        address
+    }
+
+    /// A service whose status is the first of `wishes` that has not been confirmed.
+    async fn service(wishes: Vec<&'static str>, heard: Heard) -> String {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let url = format!("http://{}", listener.local_addr().unwrap());
+        tokio::spawn(async move {
+            let mut wishes = std::collections::VecDeque::from(wishes);
+            while !wishes.is_empty() {
+                let (mut stream, _) = listener.accept().await.unwrap();
+                let mut request = vec![0; 4096];
+                let mut have = 0;
+                let text = loop {
+                    have += stream.read(&mut request[have..]).await.unwrap();
+                    let text = String::from_utf8_lossy(&request[..have]).into_owned();
+                    if text.starts_with("GET") && text.ends_with("\r\n\r\n") || text.ends_with('}')
+                    {
+                        break text;
+                    }
+                };
+                let body = if text.starts_with("GET /api/v1/status ") {
+                    format!("{{\"run\":{{\"uid\":\"u1\",{}}}}}", wishes[0])
+                } else {
+                    assert!(text.starts_with("POST /api/v1/runs/u1/actions "), "{text}");
+                    assert!(text.to_lowercase().contains("authorization: bearer k"));
+                    heard.lock().unwrap().push(text.lines().last().unwrap().to_owned());
+                    wishes.pop_front();
+                    "{}".to_owned()
+                };
+                let reply = format!(
+                    "HTTP/1.1 200 OK\r\ncontent-type: application/json\r\ncontent-length: {}\r\n\
+                     connection: close\r\n\r\n{body}",
+                    body.len()
+                );
+                stream.write_all(reply.as_bytes()).await.unwrap();
+            }
+        });
+        url
+    }
+
+    #[tokio::test]
+    async fn it_does_what_the_run_asks_says_so_and_goes_home() {
+        let heard = Heard::default();
+        let control = willing_rig(Arc::clone(&heard)).await;
+        let wishes = vec![
+            r#""state":"paused","paused_why":"manual_trial",
+               "wanted":{"trial":12,"contacts":[{"x_mm":100.0,"y_mm":80.0,"force_n":4.905}]}"#,
+            r#""state":"paused","paused_why":"tip_change","wanted":{"tips":4}"#,
+        ];
+        let url = service(wishes, Arc::clone(&heard)).await;
+        let who = "virtual operator".to_owned();
+        let args = OperatorArgs { url, control, speed: 20.0, who, with_parent: false };
+        let mut operator = Operator::new(args, Some("k".into())).unwrap();
+        let work = operator.work(Duration::from_millis(300));
+        timeout(Duration::from_secs(10), work).await.unwrap();
+        let heard: Vec<Value> =
+            heard.lock().unwrap().iter().map(|l| serde_json::from_str(l).unwrap()).collect();
+        let who = "virtual operator";
+        let weight = json!({ "x_mm": 100.0, "y_mm": 80.0, "force_n": 4.905 });
+        let placed = "placed 1 weights for trial 12";
+        assert_eq!(
+            heard,
+            [
+                json!({ "cmd": "place", "weights": [weight] }),
+                json!({ "action": "confirm", "who": who, "why": placed }),
+                json!({ "cmd": "clear" }),
+                json!({ "cmd": "mount", "tips": 4 }),
+                json!({ "action": "confirm", "who": who, "why": "mounted 4 tips" }),
+            ]
+        );
+    }
+
+    #[test]
+    fn a_pause_by_the_operator_is_nothing_to_confirm() {
+        let run = |why: &str| Run {
+            uid: "u".into(),
+            state: "paused".into(),
+            paused_why: Some(why.into()),
+            wanted: Some(json!({ "tips": 3 })),
+        };
+        assert_eq!(run("tip_change").wish(), Some(Wish::Tips(3)));
+        assert_eq!(run("operator").wish(), None);
+        let running = Run { state: "running".into(), ..run("tip_change") };
+        assert_eq!(running.wish(), None);
+    }
+}

@@ -1,0 +1,438 @@
+//! The rig's process: reads its files, opens every wire, says that it is ready, and ends when it is
+//! told to, or when its parent goes.
+//! Uses: everything of this crate but the operator. Never: physics, registers.
+
+use std::collections::BTreeMap;
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use clap::Args;
+use serde::Serialize;
+use sim_core::sensor::{Sensor, SensorError};
+use tokio::net::{TcpListener, TcpSocket, lookup_host};
+use tokio::task::JoinSet;
+use tokio_serial::{SerialPort, SerialStream};
+
+use crate::bench::Bench;
+use crate::clock::RigClock;
+use crate::config::{ConfigError, Ert, Line, RigFile};
+use crate::ert::sinks::{PtySink, Sinks};
+use crate::ert::stream::Stream;
+use crate::fault::{self, FaultError};
+use crate::lab::Lab;
+use crate::skin::mechanics::Mechanics;
+use crate::skin::{Gap, GapError, Readout, Skin, SkinError};
+use crate::solver::Solver;
+use crate::{control, wire};
+
+/// Send buffer of a stream's reader, bytes: what lags behind it is dropped, not queued.
+const STREAM_BUFFER: u32 = 64 * 1024;
+/// Connections that may wait to be accepted.
+const BACKLOG: u32 = 64;
+/// Threads of the wires.
+const WORKERS: usize = 2;
+
+/// `palpate virtual-rig`: a stand-in lab behind real wires.
+#[derive(Debug, Clone, Args)]
+pub struct RigArgs {
+    /// Rig file: which devices, on which wires.
+    #[arg(long, value_name = "FILE")]
+    pub rig: PathBuf,
+    /// Gap file: how this skin differs from the model.
+    #[arg(long, value_name = "FILE")]
+    pub gap: PathBuf,
+    /// Sensor file: the skin's geometry and materials.
+    #[arg(long, value_name = "FILE")]
+    pub sensor: PathBuf,
+    /// A seed is a skin.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// Process seconds in a wall second; the rig file's clock_rate if absent.
+    #[arg(long, value_name = "N")]
+    pub speed: Option<f64>,
+    /// Serve every TCP wire at a free port of this machine and every serial one at a new
+    /// pseudo-terminal, whatever the rig file says.
+    #[arg(long)]
+    pub ephemeral: bool,
+    /// Write the rig file with the addresses as really served.
+    #[arg(long, value_name = "FILE")]
+    pub out_rig: Option<PathBuf>,
+    /// Fault script: what shall go wrong, and when.
+    #[arg(long, value_name = "SCRIPT")]
+    pub fault: Option<PathBuf>,
+    /// Where the control socket listens.
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:0")]
+    pub control: String,
+    /// Where solved response fields are kept between starts.
+    #[arg(long, value_name = "DIR")]
+    pub cache: Option<PathBuf>,
+    /// Write the line that says that everything listens to a file, too.
+    #[arg(long, value_name = "FILE")]
+    pub ready_file: Option<PathBuf>,
+    /// End when standard input closes: a child dies with its parent.
+    #[arg(long)]
+    pub with_parent: bool,
+}
+
+/// Why the rig cannot be switched on.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// A file could not be read or written.
+    #[error("{path}: {source}", path = path.display())]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// The rig file is no rig.
+    #[error("{path}: {source}", path = path.display())]
+    Rig {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        source: ConfigError,
+    },
+    /// The sensor file is no sensor.
+    #[error("{path}: {source}", path = path.display())]
+    Sensor {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        source: SensorError,
+    },
+    /// The gap file is no gap.
+    #[error("{path}: {source}", path = path.display())]
+    Gap {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        source: GapError,
+    },
+    /// The skin could not be built.
+    #[error("skin: {0}")]
+    Skin(#[from] SkinError),
+    /// The fault script is no fault script.
+    #[error("{path}: {source}", path = path.display())]
+    Fault {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        source: FaultError,
+    },
+    /// The rig's readout and the skin do not go together.
+    #[error("ert.electrodes = {rig}: the sensor has {sensor}")]
+    Electrodes {
+        /// Of the rig file.
+        rig: u16,
+        /// Of the sensor file.
+        sensor: usize,
+    },
+    /// No process time would pass.
+    #[error("--speed {0}: must be a positive number")]
+    Speed(f64),
+    /// A TCP wire could not be opened.
+    #[error("listening at {address}: {source}")]
+    Listen {
+        /// Where.
+        address: String,
+        /// Why.
+        source: io::Error,
+    },
+    /// A pseudo-terminal could not be opened.
+    #[error("pseudo-terminal: {0}")]
+    Pty(#[from] tokio_serial::Error),
+    /// The configured serial path is something else already.
+    #[error("{0}: exists and is no link to a pseudo-terminal; use --ephemeral")]
+    Occupied(PathBuf),
+    /// The rig file with the served addresses could not be written as TOML.
+    #[error("served rig file: {0}")]
+    Served(#[from] toml::ser::Error),
+    /// A thread or the runtime could not be started.
+    #[error("starting: {0}")]
+    Start(#[source] io::Error),
+    /// Signals cannot be caught.
+    #[error("signals: {0}")]
+    Signals(#[source] io::Error),
+}
+
+/// What the rig says when everything listens.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Ready {
+    /// Always true.
+    pub ready: bool,
+    /// Address of the control socket.
+    pub control: String,
+    /// Address or path of each Modbus line.
+    pub lines: BTreeMap<String, String>,
+    /// Address or path of the voltage stream.
+    pub ert: String,
+    /// Process seconds in a wall second.
+    pub speed: f64,
+    /// Path of the served rig file, if it was asked for.
+    pub rig: Option<PathBuf>,
+}
+
+/// A rig that is switched on; dropping it switches it off.
+pub struct VirtualRig {
+    /// What listens where.
+    pub ready: Ready,
+    /// The rig file's text with the addresses as served.
+    pub rig_text: String,
+    _stream: Stream,
+    _wires: JoinSet<()>,
+    _links: Vec<Link>,
+}
+
+/// A link at a configured serial path; goes when the rig goes.
+struct Link(PathBuf);
+
+impl Drop for Link {
+    fn drop(&mut self) {
+        std::fs::remove_file(&self.0).ok();
+    }
+}
+
+/// Runs the rig until a signal, or until its parent goes. Prints one JSON line when it is ready.
+pub fn rig_main(args: RigArgs) -> Result<(), RunError> {
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(WORKERS)
+        .enable_all()
+        .build()
+        .map_err(RunError::Start)?;
+    runtime.block_on(async {
+        let ended = end_of_life(args.with_parent)?;
+        let rig = VirtualRig::switch_on(&args).await?;
+        let line = serde_json::json!(rig.ready).to_string();
+        println!("{line}");
+        io::stdout().flush().map_err(RunError::Start)?;
+        if let Some(path) = &args.ready_file {
+            write_file(path, &line)?;
+        }
+        ended.await;
+        Ok(())
+    })
+}
+
+/// Resolves at SIGTERM, at ctrl-c, or when the parent's pipe closes.
+pub(crate) fn end_of_life(with_parent: bool) -> Result<impl Future<Output = ()> + use<>, RunError> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let mut terminate = signal(SignalKind::terminate()).map_err(RunError::Signals)?;
+    let mut interrupt = signal(SignalKind::interrupt()).map_err(RunError::Signals)?;
+    let (gone, mut parent) = tokio::sync::mpsc::channel::<()>(1);
+    let _watched = with_parent.then(|| {
+        // Standard input has no asynchronous read that a runtime could give up.
+        std::thread::spawn(move || {
+            let mut scratch = [0; 256];
+            while matches!(io::stdin().read(&mut scratch), Ok(1..)) {}
+            drop(gone);
+        })
+    });
+    Ok(async move {
+        tokio::select! {
+            _ = terminate.recv() => {}
+            _ = interrupt.recv() => {}
+            _ = parent.recv(), if with_parent => {}
+        }
+    })
+}
+
+fn read_file(path: &Path) -> Result<String, RunError> {
+    std::fs::read_to_string(path).map_err(|source| RunError::File { path: path.into(), source })
+}
+
+/// Writes whole or not at all: a reader never sees half a file.
+fn write_file(path: &Path, text: &str) -> Result<(), RunError> {
+    let half = path.with_extension("part");
+    std::fs::write(&half, text)
+        .and_then(|()| std::fs::rename(&half, path))
+        .map_err(|source| RunError::File { path: path.into(), source })
+}
+
+impl VirtualRig {
+    /// Reads the files, builds the skin and opens every wire.
+    pub async fn switch_on(args: &RigArgs) -> Result<Self, RunError> {
+        let rig_text = read_file(&args.rig)?;
+        let rig = RigFile::from_toml(&rig_text)
+            .map_err(|source| RunError::Rig { path: args.rig.clone(), source })?;
+        let sensor = Sensor::from_toml(&read_file(&args.sensor)?)
+            .map_err(|source| RunError::Sensor { path: args.sensor.clone(), source })?;
+        let gap = Gap::from_toml(&read_file(&args.gap)?)
+            .map_err(|source| RunError::Gap { path: args.gap.clone(), source })?;
+        let faults = match &args.fault {
+            Some(path) => fault::script(&read_file(path)?, &rig)
+                .map_err(|source| RunError::Fault { path: path.clone(), source })?,
+            None => Vec::new(),
+        };
+        let speed = args.speed.unwrap_or(rig.clock_rate);
+        if !(speed.is_finite() && speed > 0.0) {
+            return Err(RunError::Speed(speed));
+        }
+        let electrodes = sensor.electrodes_mm().len();
+        if usize::from(rig.ert.electrodes()) != electrodes {
+            return Err(RunError::Electrodes { rig: rig.ert.electrodes(), sensor: electrodes });
+        }
+        let size = [sensor.file.width_mm, sensor.file.height_mm];
+        let source_v = sensor.file.circuit.source_v * sensor.file.circuit.gain;
+        let mechanics = Mechanics::new(&gap.mechanics, args.seed);
+        let readout = Readout::new(&gap, args.seed);
+        let (seed, cache) = (args.seed, args.cache.clone());
+        let solver = tokio::task::spawn_blocking(move || {
+            let skin = Skin::new(sensor, gap, seed, cache.as_deref())?;
+            Solver::start(skin).map_err(RunError::Start)
+        })
+        .await
+        .map_err(|e| RunError::Start(io::Error::other(e)))??;
+        let bench = Bench::power_up(&rig, size, mechanics, faults, args.seed);
+
+        let mut doors = Doors::open(&rig, args).await?;
+        let clock = RigClock::start(speed);
+        let lab = Arc::new(Lab::new(rig, clock, solver, bench));
+        let rig_text = served_rig(&rig_text, &doors, speed)?;
+        if let Some(path) = &args.out_rig {
+            write_file(path, &rig_text)?;
+        }
+        let ready = Ready {
+            ready: true,
+            control: doors.control_at.clone(),
+            lines: doors.lines_at.clone(),
+            ert: doors.ert_at.clone(),
+            speed,
+            rig: args.out_rig.clone(),
+        };
+        let links = std::mem::take(&mut doors.links);
+        let (wires, sinks) = doors.serve(&lab);
+        let stream =
+            Stream::start(lab, readout, sinks, source_v, args.seed).map_err(RunError::Start)?;
+        Ok(Self { ready, rig_text, _stream: stream, _wires: wires, _links: links })
+    }
+}
+
+/// Every wire, open and not yet served.
+struct Doors {
+    control: TcpListener,
+    control_at: String,
+    tcp: Vec<(String, TcpListener)>,
+    rtu: Vec<(String, SerialStream)>,
+    lines_at: BTreeMap<String, String>,
+    sinks: Sinks,
+    ert_at: String,
+    links: Vec<Link>,
+}
+
+impl Doors {
+    async fn open(rig: &RigFile, args: &RigArgs) -> Result<Self, RunError> {
+        let mut links = Vec::new();
+        let (control, control_at) = listen(&args.control, false, None).await?;
+        let (mut tcp, mut rtu, mut lines_at) = (Vec::new(), Vec::new(), BTreeMap::new());
+        for (name, line) in &rig.lines {
+            let at = match line {
+                Line::ModbusTcp { address } => {
+                    let (listener, at) = listen(address, args.ephemeral, None).await?;
+                    tcp.push((name.clone(), listener));
+                    at
+                }
+                Line::ModbusRtu { path } => {
+                    let (master, at) = open_pty(path, args.ephemeral, &mut links)?;
+                    rtu.push((name.clone(), master));
+                    at
+                }
+            };
+            lines_at.insert(name.clone(), at);
+        }
+        let (sinks, ert_at) = match &rig.ert {
+            Ert::Tcp { address, .. } => {
+                let (listener, at) = listen(address, args.ephemeral, Some(STREAM_BUFFER)).await?;
+                let listener = listener.into_std().map_err(RunError::Start)?;
+                (Sinks::Tcp { listener, clients: Vec::new() }, at)
+            }
+            Ert::Serial { path, .. } => {
+                let (master, at) = open_pty(path, args.ephemeral, &mut links)?;
+                (Sinks::Pty(PtySink::new(master)), at)
+            }
+        };
+        Ok(Self { control, control_at, tcp, rtu, lines_at, sinks, ert_at, links })
+    }
+
+    fn serve(self, lab: &Arc<Lab>) -> (JoinSet<()>, Sinks) {
+        let mut wires = JoinSet::new();
+        wires.spawn(control::serve(Arc::clone(lab), self.control));
+        for (name, listener) in self.tcp {
+            wires.spawn(wire::serve_tcp(Arc::clone(lab), name, listener));
+        }
+        for (name, master) in self.rtu {
+            wires.spawn(wire::serve_rtu(Arc::clone(lab), name, master));
+        }
+        (wires, self.sinks)
+    }
+}
+
+async fn listen(
+    address: &str,
+    ephemeral: bool,
+    send_buffer: Option<u32>,
+) -> Result<(TcpListener, String), RunError> {
+    let failed = |source| RunError::Listen { address: address.to_owned(), source };
+    let nothing = || failed(io::Error::new(io::ErrorKind::NotFound, "no such host"));
+    // A bench's own addresses are not this machine's.
+    let address = if ephemeral { "127.0.0.1:0" } else { address };
+    let mut found = lookup_host(address).await.map_err(failed)?;
+    let at = found.next().ok_or_else(nothing)?;
+    let open = || {
+        let socket = if at.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
+        socket.set_reuseaddr(true)?;
+        if let Some(bytes) = send_buffer {
+            socket.set_send_buffer_size(bytes)?;
+        }
+        socket.bind(at)?;
+        let listener = socket.listen(BACKLOG)?;
+        let at = listener.local_addr()?.to_string();
+        Ok((listener, at))
+    };
+    open().map_err(failed)
+}
+
+/// Opens a pseudo-terminal; unless `ephemeral`, a link at `path` leads to it.
+fn open_pty(
+    path: &str,
+    ephemeral: bool,
+    links: &mut Vec<Link>,
+) -> Result<(SerialStream, String), RunError> {
+    // The near end of the slave is closed again: then the master learns whether anybody is there.
+    let (master, slave) = SerialStream::pair()?;
+    let name = slave.name().ok_or_else(|| {
+        RunError::Start(io::Error::new(io::ErrorKind::NotFound, "pseudo-terminal without a name"))
+    })?;
+    drop(slave);
+    if ephemeral {
+        return Ok((master, name));
+    }
+    let link = PathBuf::from(path);
+    let at = |source| RunError::File { path: link.clone(), source };
+    match std::fs::symlink_metadata(&link) {
+        Ok(found) if found.file_type().is_symlink() => std::fs::remove_file(&link).map_err(at)?,
+        Ok(_) => return Err(RunError::Occupied(link)),
+        Err(_) => {}
+    }
+    std::os::unix::fs::symlink(&name, &link).map_err(at)?;
+    links.push(Link(link));
+    Ok((master, path.to_owned()))
+}
+
+/// The rig file's text with the addresses and the clock rate as served.
+fn served_rig(text: &str, doors: &Doors, speed: f64) -> Result<String, RunError> {
+    let mut table: toml::Table = toml::from_str(text).unwrap_or_default();
+    table.insert("clock_rate".into(), toml::Value::Float(speed));
+    let set = |section: Option<&mut toml::Value>, at: &str| {
+        if let Some(section) = section.and_then(toml::Value::as_table_mut) {
+            let key = if section.contains_key("path") { "path" } else { "address" };
+            section.insert(key.into(), toml::Value::String(at.to_owned()));
+        }
+    };
+    for (name, at) in &doors.lines_at {
+        set(table.get_mut("lines").and_then(|lines| lines.get_mut(name)), at);
+    }
+    set(table.get_mut("ert"), &doors.ert_at);
+    Ok(toml::to_string(&table)?)
+}

@@ -1,0 +1,94 @@
+//! Solves the skin under a held load, once, on a thread of its own; until then there is no frame
+//! of that load.
+//! Uses: `skin`, std threads. Never: time, frames.
+
+use std::collections::VecDeque;
+use std::io;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+use crate::bench::Load;
+use crate::skin::Skin;
+
+/// Loads whose voltages are kept.
+const KEPT: usize = 32;
+/// Loads that may wait; the newest is solved first and the others are asked for again if needed.
+const WAITING: usize = 16;
+/// How often the thread looks whether it is still wanted.
+const PATIENCE: Duration = Duration::from_millis(200);
+
+/// Voltages of a held load, V, injection-major.
+pub type Solved = Arc<Vec<f64>>;
+
+type Known = Mutex<VecDeque<(Arc<Load>, Solved)>>;
+
+/// The solver's near end.
+#[derive(Clone)]
+pub struct Solver {
+    requests: SyncSender<Arc<Load>>,
+    known: Arc<Known>,
+}
+
+impl Solver {
+    /// Starts the thread, and waits for the untouched skin. The thread ends when the last near end
+    /// is dropped.
+    pub fn start(skin: Skin) -> io::Result<Self> {
+        let (requests, inbox) = sync_channel(WAITING);
+        let known: Arc<Known> = Arc::default();
+        let untouched = Arc::new(Load::default());
+        remember(&known, Arc::clone(&untouched), Arc::new(skin.solve(&untouched.tips)));
+        let shelf = Arc::clone(&known);
+        thread::Builder::new().name("skin".into()).spawn(move || work(&skin, &inbox, &shelf))?;
+        Ok(Self { requests, known })
+    }
+
+    /// Asks for a load. A full queue forgets it: the stream asks again while it needs it.
+    pub fn request(&self, load: Arc<Load>) {
+        if self.solved(&load).is_none() {
+            self.requests.try_send(load).ok();
+        }
+    }
+
+    /// The voltages of a load, once solved.
+    pub fn solved(&self, load: &Load) -> Option<Solved> {
+        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let at = known.iter().position(|(l, _)| **l == *load)?;
+        let entry = known.remove(at)?;
+        let solved = Arc::clone(&entry.1);
+        known.push_front(entry);
+        Some(solved)
+    }
+}
+
+fn remember(known: &Known, load: Arc<Load>, solved: Solved) {
+    let mut known = known.lock().unwrap_or_else(PoisonError::into_inner);
+    known.push_front((load, solved));
+    known.truncate(KEPT);
+}
+
+fn work(skin: &Skin, inbox: &Receiver<Arc<Load>>, known: &Known) {
+    loop {
+        let mut load = match inbox.recv_timeout(PATIENCE) {
+            Ok(load) => load,
+            Err(RecvTimeoutError::Timeout) => continue,
+            Err(RecvTimeoutError::Disconnected) => return,
+        };
+        loop {
+            match inbox.try_recv() {
+                Ok(newer) => load = newer,
+                Err(TryRecvError::Empty) => break,
+                Err(TryRecvError::Disconnected) => return,
+            }
+        }
+        let have = {
+            let known = known.lock().unwrap_or_else(PoisonError::into_inner);
+            known.iter().any(|(l, _)| *l == load)
+        };
+        if !have {
+            let solved = Arc::new(skin.solve(&load.tips));
+            remember(known, load, solved);
+        }
+    }
+}

@@ -1,0 +1,186 @@
+//! The Modbus wires: TCP listeners and pseudo-terminals in front of the lab.
+//! Uses: tokio's sockets, tokio-serial, `modbus`, `lab`. Never: registers' meaning.
+
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Semaphore;
+use tokio::time::timeout;
+use tokio_serial::SerialStream;
+
+use crate::bench::Served;
+use crate::fault::{Part, WireFault};
+use crate::lab::Lab;
+use crate::modbus::{Exception, rtu, tcp};
+
+/// Connections of one TCP line at a time.
+const CONNECTIONS_MAX: usize = 64;
+/// Silence after which what is in the buffer is all there will be.
+const SILENCE: Duration = Duration::from_millis(20);
+/// Pause before looking again whether somebody has opened the pseudo-terminal.
+const NOBODY: Duration = Duration::from_millis(10);
+/// A client that does not take its answer for so long is let go.
+const WRITE_PATIENCE: Duration = Duration::from_secs(5);
+
+/// What becomes of the bytes of an answer.
+enum Delivery {
+    Send(Vec<u8>),
+    SendLate(Vec<u8>, Duration),
+    Silence,
+    HangUp,
+}
+
+/// Serves one TCP line until the task is aborted.
+pub async fn serve_tcp(lab: Arc<Lab>, line: String, listener: TcpListener) {
+    let seats = Arc::new(Semaphore::new(CONNECTIONS_MAX));
+    loop {
+        let Ok((stream, peer)) = listener.accept().await else {
+            tokio::time::sleep(NOBODY).await;
+            continue;
+        };
+        let cut = lab.bench().disconnected(&line, lab.clock.process_s());
+        let seat = Arc::clone(&seats).try_acquire_owned();
+        let Ok(seat) = seat.map_err(|e| tracing::debug!(%peer, error = %e, "no seat")) else {
+            continue;
+        };
+        if cut || stream.set_nodelay(true).is_err() {
+            continue;
+        }
+        let (lab, line) = (Arc::clone(&lab), line.clone());
+        tokio::spawn(async move {
+            if let Err(error) = serve_connection(&lab, &line, stream).await {
+                tracing::debug!(%peer, line, %error, "connection ended");
+            }
+            drop(seat);
+        });
+    }
+}
+
+async fn serve_connection(lab: &Lab, line: &str, mut stream: TcpStream) -> io::Result<()> {
+    let mut buffer = Vec::with_capacity(512);
+    loop {
+        while let Some(adu) = tcp::take(&mut buffer).map_err(io::Error::other)? {
+            let served = lab.serve(line, adu.unit, &adu.pdu);
+            match deliver_tcp(&adu, served) {
+                Delivery::Send(bytes) => send(&mut stream, &bytes).await?,
+                Delivery::SendLate(bytes, delay) => {
+                    tokio::time::sleep(delay).await;
+                    send(&mut stream, &bytes).await?;
+                }
+                Delivery::Silence => {}
+                Delivery::HangUp => return Ok(()),
+            }
+        }
+        if stream.read_buf(&mut buffer).await? == 0 {
+            return Ok(());
+        }
+    }
+}
+
+async fn send(wire: &mut (impl AsyncWriteExt + Unpin), bytes: &[u8]) -> io::Result<()> {
+    timeout(WRITE_PATIENCE, wire.write_all(bytes)).await.map_err(io::Error::other)?
+}
+
+fn deliver_tcp(adu: &tcp::Adu, served: Served) -> Delivery {
+    // Behind a gateway, an address without a device is the gateway's to report.
+    let function = adu.pdu.first().copied().unwrap_or(0);
+    let nobody = || vec![function | 0x80, Exception::NoTarget.code()];
+    let pdu = served.answer.unwrap_or_else(nobody);
+    let mut bytes = tcp::frame(adu, &pdu);
+    match served.fault {
+        None | Some(WireFault::Exception(_)) => Delivery::Send(bytes),
+        Some(WireFault::Late { delay_ms }) => {
+            Delivery::SendLate(bytes, Duration::from_millis(delay_ms))
+        }
+        Some(WireFault::NoReply { .. }) => Delivery::Silence,
+        Some(WireFault::Disconnect { .. }) => Delivery::HangUp,
+        Some(WireFault::Garbled(part)) => {
+            match part {
+                Part::Header => bytes[1] ^= 0x55,
+                Part::Payload => flip_last(&mut bytes, 0),
+                Part::Cut => bytes.truncate(bytes.len() - 1),
+            }
+            Delivery::Send(bytes)
+        }
+    }
+}
+
+fn deliver_rtu(adu: &rtu::Adu, served: Served) -> Delivery {
+    let Some(pdu) = served.answer else { return Delivery::Silence };
+    let mut bytes = rtu::frame(adu.unit, &pdu);
+    match served.fault {
+        None | Some(WireFault::Exception(_)) => Delivery::Send(bytes),
+        Some(WireFault::Late { delay_ms }) => {
+            Delivery::SendLate(bytes, Duration::from_millis(delay_ms))
+        }
+        Some(WireFault::NoReply { .. } | WireFault::Disconnect { .. }) => Delivery::Silence,
+        Some(WireFault::Garbled(part)) => {
+            match part {
+                Part::Header => flip_last(&mut bytes, 0),
+                Part::Payload => flip_last(&mut bytes, 2),
+                Part::Cut => bytes.truncate(bytes.len() - 1),
+            }
+            Delivery::Send(bytes)
+        }
+    }
+}
+
+/// Flips a bit of the byte that stands `before_end` before the last one.
+fn flip_last(bytes: &mut [u8], before_end: usize) {
+    let at = bytes.len().saturating_sub(1 + before_end);
+    bytes[at] ^= 0x10;
+}
+
+/// Serves one bus on a pseudo-terminal until the task is aborted.
+pub async fn serve_rtu(lab: Arc<Lab>, line: String, mut master: SerialStream) {
+    let mut buffer = Vec::with_capacity(512);
+    let mut quiet = false;
+    loop {
+        let read = match timeout(SILENCE, master.read_buf(&mut buffer)).await {
+            Ok(read) => Some(read),
+            Err(_) if buffer.is_empty() && !quiet => Some(master.read_buf(&mut buffer).await),
+            Err(_) => None,
+        };
+        match read {
+            // Nobody has the other end open.
+            Some(Err(_) | Ok(0)) => {
+                buffer.clear();
+                tokio::time::sleep(NOBODY).await;
+                continue;
+            }
+            // After a garbled frame a device listens again when the line has been silent.
+            Some(Ok(_)) if quiet => {
+                buffer.clear();
+                continue;
+            }
+            Some(Ok(_)) => {}
+            None => quiet = false,
+        }
+        loop {
+            match rtu::take(&mut buffer, read.is_none()) {
+                rtu::Taken::Incomplete => break,
+                rtu::Taken::Garbled => {
+                    quiet = read.is_some();
+                    break;
+                }
+                rtu::Taken::Request(adu) => {
+                    let served = lab.serve(&line, adu.unit, &adu.pdu);
+                    let outcome = match deliver_rtu(&adu, served) {
+                        Delivery::Send(bytes) => send(&mut master, &bytes).await,
+                        Delivery::SendLate(bytes, delay) => {
+                            tokio::time::sleep(delay).await;
+                            send(&mut master, &bytes).await
+                        }
+                        Delivery::Silence | Delivery::HangUp => Ok(()),
+                    };
+                    if let Err(error) = outcome {
+                        tracing::debug!(line, %error, "answer not delivered");
+                    }
+                }
+            }
+        }
+    }
+}
