@@ -4,10 +4,11 @@
 pub mod clock;
 pub mod ids;
 pub mod problem;
+pub mod syntax;
 
 pub mod schedule;
 pub mod rig;
 pub mod campaign;
 pub mod store;
+pub mod conductor;
 pub mod api;
-pub mod cli;

@@ -5,13 +5,12 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use palpate::problem::Problem;
-use palpate::rig::config::{LinearAxis, RigConfig};
-use palpate::schedule::estimate::{Bench, Motion};
+use palpate::rig::config::RigConfig;
+use palpate::rig::reach::{bench, reach};
 use palpate::schedule::experiment::Experiment;
 use palpate::schedule::lint::lint;
 use palpate::schedule::plan::Plan;
 use palpate::schedule::preflight::Preflight;
-use palpate::schedule::reach::Reach;
 use sim_core::sensor::Sensor;
 
 /// Aim of issue 2 for `palpate plan experiments/real-hex.toml`.
@@ -52,51 +51,9 @@ fn virtual_rig() -> RigConfig {
     RigConfig::from_toml("rigs/virtual.toml", &read("rigs/virtual.toml")).unwrap()
 }
 
-fn reach(rig: &RigConfig) -> Reach {
-    Reach {
-        file: "rigs/virtual.toml".into(),
-        x_travel_mm: rig.axes.x.travel_mm,
-        y_travel_mm: rig.axes.y.travel_mm,
-        z_travel_mm: rig.axes.z.travel_mm,
-        radius_mm: rig.slot.radius_mm,
-        backlash_mm: rig.slot.backlash_mm,
-        skin_origin_mm: [rig.skin.origin_x_mm, rig.skin.origin_y_mm],
-        surface_z_mm: rig.skin.surface_z_mm,
-        clearance_mm: rig.skin.clearance_mm,
-        force_n: rig.limits.force_n,
-        force_sum_n: rig.limits.force_sum_n,
-        cell_update_ms: rig.cells.update_ms,
-        electrodes: rig.ert.electrodes().into(),
-    }
-}
-
-fn bench(rig: &RigConfig) -> Bench {
-    let linear = |axis: &LinearAxis| Motion {
-        speed_mm_s: axis.speed_mm_s,
-        acceleration_mm_s2: axis.acceleration_mm_s2,
-    };
-    let per_deg = rig.slot.mm_per_deg.abs();
-    Bench {
-        x: linear(&rig.axes.x),
-        y: linear(&rig.axes.y),
-        z: linear(&rig.axes.z),
-        radial: Motion {
-            speed_mm_s: rig.axes.radial.speed_deg_s * per_deg,
-            acceleration_mm_s2: rig.axes.radial.acceleration_deg_s2 * per_deg,
-        },
-        approach_mm_s: rig.approach_speed_mm_s(),
-        clearance_mm: rig.skin.clearance_mm,
-        surface_z_mm: rig.skin.surface_z_mm,
-        backlash_mm: rig.slot.backlash_mm,
-        cell_update_ms: rig.cells.update_ms,
-        frame_rate_hz: rig.ert.frame_rate_hz(),
-        clock_rate: rig.clock_rate,
-    }
-}
-
 fn preflight(name: &str) -> Preflight {
     let rig = virtual_rig();
-    let problems = lint(name, &experiment(name), &sensor(), &reach(&rig));
+    let problems = lint(name, &experiment(name), &sensor(), &reach("rigs/virtual.toml", &rig));
     Preflight::of(&plan(name), &bench(&rig), problems)
 }
 
@@ -204,7 +161,7 @@ fn a_value_out_of_range_is_one_error() {
 fn unreachable(keys: &str, change: impl FnOnce(&mut Reach)) -> String {
     let text = format!("{}{keys}", read("real-hex.toml"));
     let experiment = Experiment::from_toml("real-hex.toml", &text).unwrap();
-    let mut reach = reach(&virtual_rig());
+    let mut reach = reach("rigs/virtual.toml", &virtual_rig());
     change(&mut reach);
     let found: Vec<Problem> = lint("real-hex.toml", &experiment, &sensor(), &reach);
     assert_eq!(found.len(), 1, "{found:?}");
@@ -283,7 +240,12 @@ fn a_bench_that_cannot_measure_the_skin_is_one_error() {
 fn a_weight_above_the_experiments_limit_is_one_error() {
     let text = format!("{}[limits]\nforce_n = 9.0\n", read("real-random.toml"));
     let experiment = Experiment::from_toml("real-random.toml", &text).unwrap();
-    let found = lint("real-random.toml", &experiment, &sensor(), &reach(&virtual_rig()));
+    let found = lint(
+        "real-random.toml",
+        &experiment,
+        &sensor(),
+        &reach("rigs/virtual.toml", &virtual_rig()),
+    );
     assert_eq!(
         found.iter().map(ToString::to_string).collect::<Vec<_>>(),
         ["real-random.toml: real_random.weights_n = 9.81: must not be above limits.force_n = 9"]

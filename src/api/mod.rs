@@ -1,2 +1,332 @@
-//! Placeholder.
-//! Filled by the next commits.
+//! The service: HTTP over the conductor, the campaign and the store; wiring and life cycle.
+//! Uses: everything before it. Never: motion, SQL, a read that a motion waits for.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::middleware::from_fn_with_state;
+use axum::routing::get;
+use jiff::Timestamp;
+use tokio::net::TcpListener;
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+use utoipa::OpenApi;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::campaign::command::{Handle, Request};
+use crate::campaign::engine;
+use crate::clock::Clock;
+use crate::conductor::{Conductor, ConductorError, RigFile};
+use crate::store::{NewAction, Store, StoreError};
+
+mod auth;
+mod events;
+mod health;
+mod live;
+mod lock_file;
+mod page;
+mod people;
+mod problem;
+mod query;
+mod queue;
+mod rig;
+mod runs;
+mod status;
+mod trials;
+
+pub use lock_file::{LockFile, LockFileError};
+pub use runs::Summary;
+
+use auth::Asker;
+use problem::ApiError;
+
+/// Longest wait for the tips to be raised when the service ends.
+const LEAVE: Duration = Duration::from_secs(60);
+
+/// What a service is made of.
+#[derive(Debug, Clone)]
+pub struct ServeOptions {
+    /// Where it listens; port 0 takes a free one.
+    pub bind: SocketAddr,
+    /// Folder of the database.
+    pub data: PathBuf,
+    /// Name of the rig file, for problems.
+    pub rig_file: String,
+    /// Its text.
+    pub rig_text: String,
+    /// Go on by itself with an interrupted run that allows it.
+    pub resume: bool,
+}
+
+/// Why a service does not start.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// The rig file cannot be used.
+    #[error("{}", problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
+    Rig {
+        /// All of what is wrong.
+        problems: Vec<crate::problem::Problem>,
+    },
+    /// The data folder cannot be used.
+    #[error("data folder {}: {source}", path.display())]
+    Data {
+        /// The folder.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// Another process has the rig or the data.
+    #[error(transparent)]
+    Locked(#[from] LockFileError),
+    /// The store does not open.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The address cannot be listened at.
+    #[error("listening at {bind}: {source}")]
+    Bind {
+        /// The address.
+        bind: SocketAddr,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// An address that others reach, and no key to keep them out.
+    #[error(
+        "bind = {0}: an address beyond this machine needs a key first: palpate key create NAME"
+    )]
+    NoKey(SocketAddr),
+    /// The campaign's thread does not start.
+    #[error("starting the campaign's thread: {0}")]
+    Thread(#[source] std::io::Error),
+}
+
+/// What every handler knows. Clones share it.
+#[derive(Clone)]
+pub struct App {
+    /// Records.
+    pub store: Store,
+    /// The campaign.
+    pub campaign: Handle,
+    /// The queue.
+    pub conductor: Conductor,
+    facts: Arc<Facts>,
+}
+
+struct Facts {
+    bind: SocketAddr,
+    started_at: Timestamp,
+    rig: RigFile,
+    ending: watch::Receiver<bool>,
+}
+
+impl App {
+    fn loopback(&self) -> bool {
+        self.facts.bind.ip().is_loopback()
+    }
+
+    /// Logs an action and what came of it, and hands the outcome on.
+    async fn logged<T>(
+        &self,
+        asker: &Asker,
+        action: &str,
+        about: (Option<crate::ids::RunUid>, Option<&str>, Option<&str>),
+        outcome: Result<T, ApiError>,
+    ) -> Result<T, ApiError> {
+        let (run, who, why) = about;
+        let new = NewAction {
+            run,
+            action: action.into(),
+            who: asker.name(who),
+            why: why.map(Into::into),
+            accepted: outcome.is_ok(),
+            detail: outcome.as_ref().err().map(|e| e.detail().into()),
+        };
+        if let Err(error) = self.store.log_action(new).await {
+            tracing::error!(%error, action, "an action was not logged");
+        }
+        outcome
+    }
+
+    /// Refuses while somebody else holds the operator lock.
+    async fn unlocked(&self, asker: &Asker, who: Option<&str>) -> Result<(), ApiError> {
+        match self.store.lock().await? {
+            Some(lock) if lock.holder != asker.name(who) => Err(ApiError::new(
+                axum::http::StatusCode::CONFLICT,
+                format!("{} holds the operator lock: {}", lock.holder, lock.note),
+            )),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// The description of every route, as `openapi.yaml` holds it.
+#[derive(OpenApi)]
+#[openapi(info(
+    title = "Palpate",
+    description = "Touches a robot skin overnight, learns from it, and tells where and how hard \
+                   it is touched. Units are in the names; times are RFC 3339 in UTC; errors are \
+                   RFC 9457 problems."
+))]
+struct Description;
+
+fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::with_openapi(Description::openapi())
+        .routes(routes!(status::status))
+        .routes(routes!(queue::list, queue::add))
+        .routes(routes!(queue::remove))
+        .routes(routes!(queue::shift))
+        .routes(routes!(queue::preflight))
+        .routes(routes!(runs::list))
+        .routes(routes!(runs::one))
+        .routes(routes!(runs::summary))
+        .routes(routes!(runs::preflight))
+        .routes(routes!(runs::arm))
+        .routes(routes!(runs::act))
+        .routes(routes!(trials::of_run))
+        .routes(routes!(trials::all))
+        .routes(routes!(trials::one))
+        .routes(routes!(trials::frames))
+        .routes(routes!(trials::bench_records))
+        .routes(routes!(events::events))
+        .routes(routes!(live::frames))
+        .routes(routes!(rig::act))
+        .routes(routes!(rig::check))
+        .routes(routes!(rig::estop))
+        .routes(routes!(people::lock, people::take_lock, people::clear_lock))
+        .routes(routes!(people::keys, people::create_key))
+        .routes(routes!(people::revoke_key))
+        .routes(routes!(people::actions))
+        .routes(routes!(health::metrics))
+}
+
+/// The description of all routes.
+fn description() -> utoipa::openapi::OpenApi {
+    routes().routes(routes!(health::live)).routes(routes!(health::ready)).to_openapi()
+}
+
+fn router(app: App) -> axum::Router {
+    let (guarded, _) = routes().split_for_parts();
+    let guarded = guarded
+        .route("/estop", axum::routing::post(rig::estop))
+        .route_layer(from_fn_with_state(app.clone(), auth::admit));
+    let (open, _) = OpenApiRouter::new()
+        .routes(routes!(health::live))
+        .routes(routes!(health::ready))
+        .split_for_parts();
+    guarded
+        .merge(open)
+        .route("/", get(page::first))
+        .route("/openapi.json", get(page::description))
+        .fallback(page::nothing)
+        .with_state(app)
+}
+
+/// A service that answers.
+pub struct Service {
+    address: SocketAddr,
+    app: App,
+    ending: watch::Sender<bool>,
+    server: JoinHandle<std::io::Result<()>>,
+    tasks: Vec<JoinHandle<()>>,
+    engine: std::thread::JoinHandle<()>,
+    _locks: [LockFile; 2],
+}
+
+impl Service {
+    /// Opens the store, starts the campaign's thread, listens.
+    pub async fn start(options: ServeOptions) -> Result<Self, ServeError> {
+        let config = crate::rig::config::RigConfig::from_toml(&options.rig_file, &options.rig_text)
+            .map_err(|problems| ServeError::Rig { problems })?;
+        let data = |source| ServeError::Data { path: options.data.clone(), source };
+        std::fs::create_dir_all(&options.data).map_err(data)?;
+        let locks = [LockFile::of_data(&options.data)?, LockFile::of_rig(&config)?];
+        let store = Store::open(&options.data.join("palpate.db"), Clock::new(1.0)).await?;
+        if !options.bind.ip().is_loopback()
+            && !store.keys().await?.iter().any(|k| k.revoked_at.is_none())
+        {
+            return Err(ServeError::NoKey(options.bind));
+        }
+        let bind = |source| ServeError::Bind { bind: options.bind, source };
+        let listener = TcpListener::bind(options.bind).await.map_err(bind)?;
+        let address = listener.local_addr().map_err(bind)?;
+        let journal = Arc::new(store.clone());
+        let (campaign, engine) =
+            engine::spawn(config.clone(), journal).map_err(ServeError::Thread)?;
+        let rig = RigFile { file: options.rig_file, text: options.rig_text, config };
+        let conductor = Conductor::new(store.clone(), campaign.clone(), rig.clone());
+        let (ending, ended) = watch::channel(false);
+        let facts = Facts { bind: address, started_at: Timestamp::now(), rig, ending: ended };
+        let app = App { store, campaign, conductor, facts: Arc::new(facts) };
+        let tasks = vec![
+            tokio::spawn(app.conductor.clone().follow()),
+            tokio::spawn(after_start(app.clone(), options.resume)),
+        ];
+        let server = tokio::spawn(serve(listener, app.clone()));
+        Ok(Self { address, app, ending, server, tasks, engine, _locks: locks })
+    }
+
+    /// Where it answers.
+    pub fn url(&self) -> String {
+        format!("http://{}", self.address)
+    }
+
+    /// Serves until the future resolves, then ends: the tips are raised, the database is closed.
+    pub async fn run_until(self, end: impl Future<Output = ()>) {
+        end.await;
+        self.shutdown().await;
+    }
+
+    /// Raises the tips, leaves an open run to be gone on with, closes the database.
+    pub async fn shutdown(self) {
+        for task in &self.tasks {
+            task.abort();
+        }
+        let asked = self.app.campaign.ask(Request::Shutdown).await;
+        let engine = tokio::task::spawn_blocking(move || self.engine.join());
+        if asked.is_err() || tokio::time::timeout(LEAVE, engine).await.is_err() {
+            tracing::error!("the campaign's thread did not end in time");
+        }
+        // Streams of events and frames end, so that the server can.
+        self.ending.send_replace(true);
+        if tokio::time::timeout(Duration::from_secs(5), self.server).await.is_err() {
+            tracing::warn!("some connections were cut");
+        }
+        self.app.store.close().await;
+    }
+}
+
+async fn serve(listener: TcpListener, app: App) -> std::io::Result<()> {
+    let mut ending = app.facts.ending.clone();
+    let graceful = async move {
+        let _ = ending.wait_for(|ended| *ended).await;
+    };
+    axum::serve(listener, router(app)).with_graceful_shutdown(graceful).await
+}
+
+async fn after_start(app: App, resume: bool) {
+    let outcome = if resume {
+        app.conductor.go_on().await
+    } else {
+        app.store.interrupt_open_runs().await.map(|_| ()).map_err(ConductorError::from)
+    };
+    if let Err(error) = outcome {
+        tracing::warn!(%error, "no run was gone on with");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    /// The description that is committed is the one that the code gives; `UPDATE=1` writes it.
+    #[test]
+    fn openapi_yaml_is_what_the_code_says() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi.yaml");
+        let said = super::description().to_yaml().unwrap();
+        if std::env::var_os("UPDATE").is_some() {
+            std::fs::write(path, &said).unwrap();
+        }
+        let kept = std::fs::read_to_string(path).unwrap_or_default();
+        assert!(kept == said, "openapi.yaml is old: UPDATE=1 cargo test openapi_yaml");
+    }
+}

@@ -27,6 +27,7 @@ pub struct Control {
     run: RunState,
     current: Option<RunUid>,
     suspended_for: Option<String>,
+    leaving: bool,
 }
 
 impl Control {
@@ -40,6 +41,7 @@ impl Control {
             run: RunState::Idle,
             current: None,
             suspended_for: None,
+            leaving: false,
         }
     }
 
@@ -129,7 +131,8 @@ impl Control {
                 run.wanted = None;
             }
         });
-        if let Some(run) = self.current {
+        // An end is stored by `end_run`, with its status.
+        if let Some(run) = self.current.filter(|_| state != RunState::Idle) {
             let why = state.why().map(PausedWhy::as_str);
             let stored = self.journal.run_state(run, state.as_str(), requested, why).await;
             if let Err(error) = stored {
@@ -138,9 +141,22 @@ impl Control {
             let data = json!({ "state": state.as_str(), "requested": requested, "why": why });
             self.say("state", data).await;
         }
-        if state == RunState::Idle {
-            self.current = None;
-        }
+    }
+
+    /// Events belong to no run from now on.
+    pub fn forget_run(&mut self) {
+        self.current = None;
+        self.run = RunState::Idle;
+    }
+
+    /// Whether the thread has been asked to end: the run is left open, to go on after a restart.
+    pub fn leaving(&self) -> bool {
+        self.leaving
+    }
+
+    /// Asks the thread to end.
+    pub fn leave(&mut self) {
+        self.leaving = true;
     }
 
     /// Stores an event for people. A store that cannot take it does not stop the rig here: the next
@@ -207,6 +223,10 @@ impl Control {
             Request::Resume => Some(RunEvent::Resume),
             Request::Stop => Some(RunEvent::Stop),
             Request::Abort => Some(RunEvent::Abort),
+            Request::Shutdown => {
+                self.leaving = true;
+                Some(RunEvent::Suspend(PausedWhy::Restart))
+            }
             Request::Connect
             | Request::Disconnect
             | Request::Home
@@ -215,8 +235,7 @@ impl Control {
             | Request::Reset
             | Request::Start(_)
             | Request::Confirm { .. }
-            | Request::Repeat { .. }
-            | Request::Shutdown => None,
+            | Request::Repeat { .. } => None,
         }
     }
 

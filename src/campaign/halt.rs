@@ -37,6 +37,7 @@ impl From<RigError> for Halt {
         let detail = error.to_string();
         match (&error, error.severity()) {
             (RigError::NoFrames { .. }, _) => Halt::Failed(detail),
+            (RigError::Latched { .. }, _) => Halt::trip(TripKind::Estop, detail),
             (_, Severity::Transient) => Halt::trip(TripKind::Wire, detail),
             (_, Severity::Setup | Severity::Device) => Halt::trip(TripKind::Device, detail),
         }

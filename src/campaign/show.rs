@@ -13,8 +13,9 @@ use super::journal::Progress;
 use super::rig_state::RigState;
 use super::run_state::RunState;
 use super::stage::Stage;
-use super::status::{Phase, RigStatus, RunStatus, Status, StreamStatus};
+use super::status::{Phase, RigStatus, RunStatus, Status, StreamStatus, WireStatus};
 use crate::rig::config::RigConfig;
+use crate::rig::link::LineCounts;
 use crate::rig::registry::OpenBench;
 use crate::rig::traits::{Frame, SkinReader};
 
@@ -101,7 +102,7 @@ pub async fn bench(control: &Control, stage: &Stage, open: &OpenBench) {
             .map(|i| super::interlock::is_live(cells, r.volts[i]).then_some(forces[i]))
             .collect::<Vec<_>>()
     });
-    let wires = open.wires();
+    let wires = open.lines.iter().map(|(name, line)| wire(name, line.counts())).collect();
     control.show(|status| {
         let rig = &mut status.rig;
         rig.pose = pose;
@@ -119,6 +120,18 @@ pub async fn bench(control: &Control, stage: &Stage, open: &OpenBench) {
             rig.estop_acknowledged_ms = Some(after.as_secs_f64() * 1e3);
         }
     });
+}
+
+fn wire(name: &str, counts: LineCounts) -> WireStatus {
+    WireStatus {
+        name: name.into(),
+        requests: counts.answered,
+        retries: counts.retries,
+        timeouts: counts.timeouts,
+        garbled: counts.garbled,
+        reconnects: counts.reconnects,
+        last_round_trip_us: counts.last_round_trip_us,
+    }
 }
 
 /// Hands the newest frame on, for the live view.

@@ -72,12 +72,14 @@ pub struct StreamStatus {
 pub struct WireStatus {
     /// Name from the rig file.
     pub name: String,
-    /// Requests sent.
+    /// Requests answered soundly.
     pub requests: u64,
     /// Requests sent again.
     pub retries: u64,
     /// Replies that did not come in time.
     pub timeouts: u64,
+    /// Replies that made no sense.
+    pub garbled: u64,
     /// Times it was opened again.
     pub reconnects: u64,
     /// Last round trip, microseconds.

@@ -10,6 +10,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use crate::problem::{Checks, Problem};
+use crate::syntax::syntax_problem;
 
 /// Number of arms of the indenter (paper II-B).
 pub const ARMS: usize = 6;
@@ -389,7 +390,7 @@ impl RigConfig {
     /// Parses and checks a rig file's text. `file` names it in the problems.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Vec<Problem>> {
         let config: Self =
-            toml::from_str(text).map_err(|e| vec![Problem::whole(file, e.to_string())])?;
+            toml::from_str(text).map_err(|e| vec![syntax_problem(file, text, &e)])?;
         config.check(file)?;
         Ok(config)
     }

@@ -2,6 +2,7 @@
 //! Uses: `clock`, `problem`. Never: campaigns, trials, storage, HTTP.
 
 pub mod config;
+pub mod reach;
 pub mod error;
 pub mod traits;
 

@@ -37,27 +37,25 @@ pub struct OpenBench {
     pub bench: Bench,
     /// The wires by their names in the rig file, for their counts.
     pub lines: BTreeMap<String, Arc<Line>>,
-    /// The rig's emergency stop: while latched no axis takes a motion.
-    pub latch: StopLatch,
     /// The voltage stream, with what `SkinReader` does not tell.
     pub stream: Arc<ErtStream>,
 }
 
 /// Gives every wire of a rig file an owner on the current runtime, every device a driver, and
-/// starts the stream's reader. Ports are opened by the first request; nothing is sent.
+/// starts the stream's reader. Ports are opened by the first request; nothing is sent. While
+/// `latch`, the rig's emergency stop, is latched, no axis takes a motion.
 ///
 /// # Panics
 /// Outside a tokio runtime.
-pub fn open(config: &RigConfig, clock: &Clock) -> Result<OpenBench, RigError> {
+pub fn open(config: &RigConfig, clock: &Clock, latch: &StopLatch) -> Result<OpenBench, RigError> {
     let lines: BTreeMap<String, Arc<Line>> = config
         .lines
         .iter()
         .map(|(name, line)| (name.clone(), Arc::new(open_line(name, line, clock))))
         .collect();
-    let latch = StopLatch::new();
     let axis = |name: &'static str, profile: AxisProfile| {
         let line = find(&lines, &profile.line, name)?;
-        Ok(open_axis(name, line, profile, &latch, clock))
+        Ok(open_axis(name, line, profile, latch, clock))
     };
     let frame_age = Duration::from_millis(config.limits.frame_age_ms);
     let stream = Arc::new(ErtStream::open(&config.ert, frame_age, clock.clone())?);
@@ -77,7 +75,7 @@ pub fn open(config: &RigConfig, clock: &Clock) -> Result<OpenBench, RigError> {
         cells,
         skin: Arc::clone(&stream) as Arc<dyn SkinReader>,
     };
-    Ok(OpenBench { bench, lines, latch, stream })
+    Ok(OpenBench { bench, lines, stream })
 }
 
 fn find(

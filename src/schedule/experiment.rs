@@ -5,8 +5,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::syntax::syntax_problem;
 use crate::problem::{Checks, Problem};
+use crate::syntax::syntax_problem;
 
 /// An experiment file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

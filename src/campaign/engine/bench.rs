@@ -98,9 +98,8 @@ impl Engine {
     pub(super) async fn connect(&mut self) -> Result<(), Refusal> {
         let clock = Clock::new(self.config.clock_rate);
         let fail = |e: crate::rig::error::RigError| Refusal::State(e.to_string());
-        let open = registry::open(&self.config, &clock, &self.control.estop.latch())
-            .await
-            .map_err(fail)?;
+        let open =
+            registry::open(&self.config, &clock, &self.control.estop.latch()).map_err(fail)?;
         for axis in open.bench.axes() {
             let found = axis.prepare().await.map_err(fail)?;
             self.control.say("device", json!({ "device": axis.name(), "found": found })).await;

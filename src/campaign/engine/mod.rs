@@ -74,6 +74,8 @@ struct Engine {
 /// What to do after a halt.
 enum Next {
     Again,
+    /// The thread ends; the run stays open.
+    Leave,
     End(ExitStatus, String),
 }
 
@@ -82,6 +84,7 @@ enum Waited {
     Resume,
     Confirmed(String),
     Ended(ExitStatus),
+    Left,
 }
 
 impl Engine {
@@ -108,6 +111,9 @@ impl Engine {
                         if go {
                             self.run(&job).await;
                         }
+                        if self.control.leaving() {
+                            break;
+                        }
                     }
                     Some(envelope) => self.rig_request(envelope).await,
                 },
@@ -115,7 +121,7 @@ impl Engine {
             }
         }
         if let Some(connection) = self.connection.as_mut()
-            && self.control.rig() == RigState::Homed
+            && matches!(self.control.rig(), RigState::Homed | RigState::Armed)
             && let Err(error) = connection.stage.raise().await
         {
             tracing::warn!(error, "the tips were not raised at the end");

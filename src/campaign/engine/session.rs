@@ -41,8 +41,14 @@ impl Engine {
 
     pub(super) async fn run(&mut self, job: &Job) {
         let (status, reason) = match self.session(job).await {
-            Ok(ended) => ended,
-            Err(error) => (ExitStatus::Fail, error_chain(&error)),
+            Ok(Some(ended)) => ended,
+            Ok(None) => return,
+            Err(error) => {
+                if job.plan.kind == Kind::RealHex {
+                    self.raise_or_panic(false).await;
+                }
+                (ExitStatus::Fail, error_chain(&error))
+            }
         };
         if let Err(error) = self.control.journal.end_run(job.run, status, &reason).await {
             tracing::error!(%error, "the end of the run was not stored");
@@ -53,14 +59,15 @@ impl Engine {
             // Armed always allows disarming.
             let _ = self.control.rig_event(RigEvent::Disarm).await;
         }
+        self.control.forget_run();
         self.control.show(|status| status.run = None);
     }
 
-    /// Drives a run to its end, through halts, pauses and resumes.
+    /// Drives a run to its end, through halts, pauses and resumes. None: it was left open.
     pub(super) async fn session(
         &mut self,
         job: &Job,
-    ) -> Result<(ExitStatus, String), JournalError> {
+    ) -> Result<Option<(ExitStatus, String)>, JournalError> {
         let depths = job.plan.depths_mm.len();
         let mut pace = Pace::predicted(job.predicted_trial_s / self.config.clock_rate);
         let mut attempts = Attempts::default();
@@ -72,7 +79,7 @@ impl Engine {
                 self.raise_or_panic(false).await;
                 // Ending is allowed from every state that a run under way can be in.
                 let _ = self.control.run_event(RunEvent::Ended).await;
-                return Ok((ExitStatus::Success, "every planned trial is stored".into()));
+                return Ok(Some((ExitStatus::Success, done_words(&progress))));
             };
             let steps = entry.prepare.iter().chain(&job.plan.steps[entry.next..]);
             let halt = match self.pass(job, steps, &mut progress, &mut pace, &mut attempts).await {
@@ -81,7 +88,8 @@ impl Engine {
             };
             match self.decide(job, halt, &mut attempts, &mut auto_resumes).await? {
                 Next::Again => {}
-                Next::End(status, reason) => return Ok((status, reason)),
+                Next::Leave => return Ok(None),
+                Next::End(status, reason) => return Ok(Some((status, reason))),
             }
         }
     }
@@ -199,5 +207,12 @@ impl Engine {
     pub(super) fn suspend(&mut self, why: String) -> Halt {
         self.control.run_request(&Request::Suspend(why));
         Halt::Asked
+    }
+}
+
+fn done_words(progress: &Progress) -> String {
+    match progress.skipped.len() {
+        0 => "every planned trial is stored".into(),
+        n => format!("every planned trial is stored but those of {n} skipped configurations"),
     }
 }

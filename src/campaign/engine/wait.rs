@@ -28,6 +28,9 @@ impl Engine {
         passing: Option<u32>,
     ) -> Result<Next, JournalError> {
         self.control.phase(Phase::Wait);
+        if self.control.leaving() {
+            return Ok(Next::Leave);
+        }
         let mut try_at = passing.map(|n| Instant::now() + backoff(job, n));
         let mut tick = tokio::time::interval(IDLE_TICK);
         tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
@@ -35,7 +38,7 @@ impl Engine {
             let waited = tokio::select! {
                 envelope = self.control.inbox.requests.recv() => match envelope {
                     Some(envelope) => self.waiting_request(job, envelope).await?,
-                    None => Some(Waited::Ended(ExitStatus::Abort)),
+                    None => Some(Waited::Left),
                 },
                 _ = tick.tick() => {
                     self.look().await;
@@ -58,6 +61,7 @@ impl Engine {
                     let _ = self.control.run_event(RunEvent::Resume).await;
                     return Ok(Next::Again);
                 }
+                Some(Waited::Left) => return Ok(Next::Leave),
                 Some(Waited::Ended(status)) => return Ok(Next::End(status, "asked for".into())),
             }
         }
@@ -171,11 +175,28 @@ impl Engine {
                 let _ = answer.send(outcome.map(|_| ()));
                 Ok(waited)
             }
+            Request::Shutdown => {
+                self.control.leave();
+                let _ = answer.send(Ok(()));
+                Ok(Some(Waited::Left))
+            }
+            // A person has looked after a panic.
+            Request::Reset if self.control.run() == RunState::Panicked => {
+                let reset = match self.control.rig() {
+                    RigState::Tripped => self.reset().await,
+                    _ => Ok(()),
+                };
+                let ended = reset.is_ok().then_some(Waited::Ended(ExitStatus::Fail));
+                let _ = answer.send(reset);
+                if ended.is_some() {
+                    let _ = self.control.run_event(RunEvent::Reset).await;
+                }
+                Ok(ended)
+            }
             Request::Start(_)
             | Request::Confirm { .. }
             | Request::PauseAtCheckpoint
-            | Request::PauseNow
-            | Request::Shutdown => {
+            | Request::PauseNow => {
                 let state = self.control.run().as_str();
                 let words = format!("{} is not possible while a run is {state}", name(&request));
                 let _ = answer.send(Err(Refusal::State(words)));

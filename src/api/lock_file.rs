@@ -1,0 +1,105 @@
+//! Lock files: one process has a data folder, one process has a rig (`design.md` 6).
+//! Uses: the system's file locks, which a crash releases. Never: a stale file that must be deleted.
+
+use std::fs::File;
+use std::io::{Read, Seek, Write};
+use std::path::{Path, PathBuf};
+
+use sha2::{Digest, Sha256};
+
+use crate::rig::config::{LineConfig, RigConfig};
+
+/// A lock that lives as long as this value.
+#[derive(Debug)]
+pub struct LockFile {
+    _file: File,
+}
+
+/// A lock that could not be had.
+#[derive(Debug, thiserror::Error)]
+pub enum LockFileError {
+    /// Somebody has it.
+    #[error("{what} is in use by process {holder} (lock file {})", path.display())]
+    Held {
+        /// What is locked.
+        what: String,
+        /// Its holder's process id, as it wrote it.
+        holder: String,
+        /// The lock file.
+        path: PathBuf,
+    },
+    /// The file cannot be used.
+    #[error("lock file {}: {source}", path.display())]
+    File {
+        /// The lock file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+}
+
+impl LockFile {
+    /// The lock of a data folder.
+    pub fn of_data(folder: &Path) -> Result<Self, LockFileError> {
+        Self::take(&folder.join("palpate.lock"), &format!("the data folder {}", folder.display()))
+    }
+
+    /// The lock of a rig on this machine: whoever drives the same wires needs the same one.
+    pub fn of_rig(rig: &RigConfig) -> Result<Self, LockFileError> {
+        let mut wires: Vec<&str> = rig
+            .lines
+            .values()
+            .map(|line| match line {
+                LineConfig::ModbusTcp { address, .. } => address.as_str(),
+                LineConfig::ModbusRtu { path, .. } => path.as_str(),
+            })
+            .collect();
+        wires.sort_unstable();
+        let digest = Sha256::digest(wires.join("\n"));
+        let name: String = digest.iter().take(6).map(|b| format!("{b:02x}")).collect();
+        let path = std::env::temp_dir().join(format!("palpate-rig-{name}.lock"));
+        Self::take(&path, &format!("the rig {}", rig.name))
+    }
+
+    fn take(path: &Path, what: &str) -> Result<Self, LockFileError> {
+        let failed = |source| LockFileError::File { path: path.into(), source };
+        let mut file = File::options()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(path)
+            .map_err(failed)?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(std::fs::TryLockError::WouldBlock) => {
+                let mut holder = String::new();
+                let _ = file.read_to_string(&mut holder);
+                let holder = holder.trim().to_owned();
+                return Err(LockFileError::Held { what: what.into(), holder, path: path.into() });
+            }
+            Err(std::fs::TryLockError::Error(source)) => return Err(failed(source)),
+        }
+        file.set_len(0).map_err(failed)?;
+        file.rewind().map_err(failed)?;
+        writeln!(file, "{}", std::process::id()).map_err(failed)?;
+        Ok(Self { _file: file })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_second_holder_is_told_who_has_it_until_the_first_lets_go() {
+        let folder = std::env::temp_dir().join(format!("palpate-lock-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let first = LockFile::of_data(&folder).unwrap();
+        let refused = LockFile::of_data(&folder).unwrap_err().to_string();
+        assert!(refused.contains(&std::process::id().to_string()), "{refused}");
+        drop(first);
+        LockFile::of_data(&folder).unwrap();
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+}

@@ -1,0 +1,147 @@
+//! What the service answers when it does not do what was asked: RFC 9457 problem bodies that name
+//! the field and the limit.
+//! Uses: axum, the errors of `conductor`, `store`, `campaign`. Never: logging of secrets.
+
+use axum::Json;
+use axum::extract::rejection::{JsonRejection, QueryRejection};
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use crate::campaign::command::Refusal;
+use crate::conductor::ConductorError;
+use crate::problem::Problem;
+use crate::store::StoreError;
+
+/// A problem body (RFC 9457).
+#[derive(Debug, Clone, Serialize, ToSchema)]
+pub struct ProblemBody {
+    /// `about:blank`: the status says what kind it is.
+    #[serde(rename = "type")]
+    pub kind: &'static str,
+    /// The status in words.
+    pub title: String,
+    /// The status.
+    pub status: u16,
+    /// What happened, for people.
+    pub detail: String,
+    /// Values outside their limits.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schema(value_type = Vec<Object>)]
+    pub errors: Vec<Problem>,
+}
+
+/// A refusal on its way to the asker.
+#[derive(Debug)]
+pub struct ApiError {
+    status: StatusCode,
+    detail: String,
+    errors: Vec<Problem>,
+}
+
+impl ApiError {
+    /// A refusal with a status.
+    pub fn new(status: StatusCode, detail: impl Into<String>) -> Self {
+        Self { status, detail: detail.into(), errors: Vec::new() }
+    }
+
+    /// One value of a request is outside its limits.
+    pub fn value(key: &str, value: impl std::fmt::Display, limit: &str) -> Self {
+        Self::problems(vec![Problem::new("request", key, value, limit)])
+    }
+
+    /// Values are outside their limits.
+    pub fn problems(errors: Vec<Problem>) -> Self {
+        let detail = errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
+        Self { status: StatusCode::UNPROCESSABLE_ENTITY, detail, errors }
+    }
+
+    /// There is nothing of that name.
+    pub fn not_found(what: impl Into<String>) -> Self {
+        Self::new(StatusCode::NOT_FOUND, what)
+    }
+
+    /// What is told, for the log of actions.
+    pub fn detail(&self) -> &str {
+        &self.detail
+    }
+}
+
+impl IntoResponse for ApiError {
+    fn into_response(self) -> Response {
+        let body = ProblemBody {
+            kind: "about:blank",
+            title: self.status.canonical_reason().unwrap_or("error").into(),
+            status: self.status.as_u16(),
+            detail: self.detail,
+            errors: self.errors,
+        };
+        let mut response = (self.status, Json(body)).into_response();
+        let kind = HeaderValue::from_static("application/problem+json");
+        response.headers_mut().insert(header::CONTENT_TYPE, kind);
+        response
+    }
+}
+
+impl From<Refusal> for ApiError {
+    fn from(refusal: Refusal) -> Self {
+        let status = match refusal {
+            Refusal::State(_) => StatusCode::CONFLICT,
+            Refusal::Value(_) => StatusCode::UNPROCESSABLE_ENTITY,
+            Refusal::Gone => StatusCode::SERVICE_UNAVAILABLE,
+        };
+        Self::new(status, refusal.to_string())
+    }
+}
+
+impl From<ConductorError> for ApiError {
+    fn from(error: ConductorError) -> Self {
+        match error {
+            ConductorError::Problems { problems } => Self::problems(problems),
+            ConductorError::NoRun(_) => Self::not_found(error.to_string()),
+            ConductorError::Forbidden(words) => Self::new(StatusCode::CONFLICT, words),
+            ConductorError::Refused(refusal) => refusal.into(),
+            ConductorError::Store(error) => error.into(),
+        }
+    }
+}
+
+impl From<StoreError> for ApiError {
+    fn from(error: StoreError) -> Self {
+        let status = match error {
+            StoreError::NoSuchRun(_) | StoreError::NoSuchTrial { .. } => StatusCode::NOT_FOUND,
+            StoreError::Refused { .. } => StatusCode::UNPROCESSABLE_ENTITY,
+            StoreError::RunEnded(_) | StoreError::NotQueued(_) | StoreError::LockHeld { .. } => {
+                StatusCode::CONFLICT
+            }
+            _ => StatusCode::INTERNAL_SERVER_ERROR,
+        };
+        if status == StatusCode::INTERNAL_SERVER_ERROR {
+            tracing::error!(%error, "the store failed");
+        }
+        Self::new(status, error.to_string())
+    }
+}
+
+impl From<JsonRejection> for ApiError {
+    fn from(rejection: JsonRejection) -> Self {
+        Self::new(StatusCode::UNPROCESSABLE_ENTITY, rejection.body_text())
+    }
+}
+
+impl From<QueryRejection> for ApiError {
+    fn from(rejection: QueryRejection) -> Self {
+        Self::new(StatusCode::UNPROCESSABLE_ENTITY, rejection.body_text())
+    }
+}
+
+/// A JSON body whose faults are answered as problems.
+#[derive(axum::extract::FromRequest)]
+#[from_request(via(axum::Json), rejection(ApiError))]
+pub struct Body<T>(pub T);
+
+/// A query string whose faults are answered as problems.
+#[derive(axum::extract::FromRequestParts)]
+#[from_request(via(axum::extract::Query), rejection(ApiError))]
+pub struct Params<T>(pub T);

@@ -1,0 +1,239 @@
+//! The service as the command line sees it: requests with deadlines, refusals as errors.
+//! Uses: reqwest, `view`. Never: the service's insides, retries that could start something twice.
+
+use std::time::Duration;
+
+use reqwest::{Method, RequestBuilder, Response};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
+
+use super::error::CliError;
+use super::view::{ArmedView, EventPageView, StatusView, TakenUpView};
+use crate::api::Summary;
+use crate::ids::RunUid;
+use crate::problem::Problem;
+use crate::store::{RunPage, RunRow};
+
+/// Environment variable that holds the key.
+pub const KEY_VARIABLE: &str = "PALPATE_KEY";
+/// Longest wait for an answer; connecting a rig is the slowest.
+const ANSWER: Duration = Duration::from_secs(60);
+/// Longest wait when looking whether a server is there.
+const LOOK: Duration = Duration::from_secs(2);
+/// Runs looked through at once.
+const PAGE: u32 = 200;
+
+/// A client of one service. Clones share its connections.
+#[derive(Debug, Clone)]
+pub struct Client {
+    url: String,
+    http: reqwest::Client,
+    key: Option<String>,
+    who: String,
+}
+
+impl Client {
+    /// A client of the service at a URL, with the key of the environment.
+    pub fn new(url: &str) -> Result<Self, CliError> {
+        let http = reqwest::Client::builder()
+            .timeout(ANSWER)
+            .build()
+            .map_err(|source| CliError::Http { operation: "HTTP client".into(), source })?;
+        let key = std::env::var(KEY_VARIABLE).ok().filter(|k| !k.is_empty());
+        let user = std::env::var("USER").ok().filter(|u| !u.is_empty());
+        let who = user.unwrap_or_else(|| "cli".into());
+        Ok(Self { url: url.trim_end_matches('/').into(), http, key, who })
+    }
+
+    /// Where the service is.
+    pub fn url(&self) -> &str {
+        &self.url
+    }
+
+    /// Who asks, for the log of actions.
+    pub fn who(&self) -> &str {
+        &self.who
+    }
+
+    /// Whether a palpate server answers there.
+    pub async fn is_there(&self) -> bool {
+        let url = format!("{}/health/live", self.url);
+        let Ok(answer) = self.http.get(url).timeout(LOOK).send().await else { return false };
+        let body: Value = answer.json().await.unwrap_or_default();
+        body["service"] == "palpate"
+    }
+
+    /// Rig, run and service.
+    pub async fn status(&self) -> Result<StatusView, CliError> {
+        self.get("/api/v1/status").await
+    }
+
+    /// One run, by uid or scan_id.
+    pub async fn run(&self, run: impl std::fmt::Display) -> Result<RunRow, CliError> {
+        self.get(&format!("/api/v1/runs/{run}")).await
+    }
+
+    /// What came of a run.
+    pub async fn summary(&self, run: RunUid) -> Result<Summary, CliError> {
+        self.get(&format!("/api/v1/runs/{run}/summary")).await
+    }
+
+    /// Events of a run after a number.
+    pub async fn events(&self, run: RunUid, since: i64) -> Result<EventPageView, CliError> {
+        self.get(&format!("/api/v1/events?since={since}&run={run}")).await
+    }
+
+    /// The newest run that `fits`, among all.
+    pub async fn find_run(
+        &self,
+        fits: impl Fn(&RunRow) -> bool,
+    ) -> Result<Option<RunRow>, CliError> {
+        let mut path = format!("/api/v1/runs?limit={PAGE}");
+        loop {
+            let page: RunPage = self.get(&path).await?;
+            if let Some(run) = page.runs.into_iter().find(&fits) {
+                return Ok(Some(run));
+            }
+            let Some(next) = page.next else { return Ok(None) };
+            path = format!("/api/v1/runs?limit={PAGE}&cursor={next}");
+        }
+    }
+
+    /// Arms a run: the code that starts it, and its preflight.
+    pub async fn arm(&self, run: RunUid) -> Result<ArmedView, CliError> {
+        self.post(&format!("/api/v1/runs/{run}/arm"), &json!({ "who": self.who })).await
+    }
+
+    /// Starts an armed run.
+    pub async fn start(&self, run: RunUid, code: &str) -> Result<TakenUpView, CliError> {
+        let body = json!({ "action": "start", "code": code, "who": self.who });
+        self.post(&format!("/api/v1/runs/{run}/actions"), &body).await
+    }
+
+    /// An action on a run; `more` are its other fields.
+    pub async fn act(&self, run: RunUid, action: &str, more: Value) -> Result<(), CliError> {
+        let path = format!("/api/v1/runs/{run}/actions");
+        self.send(Method::POST, &path, Some(&self.body(action, more))).await.map(|_| ())
+    }
+
+    /// An action on the rig; `more` are its other fields.
+    pub async fn act_on_rig(&self, action: &str, more: Value) -> Result<(), CliError> {
+        let body = self.body(action, more);
+        self.send(Method::POST, "/api/v1/rig/actions", Some(&body)).await.map(|_| ())
+    }
+
+    /// Reads an answer.
+    pub async fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, CliError> {
+        self.ask(Method::GET, path, None::<&Value>).await
+    }
+
+    /// Sends a body, reads an answer.
+    pub async fn post<T: DeserializeOwned>(
+        &self,
+        path: &str,
+        body: &impl Serialize,
+    ) -> Result<T, CliError> {
+        self.ask(Method::POST, path, Some(body)).await
+    }
+
+    /// Sends a request, reads an answer.
+    pub async fn ask<T: DeserializeOwned>(
+        &self,
+        method: Method,
+        path: &str,
+        body: Option<&impl Serialize>,
+    ) -> Result<T, CliError> {
+        let operation = format!("{method} {path}");
+        let answer = self.send(method, path, body).await?;
+        answer.json().await.map_err(|source| CliError::Http { operation, source })
+    }
+
+    /// Sends a request; what is refused is an error.
+    pub async fn send(
+        &self,
+        method: Method,
+        path: &str,
+        body: Option<&impl Serialize>,
+    ) -> Result<Response, CliError> {
+        let operation = format!("{method} {path}");
+        let request = self.with_key(self.http.request(method, format!("{}{path}", self.url)));
+        let request = match body {
+            Some(body) => request.json(body),
+            None => request,
+        };
+        let answer = request.send().await.map_err(|source| {
+            if source.is_connect() {
+                CliError::NoServer { url: self.url.clone() }
+            } else {
+                CliError::Http { operation: operation.clone(), source }
+            }
+        })?;
+        if answer.status().is_success() {
+            return Ok(answer);
+        }
+        let status = answer.status().as_u16();
+        let body: Value = answer.json().await.unwrap_or_default();
+        Err(refusal(operation, status, &body))
+    }
+
+    fn with_key(&self, request: RequestBuilder) -> RequestBuilder {
+        match &self.key {
+            Some(key) => request.bearer_auth(key),
+            None => request,
+        }
+    }
+
+    fn body(&self, action: &str, mut more: Value) -> Value {
+        if !more.is_object() {
+            more = json!({});
+        }
+        more["action"] = action.into();
+        more["who"] = self.who.clone().into();
+        more
+    }
+}
+
+/// A problem body as an error: values outside their limits are bad input.
+fn refusal(operation: String, status: u16, body: &Value) -> CliError {
+    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+    let problems: Vec<Problem> = body["errors"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .map(|e| Problem {
+            file: text(&e["file"]),
+            key: text(&e["key"]),
+            value: text(&e["value"]),
+            limit: text(&e["limit"]),
+        })
+        .collect();
+    if !problems.is_empty() {
+        return CliError::Problems(problems);
+    }
+    let detail = match (body["detail"].as_str(), body["title"].as_str()) {
+        (Some(detail), _) if !detail.is_empty() => detail.into(),
+        (_, Some(title)) => title.into(),
+        _ => format!("refused with status {status}"),
+    };
+    CliError::Refused { operation, status, detail }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refused_value_is_a_problem_and_a_refused_action_is_not() {
+        let body = json!({ "title": "x", "errors": [
+            { "file": "e.toml", "key": "seed", "value": "-1", "limit": "must be 0 or more" },
+        ]});
+        let error = refusal("POST /q".into(), 422, &body);
+        assert_eq!(error.to_string(), "e.toml: seed = -1: must be 0 or more");
+        let body = json!({ "title": "Conflict", "detail": "run 3 is ended" });
+        let error = refusal("POST /q".into(), 409, &body);
+        assert_eq!(error.to_string(), "POST /q: run 3 is ended");
+        let error = refusal("POST /q".into(), 502, &Value::Null);
+        assert!(error.to_string().contains("502"));
+    }
+}

@@ -1,0 +1,90 @@
+//! A server that is there, or one in this process for as long as a command lasts.
+//! Uses: `api`, `client`. Never: a second process on a data folder (the service's lock sees to it).
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+
+use tokio::sync::oneshot;
+
+use super::client::Client;
+use super::error::CliError;
+use super::files::RigFiles;
+use super::{At, DEFAULT_URL};
+use crate::api::{ServeOptions, Service};
+
+/// The server that the options name, or the default one, if it answers. A server that was named
+/// and does not answer is an error.
+pub async fn find(at: &At) -> Result<Option<Client>, CliError> {
+    let named = at.url();
+    let client = Client::new(named.as_deref().unwrap_or(DEFAULT_URL))?;
+    if client.is_there().await {
+        return Ok(Some(client));
+    }
+    match named {
+        Some(url) => Err(CliError::NoServer { url }),
+        None => Ok(None),
+    }
+}
+
+/// The server, which must be there.
+pub async fn server(at: &At) -> Result<Client, CliError> {
+    find(at).await?.ok_or_else(|| CliError::NoServer { url: DEFAULT_URL.into() })
+}
+
+/// Options of a service in this process: a free port of the loopback.
+pub fn options(data: PathBuf, rig: &RigFiles) -> ServeOptions {
+    ServeOptions {
+        bind: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)),
+        data,
+        rig_file: rig.file.clone(),
+        rig_text: rig.text.clone(),
+        resume: false,
+    }
+}
+
+/// Does `work` with the server that is there, or with one started for it.
+pub async fn with_server<T, F>(
+    at: &At,
+    work: impl FnOnce(Client) -> F,
+) -> Result<T, CliError>
+where
+    F: Future<Output = Result<T, CliError>> + Send + 'static,
+    T: Send + 'static,
+{
+    match find(at).await? {
+        Some(client) => work(client).await,
+        None => host(options(at.data(), &RigFiles::read(None)?), work).await,
+    }
+}
+
+/// Starts a service, does `work` as its client, and ends it: the tips are raised, the database is
+/// closed, whatever the work came to.
+pub async fn host<T, F>(
+    options: ServeOptions,
+    work: impl FnOnce(Client) -> F,
+) -> Result<T, CliError>
+where
+    F: Future<Output = Result<T, CliError>> + Send + 'static,
+    T: Send + 'static,
+{
+    let service = Service::start(options).await?;
+    let client = match Client::new(&service.url()) {
+        Ok(client) => client,
+        Err(error) => {
+            service.shutdown().await;
+            return Err(error);
+        }
+    };
+    let (done, finished) = oneshot::channel();
+    let work = work(client);
+    let task = tokio::spawn(async move {
+        // Dropped at the end, also when the work panics.
+        let _done: oneshot::Sender<()> = done;
+        work.await
+    });
+    service.run_until(async { drop(finished.await) }).await;
+    match task.await {
+        Ok(outcome) => outcome,
+        Err(failed) => std::panic::resume_unwind(failed.into_panic()),
+    }
+}

@@ -1,0 +1,133 @@
+//! Why a command cannot do what it was asked, and with which exit code it says so.
+//! Uses: `problem`, the errors of `api` and `rig`. Never: printing, HTTP status codes as decisions.
+
+use std::io;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use crate::api::ServeError;
+use crate::problem::Problem;
+use crate::rig::error::RigError;
+
+/// Why a command ended without doing what it was asked.
+#[derive(Debug, thiserror::Error)]
+pub enum CliError {
+    /// Files, options or requests hold values that cannot be used.
+    #[error("{}", lines(.0))]
+    Problems(Vec<Problem>),
+    /// Nobody answers there.
+    #[error(
+        "no palpate server at {url}; start one with `palpate serve`, or name it with --url or PALPATE_URL"
+    )]
+    NoServer {
+        /// Where it was looked for.
+        url: String,
+    },
+    /// A request had no answer, or one that makes no sense.
+    #[error("{operation}: {source}")]
+    Http {
+        /// What was asked.
+        operation: String,
+        /// Why it failed.
+        source: reqwest::Error,
+    },
+    /// The service refuses.
+    #[error("{operation}: {detail}")]
+    Refused {
+        /// What was asked.
+        operation: String,
+        /// HTTP status.
+        status: u16,
+        /// The service's words.
+        detail: String,
+    },
+    /// A file could not be read or written.
+    #[error("{path}: {source}", path = path.display())]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// The service could not be started in this process.
+    #[error("starting the service: {0}")]
+    Serve(#[from] ServeError),
+    /// The runtime, the signals or the terminal could not be had.
+    #[error("{operation}: {source}")]
+    System {
+        /// What was wanted.
+        operation: &'static str,
+        /// Why it failed.
+        source: io::Error,
+    },
+    /// A child process did not come up.
+    #[error("{name}: {why}; its log is {log}", log = log.display())]
+    Child {
+        /// Which.
+        name: &'static str,
+        /// In words.
+        why: String,
+        /// Where it wrote what it said.
+        log: PathBuf,
+    },
+    /// The rig cannot be opened.
+    #[error("opening the rig: {0}")]
+    Rig(#[from] RigError),
+    /// The rig is tripped.
+    #[error("the rig is tripped: {detail}; look at it, then `palpate rig reset`")]
+    Tripped {
+        /// What tripped it.
+        detail: String,
+    },
+    /// A run is under way already.
+    #[error("run {scan_id} is under way; put this one behind it with `palpate queue add`")]
+    Busy {
+        /// Its number.
+        scan_id: i64,
+    },
+    /// Nothing runs.
+    #[error("no run is under way")]
+    Idle,
+    /// Something did not happen in time.
+    #[error("{what} did not happen within {after_s} s")]
+    Late {
+        /// What was waited for.
+        what: String,
+        /// The deadline, s.
+        after_s: u64,
+    },
+    /// A real rig moves only after a yes.
+    #[error("rig {rig} is real: it moves after a yes at the terminal, or with --yes")]
+    NotConfirmed {
+        /// Its name.
+        rig: String,
+    },
+    /// A signal came before the run started.
+    #[error("interrupted before the run started")]
+    Interrupted,
+    /// The rig check found something wrong.
+    #[error("the rig check found {0} problems")]
+    Unsound(usize),
+    /// A file made by this program could not be written as text.
+    #[error("writing TOML: {0}")]
+    Toml(#[from] toml::ser::Error),
+}
+
+impl CliError {
+    /// A problem with one option or argument.
+    pub fn argument(key: &str, value: impl std::fmt::Display, limit: impl Into<String>) -> Self {
+        Self::Problems(vec![Problem::new("command line", key, value, limit)])
+    }
+
+    /// 2 for bad input, 1 for everything else.
+    pub fn exit_code(&self) -> ExitCode {
+        match self {
+            CliError::Problems(_) | CliError::NotConfirmed { .. } => ExitCode::from(2),
+            _ => ExitCode::FAILURE,
+        }
+    }
+}
+
+fn lines(problems: &[Problem]) -> String {
+    problems.iter().map(Problem::to_string).collect::<Vec<_>>().join("\n")
+}

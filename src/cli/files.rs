@@ -1,0 +1,177 @@
+//! Experiment, sensor and rig files from the disk, checked; and the ones this program carries.
+//! Uses: `schedule`, `rig::config`, sim-core's sensor. Never: the network, motion.
+
+use std::path::{Path, PathBuf};
+
+use sha2::{Digest, Sha256};
+use sim_core::sensor::{Sensor, SensorError, SensorFile};
+
+use super::error::CliError;
+use crate::problem::Problem;
+use crate::rig::config::RigConfig;
+use crate::rig::reach::{bench, reach};
+use crate::schedule::experiment::Experiment;
+use crate::schedule::lint::lint;
+use crate::schedule::plan::Plan;
+use crate::schedule::preflight::Preflight;
+use crate::syntax::syntax_problem;
+
+/// Name of the carried rig file in problems.
+pub const DEFAULT_RIG_FILE: &str = "experiments/rigs/virtual.toml";
+/// The default rig: the virtual one.
+pub const DEFAULT_RIG: &str = include_str!("../../experiments/rigs/virtual.toml");
+/// The default skin's differences from the model.
+pub const DEFAULT_GAP: &str = include_str!("../../experiments/gaps/gap-a.toml");
+/// The default skin.
+pub const DEFAULT_SENSOR: &str = include_str!("../../experiments/sensors/ert-28.toml");
+/// The default skin's seed.
+pub const DEFAULT_SKIN_SEED: u64 = 3;
+
+/// An experiment with everything that its file names, checked.
+pub struct ExperimentFiles {
+    /// The file as it was named.
+    pub file: String,
+    /// Its text.
+    pub definition: String,
+    /// Text of its sensor file.
+    pub sensor_text: String,
+    /// As types.
+    pub experiment: Experiment,
+    /// As types.
+    pub sensor: Sensor,
+    /// What it decides.
+    pub plan: Plan,
+}
+
+/// A rig file, checked.
+#[derive(Debug, Clone)]
+pub struct RigFiles {
+    /// The file as it was named.
+    pub file: String,
+    /// Its text.
+    pub text: String,
+    /// As types.
+    pub config: RigConfig,
+}
+
+impl ExperimentFiles {
+    /// Reads an experiment file and its sensor file, and decides the plan.
+    pub fn read(path: &Path) -> Result<Self, CliError> {
+        let file = path.display().to_string();
+        let definition = read_input(path)?;
+        let experiment =
+            Experiment::from_toml(&file, &definition).map_err(CliError::Problems)?;
+        let sensor_path: PathBuf =
+            path.parent().unwrap_or(Path::new("")).join(&experiment.sensor);
+        let sensor_text = read_named(&file, "sensor", &experiment.sensor, &sensor_path)?;
+        let sensor = parse_sensor(&sensor_path.display().to_string(), &sensor_text)?;
+        let plan = Plan::of(&file, &experiment, &sensor).map_err(CliError::Problems)?;
+        Ok(Self { file, definition, sensor_text, experiment, sensor, plan })
+    }
+
+    /// What a person reads before arming.
+    pub fn preflight(&self, rig: &RigFiles) -> Preflight {
+        let reach = reach(&rig.file, &rig.config);
+        let problems = lint(&self.file, &self.experiment, &self.sensor, &reach);
+        Preflight::of(&self.plan, &bench(&rig.config), problems)
+    }
+
+    /// sha256 of the definition's text, as runs carry it.
+    pub fn definition_sha256(&self) -> String {
+        hex(&self.definition)
+    }
+
+    /// sha256 of the sensor file's text, as runs carry it.
+    pub fn sensor_sha256(&self) -> String {
+        hex(&self.sensor_text)
+    }
+}
+
+impl RigFiles {
+    /// Reads a rig file, or takes the carried one.
+    pub fn read(path: Option<&Path>) -> Result<Self, CliError> {
+        match path {
+            Some(path) => Self::parse(path.display().to_string(), read_input(path)?),
+            None => Self::parse(DEFAULT_RIG_FILE.into(), DEFAULT_RIG.into()),
+        }
+    }
+
+    /// Checks a rig file's text.
+    pub fn parse(file: String, text: String) -> Result<Self, CliError> {
+        let config = RigConfig::from_toml(&file, &text).map_err(CliError::Problems)?;
+        Ok(Self { file, text, config })
+    }
+}
+
+/// Writes a file, with the folders above it.
+pub fn write(path: &Path, text: &str) -> Result<(), CliError> {
+    let failed = |source| CliError::File { path: path.into(), source };
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).map_err(failed)?;
+    }
+    std::fs::write(path, text).map_err(failed)
+}
+
+/// A file that a person named: what is wrong with it is bad input.
+fn read_input(path: &Path) -> Result<String, CliError> {
+    std::fs::read_to_string(path).map_err(|e| {
+        CliError::Problems(vec![Problem::whole(&path.display().to_string(), e.to_string())])
+    })
+}
+
+/// A file that another file names.
+fn read_named(file: &str, key: &str, value: &str, path: &Path) -> Result<String, CliError> {
+    std::fs::read_to_string(path).map_err(|e| {
+        let limit = format!("{}: {e}", path.display());
+        CliError::Problems(vec![Problem::new(file, key, value, limit)])
+    })
+}
+
+fn parse_sensor(file: &str, text: &str) -> Result<Sensor, CliError> {
+    Sensor::from_toml(text).map_err(|error| {
+        let problem = match error {
+            SensorError::Value { key, value, limit } => Problem::new(file, &key, value, limit),
+            SensorError::Syntax(words) => match toml::from_str::<SensorFile>(text) {
+                Err(e) => syntax_problem(file, text, &e),
+                Ok(_) => Problem::whole(file, words),
+            },
+        };
+        CliError::Problems(vec![problem])
+    })
+}
+
+fn hex(text: &str) -> String {
+    Sha256::digest(text.as_bytes()).iter().map(|b| format!("{b:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_carried_files_are_sound() {
+        let rig = RigFiles::read(None).unwrap();
+        assert_eq!(rig.config.label.as_str(), "virtual");
+        assert_eq!(parse_sensor("s", DEFAULT_SENSOR).unwrap().electrodes_mm().len(), 28);
+    }
+
+    #[test]
+    fn a_missing_sensor_file_is_named_with_the_key_that_names_it() {
+        let folder = std::env::temp_dir().join(format!("palpate-files-{}", std::process::id()));
+        let path = folder.join("e.toml");
+        let text = "name = \"e\"\nseed = 1\nsensor = \"none.toml\"\n[real_hex]\ntips = [1]\n\
+                    configurations = 1\n";
+        write(&path, text).unwrap();
+        let error = ExperimentFiles::read(&path).err().unwrap();
+        std::fs::remove_dir_all(&folder).unwrap();
+        let shown = error.to_string();
+        assert!(shown.contains("sensor = none.toml"), "{shown}");
+        assert_eq!(error.exit_code(), std::process::ExitCode::from(2));
+    }
+
+    #[test]
+    fn a_sensor_key_outside_its_shape_is_named() {
+        let error = parse_sensor("s.toml", "name = 3\n").err().unwrap().to_string();
+        assert!(error.starts_with("s.toml: name = 3"), "{error}");
+    }
+}

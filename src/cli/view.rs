@@ -1,0 +1,222 @@
+//! What the command line reads of the service's answers.
+//! Uses: serde, the vocabulary of `campaign`. Never: what it does not show or decide by.
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::campaign::interlock::Trip;
+use crate::campaign::record::Pose;
+use crate::campaign::rig_state::RigState;
+use crate::campaign::status::{Eta, Phase};
+use crate::ids::{RunUid, TrialKey};
+use crate::store::LockRow;
+
+/// `GET /api/v1/status`.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct StatusView {
+    /// The rig.
+    pub rig: RigView,
+    /// The run under way.
+    pub run: Option<RunView>,
+    /// The service.
+    pub service: ServiceView,
+    /// The operator lock, while it is held.
+    pub lock: Option<LockRow>,
+    /// Runs that wait in the queue.
+    pub queue_length: usize,
+}
+
+/// The rig's part.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct RigView {
+    /// Name from the rig file.
+    pub name: String,
+    /// `measured` or `virtual`.
+    pub label: String,
+    /// State reached.
+    pub state: RigState,
+    /// What latched it.
+    pub trip: Option<Trip>,
+    /// Process seconds in a wall second.
+    pub clock_rate: f64,
+    /// Where it stands.
+    pub pose: Option<Pose>,
+    /// Forces of attached arms, N.
+    pub forces_n: Vec<Option<f64>>,
+    /// Limit on one cell, N.
+    pub force_limit_n: f64,
+    /// Tips found on the cells.
+    pub tips: Option<u8>,
+    /// From an e-stop's press until every axis had acknowledged, ms.
+    pub estop_acknowledged_ms: Option<f64>,
+}
+
+impl RigView {
+    /// The largest force on a tip, N.
+    pub fn max_force_n(&self) -> Option<f64> {
+        self.forces_n.iter().copied().flatten().reduce(f64::max)
+    }
+
+    /// What latched it, in words.
+    pub fn trip_words(&self) -> String {
+        self.trip.as_ref().map_or_else(|| "for no stated reason".into(), |t| t.detail.clone())
+    }
+}
+
+/// The run's part.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct RunView {
+    /// Id.
+    pub uid: RunUid,
+    /// Number for people.
+    pub scan_id: i64,
+    /// Name of the experiment.
+    pub experiment: String,
+    /// State reached.
+    pub state: String,
+    /// State asked for.
+    pub requested_state: Option<String>,
+    /// Why it waits.
+    pub paused_why: Option<String>,
+    /// What it waits for, in words.
+    pub waiting_for: Option<String>,
+    /// What it is doing.
+    pub phase: Phase,
+    /// The trial under way.
+    pub trial: Option<TrialKey>,
+    /// Trials in the plan.
+    pub trials_planned: u64,
+    /// Trials stored.
+    pub trials_stored: u64,
+    /// Trials given up.
+    pub trials_skipped: u64,
+    /// Failed attempts.
+    pub retries: u64,
+    /// Time to go.
+    pub eta: Option<Eta>,
+}
+
+/// The service's part.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct ServiceView {
+    /// Version of the program.
+    pub version: String,
+    /// The database file.
+    pub database: String,
+}
+
+/// `POST /api/v1/runs/{run}/arm`.
+#[derive(Debug, Clone, Deserialize)]
+pub struct ArmedView {
+    /// Starts the run.
+    pub code: String,
+    /// What the run is.
+    pub preflight: PreflightView,
+}
+
+/// What is shown of a preflight before a start.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct PreflightView {
+    /// Trials planned.
+    pub trials: u64,
+    /// Configurations planned.
+    pub configurations: u64,
+    /// Likely duration, wall s.
+    pub duration_s: f64,
+    /// If all goes quickly, wall s.
+    pub duration_low_s: f64,
+    /// If all goes slowly, wall s.
+    pub duration_high_s: f64,
+    /// Bytes stored.
+    pub disk_bytes: u64,
+    /// Times a person is waited for.
+    pub waits_for_person: u64,
+}
+
+/// `POST /api/v1/runs/{run}/actions` with `start`.
+#[derive(Debug, Clone, Deserialize)]
+pub struct TakenUpView {
+    /// `running` or `waiting`.
+    pub started: Option<String>,
+}
+
+/// `GET /api/v1/events`.
+#[derive(Debug, Clone, Deserialize)]
+pub struct EventPageView {
+    /// In order.
+    pub events: Vec<EventView>,
+    /// Hand this in as `since` for what follows.
+    pub next: i64,
+}
+
+/// One event.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EventView {
+    /// One word.
+    #[serde(rename(serialize = "event"))]
+    pub kind: String,
+    /// Number.
+    pub seq: i64,
+    /// The run it belongs to.
+    pub run: Option<RunUid>,
+    /// Wall time.
+    pub at: String,
+    /// What it says.
+    pub data: Value,
+}
+
+impl EventView {
+    /// What it says to a person who watches the run; none for what the progress bar shows anyway.
+    pub fn words(&self) -> Option<String> {
+        let text = |key: &str| self.data[key].as_str().unwrap_or("?").to_owned();
+        match self.kind.as_str() {
+            "wanted" => Some(format!("wanted: {}", text("words"))),
+            "trip" => Some(format!("trip ({}): {}", text("kind"), text("detail"))),
+            "skipped" => {
+                Some(format!("skipped configuration {}: {}", self.data["configuration"], text("reason")))
+            }
+            "attempt_failed" => {
+                Some(format!("attempt {} failed: {}", self.data["attempt"], text("reason")))
+            }
+            "suspended" | "raise_failed" | "store" | "repeat" | "not_gone_on" => {
+                Some(format!("{}: {}", self.kind.replace('_', " "), text("why")))
+            }
+            "recovering" => Some("recovering: the cause is looked for again".into()),
+            "state" => self.data["state"].as_str().filter(|s| !matches!(*s, "running" | "idle")).map(
+                |state| match self.data["why"].as_str() {
+                    Some(why) => format!("{state} ({})", why.replace('_', " ")),
+                    None => state.into(),
+                },
+            ),
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn event(kind: &str, data: Value) -> EventView {
+        EventView { kind: kind.into(), seq: 7, run: None, at: "now".into(), data }
+    }
+
+    #[test]
+    fn notable_events_have_words_and_others_none() {
+        let words = |kind, data| event(kind, data).words();
+        let trip = json!({ "kind": "force", "detail": "arm 2: 81.0 N over 80.0 N" });
+        assert_eq!(words("trip", trip).unwrap(), "trip (force): arm 2: 81.0 N over 80.0 N");
+        let paused = json!({ "state": "paused", "why": "tip_change" });
+        assert_eq!(words("state", paused).unwrap(), "paused (tip change)");
+        assert_eq!(words("state", json!({ "state": "running" })), None);
+        assert_eq!(words("touch_off", json!({})), None);
+    }
+
+    #[test]
+    fn an_event_for_scripts_carries_its_kind_as_event() {
+        let line = serde_json::to_value(event("wanted", json!({}))).unwrap();
+        assert_eq!(line["event"], "wanted");
+        assert_eq!(line["seq"], 7);
+    }
+}

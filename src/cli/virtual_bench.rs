@@ -1,0 +1,206 @@
+//! The stand-in lab as two child processes of this program: the rig and its operator.
+//! Uses: tokio's processes, `files`. Never: the virtual rig's code (its command line is all we
+//! know), a child that outlives us: each ends when the pipe to its standard input closes.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::time::Duration;
+
+use indicatif::ProgressBar;
+use serde::Deserialize;
+use tokio::io::{AsyncBufReadExt, BufReader};
+use tokio::process::{Child, ChildStdout, Command};
+use tokio::time::timeout;
+
+use super::error::CliError;
+use super::files::{DEFAULT_GAP, RigFiles, write};
+use crate::rig::config::Label;
+
+/// Longest wait for the rig: its first start solves the skin's responses.
+const READY: Duration = Duration::from_secs(120);
+/// Longest wait for a child to end by itself.
+const END: Duration = Duration::from_secs(3);
+/// Lines of a child's log that are shown when it fails.
+const LOG_LINES: usize = 8;
+
+/// What the stand-in lab is made of.
+#[derive(Debug, Clone)]
+pub struct BenchOptions {
+    /// Folder of the files, logs and caches.
+    pub data: PathBuf,
+    /// The rig file to stand in for; its wires get free ports.
+    pub rig: RigFiles,
+    /// The skin's sensor file.
+    pub sensor_text: String,
+    /// How the skin differs from the model; the carried one if absent.
+    pub gap: Option<PathBuf>,
+    /// A seed is a skin.
+    pub seed: u64,
+    /// Process seconds in a wall second.
+    pub speed: f64,
+    /// What shall go wrong.
+    pub fault: Option<PathBuf>,
+}
+
+/// The rig, switched on.
+pub struct VirtualBench {
+    /// Its rig file, with the addresses as served.
+    pub rig: RigFiles,
+    control: String,
+    speed: f64,
+    folder: PathBuf,
+    child: Child,
+    // Kept, so that the rig can always write.
+    _stdout: BufReader<ChildStdout>,
+}
+
+/// The operator, at work.
+pub struct VirtualOperator(Child);
+
+/// The line that says that the rig listens.
+#[derive(Debug, Deserialize)]
+struct Ready {
+    control: String,
+}
+
+impl VirtualBench {
+    /// Writes the rig's files, starts it, and waits until it listens.
+    pub async fn switch_on(options: &BenchOptions, quiet: bool) -> Result<Self, CliError> {
+        let folder = options.data.join("virtual-rig");
+        let served = folder.join("served.toml");
+        let mut command = rig_command(options, &folder, &served)?;
+        let log = folder.join("rig.log");
+        let mut child = start("virtual rig", &mut command, &log, Stdio::piped())?;
+        let stdout = child.stdout.take().ok_or_else(|| failed("virtual rig", "no pipe", &log))?;
+        let mut stdout = BufReader::new(stdout);
+        let spinner = spinner(quiet);
+        let ready = ready_line(&mut stdout, &log).await;
+        spinner.finish_and_clear();
+        let control = ready?.control;
+        let text = std::fs::read_to_string(&served)
+            .map_err(|source| CliError::File { path: served.clone(), source })?;
+        let rig = RigFiles::parse(served.display().to_string(), text)?;
+        let speed = options.speed;
+        Ok(Self { rig, control, speed, folder, child, _stdout: stdout })
+    }
+
+    /// Sends the operator to work at a service.
+    pub fn send_operator(&self, url: &str) -> Result<VirtualOperator, CliError> {
+        let mut command = this_program("virtual-operator")?;
+        command.args(["--url", url, "--control", &self.control, "--with-parent"]);
+        command.arg("--speed").arg(self.speed.to_string());
+        let log = self.folder.join("operator.log");
+        start("virtual operator", &mut command, &log, Stdio::null()).map(VirtualOperator)
+    }
+
+    /// Switches the rig off.
+    pub async fn switch_off(mut self) {
+        end(&mut self.child).await;
+    }
+}
+
+impl VirtualOperator {
+    /// Sends the operator home.
+    pub async fn go_home(mut self) {
+        end(&mut self.0).await;
+    }
+}
+
+fn rig_command(
+    options: &BenchOptions,
+    folder: &Path,
+    served: &Path,
+) -> Result<Command, CliError> {
+    let (rig, sensor) = (folder.join("rig.toml"), folder.join("sensor.toml"));
+    // Nothing that a stand-in gives may be called measured.
+    let mut config = options.rig.config.clone();
+    config.label = Label::Virtual;
+    write(&rig, &toml::to_string(&config)?)?;
+    write(&sensor, &options.sensor_text)?;
+    let gap = match &options.gap {
+        Some(path) => path.clone(),
+        None => {
+            let path = folder.join("gap.toml");
+            write(&path, DEFAULT_GAP)?;
+            path
+        }
+    };
+    let mut command = this_program("virtual-rig")?;
+    command.arg("--rig").arg(rig).arg("--gap").arg(gap).arg("--sensor").arg(sensor);
+    command.arg("--seed").arg(options.seed.to_string());
+    command.arg("--speed").arg(options.speed.to_string());
+    command.arg("--ephemeral").arg("--out-rig").arg(served);
+    command.arg("--cache").arg(options.data.join("cache")).arg("--with-parent");
+    if let Some(fault) = &options.fault {
+        command.arg("--fault").arg(fault);
+    }
+    Ok(command)
+}
+
+fn this_program(subcommand: &str) -> Result<Command, CliError> {
+    let program = std::env::current_exe()
+        .map_err(|source| CliError::System { operation: "finding this program", source })?;
+    let mut command = Command::new(program);
+    command.arg(subcommand);
+    Ok(command)
+}
+
+fn start(
+    name: &'static str,
+    command: &mut Command,
+    log: &Path,
+    stdout: Stdio,
+) -> Result<Child, CliError> {
+    let said = File::create(log).map_err(|source| CliError::File { path: log.into(), source })?;
+    // A group of its own: Ctrl-C at the terminal is ours to handle, the rig must stay on.
+    command.process_group(0).kill_on_drop(true);
+    command.stdin(Stdio::piped()).stdout(stdout).stderr(said);
+    command.spawn().map_err(|e| failed(name, &e.to_string(), log))
+}
+
+async fn ready_line(
+    stdout: &mut BufReader<ChildStdout>,
+    log: &Path,
+) -> Result<Ready, CliError> {
+    let name = "virtual rig";
+    let mut line = String::new();
+    match timeout(READY, stdout.read_line(&mut line)).await {
+        Err(_) => Err(CliError::Late { what: "the virtual rig's start".into(), after_s: READY.as_secs() }),
+        Ok(Err(e)) => Err(failed(name, &e.to_string(), log)),
+        Ok(Ok(0)) => Err(failed(name, &format!("ended at its start{}", tail(log)), log)),
+        Ok(Ok(_)) => serde_json::from_str(&line)
+            .map_err(|e| failed(name, &format!("said {}: {e}", line.trim()), log)),
+    }
+}
+
+fn failed(name: &'static str, why: &str, log: &Path) -> CliError {
+    CliError::Child { name, why: why.into(), log: log.into() }
+}
+
+/// The end of a log, for an error.
+fn tail(log: &Path) -> String {
+    let text = std::fs::read_to_string(log).unwrap_or_default();
+    let lines: Vec<&str> = text.lines().collect();
+    let last = &lines[lines.len().saturating_sub(LOG_LINES)..];
+    if last.is_empty() { String::new() } else { format!(": {}", last.join("; ")) }
+}
+
+/// Closes the child's pipe, which ends it; a child that stays is killed.
+async fn end(child: &mut Child) {
+    drop(child.stdin.take());
+    if timeout(END, child.wait()).await.is_err() {
+        tracing::warn!("a child process had to be killed");
+        let _ = child.kill().await;
+    }
+}
+
+fn spinner(quiet: bool) -> ProgressBar {
+    if quiet {
+        return ProgressBar::hidden();
+    }
+    let spinner = ProgressBar::new_spinner();
+    spinner.set_message("virtual rig: solving the skin's responses (once)");
+    spinner.enable_steady_tick(Duration::from_millis(100));
+    spinner
+}

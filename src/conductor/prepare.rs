@@ -1,0 +1,104 @@
+//! From the texts of files to a run that can be queued, looked over and driven.
+//! PURE. Uses: `schedule`, `rig::{config, reach}`, `campaign::job`. Never: files, storage.
+
+use serde::Deserialize;
+use sim_core::sensor::Sensor;
+use utoipa::ToSchema;
+
+use super::{ConductorError, RigFile};
+use crate::campaign::job::Job;
+use crate::problem::Problem;
+use crate::rig::config;
+use crate::rig::reach::{bench, reach};
+use crate::schedule::experiment::Experiment;
+use crate::schedule::lint::lint;
+use crate::schedule::plan::{Kind, Plan};
+use crate::schedule::preflight::Preflight;
+use crate::store::{Label, RunKind, RunRow};
+
+/// An experiment as it is handed in: texts, since the service may not see the sender's files.
+#[derive(Debug, Clone, PartialEq, Deserialize, ToSchema)]
+pub struct Submission {
+    /// Name of the experiment file, for problems.
+    pub file: String,
+    /// Text of the experiment file.
+    pub definition: String,
+    /// Text of the sensor file that it names.
+    pub sensor: String,
+}
+
+impl Submission {
+    /// A stored run's own texts.
+    pub fn of(run: &RunRow) -> Self {
+        Self {
+            file: format!("{}.toml", run.experiment),
+            definition: run.definition.clone(),
+            sensor: run.sensor.clone(),
+        }
+    }
+}
+
+/// A submission, planned and looked over for one rig.
+pub struct Prepared {
+    /// The experiment.
+    pub experiment: Experiment,
+    /// Everything decided.
+    pub plan: Plan,
+    /// What a person reads before arming.
+    pub preflight: Preflight,
+    /// Diameter of a tip, mm.
+    pub tip_diameter_mm: f64,
+    /// The rig's label.
+    pub label: Label,
+    clock_rate: f64,
+}
+
+impl Prepared {
+    /// Plans a submission. What forbids it on this rig is in the preflight.
+    pub fn of(submission: &Submission, rig: &RigFile) -> Result<Self, Vec<Problem>> {
+        let file = &submission.file;
+        let experiment = Experiment::from_toml(file, &submission.definition)?;
+        let sensor = Sensor::from_toml(&submission.sensor)
+            .map_err(|e| vec![Problem::whole(&experiment.sensor, e.to_string())])?;
+        let problems = lint(file, &experiment, &sensor, &reach(&rig.file, &rig.config));
+        let plan = Plan::of(file, &experiment, &sensor)?;
+        let preflight = Preflight::of(&plan, &bench(&rig.config), problems);
+        let label = match rig.config.label {
+            config::Label::Measured => Label::Measured,
+            config::Label::Virtual => Label::Virtual,
+        };
+        let clock_rate = rig.config.clock_rate;
+        let tip_diameter_mm = sensor.file.tip_diameter_mm;
+        Ok(Self { experiment, plan, preflight, tip_diameter_mm, label, clock_rate })
+    }
+
+    /// Itself, unless the preflight found problems.
+    pub fn sound(self) -> Result<Self, ConductorError> {
+        if self.preflight.problems.is_empty() {
+            Ok(self)
+        } else {
+            Err(ConductorError::Problems { problems: self.preflight.problems })
+        }
+    }
+
+    /// The kind as it is stored.
+    pub fn run_kind(&self) -> RunKind {
+        match self.plan.kind {
+            Kind::RealHex => RunKind::RealHex,
+            Kind::RealRandom => RunKind::RealRandom,
+        }
+    }
+
+    /// The run as the campaign drives it.
+    pub fn job(self, run: &RunRow) -> Job {
+        let trials = self.preflight.trials.max(1);
+        Job {
+            run: run.uid,
+            scan_id: run.scan_id,
+            predicted_trial_s: self.preflight.duration_s * self.clock_rate / trials as f64,
+            auto_resume: run.auto_resume,
+            bytes_per_trial: self.preflight.disk_bytes / trials,
+            plan: self.plan,
+        }
+    }
+}
