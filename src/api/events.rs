@@ -26,6 +26,7 @@ const LOOK: Duration = Duration::from_millis(200);
 
 /// Which events.
 #[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
 pub struct Since {
     /// Those after this number; for a live stream without it, only new ones.
     pub since: Option<i64>,

@@ -43,6 +43,7 @@ pub struct MadeKey {
 
 /// Which actions.
 #[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
 pub struct ActionParams {
     /// On this run only: uid or scan_id.
     pub run: Option<String>,

@@ -36,6 +36,7 @@ pub struct NewItem {
 
 /// Who asks, in a query.
 #[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
 pub struct ByWhom {
     /// A name for the log of actions.
     pub who: Option<String>,

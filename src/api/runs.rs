@@ -23,6 +23,7 @@ const LONGEST_PAGE: u32 = 500;
 
 /// Which page.
 #[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
 pub struct PageParams {
     /// Up to so many, at most 500.
     pub limit: Option<u32>,

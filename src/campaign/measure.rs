@@ -1,11 +1,15 @@
 //! Settling, frames and forces of one held load, and what may be wrong with them.
 //! Uses: `campaign::stage`, `rig::traits`. Never: storage, the plan.
 
+use std::time::Duration;
+
 use super::control::Control;
 use super::halt::Halt;
+use super::interlock::TripKind;
 use super::record::{Flag, FrameRecord};
 use super::stage::Stage;
 use crate::rig::config::ARMS;
+use crate::rig::error::RigError;
 use crate::rig::traits::Frame;
 use crate::schedule::experiment::Measure;
 
@@ -68,7 +72,7 @@ pub async fn take(stage: &mut Stage, measure: &Measure) -> Result<Taken, Halt> {
     let missed_before = skin.counters().missed;
     let (before, frames) =
         futures::join!(stage.bench.cells.read(), skin.take(stage.clock.now(), count));
-    let (before, frames) = (before?, frames?);
+    let (before, frames) = (before?, frames.map_err(|e| no_frames(stage, e))?);
     let after = stage.weigh().await?;
     let volts = std::array::from_fn(|i| (before.volts[i] + after.volts[i]) / 2.0);
     let expected = usize::from(stage.config.ert.electrodes()).pow(2);
@@ -83,6 +87,21 @@ pub async fn take(stage: &mut Stage, measure: &Measure) -> Result<Taken, Halt> {
     }
     let frames = frames.iter().map(|f| record(f)).collect();
     Ok(Taken { frames, volts, flags })
+}
+
+/// A stream that gives some frames fails the try; one that has stopped trips the rig.
+fn no_frames(stage: &Stage, error: RigError) -> Halt {
+    let limit = Duration::from_millis(stage.config.limits.frame_age_ms);
+    let newest = stage.bench.skin.latest();
+    match newest.map(|f| f.received.elapsed()) {
+        Some(age) if age <= limit => error.into(),
+        age => {
+            let age = age.map_or("none yet".into(), |a| format!("{} ms old", a.as_millis()));
+            let detail =
+                format!("ert: newest frame {age}, limit {} ms ({error})", limit.as_millis());
+            Halt::trip(TripKind::Stale, detail)
+        }
+    }
 }
 
 /// What may be wrong with frames by themselves.

@@ -128,6 +128,12 @@ impl Stage {
 
     fn check(&mut self, reading: &CellVolts) -> Result<(), Halt> {
         let cells = &self.config.cells;
+        let limit_ms = self.config.limits.sample_age_ms;
+        let age = self.clock.now().saturating_duration_since(reading.at);
+        if age > Duration::from_millis(limit_ms) {
+            let detail = format!("cells: sample {} ms old, limit {limit_ms} ms", age.as_millis());
+            return Err(Halt::trip(TripKind::Stale, detail));
+        }
         interlock::check_cells(cells, self.limits, self.tips, &reading.volts, &self.tare_v)?;
         let forces = self.forces_n(&reading.volts);
         self.peak_n = forces[..usize::from(self.tips)].iter().copied().fold(self.peak_n, f64::max);

@@ -1,0 +1,184 @@
+//! A virtual rig, a virtual operator and a service, in one process, each on its own sockets.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use palpate::api::{ServeOptions, Service};
+use serde_json::{Value, json};
+use virtual_rig::run::{RigArgs, VirtualRig};
+use virtual_rig::{OperatorArgs, operator_main};
+
+/// Longest wait for anything that a test waits for.
+pub const LIMIT: Duration = Duration::from_secs(120);
+
+/// A file of `experiments/`.
+pub fn file(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments").join(name)
+}
+
+/// Arguments of a virtual rig that is this much faster than the wall.
+pub fn rig_args(rig: &str, speed: f64) -> RigArgs {
+    RigArgs {
+        rig: file(&format!("rigs/{rig}.toml")),
+        gap: file("gaps/gap-a.toml"),
+        sensor: file("sensors/ert-28.toml"),
+        seed: 3,
+        speed: Some(speed),
+        ephemeral: true,
+        out_rig: None,
+        fault: None,
+        control: "127.0.0.1:0".into(),
+        cache: Some(Path::new(env!("CARGO_TARGET_TMPDIR")).join("skin")),
+        ready_file: None,
+        with_parent: false,
+    }
+}
+
+/// Everything of one test; its folder goes with it.
+pub struct Lab {
+    /// Switched on.
+    pub rig: VirtualRig,
+    /// Answers.
+    pub service: Service,
+    /// Of the database.
+    pub data: PathBuf,
+    http: reqwest::Client,
+}
+
+impl Lab {
+    /// Switches everything on.
+    pub async fn open(name: &str, args: RigArgs) -> Self {
+        let speed = args.speed.unwrap();
+        let rig = VirtualRig::switch_on(&args).await.unwrap();
+        let data = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("system-{name}"));
+        std::fs::remove_dir_all(&data).ok();
+        let service = Service::start(options(&rig, &data)).await.unwrap();
+        let lab = Self { rig, service, data, http: reqwest::Client::new() };
+        lab.call_operator(speed);
+        lab
+    }
+
+    fn call_operator(&self, speed: f64) {
+        let args = OperatorArgs {
+            url: self.service.url(),
+            control: self.rig.ready.control.clone(),
+            speed,
+            who: "virtual operator".into(),
+            with_parent: false,
+        };
+        std::thread::spawn(move || operator_main(args).unwrap());
+    }
+
+    /// A GET that must succeed.
+    pub async fn get(&self, path: &str) -> Value {
+        let url = format!("{}{path}", self.service.url());
+        let answer = self.http.get(url).send().await.unwrap();
+        assert!(answer.status().is_success(), "{path}: {}", answer.text().await.unwrap());
+        answer.json().await.unwrap()
+    }
+
+    /// A POST: its status and its body.
+    pub async fn post(&self, path: &str, body: Value) -> (u16, Value) {
+        let url = format!("{}{path}", self.service.url());
+        let answer = self.http.post(url).json(&body).send().await.unwrap();
+        let status = answer.status().as_u16();
+        (status, answer.json().await.unwrap_or(Value::Null))
+    }
+
+    /// A POST that must succeed.
+    pub async fn posted(&self, path: &str, body: Value) -> Value {
+        let (status, answer) = self.post(path, body).await;
+        assert!(status < 300, "{path}: {status} {answer}");
+        answer
+    }
+
+    /// Waits for the status to satisfy this.
+    pub async fn until(&self, what: &str, done: impl Fn(&Value) -> bool) -> Value {
+        let start = Instant::now();
+        loop {
+            let status = self.get("/api/v1/status").await;
+            if done(&status) {
+                return status;
+            }
+            assert!(start.elapsed() < LIMIT, "{what} does not come: {status:#}");
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    }
+
+    /// Connects and homes.
+    pub async fn home(&self) {
+        self.posted("/api/v1/rig/actions", json!({ "action": "connect", "who": "test" })).await;
+        self.posted("/api/v1/rig/actions", json!({ "action": "home", "who": "test" })).await;
+        self.until("homed", |s| s["rig"]["state"] == "homed").await;
+    }
+
+    /// Queues an experiment; returns the run's uid.
+    pub async fn queue(&self, definition: &str) -> String {
+        let sensor = std::fs::read_to_string(file("sensors/ert-28.toml")).unwrap();
+        let body = json!({ "file": "test.toml", "definition": definition, "sensor": sensor,
+            "who": "test" });
+        let row = self.posted("/api/v1/queue", body).await;
+        row["uid"].as_str().unwrap().to_owned()
+    }
+
+    /// Arms and starts.
+    pub async fn start(&self, run: &str) {
+        let armed = self.posted(&format!("/api/v1/runs/{run}/arm"), json!({ "who": "test" })).await;
+        let body = json!({ "action": "start", "code": armed["code"], "who": "test" });
+        self.posted(&format!("/api/v1/runs/{run}/actions"), body).await;
+    }
+
+    /// An action on a run.
+    pub async fn act(&self, run: &str, action: Value) -> (u16, Value) {
+        self.post(&format!("/api/v1/runs/{run}/actions"), action).await
+    }
+
+    /// Waits for a run's end; returns its summary.
+    pub async fn ended(&self, run: &str) -> Value {
+        let start = Instant::now();
+        loop {
+            let row = self.get(&format!("/api/v1/runs/{run}")).await;
+            if row["state"] == "ended" {
+                return self.get(&format!("/api/v1/runs/{run}/summary")).await;
+            }
+            if start.elapsed() > LIMIT {
+                let status = self.get("/api/v1/status").await;
+                panic!("the run does not end: {status:#}\n{:#}", self.events().await);
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    }
+
+    /// Every event so far.
+    pub async fn events(&self) -> Value {
+        self.get("/api/v1/events?since=0&limit=1000").await["events"].clone()
+    }
+
+    /// Keys of a run's trials, in the order of storage.
+    pub async fn keys(&self, run: &str) -> Vec<(u64, u64)> {
+        let page = self.get(&format!("/api/v1/runs/{run}/trials?limit=10000")).await;
+        let trials = page["trials"].as_array().unwrap().iter();
+        trials
+            .map(|t| {
+                (t["configuration"].as_u64().unwrap(), t["depth_index"].as_u64().unwrap())
+            })
+            .collect()
+    }
+
+    /// Switches everything off.
+    pub async fn close(self) {
+        self.service.shutdown().await;
+        std::fs::remove_dir_all(&self.data).ok();
+    }
+}
+
+/// A service on a rig that is switched on.
+pub fn options(rig: &VirtualRig, data: &Path) -> ServeOptions {
+    ServeOptions {
+        bind: "127.0.0.1:0".parse().unwrap(),
+        data: data.into(),
+        rig_file: "served.toml".into(),
+        rig_text: rig.rig_text.clone(),
+        resume: true,
+    }
+}
