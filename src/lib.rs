@@ -12,3 +12,4 @@ pub mod campaign;
 pub mod store;
 pub mod conductor;
 pub mod api;
+pub mod cli;

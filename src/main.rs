@@ -1,3 +1,159 @@
-//! The palpate binary.
-//! Wiring only.
-fn main() {}
+//! The palpate binary: reads the command line, sets up the log, hands over.
+//! Uses: `palpate::cli`, and as the only one `virtual_rig`, which it runs as a process of its own.
+//! Never: anything else.
+
+use std::fmt::Display;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Args, Parser, Subcommand};
+use palpate::cli;
+use tracing_subscriber::EnvFilter;
+use virtual_rig::{OperatorArgs, RigArgs, operator_main, rig_main};
+
+/// Touches a robot skin overnight, learns from it, and tells where and how hard it is touched.
+///
+/// Start with `palpate run experiments/quickstart.toml`: without a rig it starts a virtual one.
+#[derive(Debug, Parser)]
+#[command(name = "palpate", version, propagate_version = true)]
+struct CommandLine {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    #[command(flatten)]
+    Service(cli::Command),
+    /// Run a stand-in rig behind real wires.
+    VirtualRig(VirtualRigArgs),
+    /// Run the stand-in for the person who mounts tips and places weights.
+    VirtualOperator(OperatorArgs),
+}
+
+/// A stand-in rig started by hand: what is not named is the default lab.
+#[derive(Debug, Args)]
+struct VirtualRigArgs {
+    /// Rig file: which devices, on which wires [default: the one of `palpate serve`].
+    #[arg(long, value_name = "FILE")]
+    rig: Option<PathBuf>,
+    /// Gap file: how this skin differs from the model [default: gap-a].
+    #[arg(long, value_name = "FILE")]
+    gap: Option<PathBuf>,
+    /// Sensor file: the skin's geometry and materials [default: ert-28].
+    #[arg(long, value_name = "FILE")]
+    sensor: Option<PathBuf>,
+    /// A seed is a skin.
+    #[arg(long, value_name = "N", default_value_t = cli::DEFAULT_SKIN_SEED)]
+    seed: u64,
+    /// Process seconds in a wall second; the rig file's clock_rate if absent. The service must be
+    /// started with the rig file that --out-rig writes to know of it.
+    #[arg(long, value_name = "N")]
+    speed: Option<f64>,
+    /// Serve every wire at a free port or a new pseudo-terminal, whatever the rig file says.
+    #[arg(long)]
+    ephemeral: bool,
+    /// Write the rig file with the addresses as really served.
+    #[arg(long, value_name = "FILE")]
+    out_rig: Option<PathBuf>,
+    /// Fault script: what shall go wrong, and when.
+    #[arg(long, value_name = "SCRIPT")]
+    fault: Option<PathBuf>,
+    /// Where the control socket listens.
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:0")]
+    control: String,
+    /// Where solved response fields are kept between starts [default: DATA/cache].
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
+    /// Write the line that says that everything listens to a file, too.
+    #[arg(long, value_name = "FILE")]
+    ready_file: Option<PathBuf>,
+    /// End when standard input closes: a child dies with its parent.
+    #[arg(long)]
+    with_parent: bool,
+    /// Folder for the default files and the cache [env: PALPATE_DATA] [default: palpate-data].
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+}
+
+fn main() -> ExitCode {
+    let command = CommandLine::parse().command;
+    log();
+    match command {
+        Command::Service(command) => cli::main(command),
+        Command::VirtualOperator(args) => ended(operator_main(args)),
+        Command::VirtualRig(args) => match args.complete() {
+            Ok(args) => ended(rig_main(args)),
+            Err(error) => {
+                eprintln!("{error}");
+                error.exit_code()
+            }
+        },
+    }
+}
+
+impl VirtualRigArgs {
+    fn complete(self) -> Result<RigArgs, cli::CliError> {
+        let data = cli::data_or_default(self.data);
+        let named = [self.rig, self.gap, self.sensor];
+        let files = cli::virtual_rig_files(&data.join("virtual-rig"), named)?;
+        Ok(RigArgs {
+            rig: files.rig,
+            gap: files.gap,
+            sensor: files.sensor,
+            seed: self.seed,
+            speed: self.speed,
+            ephemeral: self.ephemeral,
+            out_rig: self.out_rig,
+            fault: self.fault,
+            control: self.control,
+            cache: Some(self.cache.unwrap_or_else(|| data.join("cache"))),
+            ready_file: self.ready_file,
+            with_parent: self.with_parent,
+        })
+    }
+}
+
+fn ended(outcome: Result<(), impl Display>) -> ExitCode {
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// The log is on standard error; PALPATE_LOG says how much of it (`warn`, `palpate=debug`).
+fn log() {
+    let filter = EnvFilter::try_from_env("PALPATE_LOG").unwrap_or_else(|_| EnvFilter::new("warn"));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_well_formed() {
+        CommandLine::command().debug_assert();
+    }
+
+    #[test]
+    fn options_may_stand_behind_the_words_they_belong_to() {
+        let parse = |line: &str| CommandLine::try_parse_from(line.split_whitespace());
+        for line in [
+            "palpate queue add e.toml --json --data d",
+            "palpate queue --json",
+            "palpate rig jog z -3.5 --url http://127.0.0.1:9",
+            "palpate run e.toml --virtual --speed 50 --json -y",
+            "palpate virtual-operator --control c --url u --speed 3",
+            "palpate virtual-rig --speed 20",
+            "palpate pause --now --why lunch",
+        ] {
+            assert!(parse(line).is_ok(), "{line}: {:?}", parse(line).err());
+        }
+        assert!(parse("palpate lock note --clear").is_err());
+    }
+}

@@ -20,6 +20,10 @@ use crate::rig::traits::{Axis, AxisStatus, Bench, CellVolts};
 const POLL_S: f64 = 0.010;
 /// Shortest pause between two polls, wall s: an accelerated rig is not polled to death.
 const POLL_WALL_S: f64 = 200e-6;
+/// Share of the slowest poll that is remembered after one more.
+const POLL_MEMORY: f64 = 0.99;
+/// How late this computer may be between two polls, wall s.
+const LATE_WALL_S: f64 = 0.005;
 /// Wall time granted to a motion beyond its predicted duration.
 const GRACE: Duration = Duration::from_secs(3);
 /// Longest homing of one axis, process s.
@@ -58,6 +62,8 @@ pub struct Stage {
     pub surface: Option<TouchOffRecord>,
     /// Largest force on a cell since it was last cleared, N.
     pub peak_n: f64,
+    /// Slowest round of polling of late, process s.
+    slowest_poll_s: f64,
 }
 
 /// What one poll read.
@@ -75,7 +81,17 @@ impl Stage {
         let limits =
             ForceLimits { each_n: config.limits.force_n, sum_n: config.limits.force_sum_n };
         let tare_v = [config.cells.zero_v(); ARMS];
-        Self { bench, config, clock, tips: 0, limits, tare_v, surface: None, peak_n: 0.0 }
+        Self {
+            bench,
+            config,
+            clock,
+            tips: 0,
+            limits,
+            tare_v,
+            surface: None,
+            peak_n: 0.0,
+            slowest_poll_s: 0.0,
+        }
     }
 
     fn axis(&self, name: AxisName) -> (&dyn Axis, f64, f64, f64) {
@@ -171,9 +187,13 @@ impl Stage {
             self.require_clear().await?;
         }
         let deadline = self.start(targets).await?;
+        let mut polled_s = self.clock.process_s();
         loop {
             control.attend().await?;
             let (statuses, reading) = self.watch(targets, weighing).await?;
+            let now_s = self.clock.process_s();
+            self.note_poll(now_s - polled_s);
+            polled_s = now_s;
             let mut arrived = true;
             for (&(name, target, _), status) in targets.iter().zip(&statuses) {
                 let (axis, tolerance, ..) = self.axis(name);
@@ -294,6 +314,27 @@ impl Stage {
             z_mm,
             radius_mm,
         }
+    }
+
+    /// Longest time between a force and the stop that it asks for, process s: the cells' update, two
+    /// polls as slow as the slowest of late (a wire that several devices share, or a fast clock,
+    /// makes them long), and what this computer may be late besides.
+    pub fn blind_s(&self) -> f64 {
+        let late_s = LATE_WALL_S * self.clock.rate();
+        self.config.cells.update_ms / 1e3 + 2.0 * self.slowest_poll_s.max(POLL_S) + late_s
+    }
+
+    /// Notes how long one round of polling took; a slow one is forgotten within some hundred.
+    fn note_poll(&mut self, took_s: f64) {
+        self.slowest_poll_s = took_s.max(self.slowest_poll_s * POLL_MEMORY);
+    }
+
+    /// Speed at which a surface may be looked for whose height is not known, mm/s: what is felt
+    /// after `blind_s` stays within the margin of the force limit.
+    pub fn search_speed_mm_s(&self) -> f64 {
+        let limits = &self.config.limits;
+        let speed = limits.force_margin_n / (limits.stiffness_n_per_mm * self.blind_s());
+        speed.min(self.config.approach_speed_mm_s())
     }
 
     /// Moves z at the approach speed, weighing at every poll.

@@ -23,7 +23,7 @@ const ENOUGH_N: f64 = 25.0;
 const BACK_OFF_MM: f64 = 1.5;
 /// How far below the first touch late tips are looked for, mm.
 const LATE_TIP_MM: f64 = 4.0;
-/// Blur of the height by a cell's update period in the fine approach, mm.
+/// Blur of the height by the time between two samples in the fine approach, mm.
 const BLUR_MM: f64 = 0.05;
 
 /// Touches every place and makes the result the stage's surface.
@@ -72,7 +72,7 @@ async fn touch(
         let near = first - 2.0 * BACK_OFF_MM;
         stage.travel(control, &[(AxisName::Z, near.max(z.travel_mm[0]))], true).await?;
     }
-    let coarse = stage.config.approach_speed_mm_s();
+    let coarse = stage.search_speed_mm_s();
     let (tare_v, per_volt) = (stage.tare_v, stage.config.cells.newtons_per_volt());
     let force = move |s: &Sample, i: usize| (s.volts[i] - tare_v[i]) * per_volt;
     let felt = stage
@@ -87,7 +87,7 @@ async fn touch(
     let felt_mm = stage.bench.z.status().await?.position;
     let back = (felt_mm - BACK_OFF_MM).max(z.travel_mm[0]);
     stage.travel(control, &[(AxisName::Z, back)], false).await?;
-    let fine = (BLUR_MM / (stage.config.cells.update_ms / 1e3)).min(coarse);
+    let fine = (BLUR_MM / stage.blind_s()).min(coarse);
     let deepest = (felt_mm + LATE_TIP_MM).min(z.travel_mm[1]);
     let mut heights = [None::<f64>; 6];
     stage

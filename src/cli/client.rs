@@ -36,11 +36,22 @@ pub struct Client {
 impl Client {
     /// A client of the service at a URL, with the key of the environment.
     pub fn new(url: &str) -> Result<Self, CliError> {
+        let key = std::env::var(KEY_VARIABLE).ok().filter(|k| !k.is_empty());
+        Self::with(url, key)
+    }
+
+    /// A client of a service in this process, which needs no key and would not know ours.
+    pub fn of_own(url: &str) -> Result<Self, CliError> {
+        Self::with(url, None)
+    }
+
+    fn with(url: &str, key: Option<String>) -> Result<Self, CliError> {
+        // A lab's rig is on the lab's net: a proxy for the world outside is never in between.
         let http = reqwest::Client::builder()
             .timeout(ANSWER)
+            .no_proxy()
             .build()
             .map_err(|source| CliError::Http { operation: "HTTP client".into(), source })?;
-        let key = std::env::var(KEY_VARIABLE).ok().filter(|k| !k.is_empty());
         let user = std::env::var("USER").ok().filter(|u| !u.is_empty());
         let who = user.unwrap_or_else(|| "cli".into());
         Ok(Self { url: url.trim_end_matches('/').into(), http, key, who })
@@ -135,6 +146,13 @@ impl Client {
         body: &impl Serialize,
     ) -> Result<T, CliError> {
         self.ask(Method::POST, path, Some(body)).await
+    }
+
+    /// Deletes something, in our name.
+    pub async fn delete(&self, path: &str) -> Result<(), CliError> {
+        let who: String = self.who.bytes().map(|b| format!("%{b:02X}")).collect();
+        let path = format!("{path}?who={who}");
+        self.send(Method::DELETE, &path, None::<&Value>).await.map(|_| ())
     }
 
     /// Sends a request, reads an answer.

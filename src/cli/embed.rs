@@ -43,10 +43,7 @@ pub fn options(data: PathBuf, rig: &RigFiles) -> ServeOptions {
 }
 
 /// Does `work` with the server that is there, or with one started for it.
-pub async fn with_server<T, F>(
-    at: &At,
-    work: impl FnOnce(Client) -> F,
-) -> Result<T, CliError>
+pub async fn with_server<T, F>(at: &At, work: impl FnOnce(Client) -> F) -> Result<T, CliError>
 where
     F: Future<Output = Result<T, CliError>> + Send + 'static,
     T: Send + 'static,
@@ -68,7 +65,7 @@ where
     T: Send + 'static,
 {
     let service = Service::start(options).await?;
-    let client = match Client::new(&service.url()) {
+    let client = match Client::of_own(&service.url()) {
         Ok(client) => client,
         Err(error) => {
             service.shutdown().await;

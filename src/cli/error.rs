@@ -79,12 +79,6 @@ pub enum CliError {
         /// What tripped it.
         detail: String,
     },
-    /// A run is under way already.
-    #[error("run {scan_id} is under way; put this one behind it with `palpate queue add`")]
-    Busy {
-        /// Its number.
-        scan_id: i64,
-    },
     /// Nothing runs.
     #[error("no run is under way")]
     Idle,
@@ -122,7 +116,9 @@ impl CliError {
     /// 2 for bad input, 1 for everything else.
     pub fn exit_code(&self) -> ExitCode {
         match self {
-            CliError::Problems(_) | CliError::NotConfirmed { .. } => ExitCode::from(2),
+            CliError::Problems(_)
+            | CliError::NotConfirmed { .. }
+            | CliError::Refused { status: 422, .. } => ExitCode::from(2),
             _ => ExitCode::FAILURE,
         }
     }

@@ -59,10 +59,8 @@ impl ExperimentFiles {
     pub fn read(path: &Path) -> Result<Self, CliError> {
         let file = path.display().to_string();
         let definition = read_input(path)?;
-        let experiment =
-            Experiment::from_toml(&file, &definition).map_err(CliError::Problems)?;
-        let sensor_path: PathBuf =
-            path.parent().unwrap_or(Path::new("")).join(&experiment.sensor);
+        let experiment = Experiment::from_toml(&file, &definition).map_err(CliError::Problems)?;
+        let sensor_path: PathBuf = path.parent().unwrap_or(Path::new("")).join(&experiment.sensor);
         let sensor_text = read_named(&file, "sensor", &experiment.sensor, &sensor_path)?;
         let sensor = parse_sensor(&sensor_path.display().to_string(), &sensor_text)?;
         let plan = Plan::of(&file, &experiment, &sensor).map_err(CliError::Problems)?;

@@ -166,14 +166,15 @@ pub struct EventView {
 }
 
 impl EventView {
-    /// What it says to a person who watches the run; none for what the progress bar shows anyway.
+    /// What it says to a person who watches the run; none for what the progress shows anyway.
     pub fn words(&self) -> Option<String> {
         let text = |key: &str| self.data[key].as_str().unwrap_or("?").to_owned();
         match self.kind.as_str() {
-            "wanted" => Some(format!("wanted: {}", text("words"))),
+            "wanted" => Some(format!("wanted: {}{}", text("words"), self.weights())),
             "trip" => Some(format!("trip ({}): {}", text("kind"), text("detail"))),
             "skipped" => {
-                Some(format!("skipped configuration {}: {}", self.data["configuration"], text("reason")))
+                let configuration = &self.data["configuration"];
+                Some(format!("skipped configuration {configuration}: {}", text("reason")))
             }
             "attempt_failed" => {
                 Some(format!("attempt {} failed: {}", self.data["attempt"], text("reason")))
@@ -181,15 +182,35 @@ impl EventView {
             "suspended" | "raise_failed" | "store" | "repeat" | "not_gone_on" => {
                 Some(format!("{}: {}", self.kind.replace('_', " "), text("why")))
             }
-            "recovering" => Some("recovering: the cause is looked for again".into()),
-            "state" => self.data["state"].as_str().filter(|s| !matches!(*s, "running" | "idle")).map(
-                |state| match self.data["why"].as_str() {
-                    Some(why) => format!("{state} ({})", why.replace('_', " ")),
-                    None => state.into(),
-                },
-            ),
+            "recovering" => Some("recovering: looking whether the cause is gone".into()),
+            "state" => self.state_words(),
             _ => None,
         }
+    }
+
+    /// A change of state, unless the wish behind it has been told.
+    fn state_words(&self) -> Option<String> {
+        let state = self.data["state"].as_str()?;
+        match self.data["why"].as_str() {
+            _ if matches!(state, "running" | "idle") => None,
+            Some("tip_change" | "manual_trial") => None,
+            Some(why) => Some(format!("{state} ({})", why.replace('_', " "))),
+            None => Some(state.into()),
+        }
+    }
+
+    /// Where a person puts which weight.
+    fn weights(&self) -> String {
+        let contacts = self.data["wanted"]["contacts"].as_array();
+        contacts
+            .into_iter()
+            .flatten()
+            .map(|c| {
+                let number = |key: &str| c[key].as_f64().unwrap_or(f64::NAN);
+                let (x, y, force) = (number("x_mm"), number("y_mm"), number("force_n"));
+                format!("\n    {force:.3} N at x {x:.1}, y {y:.1} mm")
+            })
+            .collect()
     }
 }
 
@@ -207,8 +228,14 @@ mod tests {
         let words = |kind, data| event(kind, data).words();
         let trip = json!({ "kind": "force", "detail": "arm 2: 81.0 N over 80.0 N" });
         assert_eq!(words("trip", trip).unwrap(), "trip (force): arm 2: 81.0 N over 80.0 N");
-        let paused = json!({ "state": "paused", "why": "tip_change" });
-        assert_eq!(words("state", paused).unwrap(), "paused (tip change)");
+        let paused = |why: &str| words("state", json!({ "state": "paused", "why": why }));
+        assert_eq!(paused("operator").unwrap(), "paused (operator)");
+        assert_eq!(paused("tip_change"), None);
+        let wanted = json!({ "words": "place 1 weights", "wanted": { "trial": 3, "contacts": [
+            { "x_mm": 100.0, "y_mm": 80.04, "force_n": 4.905 },
+        ]}});
+        let shown = "wanted: place 1 weights\n    4.905 N at x 100.0, y 80.0 mm";
+        assert_eq!(words("wanted", wanted).unwrap(), shown);
         assert_eq!(words("state", json!({ "state": "running" })), None);
         assert_eq!(words("touch_off", json!({})), None);
     }

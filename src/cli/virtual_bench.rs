@@ -13,6 +13,7 @@ use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{Child, ChildStdout, Command};
 use tokio::time::timeout;
 
+use super::client::KEY_VARIABLE;
 use super::error::CliError;
 use super::files::{DEFAULT_GAP, RigFiles, write};
 use crate::rig::config::Label;
@@ -90,6 +91,8 @@ impl VirtualBench {
         let mut command = this_program("virtual-operator")?;
         command.args(["--url", url, "--control", &self.control, "--with-parent"]);
         command.arg("--speed").arg(self.speed.to_string());
+        // The service in this process needs no key, and no proxy leads to it.
+        command.env_remove(KEY_VARIABLE).env("NO_PROXY", "127.0.0.1");
         let log = self.folder.join("operator.log");
         start("virtual operator", &mut command, &log, Stdio::null()).map(VirtualOperator)
     }
@@ -107,11 +110,7 @@ impl VirtualOperator {
     }
 }
 
-fn rig_command(
-    options: &BenchOptions,
-    folder: &Path,
-    served: &Path,
-) -> Result<Command, CliError> {
+fn rig_command(options: &BenchOptions, folder: &Path, served: &Path) -> Result<Command, CliError> {
     let (rig, sensor) = (folder.join("rig.toml"), folder.join("sensor.toml"));
     // Nothing that a stand-in gives may be called measured.
     let mut config = options.rig.config.clone();
@@ -159,14 +158,13 @@ fn start(
     command.spawn().map_err(|e| failed(name, &e.to_string(), log))
 }
 
-async fn ready_line(
-    stdout: &mut BufReader<ChildStdout>,
-    log: &Path,
-) -> Result<Ready, CliError> {
+async fn ready_line(stdout: &mut BufReader<ChildStdout>, log: &Path) -> Result<Ready, CliError> {
     let name = "virtual rig";
     let mut line = String::new();
     match timeout(READY, stdout.read_line(&mut line)).await {
-        Err(_) => Err(CliError::Late { what: "the virtual rig's start".into(), after_s: READY.as_secs() }),
+        Err(_) => {
+            Err(CliError::Late { what: "the virtual rig's start".into(), after_s: READY.as_secs() })
+        }
         Ok(Err(e)) => Err(failed(name, &e.to_string(), log)),
         Ok(Ok(0)) => Err(failed(name, &format!("ended at its start{}", tail(log)), log)),
         Ok(Ok(_)) => serde_json::from_str(&line)

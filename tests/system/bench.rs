@@ -34,6 +34,10 @@ pub fn rig_args(rig: &str, speed: f64) -> RigArgs {
     }
 }
 
+/// An accelerated rig needs the machine for itself: what is late by a wall millisecond is late by
+/// tens of its own.
+static ONE_AT_A_TIME: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
+
 /// Everything of one test; its folder goes with it.
 pub struct Lab {
     /// Switched on.
@@ -43,17 +47,19 @@ pub struct Lab {
     /// Of the database.
     pub data: PathBuf,
     http: reqwest::Client,
+    turn: tokio::sync::MutexGuard<'static, ()>,
 }
 
 impl Lab {
     /// Switches everything on.
     pub async fn open(name: &str, args: RigArgs) -> Self {
+        let turn = ONE_AT_A_TIME.lock().await;
         let speed = args.speed.unwrap();
         let rig = VirtualRig::switch_on(&args).await.unwrap();
         let data = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("system-{name}"));
         std::fs::remove_dir_all(&data).ok();
         let service = Service::start(options(&rig, &data)).await.unwrap();
-        let lab = Self { rig, service, data, http: reqwest::Client::new() };
+        let lab = Self { rig, service, data, http: reqwest::Client::new(), turn };
         lab.call_operator(speed);
         lab
     }
@@ -159,10 +165,35 @@ impl Lab {
         let page = self.get(&format!("/api/v1/runs/{run}/trials?limit=10000")).await;
         let trials = page["trials"].as_array().unwrap().iter();
         trials
-            .map(|t| {
-                (t["configuration"].as_u64().unwrap(), t["depth_index"].as_u64().unwrap())
-            })
+            .map(|t| (t["configuration"].as_u64().unwrap(), t["depth_index"].as_u64().unwrap()))
             .collect()
+    }
+
+    /// Tells the rig's control socket something, as a hand would.
+    pub async fn tell_rig(&self, command: Value) {
+        use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
+        let wire = tokio::net::TcpStream::connect(&self.rig.ready.control).await.unwrap();
+        let mut wire = BufReader::new(wire);
+        wire.get_mut().write_all(format!("{command}\n").as_bytes()).await.unwrap();
+        let mut reply = String::new();
+        wire.read_line(&mut reply).await.unwrap();
+        assert!(reply.contains("\"ok\":true"), "{command}: {reply}");
+    }
+
+    /// Waits until a run has stored so many trials.
+    pub async fn stored(&self, n: u64) {
+        let enough = |s: &Value| s["run"]["trials_stored"].as_u64().is_some_and(|t| t >= n);
+        self.until("progress", enough).await;
+    }
+
+    /// The service ends and another starts on the same database, as after a reboot.
+    pub async fn restart(self) -> Self {
+        let Self { rig, service, data, http, turn } = self;
+        service.shutdown().await;
+        let service = Service::start(options(&rig, &data)).await.unwrap();
+        let lab = Self { rig, service, data, http, turn };
+        lab.call_operator(40.0);
+        lab
     }
 
     /// Switches everything off.

@@ -1,31 +1,208 @@
-//! Campaigns from the queue to their end.
+//! Campaigns from the queue to their end, with people and faults in between.
 
 use std::collections::BTreeSet;
 
-use serde_json::json;
+use serde_json::{Value, json};
 
 use super::bench::{Lab, rig_args};
 
 /// Two settings of three configurations and four depths: 24 trials.
-pub const SMALL: &str = "name = 'small'\nseed = 5\nsensor = 's'\n[real_hex]\ntips = [1, 4]\n\
+const SMALL: &str = "name = 'small'\nseed = 5\nsensor = 's'\n[real_hex]\ntips = [1, 4]\n\
      configurations = 3\ndepths = 4\ndepth_step_mm = 1.25\nblock = 3\nreference_every = 2\n\
-     [measure]\nsettle_ms = 400.0\n";
+     [measure]\nsettle_ms = 400.0\n[policy]\nauto_resume_after_s = 0.2\n";
+const TRIALS: usize = 24;
+/// Process seconds in a wall second.
+const SPEED: f64 = 40.0;
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_small_campaign_stores_every_planned_trial_once() {
-    let lab = Lab::open("small", rig_args("virtual", 40.0)).await;
+async fn started(name: &str) -> (Lab, String) {
+    let lab = Lab::open(name, rig_args("virtual", SPEED)).await;
     lab.home().await;
     let run = lab.queue(SMALL).await;
     lab.start(&run).await;
-    let summary = lab.ended(&run).await;
+    (lab, run)
+}
+
+/// Ended with success, and every planned trial is there once.
+async fn complete(lab: &Lab, run: &str) -> Value {
+    let summary = lab.ended(run).await;
     assert_eq!(summary["run"]["exit_status"], "success", "{summary:#}\n{:#}", lab.events().await);
-    assert_eq!(summary["trials_stored"], 24);
-    let keys = lab.keys(&run).await;
-    assert_eq!(keys.len(), 24);
-    assert_eq!(keys.iter().collect::<BTreeSet<_>>().len(), 24);
+    let keys = lab.keys(run).await;
+    assert_eq!(keys.len(), TRIALS);
+    assert_eq!(keys.iter().collect::<BTreeSet<_>>().len(), TRIALS);
+    summary
+}
+
+async fn home_again(lab: &Lab) {
+    let act = |action: &str| json!({ "action": action, "who": "test" });
+    lab.posted("/api/v1/rig/actions", act("reset")).await;
+    lab.posted("/api/v1/rig/actions", act("home")).await;
+    lab.until("homed", |s| s["rig"]["state"] == "homed").await;
+}
+
+fn kinds(events: &Value) -> Vec<&str> {
+    events.as_array().unwrap().iter().map(|e| e["kind"].as_str().unwrap()).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_small_campaign_stores_every_planned_trial_once() {
+    let (lab, run) = started("small").await;
+    let summary = complete(&lab, &run).await;
+    assert_eq!(summary["settings"], json!([{"tips": 1, "stored": 12}, {"tips": 4, "stored": 12}]));
+    assert_eq!(summary["retries"], 0);
     let page = lab.get(&format!("/api/v1/runs/{run}/trials?limit=100")).await;
     for trial in page["trials"].as_array().unwrap() {
         assert_eq!(trial["flags"], json!([]), "{trial:#}");
     }
+    let deep = lab.get(&format!("/api/v1/runs/{run}/trials?depth_mm__eq=3.75&tips__eq=4")).await;
+    for trial in deep["trials"].as_array().unwrap() {
+        assert!(trial["max_force_n"].as_f64().unwrap() > 10.0, "{trial:#}");
+        let forces = trial["forces_n"].as_array().unwrap();
+        assert_eq!(forces.iter().filter(|f| f.is_number()).count(), 4, "{trial:#}");
+    }
+    let records = |kind: &str| format!("/api/v1/runs/{run}/records/{kind}");
+    assert_eq!(lab.get(&records("touch-offs")).await.as_array().unwrap().len(), 2);
+    // Before the first, after the second, at the end of each setting; each has its own tare.
+    let references = lab.get(&records("references")).await.as_array().unwrap().len();
+    let tares = lab.get(&records("tares")).await.as_array().unwrap().len();
+    assert_eq!(tares, 6 + references);
     lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_pauses_and_goes_on_and_what_its_state_forbids_is_refused() {
+    let (lab, run) = started("pause").await;
+    lab.stored(3).await;
+    let act = |action: Value| lab.act(&run, action);
+    assert_eq!(act(json!({ "action": "pause", "who": "eve", "why": "lunch" })).await.0, 202);
+    let paused = lab.until("a pause", |s| s["run"]["state"] == "paused").await;
+    assert_eq!(paused["run"]["paused_why"], "operator");
+    assert!(paused["rig"]["pose"]["z_mm"].as_f64().unwrap() < 60.0, "{paused:#}");
+    let (status, problem) = act(json!({ "action": "pause" })).await;
+    assert_eq!((status, &problem["status"]), (409, &json!(409)), "{problem}");
+    let second = lab.queue(SMALL).await;
+    let (status, _) =
+        lab.act(&second, json!({ "action": "start", "code": "", "who": "test" })).await;
+    assert_eq!(status, 409, "a start needs its arming");
+    assert_eq!(act(json!({ "action": "resume" })).await.0, 202);
+    lab.stored(10).await;
+    assert_eq!(act(json!({ "action": "pause", "when": "now" })).await.0, 202);
+    lab.until("a pause", |s| s["run"]["state"] == "paused").await;
+    assert_eq!(act(json!({ "action": "resume" })).await.0, 202);
+    complete(&lab, &run).await;
+    let actions = lab.get(&format!("/api/v1/actions?run={run}")).await;
+    let logged = actions.as_array().unwrap().iter().find(|a| a["why"] == "lunch").unwrap();
+    assert_eq!((&logged["who"], &logged["accepted"]), (&json!("eve"), &json!(true)));
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn stop_ends_with_success_and_abort_with_abort_and_both_raise() {
+    let (lab, run) = started("stop").await;
+    lab.stored(2).await;
+    assert_eq!(lab.act(&run, json!({ "action": "stop" })).await.0, 202);
+    let summary = lab.ended(&run).await;
+    assert_eq!(summary["run"]["exit_status"], "success");
+    assert!(summary["trials_stored"].as_u64().unwrap() < TRIALS as u64);
+    let run = lab.queue(SMALL).await;
+    lab.start(&run).await;
+    lab.stored(2).await;
+    assert_eq!(lab.act(&run, json!({ "action": "abort" })).await.0, 202);
+    assert_eq!(lab.ended(&run).await["run"]["exit_status"], "abort");
+    let status = lab.until("rest", |s| s["run"].is_null()).await;
+    assert_eq!(status["rig"]["state"], "homed");
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_emergency_stop_latches_until_a_person_resets_and_loses_nothing() {
+    let (lab, run) = started("estop").await;
+    lab.stored(5).await;
+    lab.posted("/estop", json!({ "why": "smoke" })).await;
+    let tripped = lab.until("a trip", |s| s["run"]["paused_why"] == "trip").await;
+    assert_eq!(tripped["rig"]["state"], "tripped", "{tripped:#}");
+    assert_eq!(tripped["rig"]["trip"]["kind"], "estop");
+    let (status, _) = lab.act(&run, json!({ "action": "resume" })).await;
+    assert_eq!(status, 409, "a latched rig goes on with nothing");
+    home_again(&lab).await;
+    lab.posted(&format!("/api/v1/runs/{run}/actions"), json!({ "action": "resume" })).await;
+    complete(&lab, &run).await;
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_service_that_was_ended_in_the_middle_goes_on_by_itself() {
+    let (lab, run) = started("restart").await;
+    lab.stored(5).await;
+    let lab = lab.restart().await;
+    let summary = complete(&lab, &run).await;
+    assert_eq!(summary["retries"], 0, "what was under way is not a failure");
+    assert!(kinds(&lab.events().await).contains(&"went_on"));
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn bad_wires_are_retried_then_trip_and_the_run_goes_on_by_itself() {
+    let (lab, run) = started("faults").await;
+    lab.stored(2).await;
+    let fault = |kind: &str, device: &str, more: Value| {
+        let mut fault = json!({ "cmd": "fault", "kind": kind, "device": device });
+        fault.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+        fault
+    };
+    lab.tell_rig(fault("no_reply", "z", json!({ "count": 1, "executed": true }))).await;
+    lab.tell_rig(fault("flip_bytes", "ert", json!({ "count": 3 }))).await;
+    lab.stored(5).await;
+    lab.tell_rig(fault("disconnect", "stage", json!({ "for_s": 120.0 }))).await;
+    lab.until("a trip", |s| s["run"]["paused_why"] == "trip").await;
+    complete(&lab, &run).await;
+    let events = lab.events().await;
+    assert!(kinds(&events).contains(&"recovering"), "{events:#}");
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn weights_are_placed_confirmed_measured_and_repeated() {
+    let lab = Lab::open("random", rig_args("virtual", SPEED)).await;
+    lab.home().await;
+    let definition = "name = 'weights'\nseed = 2\nsensor = 's'\n[real_random]\ncontacts = [2, 3]\n\
+        trials_each = 3\nweights_n = [4.905, 9.81]\n[measure]\nframes_per_trial = 5\n";
+    let run = lab.queue(definition).await;
+    lab.start(&run).await;
+    let summary = lab.ended(&run).await;
+    assert_eq!(summary["run"]["exit_status"], "success", "{summary:#}\n{:#}", lab.events().await);
+    assert_eq!(summary["contact_counts"], json!([0, 0, 3, 3, 0, 0, 0]));
+    let page = lab.get(&format!("/api/v1/runs/{run}/trials?limit=100")).await;
+    for trial in page["trials"].as_array().unwrap() {
+        assert_eq!(trial["placed_by"], "virtual operator");
+        assert_eq!(trial["frame_count"], 5);
+        assert_eq!(trial["forces_n"], json!([null, null, null, null, null, null]));
+    }
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_same_campaign_on_other_axes_and_wires_has_the_same_keys_and_targets() {
+    let mut seen = Vec::new();
+    for rig in ["iai-modbus-tcp", "oriental-az-rtu"] {
+        let lab = Lab::open(&format!("wires-{rig}"), rig_args(rig, 8.0)).await;
+        lab.home().await;
+        let run = lab.queue(SMALL).await;
+        lab.start(&run).await;
+        complete(&lab, &run).await;
+        let page = lab.get(&format!("/api/v1/runs/{run}/trials?limit=100")).await;
+        let place = |t: &Value| {
+            let target = &t["target"];
+            json!([
+                t["configuration"],
+                t["depth_index"],
+                target["x_mm"],
+                target["y_mm"],
+                target["radius_mm"],
+                t["depth_mm"]
+            ])
+        };
+        seen.push(page["trials"].as_array().unwrap().iter().map(place).collect::<Vec<_>>());
+        lab.close().await;
+    }
+    assert_eq!(seen[0], seen[1]);
 }

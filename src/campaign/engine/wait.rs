@@ -4,10 +4,7 @@
 use serde_json::json;
 use tokio::time::Instant;
 
-use super::{
-    Attempts, Engine, IDLE_TICK, LONGEST_BACKOFF, Next, Waited, backoff, no_wires, require_tips,
-    trip_of,
-};
+use super::{Attempts, Engine, IDLE_TICK, Next, Waited, backoff, no_wires, require_tips, trip_of};
 use crate::campaign::command::{Envelope, Refusal, Request};
 use crate::campaign::control::name;
 use crate::campaign::halt::Halt;
@@ -32,6 +29,7 @@ impl Engine {
             return Ok(Next::Leave);
         }
         let mut try_at = passing.map(|n| Instant::now() + backoff(job, n));
+        let mut failures = 0;
         let mut tick = tokio::time::interval(IDLE_TICK);
         tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
         loop {
@@ -45,9 +43,14 @@ impl Engine {
                     let ended = self.raise_when_possible(job).await;
                     if ended.is_some() {
                         ended
-                    } else if try_at.is_some_and(|at| Instant::now() >= at) {
-                        try_at = Some(Instant::now() + LONGEST_BACKOFF);
-                        self.recover().await.then_some(Waited::Resume)
+                    } else if try_at.is_some_and(|at| Instant::now() >= at)
+                        && matches!(self.control.run(), RunState::Paused(PausedWhy::Trip))
+                    {
+                        let recovered = self.recover().await;
+                        failures += 1;
+                        let before = passing.unwrap_or_default() + failures;
+                        try_at = Some(Instant::now() + backoff(job, before));
+                        recovered.then_some(Waited::Resume)
                     } else {
                         None
                     }
@@ -88,9 +91,6 @@ impl Engine {
 
     /// The policy's own way out of a trip that may pass: reset, check, home, arm, go on.
     pub(super) async fn recover(&mut self) -> bool {
-        if !matches!(self.control.run(), RunState::Paused(PausedWhy::Trip)) {
-            return false;
-        }
         self.control.say("recovering", json!({})).await;
         let Some(connection) = self.connection.as_ref() else { return false };
         let bench = connection.open.bench.clone();

@@ -1,0 +1,150 @@
+//! `palpate lock` and `palpate key`: who may start and edit, and who may ask at all.
+//! Uses: `client`. Never: a key's text anywhere but in the one answer that makes it.
+
+use clap::{Args, Subcommand, ValueEnum};
+use reqwest::Method;
+use serde_json::{Value, json};
+
+use super::client::Client;
+use super::error::CliError;
+use super::output::{say, say_json};
+use super::{At, embed};
+use crate::store::{KeyRow, LockRow};
+
+/// Options of `lock`.
+#[derive(Debug, Clone, Args)]
+pub struct LockArgs {
+    /// Take the lock with this note; without it the lock is shown.
+    #[arg(conflicts_with = "clear")]
+    pub note: Option<String>,
+    /// Give the lock back.
+    #[arg(long)]
+    pub clear: bool,
+    /// Where the server is, or the data.
+    #[command(flatten)]
+    pub at: At,
+}
+
+/// Options of `key`.
+#[derive(Debug, Clone, Args)]
+pub struct KeyArgs {
+    /// What to do; lists the keys if absent.
+    #[command(subcommand)]
+    pub command: Option<KeyCommand>,
+    /// Where the server is, or the data.
+    #[command(flatten)]
+    pub at: At,
+}
+
+/// What can be done with keys.
+#[derive(Debug, Clone, Subcommand)]
+pub enum KeyCommand {
+    /// Make a key; its text is shown this once.
+    Create {
+        /// Whose, or what for.
+        name: String,
+        /// What its holder may do.
+        #[arg(long, value_enum, default_value_t = RoleName::Operator)]
+        role: RoleName,
+    },
+    /// Show the keys, without their texts.
+    List,
+    /// Revoke a key.
+    Revoke {
+        /// Its number.
+        id: i64,
+    },
+}
+
+/// What the holder of a key may do; each may do what the ones before may.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum RoleName {
+    /// Look, and stop.
+    Viewer,
+    /// Run and move.
+    Operator,
+    /// Manage keys, break the lock.
+    Admin,
+}
+
+impl RoleName {
+    fn as_str(self) -> &'static str {
+        match self {
+            RoleName::Viewer => "viewer",
+            RoleName::Operator => "operator",
+            RoleName::Admin => "admin",
+        }
+    }
+}
+
+/// `palpate lock`.
+pub async fn lock(args: LockArgs) -> Result<(), CliError> {
+    let LockArgs { note, clear, at } = args;
+    let json = at.json;
+    embed::with_server(&at, move |client| async move {
+        if clear {
+            client.delete("/api/v1/lock").await?;
+        } else if let Some(note) = note {
+            let body = json!({ "holder": client.who(), "note": note });
+            client.ask::<LockRow>(Method::PUT, "/api/v1/lock", Some(&body)).await?;
+        }
+        let lock: Option<LockRow> = client.get("/api/v1/lock").await?;
+        match lock {
+            lock if json => say_json(&lock),
+            Some(l) => say(format_args!("locked by {} since {}: {}", l.holder, l.since, l.note)),
+            None => say("not locked"),
+        }
+        Ok(())
+    })
+    .await
+}
+
+/// `palpate key`.
+pub async fn key(args: KeyArgs) -> Result<(), CliError> {
+    let (json, command) = (args.at.json, args.command.unwrap_or(KeyCommand::List));
+    embed::with_server(&args.at, move |client| async move {
+        match command {
+            KeyCommand::Create { name, role } => create(&client, &name, role, json).await,
+            KeyCommand::List => list(&client, json).await,
+            KeyCommand::Revoke { id } => {
+                client.delete(&format!("/api/v1/keys/{id}")).await?;
+                list(&client, json).await
+            }
+        }
+    })
+    .await
+}
+
+async fn create(client: &Client, name: &str, role: RoleName, json: bool) -> Result<(), CliError> {
+    let body = json!({ "name": name, "role": role.as_str() });
+    let made: Value = client.post("/api/v1/keys", &body).await?;
+    if json {
+        say_json(&made);
+        return Ok(());
+    }
+    let (id, role) = (&made["key"]["id"], role.as_str());
+    say(format_args!("key {id}, {name}, {role}; it is shown this once:"));
+    say(made["secret"].as_str().unwrap_or_default());
+    Ok(())
+}
+
+async fn list(client: &Client, json: bool) -> Result<(), CliError> {
+    let keys: Vec<KeyRow> = client.get("/api/v1/keys").await?;
+    if json {
+        say_json(&keys);
+        return Ok(());
+    }
+    if keys.is_empty() {
+        say("no keys");
+    }
+    for key in keys {
+        let state = match (key.revoked_at, key.last_used_at) {
+            (Some(at), _) => format!("revoked {at}"),
+            (None, Some(at)) => format!("last used {at}"),
+            (None, None) => "never used".into(),
+        };
+        let role = format!("{:?}", key.role).to_lowercase();
+        say(format_args!("{:>4}  {:<20} {role:<9} {state}", key.id, key.name));
+    }
+    Ok(())
+}

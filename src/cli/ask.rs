@@ -1,0 +1,144 @@
+//! `palpate status`, `pause`, `resume`, `stop`, `abort`, `confirm`, `repeat`, `estop`: questions and
+//! requests to the server that drives the rig.
+//! Uses: `client`. Never: a server of its own (there would be nothing to ask).
+
+use std::time::Duration;
+
+use clap::Args;
+use serde_json::{Value, json};
+use tokio::time::Instant;
+
+use super::error::CliError;
+use super::output::{counted, duration, say, say_json};
+use super::view::{RunView, StatusView};
+use super::{At, embed};
+
+/// Longest look for the axes' acknowledgement of an emergency stop.
+const ACKNOWLEDGED: Duration = Duration::from_secs(2);
+/// Between two looks.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// Options of a request to the run under way.
+#[derive(Debug, Clone, Args)]
+pub struct ActArgs {
+    /// Why, for the log of actions.
+    #[arg(long, value_name = "TEXT")]
+    pub why: Option<String>,
+    /// Where the server is.
+    #[command(flatten)]
+    pub at: At,
+}
+
+/// Options of `pause`.
+#[derive(Debug, Clone, Args)]
+pub struct PauseArgs {
+    /// Raise now, instead of after the trial.
+    #[arg(long)]
+    pub now: bool,
+    /// As for every request.
+    #[command(flatten)]
+    pub act: ActArgs,
+}
+
+/// `palpate status`.
+pub async fn status(at: &At) -> Result<(), CliError> {
+    let client = embed::server(at).await?;
+    if at.json {
+        let status: Value = client.get("/api/v1/status").await?;
+        say_json(&status);
+        return Ok(());
+    }
+    say(status_words(&client.status().await?));
+    Ok(())
+}
+
+/// A request to the run under way.
+pub async fn act(args: &ActArgs, action: &str, mut more: Value) -> Result<(), CliError> {
+    let client = embed::server(&args.at).await?;
+    let run = client.status().await?.run.ok_or(CliError::Idle)?;
+    if let Some(why) = &args.why {
+        more["why"] = why.clone().into();
+    }
+    client.act(run.uid, action, more).await?;
+    if args.at.json {
+        say_json(&json!({ "run": run.uid, "action": action, "taken_up": true }));
+    } else {
+        say(format_args!("run {}: {action} taken up", run.scan_id));
+    }
+    Ok(())
+}
+
+/// `palpate pause`.
+pub async fn pause(args: &PauseArgs) -> Result<(), CliError> {
+    let when = if args.now { "now" } else { "checkpoint" };
+    act(&args.act, "pause", json!({ "when": when })).await
+}
+
+/// `palpate estop`: one call, then the axes' acknowledgement as far as it shows.
+pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
+    // No look whether somebody is there: the stop is the first thing that is sent.
+    let url = args.at.url().unwrap_or_else(|| super::DEFAULT_URL.into());
+    let client = super::client::Client::new(&url)?;
+    let body = json!({ "why": args.why, "who": client.who() });
+    let answer: Value = client.post("/api/v1/estop", &body).await?;
+    let asked = Instant::now();
+    let mut acknowledged_ms = None;
+    while acknowledged_ms.is_none() && asked.elapsed() < ACKNOWLEDGED {
+        tokio::time::sleep(LOOK).await;
+        acknowledged_ms = client.status().await?.rig.estop_acknowledged_ms;
+    }
+    if args.at.json {
+        say_json(&json!({ "latched": answer["latched"], "acknowledged_ms": acknowledged_ms }));
+        return Ok(());
+    }
+    let axes = acknowledged_ms.map_or("no acknowledgement of the axes yet".into(), |ms| {
+        format!("every axis had acknowledged after {ms:.1} ms")
+    });
+    say(format_args!("stopped and latched; {axes}. `palpate rig reset` when all is well."));
+    Ok(())
+}
+
+fn status_words(status: &StatusView) -> String {
+    let rig = &status.rig;
+    let mut lines = vec![format!("rig      {} ({}): {}", rig.name, rig.label, rig.state.as_str())];
+    if rig.trip.is_some() {
+        lines.push(format!("trip     {}", rig.trip_words()));
+    }
+    if let Some(p) = rig.pose {
+        let (x, y, z, r) = (p.x_mm, p.y_mm, p.z_mm, p.radius_mm);
+        lines.push(format!("pose     x {x:.2}  y {y:.2}  z {z:.2}  radius {r:.2} mm"));
+    }
+    let forces: Vec<String> =
+        rig.forces_n.iter().map(|f| f.map_or("-".into(), |f| format!("{f:.2}"))).collect();
+    if !forces.is_empty() {
+        let limit_n = rig.force_limit_n;
+        lines.push(format!("forces   {} N (limit {limit_n:.0})", forces.join("  ")));
+    }
+    if let Some(lock) = &status.lock {
+        lines.push(format!("lock     {}: {}", lock.holder, lock.note));
+    }
+    lines.extend(status.run.as_ref().map_or(vec!["run      none".into()], run_words));
+    lines.push(format!("queue    {}", counted(status.queue_length as u64, "run", "runs")));
+    lines.push(format!("service  {}, {}", status.service.version, status.service.database));
+    lines.join("\n")
+}
+
+fn run_words(run: &RunView) -> Vec<String> {
+    let requested =
+        run.requested_state.as_ref().map_or_else(String::new, |r| format!(", asked to be {r}"));
+    let (id, name, state) = (run.scan_id, &run.experiment, &run.state);
+    let mut lines = vec![format!("run      {id}, {name}: {state}{requested}")];
+    if let Some(words) = &run.waiting_for {
+        lines.push(format!("waits    {words}"));
+    }
+    let retries = counted(run.retries, "retry", "retries");
+    lines.push(format!(
+        "trials   {} of {}, {} skipped, {retries}",
+        run.trials_stored, run.trials_planned, run.trials_skipped
+    ));
+    if let Some(eta) = run.eta {
+        let (low, high) = (duration(eta.low_s), duration(eta.high_s));
+        lines.push(format!("done in  {} ({low} .. {high})", duration(eta.remaining_s)));
+    }
+    lines
+}

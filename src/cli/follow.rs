@@ -1,0 +1,370 @@
+//! Following a run to its end: a progress bar and notable events for people, a line per event for
+//! scripts, and Ctrl-C as a request to the run.
+//! Uses: `client`, indicatif. Never: deciding for the run (it is asked, and then watched).
+
+use std::io::IsTerminal;
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::time::{Instant, MissedTickBehavior, interval};
+
+use super::client::Client;
+use super::error::CliError;
+use super::output::{counted, duration, say_json};
+use super::view::{RunView, StatusView};
+use crate::campaign::status::{Eta, Phase};
+use crate::ids::RunUid;
+
+/// How often the status is looked at.
+const LOOK: Duration = Duration::from_millis(200);
+/// How often progress is told where there is no terminal.
+const TELL: Duration = Duration::from_secs(10);
+/// The service has been silent for so long: it is gone.
+const SILENT_MAX: Duration = Duration::from_secs(15);
+/// Longest wait for a started run to show.
+const TAKEN_UP: Duration = Duration::from_secs(30);
+
+/// The signals that end a command.
+pub struct Signals {
+    interrupt: Signal,
+    terminate: Signal,
+    hang_up: Signal,
+}
+
+/// A signal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Asked {
+    /// Ctrl-C.
+    Interrupt,
+    /// The system wants us gone, or the terminal is gone.
+    Terminate,
+}
+
+impl Signals {
+    /// Catches them from now on.
+    pub fn catch() -> Result<Self, CliError> {
+        let one = |kind| {
+            signal(kind)
+                .map_err(|source| CliError::System { operation: "catching signals", source })
+        };
+        Ok(Self {
+            interrupt: one(SignalKind::interrupt())?,
+            terminate: one(SignalKind::terminate())?,
+            hang_up: one(SignalKind::hangup())?,
+        })
+    }
+
+    /// The next one.
+    pub async fn next(&mut self) -> Asked {
+        tokio::select! {
+            _ = self.interrupt.recv() => Asked::Interrupt,
+            _ = self.terminate.recv() => Asked::Terminate,
+            _ = self.hang_up.recv() => Asked::Terminate,
+        }
+    }
+}
+
+/// How following ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Left {
+    /// The run has ended.
+    Ended,
+    /// It is open and nobody drives it, or we leave.
+    Open(&'static str),
+}
+
+/// What is followed, and how.
+#[derive(Debug, Clone, Copy)]
+pub struct Watch {
+    /// The run, which has been started.
+    pub run: RunUid,
+    /// Events up to this number are old news.
+    pub since: i64,
+    /// It stands behind another run.
+    pub waiting: bool,
+    /// A script reads: a line for every event on standard output.
+    pub json: bool,
+    /// Nobody is there to do what the run wants but the virtual operator.
+    pub by_itself: bool,
+    /// Abort when it has waited for a person for so long.
+    pub patience: Option<Duration>,
+}
+
+/// Follows one run.
+pub struct Follower {
+    client: Client,
+    watch: Watch,
+    screen: Screen,
+    started: Instant,
+    seen: bool,
+    interrupts: u32,
+    /// Since when it waits for a person.
+    waits: Option<Instant>,
+}
+
+impl Follower {
+    /// A follower of a run that has been started.
+    pub fn new(client: Client, watch: Watch) -> Self {
+        let screen = Screen::new(watch.json);
+        let started = Instant::now();
+        Self { client, watch, screen, started, seen: false, interrupts: 0, waits: None }
+    }
+
+    /// Watches until the run has ended, or is left.
+    pub async fn follow(mut self, signals: &mut Signals) -> Result<Left, CliError> {
+        let mut tick = interval(LOOK);
+        tick.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        let mut heard = Instant::now();
+        loop {
+            tokio::select! {
+                _ = tick.tick() => {}
+                asked = signals.next() => {
+                    if let Some(left) = self.asked(asked).await {
+                        self.screen.close();
+                        return Ok(left);
+                    }
+                }
+            }
+            match self.look().await {
+                Ok(None) => heard = Instant::now(),
+                Ok(Some(left)) => {
+                    self.screen.close();
+                    return Ok(left);
+                }
+                Err(error @ CliError::Late { .. }) => return Err(error),
+                Err(error) if heard.elapsed() > SILENT_MAX => {
+                    self.screen.close();
+                    return Err(error);
+                }
+                Err(error) => tracing::warn!(%error, "the service was not heard"),
+            }
+        }
+    }
+
+    async fn look(&mut self) -> Result<Option<Left>, CliError> {
+        self.tell_events().await?;
+        let status = self.client.status().await?;
+        if let Some(run) = status.run.as_ref().filter(|r| r.uid == self.watch.run) {
+            self.seen = true;
+            self.screen.progress(run, &status);
+            self.be_patient(run).await?;
+            return Ok(None);
+        }
+        let row = self.client.run(self.watch.run).await?;
+        let left = match row.state.as_str() {
+            "ended" | "removed" => Some(Left::Ended),
+            "interrupted" if self.seen => Some(Left::Open("the service stopped driving it")),
+            _ if self.seen || self.watch.waiting => None,
+            _ if self.started.elapsed() > TAKEN_UP => {
+                let what = format!("the start of run {} ({})", row.scan_id, row.state);
+                return Err(CliError::Late { what, after_s: TAKEN_UP.as_secs() });
+            }
+            _ => None,
+        };
+        if left.is_some() {
+            self.tell_events().await?;
+        } else if self.watch.waiting && !self.seen {
+            self.screen.waits_in_queue(row.queue_position);
+        }
+        Ok(left)
+    }
+
+    async fn tell_events(&mut self) -> Result<(), CliError> {
+        loop {
+            let page = self.client.events(self.watch.run, self.watch.since).await?;
+            if page.events.is_empty() {
+                return Ok(());
+            }
+            self.watch.since = page.next;
+            for event in page.events {
+                if self.watch.json {
+                    say_json(&event);
+                }
+                // What the virtual operator does by itself is no news.
+                let routine = self.watch.by_itself && event.kind == "wanted";
+                if let Some(words) = event.words().filter(|_| !routine) {
+                    self.screen.note(&words);
+                }
+                if event.kind == "trip" {
+                    self.screen.note(&self.way_on());
+                }
+            }
+        }
+    }
+
+    /// What a person types after a trip.
+    fn way_on(&self) -> String {
+        let at = format!("--url {}", self.client.url());
+        format!(
+            "  if it does not go on by itself: palpate rig reset {at}; palpate rig home {at}; \
+             palpate resume {at}; or Ctrl-C to end"
+        )
+    }
+
+    /// Aborts a run that has waited too long for a person.
+    async fn be_patient(&mut self, run: &RunView) -> Result<(), CliError> {
+        if run.waiting_for.is_none() {
+            self.waits = None;
+            return Ok(());
+        }
+        let since = *self.waits.get_or_insert_with(Instant::now);
+        if self.watch.patience.is_some_and(|most| since.elapsed() > most) {
+            self.waits = None;
+            self.screen.note("nobody came: aborting");
+            let why = json!({ "why": "nobody came within --patience" });
+            self.client.act(self.watch.run, "abort", why).await?;
+        }
+        Ok(())
+    }
+
+    /// The first Ctrl-C asks the run to stop, the second to abort, the third leaves it; so does
+    /// the system's request to go.
+    async fn asked(&mut self, asked: Asked) -> Option<Left> {
+        if asked == Asked::Terminate {
+            return Some(Left::Open("this program was told to end"));
+        }
+        self.interrupts += 1;
+        let (action, words) = match self.interrupts {
+            1 => ("stop", "stopping after this trial; Ctrl-C again aborts"),
+            2 => ("abort", "aborting: raising the tips now; Ctrl-C again leaves"),
+            _ => return Some(Left::Open("left at the third Ctrl-C")),
+        };
+        self.screen.note(words);
+        let why = json!({ "why": "Ctrl-C at the command line" });
+        if let Err(error) = self.client.act(self.watch.run, action, why).await {
+            self.screen.note(&error.to_string());
+        }
+        None
+    }
+}
+
+/// Standard error as a person sees it, standard output as a script reads it.
+struct Screen {
+    bar: ProgressBar,
+    terminal: bool,
+    json: bool,
+    /// When something was told, and what the run waited for then.
+    told: Option<(Instant, Option<String>)>,
+    stored: Option<u64>,
+}
+
+impl Screen {
+    fn new(json: bool) -> Self {
+        let terminal = std::io::stderr().is_terminal();
+        let bar = if terminal { ProgressBar::new(0) } else { ProgressBar::hidden() };
+        if let Ok(style) = ProgressStyle::with_template("{bar:24} {pos}/{len} {wide_msg}") {
+            bar.set_style(style);
+        }
+        Self { bar, terminal, json, told: None, stored: None }
+    }
+
+    fn progress(&mut self, run: &RunView, status: &StatusView) {
+        self.bar.set_length(run.trials_planned);
+        self.bar.set_position(run.trials_stored + run.trials_skipped);
+        let words = progress_words(run, status);
+        if !self.terminal && self.is_due(run) {
+            self.told = Some((Instant::now(), run.waiting_for.clone()));
+            eprintln!("{}/{} {words}", run.trials_stored, run.trials_planned);
+        }
+        self.bar.set_message(words);
+        if self.json && self.stored != Some(run.trials_stored) {
+            self.stored = Some(run.trials_stored);
+            say_json(&progress_line(run, status));
+        }
+    }
+
+    /// Time to tell, and not the same wait again.
+    fn is_due(&self, run: &RunView) -> bool {
+        self.told.as_ref().is_none_or(|(at, waited_for)| {
+            let same_wait = run.waiting_for.is_some() && *waited_for == run.waiting_for;
+            at.elapsed() >= TELL && !same_wait
+        })
+    }
+
+    fn waits_in_queue(&mut self, position: Option<u32>) {
+        let place = position.map_or_else(String::new, |p| format!(", place {p}"));
+        self.bar.set_message(format!("waits in the queue{place}"));
+    }
+
+    fn note(&self, words: &str) {
+        if self.terminal {
+            self.bar.println(words);
+        } else {
+            eprintln!("{words}");
+        }
+    }
+
+    fn close(&self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+fn progress_line(run: &RunView, status: &StatusView) -> serde_json::Value {
+    json!({
+        "event": "progress",
+        "run": run.uid,
+        "trials_planned": run.trials_planned,
+        "trials_stored": run.trials_stored,
+        "trials_skipped": run.trials_skipped,
+        "retries": run.retries,
+        "phase": run.phase,
+        "max_force_n": status.rig.max_force_n(),
+        "eta": run.eta,
+    })
+}
+
+fn progress_words(run: &RunView, status: &StatusView) -> String {
+    let mut parts = vec![match (&run.waiting_for, run.state.as_str()) {
+        (Some(words), _) => format!("waits: {words}"),
+        (None, "running") => phase_word(run.phase).into(),
+        (None, state) => state.into(),
+    }];
+    if let Some(asked) = &run.requested_state {
+        parts.push(format!("-> {asked}"));
+    }
+    parts.extend(run.eta.map(|eta| eta_words(&eta)));
+    if run.trials_skipped > 0 {
+        parts.push(format!("{} skipped", run.trials_skipped));
+    }
+    if run.retries > 0 {
+        parts.push(counted(run.retries, "retry", "retries"));
+    }
+    if let Some(force_n) = status.rig.max_force_n() {
+        parts.push(format!("max {force_n:.1} N"));
+    }
+    parts.join(" | ")
+}
+
+fn eta_words(eta: &Eta) -> String {
+    let (low, high) = (duration(eta.low_s), duration(eta.high_s));
+    format!("done in {} ({low} .. {high})", duration(eta.remaining_s))
+}
+
+fn phase_word(phase: Phase) -> &'static str {
+    match phase {
+        Phase::Next => "next",
+        Phase::TouchOff => "touch-off",
+        Phase::Travel => "travel",
+        Phase::Tare => "tare",
+        Phase::Press => "press",
+        Phase::Settle => "settle",
+        Phase::Measure => "measure",
+        Phase::Commit => "commit",
+        Phase::Raise => "raise",
+        Phase::Wait => "wait",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_estimate_shows_its_band() {
+        let eta = Eta { remaining_s: 130.0, low_s: 110.0, high_s: 160.0 };
+        let shown = "done in 2 min 10 s (1 min 50 s .. 2 min 40 s)";
+        assert_eq!(eta_words(&eta), shown);
+    }
+}

@@ -1,0 +1,256 @@
+//! `palpate rig`: check, connect, home, jog, tare and reset by hand.
+//! Uses: `client`; for a check of a file `rig::registry` and `rig::check`. Never: motion of its own.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::{Args, Subcommand, ValueEnum};
+use serde_json::{Value, json};
+use tokio::time::{Instant, sleep};
+
+use super::client::Client;
+use super::error::CliError;
+use super::files::RigFiles;
+use super::output::{say, say_json};
+use super::view::StatusView;
+use super::{At, embed};
+use crate::campaign::record::Pose;
+use crate::campaign::rig_state::RigState;
+use crate::clock::Clock;
+use crate::rig::link::StopLatch;
+use crate::rig::{check, registry};
+
+/// Longest wait for homing.
+pub const HOMING: Duration = Duration::from_secs(300);
+/// Longest wait for the wires, for a tare, and for what needs no motion.
+const SOON: Duration = Duration::from_secs(60);
+/// Longest wait for a jog.
+const JOGGING: Duration = Duration::from_secs(120);
+/// Between two looks at the rig.
+const LOOK: Duration = Duration::from_millis(100);
+/// A jog has arrived when the axis is this close, mm.
+const ARRIVED_MM: f64 = 0.2;
+
+/// Options of `rig`.
+#[derive(Debug, Clone, Args)]
+pub struct RigArgs {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: RigCommand,
+    /// Where the server is.
+    #[command(flatten)]
+    pub at: At,
+}
+
+/// What can be done with a rig by hand.
+#[derive(Debug, Clone, Subcommand)]
+pub enum RigCommand {
+    /// Talk to every device and say what is found; nothing moves.
+    ///
+    /// With a rig file its wires are opened by this command; without one the server is asked.
+    Check {
+        /// Rig file.
+        #[arg(value_name = "RIG.toml")]
+        file: Option<PathBuf>,
+    },
+    /// Open the rig's wires.
+    Connect,
+    /// Close the rig's wires.
+    Disconnect,
+    /// Home every axis, z first.
+    Home,
+    /// Move one axis to a position.
+    Jog {
+        /// Which.
+        #[arg(value_enum)]
+        axis: AxisName,
+        /// Absolute target, mm.
+        #[arg(allow_negative_numbers = true)]
+        to_mm: f64,
+    },
+    /// Read the load cells' zeros.
+    Tare,
+    /// Acknowledge a trip.
+    Reset,
+}
+
+/// The axes by hand.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum AxisName {
+    /// Along the skin's width.
+    X,
+    /// Along the skin's height.
+    Y,
+    /// Downward.
+    Z,
+    /// Spread of the arms.
+    Radius,
+}
+
+impl AxisName {
+    fn as_str(self) -> &'static str {
+        match self {
+            AxisName::X => "x",
+            AxisName::Y => "y",
+            AxisName::Z => "z",
+            AxisName::Radius => "radius",
+        }
+    }
+
+    fn of(self, pose: &Pose) -> f64 {
+        match self {
+            AxisName::X => pose.x_mm,
+            AxisName::Y => pose.y_mm,
+            AxisName::Z => pose.z_mm,
+            AxisName::Radius => pose.radius_mm,
+        }
+    }
+}
+
+/// Runs the command.
+pub async fn rig(args: RigArgs) -> Result<ExitCode, CliError> {
+    let RigArgs { command, at } = args;
+    if let RigCommand::Check { file } = command {
+        return match file {
+            Some(file) => check_file(&file, at.json).await,
+            None => check_server(&at).await,
+        };
+    }
+    let client = embed::server(&at).await?;
+    let status = by_hand(&client, command).await?;
+    if at.json {
+        let status: Value = client.get("/api/v1/status").await?;
+        say_json(&status["rig"]);
+    } else {
+        say(rig_words(&status));
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+async fn by_hand(client: &Client, command: RigCommand) -> Result<StatusView, CliError> {
+    match command {
+        RigCommand::Check { .. } => client.status().await,
+        RigCommand::Connect => {
+            client.act_on_rig("connect", json!({})).await?;
+            until_rig(client, "connecting", SOON, |s| s.rig.state != RigState::Disconnected).await
+        }
+        RigCommand::Disconnect => {
+            client.act_on_rig("disconnect", json!({})).await?;
+            until_rig(client, "closing the wires", SOON, |s| s.rig.state == RigState::Disconnected)
+                .await
+        }
+        RigCommand::Home => {
+            client.act_on_rig("home", json!({})).await?;
+            until_rig(client, "homing", HOMING, |s| s.rig.state == RigState::Homed).await
+        }
+        RigCommand::Jog { axis, to_mm } => {
+            let more = json!({ "axis": axis.as_str(), "to_mm": to_mm });
+            client.act_on_rig("jog", more).await?;
+            let there = |s: &StatusView| {
+                s.rig.pose.is_some_and(|p| (axis.of(&p) - to_mm).abs() < ARRIVED_MM)
+            };
+            until_rig(client, "the jog's arrival", JOGGING, there).await
+        }
+        RigCommand::Tare => {
+            client.act_on_rig("tare", json!({})).await?;
+            client.status().await
+        }
+        RigCommand::Reset => {
+            client.act_on_rig("reset", json!({})).await?;
+            until_rig(client, "the reset", SOON, |s| s.rig.trip.is_none()).await
+        }
+    }
+}
+
+/// Looks at the rig until it is as wanted; a trip on the way is an error.
+pub async fn until_rig(
+    client: &Client,
+    what: &str,
+    deadline: Duration,
+    wanted: impl Fn(&StatusView) -> bool,
+) -> Result<StatusView, CliError> {
+    let asked = Instant::now();
+    loop {
+        let status = client.status().await?;
+        if status.rig.state == RigState::Tripped && status.rig.trip.is_some() {
+            return Err(CliError::Tripped { detail: status.rig.trip_words() });
+        }
+        if wanted(&status) {
+            return Ok(status);
+        }
+        if asked.elapsed() > deadline {
+            return Err(CliError::Late { what: what.into(), after_s: deadline.as_secs() });
+        }
+        sleep(LOOK).await;
+    }
+}
+
+async fn check_file(file: &std::path::Path, json: bool) -> Result<ExitCode, CliError> {
+    let rig = RigFiles::read(Some(file))?;
+    let clock = Clock::new(rig.config.clock_rate);
+    let open = registry::open(&rig.config, &clock, &StopLatch::new())?;
+    let report = check::check(&rig.config, &open, &clock).await;
+    if json {
+        say_json(&report);
+    } else {
+        say(report.to_string().trim_end());
+    }
+    verdict(report.problems.len(), json)
+}
+
+async fn check_server(at: &At) -> Result<ExitCode, CliError> {
+    let client = embed::server(at).await?;
+    let report: Value = client.post("/api/v1/rig/check", &json!({})).await?;
+    if at.json {
+        say_json(&report);
+    } else {
+        say(report_words(&report));
+    }
+    verdict(report["problems"].as_array().map_or(0, Vec::len), at.json)
+}
+
+fn verdict(problems: usize, json: bool) -> Result<ExitCode, CliError> {
+    match problems {
+        0 => Ok(ExitCode::SUCCESS),
+        _ if json => Ok(ExitCode::FAILURE),
+        n => Err(CliError::Unsound(n)),
+    }
+}
+
+/// The server's report in short; `--json` has all of it.
+fn report_words(report: &Value) -> String {
+    let text = |value: &Value| match value {
+        Value::String(text) => text.clone(),
+        Value::Null => "-".into(),
+        other => other.to_string(),
+    };
+    let mut lines = vec![format!("rig {} ({})", text(&report["rig"]), text(&report["label"]))];
+    for axis in report["axes"].as_array().into_iter().flatten() {
+        lines.push(format!(
+            "  {:<7} {} {}, homed {}, {}",
+            text(&axis["name"]),
+            text(&axis["position"]),
+            text(&axis["unit"]),
+            text(&axis["homed"]),
+            text(&axis["identity"]),
+        ));
+    }
+    let (cells, stream) = (&report["cells"], &report["stream"]);
+    lines.push(format!("  cells   {} live, {}", text(&cells["live"]), text(&cells["identity"])));
+    let (rate, noise) = (text(&stream["frame_rate_hz"]), text(&stream["noise_sd_v"]));
+    lines.push(format!("  ert     {rate} frames/s, noise sd {noise} V"));
+    for problem in report["problems"].as_array().into_iter().flatten() {
+        lines.push(format!("WRONG  {}", text(problem)));
+    }
+    lines.join("\n")
+}
+
+fn rig_words(status: &StatusView) -> String {
+    let rig = &status.rig;
+    let pose = rig.pose.map_or_else(String::new, |p| {
+        let (x, y, z, r) = (p.x_mm, p.y_mm, p.z_mm, p.radius_mm);
+        format!(", at x {x:.2}  y {y:.2}  z {z:.2}  radius {r:.2} mm")
+    });
+    format!("rig {} ({}): {}{pose}", rig.name, rig.label, rig.state.as_str())
+}

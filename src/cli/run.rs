@@ -1,0 +1,388 @@
+//! `palpate run`: one experiment from its file to its closing summary, as a client of the service,
+//! with the service and a stand-in lab in tow where there is none.
+//! Uses: `embed`, `virtual_bench`, `follow`, `summary`. Never: the rig (the service has it).
+
+use std::io::{BufRead, IsTerminal, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::Args;
+use serde_json::json;
+
+use super::client::Client;
+use super::error::CliError;
+use super::files::{DEFAULT_SKIN_SEED, ExperimentFiles, RigFiles};
+use super::follow::{Follower, Left, Signals, Watch};
+use super::output::{bytes, duration, say, say_json};
+use super::rig::{HOMING, until_rig};
+use super::summary::Closing;
+use super::view::{PreflightView, StatusView};
+use super::virtual_bench::{BenchOptions, VirtualBench};
+use super::{At, embed};
+use crate::campaign::rig_state::RigState;
+use crate::problem::Problem;
+use crate::store::{Label, RunRow};
+
+/// How fast the stand-in lab runs unless asked otherwise.
+const DEFAULT_SPEED: f64 = 20.0;
+/// Longest wait for the wires of a rig.
+const CONNECTING: Duration = Duration::from_secs(60);
+
+/// Options of `run`.
+#[derive(Debug, Clone, Args)]
+pub struct RunArgs {
+    /// Experiment file.
+    #[arg(value_name = "EXPERIMENT.toml")]
+    pub experiment: PathBuf,
+    /// Rig file of the bench to run on; with --virtual, the bench to stand in for.
+    #[arg(long, value_name = "FILE")]
+    pub rig: Option<PathBuf>,
+    /// Run on a virtual rig, in a server of its own.
+    #[arg(long = "virtual")]
+    pub on_virtual: bool,
+    /// Virtual rig: process seconds in a wall second [default: 20].
+    #[arg(long, value_name = "N")]
+    pub speed: Option<f64>,
+    /// Virtual rig: file that says how its skin differs from the model [default: gap-a].
+    #[arg(long, value_name = "FILE")]
+    pub gap: Option<PathBuf>,
+    /// Virtual rig: a seed is a skin [default: 3].
+    #[arg(long, value_name = "N")]
+    pub skin_seed: Option<u64>,
+    /// Virtual rig: script of what shall go wrong, and when.
+    #[arg(long, value_name = "SCRIPT")]
+    pub fault: Option<PathBuf>,
+    /// Start a new run, even if an interrupted one of the same files could be gone on with.
+    #[arg(long)]
+    pub new: bool,
+    /// Abort when the run has waited for a person for so long [default: wait].
+    #[arg(long, value_name = "SECONDS")]
+    pub patience: Option<u32>,
+    /// Move a real rig without asking at the terminal.
+    #[arg(long, short)]
+    pub yes: bool,
+    /// Where the server is, and the data.
+    #[command(flatten)]
+    pub at: At,
+}
+
+impl RunArgs {
+    fn names_virtual(&self) -> bool {
+        self.on_virtual
+            || self.speed.is_some()
+            || self.gap.is_some()
+            || self.skin_seed.is_some()
+            || self.fault.is_some()
+    }
+
+    /// Options that contradict each other, or that a server's own rig makes void.
+    fn check(&self, server: Option<&Client>) -> Result<(), CliError> {
+        if self.rig.is_some() && self.names_virtual() && !self.on_virtual {
+            let limit = "stands in for --rig only with --virtual";
+            return Err(CliError::argument("--speed, --gap, --skin-seed, --fault", "given", limit));
+        }
+        if let Some(client) = server
+            && (self.rig.is_some() || self.names_virtual())
+        {
+            let limit = format!(
+                "the server at {} has a rig of its own: stop it, or leave this out",
+                client.url()
+            );
+            return Err(CliError::argument(
+                "--rig or an option of the virtual rig",
+                "given",
+                limit,
+            ));
+        }
+        let speed = self.speed.unwrap_or(DEFAULT_SPEED);
+        if !(0.01..=2000.0).contains(&speed) {
+            return Err(CliError::argument("--speed", speed, "must be from 0.01 to 2000"));
+        }
+        let files = [("--gap", &self.gap), ("--fault", &self.fault)];
+        let unread: Vec<Problem> = files
+            .iter()
+            .filter_map(|(key, path)| {
+                let path = path.as_ref()?;
+                let error = std::fs::File::open(path).err()?;
+                Some(Problem::new("command line", key, path.display(), error.to_string()))
+            })
+            .collect();
+        if unread.is_empty() { Ok(()) } else { Err(CliError::Problems(unread)) }
+    }
+}
+
+/// What the client's part needs, wherever the service is.
+struct Order {
+    files: ExperimentFiles,
+    new: bool,
+    yes: bool,
+    json: bool,
+    /// The virtual operator is at work.
+    by_itself: bool,
+    patience: Option<Duration>,
+}
+
+/// Runs the command.
+pub async fn run(args: RunArgs) -> Result<ExitCode, CliError> {
+    let files = ExperimentFiles::read(&args.experiment)?;
+    // With --virtual the lab and its server are this command's own.
+    let server = if args.on_virtual { None } else { embed::find(&args.at).await? };
+    args.check(server.as_ref())?;
+    let rig = RigFiles::read(args.rig.as_deref())?;
+    let (json, data) = (args.at.json, args.at.data());
+    let on_virtual_rig = server.is_none() && (args.on_virtual || args.rig.is_none());
+    let order = Order {
+        files,
+        new: args.new,
+        yes: args.yes,
+        json,
+        by_itself: on_virtual_rig,
+        patience: args.patience.map(|s| Duration::from_secs(s.into())),
+    };
+    let closing = match server {
+        Some(client) => {
+            let url = client.url().to_owned();
+            drive(client, order).await?.with_next(&data, Some(&url))
+        }
+        None => {
+            sound(&order.files, &rig)?;
+            let closing = if on_virtual_rig {
+                with_virtual_rig(&args, rig, order).await
+            } else {
+                embed::host(embed::options(data.clone(), &rig), |client| drive(client, order)).await
+            };
+            closing?.with_next(&data, None)
+        }
+    };
+    if json {
+        say_json(&closing.finished);
+    } else {
+        say(&closing);
+    }
+    Ok(if closing.is_success() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Refuses what the rig cannot do before anything is started.
+fn sound(files: &ExperimentFiles, rig: &RigFiles) -> Result<(), CliError> {
+    let problems = files.preflight(rig).problems;
+    if problems.is_empty() { Ok(()) } else { Err(CliError::Problems(problems)) }
+}
+
+async fn with_virtual_rig(
+    args: &RunArgs,
+    rig: RigFiles,
+    order: Order,
+) -> Result<Closing, CliError> {
+    let options = BenchOptions {
+        data: args.at.data(),
+        rig,
+        sensor_text: order.files.sensor_text.clone(),
+        gap: args.gap.clone(),
+        seed: args.skin_seed.unwrap_or(DEFAULT_SKIN_SEED),
+        speed: args.speed.unwrap_or(DEFAULT_SPEED),
+        fault: args.fault.clone(),
+    };
+    let bench = VirtualBench::switch_on(&options, order.json).await?;
+    let service = embed::options(options.data.clone(), &bench.rig);
+    let (send, sent) = std::sync::mpsc::sync_channel(1);
+    let closing = embed::host(service, |client| {
+        let operator = bench.send_operator(client.url());
+        async move {
+            // The channel holds one: this send does not wait.
+            let _ = send.send(operator?);
+            drive(client, order).await
+        }
+    })
+    .await;
+    // The service has raised the tips by now: the lab may close.
+    if let Ok(operator) = sent.try_recv() {
+        operator.go_home().await;
+    }
+    bench.switch_off().await;
+    closing
+}
+
+/// Brings the rig up, starts the run and follows it, as any client would.
+async fn drive(client: Client, order: Order) -> Result<Closing, CliError> {
+    let mut signals = Signals::catch()?;
+    let started = tokio::select! {
+        started = begin(&client, &order) => started?,
+        _ = signals.next() => return Err(CliError::Interrupted),
+    };
+    let Begun { run, since, waiting } = started;
+    let uid = run.uid;
+    if !order.json && waiting {
+        say(format!("run {} starts when the run under way has ended", run.scan_id));
+    }
+    let watch = Watch {
+        run: uid,
+        since,
+        waiting,
+        json: order.json,
+        by_itself: order.by_itself,
+        patience: order.patience,
+    };
+    let left = Follower::new(client.clone(), watch).follow(&mut signals).await?;
+    let why = match left {
+        Left::Ended => None,
+        Left::Open(why) => Some(why),
+    };
+    let (summary, status) = (client.summary(uid).await?, client.status().await?);
+    Ok(Closing::of(summary, status.service.database, status.rig.clock_rate, why))
+}
+
+/// A run that was started.
+struct Begun {
+    run: RunRow,
+    since: i64,
+    waiting: bool,
+}
+
+async fn begin(client: &Client, order: &Order) -> Result<Begun, CliError> {
+    let status = bring_up(client, order).await?;
+    let label = if status.rig.label == "virtual" { Label::Virtual } else { Label::Measured };
+    let (run, fresh) = match resumable(client, order, label).await? {
+        Some(run) => {
+            note(order, &format!("run {} goes on where it stopped", run.scan_id));
+            (run, false)
+        }
+        None => (enqueue(client, &order.files).await?, true),
+    };
+    match start(client, order, &run, &status).await {
+        Ok((since, waiting)) => Ok(Begun { run, since, waiting }),
+        Err(error) => {
+            // What we queued and could not start would surprise whoever comes next.
+            if fresh && let Err(left) = client.delete(&format!("/api/v1/queue/{}", run.uid)).await {
+                tracing::warn!(error = %left, "the run stays in the queue");
+            }
+            Err(error)
+        }
+    }
+}
+
+/// Connects and homes, as far as the rig is not there yet.
+async fn bring_up(client: &Client, order: &Order) -> Result<StatusView, CliError> {
+    let mut status = client.status().await?;
+    if status.run.is_some() {
+        return Ok(status);
+    }
+    if status.rig.state == RigState::Disconnected {
+        client.act_on_rig("connect", json!({})).await?;
+        status = until_rig(client, "connecting the rig", CONNECTING, |s| {
+            s.rig.state != RigState::Disconnected
+        })
+        .await?;
+    }
+    if status.rig.state == RigState::Tripped {
+        return Err(CliError::Tripped { detail: status.rig.trip_words() });
+    }
+    if status.rig.state == RigState::Disarmed {
+        confirm_motion(order, &status).await?;
+        client.act_on_rig("home", json!({})).await?;
+        status = until_rig(client, "homing", HOMING, |s| s.rig.state != RigState::Disarmed).await?;
+    } else {
+        confirm_motion(order, &status).await?;
+    }
+    Ok(status)
+}
+
+/// A real rig moves after a yes.
+async fn confirm_motion(order: &Order, status: &StatusView) -> Result<(), CliError> {
+    if order.yes || status.rig.label == "virtual" {
+        return Ok(());
+    }
+    let rig = status.rig.name.clone();
+    if !std::io::stdin().is_terminal() {
+        return Err(CliError::NotConfirmed { rig });
+    }
+    eprint!("rig {rig} ({}) will move. Is it clear? [y/N] ", status.rig.label);
+    let _ = std::io::stderr().flush();
+    // A thread of its own, so that Ctrl-C is heard meanwhile.
+    let answer = tokio::task::spawn_blocking(|| {
+        let mut answer = String::new();
+        std::io::stdin().lock().read_line(&mut answer).map(|_| answer)
+    });
+    match answer.await {
+        Ok(Ok(answer)) if matches!(answer.trim(), "y" | "yes") => Ok(()),
+        _ => Err(CliError::NotConfirmed { rig }),
+    }
+}
+
+/// An interrupted run of the same files on the same kind of rig.
+async fn resumable(
+    client: &Client,
+    order: &Order,
+    label: Label,
+) -> Result<Option<RunRow>, CliError> {
+    if order.new {
+        return Ok(None);
+    }
+    let (definition, sensor) = (order.files.definition_sha256(), order.files.sensor_sha256());
+    client
+        .find_run(|run| {
+            run.state == "interrupted"
+                && run.definition_sha256 == definition
+                && run.sensor_sha256 == sensor
+                && run.label == label
+        })
+        .await
+}
+
+async fn enqueue(client: &Client, files: &ExperimentFiles) -> Result<RunRow, CliError> {
+    client.post("/api/v1/queue", &submission(client, files)).await
+}
+
+/// The body that queues an experiment.
+pub fn submission(client: &Client, files: &ExperimentFiles) -> serde_json::Value {
+    json!({
+        "file": files.file,
+        "definition": files.definition,
+        "sensor": files.sensor_text,
+        "who": client.who(),
+    })
+}
+
+/// Arms and starts; answers with the number of the last event before it, and whether it waits.
+async fn start(
+    client: &Client,
+    order: &Order,
+    run: &RunRow,
+    status: &StatusView,
+) -> Result<(i64, bool), CliError> {
+    let mut since = 0;
+    loop {
+        let page = client.events(run.uid, since).await?;
+        since = page.next;
+        if page.events.is_empty() {
+            break;
+        }
+    }
+    let armed = client.arm(run.uid).await?;
+    note(order, &preflight_words(run, &armed.preflight, status));
+    let taken = client.start(run.uid, &armed.code).await?;
+    Ok((since, taken.started.as_deref() == Some("waiting")))
+}
+
+fn preflight_words(run: &RunRow, preflight: &PreflightView, status: &StatusView) -> String {
+    let (low, high) = (duration(preflight.duration_low_s), duration(preflight.duration_high_s));
+    format!(
+        "run {}, {} on rig {} ({}): {} trials, predicted {} ({low} .. {high}), {}",
+        run.scan_id,
+        run.experiment,
+        status.rig.name,
+        status.rig.label,
+        preflight.trials,
+        duration(preflight.duration_s),
+        bytes(preflight.disk_bytes as f64),
+    )
+}
+
+/// A line for a person, beside whatever a script reads.
+fn note(order: &Order, words: &str) {
+    if order.json {
+        tracing::info!("{words}");
+    } else {
+        eprintln!("{words}");
+    }
+}

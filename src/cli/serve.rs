@@ -1,0 +1,54 @@
+//! `palpate serve`: the service until it is told to end.
+//! Uses: `api`. Never: anything that a client could do.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::data_or_default;
+use super::error::CliError;
+use super::files::RigFiles;
+use super::follow::Signals;
+use super::output::say;
+use crate::api::{ServeOptions, Service};
+
+/// Options of `serve`.
+#[derive(Debug, Clone, Args)]
+pub struct ServeArgs {
+    /// Where it listens.
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
+    pub bind: SocketAddr,
+    /// Folder of the database [env: PALPATE_DATA] [default: palpate-data].
+    #[arg(long, value_name = "DIR")]
+    pub data: Option<PathBuf>,
+    /// Rig file [default: the virtual rig].
+    #[arg(long, value_name = "FILE")]
+    pub rig: Option<PathBuf>,
+    /// Leave interrupted runs alone, even those that may go on by themselves.
+    #[arg(long)]
+    pub no_resume: bool,
+}
+
+/// Runs the command.
+pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
+    let rig = RigFiles::read(args.rig.as_deref())?;
+    let mut signals = Signals::catch()?;
+    let options = ServeOptions {
+        bind: args.bind,
+        data: data_or_default(args.data),
+        rig_file: rig.file,
+        rig_text: rig.text,
+        resume: !args.no_resume,
+    };
+    let data = options.data.display().to_string();
+    let service = Service::start(options).await?;
+    let (url, name) = (service.url(), rig.config.name);
+    say(format_args!("palpate {} at {url}, data in {data}, rig {name}", env!("CARGO_PKG_VERSION")));
+    service
+        .run_until(async {
+            let _ = signals.next().await;
+        })
+        .await;
+    Ok(())
+}

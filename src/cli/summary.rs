@@ -1,0 +1,216 @@
+//! What came of a run: for scripts the last line, for people the closing summary with the paper's
+//! Table I beside it.
+//! Uses: `api::Summary`. Never: numbers that were not measured.
+
+use std::fmt;
+
+use serde::Serialize;
+
+use super::output::{counted, duration};
+use crate::api::Summary;
+use crate::campaign::journal::ExitStatus;
+use crate::ids::RunUid;
+use crate::store::{Label, RunKind};
+
+/// Real-Hex of Table I: trials with 1 to 6 contacts.
+const REAL_HEX: [u64; 6] = [20_092, 21_313, 19_712, 14_487, 15_944, 2_126];
+/// Pressed for it: six settings of 33,000 (paper IV-A). The rest had no contact over 5 N.
+const REAL_HEX_PRESSED: u64 = 198_000;
+/// Real-Random of Table I.
+const REAL_RANDOM: [u64; 6] = [0, 50, 50, 50, 0, 0];
+
+/// The last line of `palpate run --json` (`design.md` 6).
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Finished {
+    /// Always `finished`.
+    pub event: &'static str,
+    /// Id of the run.
+    pub run: RunUid,
+    /// `success`, `abort` or `fail`.
+    pub exit_status: ExitStatus,
+    /// Why it ended so.
+    pub reason: String,
+    /// Trials in its plan.
+    pub trials_planned: u64,
+    /// Trials stored.
+    pub trials_stored: u64,
+    /// Trials of configurations that were given up.
+    pub trials_skipped: u64,
+    /// Failed attempts.
+    pub retries: u64,
+    /// From its first start to its end, wall s; absent while it is not over.
+    pub duration_s: Option<f64>,
+    /// The database file.
+    pub database: String,
+    /// Number for people.
+    pub scan_id: i64,
+    /// Name of the experiment.
+    pub experiment: String,
+    /// `measured` or `virtual`.
+    pub label: Label,
+    /// Whether it can be gone on with.
+    pub resumable: bool,
+    /// Process seconds in a wall second.
+    pub clock_rate: f64,
+    /// Stored trials with 0 to 6 contacts.
+    pub contact_counts: [u64; 7],
+}
+
+/// How a followed run ended, for scripts and for people.
+#[derive(Debug, Clone)]
+pub struct Closing {
+    /// For scripts.
+    pub finished: Finished,
+    summary: Summary,
+    data: String,
+    follow_url: Option<String>,
+}
+
+impl Closing {
+    /// Closes a run. `why_left` says why it was left open, if it was.
+    pub fn of(summary: Summary, database: String, clock_rate: f64, why_left: Option<&str>) -> Self {
+        let run = &summary.run;
+        let exit_status = run.exit_status.unwrap_or(ExitStatus::Abort);
+        let reason = run.reason.clone().or(why_left.map(Into::into)).unwrap_or_default();
+        let finished = Finished {
+            event: "finished",
+            run: run.uid,
+            exit_status,
+            reason,
+            trials_planned: run.trials_planned,
+            trials_stored: summary.trials_stored,
+            trials_skipped: summary.trials_skipped,
+            retries: summary.retries,
+            duration_s: summary.duration_s,
+            database,
+            scan_id: run.scan_id,
+            experiment: run.experiment.clone(),
+            label: run.label,
+            resumable: run.exit_status.is_none(),
+            clock_rate,
+            contact_counts: summary.contact_counts,
+        };
+        Self { finished, summary, data: String::new(), follow_url: None }
+    }
+
+    /// Adds what to type next: the data folder, or the server where the run lies.
+    pub fn with_next(mut self, data: &std::path::Path, server: Option<&str>) -> Self {
+        self.data = data.display().to_string();
+        self.follow_url = server.map(Into::into);
+        self
+    }
+
+    /// Whether the run came to a good end.
+    pub fn is_success(&self) -> bool {
+        self.finished.exit_status == ExitStatus::Success
+    }
+}
+
+impl fmt::Display for Closing {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let done = &self.finished;
+        let (status, label) = (done.exit_status.as_str(), self.label());
+        let (scan_id, name) = (done.scan_id, &done.experiment);
+        let ended = if done.resumable { "left open" } else { status };
+        writeln!(f, "run {scan_id}, {name} ({label}): {ended}, {}", done.reason)?;
+        let line = |f: &mut fmt::Formatter<'_>, name: &str, value: String| {
+            writeln!(f, "  {name:<12} {value}")
+        };
+        let skipped = counted(done.trials_skipped, "skipped", "skipped");
+        let retries = counted(done.retries, "retry", "retries");
+        let stored = format!("{} of {} stored", done.trials_stored, done.trials_planned);
+        line(f, "trials", format!("{stored}, {skipped}, {retries}"))?;
+        if let Some(wall_s) = done.duration_s {
+            let process = match done.clock_rate {
+                1.0 => String::new(),
+                rate => format!(", {} of process time at speed {rate}", duration(wall_s * rate)),
+            };
+            line(f, "start to end", format!("{}{process}", duration(wall_s)))?;
+        }
+        line(f, "database", done.database.clone())?;
+        line(f, "run", done.run.to_string())?;
+        for skip in &self.summary.skips {
+            line(f, "skipped", format!("configuration {}: {}", skip.configuration, skip.reason))?;
+        }
+        self.table(f)?;
+        self.next(f)
+    }
+}
+
+impl Closing {
+    fn label(&self) -> &'static str {
+        match self.finished.label {
+            Label::Measured => "measured",
+            Label::Virtual => "virtual",
+        }
+    }
+
+    /// Trials by contacts, beside the paper's scaled to as many trials.
+    fn table(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let stored: u64 = self.finished.contact_counts.iter().sum();
+        if stored == 0 {
+            return Ok(());
+        }
+        let kind = self.summary.run.kind;
+        let (name, paper) = match kind {
+            RunKind::RealHex => ("Real-Hex", scaled(&REAL_HEX, REAL_HEX_PRESSED, stored)),
+            RunKind::RealRandom => ("Real-Random", scaled(&REAL_RANDOM, 150, stored)),
+        };
+        let column = format!("run {} ({})", self.finished.scan_id, self.label());
+        writeln!(f, "\n  contacts {column:>18} {:>26}", format!("{name}, Table I, scaled"))?;
+        for (contacts, (here, paper)) in self.finished.contact_counts.iter().zip(paper).enumerate()
+        {
+            writeln!(f, "  {contacts:>8} {here:>18} {paper:>26.1}")?;
+        }
+        if kind == RunKind::RealHex {
+            let tips: Vec<String> =
+                self.summary.settings.iter().map(|s| s.tips.to_string()).collect();
+            writeln!(
+                f,
+                "  Table I sums six settings of 33000 presses (1 to 6 tips), scaled here to {stored} \
+                 trials;\n  this run has tips {}; contacts under {} N are not counted.",
+                tips.join(", "),
+                self.summary.run.deadband_n
+            )?;
+        }
+        Ok(())
+    }
+
+    fn next(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "\nnext:")?;
+        let url = self.follow_url.as_deref().unwrap_or(super::DEFAULT_URL);
+        if self.finished.resumable {
+            writeln!(f, "  the same command again           goes on where it stopped")?;
+        }
+        if self.follow_url.is_none() {
+            writeln!(f, "  palpate serve --data {}", self.data)?;
+        }
+        let path = format!("{url}/api/v1/runs/{}/trials?limit=3", self.finished.scan_id);
+        writeln!(f, "  curl '{path}'")
+    }
+}
+
+/// Table I's counts with the trials without contact in front, scaled from `pressed` to `stored`.
+fn scaled(counts: &[u64; 6], pressed: u64, stored: u64) -> [f64; 7] {
+    let none = pressed.saturating_sub(counts.iter().sum());
+    let share = stored as f64 / pressed as f64;
+    std::array::from_fn(|n| if n == 0 { none } else { counts[n - 1] } as f64 * share)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn table_i_is_the_papers() {
+        assert_eq!(REAL_HEX.iter().sum::<u64>(), 93_674);
+        assert_eq!(REAL_RANDOM.iter().sum::<u64>(), 150);
+    }
+
+    #[test]
+    fn scaled_counts_sum_to_the_trials_stored() {
+        let paper = scaled(&REAL_HEX, REAL_HEX_PRESSED, 264);
+        assert!((paper.iter().sum::<f64>() - 264.0).abs() < 1e-9);
+        assert!((paper[0] - 264.0 * 104_326.0 / 198_000.0).abs() < 1e-9);
+    }
+}
