@@ -11,6 +11,7 @@ use palpate::schedule::experiment::Experiment;
 use palpate::schedule::lint::lint;
 use palpate::schedule::plan::Plan;
 use palpate::schedule::preflight::Preflight;
+use palpate::schedule::reach::Reach;
 use sim_core::sensor::Sensor;
 
 /// Aim of issue 2 for `palpate plan experiments/real-hex.toml`.

@@ -28,7 +28,8 @@ const LOOK: Duration = Duration::from_millis(200);
 #[derive(Debug, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 pub struct Since {
-    /// Those after this number; for a live stream without it, only new ones.
+    /// Those after this number; a negative one counts from the end; for a live stream without it,
+    /// only new ones.
     pub since: Option<i64>,
     /// Of this run only: uid or scan_id.
     pub run: Option<String>,
@@ -63,13 +64,13 @@ pub async fn events(
     if live {
         let last = text(header::HeaderName::from_static("last-event-id"));
         let since = match last.and_then(|id| id.parse().ok()).or(asked.since) {
-            Some(since) => since,
+            Some(since) => counted(&app, since).await?,
             None => app.store.last_event_seq().await?,
         };
         let keep_alive = KeepAlive::new().interval(Duration::from_secs(15));
         return Ok(Sse::new(follow(app, since, run)).keep_alive(keep_alive).into_response());
     }
-    let since = asked.since.unwrap_or(0);
+    let since = counted(&app, asked.since.unwrap_or(0)).await?;
     let limit = asked.limit.unwrap_or(PAGE);
     if !(1..=1000).contains(&limit) {
         return Err(ApiError::value("limit", limit, "must be from 1 to 1000"));
@@ -77,6 +78,11 @@ pub async fn events(
     let events = app.store.events_since(since, limit, run).await?;
     let next = events.last().map_or(since, |e| e.seq);
     Ok(Json(EventPage { events, next }).into_response())
+}
+
+/// A negative number counts from the end: -30 means the last 30.
+async fn counted(app: &App, since: i64) -> Result<i64, ApiError> {
+    Ok(if since < 0 { (app.store.last_event_seq().await? + since).max(0) } else { since })
 }
 
 /// Reads the table again and again until the service ends.

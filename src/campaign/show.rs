@@ -92,8 +92,6 @@ pub fn progress(control: &Control, job: &Job, progress: &Progress, pace: &Pace) 
 pub async fn bench(control: &Control, stage: &Stage, open: &OpenBench) {
     let pose = stage.pose().await.ok();
     let reading = open.bench.cells.read().await.ok();
-    let latest = open.bench.skin.latest();
-    let counters = open.bench.skin.counters();
     let press = control.estop.pressed();
     let live = reading.map(|r| {
         let cells = &stage.config.cells;
@@ -102,23 +100,32 @@ pub async fn bench(control: &Control, stage: &Stage, open: &OpenBench) {
             .map(|i| super::interlock::is_live(cells, r.volts[i]).then_some(forces[i]))
             .collect::<Vec<_>>()
     });
-    let wires = open.lines.iter().map(|(name, line)| wire(name, line.counts())).collect();
+    counters(control, open);
     control.show(|status| {
         let rig = &mut status.rig;
         rig.pose = pose;
         rig.tips = live.as_ref().map(|l| l.iter().filter(|f| f.is_some()).count() as u8);
         rig.forces_n = live.unwrap_or_default();
-        rig.stream = StreamStatus {
+        if let Some(after) = press.and_then(|p| p.acknowledged_after) {
+            rig.estop_acknowledged_ms = Some(after.as_secs_f64() * 1e3);
+        }
+    });
+}
+
+/// What the wires have done so far; asks none of them.
+pub fn counters(control: &Control, open: &OpenBench) {
+    let latest = open.bench.skin.latest();
+    let counters = open.bench.skin.counters();
+    let wires = open.lines.iter().map(|(name, line)| wire(name, line.counts())).collect();
+    control.show(|status| {
+        status.rig.stream = StreamStatus {
             frames: counters.frames,
             missed: counters.missed,
             garbled: counters.garbled,
             reconnects: counters.reconnects,
             age_ms: latest.map(|f| f.received.elapsed().as_millis() as u64),
         };
-        rig.wires = wires;
-        if let Some(after) = press.and_then(|p| p.acknowledged_after) {
-            rig.estop_acknowledged_ms = Some(after.as_secs_f64() * 1e3);
-        }
+        status.rig.wires = wires;
     });
 }
 

@@ -22,7 +22,8 @@ use super::virtual_bench::{BenchOptions, VirtualBench};
 use super::{At, embed};
 use crate::campaign::rig_state::RigState;
 use crate::problem::Problem;
-use crate::store::{Label, RunRow};
+use crate::rig::config::RigConfig;
+use crate::store::RunRow;
 
 /// How fast the stand-in lab runs unless asked otherwise.
 const DEFAULT_SPEED: f64 = 20.0;
@@ -241,8 +242,7 @@ struct Begun {
 
 async fn begin(client: &Client, order: &Order) -> Result<Begun, CliError> {
     let status = bring_up(client, order).await?;
-    let label = if status.rig.label == "virtual" { Label::Virtual } else { Label::Measured };
-    let (run, fresh) = match resumable(client, order, label).await? {
+    let (run, fresh) = match resumable(client, order, &status).await? {
         Some(run) => {
             note(order, &format!("run {} goes on where it stopped", run.scan_id));
             (run, false)
@@ -309,11 +309,12 @@ async fn confirm_motion(order: &Order, status: &StatusView) -> Result<(), CliErr
     }
 }
 
-/// An interrupted run of the same files on the same kind of rig.
+/// An interrupted run of the same files on the same rig. A virtual rig has other addresses each
+/// time, so the rig files are compared by name and label.
 async fn resumable(
     client: &Client,
     order: &Order,
-    label: Label,
+    status: &StatusView,
 ) -> Result<Option<RunRow>, CliError> {
     if order.new {
         return Ok(None);
@@ -324,7 +325,9 @@ async fn resumable(
             run.state == "interrupted"
                 && run.definition_sha256 == definition
                 && run.sensor_sha256 == sensor
-                && run.label == label
+                && RigConfig::from_toml("", &run.rig).is_ok_and(|rig| {
+                    rig.name == status.rig.name && rig.label.as_str() == status.rig.label
+                })
         })
         .await
 }

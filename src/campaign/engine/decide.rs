@@ -83,9 +83,7 @@ impl Engine {
 
     pub(super) async fn need(&mut self, wanted: Wanted) {
         let (why, words) = match &wanted {
-            Wanted::Tips { tips } => {
-                (PausedWhy::TipChange, format!("mount {tips} tips on arms 1 to {tips}, confirm"))
-            }
+            Wanted::Tips { tips } => (PausedWhy::TipChange, tip_words(*tips)),
             Wanted::Placement { trial, contacts } => (
                 PausedWhy::ManualTrial,
                 format!("place {} weights for trial {trial}, confirm", contacts.len()),
@@ -179,5 +177,12 @@ impl Engine {
         let clear = connection.stage.clear_z_mm() + self.config.axes.z.tolerance_mm;
         let z = connection.open.bench.z.status().await;
         z.is_ok_and(|z| !z.moving && z.position <= clear)
+    }
+}
+
+fn tip_words(tips: u8) -> String {
+    match tips {
+        1 => "mount 1 tip, on arm 1, then confirm".into(),
+        n => format!("mount {n} tips, on arms 1 to {n}, then confirm"),
     }
 }

@@ -112,6 +112,9 @@ impl Engine {
             self.require_space(job, progress).await?;
             let begun = Instant::now();
             let stored = self.take(job, step, progress, attempts).await?;
+            if let Some(connection) = &self.connection {
+                show::counters(&self.control, &connection.open);
+            }
             if stored > 0 {
                 pace.note(stored, begun.elapsed().as_secs_f64());
                 show::progress(&self.control, job, progress, pace);
@@ -139,6 +142,10 @@ impl Engine {
             Step::TipChange { setting, tips } => {
                 if self.prepared_setting != Some(*setting) {
                     require_tips(stage, *tips).await?;
+                    control.show(|status| {
+                        status.rig.tips = Some(*tips);
+                        status.rig.forces_n.clear();
+                    });
                 }
                 Ok(0)
             }

@@ -159,7 +159,12 @@ impl Engine {
                 }
                 Ok(waited)
             }
-            Request::Stop | Request::Abort | Request::Suspend(_) | Request::Resume => {
+            Request::Resume => {
+                let words = "resume is not possible: confirm what the run waits for".into();
+                let _ = answer.send(Err(Refusal::State(words)));
+                Ok(None)
+            }
+            Request::Stop | Request::Abort | Request::Suspend(_) => {
                 let Some(event) = self.control.run_request(&request) else { return Ok(None) };
                 let mut outcome = self.control.run_event(event).await;
                 if outcome == Ok(RunAction::Raise) {
