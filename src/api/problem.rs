@@ -86,9 +86,11 @@ impl IntoResponse for ApiError {
 
 impl From<Refusal> for ApiError {
     fn from(refusal: Refusal) -> Self {
-        let status = match refusal {
+        let status = match &refusal {
             Refusal::State(_) => StatusCode::CONFLICT,
-            Refusal::Value(_) => StatusCode::UNPROCESSABLE_ENTITY,
+            Refusal::Value(words) => {
+                return Self::problems(vec![Problem::whole("request", words.clone())]);
+            }
             Refusal::Gone => StatusCode::SERVICE_UNAVAILABLE,
         };
         Self::new(status, refusal.to_string())

@@ -15,7 +15,7 @@ use crate::campaign::journal::Journal;
 use crate::conductor::{Armed, Started};
 use crate::ids::RunUid;
 use crate::schedule::preflight::Preflight;
-use crate::store::{RunPage, RunRow, SettingCount, SkipRow};
+use crate::store::{Role, RunPage, RunRow, SettingCount, SkipRow};
 
 /// Rows of a page, unless asked otherwise, and at most.
 const PAGE: u32 = 50;
@@ -100,7 +100,7 @@ impl Action {
         }
     }
 
-    /// The operator lock blocks starting and editing, never stopping.
+    /// The operator lock blocks starting and editing, never stopping; so do roles.
     fn needs_lock(self) -> bool {
         match self {
             Action::Start | Action::Resume | Action::Confirm | Action::Repeat => true,
@@ -279,6 +279,7 @@ async fn take_up(
     act: &Act,
 ) -> Result<Option<Started>, ApiError> {
     if act.action.needs_lock() {
+        asker.require(Role::Operator)?;
         app.unlocked(asker, act.who.as_deref()).await?;
     }
     if act.action == Action::Start {

@@ -1,0 +1,173 @@
+//! `kill -9` of the service at random instants of a running campaign: after going on, every planned
+//! trial is stored once. Processes, sockets and files as a lab has them. `PALPATE_KILLS` says how
+//! often (default 4).
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use rand::{RngExt, SeedableRng};
+use serde_json::{Value, json};
+
+const SPEED: &str = "20";
+/// Longest wait for a process to answer, and for the end.
+const LIMIT: Duration = Duration::from_secs(120);
+/// Two settings of four configurations and four depths: 32 trials.
+const EXPERIMENT: &str = "name = 'crash'\nseed = 8\nsensor = 's'\n[real_hex]\ntips = [1, 3]\n\
+     configurations = 4\ndepths = 4\nblock = 4\nreference_every = 0\n[measure]\nsettle_ms = 2000.0\n";
+
+/// A process that does not outlive the test.
+struct Process(Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        self.0.kill().ok();
+        self.0.wait().ok();
+    }
+}
+
+fn palpate(args: &[&str]) -> Process {
+    let child = Command::new(env!("CARGO_BIN_EXE_palpate"))
+        .args(args)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    Process(child)
+}
+
+struct Site {
+    folder: PathBuf,
+    url: String,
+    port: u16,
+    http: reqwest::Client,
+}
+
+impl Site {
+    fn path(&self, name: &str) -> String {
+        self.folder.join(name).to_str().unwrap().to_owned()
+    }
+
+    async fn serve(&self) -> Process {
+        let bind = format!("127.0.0.1:{}", self.port);
+        let (data, rig) = (self.path("data"), self.path("served.toml"));
+        let service = palpate(&["serve", "--bind", &bind, "--data", &data, "--rig", &rig]);
+        self.answer("/health/live").await;
+        service
+    }
+
+    /// Waits for a GET to succeed.
+    async fn answer(&self, path: &str) -> Value {
+        let start = Instant::now();
+        loop {
+            if let Ok(answer) = self.http.get(format!("{}{path}", self.url)).send().await
+                && answer.status().is_success()
+            {
+                return answer.json().await.unwrap();
+            }
+            assert!(start.elapsed() < LIMIT, "{path} is not answered");
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    }
+
+    async fn post(&self, path: &str, body: Value) -> Value {
+        let answer =
+            self.http.post(format!("{}{path}", self.url)).json(&body).send().await.unwrap();
+        let status = answer.status();
+        let body = answer.json().await.unwrap_or(Value::Null);
+        assert!(status.is_success(), "{path}: {status} {body}");
+        body
+    }
+
+    async fn until(&self, path: &str, done: impl Fn(&Value) -> bool) -> Value {
+        let start = Instant::now();
+        loop {
+            let value = self.answer(path).await;
+            if done(&value) {
+                return value;
+            }
+            assert!(start.elapsed() < LIMIT, "{path} stays {value:#}");
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    }
+
+    /// Homes, queues, arms, starts; returns the run.
+    async fn begin(&self) -> String {
+        for action in ["connect", "home"] {
+            self.post("/api/v1/rig/actions", json!({ "action": action })).await;
+        }
+        self.until("/api/v1/status", |s| s["rig"]["state"] == "homed").await;
+        let sensor = std::fs::read_to_string(experiments("sensors/ert-28.toml")).unwrap();
+        let body = json!({ "file": "crash.toml", "definition": EXPERIMENT, "sensor": sensor,
+            "auto_resume": true });
+        let run = self.post("/api/v1/queue", body).await["uid"].as_str().unwrap().to_owned();
+        let armed = self.post(&format!("/api/v1/runs/{run}/arm"), json!({})).await;
+        let start = json!({ "action": "start", "code": armed["code"] });
+        self.post(&format!("/api/v1/runs/{run}/actions"), start).await;
+        run
+    }
+}
+
+fn experiments(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments").join(name)
+}
+
+fn free_port() -> u16 {
+    std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn killed_at_random_instants_every_planned_trial_is_stored_once() {
+    let kills: u32 = std::env::var("PALPATE_KILLS").map_or(4, |n| n.parse().unwrap());
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("crash");
+    std::fs::remove_dir_all(&folder).ok();
+    std::fs::create_dir_all(&folder).unwrap();
+    let port = free_port();
+    let url = format!("http://127.0.0.1:{port}");
+    let site = Site { folder, url, port, http: reqwest::Client::new() };
+    let cache = Path::new(env!("CARGO_TARGET_TMPDIR")).join("skin");
+    let rig = ["virtual-rig", "--ephemeral", "--speed", SPEED, "--cache", cache.to_str().unwrap()];
+    let (served, ready) = (site.path("served.toml"), site.path("ready.json"));
+    let _rig = palpate(&[&rig[..], &["--out-rig", &served, "--ready-file", &ready]].concat());
+    let start = Instant::now();
+    let ready: Value = loop {
+        let text = std::fs::read_to_string(&ready).unwrap_or_default();
+        match serde_json::from_str(&text) {
+            Ok(ready) => break ready,
+            Err(_) => assert!(start.elapsed() < LIMIT, "the rig is not ready"),
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    };
+    let control = ready["control"].as_str().unwrap();
+    let mut service = site.serve().await;
+    let hands = ["virtual-operator", "--url", &site.url, "--control", control, "--speed", SPEED];
+    let _operator = palpate(&hands);
+    let run = site.begin().await;
+    let mut chance = rand_chacha::ChaCha8Rng::seed_from_u64(4);
+    let mut at = Vec::new();
+    for _ in 0..kills {
+        // From the first motion after a start to well inside the trials.
+        let alive = Duration::from_millis(chance.random_range(200..9000));
+        tokio::time::sleep(alive).await;
+        let row = site.answer(&format!("/api/v1/runs/{run}")).await;
+        if row["state"] == "ended" {
+            break;
+        }
+        let status = site.answer("/api/v1/status").await;
+        at.push(status["run"]["phase"].as_str().unwrap_or("starting").to_owned());
+        drop(service);
+        service = site.serve().await;
+    }
+    println!("killed in {at:?}");
+    site.until(&format!("/api/v1/runs/{run}"), |r| r["state"] == "ended").await;
+    let page = site.answer(&format!("/api/v1/runs/{run}/trials?limit=1000")).await;
+    let trials = page["trials"].as_array().unwrap();
+    let keys: BTreeSet<String> =
+        trials.iter().map(|t| format!("{} {}", t["configuration"], t["depth_index"])).collect();
+    assert_eq!((trials.len(), keys.len()), (32, 32));
+    let summary = site.answer(&format!("/api/v1/runs/{run}/summary")).await;
+    assert_eq!(summary["run"]["exit_status"], "success", "{summary:#}");
+    assert!(!at.is_empty(), "it was never killed");
+}
