@@ -74,9 +74,10 @@ async fn a_run_pauses_and_goes_on_and_what_its_state_forbids_is_refused() {
     lab.stored(3).await;
     let act = |action: Value| lab.act(&run, action);
     assert_eq!(act(json!({ "action": "pause", "who": "eve", "why": "lunch" })).await.0, 202);
-    let paused = lab.until("a pause", |s| s["run"]["state"] == "paused").await;
+    let raised = |s: &Value| s["rig"]["pose"]["z_mm"].as_f64().is_some_and(|z| z < 60.0);
+    let paused = |s: &Value| s["run"]["state"] == "paused" && raised(s);
+    let paused = lab.until("a pause with the tips up", paused).await;
     assert_eq!(paused["run"]["paused_why"], "operator");
-    assert!(paused["rig"]["pose"]["z_mm"].as_f64().unwrap() < 60.0, "{paused:#}");
     let (status, problem) = act(json!({ "action": "pause" })).await;
     assert_eq!((status, &problem["status"]), (409, &json!(409)), "{problem}");
     let second = lab.queue(SMALL).await;
