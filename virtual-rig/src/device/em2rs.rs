@@ -1,6 +1,6 @@
 //! Leadshine EM2RS (StepperOnline DM556RS and DM882RS): PR mode, positions in pulses.
 //! Registers from `field.md` 4; position words stand high first. What a trigger register reads back
-//! is [unverified]. PURE.
+//! is (unverified). PURE.
 //! Never: clocks, wires; jog, velocity paths, chained paths and saved parameters are left out.
 
 use super::{counts, high, long, low, read_each};
@@ -37,7 +37,7 @@ const TRIGGER_SET_ZERO: u16 = 0x21;
 const TRIGGER_STOP: u16 = 0x40;
 /// Read back while a path runs: this plus the trigger's low byte.
 const TRIGGER_RUNNING: u16 = 0x100;
-/// Global bit that makes the soft limits count [unverified].
+/// Global bit that makes the soft limits count (unverified).
 const GLOBAL_SOFT_LIMITS: u16 = 1 << 1;
 
 const MODE_KIND: u16 = 0x0F;

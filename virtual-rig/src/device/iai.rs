@@ -1,7 +1,7 @@
 //! IAI SCON/PCON: positions in hundredths, coils for servo, homing and pause, one block of
 //! registers whose low position word starts the move.
 //! Registers from `field.md` 4 (IAI's "SCON Serial Communication Protocol [Modbus Version]");
-//! what stands only in memory is marked [unverified]. PURE.
+//! what stands only in memory is marked (unverified). PURE.
 //! Never: clocks, wires; push motion, position tables and PIO patterns are left out.
 
 use super::{counts, high, long, low, read_each};
@@ -16,9 +16,9 @@ const SERVO: u16 = 0x0403;
 const ALARM_RESET: u16 = 0x0407;
 const PAUSE: u16 = 0x040A;
 const HOME: u16 = 0x040B;
-/// PIO/Modbus switch [unverified]: until it is on, motion commands are acknowledged and ignored.
+/// PIO/Modbus switch (unverified): until it is on, motion commands are acknowledged and ignored.
 const MODBUS_COMMANDS: u16 = 0x0427;
-/// Deceleration stop [unverified]: clears itself.
+/// Deceleration stop (unverified): clears itself.
 const DECELERATION_STOP: u16 = 0x042C;
 
 const PNOW: u16 = 0x9000;
@@ -35,7 +35,7 @@ const BLOCK: usize = 9;
 /// Offsets in the block.
 const PCMD_LOW: usize = 1;
 const FLAGS: usize = 8;
-/// Relative move [unverified].
+/// Relative move (unverified).
 const FLAG_RELATIVE: u16 = 1 << 3;
 
 /// The map's own state.
@@ -240,7 +240,7 @@ impl Iai {
             | u16::from(self.in_position(drive, t_s)) << 3
     }
 
-    /// Expansion status [unverified]: enabled, Modbus in command, moving.
+    /// Expansion status (unverified): enabled, Modbus in command, moving.
     fn dsse(&self, drive: &Drive, t_s: f64) -> u16 {
         1 << 15 | u16::from(self.modbus_commands) << 7 | u16::from(drive.moving(t_s)) << 5
     }

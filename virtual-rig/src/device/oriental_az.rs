@@ -1,6 +1,6 @@
 //! Oriental Motor AZ: direct data operation in one block of eight 32-bit values.
 //! Registers from `field.md` 4 (HM-60262E); the high word stands at the lower address. Output and
-//! input bits are the factory assignment [unverified]. PURE.
+//! input bits are the factory assignment (unverified). PURE.
 //! Never: clocks, wires; stored data operation, push and wrap motion are left out.
 
 use super::{counts, high, long, low, read_each};
