@@ -200,16 +200,16 @@ fn an_unreachable_depth_is_one_error() {
     assert_eq!(
         unreachable("", |r| r.z_travel_mm = [0.0, 73.5]),
         "real-hex.toml: real_hex.depths = 11: pressing 5 mm where the skin is lowest needs machine \
-         z 74.00 mm, beyond axes.z.travel_mm [0, 73.5] of rigs/virtual.toml"
+         z 73.65 mm, beyond axes.z.travel_mm [0, 73.5] of rigs/virtual.toml"
     );
     assert_eq!(
         unreachable("reference_depth_mm = 6.0\n", |r| r.z_travel_mm = [0.0, 74.5]),
         "real-hex.toml: real_hex.reference_depth_mm = 6: pressing 6 mm where the skin is lowest \
-         needs machine z 75.00 mm, beyond axes.z.travel_mm [0, 74.5] of rigs/virtual.toml"
+         needs machine z 74.65 mm, beyond axes.z.travel_mm [0, 74.5] of rigs/virtual.toml"
     );
     assert_eq!(
         unreachable("", |r| r.clearance_mm = 0.8),
-        "real-hex.toml: real_hex.standoff_mm = 1: must not be above skin.clearance_mm = 0.8 of \
+        "real-hex.toml: real_hex.standoff_mm = 1.35: must not be above skin.clearance_mm = 0.8 of \
          rigs/virtual.toml"
     );
 }
@@ -218,7 +218,7 @@ fn an_unreachable_depth_is_one_error() {
 fn a_force_above_the_rigs_limit_is_one_error() {
     assert_eq!(
         unreachable("[limits]\nforce_n = 90.0\n", |_| ()),
-        "real-hex.toml: limits.force_n = 90: must not be above limits.force_n = 80 of \
+        "real-hex.toml: limits.force_n = 90: must not be above limits.force_n = 88 of \
          rigs/virtual.toml"
     );
 }
