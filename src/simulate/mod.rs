@@ -1,0 +1,4 @@
+//! Simulated frames: one trial, the twins of stored trials, free trials in bulk.
+//! Uses: sim-core, `store`. Never: the rig, HTTP; no trial waits for a simulation.
+
+pub mod model;
