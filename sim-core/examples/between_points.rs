@@ -6,10 +6,20 @@ use std::sync::Arc;
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 use sim_core::responses::UnitResponses;
 use sim_core::sensor::Sensor;
+use sim_core::tip::Spreading;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let sensor = Sensor::from_toml(include_str!("../../experiments/sensors/ert-28.toml"))?;
-    let model = ForwardModel::new(&sensor, Arc::new(UnitResponses::solve(&sensor)?))?;
+    let responses = Arc::new(UnitResponses::solve(&sensor)?);
+    for spreading in [Spreading::Linear, Spreading::Sharp] {
+        println!("{spreading:?}");
+        let model = ForwardModel::new(&sensor, Arc::clone(&responses))?;
+        print_ratios(&model.with_spreading(spreading))?;
+    }
+    Ok(())
+}
+
+fn print_ratios(model: &ForwardModel) -> Result<(), Box<dyn std::error::Error>> {
     let mesh = model.mesh();
     let inner = mesh.triangles.iter().filter(|t| {
         t.iter().all(|&n| {

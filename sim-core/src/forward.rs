@@ -16,7 +16,7 @@ use crate::network::{ElectrodeError, SheetNetwork};
 use crate::piezo::{SPECIMEN_AREA_MM2, conductance_s};
 use crate::responses::UnitResponses;
 use crate::sensor::{ResistancePer, Sensor};
-use crate::tip::{Share, TipLattice};
+use crate::tip::{Share, Spreading, TipLattice};
 
 /// A contact is taken for one on a point within this distance by those who need a point's number,
 /// mm; the model itself takes every contact where it is.
@@ -106,7 +106,8 @@ pub struct ForwardModel {
     responses: Arc<UnitResponses>,
     fields: NodeFields,
     circuit: ReadoutCircuit,
-    pub(crate) lattice: TipLattice,
+    lattice: TipLattice,
+    spreading: Spreading,
     /// Rows of the unit responses under each point's vertices.
     point_rows: Vec<[usize; 6]>,
     pub(crate) laws: Vec<NodeLaw>,
@@ -172,7 +173,8 @@ impl ForwardModel {
         let network = SheetNetwork::new(&mesh, &sheet_s, &circuit)?;
         Ok(Self {
             laws: node_laws(sensor, &mesh, &fields),
-            hash: model_hash(sensor, &responses, &fields, &circuit),
+            hash: model_hash(sensor, &responses, &fields, &circuit, Spreading::default()),
+            spreading: Spreading::default(),
             reduction: KronReduction::new(&network),
             network_nodes: network.places_mm.len(),
             electrode_nodes: network.electrodes,
@@ -184,6 +186,14 @@ impl ForwardModel {
             fields,
             circuit,
         })
+    }
+
+    /// The same skin with another way to load the nodes around a tip.
+    pub fn with_spreading(mut self, spreading: Spreading) -> Self {
+        self.hash =
+            model_hash(&self.sensor, &self.responses, &self.fields, &self.circuit, spreading);
+        self.spreading = spreading;
+        self
     }
 
     /// The sensor.
@@ -276,13 +286,18 @@ impl ForwardModel {
         for (index, contact) in contacts.iter().enumerate() {
             self.check(index, contact)?;
             work.shares.clear();
-            self.lattice.spread(contact.x_mm, contact.y_mm, &mut work.shares);
+            self.spread(contact, &mut work.shares);
             let sixth_n = contact.force_n / 6.0;
             let loaded = work.shares.iter().filter(|share| share.sixths != 0.0);
             work.forces.extend(loaded.map(|s| (s.node as usize, sixth_n * s.sixths)));
         }
         self.superpose(work.forces.iter().copied(), &mut work.compression_mm);
         Ok(())
+    }
+
+    /// A contact's shares on the nodes.
+    pub(crate) fn spread(&self, contact: &Contact, shares: &mut Vec<Share>) {
+        self.lattice.spread(self.spreading, contact.x_mm, contact.y_mm, shares);
     }
 
     /// Sum of unit responses, each times its node's load, at every node.
@@ -346,6 +361,7 @@ fn model_hash(
     responses: &UnitResponses,
     fields: &NodeFields,
     circuit: &ReadoutCircuit,
+    spreading: Spreading,
 ) -> String {
     let mut digest = Digest::new("forward model 2; kron f64 1");
     digest.bytes(responses.own_key());
@@ -358,5 +374,9 @@ fn model_hash(
     digest.numbers([sensor.file.circuit.sheet_ohm_per_sq]);
     fields.digest(&mut digest);
     circuit.digest(&mut digest);
+    digest.word(match spreading {
+        Spreading::Linear => "linear",
+        Spreading::Sharp => "sharp",
+    });
     format!("sim-{}", hex(&digest.finish()[..8]))
 }

@@ -235,7 +235,7 @@ impl Linearised<'_> {
         let mut out = columns.chunks_exact_mut(channels);
         for contact in self.contacts {
             shares.clear();
-            model.lattice.spread(contact.x_mm, contact.y_mm, shares);
+            model.spread(contact, shares);
             let sixth_n = contact.force_n / 6.0;
             let parameters: [&dyn Fn(&Share) -> f64; CONTACT_PARAMETERS] = [
                 &|share| sixth_n * share.slope_per_mm[0],

@@ -3,13 +3,13 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sim_core::forward::{Contact, ContactError, VertexForce, Workspace};
-use sim_core::tip::{Share, TipLattice};
+use sim_core::tip::{Share, Spreading, TipLattice};
 
 use super::{model, point_at, press, sensor};
 
-fn shares(x_mm: f64, y_mm: f64) -> Vec<Share> {
+fn shares(spreading: Spreading, x_mm: f64, y_mm: f64) -> Vec<Share> {
     let mut shares = Vec::new();
-    TipLattice::new(sensor(), model().mesh()).spread(x_mm, y_mm, &mut shares);
+    TipLattice::new(sensor(), model().mesh()).spread(spreading, x_mm, y_mm, &mut shares);
     shares
 }
 
@@ -26,7 +26,7 @@ fn on_a_point_the_six_vertices_carry_a_sixth_each_to_the_last_bit() {
     let mut work = Workspace::default();
     for (point, p) in sensor().points().iter().enumerate() {
         let loaded: Vec<_> =
-            shares(p.x_mm, p.y_mm).into_iter().filter(|s| s.sixths != 0.0).collect();
+            shares(Spreading::Sharp, p.x_mm, p.y_mm).into_iter().filter(|s| s.sixths != 0.0).collect();
         let nodes: Vec<_> = loaded.iter().map(|s| s.node as usize).collect();
         assert_eq!(nodes, model().point_rows(point));
         assert!(loaded.iter().all(|s| s.sixths == 1.0));
@@ -42,16 +42,39 @@ fn force_and_moment_are_kept_inside_the_outermost_nodes() {
     for _ in 0..2000 {
         // All six corners are within the columns of nodes and the notches' closing triangles.
         let (x, y) = (rng.random_range(14.53..525.47), rng.random_range(10.0..550.0));
-        let all = shares(x, y);
-        let (force, centre) = sums(&all);
-        assert!((force - 6.0).abs() < 1e-12 && all.iter().all(|s| s.sixths > -1e-12));
-        assert!((centre[0] - x).hypot(centre[1] - y) < 1e-5, "({x}, {y}): {centre:?}");
-        assert!(all.len() <= 12 || y < 15.0 || y > 545.0, "{} nodes", all.len());
-        for axis in 0..2 {
-            let drift: f64 = all.iter().map(|s| s.slope_per_mm[axis]).sum();
-            assert!(drift.abs() < 1e-12);
+        for (spreading, most) in [(Spreading::Linear, 12), (Spreading::Sharp, 27)] {
+            let all = shares(spreading, x, y);
+            let (force, centre) = sums(&all);
+            assert!((force - 6.0).abs() < 1e-12);
+            assert!(spreading == Spreading::Sharp || all.iter().all(|s| s.sixths > -1e-12));
+            assert!((centre[0] - x).hypot(centre[1] - y) < 1e-5, "({x}, {y}): {centre:?}");
+            assert!(all.len() <= most || !(15.0..545.0).contains(&y), "{} nodes", all.len());
+            for axis in 0..2 {
+                let drift: f64 = all.iter().map(|s| s.slope_per_mm[axis]).sum();
+                assert!(drift.abs() < 1e-12);
+            }
         }
     }
+}
+
+#[test]
+fn sharp_shares_have_no_second_moment_and_linear_ones_do() {
+    let moment = |spreading, x: f64, y: f64| -> f64 {
+        let of = |s: &Share| {
+            let [px, py] = model().mesh().nodes_mm[s.node as usize];
+            s.sixths * ((px - x).powi(2) + (py - y).powi(2))
+        };
+        shares(spreading, x, y).iter().map(of).sum::<f64>() / 6.0
+    };
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let mut blur = 0.0f64;
+    for _ in 0..500 {
+        let (x, y) = (rng.random_range(60.0..480.0), rng.random_range(60.0..500.0));
+        // The hexagon's own: its corners are 10 mm from the centre.
+        assert!((moment(Spreading::Sharp, x, y) - 100.0).abs() < 1e-6);
+        blur = blur.max(moment(Spreading::Linear, x, y) - 100.0);
+    }
+    assert!((30.0..100.0 / 3.0 + 1e-6).contains(&blur), "{blur} mm2");
 }
 
 #[test]
@@ -64,7 +87,7 @@ fn at_the_rim_no_force_is_lost_and_none_pulls() {
             2 => (rng.random_range(10.0..530.0), 10.0),
             _ => (if i % 8 == 3 { 10.0 } else { 530.0 }, if i % 16 < 8 { 10.0 } else { 550.0 }),
         };
-        let all = shares(x, y);
+        let all = shares(Spreading::Linear, x, y);
         let (force, centre) = sums(&all);
         assert!((force - 6.0).abs() < 1e-12 && all.iter().all(|s| s.sixths > -1e-12));
         // Two of six corners move by up to 4.6 mm; in the skin's corners one more by 2.5 mm.
@@ -80,7 +103,10 @@ fn shares_are_continuous_and_their_slopes_are_right() {
     for _ in 0..3000 {
         let (x, y) = (rng.random_range(10.1..529.9), rng.random_range(10.1..549.9));
         for axis in 0..2 {
-            let at = |by: f64| shares(x + if axis == 0 { by } else { 0.0 }, y + if axis == 1 { by } else { 0.0 });
+            let at = |by: f64| {
+                let [dx, dy] = if axis == 0 { [by, 0.0] } else { [0.0, by] };
+                shares(Spreading::Sharp, x + dx, y + dy)
+            };
             let (low, here, high) = (at(-step), at(0.0), at(step));
             let of = |list: &[Share], node: u32| {
                 list.iter().find(|s| s.node == node).map_or(0.0, |s| s.sixths)
