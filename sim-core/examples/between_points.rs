@@ -27,20 +27,22 @@ fn print_ratios(model: &ForwardModel) -> Result<(), Box<dyn std::error::Error>> 
             (60.0..480.0).contains(&x) && (60.0..500.0).contains(&y)
         })
     });
-    let triangles: Vec<_> = inner.step_by(97).map(|t| t.map(|n| mesh.nodes_mm[n as usize])).collect();
+    let triangles: Vec<_> =
+        inner.step_by(97).map(|t| t.map(|n| mesh.nodes_mm[n as usize])).collect();
     let mut work = Workspace::default();
-    let mut sums = |weights: &[f64; 3], force_n: f64| -> Result<[f64; 3], Box<dyn std::error::Error>> {
-        let mut sums = [0.0; 3];
-        for t in &triangles {
-            let at = |i: usize| (0..3).map(|k| weights[k] * t[k][i]).sum::<f64>();
-            let contact = Contact { x_mm: at(0), y_mm: at(1), force_n };
-            let frame = model.voltages(&[contact], &mut work)?;
-            sums[1] += frame.iter().map(|v| v * v).sum::<f64>().sqrt();
-            sums[0] += work.to_top_s().iter().sum::<f64>();
-            sums[2] += work.compression_mm().iter().copied().fold(0.0, f64::max);
-        }
-        Ok(sums)
-    };
+    let mut sums =
+        |weights: &[f64; 3], force_n: f64| -> Result<[f64; 3], Box<dyn std::error::Error>> {
+            let mut sums = [0.0; 3];
+            for t in &triangles {
+                let at = |i: usize| (0..3).map(|k| weights[k] * t[k][i]).sum::<f64>();
+                let contact = Contact { x_mm: at(0), y_mm: at(1), force_n };
+                let frame = model.voltages(&[contact], &mut work)?;
+                sums[1] += frame.iter().map(|v| v * v).sum::<f64>().sqrt();
+                sums[0] += work.to_top_s().iter().sum::<f64>();
+                sums[2] += work.compression_mm().iter().copied().fold(0.0, f64::max);
+            }
+            Ok(sums)
+        };
     let rest_s: f64 = {
         let mut work = Workspace::default();
         model.voltages(&[], &mut work)?;
@@ -65,15 +67,9 @@ fn print_ratios(model: &ForwardModel) -> Result<(), Box<dyn std::error::Error>> 
             ("triangle, middle", [1.0 / 3.0; 3]),
         ] {
             let of = sums(&weights, force_n)?;
-            let ratio = [
-                (of[0] - rest_s) / (nodes[0] - rest_s),
-                of[1] / nodes[1],
-                of[2] / nodes[2],
-            ];
-            println!(
-                "{force_n:7}  {name:18}  {:14.4}  {:.4}  {:.4}",
-                ratio[0], ratio[1], ratio[2]
-            );
+            let ratio =
+                [(of[0] - rest_s) / (nodes[0] - rest_s), of[1] / nodes[1], of[2] / nodes[2]];
+            println!("{force_n:7}  {name:18}  {:14.4}  {:.4}  {:.4}", ratio[0], ratio[1], ratio[2]);
         }
     }
     Ok(())

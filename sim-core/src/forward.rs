@@ -301,11 +301,7 @@ impl ForwardModel {
     }
 
     /// Sum of unit responses, each times its node's load, at every node.
-    pub(crate) fn superpose(
-        &self,
-        loads: impl Iterator<Item = (usize, f64)>,
-        sum: &mut Vec<f64>,
-    ) {
+    pub(crate) fn superpose(&self, loads: impl Iterator<Item = (usize, f64)>, sum: &mut Vec<f64>) {
         sum.clear();
         sum.resize(self.mesh.plane_nodes(), 0.0);
         for (node, load) in loads {

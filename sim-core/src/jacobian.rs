@@ -152,8 +152,8 @@ pub struct JacobianWork {
     /// Nodes that move with the load.
     moving: Vec<u32>,
     shares: Vec<Share>,
-    /// Slope of the compression with one parameter of a contact, at every node.
-    compression_slope: Vec<f64>,
+    /// Slopes of the compression before the clamp with a contact's parameters, at those nodes.
+    load_slopes: Vec<[f64; CONTACT_PARAMETERS]>,
     direction: Direction,
     pull: Pull,
     columns: Vec<f64>,
@@ -196,8 +196,7 @@ impl ForwardModel {
         let moves = |(node, s): (usize, &NodeSlopes)| (s.per_mm != 0.0).then_some(node as u32);
         work.moving.extend(work.slopes.iter().enumerate().filter_map(moves));
         self.conduct(forward);
-        let reduced =
-            self.reduction.factor(&forward.to_top_s, &mut forward.kron, &mut work.factor);
+        let reduced = self.reduction.factor(&forward.to_top_s, &mut forward.kron, &mut work.factor);
         forward.readout.evaluate(reduced, self.circuit());
         let electrodes = self.circuit().electrodes.len();
         work.potentials.solve(&self.reduction, &mut work.factor, &forward.readout, electrodes);
@@ -219,7 +218,7 @@ impl Linearised<'_> {
             slopes,
             moving,
             shares,
-            compression_slope,
+            load_slopes,
             direction,
             columns,
             ..
@@ -237,17 +236,26 @@ impl Linearised<'_> {
             shares.clear();
             model.spread(contact, shares);
             let sixth_n = contact.force_n / 6.0;
-            let parameters: [&dyn Fn(&Share) -> f64; CONTACT_PARAMETERS] = [
-                &|share| sixth_n * share.slope_per_mm[0],
-                &|share| sixth_n * share.slope_per_mm[1],
-                &|share| share.sixths / 6.0,
-            ];
-            for parameter in parameters {
-                let loads = shares.iter().map(|s| (s.node as usize, parameter(s)));
-                model.superpose(loads, compression_slope);
-                direction.replace_to_top(moving.iter().map(|&node| {
-                    slopes[node as usize].per_mm * compression_slope[node as usize]
-                }));
+            load_slopes.clear();
+            load_slopes.resize(moving.len(), [0.0; CONTACT_PARAMETERS]);
+            for share in shares.iter() {
+                let [along_x, along_y] = share.slope_per_mm.map(|slope| sixth_n * slope);
+                let loads = [along_x, along_y, share.sixths / 6.0];
+                let row = model.responses().row(share.node as usize);
+                for (slopes, &node) in load_slopes.iter_mut().zip(moving.iter()) {
+                    let unit = f64::from(row[node as usize]);
+                    for (slope, load) in slopes.iter_mut().zip(loads) {
+                        *slope += load * unit;
+                    }
+                }
+            }
+            for parameter in 0..CONTACT_PARAMETERS {
+                direction.replace_to_top(
+                    moving
+                        .iter()
+                        .zip(load_slopes.iter())
+                        .map(|(&node, of_load)| slopes[node as usize].per_mm * of_load[parameter]),
+                );
                 if let Some(column) = out.next() {
                     direction.frame(potentials, &forward.readout, model.circuit(), column);
                 }

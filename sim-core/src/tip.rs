@@ -103,9 +103,8 @@ impl TipLattice {
         if near(0) && near(1) && (node[0] + node[1]) % 2.0 == 0.0 {
             centre = node;
         }
-        let corners = HEXAGON.map(|[m, q]| {
-            self.corners([centre[0] + f64::from(m), centre[1] + f64::from(q)])
-        });
+        let corners = HEXAGON
+            .map(|[m, q]| self.corners([centre[0] + f64::from(m), centre[1] + f64::from(q)]));
         for corner in corners.iter().flatten() {
             self.add(*corner, first, shares);
         }
@@ -121,7 +120,8 @@ impl TipLattice {
     fn sharpen(&self, triangle: &[Corner; 3], first: usize, shares: &mut Vec<Share>) {
         let pairs = [(0, 1), (1, 2), (2, 0)].map(|(a, b)| (triangle[a], triangle[b]));
         let q: f64 = pairs.iter().map(|(a, b)| a.1 * b.1).sum();
-        let dq = [0, 1].map(|i| pairs.iter().map(|(a, b)| a.2[i] * b.1 + a.1 * b.2[i]).sum::<f64>());
+        let dq =
+            [0, 1].map(|i| pairs.iter().map(|(a, b)| a.2[i] * b.1 + a.1 * b.2[i]).sum::<f64>());
         for &(node, weight, slope) in triangle {
             let around = HEXAGON.map(|[m, q]| [node[0] + m, node[1] + q]);
             if around.iter().any(|&place| self.node(place).is_none()) {
@@ -197,8 +197,8 @@ impl TipLattice {
     }
 
     fn index(&self, [m, q]: [i32; 2]) -> Option<usize> {
-        let inside = (self.low[0]..=self.high[0]).contains(&m)
-            && (self.low[1]..=self.high[1]).contains(&q);
+        let inside =
+            (self.low[0]..=self.high[0]).contains(&m) && (self.low[1]..=self.high[1]).contains(&q);
         let rows = self.high[1] - self.low[1] + 1;
         inside.then(|| (rows * (m - self.low[0]) + (q - self.low[1])) as usize)
     }
@@ -219,11 +219,7 @@ fn triangle([u, v]: [f64; 2]) -> [Corner; 3] {
         [i, i + 2 * j]
     };
     if a + b <= 1.0 {
-        [
-            (node(0, 0), 1.0 - a - b, minus(both)),
-            (node(1, 0), a, da),
-            (node(0, 1), b, db),
-        ]
+        [(node(0, 0), 1.0 - a - b, minus(both)), (node(1, 0), a, da), (node(0, 1), b, db)]
     } else {
         [
             (node(1, 1), a + b - 1.0, both),

@@ -146,18 +146,19 @@ impl Direction {
             // -dZ_kk, and with it what changes the sink's share.
             let fall = common * (common * self.to_top_s + 2.0 * self.to_top_v[k]) + product(k, k);
             let lead = self.lead_ohm[k];
-            let volts = |j: usize| {
-                if j == k {
-                    return 0.0;
-                }
+            let volts = &mut out[n * k..][..n];
+            for (j, volts) in volts.iter_mut().enumerate() {
                 let seen = (own - z[n * j + k]) / own;
                 // -d(Z_kk - Z_jk), without the common part.
                 let apart = common * (self.to_top_v[k] - self.to_top_v[j])
                     + (product(k, k) - product(j, k));
-                circuit.source_v / own * (seen * (fall - lead) + lead - apart)
-            };
+                *volts = circuit.source_v / own * (seen * (fall - lead) + lead - apart);
+            }
+            volts[k] = 0.0;
+            let first = volts[0];
             for j in 0..n {
-                out[n * k + j] = circuit.gain * (volts(j) - volts((j + 1) % n));
+                let next = if j + 1 < n { volts[j + 1] } else { first };
+                volts[j] = circuit.gain * (volts[j] - next);
             }
         }
     }

@@ -127,7 +127,7 @@ impl KronReduction {
     /// Potentials at all nodes (row-major, indexed by the network's nodes, `width` columns) that
     /// follow from those of the electrodes (`kept`, row-major in their order) and of the top layer
     /// (`top`, the same in every column), with no current fed in elsewhere. Each is a weighted mean of
-    /// the given ones, without a subtraction.
+    /// the given ones, without a subtraction. `width` is a multiple of four.
     pub fn solve_columns(
         &self,
         factor: &mut KronFactor,
@@ -146,20 +146,22 @@ impl KronReduction {
             let begin = end - front.pivots * lead;
             let block = &columns[begin..end];
             end = begin;
-            // Rows here count from the last one up, so that a pivot's sum runs over a prefix.
+            // Here the last row comes first, so that a pivot's sum runs over all that is known.
             local.clear();
             local.resize(width, top);
             for &place in front.remains.iter().rev() {
                 local.extend_from_slice(&ordered[place as usize * width..][..width]);
             }
-            for (k, column) in block.chunks_exact(lead).enumerate().rev() {
-                let own = &mut ordered[(front.first + k) * width..][..width];
-                let below = column[k + 1..=front.rows].iter().rev();
-                for (&weight, row) in below.zip(local.chunks_exact(width)) {
-                    add_scaled(own, weight, row);
+            let own = &mut ordered[front.first * width..][..front.pivots * width];
+            let mut k = front.pivots;
+            while k > 0 {
+                if k >= TILE {
+                    k -= TILE;
+                    solve_pivots::<TILE>(block, lead, [front.rows, k], local, own, width);
+                } else {
+                    k -= 1;
+                    solve_pivots::<1>(block, lead, [front.rows, k], local, own, width);
                 }
-                own.iter_mut().for_each(|value| *value *= column[k]);
-                local.extend_from_slice(own);
             }
         }
         potentials.resize(ordered.len(), 0.0);
@@ -273,6 +275,54 @@ fn update_tiles(panel: &[f64], columns: &mut [f64], lead: usize, from: usize) {
             }
         }
     }
+}
+
+/// Potentials of the pivots `first..first + P` of a front, from those of all later rows in `local`
+/// (the last one first), to which they are appended; also into `own`, by pivots.
+fn solve_pivots<const P: usize>(
+    block: &[f64],
+    lead: usize,
+    [rows, first]: [usize; 2],
+    local: &mut Vec<f64>,
+    own: &mut [f64],
+    width: usize,
+) {
+    let columns: [&[f64]; P] = std::array::from_fn(|p| &block[(first + p) * lead..][..=rows]);
+    for at in (0..width).step_by(TILE) {
+        let mut sums = later_sums(&columns, local, [rows, first + P], [width, at]);
+        for p in (0..P).rev() {
+            for q in (p + 1..P).rev() {
+                let (weight, later) = (columns[p][first + q], sums[q]);
+                sums[p] = std::array::from_fn(|c| sums[p][c] + weight * later[c]);
+            }
+            sums[p] = sums[p].map(|value| value * columns[p][first + p]);
+            own[(first + p) * width + at..][..TILE].copy_from_slice(&sums[p]);
+        }
+    }
+    for pivot in own[first * width..][..P * width].chunks_exact(width).rev() {
+        local.extend_from_slice(pivot);
+    }
+}
+
+/// Part of [`solve_pivots`]: a function of its own, so that the sums stay in registers.
+#[inline(never)]
+fn later_sums<const P: usize>(
+    columns: &[&[f64]; P],
+    local: &[f64],
+    [rows, next]: [usize; 2],
+    [width, at]: [usize; 2],
+) -> [[f64; TILE]; P] {
+    let mut sums = [[0.0; TILE]; P];
+    for (later, row) in local.chunks_exact(width).zip((next..=rows).rev()) {
+        let later = four(later, at);
+        for (sums, column) in sums.iter_mut().zip(columns) {
+            let weight = column[row];
+            for (sum, value) in sums.iter_mut().zip(later) {
+                *sum += weight * value;
+            }
+        }
+    }
+    sums
 }
 
 #[inline(always)]

@@ -87,8 +87,8 @@ fn contact_errors(model: &ForwardModel, trials: usize, broken: bool) -> (Vec<f64
             let at = |by: f64| moved(&contacts, contact, parameter, by);
             let numbers = extrapolated(step, |by| frame(model, &at(by)));
             let slope = |by: f64| {
-                model.jacobian(&at(by), &mut JacobianWork::default()).unwrap()
-                    [CHANNELS * i..][..CHANNELS]
+                model.jacobian(&at(by), &mut JacobianWork::default()).unwrap()[CHANNELS * i..]
+                    [..CHANNELS]
                     .to_vec()
             };
             let jumps = apart(&slope(step), &slope(-step)) > 1e-2;
@@ -96,7 +96,8 @@ fn contact_errors(model: &ForwardModel, trials: usize, broken: bool) -> (Vec<f64
                 kinked += 1;
                 continue;
             }
-            let column: Vec<f64> = column.iter().map(|v| if broken { 1.001 * v } else { *v }).collect();
+            let column: Vec<f64> =
+                column.iter().map(|v| if broken { 1.001 * v } else { *v }).collect();
             errors.push(error(&column, &numbers, &frame(model, &contacts), step));
         }
     }
@@ -136,7 +137,7 @@ fn other_skin() -> ForwardModel {
     fields.displacement = Some(DisplacementLut::sample(0.05, 30.0, soft).unwrap());
     let mut circuit = ReadoutCircuit::nominal(sensor());
     for (k, site) in circuit.electrodes.iter_mut().enumerate() {
-        site.lead_ohm = 200.0 * k as f64;
+        site.lead_ohm = 100.0 + 200.0 * k as f64;
         if k % 3 == 0 {
             site.x_mm += rng.random_range(-3.0..3.0);
             site.y_mm += rng.random_range(-3.0..3.0);
@@ -257,8 +258,9 @@ fn whole(model: &ForwardModel, field: Field) -> Mode {
 /// frame as it is. Returns what is left of the two sums, by the size of their terms.
 fn sum_rules(model: &ForwardModel, contacts: &[Contact], work: &mut JacobianWork) -> [f64; 2] {
     let mut linear = model.linearise(contacts, work).unwrap();
-    let mut modes =
-        [Field::LnA, Field::LnC, Field::LnSheetConductance, Field::LnCompliance].map(|f| whole(model, f)).to_vec();
+    let mut modes = [Field::LnA, Field::LnC, Field::LnSheetConductance, Field::LnCompliance]
+        .map(|f| whole(model, f))
+        .to_vec();
     for e in &mut modes[2].entries {
         e.1 = -1.0;
     }
@@ -299,7 +301,13 @@ fn what_leaves_the_frame_unchanged_has_no_derivative() {
     for contacts in &loads {
         for model in [model(), &other] {
             let left = sum_rules(model, contacts, &mut work);
-            println!("{} contacts, {:.2} N: {:.1e}, {:.1e}", contacts.len(), contacts[0].force_n, left[0], left[1]);
+            println!(
+                "{} contacts, {:.2} N: {:.1e}, {:.1e}",
+                contacts.len(),
+                contacts[0].force_n,
+                left[0],
+                left[1]
+            );
             assert!(left.iter().all(|&left| left < 1e-9), "{left:?}");
         }
     }

@@ -25,8 +25,10 @@ fn sums(shares: &[Share]) -> (f64, [f64; 2]) {
 fn on_a_point_the_six_vertices_carry_a_sixth_each_to_the_last_bit() {
     let mut work = Workspace::default();
     for (point, p) in sensor().points().iter().enumerate() {
-        let loaded: Vec<_> =
-            shares(Spreading::Sharp, p.x_mm, p.y_mm).into_iter().filter(|s| s.sixths != 0.0).collect();
+        let loaded: Vec<_> = shares(Spreading::Sharp, p.x_mm, p.y_mm)
+            .into_iter()
+            .filter(|s| s.sixths != 0.0)
+            .collect();
         let nodes: Vec<_> = loaded.iter().map(|s| s.node as usize).collect();
         assert_eq!(nodes, model().point_rows(point));
         assert!(loaded.iter().all(|s| s.sixths == 1.0));
@@ -91,7 +93,10 @@ fn at_the_rim_no_force_is_lost_and_none_pulls() {
         let (force, centre) = sums(&all);
         assert!((force - 6.0).abs() < 1e-12 && all.iter().all(|s| s.sixths > -1e-12));
         // Two of six corners move by up to 4.6 mm; in the skin's corners one more by 2.5 mm.
-        assert!((centre[0] - x).abs() < 1.6 && (centre[1] - y).abs() < 0.5, "({x}, {y}): {centre:?}");
+        assert!(
+            (centre[0] - x).abs() < 1.6 && (centre[1] - y).abs() < 0.5,
+            "({x}, {y}): {centre:?}"
+        );
     }
 }
 
@@ -124,9 +129,7 @@ fn shares_are_continuous_and_their_slopes_are_right() {
 #[test]
 fn a_contact_off_the_skin_or_pulling_is_refused_by_name() {
     let mut work = Workspace::default();
-    let mut refuse = |c: Contact| {
-        model().voltages(&[press(1, 1.0), c], &mut work).unwrap_err()
-    };
+    let mut refuse = |c: Contact| model().voltages(&[press(1, 1.0), c], &mut work).unwrap_err();
     let c = press(5, 10.0);
     let error = refuse(Contact { y_mm: 9.9, ..c });
     assert_eq!(
