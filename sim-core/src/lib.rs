@@ -3,7 +3,8 @@
 //! Uses: faer for the elastic solve. Never: async, files, clock, database, unseeded chance.
 //!
 //! Data flows one way: `sensor -> mesh -> (element, material, order, boundary, assemble, solve) ->
-//! responses -> fields, piezo -> network -> forward`.
+//! responses -> fields, piezo, tip -> network -> forward ->
+//! jacobian`.
 
 pub mod sensor;
 pub mod mesh;
@@ -18,5 +19,7 @@ pub mod piezo;
 pub mod fields;
 pub mod circuit;
 pub mod network;
+pub mod tip;
 pub mod forward;
+pub mod jacobian;
 mod digest;

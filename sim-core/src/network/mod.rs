@@ -5,6 +5,7 @@
 //! layer. `order` and `kron` remove all nodes but the electrodes and the top without a subtraction;
 //! `readout` turns what is left into the impedances Z and the voltages.
 
+pub mod adjoint;
 pub mod kron;
 pub mod readout;
 pub mod sheet;

@@ -10,8 +10,10 @@ use sim_core::sensor::Sensor;
 mod deformation;
 mod elements;
 mod forward;
+mod jacobian;
 mod mesh;
 mod network;
+mod tip;
 
 /// The paper's skin.
 fn sensor() -> &'static Sensor {
