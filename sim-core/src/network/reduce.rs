@@ -85,7 +85,7 @@ pub(crate) fn reduce<'w, L: Lane>(
         *value = value.add(L::splat(conductance_s));
     }
     let electrodes = to_top[(plan.order().len() - plan.kept()) * L::LANES..].chunks_exact(L::LANES);
-    for (electrode, to_top) in electrodes.enumerate() {
+    for (electrode, to_top) in electrodes.take(plan.kept()).enumerate() {
         let value = &mut reduced[packed_entry(kept, kept as u32 - 1, electrode as u32)];
         *value = value.add(L::load(to_top));
     }

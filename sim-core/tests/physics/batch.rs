@@ -77,3 +77,125 @@ fn every_kernel_agrees_with_the_exact_path_at_every_load() {
         }
     }
 }
+
+#[test]
+fn a_broken_twin_fails_the_same_check() {
+    // One foam law of 3503 off by 10 % under a tip, and the top row of one trial dropped.
+    let trials = trials(6, 1.0..40.0, 2);
+    let mut fields = NodeFields::nominal(model().mesh());
+    let centre = model().mesh().points[sensor().points().len() / 2].centre as usize;
+    fields.ln_a[centre] += 0.1;
+    let mut pressed = trials.clone();
+    pressed[0] = vec![press(sensor().points().len() / 2, 30.0)];
+    let circuit = ReadoutCircuit::nominal(sensor());
+    let twin = ForwardModel::with(sensor(), responses(), fields, circuit).unwrap();
+    let twin = BatchModel::new(&twin, Kernel::detect());
+    let error = error(model(), &pressed, &frames(&twin, &pressed));
+    assert!(error > 100.0 * ACCURACY, "{error:e}");
+}
+
+#[test]
+fn the_reality_gap_is_honoured() {
+    let mesh = model().mesh();
+    let mut fields = NodeFields::nominal(mesh);
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    for field in [&mut fields.ln_a, &mut fields.ln_b, &mut fields.ln_c, &mut fields.ln_compliance] {
+        field.iter_mut().for_each(|v| *v = rng.random_range(-0.3..0.3));
+    }
+    fields.ln_sheet_conductance.iter_mut().for_each(|v| *v = rng.random_range(-0.2..0.2));
+    let law = |x: f64| x / (1.0 + (x / 5.0).powi(4)).powf(0.25);
+    fields.displacement = Some(DisplacementLut::sample(0.05, 12.0, law).unwrap());
+    let mut circuit = ReadoutCircuit::nominal(sensor());
+    for (index, site) in circuit.electrodes.iter_mut().enumerate() {
+        site.contact_ohm = 30.0;
+        site.lead_ohm = 400.0 + 50.0 * index as f64;
+        site.x_mm += if site.x_mm < 270.0 { 3.0 } else { -3.0 };
+    }
+    circuit.gain = 1.7;
+    let real = ForwardModel::with(sensor(), responses(), fields, circuit).unwrap();
+    let trials = trials(18, 0.5..60.0, 6);
+    for kernel in kernels() {
+        let frames = frames(&BatchModel::new(&real, kernel), &trials);
+        // The gain scales frames, not the electrode voltages that errors are relative to.
+        let found = error(&real, &trials, &frames) / 1.7;
+        assert!(found < ACCURACY, "{}: {found:e}", kernel.name());
+        assert!(error(model(), &trials, &frames) > 0.01, "a nominal skin looks different");
+    }
+}
+
+#[test]
+fn a_trials_bytes_do_not_depend_on_its_neighbours() {
+    let trials = trials(37, 1.0..40.0, 7);
+    for batch in batches() {
+        let name = batch.kernel().name();
+        let all = frames(batch, &trials);
+        // One by one, and shifted against the lanes.
+        for (trial, expected) in trials.iter().zip(all.chunks_exact(784)) {
+            assert_eq!(frames(batch, std::slice::from_ref(trial)), expected, "{name}");
+        }
+        assert_eq!(frames(batch, &trials[5..]), all[5 * 784..], "{name}");
+        // The order of a trial's neighbours, too.
+        let turned: Vec<_> = trials.iter().rev().cloned().collect();
+        let turned = frames(batch, &turned);
+        for (a, b) in turned.chunks_exact(784).rev().zip(all.chunks_exact(784)) {
+            assert_eq!(a, b, "{name}");
+        }
+    }
+}
+
+#[test]
+fn extremes_are_finite_and_bounded() {
+    let pitch = sensor().points()[1].x_mm - sensor().points()[0].x_mm;
+    let ring = |force_n: f64| -> Vec<Contact> {
+        (0..6).map(|i| press(380 + 2 * i, force_n)).collect()
+    };
+    assert!(pitch > 0.0);
+    let mut loads = vec![vec![], vec![press(0, 0.0)], vec![press(803, 240.0)]];
+    loads.extend([1e-12, 1e-3, 240.0].map(ring));
+    // The same point six times: 1,440 N, far beyond the foam's exponential range.
+    loads.push(vec![press(400, 240.0); 6]);
+    for batch in batches() {
+        let frames = frames(batch, &loads);
+        assert!(frames.iter().all(|v| v.is_finite() && v.abs() <= 12.0));
+        assert_eq!(frames[..784], frames[784..2 * 784], "no force is no contact");
+        assert!(error(model(), &loads, &frames) < ACCURACY);
+    }
+}
+
+#[test]
+fn an_empty_batch_is_legal_and_bad_ones_are_refused() {
+    let batch = &batches()[0];
+    assert_eq!(frames(batch, &[]), Vec::<f32>::new());
+    let mut work = BatchWork::default();
+    let mut refused = |contact: Contact| {
+        let good = [press(3, 5.0)];
+        let bad = [press(1, 1.0), contact];
+        let trials: Vec<&[Contact]> = (0..20).map(|t| if t == 17 { &bad[..] } else { &good }).collect();
+        batch.voltages(&trials, &mut vec![0.0; 20 * 784], &mut work).unwrap_err()
+    };
+    for force_n in [-1.0, f64::NAN, f64::INFINITY] {
+        let found = refused(press(5, force_n));
+        let source = match found {
+            BatchError::Trial { trial: 17, source } => source,
+            other => panic!("{other}"),
+        };
+        assert!(matches!(source, ContactError::Force { contact: 1, .. }), "{source}");
+    }
+    let off = Contact { x_mm: -30.0, ..press(5, 3.0) };
+    assert!(matches!(refused(off), BatchError::Trial { trial: 17, .. }));
+    let found = batch.voltages(&[&[]], &mut [0.0; 783], &mut work).unwrap_err();
+    assert_eq!(found, BatchError::Output { trials: 1, needed: 784, found: 783 });
+}
+
+#[test]
+fn contacts_beside_the_points_go_the_slow_way_and_are_right() {
+    // A tenth of a millimetre off: no table row is exactly there.
+    let off = |point: usize, force_n: f64| {
+        let on = press(point, force_n);
+        Contact { x_mm: on.x_mm + 0.1, y_mm: on.y_mm - 0.1, ..on }
+    };
+    let loads = vec![vec![off(100, 20.0)], vec![press(300, 8.0), off(500, 30.0)], vec![]];
+    for batch in batches() {
+        assert!(error(model(), &loads, &frames(batch, &loads)) < ACCURACY);
+    }
+}
