@@ -6,80 +6,19 @@
 //! alone, not on the trials beside it.
 
 mod foam;
+mod kernel;
 mod loads;
+
+pub use kernel::Kernel;
 
 use foam::{BLOCK, Foam};
 use loads::PointRows;
 
-use crate::forward::{Contact, ContactError, ForwardModel, Workspace, sheet_network};
-use crate::network::lane::{Lane32, LaneJob, LaneWork, Portable};
-#[cfg(target_arch = "x86_64")]
-use crate::network::lane_x86;
+use crate::forward::{Contact, ContactError, ForwardModel, Workspace};
+use crate::network::lane::{Lane32, LaneJob, LaneWork};
 use crate::network::plan::ReductionPlan;
 use crate::network::readout::ReadoutWork;
 use crate::network::reduce::reduce;
-
-/// Which instructions the lanes are made of. Between kernels the last digits of a frame may differ.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kernel {
-    /// Sixteen lanes, AVX-512.
-    Avx512F32x16,
-    /// Eight lanes, AVX2 and FMA.
-    Avx2F32x8,
-    /// Eight lanes, any processor.
-    PortableF32x8,
-}
-
-impl Kernel {
-    /// All there are, the fastest first.
-    pub const ALL: [Self; 3] = [Self::Avx512F32x16, Self::Avx2F32x8, Self::PortableF32x8];
-
-    /// The fastest that this processor has.
-    pub fn detect() -> Self {
-        Self::ALL.into_iter().find(|kernel| kernel.is_here()).unwrap_or(Self::PortableF32x8)
-    }
-
-    /// Whether this processor has it.
-    pub fn is_here(self) -> bool {
-        match self {
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx512F32x16 => lane_x86::has_avx512(),
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx2F32x8 => lane_x86::has_avx2(),
-            #[cfg(not(target_arch = "x86_64"))]
-            Self::Avx512F32x16 | Self::Avx2F32x8 => false,
-            Self::PortableF32x8 => true,
-        }
-    }
-
-    /// Its name, for manifests.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Avx512F32x16 => "avx512-f32x16",
-            Self::Avx2F32x8 => "avx2-f32x8",
-            Self::PortableF32x8 => "portable-f32x8",
-        }
-    }
-
-    /// Trials side by side.
-    pub fn lanes(self) -> usize {
-        match self {
-            Self::Avx512F32x16 => 16,
-            Self::Avx2F32x8 | Self::PortableF32x8 => 8,
-        }
-    }
-
-    /// Does a job in this kernel's lanes, or in portable ones where the processor lacks them.
-    fn run<J: LaneJob>(self, job: J) -> J::Output {
-        match self {
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx512F32x16 if lane_x86::has_avx512() => lane_x86::on_avx512(job),
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx2F32x8 if lane_x86::has_avx2() => lane_x86::on_avx2(job),
-            _ => job.run::<Portable>(),
-        }
-    }
-}
 
 /// Why there are no frames.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
@@ -134,8 +73,7 @@ impl BatchModel {
     /// the portable one takes its place.
     pub fn new(model: &ForwardModel, kernel: Kernel) -> Self {
         let kernel = if kernel.is_here() { kernel } else { Kernel::PortableF32x8 };
-        let network = sheet_network(model.sensor(), model.mesh(), model.fields(), model.circuit())
-            .expect("the model was built from this network");
+        let network = model.network().expect("the model was built from this network");
         let plan = ReductionPlan::new(&network);
         Self {
             foam: Foam::new(plan.order(), &model.laws, model.fields().displacement.clone()),
@@ -234,15 +172,17 @@ fn load_trial<L: Lane32>(
     work.compression_mm.resize(blocks, [0.0; BLOCK]);
     work.touched.clear();
     work.touched.resize(blocks, false);
-    let on_point = |c: &Contact| batch.points.find(c.x_mm, c.y_mm);
-    let legal = |c: &Contact| c.force_n >= 0.0 && c.force_n.is_finite();
-    if contacts.iter().all(|c| legal(c) && on_point(c).is_some()) {
-        for contact in contacts {
-            let row = on_point(contact).expect("it was found just before");
-            let sums = &mut work.compression_mm;
-            batch.points.add::<L>(row, contact.force_n, sums, &mut work.touched);
-        }
-    } else {
+    let mut on_points = true;
+    for (index, contact) in contacts.iter().enumerate() {
+        batch.model.check(index, contact)?;
+        let Some(row) = batch.points.find(contact.x_mm, contact.y_mm) else {
+            on_points = false;
+            break;
+        };
+        let sums = &mut work.compression_mm;
+        batch.points.add::<L>(row, contact.force_n, sums, &mut work.touched);
+    }
+    if !on_points {
         batch.model.load(contacts, &mut work.one)?;
         let nodes = work.compression_mm.as_flattened_mut().iter_mut();
         for (x, &node) in nodes.zip(batch.plan.order()) {

@@ -5,6 +5,7 @@
 //! layer. `order` and `kron` remove all nodes but the electrodes and the top without a subtraction;
 //! `readout` turns what is left into the impedances Z and the voltages.
 
+pub mod adjoint;
 pub mod kron;
 pub(crate) mod lane;
 #[cfg(target_arch = "x86_64")]

@@ -146,9 +146,8 @@ fn a_trials_bytes_do_not_depend_on_its_neighbours() {
 #[test]
 fn extremes_are_finite_and_bounded() {
     let pitch = sensor().points()[1].x_mm - sensor().points()[0].x_mm;
-    let ring = |force_n: f64| -> Vec<Contact> {
-        (0..6).map(|i| press(380 + 2 * i, force_n)).collect()
-    };
+    let ring =
+        |force_n: f64| -> Vec<Contact> { (0..6).map(|i| press(380 + 2 * i, force_n)).collect() };
     assert!(pitch > 0.0);
     let mut loads = vec![vec![], vec![press(0, 0.0)], vec![press(803, 240.0)]];
     loads.extend([1e-12, 1e-3, 240.0].map(ring));
@@ -170,7 +169,8 @@ fn an_empty_batch_is_legal_and_bad_ones_are_refused() {
     let mut refused = |contact: Contact| {
         let good = [press(3, 5.0)];
         let bad = [press(1, 1.0), contact];
-        let trials: Vec<&[Contact]> = (0..20).map(|t| if t == 17 { &bad[..] } else { &good }).collect();
+        let trials: Vec<&[Contact]> =
+            (0..20).map(|t| if t == 17 { &bad[..] } else { &good }).collect();
         batch.voltages(&trials, &mut vec![0.0; 20 * 784], &mut work).unwrap_err()
     };
     for force_n in [-1.0, f64::NAN, f64::INFINITY] {

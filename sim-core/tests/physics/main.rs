@@ -11,8 +11,10 @@ mod batch;
 mod deformation;
 mod elements;
 mod forward;
+mod jacobian;
 mod mesh;
 mod network;
+mod tip;
 
 /// The paper's skin.
 fn sensor() -> &'static Sensor {
