@@ -264,5 +264,6 @@ fn netlist(network: &SheetNetwork, to_top_s: &[f64]) -> Result<String, std::fmt:
     for (i, g) in to_top_s.iter().enumerate() {
         writeln!(text, "Rf{i} top {} {:e}", name(i as u32), 1.0 / g)?;
     }
-    Ok(text + ".control\nop\nprint v(n" + &network.electrodes[1].to_string() + ")\n.endc\n.end\n")
+    writeln!(text, ".control\nrun\nprint v(n{})\nquit\n.endc\n.op\n.end", network.electrodes[1])?;
+    Ok(text)
 }

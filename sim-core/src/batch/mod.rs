@@ -205,6 +205,7 @@ fn load_trial<L: Lane32>(
 }
 
 /// From one lane of the reduced network to its frame, in f64.
+#[inline(always)]
 fn read_out(
     batch: &BatchModel,
     lane: usize,

@@ -35,8 +35,11 @@ pub(crate) trait Lane: Copy + Send + Sync + 'static {
     /// `self * factor + addend`, rounded once where the processor can.
     fn mul_add(self, factor: Self, addend: Self) -> Self;
 
-    /// `1 / sqrt(self)`, but at most 1e19: zero times it is zero.
-    fn reciprocal_root(self) -> Self;
+    /// `1 / self`, but at most 1e36: zero times it is zero.
+    fn reciprocal(self) -> Self;
+
+    /// The square root.
+    fn sqrt(self) -> Self;
 }
 
 /// Lanes of f32, with what the foam's law needs beside.
@@ -61,7 +64,7 @@ pub(crate) trait Lane32: Lane<Number = f32> {
 pub(crate) const ROUND: f32 = 12_582_912.0;
 
 /// Below this a sum of conductances counts as none.
-pub(super) const LEAST_SUM_S: f64 = 1e-38;
+pub(super) const LEAST_SUM_S: f64 = 1e-36;
 
 /// Something to be done in lanes of whichever kind.
 pub(crate) trait LaneJob {
@@ -119,8 +122,13 @@ impl Lane for f64 {
     }
 
     #[inline(always)]
-    fn reciprocal_root(self) -> Self {
-        1.0 / self.max(LEAST_SUM_S).sqrt()
+    fn reciprocal(self) -> Self {
+        1.0 / self.max(LEAST_SUM_S)
+    }
+
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        self.sqrt()
     }
 }
 
@@ -132,8 +140,8 @@ pub(crate) struct Portable([f32; 8]);
 impl Portable {
     #[inline(always)]
     fn zip(mut self, other: Self, f: impl Fn(f32, f32) -> f32) -> Self {
-        for (a, b) in self.0.iter_mut().zip(other.0) {
-            *a = f(*a, b);
+        for (i, a) in self.0.iter_mut().enumerate() {
+            *a = f(*a, other.0[i]);
         }
         self
     }
@@ -175,8 +183,13 @@ impl Lane for Portable {
     }
 
     #[inline(always)]
-    fn reciprocal_root(self) -> Self {
-        self.zip(self, |a, _| 1.0 / a.max(LEAST_SUM_S as f32).sqrt())
+    fn reciprocal(self) -> Self {
+        self.zip(self, |a, _| 1.0 / a.max(LEAST_SUM_S as f32))
+    }
+
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        self.zip(self, |a, _| a.sqrt())
     }
 }
 

@@ -93,10 +93,14 @@ impl Lane for F32x16 {
     }
 
     #[inline(always)]
-    fn reciprocal_root(self) -> Self {
-        let sum = self.max(Self::splat(LEAST_SUM_S));
+    fn reciprocal(self) -> Self {
+        Self::splat(1.0).div(self.max(Self::splat(LEAST_SUM_S)))
+    }
+
+    #[inline(always)]
+    fn sqrt(self) -> Self {
         // SAFETY: see the head of this file.
-        unsafe { Self(_mm512_div_ps(_mm512_set1_ps(1.0), _mm512_sqrt_ps(sum.0))) }
+        unsafe { Self(_mm512_sqrt_ps(self.0)) }
     }
 }
 
@@ -183,10 +187,14 @@ impl Lane for F32x8 {
     }
 
     #[inline(always)]
-    fn reciprocal_root(self) -> Self {
-        let sum = self.max(Self::splat(LEAST_SUM_S));
+    fn reciprocal(self) -> Self {
+        Self::splat(1.0).div(self.max(Self::splat(LEAST_SUM_S)))
+    }
+
+    #[inline(always)]
+    fn sqrt(self) -> Self {
         // SAFETY: see the head of this file.
-        unsafe { Self(_mm256_div_ps(_mm256_set1_ps(1.0), _mm256_sqrt_ps(sum.0))) }
+        unsafe { Self(_mm256_sqrt_ps(self.0)) }
     }
 }
 

@@ -33,16 +33,21 @@ pub(super) struct Front {
     pub parity: usize,
 }
 
-/// Where a child's remainder goes.
+/// Where a child's remainder goes, number by number: the columns of its nodes that are pivots here
+/// come first.
 #[derive(Debug)]
 pub(super) struct Child {
-    /// Per boundary node of the child that is a pivot here: which. They come first.
+    /// Entries among the pivots' columns.
     pub pivots: Vec<u32>,
-    /// Per boundary node of the child, the top last: entry of (its row, column 0) among the
-    /// pivots' columns.
-    pub entries: Vec<u32>,
-    /// Per boundary node of the child that is one here too: which.
-    pub boundary: Vec<u32>,
+    /// Numbers of the front's remainder.
+    pub remainder: Vec<u32>,
+}
+
+impl Child {
+    /// Numbers in the child's remainder.
+    pub fn len(&self) -> usize {
+        self.pivots.len() + self.remainder.len()
+    }
 }
 
 impl Front {
@@ -85,8 +90,7 @@ pub(super) fn packed(side: usize) -> usize {
 }
 
 /// Number of an entry below the diagonal of a block that is stored by columns.
-pub(super) fn packed_entry(side: usize, row: u32, column: u32) -> usize {
-    let (row, column) = (row as usize, column as usize);
+pub(super) fn packed_entry(side: usize, row: usize, column: usize) -> usize {
     packed(side) - packed(side - column) + row - column - 1
 }
 
@@ -137,7 +141,8 @@ impl ReductionPlan {
                 front.resistors.push((entry as u32, r.conductance_s));
             } else {
                 let first = owner.len() as u32;
-                let entry = packed_entry(kept.len() + 1, high - first, low - first);
+                let entry =
+                    packed_entry(kept.len() + 1, (high - first) as usize, (low - first) as usize);
                 between_kept.push((entry as u32, r.conductance_s));
             }
         }
@@ -224,12 +229,18 @@ fn child(front: &Front, boundary: &[u32], of_child: &[u32]) -> Child {
     let top = front.boundary_row() + boundary.len();
     let rows: Vec<usize> =
         of_child.iter().map(|&place| front.row(place, boundary)).chain([top]).collect();
-    let (pivots, others) = rows.split_at(rows.partition_point(|&row| row < front.pivots));
-    Child {
-        pivots: pivots.iter().map(|&row| row as u32).collect(),
-        boundary: others.iter().map(|row| (row - front.boundary_row()) as u32).collect(),
-        entries: rows.iter().map(|&row| front.entry(row, 0) as u32).collect(),
+    let mut child = Child { pivots: Vec::new(), remainder: Vec::new() };
+    for (at, &column) in rows.iter().enumerate() {
+        for &row in &rows[at + 1..] {
+            if column < front.pivots {
+                child.pivots.push(front.entry(row, column) as u32);
+            } else {
+                let [row, column] = [row, column].map(|row| row - front.boundary_row());
+                child.remainder.push(packed_entry(front.boundary, row, column) as u32);
+            }
+        }
     }
+    child
 }
 
 /// The greatest heights of the two stacks.
@@ -238,7 +249,7 @@ fn stack_sizes(fronts: &[Front]) -> [usize; 2] {
     for front in fronts {
         heights[front.parity] += front.remainder();
         greatest[front.parity] = greatest[front.parity].max(heights[front.parity]);
-        let of_children: usize = front.children.iter().map(|c| packed(c.entries.len())).sum();
+        let of_children: usize = front.children.iter().map(Child::len).sum();
         heights[1 - front.parity] -= of_children;
     }
     greatest

@@ -12,7 +12,7 @@
 //! them on its own, in the first-level cache; then the remainder is written tile by tile.
 
 use super::lane::Lane;
-use super::plan::{Child, Front, ReductionPlan, TILE, packed, packed_entry};
+use super::plan::{Front, ReductionPlan, TILE, packed, packed_entry};
 
 /// Four rows of a column.
 type Rows<L> = [L; TILE];
@@ -71,9 +71,8 @@ pub(crate) fn reduce<'w, L: Lane>(
         write_remainder(front, panel, remainder);
         let mut end = heights[below];
         for child in &front.children {
-            let size = packed(child.entries.len());
-            add_to_remainder(front, child, &of_children[end - size..end], remainder);
-            end -= size;
+            add(remainder, &child.remainder, &of_children[end - child.remainder.len()..end]);
+            end -= child.len();
         }
         heights[below] = end;
         heights[own_height] += front.remainder();
@@ -86,7 +85,7 @@ pub(crate) fn reduce<'w, L: Lane>(
     }
     let electrodes = to_top[(plan.order().len() - plan.kept()) * L::LANES..].chunks_exact(L::LANES);
     for (electrode, to_top) in electrodes.take(plan.kept()).enumerate() {
-        let value = &mut reduced[packed_entry(kept, kept as u32 - 1, electrode as u32)];
+        let value = &mut reduced[packed_entry(kept, kept - 1, electrode)];
         *value = value.add(L::load(to_top));
     }
     reduced
@@ -117,34 +116,17 @@ fn assemble<L: Lane>(front: &Front, panel: &mut [Rows<L>], to_top: &[L::Number],
     }
     let mut end = remainders.len();
     for child in &front.children {
-        let side = child.entries.len();
-        let mut values = &remainders[end - packed(side)..end];
-        end -= packed(side);
-        for (at, &pivot) in child.pivots.iter().enumerate() {
-            let (left, rest) = values.split_at(side - 1 - at);
-            values = rest;
-            let column = &mut entries[pivot as usize * TILE..];
-            for (&entry, &value) in child.entries[at + 1..].iter().zip(left) {
-                let target = &mut column[entry as usize];
-                *target = target.add(value);
-            }
-        }
+        end -= child.len();
+        add(entries, &child.pivots, &remainders[end..end + child.pivots.len()]);
     }
 }
 
-/// Adds what a child left between boundary nodes.
+/// Adds each value where it belongs.
 #[inline(always)]
-fn add_to_remainder<L: Lane>(front: &Front, child: &Child, values: &[L], remainder: &mut [L]) {
-    let side = child.entries.len();
-    let mut values = &values[packed(side) - packed(child.boundary.len())..];
-    for (at, &column) in child.boundary.iter().enumerate() {
-        let (left, rest) = values.split_at(child.boundary.len() - 1 - at);
-        values = rest;
-        let target = &mut remainder[packed_entry(front.boundary, column + 1, column)..];
-        for (&row, &value) in child.boundary[at + 1..].iter().zip(left) {
-            let target = &mut target[(row - column - 1) as usize];
-            *target = target.add(value);
-        }
+fn add<L: Lane>(targets: &mut [L], places: &[u32], values: &[L]) {
+    for (&place, &value) in places.iter().zip(values) {
+        let target = &mut targets[place as usize];
+        *target = target.add(value);
     }
 }
 
@@ -195,6 +177,8 @@ fn factor_pivots<L: Lane>(front: &Front, panel: &mut [Rows<L>], roots: &mut [Row
 
 /// Factors a tile on the diagonal, with one more row: the sums of all rows below. Gives
 /// `1 / sqrt(d)`.
+///
+/// A pivot must wait for `1 / d` of the one before; the roots are taken when all are known.
 #[inline(always)]
 fn factor_square<L: Lane>(square: &mut Tile<L>, mut sums: Rows<L>) -> Rows<L> {
     let mut roots = sums;
@@ -203,19 +187,19 @@ fn factor_square<L: Lane>(square: &mut Tile<L>, mut sums: Rows<L>) -> Rows<L> {
         for row in k + 1..TILE {
             d = d.add(square[k][row]);
         }
-        let root = d.reciprocal_root();
-        roots[k] = root;
-        sums[k] = sums[k].mul(root);
-        for row in k + 1..TILE {
-            square[k][row] = square[k][row].mul(root);
-        }
+        let reciprocal = d.reciprocal();
+        roots[k] = reciprocal;
         for column in k + 1..TILE {
-            let factor = square[k][column];
+            let factor = square[k][column].mul(reciprocal);
             sums[column] = sums[k].mul_add(factor, sums[column]);
             for row in column + 1..TILE {
                 square[column][row] = square[k][row].mul_add(factor, square[column][row]);
             }
         }
+    }
+    for (column, root) in square.iter_mut().zip(&mut roots) {
+        *root = root.sqrt();
+        *column = scaled(*column, *root);
     }
     roots
 }
