@@ -3,8 +3,7 @@
 //! Uses: faer for the elastic solve. Never: async, files, clock, database, unseeded chance.
 //!
 //! Data flows one way: `sensor -> mesh -> (element, material, order, boundary, assemble, solve) ->
-//! responses -> fields, piezo, tip -> network -> forward ->
-//! jacobian`.
+//! responses -> fields, piezo, tip -> network -> forward -> jacobian, batch`.
 
 pub mod sensor;
 pub mod mesh;
@@ -22,4 +21,5 @@ pub mod network;
 pub mod tip;
 pub mod forward;
 pub mod jacobian;
+pub mod batch;
 mod digest;
