@@ -8,6 +8,8 @@ use std::process::ExitCode;
 use crate::api::ServeError;
 use crate::problem::Problem;
 use crate::rig::error::RigError;
+use crate::simulate::model::ModelUnavailable;
+use crate::simulate::random::error::RandomError;
 
 /// Why a command ended without doing what it was asked.
 #[derive(Debug, thiserror::Error)]
@@ -73,6 +75,12 @@ pub enum CliError {
     /// The rig cannot be opened.
     #[error("opening the rig: {0}")]
     Rig(#[from] RigError),
+    /// There is no model of the skin.
+    #[error(transparent)]
+    Model(#[from] ModelUnavailable),
+    /// Sim-Random's shards could not be made.
+    #[error(transparent)]
+    SimRandom(#[from] RandomError),
     /// The rig is tripped.
     #[error("the rig is tripped: {detail}; look at it, then `palpate rig reset`")]
     Tripped {
@@ -118,6 +126,7 @@ impl CliError {
         match self {
             CliError::Problems(_)
             | CliError::NotConfirmed { .. }
+            | CliError::SimRandom(RandomError::OtherDefinition { .. })
             | CliError::Refused { status: 422, .. } => ExitCode::from(2),
             _ => ExitCode::FAILURE,
         }

@@ -2,3 +2,5 @@
 //! Uses: sim-core, `store`. Never: the rig, HTTP; no trial waits for a simulation.
 
 pub mod model;
+pub mod schema;
+pub mod random;
