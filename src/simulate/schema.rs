@@ -9,7 +9,6 @@ use std::sync::Arc;
 
 use arrow_schema::{DataType, Field, Fields, Schema};
 use parquet::basic::{Compression, Encoding, ZstdLevel};
-use parquet::errors::ParquetError;
 use parquet::file::metadata::KeyValue;
 use parquet::file::properties::{EnabledStatistics, WriterProperties};
 use parquet::schema::types::ColumnPath;
@@ -85,31 +84,43 @@ fn with_unit(field: Field, unit: &str) -> Field {
     field.with_metadata(HashMap::from([(UNIT.to_owned(), unit.to_owned())]))
 }
 
-/// How Parquet files of trials are written: Zstandard at its fastest level; voltages and forces by
-/// byte stream split, since their upper bytes repeat and their lower ones do not
-/// (`docs/decisions/0007-parquet-encoding.md` has the measurement).
-///
-/// `footer` is stored as key-value metadata of the file, in its order.
-pub fn parquet_properties(footer: Vec<KeyValue>) -> Result<WriterProperties, ParquetError> {
-    let mut properties = WriterProperties::builder()
-        .set_compression(Compression::ZSTD(ZstdLevel::try_new(1)?))
-        .set_key_value_metadata(Some(footer));
-    let volts = ColumnPath::from(vec![SIM_VOLTAGES_V.into(), "list".into(), ELEMENT.into()]);
-    let contact = |name: &str| {
-        let path = [CONTACTS, "list", ELEMENT, name];
-        ColumnPath::from(path.map(str::to_owned).to_vec())
-    };
-    for numbers in [volts.clone(), contact("force_n"), ColumnPath::from(MAX_FORCE_N)] {
-        properties = properties
-            .set_column_dictionary_enabled(numbers.clone(), false)
-            .set_column_encoding(numbers, Encoding::BYTE_STREAM_SPLIT);
+/// How numbers are packed in a Parquet file. The default is what
+/// `docs/decisions/0007-parquet-encoding.md` chose by measurement.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Packing {
+    /// Compression of every column.
+    pub compression: Compression,
+    /// Byte stream split of voltages and forces: their upper bytes repeat, their lower ones do not.
+    pub split_bytes: bool,
+}
+
+impl Default for Packing {
+    fn default() -> Self {
+        Self { compression: Compression::ZSTD(ZstdLevel::default()), split_bytes: true }
     }
-    let index = ColumnPath::from(INDEX);
-    Ok(properties
-        .set_column_dictionary_enabled(index.clone(), false)
-        .set_column_encoding(index, Encoding::DELTA_BINARY_PACKED)
-        .set_column_statistics_enabled(volts, EnabledStatistics::None)
-        .build())
+}
+
+/// Settings of Parquet files of trials. `footer` is stored as key-value metadata of the file, in
+/// its order.
+pub fn parquet_properties(packing: Packing, footer: Vec<KeyValue>) -> WriterProperties {
+    let volts = ColumnPath::from(vec![SIM_VOLTAGES_V.into(), "list".into(), ELEMENT.into()]);
+    let force = [CONTACTS, "list", ELEMENT, "force_n"].map(str::to_owned).to_vec();
+    let mut properties = WriterProperties::builder()
+        .set_compression(packing.compression)
+        .set_key_value_metadata(Some(footer))
+        .set_column_statistics_enabled(volts.clone(), EnabledStatistics::None);
+    let split = if packing.split_bytes { Encoding::BYTE_STREAM_SPLIT } else { Encoding::PLAIN };
+    for (column, encoding) in [
+        (volts, split),
+        (ColumnPath::from(force), split),
+        (ColumnPath::from(MAX_FORCE_N), split),
+        (ColumnPath::from(INDEX), Encoding::DELTA_BINARY_PACKED),
+    ] {
+        properties = properties
+            .set_column_dictionary_enabled(column.clone(), false)
+            .set_column_encoding(column, encoding);
+    }
+    properties.build()
 }
 
 #[cfg(test)]

@@ -19,7 +19,7 @@ use parquet::file::writer::SerializedFileWriter;
 use sim_core::forward::Contact;
 
 use super::manifest::{Definition, SIM_RANDOM};
-use crate::simulate::schema;
+use crate::simulate::schema::{self, Packing};
 
 /// Key of a shard's footer that holds its definition as JSON.
 pub const DEFINITION: &str = "palpate.definition";
@@ -69,12 +69,10 @@ impl Layout {
             .map_err(|error| ParquetError::External(Box::new(error)))?;
         let channels =
             i32::try_from(channels).map_err(|error| ParquetError::External(Box::new(error)))?;
+        let footer = vec![KeyValue::new(DEFINITION.to_owned(), text)];
         Ok(Self {
             schema: Arc::new(schema::sim_random(channels)),
-            properties: schema::parquet_properties(vec![KeyValue::new(
-                DEFINITION.to_owned(),
-                text,
-            )])?,
+            properties: schema::parquet_properties(Packing::default(), footer),
             channels,
             seed: definition.draws.seed,
             diameter_mm: tip_diameter_mm as f32,
@@ -99,7 +97,8 @@ impl Layout {
         ArrowWriter::try_new(out, self.schema.clone(), properties)?.into_serialized_writer()
     }
 
-    fn batch(&self, trials: Trials) -> Result<RecordBatch, ParquetError> {
+    /// Trials as columns.
+    pub fn batch(&self, trials: Trials) -> Result<RecordBatch, ParquetError> {
         let count = trials.ends.len();
         let each = trials.each();
         let numbers = trials.first..trials.first + count as u64;
