@@ -14,12 +14,12 @@ use arrow_array::RecordBatch;
 use palpate::simulate::model::load_or_build;
 use palpate::simulate::random::draw::Draws;
 use palpate::simulate::random::encode::{Layout, Trials};
-use palpate::simulate::random::frames::{Frames, FramesWork};
 use palpate::simulate::random::manifest::{Definition, Order, ROW_GROUP_TRIALS};
 use palpate::simulate::schema::{Packing, parquet_properties};
 use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use parquet::basic::{Compression, ZstdLevel};
+use sim_core::batch::{BatchModel, BatchWork, Kernel};
 use sim_core::forward::ForwardModel;
 use sim_core::sensor::Sensor;
 
@@ -34,9 +34,9 @@ fn batches(model: &ForwardModel, trials: u64) -> Result<Vec<RecordBatch>, Failur
     let draws = Draws::paper(1);
     let order = Order::new(draws.clone(), trials, trials, sensor.points().len())
         .map_err(|problems| format!("{problems:?}"))?;
-    let definition = Definition::new(order, model, None, Frames::kernel());
+    let definition = Definition::new(order, model, None, Kernel::detect());
     let layout = Layout::new(&definition, sensor.channels(), sensor.file.tip_diameter_mm)?;
-    let (frames, mut work) = (Frames::new(model), FramesWork::default());
+    let (frames, mut work) = (BatchModel::new(model, Kernel::detect()), BatchWork::default());
     let mut batches = Vec::new();
     for first in (0..trials).step_by(ROW_GROUP_TRIALS as usize) {
         let (mut contacts, mut ends) = (Vec::new(), Vec::new());

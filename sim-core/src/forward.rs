@@ -82,15 +82,15 @@ pub enum ContactError {
 
 /// Eq. 1 at one node, with everything per node folded in.
 #[derive(Debug, Clone, Copy)]
-struct NodeLaw {
-    a_ohm: f64,
-    b_per_mm: f64,
-    c_ohm: f64,
-    compliance: f64,
+pub(crate) struct NodeLaw {
+    pub a_ohm: f64,
+    pub b_per_mm: f64,
+    pub c_ohm: f64,
+    pub compliance: f64,
 }
 
 /// The forward model of one skin. `Send + Sync`; each thread brings its own [`Workspace`].
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct ForwardModel {
     sensor: Sensor,
     mesh: Mesh,
@@ -99,7 +99,7 @@ pub struct ForwardModel {
     circuit: ReadoutCircuit,
     /// Rows of the unit responses under each point's vertices.
     point_rows: Vec<[usize; 6]>,
-    laws: Vec<NodeLaw>,
+    pub(crate) laws: Vec<NodeLaw>,
     reduction: KronReduction,
     /// Nodes of the network: the mesh's, and electrodes of their own.
     network_nodes: usize,
@@ -153,10 +153,7 @@ impl ForwardModel {
         }
         let mesh = Mesh::new(sensor)?;
         fields.check(&mesh)?;
-        let square_s = 1.0 / sensor.file.circuit.sheet_ohm_per_sq;
-        let sheet_s: Vec<f64> =
-            fields.ln_sheet_conductance.iter().map(|ln| square_s * ln.exp()).collect();
-        let network = SheetNetwork::new(&mesh, &sheet_s, &circuit)?;
+        let network = sheet_network(sensor, &mesh, &fields, &circuit)?;
         let row = |node: u32| responses.row_of(node).ok_or(ModelError::OtherResponses);
         let point_rows = mesh
             .points
@@ -230,6 +227,17 @@ impl ForwardModel {
         contacts: &[Contact],
         work: &'w mut Workspace,
     ) -> Result<&'w [f64], ContactError> {
+        self.load(contacts, work)?;
+        self.solve(work);
+        Ok(work.readout.frame_v())
+    }
+
+    /// Leaves the compression of the nominal skin under contacts, before the clamp.
+    pub(crate) fn load(
+        &self,
+        contacts: &[Contact],
+        work: &mut Workspace,
+    ) -> Result<(), ContactError> {
         let mut forces = std::mem::take(&mut work.forces);
         forces.clear();
         for (contact, c) in contacts.iter().enumerate() {
@@ -243,9 +251,9 @@ impl ForwardModel {
             let force_n = c.force_n / 6.0;
             forces.extend(self.point_rows[point].map(|row| VertexForce { row, force_n }));
         }
-        self.evaluate(&forces, work);
+        self.superpose(&forces, work);
         work.forces = forces;
-        Ok(work.readout.frame_v())
+        Ok(())
     }
 
     /// The frame of any forces on vertices (tilted tips, places between points), V after gain.
@@ -254,11 +262,12 @@ impl ForwardModel {
         forces: &[VertexForce],
         work: &'w mut Workspace,
     ) -> &'w [f64] {
-        self.evaluate(forces, work);
+        self.superpose(forces, work);
+        self.solve(work);
         work.readout.frame_v()
     }
 
-    fn evaluate(&self, forces: &[VertexForce], work: &mut Workspace) {
+    fn superpose(&self, forces: &[VertexForce], work: &mut Workspace) {
         let x = &mut work.compression_mm;
         x.clear();
         x.resize(self.mesh.plane_nodes(), 0.0);
@@ -267,6 +276,10 @@ impl ForwardModel {
                 *x += force.force_n * f64::from(unit);
             }
         }
+    }
+
+    fn solve(&self, work: &mut Workspace) {
+        let x = &mut work.compression_mm;
         work.to_top_s.clear();
         work.to_top_s.resize(self.network_nodes, 0.0);
         for ((x, g), law) in x.iter_mut().zip(&mut work.to_top_s).zip(&self.laws) {
@@ -279,6 +292,19 @@ impl ForwardModel {
         let reduced = self.reduction.reduce(&work.to_top_s, &mut work.kron);
         work.readout.evaluate(reduced, &self.circuit);
     }
+}
+
+/// The network that a model reduces.
+pub(crate) fn sheet_network(
+    sensor: &Sensor,
+    mesh: &Mesh,
+    fields: &NodeFields,
+    circuit: &ReadoutCircuit,
+) -> Result<SheetNetwork, ElectrodeError> {
+    let square_s = 1.0 / sensor.file.circuit.sheet_ohm_per_sq;
+    let sheet_s: Vec<f64> =
+        fields.ln_sheet_conductance.iter().map(|ln| square_s * ln.exp()).collect();
+    SheetNetwork::new(mesh, &sheet_s, circuit)
 }
 
 fn node_laws(sensor: &Sensor, mesh: &Mesh, fields: &NodeFields) -> Vec<NodeLaw> {

@@ -3,7 +3,7 @@
 //! Uses: faer for the elastic solve. Never: async, files, clock, database, unseeded chance.
 //!
 //! Data flows one way: `sensor -> mesh -> (element, material, order, boundary, assemble, solve) ->
-//! responses -> fields, piezo -> network -> forward`.
+//! responses -> fields, piezo -> network -> forward -> batch`.
 
 pub mod sensor;
 pub mod mesh;
@@ -19,4 +19,5 @@ pub mod fields;
 pub mod circuit;
 pub mod network;
 pub mod forward;
+pub mod batch;
 mod digest;

@@ -18,7 +18,7 @@ const PANEL: usize = 8;
 const TILE: usize = 4;
 
 /// One dense front.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Front {
     /// Nodes removed here.
     pivots: usize,
@@ -40,7 +40,7 @@ impl Front {
 }
 
 /// The plan of the removal; holds for every load of the same network.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct KronReduction {
     fronts: Vec<Front>,
     /// Node at each place of the order, the kept ones last.

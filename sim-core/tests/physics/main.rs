@@ -7,6 +7,7 @@ use sim_core::forward::{Contact, ForwardModel};
 use sim_core::responses::UnitResponses;
 use sim_core::sensor::Sensor;
 
+mod batch;
 mod deformation;
 mod elements;
 mod forward;

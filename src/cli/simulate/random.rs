@@ -1,7 +1,6 @@
 //! `palpate simulate random`: Sim-Random to a folder, with progress, and Ctrl-C as a request.
 //! Uses: `simulate::random`, indicatif. Never: a decision about a byte of the shards.
 
-use std::io::IsTerminal;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -10,18 +9,19 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use serde_json::json;
+use sim_core::batch::{BatchModel, Kernel};
 
 use crate::cli::data_or_default;
 use crate::cli::error::CliError;
 use crate::cli::files::read_sensor;
 use crate::cli::follow::Signals;
 use crate::cli::output::{bytes, counted, duration, say, say_json};
+use crate::cli::progress::progress_bar;
 use crate::simulate::model::load_or_build;
 use crate::simulate::random::draw::Draws;
 use crate::simulate::random::folder::Look;
-use crate::simulate::random::frames::Frames;
 use crate::simulate::random::manifest::{Definition, Manifest, Order};
 use crate::simulate::random::{Means, Outcome, Progress, generate};
 
@@ -45,6 +45,10 @@ pub struct RandomArgs {
     /// Threads that simulate [default: the machine's cores]; they change no byte.
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
+    /// Instructions that solve the frames [default: the fastest of this processor]; the last digits
+    /// of a frame depend on them.
+    #[arg(long, value_name = "KERNEL", value_parser = kernel)]
+    kernel: Option<Kernel>,
     /// Sensor file: the skin's geometry and materials [default: ert-28].
     #[arg(long, value_name = "FILE")]
     sensor: Option<PathBuf>,
@@ -76,6 +80,15 @@ fn contacts(text: &str) -> Result<[u8; 2], String> {
         (Ok(fewest), Ok(most)) => Ok([fewest, most]),
         _ => Err("must be a number, or two as in 1..6".into()),
     }
+}
+
+/// A kernel that this processor has, by its name.
+fn kernel(name: &str) -> Result<Kernel, String> {
+    let here = || Kernel::ALL.into_iter().filter(|kernel| kernel.is_here());
+    here().find(|kernel| kernel.name() == name).ok_or_else(|| {
+        let names: Vec<_> = here().map(Kernel::name).collect();
+        format!("this processor has {}", names.join(", "))
+    })
 }
 
 /// Runs the command. Exit code: 0 all trials are there, 1 failed or stopped, 2 bad input.
@@ -113,11 +126,14 @@ fn make(args: &RandomArgs, stop: &AtomicBool) -> Result<ExitCode, CliError> {
         .map_err(CliError::Problems)?;
     let threads = threads(args.threads)?;
     let model = load_or_build(&sensor, &data_or_default(args.data.clone()).join("cache"))?;
-    let definition = Definition::new(order, &model, None, Frames::kernel());
+    let kernel = args.kernel.unwrap_or_else(Kernel::detect);
+    let definition = Definition::new(order, &model, None, kernel);
+    let frames = BatchModel::new(&model, kernel);
     let look = if args.verify { Look::Sha256 } else { Look::Length };
     let mut screen = Screen::new(args.json, args.trials);
     let means = Means { threads, look, stop };
-    let outcome = generate(&definition, &model, &args.out, means, &mut |p| screen.tell(p));
+    let outcome =
+        generate(&definition, &sensor, &frames, &args.out, means, &mut |p| screen.tell(p));
     screen.bar.finish_and_clear();
     let outcome = outcome?;
     screen.end(&outcome, args);
@@ -139,70 +155,71 @@ fn threads(asked: Option<usize>) -> Result<NonZeroUsize, CliError> {
 /// Standard error as a person sees it, standard output as a script reads it.
 struct Screen {
     bar: ProgressBar,
-    terminal: bool,
     json: bool,
     trials: u64,
     found: u64,
     made: u64,
+    stored: u64,
     started: Instant,
     told: Instant,
 }
 
 impl Screen {
     fn new(json: bool, trials: u64) -> Self {
-        let terminal = std::io::stderr().is_terminal();
-        let bar = if terminal { ProgressBar::new(trials) } else { ProgressBar::hidden() };
-        if let Ok(style) = ProgressStyle::with_template("{bar:24} {pos}/{len} {wide_msg}") {
-            bar.set_style(style);
-        }
+        let bar = progress_bar("trials");
+        bar.set_length(trials);
         let now = Instant::now();
-        Self { bar, terminal, json, trials, found: 0, made: 0, started: now, told: now }
+        Self { bar, json, trials, found: 0, made: 0, stored: 0, started: now, told: now }
     }
 
     fn tell(&mut self, progress: Progress<'_>) {
         match progress {
             Progress::Found { trials, damaged } => {
                 self.found = trials;
+                self.stored = trials;
+                self.bar.set_position(trials);
+                self.bar.reset_eta();
                 if damaged > 0 {
                     let shards = counted(damaged, "shard is", "shards are");
                     self.note(&format!("{shards} missing or damaged, and made again"));
                 }
             }
-            Progress::Made(trials) => self.made += trials,
+            Progress::Made(trials) => {
+                self.made += trials;
+                self.bar.inc(trials);
+                self.tell_a_log();
+            }
             Progress::Shard(row) => {
+                self.stored += row.trials;
                 if self.json {
                     let mut line = json!(row);
                     line["event"] = "shard".into();
                     say_json(&line);
                 }
-                return;
             }
         }
-        self.show();
     }
 
-    fn show(&mut self) {
-        let done = self.found + self.made;
-        let rate = self.made as f64 / self.started.elapsed().as_secs_f64().max(1e-9);
-        let words = if self.made == 0 {
-            "starting".to_owned()
-        } else {
-            let left_s = (self.trials - done) as f64 / rate;
-            format!("{rate:.0} trials/s | done in {}", duration(left_s))
-        };
-        if !self.terminal && self.told.elapsed() >= TELL {
+    /// A line now and then where there is no terminal.
+    fn tell_a_log(&mut self) {
+        if self.bar.is_hidden() && self.told.elapsed() >= TELL {
             self.told = Instant::now();
-            eprintln!("{done}/{} {words}", self.trials);
+            let (done, rate) = (self.found + self.made, self.rate());
+            let left = duration((self.trials - done) as f64 / rate);
+            eprintln!("{done}/{} {rate:.0} trials/s | done in {left}", self.trials);
         }
-        self.bar.set_position(done);
-        self.bar.set_message(words);
+    }
+
+    /// Trials a second that were made here.
+    fn rate(&self) -> f64 {
+        self.made as f64 / self.started.elapsed().as_secs_f64().max(1e-9)
     }
 
     fn note(&self, words: &str) {
-        if self.terminal {
-            self.bar.println(words);
-        } else {
+        if self.bar.is_hidden() {
             eprintln!("{words}");
+        } else {
+            self.bar.println(words);
         }
     }
 
@@ -212,31 +229,31 @@ impl Screen {
             Outcome::Stopped(manifest) => (false, manifest),
         };
         let wall_s = self.started.elapsed().as_secs_f64();
-        let trials: u64 = shards.iter().map(|s| s.trials).sum();
         let size: u64 = shards.iter().map(|s| s.bytes).sum();
         if self.json {
             say_json(&json!({
                 "event": "finished",
                 "exit_status": if complete { "success" } else { "abort" },
                 "trials_planned": self.trials,
-                "trials_stored": trials,
+                "trials_stored": self.stored,
                 "trials_made": self.made,
                 "shards": shards.len(),
                 "bytes": size,
                 "duration_s": wall_s,
-                "trials_per_s": self.made as f64 / wall_s,
+                "trials_per_s": self.rate(),
                 "folder": args.out,
             }));
             return;
         }
         let there = format!(
-            "{trials} trials in {}, {}, in {}",
+            "{} trials in {}, {}, in {}",
+            self.stored,
             counted(shards.len() as u64, "shard", "shards"),
             bytes(size as f64),
             args.out.display(),
         );
-        let rate = self.made as f64 / wall_s;
-        say(format_args!("{there}; {} made in {} ({rate:.0}/s)", self.made, duration(wall_s)));
+        let (made, wall, rate) = (self.made, duration(wall_s), self.rate());
+        say(format_args!("{there}; {made} made in {wall} ({rate:.0}/s)"));
         if !complete {
             say("stopped; the same command goes on");
         }

@@ -5,7 +5,7 @@ use std::io;
 use std::path::PathBuf;
 
 use parquet::errors::ParquetError;
-use sim_core::forward::ContactError;
+use sim_core::batch::BatchError;
 
 /// Why a folder of shards could not be made or gone on with.
 #[derive(Debug, thiserror::Error)]
@@ -77,7 +77,7 @@ pub enum RandomError {
         /// Number of the last one.
         last: u64,
         /// Why.
-        source: ContactError,
+        source: BatchError,
     },
     /// A shard that was made again has other bytes than the manifest says it had.
     #[error(

@@ -206,3 +206,55 @@ fn sha256(mut file: File) -> io::Result<String> {
 fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|b| format!("{b:02x}")).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn empty(name: &str) -> PathBuf {
+        let name = format!("palpate-shards-{name}-{}", std::process::id());
+        let path = std::env::temp_dir().join(name);
+        fs::remove_dir_all(&path).ok();
+        path
+    }
+
+    #[test]
+    fn a_folder_is_one_process_s_and_loses_what_was_half_written() {
+        let path = empty("taken");
+        let folder = Folder::take(&path).unwrap();
+        assert!(matches!(Folder::take(&path), Err(RandomError::Busy { .. })));
+        drop(folder);
+        let stray = path.join("_shard-00000.parquet.partial");
+        fs::write(&stray, "half").unwrap();
+        fs::write(path.join("notes.partial"), "mine").unwrap();
+        Folder::take(&path).unwrap();
+        assert!(!stray.exists() && path.join("notes.partial").exists());
+        fs::remove_dir_all(path).unwrap();
+    }
+
+    #[test]
+    fn a_shard_shows_under_its_name_only_when_whole() {
+        let path = empty("settled");
+        let folder = Folder::take(&path).unwrap();
+        let shard = Shard { number: 7, first: 70, trials: 10 };
+        let mut out = folder.begin(&shard).unwrap();
+        out.write_all(b"abc").unwrap();
+        let named = path.join("shard-00007.parquet");
+        assert!(!named.exists());
+        let mut row = folder.finish(&shard, out).unwrap();
+        assert_eq!(fs::read(&named).unwrap(), b"abc");
+        assert_eq!(row.bytes, 3);
+        // The sha256 of "abc", as FIPS 180-2 prints it.
+        let known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(row.sha256, known);
+        assert!(folder.holds(&row, Look::Sha256).unwrap());
+        fs::write(&named, "abd").unwrap();
+        assert!(folder.holds(&row, Look::Length).unwrap());
+        assert!(!folder.holds(&row, Look::Sha256).unwrap());
+        row.bytes = 4;
+        assert!(!folder.holds(&row, Look::Length).unwrap());
+        fs::remove_file(&named).unwrap();
+        assert!(!folder.holds(&row, Look::Length).unwrap());
+        fs::remove_dir_all(path).unwrap();
+    }
+}

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use sim_core::batch::Kernel;
 use sim_core::forward::ForwardModel;
 
 use super::draw::{DRAW_VERSION, Draws};
@@ -22,8 +23,8 @@ pub const SHARD_TRIALS_MAX: u64 = 1_000_000;
 pub const TRIALS_MAX: u64 = 10_000_000_000;
 /// Locked versions of the crates that make bytes.
 const LOCK: &str = include_str!("../../../Cargo.lock");
-/// The crates that make bytes.
-const BYTE_MAKERS: [&str; 3] = ["parquet", "rand_chacha", "zstd-sys"];
+/// The crates that make bytes, one version of each. (Draws are held by a test of their own.)
+const BYTE_MAKERS: [&str; 3] = ["arrow-ipc", "parquet", "zstd-sys"];
 
 /// What the bytes of all shards follow from. Equal definitions, equal bytes: on any machine, with
 /// any number of threads.
@@ -50,7 +51,7 @@ pub struct Definition {
     /// Id of the calibration, if there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<String>,
-    /// Arithmetic that solved the frames.
+    /// Kernel that solved the frames.
     pub kernel: String,
     /// Version of this program.
     pub palpate: String,
@@ -92,7 +93,7 @@ impl Definition {
         order: Order,
         model: &ForwardModel,
         calibration: Option<String>,
-        kernel: &str,
+        kernel: Kernel,
     ) -> Self {
         let Order { draws, trials, shard_trials } = order;
         Self {
@@ -106,7 +107,7 @@ impl Definition {
             sensor: model.sensor().file.name.clone(),
             model: model.model_hash().into(),
             calibration,
-            kernel: kernel.into(),
+            kernel: kernel.name().into(),
             palpate: env!("CARGO_PKG_VERSION").into(),
             libraries: BYTE_MAKERS
                 .iter()
@@ -243,6 +244,8 @@ mod tests {
     fn the_crates_that_make_bytes_are_in_the_lock_file() {
         for name in BYTE_MAKERS {
             assert!(locked_version(LOCK, name).is_some(), "{name}");
+            let entries = LOCK.matches(&format!("name = \"{name}\"\n")).count();
+            assert_eq!(entries, 1, "{name}");
         }
         let lock = "[[package]]\nname = \"a-b\"\nversion = \"2.0.0\"\n[[package]]\nname = \"b\"\n\
                     version = \"1.0.0\"\n";

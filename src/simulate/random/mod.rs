@@ -2,7 +2,7 @@
 //! definition alone.
 //! Uses: sim-core, `simulate::schema`, threads. Never: a clock, the order in which threads finish.
 //!
-//! `draw -> frames -> encode` makes a row group on one thread; the keeper, the calling thread,
+//! `draw -> simulate -> encode` makes a row group on one thread; the keeper, the calling thread,
 //! appends row groups in order and makes each full shard durable (`folder`). Row group n is thread
 //! n mod threads' work and waits in that thread's own bounded queue, so that memory depends on
 //! the number of threads alone and nothing is ever put into order.
@@ -13,20 +13,18 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
 
-use sim_core::forward::ForwardModel;
+use sim_core::batch::{BatchModel, BatchWork};
 use sim_core::sensor::Sensor;
 
 pub mod draw;
 pub mod encode;
 pub mod error;
 pub mod folder;
-pub mod frames;
 pub mod manifest;
 
 use encode::{Encoder, Layout, RowGroup, Trials};
 use error::RandomError;
 use folder::{Folder, Look};
-use frames::{Frames, FramesWork};
 use manifest::{Definition, Manifest, Shard, ShardRow};
 
 /// Row groups that a thread may be ahead of the file.
@@ -70,11 +68,12 @@ pub struct Means<'a> {
 
 /// Makes the shards of a definition that are not yet in the folder.
 ///
-/// `model` is the one that the definition names. Killed at any instant, the same call goes on
+/// `model` is the one that the definition names, for this sensor. Killed at any instant, the same call goes on
 /// after the last shard that the manifest names.
 pub fn generate(
     definition: &Definition,
-    model: &ForwardModel,
+    sensor: &Sensor,
+    model: &BatchModel,
     folder: &Path,
     means: Means<'_>,
     tell: &mut dyn FnMut(Progress<'_>),
@@ -82,10 +81,9 @@ pub fn generate(
     let folder = Folder::take(folder)?;
     let mut manifest = folder.manifest(definition)?;
     let missing = missing(definition, &manifest, &folder, means.look, tell)?;
-    let sensor = model.sensor();
     let layout = Layout::new(definition, sensor.channels(), sensor.file.tip_diameter_mm)
         .map_err(|source| RandomError::Encode { file: "the shards' columns".into(), source })?;
-    let maker = Maker { definition, sensor, frames: Frames::new(model), layout: &layout };
+    let maker = Maker { definition, sensor, model, layout: &layout };
     let complete = thread::scope(|scope| -> Result<bool, RandomError> {
         let threads = means.threads.get();
         let mut queues = (0..threads).map(|thread| {
@@ -144,6 +142,7 @@ fn keep<'q>(
 ) -> Result<ShardRow, RandomError> {
     let failed = |source| RandomError::Encode { file: shard.file_name(), source };
     let mut file = layout.file(folder.begin(shard)?).map_err(failed)?;
+    // In this order: when the shard has no more row groups, no queue is passed over.
     for ((_, trials), queue) in shard.row_groups().zip(made) {
         // A thread that hangs up early has panicked; the scope then panics in its place.
         let group = queue.recv().expect("a thread makes all of its row groups")?;
@@ -172,14 +171,14 @@ type Made = Result<RowGroup, RandomError>;
 struct Maker<'a> {
     definition: &'a Definition,
     sensor: &'a Sensor,
-    frames: Frames<'a>,
+    model: &'a BatchModel,
     layout: &'a Layout,
 }
 
 impl Maker<'_> {
     /// Makes row groups until they are done, one fails, or nobody takes them any more.
     fn make_all(&self, row_groups: impl Iterator<Item = (u64, u64)>, give: &SyncSender<Made>) {
-        let mut work = FramesWork::default();
+        let mut work = BatchWork::default();
         let mut encoder = None;
         for (first, count) in row_groups {
             let made = self.make(first, count, &mut encoder, &mut work);
@@ -195,7 +194,7 @@ impl Maker<'_> {
         first: u64,
         count: u64,
         encoder: &mut Option<Encoder>,
-        work: &mut FramesWork,
+        work: &mut BatchWork,
     ) -> Made {
         let trials = self.simulate(first, count, work)?;
         let failed = |source| RandomError::Encode { file: format!("trials from {first}"), source };
@@ -211,7 +210,7 @@ impl Maker<'_> {
         &self,
         first: u64,
         count: u64,
-        work: &mut FramesWork,
+        work: &mut BatchWork,
     ) -> Result<Trials, RandomError> {
         let (mut contacts, mut ends) = (Vec::new(), Vec::with_capacity(count as usize));
         for index in first..first + count {
@@ -221,7 +220,7 @@ impl Maker<'_> {
         let voltages_v = vec![0.0; ends.len() * self.sensor.channels()];
         let mut trials = Trials { first, contacts, ends, voltages_v };
         let mut voltages_v = std::mem::take(&mut trials.voltages_v);
-        self.frames
+        self.model
             .voltages(&trials.each(), &mut voltages_v, work)
             .map_err(|source| RandomError::Simulate { first, last: first + count - 1, source })?;
         trials.voltages_v = voltages_v;
