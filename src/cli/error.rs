@@ -5,9 +5,13 @@ use std::io;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use sim_core::calibration::CalibrationError;
+
 use crate::api::ServeError;
+use crate::calibrate::CalibrateError;
 use crate::problem::Problem;
 use crate::rig::error::RigError;
+use crate::simulate::model::ModelUnavailable;
 
 /// Why a command ended without doing what it was asked.
 #[derive(Debug, thiserror::Error)]
@@ -102,6 +106,15 @@ pub enum CliError {
     /// The rig check found something wrong.
     #[error("the rig check found {0} problems")]
     Unsound(usize),
+    /// The model cannot be fitted, for another reason than its input.
+    #[error(transparent)]
+    Calibrate(CalibrateError),
+    /// A calibration does not fit what it is used with.
+    #[error("calibration: {0}")]
+    Calibration(#[from] CalibrationError),
+    /// A skin has no forward model.
+    #[error(transparent)]
+    Model(#[from] ModelUnavailable),
     /// A file made by this program could not be written as text.
     #[error("writing TOML: {0}")]
     Toml(#[from] toml::ser::Error),
