@@ -34,7 +34,7 @@ fn batches(model: &ForwardModel, trials: u64) -> Result<Vec<RecordBatch>, Failur
     let draws = Draws::paper(1);
     let order = Order::new(draws.clone(), trials, trials, sensor.points().len())
         .map_err(|problems| format!("{problems:?}"))?;
-    let definition = Definition::new(order, model, None, Kernel::detect());
+    let definition = Definition::new(order, model, Kernel::detect());
     let layout = Layout::new(&definition, sensor.channels(), sensor.file.tip_diameter_mm)?;
     let (frames, mut work) = (BatchModel::new(model, Kernel::detect()), BatchWork::default());
     let mut batches = Vec::new();

@@ -3,7 +3,8 @@
 //! Uses: faer for the elastic solve. Never: async, files, clock, database, unseeded chance.
 //!
 //! Data flows one way: `sensor -> mesh -> (element, material, order, boundary, assemble, solve) ->
-//! responses -> fields, piezo -> network -> forward -> batch`.
+//! responses -> fields, piezo -> network -> forward -> batch`. `surface` and `calibration` tie it
+//! to measurements.
 
 pub mod sensor;
 pub mod mesh;
@@ -14,10 +15,12 @@ pub mod boundary;
 pub mod assemble;
 pub mod solve;
 pub mod responses;
+pub mod surface;
 pub mod piezo;
 pub mod fields;
 pub mod circuit;
 pub mod network;
 pub mod forward;
 pub mod batch;
+pub mod calibration;
 mod digest;

@@ -5,7 +5,10 @@ use std::io;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use sim_core::calibration::CalibrationError;
+
 use crate::api::ServeError;
+use crate::calibrate::CalibrateError;
 use crate::evaluate::figures::FigureError;
 use crate::problem::Problem;
 use crate::rig::error::RigError;
@@ -114,6 +117,12 @@ pub enum CliError {
     /// A figure could not be drawn.
     #[error(transparent)]
     Figure(#[from] FigureError),
+    /// The model cannot be fitted, for another reason than its input.
+    #[error(transparent)]
+    Calibrate(CalibrateError),
+    /// A calibration does not fit what it is used with.
+    #[error("calibration: {0}")]
+    Calibration(#[from] CalibrationError),
     /// A file made by this program could not be written as text.
     #[error("writing TOML: {0}")]
     Toml(#[from] toml::ser::Error),

@@ -13,6 +13,7 @@ mod elements;
 mod forward;
 mod mesh;
 mod network;
+mod surface;
 
 /// The paper's skin.
 fn sensor() -> &'static Sensor {

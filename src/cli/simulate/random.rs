@@ -13,6 +13,7 @@ use indicatif::ProgressBar;
 use serde_json::json;
 use sim_core::batch::{BatchModel, Kernel};
 
+use crate::cli::calibrate::read_calibration;
 use crate::cli::data_or_default;
 use crate::cli::error::CliError;
 use crate::cli::files::read_sensor;
@@ -52,6 +53,9 @@ pub struct RandomArgs {
     /// Sensor file: the skin's geometry and materials [default: ert-28].
     #[arg(long, value_name = "FILE")]
     sensor: Option<PathBuf>,
+    /// Calibration file, whose values take the place of the sensor file's.
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
     /// How many contacts a trial has, each number equally likely.
     #[arg(long, value_name = "A..B", default_value = "1..6", value_parser = contacts)]
     contacts: [u8; 2],
@@ -117,7 +121,10 @@ pub async fn random(args: RandomArgs) -> Result<ExitCode, CliError> {
 }
 
 fn make(args: &RandomArgs, stop: &AtomicBool) -> Result<ExitCode, CliError> {
-    let sensor = read_sensor(args.sensor.as_deref())?;
+    let mut sensor = read_sensor(args.sensor.as_deref())?;
+    if let Some(path) = &args.calibration {
+        sensor = read_calibration(path, &sensor)?.apply(&sensor)?;
+    }
     let [least, largest] = args.force_n[..] else {
         return Err(CliError::argument("force-n", format!("{:?}", args.force_n), "two numbers"));
     };
@@ -127,7 +134,7 @@ fn make(args: &RandomArgs, stop: &AtomicBool) -> Result<ExitCode, CliError> {
     let threads = threads(args.threads)?;
     let model = load_or_build(&sensor, &data_or_default(args.data.clone()).join("cache"))?;
     let kernel = args.kernel.unwrap_or_else(Kernel::detect);
-    let definition = Definition::new(order, &model, None, kernel);
+    let definition = Definition::new(order, &model, kernel);
     let frames = BatchModel::new(&model, kernel);
     let look = if args.verify { Look::Sha256 } else { Look::Length };
     let mut screen = Screen::new(args.json, args.trials);

@@ -89,12 +89,7 @@ impl Order {
 
 impl Definition {
     /// The definition of an order on a model of the same skin.
-    pub fn new(
-        order: Order,
-        model: &ForwardModel,
-        calibration: Option<String>,
-        kernel: Kernel,
-    ) -> Self {
+    pub fn new(order: Order, model: &ForwardModel, kernel: Kernel) -> Self {
         let Order { draws, trials, shard_trials } = order;
         Self {
             experiment: SIM_RANDOM.into(),
@@ -106,7 +101,7 @@ impl Definition {
             row_group_trials: ROW_GROUP_TRIALS,
             sensor: model.sensor().file.name.clone(),
             model: model.model_hash().into(),
-            calibration,
+            calibration: model.sensor().calibration().map(str::to_owned),
             kernel: kernel.name().into(),
             palpate: env!("CARGO_PKG_VERSION").into(),
             libraries: BYTE_MAKERS

@@ -68,8 +68,8 @@ pub struct Means<'a> {
 
 /// Makes the shards of a definition that are not yet in the folder.
 ///
-/// `model` is the one that the definition names, for this sensor. Killed at any instant, the same call goes on
-/// after the last shard that the manifest names.
+/// `model` is the one that the definition names, for this sensor. Killed at any instant, the same
+/// call goes on after the last shard that the manifest names.
 pub fn generate(
     definition: &Definition,
     sensor: &Sensor,
@@ -86,14 +86,16 @@ pub fn generate(
     let maker = Maker { definition, sensor, model, layout: &layout };
     let complete = thread::scope(|scope| -> Result<bool, RandomError> {
         let threads = means.threads.get();
-        let mut queues = (0..threads).map(|thread| {
-            let (give, take) = sync_channel(AHEAD);
-            let share = missing.iter().flat_map(|s| s.row_groups()).skip(thread).step_by(threads);
-            let maker = &maker;
-            scope.spawn(move || maker.make_all(share, &give));
-            take
-        });
-        let queues: Vec<Receiver<Made>> = queues.by_ref().collect();
+        let queues: Vec<Receiver<Made>> = (0..threads)
+            .map(|thread| {
+                let (give, take) = sync_channel(AHEAD);
+                let share =
+                    missing.iter().flat_map(|s| s.row_groups()).skip(thread).step_by(threads);
+                let maker = &maker;
+                scope.spawn(move || maker.make_all(share, &give));
+                take
+            })
+            .collect();
         let mut made = queues.iter().cycle();
         for shard in &missing {
             if means.stop.load(Ordering::Relaxed) {
@@ -217,9 +219,8 @@ impl Maker<'_> {
             self.definition.draws.trial(self.sensor.points(), index, &mut contacts);
             ends.push(contacts.len());
         }
-        let voltages_v = vec![0.0; ends.len() * self.sensor.channels()];
-        let mut trials = Trials { first, contacts, ends, voltages_v };
-        let mut voltages_v = std::mem::take(&mut trials.voltages_v);
+        let mut trials = Trials { first, contacts, ends, voltages_v: Vec::new() };
+        let mut voltages_v = vec![0.0; trials.ends.len() * self.sensor.channels()];
         self.model
             .voltages(&trials.each(), &mut voltages_v, work)
             .map_err(|source| RandomError::Simulate { first, last: first + count - 1, source })?;
