@@ -5,3 +5,5 @@ pub mod compare;
 pub mod drift;
 pub mod model;
 pub mod twins;
+pub mod schema;
+pub mod random;

@@ -14,6 +14,7 @@ mod forward;
 mod jacobian;
 mod mesh;
 mod network;
+mod surface;
 mod tip;
 
 /// The paper's skin.
