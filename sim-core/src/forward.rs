@@ -7,6 +7,7 @@
 use std::sync::Arc;
 
 use crate::circuit::ReadoutCircuit;
+use crate::deformation::NodeForce;
 use crate::digest::{Digest, hex};
 use crate::fields::{FieldLength, NodeFields};
 use crate::mesh::{Mesh, MeshError};
@@ -153,10 +154,7 @@ impl ForwardModel {
         }
         let mesh = Mesh::new(sensor)?;
         fields.check(&mesh)?;
-        let square_s = 1.0 / sensor.file.circuit.sheet_ohm_per_sq;
-        let sheet_s: Vec<f64> =
-            fields.ln_sheet_conductance.iter().map(|ln| square_s * ln.exp()).collect();
-        let network = SheetNetwork::new(&mesh, &sheet_s, &circuit)?;
+        let network = network(sensor, &mesh, &fields, &circuit)?;
         let row = |node: u32| responses.row_of(node).ok_or(ModelError::OtherResponses);
         let point_rows = mesh
             .points
@@ -208,6 +206,11 @@ impl ForwardModel {
         &self.circuit
     }
 
+    /// The resistor network without the foam, as [`Workspace::to_top_s`] counts its nodes.
+    pub fn network(&self) -> Result<SheetNetwork, ElectrodeError> {
+        network(&self.sensor, &self.mesh, &self.fields, &self.circuit)
+    }
+
     /// Rows of the unit responses under a point's six vertices.
     pub fn point_rows(&self, point: usize) -> &[usize; 6] {
         &self.point_rows[point]
@@ -231,6 +234,28 @@ impl ForwardModel {
         work: &'w mut Workspace,
     ) -> Result<&'w [f64], ContactError> {
         let mut forces = std::mem::take(&mut work.forces);
+        let outcome = self.spread(contacts, &mut forces);
+        if outcome.is_ok() {
+            self.evaluate(&forces, work);
+        }
+        work.forces = forces;
+        outcome.map(|()| work.readout.frame_v())
+    }
+
+    /// The forces on nodes of the surface that contacts amount to.
+    pub fn node_forces(&self, contacts: &[Contact]) -> Result<Vec<NodeForce>, ContactError> {
+        let mut forces = Vec::new();
+        self.spread(contacts, &mut forces)?;
+        let node = |row: usize| self.responses.vertices()[row];
+        Ok(forces.iter().map(|f| NodeForce { node: node(f.row), force_n: f.force_n }).collect())
+    }
+
+    /// Replaces `forces` by those of contacts: each as six equal ones on its hexagon's vertices.
+    fn spread(
+        &self,
+        contacts: &[Contact],
+        forces: &mut Vec<VertexForce>,
+    ) -> Result<(), ContactError> {
         forces.clear();
         for (contact, c) in contacts.iter().enumerate() {
             if !(c.force_n >= 0.0 && c.force_n.is_finite()) {
@@ -243,9 +268,7 @@ impl ForwardModel {
             let force_n = c.force_n / 6.0;
             forces.extend(self.point_rows[point].map(|row| VertexForce { row, force_n }));
         }
-        self.evaluate(&forces, work);
-        work.forces = forces;
-        Ok(work.readout.frame_v())
+        Ok(())
     }
 
     /// The frame of any forces on vertices (tilted tips, places between points), V after gain.
@@ -279,6 +302,18 @@ impl ForwardModel {
         let reduced = self.reduction.reduce(&work.to_top_s, &mut work.kron);
         work.readout.evaluate(reduced, &self.circuit);
     }
+}
+
+fn network(
+    sensor: &Sensor,
+    mesh: &Mesh,
+    fields: &NodeFields,
+    circuit: &ReadoutCircuit,
+) -> Result<SheetNetwork, ElectrodeError> {
+    let square_s = 1.0 / sensor.file.circuit.sheet_ohm_per_sq;
+    let sheet_s: Vec<f64> =
+        fields.ln_sheet_conductance.iter().map(|ln| square_s * ln.exp()).collect();
+    SheetNetwork::new(mesh, &sheet_s, circuit)
 }
 
 fn node_laws(sensor: &Sensor, mesh: &Mesh, fields: &NodeFields) -> Vec<NodeLaw> {

@@ -3,7 +3,7 @@
 //! Uses: faer for the elastic solve. Never: async, files, clock, database, unseeded chance.
 //!
 //! Data flows one way: `sensor -> mesh -> (element, material, order, boundary, assemble, solve) ->
-//! responses -> fields, piezo -> network -> forward`.
+//! responses, deformation -> fields, piezo -> network -> forward -> spice, calculix`.
 
 pub mod sensor;
 pub mod mesh;
@@ -14,9 +14,12 @@ pub mod boundary;
 pub mod assemble;
 pub mod solve;
 pub mod responses;
+pub mod deformation;
 pub mod piezo;
 pub mod fields;
 pub mod circuit;
 pub mod network;
 pub mod forward;
+pub mod spice;
+pub mod calculix;
 mod digest;

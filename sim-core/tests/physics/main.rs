@@ -12,6 +12,8 @@ mod elements;
 mod forward;
 mod mesh;
 mod network;
+mod ngspice;
+mod tools;
 
 /// The paper's skin.
 fn sensor() -> &'static Sensor {
