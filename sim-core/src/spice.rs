@@ -66,7 +66,10 @@ pub fn netlist(skin: &LoadedCircuit<'_>, sink: usize) -> Result<String, SpiceErr
         out.push('\n');
     };
     line(format_args!("* {}", skin.title.replace('\n', " ")));
-    line(format_args!("* Voltages before gain (x {}) with electrode {sink} as the sink;", skin.circuit.gain));
+    line(format_args!(
+        "* Voltages before gain (x {}) with electrode {sink} as the sink;",
+        skin.circuit.gain
+    ));
     line(format_args!("* frame value j is V(e<j>) - V(e<j+1>). Run: ngspice -b FILE"));
     line(format_args!(".options gmin=1e-30"));
     line(format_args!("Vsource top 0 DC {:e}", skin.circuit.source_v));
@@ -110,7 +113,8 @@ fn check(skin: &LoadedCircuit<'_>, sink: usize) -> Result<(), SpiceError> {
 }
 
 fn node_names(skin: &LoadedCircuit<'_>, sink: usize) -> Vec<String> {
-    let mut names: Vec<String> = (0..skin.network.places_mm.len()).map(|i| format!("n{i}")).collect();
+    let mut names: Vec<String> =
+        (0..skin.network.places_mm.len()).map(|i| format!("n{i}")).collect();
     for (electrode, &node) in skin.network.electrodes.iter().enumerate() {
         let behind_a_lead = electrode == sink && skin.circuit.electrodes[sink].lead_ohm > 0.0;
         let prefix = if behind_a_lead { 's' } else { 'e' };
@@ -142,8 +146,12 @@ mod tests {
     fn a_netlist_names_every_part_once_and_leaves_out_what_does_not_conduct() {
         let (network, circuit) = two_electrodes(50.0);
         let to_top_s = [0.0, 1e-9, 5e-4];
-        let skin =
-            LoadedCircuit { title: "a\nb", network: &network, circuit: &circuit, to_top_s: &to_top_s };
+        let skin = LoadedCircuit {
+            title: "a\nb",
+            network: &network,
+            circuit: &circuit,
+            to_top_s: &to_top_s,
+        };
         let text = netlist(&skin, 1).unwrap();
         for part in [
             "* a b\n",
@@ -161,7 +169,8 @@ mod tests {
     #[test]
     fn what_is_no_circuit_is_refused() {
         let (network, circuit) = two_electrodes(0.0);
-        let skin = |to_top_s| LoadedCircuit { title: "", network: &network, circuit: &circuit, to_top_s };
+        let skin =
+            |to_top_s| LoadedCircuit { title: "", network: &network, circuit: &circuit, to_top_s };
         assert_eq!(netlist(&skin(&[0.0; 3]), 2), Err(SpiceError::Sink { sink: 2, last: 1 }));
         assert_eq!(netlist(&skin(&[0.0; 2]), 0), Err(SpiceError::Nodes { found: 2, needed: 3 }));
         let error = netlist(&skin(&[0.0, -1.0, 0.0]), 0).unwrap_err();

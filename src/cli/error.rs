@@ -8,6 +8,7 @@ use std::process::ExitCode;
 use crate::api::ServeError;
 use crate::problem::Problem;
 use crate::rig::error::RigError;
+use crate::simulate::model::ModelUnavailable;
 
 /// Why a command ended without doing what it was asked.
 #[derive(Debug, thiserror::Error)]
@@ -73,6 +74,9 @@ pub enum CliError {
     /// The rig cannot be opened.
     #[error("opening the rig: {0}")]
     Rig(#[from] RigError),
+    /// There is no model of the skin.
+    #[error(transparent)]
+    Model(#[from] ModelUnavailable),
     /// The rig is tripped.
     #[error("the rig is tripped: {detail}; look at it, then `palpate rig reset`")]
     Tripped {

@@ -101,6 +101,14 @@ impl RigFiles {
     }
 }
 
+/// A sensor file, checked; the carried one where none is named.
+pub fn read_sensor(path: Option<&Path>) -> Result<Sensor, CliError> {
+    match path {
+        Some(path) => parse_sensor(&path.display().to_string(), &read_input(path)?),
+        None => parse_sensor("experiments/sensors/ert-28.toml", DEFAULT_SENSOR),
+    }
+}
+
 /// Writes a file, with the folders above it.
 pub fn write(path: &Path, text: &str) -> Result<(), CliError> {
     let failed = |source| CliError::File { path: path.into(), source };

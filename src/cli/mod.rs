@@ -23,6 +23,7 @@ mod queue;
 mod rig;
 mod run;
 mod serve;
+mod simulate;
 mod summary;
 mod view;
 mod virtual_bench;
@@ -90,6 +91,8 @@ pub enum Command {
     ///
     /// Exit code 2 where something forbids it: each problem names file, key, value and limit.
     Plan(plan::PlanArgs),
+    /// Simulate frames of contacts; nothing moves.
+    Simulate(simulate::SimulateArgs),
     /// Show where rig, run and service stand.
     Status(At),
     /// Show and change what runs next.
@@ -145,6 +148,7 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
     match command {
         Command::Plan(args) => return plan::plan(&args),
         Command::Run(args) => return run::run(args).await,
+        Command::Simulate(args) => return simulate::simulate(args).await,
         Command::Rig(args) => return rig::rig(args).await,
         Command::Serve(args) => serve::serve(args).await?,
         Command::Status(at) => ask::status(&at).await?,

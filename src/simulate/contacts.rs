@@ -3,7 +3,7 @@
 //!
 //! `{"contacts":[{"x_mm":270,"y_mm":280,"force_n":20}]}`; an empty list is an untouched skin.
 
-use std::io::BufRead;
+use std::io::{BufRead, Read as _};
 
 use serde::Deserialize;
 use sim_core::forward::Contact;
@@ -71,31 +71,27 @@ impl<R: BufRead> ContactLines<R> {
     pub fn next_trial(&mut self) -> Result<Option<Vec<Contact>>, Problem> {
         self.bytes.clear();
         self.line += 1;
-        let whole = |file: &str, limit: String| Problem::whole(file, limit);
-        let mut bounded = (&mut self.input).take(LONGEST_LINE);
-        let read = bounded
+        let file = self.place();
+        let read = (&mut self.input)
+            .take(LONGEST_LINE)
             .read_until(b'\n', &mut self.bytes)
-            .map_err(|e| whole(&place(&self.file, self.line), e.to_string()))?;
-        let file = place(&self.file, self.line);
+            .map_err(|e| Problem::whole(&file, e.to_string()))?;
         if read == 0 {
             return Ok(None);
         }
         if read as u64 == LONGEST_LINE && !self.bytes.ends_with(b"\n") {
-            return Err(whole(&file, format!("a line must be at most {LONGEST_LINE} bytes")));
+            let limit = format!("a line must be at most {LONGEST_LINE} bytes");
+            return Err(Problem::whole(&file, limit));
         }
-        let text = std::str::from_utf8(&self.bytes).map_err(|e| whole(&file, e.to_string()))?;
+        let text =
+            std::str::from_utf8(&self.bytes).map_err(|e| Problem::whole(&file, e.to_string()))?;
         parse(text, &file, &self.limits).map(Some)
     }
 
-    /// Number of the line that was read last, from 1.
-    pub fn line(&self) -> usize {
-        self.line
+    /// The line that was read last, as problems name it.
+    pub fn place(&self) -> String {
+        format!("{} line {}", self.file, self.line)
     }
-}
-
-/// A line of a file, as problems name it.
-pub fn place(file: &str, line: usize) -> String {
-    format!("{file} line {line}")
 }
 
 /// The contacts of one line; `file` names it in problems.
@@ -144,7 +140,10 @@ fn syntax_problem(text: &str, file: &str, path: &str, error: &serde_json::Error)
     let message = message.split(" at line ").next().unwrap_or_default();
     let column = error.column();
     if error.is_eof() {
-        return Problem::whole(file, format!("the line is cut off after column {column}: {message}"));
+        return Problem::whole(
+            file,
+            format!("the line is cut off after column {column}: {message}"),
+        );
     }
     let limit = format!("{message} (column {column})");
     let path = path.trim_matches('.');
@@ -238,8 +237,10 @@ mod tests {
         let mut lines = ContactLines::new(text.as_bytes(), "c.jsonl", limits());
         assert_eq!(lines.next_trial().unwrap().unwrap().len(), 0);
         assert_eq!(lines.next_trial().unwrap().unwrap().len(), 1);
-        assert!(lines.next_trial().unwrap_err().to_string().starts_with("c.jsonl line 3: the line"));
-        assert_eq!(lines.line(), 3);
+        assert!(
+            lines.next_trial().unwrap_err().to_string().starts_with("c.jsonl line 3: the line")
+        );
+        assert_eq!(lines.place(), "c.jsonl line 3");
         assert!(lines.next_trial().unwrap().is_none());
     }
 

@@ -1,4 +1,7 @@
 //! Simulated frames: one trial, the twins of stored trials, free trials in bulk.
 //! Uses: sim-core, `store`. Never: the rig, HTTP; no trial waits for a simulation.
 
+pub mod contacts;
+pub mod export;
 pub mod model;
+pub mod picture;

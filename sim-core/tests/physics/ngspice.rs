@@ -52,10 +52,7 @@ fn difference(
     let spice = spice_voltages(folder, &netlist(&skin, sink).unwrap());
     let ours = &work.readout().electrodes_v()[28 * sink..][..28];
     assert_eq!((ours[sink], spice[sink]), (0.0, 0.0), "the sink is at 0 V");
-    (0..28)
-        .filter(|&j| j != sink)
-        .map(|j| (ours[j] / spice[j] - 1.0).abs())
-        .fold(0.0, f64::max)
+    (0..28).filter(|&j| j != sink).map(|j| (ours[j] / spice[j] - 1.0).abs()).fold(0.0, f64::max)
 }
 
 /// The largest difference over random trials; each with one random injection, or with all.

@@ -6,7 +6,8 @@ use std::process::{Command, Stdio};
 
 /// Whether a program can be started; says so where it cannot.
 pub fn available(program: &str) -> bool {
-    let quiet = Command::new(program).arg("-v").stdout(Stdio::null()).stderr(Stdio::null()).status();
+    let quiet =
+        Command::new(program).arg("-v").stdout(Stdio::null()).stderr(Stdio::null()).status();
     if quiet.is_ok() {
         return true;
     }
