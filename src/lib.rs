@@ -11,6 +11,7 @@ pub mod rig;
 pub mod campaign;
 pub mod store;
 pub mod simulate;
+pub mod evaluate;
 pub mod conductor;
 pub mod api;
 pub mod cli;

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use crate::api::ServeError;
+use crate::evaluate::figures::FigureError;
 use crate::problem::Problem;
 use crate::rig::error::RigError;
 use crate::simulate::model::ModelUnavailable;
@@ -106,6 +107,9 @@ pub enum CliError {
     /// The rig check found something wrong.
     #[error("the rig check found {0} problems")]
     Unsound(usize),
+    /// A figure could not be drawn.
+    #[error(transparent)]
+    Figure(#[from] FigureError),
     /// A file made by this program could not be written as text.
     #[error("writing TOML: {0}")]
     Toml(#[from] toml::ser::Error),

@@ -15,10 +15,12 @@ mod ask;
 mod client;
 mod embed;
 mod error;
+mod evaluate;
 mod files;
 mod follow;
 mod output;
 mod plan;
+mod progress;
 mod queue;
 mod rig;
 mod run;
@@ -117,6 +119,8 @@ pub enum Command {
     Key(access::KeyArgs),
     /// Check and move the rig by hand.
     Rig(rig::RigArgs),
+    /// Say how good the model is.
+    Evaluate(evaluate::EvaluateArgs),
 }
 
 /// Does what was asked. Errors are on standard error, in words; the exit code is 0, 1, or 2 for
@@ -162,6 +166,7 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
         Command::Estop(args) => ask::estop(&args).await?,
         Command::Lock(args) => access::lock(args).await?,
         Command::Key(args) => access::key(args).await?,
+        Command::Evaluate(args) => evaluate::evaluate(args).await?,
     }
     Ok(ExitCode::SUCCESS)
 }

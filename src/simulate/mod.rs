@@ -2,6 +2,9 @@
 //! Uses: sim-core, `store`. Never: the rig, HTTP; no trial waits for a simulation.
 
 pub mod contacts;
-pub mod export;
 pub mod model;
 pub mod picture;
+pub mod export;
+pub mod compare;
+pub mod drift;
+pub mod twins;
