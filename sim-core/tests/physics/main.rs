@@ -7,6 +7,8 @@ use sim_core::forward::{Contact, ForwardModel};
 use sim_core::responses::UnitResponses;
 use sim_core::sensor::Sensor;
 
+mod calculix;
+mod convergence;
 mod deformation;
 mod elements;
 mod forward;

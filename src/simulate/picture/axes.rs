@@ -51,12 +51,12 @@ pub(super) fn draw(out: &mut Drawing, view: &View, part: &Part) {
     let (side, outwards) = if view.away(1.0, 0.0) < 0.0 { (x1, tick) } else { (x0, -tick) };
     out.group("stroke=\"#555\" stroke-width=\"1\" fill=\"#333\" font-size=\"13\"");
     let mut marks = Vec::new();
-    for x in ticks(x0, x1, 5.0) {
+    for x in ticks(x0, x1, 6.0) {
         let [on, off, words] = [0.0, 1.0, 3.2].map(|n| view.place([x, y0 - n * tick, 0.0]));
         out.stroke(on, off);
         marks.push((words, number(x)));
     }
-    for y in ticks(y0, y1, 5.0) {
+    for y in ticks(y0, y1, 6.0) {
         let [on, off, words] = [0.0, 1.0, 2.6].map(|n| view.place([side + n * outwards, y, 0.0]));
         out.stroke(on, off);
         marks.push((words, number(y)));
@@ -69,11 +69,26 @@ pub(super) fn draw(out: &mut Drawing, view: &View, part: &Part) {
         view.place([side + away * outwards.signum(), middle(part.range_mm[1]), 0.0]),
         "y (mm)".into(),
     ));
+    marks.push(height_bar(out, view, part, outwards));
     out.group("fill=\"#333\" font-size=\"13\"");
     for ([x, y], words) in marks {
         out.words([x, y + 5.0], "middle", &words);
     }
     out.end_group();
+}
+
+/// The unloaded skin's height, at the outer end of the x axis; returns its words and their place.
+fn height_bar(out: &mut Drawing, view: &View, part: &Part, outwards: f64) -> ([f64; 2], String) {
+    let [[x0, x1], [y0, _]] = part.range_mm;
+    let x = if outwards < 0.0 { x1 } else { x0 } - 2.5 * outwards;
+    let [low, high] = [0.0, part.height_mm].map(|z| view.place([x, y0, z]));
+    out.group("stroke=\"#555\" stroke-width=\"1\"");
+    out.stroke(low, high);
+    for [x, y] in [low, high] {
+        out.stroke([x - 4.0, y], [x + 4.0, y]);
+    }
+    out.end_group();
+    ([high[0], high[1] - 14.0], format!("{} mm", number(part.height_mm)))
 }
 
 /// The scale of the foam's compression, from 0 to `most_mm`; `left, top, right, bottom` in px.

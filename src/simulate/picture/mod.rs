@@ -2,8 +2,8 @@
 //! coloured by the foam's compression, with the point forces that act on them.
 //! PURE. Uses: sim-core's mesh and displacement field, `svg`. Never: files, solving.
 //!
-//! Heights and depths are stretched by a factor that depends on the part shown, not on the load, and
-//! is stated in the picture. SVG text is written here, since plotters rounds places to whole pixels.
+//! Heights and depths are stretched by a factor that is stated in the picture. SVG text is written
+//! here, since plotters rounds places to whole pixels.
 
 mod axes;
 mod svg;
@@ -16,16 +16,20 @@ use sim_core::mesh::Mesh;
 
 use svg::{Colour, Drawing, View};
 
-/// The sheet, px.
-const SHEET: [f64; 2] = [1000.0, 640.0];
-/// Where the skin may be on the sheet: left, top, right, bottom, px.
-const STAGE: [f64; 4] = [60.0, 60.0, 850.0, 590.0];
+/// Width of the sheet, px.
+const WIDTH: f64 = 1000.0;
+/// Where the skin may be on the sheet: left, top, right, bottom, px. It reaches down as far as needed.
+const STAGE: [f64; 4] = [60.0, 56.0, 850.0, 720.0];
 /// Shown around the outermost contacts, mm.
 const MARGIN_MM: f64 = 55.0;
 /// Turn and elevation of the view, degrees.
-const VIEW_DEG: [f64; 2] = [-28.0, 32.0];
-/// Largest height of the unloaded skin in the picture, as a share of the part's longer side.
-const HEIGHT_SHARE: f64 = 0.14;
+const VIEW_DEG: [f64; 2] = [-28.0, 36.0];
+/// By how much heights and depths are stretched.
+const STRETCH: f64 = 5.0;
+/// Sides of a brick whose colours differ by more than this share of the scale are cut into patches.
+const SMOOTH: f64 = 0.03;
+/// Patches along an edge.
+const PATCHES: usize = 4;
 /// Longest arrow, as a share of the part's longer side.
 const ARROW_SHARE: f64 = 0.17;
 /// Forces this near belong to a contact's label, mm.
@@ -67,22 +71,27 @@ pub fn draw(scene: &Scene<'_>) -> String {
     let arrows = arrows(scene, &part);
     let all = faces.iter().flat_map(|f| f.corners).chain(part.floor());
     let all: Vec<_> = all.chain(arrows.iter().flat_map(|a| [a.from, a.to])).collect();
-    let view = View::new(VIEW_DEG[0], VIEW_DEG[1], part.stretch).fit(&all, STAGE);
+    let view = View::new(VIEW_DEG[0], VIEW_DEG[1], STRETCH).fit(&all, STAGE);
+    let lowest = all.iter().map(|&c| view.place(c)[1]).fold(0.0, f64::max);
+    let height = (lowest + 70.0).max(480.0);
 
-    let mut out = Drawing::new(SHEET[0], SHEET[1]);
+    let mut out = Drawing::new(WIDTH, height);
     out.group("fill=\"#222\" font-size=\"17\"");
     out.words([24.0, 32.0], "start", scene.title);
     out.end_group();
     axes::draw(&mut out, &view, &part);
-    out.group("stroke=\"#3c3c46\" stroke-width=\"0.35\" stroke-linejoin=\"round\"");
+    out.group("stroke=\"#3c3c46\" stroke-width=\"0.4\" stroke-linejoin=\"round\"");
     for face in nearest_last(faces, &view) {
-        out.polygon(&face.corners.map(|c| view.place(c)), face.fill);
+        for (corners, colour) in &face.patches {
+            out.patch(&corners.map(|c| view.place(c)), *colour);
+        }
+        out.outline(&face.corners.map(|c| view.place(c)));
     }
     out.end_group();
     draw_arrows(&mut out, &view, &arrows, scene.contacts);
-    axes::colour_bar(&mut out, [890.0, 150.0, 912.0, 470.0], most_mm);
+    axes::colour_bar(&mut out, [890.0, 130.0, 910.0, height - 110.0], most_mm);
     out.group("fill=\"#555\" font-size=\"13\"");
-    out.words([24.0, SHEET[1] - 16.0], "start", &part.caption());
+    out.words([24.0, height - 16.0], "start", &part.caption());
     out.end_group();
     out.finish()
 }
@@ -95,14 +104,15 @@ struct Part {
     cells: Vec<[u32; 4]>,
     /// Height of the unloaded skin, mm.
     height_mm: f64,
-    /// By which heights and depths are stretched.
-    stretch: f64,
 }
 
-/// A side of a brick.
+/// A quadrilateral in space, mm.
+type Quad = [[f64; 3]; 4];
+
+/// A side of a brick, in patches of one colour each.
 struct Face {
-    corners: [[f64; 3]; 4],
-    fill: Colour,
+    corners: Quad,
+    patches: Vec<(Quad, Colour)>,
 }
 
 impl Part {
@@ -128,17 +138,13 @@ impl Part {
         };
         let cells = scene.mesh.cells.iter().filter(inside).copied().collect();
         let height_mm = scene.mesh.sheets.iter().map(|s| s.height_mm).sum();
-        let longer = range_mm.iter().map(|[from, to]| to - from).fold(0.0, f64::max);
-        let fits = |&&stretch: &&f64| stretch * height_mm <= HEIGHT_SHARE * longer;
-        let stretch = *[20.0, 10.0, 5.0, 2.0].iter().find(fits).unwrap_or(&1.0);
-        Self { range_mm, cells, height_mm, stretch }
+        Self { range_mm, cells, height_mm }
     }
 
     fn caption(&self) -> String {
-        let stretch = self.stretch;
         format!(
-            "Heights and depths are drawn {stretch} times as large as lengths and widths. Sides: \
-             fabric, foam, fabric. Arrows: point forces on the mesh."
+            "Heights and depths are drawn {STRETCH} times as large as lengths and widths. Sides: \
+             fabric, foam, fabric. Arrows: point forces on the mesh's nodes."
         )
     }
 
@@ -164,39 +170,32 @@ impl Part {
             let [dx, dy, dz] = scene.deformation.at(level, node as usize);
             [x + dx, y + dy, heights[level] + dz]
         };
-        let colour = |nodes: &[u32]| {
-            let sum: f64 =
-                nodes.iter().map(|&n| scene.deformation.compression_mm(n as usize)).sum();
-            compression_colour(sum / nodes.len() as f64 / most_mm)
-        };
+        let share = |n: u32| scene.deformation.compression_mm(n as usize) / most_mm;
         let surface = scene.mesh.levels() - 1;
-        let tops = self.cells.iter().map(|cell| {
-            let corners = cell.map(|n| moved(surface, n));
-            Face { corners, fill: shaded(colour(cell), &corners, self.stretch) }
-        });
+        let tops = self
+            .cells
+            .iter()
+            .map(|cell| Face::coloured(cell.map(|n| moved(surface, n)), cell.map(share)));
         let [foam, top] = scene.mesh.foam_levels;
-        let sides = self.rim().into_iter().flat_map(|[a, b]| {
-            (0..surface)
-                .map(move |level| ([a, b], level))
-                .map(|([a, b], level)| Face {
-                    corners: [
-                        moved(level, a),
-                        moved(level, b),
-                        moved(level + 1, b),
-                        moved(level + 1, a),
-                    ],
-                    fill: match level {
-                        level if level < foam => FABRIC[0],
-                        level if level >= top => FABRIC[1],
-                        _ => colour(&[a, b]).map(|v| 0.9 * v),
-                    },
-                })
-                .collect::<Vec<_>>()
+        let rim = self.rim();
+        let sides = rim.iter().flat_map(|&[a, b]| {
+            (0..surface).map(move |level| {
+                let corners = [(level, a), (level, b), (level + 1, b), (level + 1, a)];
+                (level, corners, [a, b, b, a].map(share))
+            })
+        });
+        let sides = sides.map(|(level, corners, shares)| {
+            let corners = corners.map(|(level, node)| moved(level, node));
+            match level {
+                level if level < foam => Face::plain(corners, FABRIC[0]),
+                level if level >= top => Face::plain(corners, FABRIC[1]),
+                _ => Face::coloured(corners, shares),
+            }
         });
         tops.chain(sides).collect()
     }
 
-    /// Edges that one cell alone has and that face the viewer.
+    /// Edges that one cell alone has.
     fn rim(&self) -> Vec<[u32; 2]> {
         let edges = |cell: &[u32; 4]| {
             let next = [cell[1], cell[2], cell[3], cell[0]];
@@ -206,6 +205,41 @@ impl Part {
         let single = |&[a, b]: &[u32; 2]| a != b && !all.contains(&[b, a]);
         all.iter().copied().filter(single).collect()
     }
+}
+
+impl Face {
+    fn plain(corners: Quad, colour: Colour) -> Self {
+        Self { corners, patches: vec![(corners, colour)] }
+    }
+
+    /// Coloured by shares of the scale at its corners, and shaded by how it leans.
+    fn coloured(corners: Quad, shares: [f64; 4]) -> Self {
+        let [low, high] =
+            shares.iter().fold([f64::MAX, f64::MIN], |[l, h], &s| [l.min(s), h.max(s)]);
+        let n = if high - low > SMOOTH { PATCHES } else { 1 };
+        let light = light(&corners);
+        let at = |i: usize| i as f64 / n as f64;
+        let patches = (0..n * n).map(|k| {
+            let (i, j) = (k % n, k / n);
+            let ends = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)];
+            let quad = ends.map(|(i, j)| {
+                let weights = bilinear(at(i), at(j));
+                std::array::from_fn(|axis| weighted(weights, corners.map(|c| c[axis])))
+            });
+            let middle = bilinear(at(i) + 0.5 / n as f64, at(j) + 0.5 / n as f64);
+            (quad, compression_colour(weighted(middle, shares)).map(|v| v * light))
+        });
+        Self { corners, patches: patches.collect() }
+    }
+}
+
+/// Weights of a quadrilateral's corners at a place of the unit square.
+fn bilinear(u: f64, v: f64) -> [f64; 4] {
+    [(1.0 - u) * (1.0 - v), u * (1.0 - v), u * v, (1.0 - u) * v]
+}
+
+fn weighted(weights: [f64; 4], values: [f64; 4]) -> f64 {
+    weights.iter().zip(values).map(|(w, v)| w * v).sum()
 }
 
 /// Smallest and largest x and y of places.
@@ -234,19 +268,15 @@ fn compression_colour(share: f64) -> Colour {
     std::array::from_fn(|i| SCALE[below][i] + part * (SCALE[below + 1][i] - SCALE[below][i]))
 }
 
-/// A face that leans to one side is a little darker, so that the relief shows.
-fn shaded(colour: Colour, corners: &[[f64; 3]; 4], stretch: f64) -> Colour {
-    let edge = |a: [f64; 3], b: [f64; 3]| [b[0] - a[0], b[1] - a[1], stretch * (b[2] - a[2])];
+/// How light a face is, 1 for a level one: one that leans away is darker, so that the relief shows.
+fn light(corners: &Quad) -> f64 {
+    const LIGHT: [f64; 3] = [-0.45, -0.25, 0.857];
+    let edge = |a: [f64; 3], b: [f64; 3]| [b[0] - a[0], b[1] - a[1], STRETCH * (b[2] - a[2])];
     let (p, q) = (edge(corners[0], corners[2]), edge(corners[1], corners[3]));
     let normal = [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]];
     let length = normal.iter().map(|n| n * n).sum::<f64>().sqrt();
-    const LIGHT: [f64; 3] = [-0.45, -0.25, 0.857];
-    if length == 0.0 {
-        return colour;
-    }
-    let lit: f64 = normal.iter().zip(LIGHT).map(|(n, l)| n * l).sum::<f64>() / length;
-    let flat = LIGHT[2];
-    colour.map(|v| v * (1.0 + 0.35 * (lit - flat)).clamp(0.6, 1.08))
+    let lit: f64 = normal.iter().zip(LIGHT).map(|(n, l)| n * l).sum();
+    (1.0 + 0.35 * (lit / length.max(1e-12) - LIGHT[2])).clamp(0.75, 1.04)
 }
 
 /// A point force.
@@ -262,7 +292,7 @@ fn arrows(scene: &Scene<'_>, part: &Part) -> Vec<Arrow> {
         let [x, y] = scene.mesh.nodes_mm[force.node as usize];
         let [dx, dy, dz] = scene.deformation.at(surface, force.node as usize);
         let to = [x + dx, y + dy, part.height_mm + dz];
-        let length = ARROW_SHARE * part.longer_mm() / part.stretch * force.force_n / most_n;
+        let length = ARROW_SHARE * part.longer_mm() / STRETCH * force.force_n / most_n;
         Arrow { from: [to[0], to[1], to[2] + length], to }
     };
     scene.forces.iter().filter(|f| f.force_n > 0.0).map(arrow).collect()

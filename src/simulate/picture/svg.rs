@@ -40,11 +40,22 @@ impl Drawing {
         self.line(format_args!("</g>"));
     }
 
-    /// A filled polygon.
+    /// A filled polygon in the group's stroke.
     pub fn polygon(&mut self, places: &[[f64; 2]], fill: Colour) {
-        let points: Vec<String> = places.iter().map(|[x, y]| format!("{x:.2},{y:.2}")).collect();
-        let fill = hex(fill);
-        self.line(format_args!("<polygon points=\"{}\" fill=\"{fill}\"/>", points.join(" ")));
+        let (points, fill) = (points(places), hex(fill));
+        self.line(format_args!("<polygon points=\"{points}\" fill=\"{fill}\"/>"));
+    }
+
+    /// A polygon with a stroke of its own colour, so that no seam shows between neighbours.
+    pub fn patch(&mut self, places: &[[f64; 2]], fill: Colour) {
+        let (points, fill) = (points(places), hex(fill));
+        self.line(format_args!("<polygon points=\"{points}\" fill=\"{fill}\" stroke=\"{fill}\"/>"));
+    }
+
+    /// A closed line in the group's stroke.
+    pub fn outline(&mut self, places: &[[f64; 2]]) {
+        let points = points(places);
+        self.line(format_args!("<polygon points=\"{points}\" fill=\"none\"/>"));
     }
 
     /// A straight line in the group's stroke.
@@ -66,6 +77,10 @@ impl Drawing {
         self.text.write_fmt(text).expect("a String takes any text");
         self.text.push('\n');
     }
+}
+
+fn points(places: &[[f64; 2]]) -> String {
+    places.iter().map(|[x, y]| format!("{x:.1},{y:.1}")).collect::<Vec<_>>().join(" ")
 }
 
 fn hex([r, g, b]: Colour) -> String {
@@ -95,7 +110,8 @@ impl View {
         Self { turn, elevation, stretch, scale: 1.0, origin: [0.0; 2] }
     }
 
-    /// Scales and shifts so that all of these places lie in a box (left, top, right, bottom, px).
+    /// Scales and shifts so that all of these places lie in a box (left, top, right, bottom, px),
+    /// as high up as they can.
     pub fn fit(mut self, places: &[[f64; 3]], [left, top, right, bottom]: [f64; 4]) -> Self {
         let (mut low, mut high) = ([f64::MAX; 2], [f64::MIN; 2]);
         for place in places.iter().map(|&p| self.project(p)) {
@@ -106,10 +122,8 @@ impl View {
         }
         let [wide, tall] = [0, 1].map(|axis| (high[axis] - low[axis]).max(1e-9));
         let scale = ((right - left) / wide).min((bottom - top) / tall);
-        self.origin = [
-            (left + right) / 2.0 - scale * (low[0] + high[0]) / 2.0,
-            (top + bottom) / 2.0 + scale * (low[1] + high[1]) / 2.0,
-        ];
+        self.origin =
+            [(left + right) / 2.0 - scale * (low[0] + high[0]) / 2.0, top + scale * high[1]];
         self.scale = scale;
         self
     }
