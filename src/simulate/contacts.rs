@@ -153,6 +153,7 @@ fn syntax_problem(text: &str, file: &str, path: &str, error: &serde_json::Error)
     let start = bytes[..from].iter().rposition(ends).map_or(0, |at| at + 1);
     let end = bytes[from..].iter().position(ends).map_or(bytes.len(), |at| from + at);
     let found = text.get(start..end).unwrap_or_default().trim();
+    let found = if found.is_empty() { "{..}" } else { found };
     match path {
         "" | "?" => Problem::whole(file, limit),
         path => Problem::new(file, path, found, limit),
@@ -219,7 +220,7 @@ mod tests {
             (replaced("20", "1e999"), "contacts[1].force_n = 1e999: number out of range"),
             (replaced("270", "\"270\""), "contacts[1].x_mm = \"270\": invalid type: string"),
             (replaced("force_n", "force"), "contacts[1].force = \"force\": unknown field `force`"),
-            (complaint(&with(&["{}"])), "contacts[0] = {}: missing field `x_mm`"),
+            (complaint(&with(&["{}"])), "contacts[0] = {..}: missing field `x_mm`"),
             (complaint("{\"contact\":[]}"), "contact = \"contact\": unknown field `contact`"),
             (complaint(&with(&[GOOD])[..50]), "the line is cut off after column 50: EOF"),
             (complaint(&with(&[GOOD])[..20]), "the line is cut off after column 20: EOF"),
