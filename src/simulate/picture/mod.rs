@@ -17,9 +17,9 @@ use sim_core::mesh::Mesh;
 use svg::{Colour, Drawing, View};
 
 /// Width of the sheet, px.
-const WIDTH: f64 = 1000.0;
+const WIDTH: f64 = 1020.0;
 /// Where the skin may be on the sheet: left, top, right, bottom, px. It reaches down as far as needed.
-const STAGE: [f64; 4] = [60.0, 56.0, 850.0, 720.0];
+const STAGE: [f64; 4] = [60.0, 56.0, 835.0, 720.0];
 /// Shown around the outermost contacts, mm.
 const MARGIN_MM: f64 = 55.0;
 /// Turn and elevation of the view, degrees.
@@ -89,7 +89,7 @@ pub fn draw(scene: &Scene<'_>) -> String {
     }
     out.end_group();
     draw_arrows(&mut out, &view, &arrows, scene.contacts);
-    axes::colour_bar(&mut out, [890.0, 130.0, 910.0, height - 110.0], most_mm);
+    axes::colour_bar(&mut out, [908.0, 130.0, 928.0, height - 110.0], most_mm);
     out.group("fill=\"#555\" font-size=\"13\"");
     out.words([24.0, height - 16.0], "start", &part.caption());
     out.end_group();
@@ -98,7 +98,7 @@ pub fn draw(scene: &Scene<'_>) -> String {
 
 /// The part of the skin that is shown.
 struct Part {
-    /// From, to along x and y, mm.
+    /// Where its nodes lie, from, to along x and y, mm.
     range_mm: [[f64; 2]; 2],
     /// Cells of the mesh.
     cells: Vec<[u32; 4]>,
@@ -136,7 +136,8 @@ impl Part {
                 (from..=to).contains(&(sum / corners.len() as f64))
             })
         };
-        let cells = scene.mesh.cells.iter().filter(inside).copied().collect();
+        let cells: Vec<_> = scene.mesh.cells.iter().filter(inside).copied().collect();
+        let range_mm = range(cells.iter().flatten().map(|&n| scene.mesh.nodes_mm[n as usize]));
         let height_mm = scene.mesh.sheets.iter().map(|s| s.height_mm).sum();
         Self { range_mm, cells, height_mm }
     }
