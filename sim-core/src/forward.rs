@@ -7,6 +7,7 @@
 use std::sync::Arc;
 
 use crate::circuit::ReadoutCircuit;
+use crate::deformation::NodeForce;
 use crate::digest::{Digest, hex};
 use crate::fields::{FieldLength, NodeFields};
 use crate::mesh::{Mesh, MeshError};
@@ -276,6 +277,21 @@ impl ForwardModel {
             return Err(ContactError::Force { contact, force_n: c.force_n });
         }
         Ok(())
+    }
+
+    /// The forces on nodes of the surface that contacts amount to.
+    pub fn node_forces(&self, contacts: &[Contact]) -> Result<Vec<NodeForce>, ContactError> {
+        let mut shares = Vec::new();
+        let mut forces = Vec::new();
+        for (index, contact) in contacts.iter().enumerate() {
+            self.check(index, contact)?;
+            shares.clear();
+            self.spread(contact, &mut shares);
+            let loaded = shares.iter().filter(|share| share.sixths != 0.0);
+            let force_n = |share: &Share| contact.force_n / 6.0 * share.sixths;
+            forces.extend(loaded.map(|s| NodeForce { node: s.node, force_n: force_n(s) }));
+        }
+        Ok(forces)
     }
 
     /// Leaves the compression of the nominal skin under contacts, before the clamp.

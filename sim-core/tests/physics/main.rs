@@ -8,6 +8,8 @@ use sim_core::responses::UnitResponses;
 use sim_core::sensor::Sensor;
 
 mod batch;
+mod calculix;
+mod convergence;
 mod deformation;
 mod elements;
 mod forward;
@@ -16,6 +18,8 @@ mod mesh;
 mod network;
 mod surface;
 mod tip;
+mod ngspice;
+mod tools;
 
 /// The paper's skin.
 fn sensor() -> &'static Sensor {

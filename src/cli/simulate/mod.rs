@@ -8,15 +8,19 @@ use clap::{Args, Subcommand};
 use super::error::CliError;
 
 mod random;
+mod trials;
 
 /// Options of `simulate`.
 #[derive(Debug, Clone, Args)]
+#[command(args_conflicts_with_subcommands = true)]
 pub struct SimulateArgs {
     #[command(subcommand)]
-    command: SimulateCommand,
+    command: Option<SimulateCommand>,
+    #[command(flatten)]
+    trials: trials::TrialArgs,
 }
 
-/// What is simulated.
+/// What is simulated, besides trials from a file.
 #[derive(Debug, Clone, Subcommand)]
 pub enum SimulateCommand {
     /// Make Sim-Random: trials with random contacts, as Parquet shards.
@@ -29,6 +33,7 @@ pub enum SimulateCommand {
 /// Runs the command.
 pub async fn simulate(args: SimulateArgs) -> Result<ExitCode, CliError> {
     match args.command {
-        SimulateCommand::Random(args) => random::random(args).await,
+        None => trials::trials(&args.trials),
+        Some(SimulateCommand::Random(args)) => random::random(args).await,
     }
 }

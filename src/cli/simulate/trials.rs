@@ -1,0 +1,151 @@
+//! `palpate simulate`: a line of contacts in, a frame of voltages out; and one trial as a netlist, a
+//! finite element deck or a picture.
+//! Uses: `simulate`, sim-core. Never: more of the input in memory than a line; the network.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::Args;
+use serde::Serialize;
+use sim_core::forward::{Contact, ForwardModel, Workspace};
+
+use crate::cli::data_or_default;
+use crate::cli::error::CliError;
+use crate::cli::files::{read_sensor, write};
+use crate::problem::Problem;
+use crate::simulate::contacts::{ContactLines, Limits};
+use crate::simulate::export::{self, ExportError};
+use crate::simulate::model::load_or_build;
+
+/// Options for trials from a file.
+#[derive(Debug, Clone, Args)]
+pub struct TrialArgs {
+    /// Contacts, a line of JSON for each trial: {"contacts":[{"x_mm":270,"y_mm":280,"force_n":20}]}.
+    ///
+    /// `-` is standard input. An empty list is an untouched skin. Each line is answered by a line
+    /// {"voltages_v":[784 numbers]}, in order, before the next one is read.
+    #[arg(long, value_name = "FILE|-", default_value = "-")]
+    contacts: PathBuf,
+    /// Sensor file: the skin's geometry and materials [default: ert-28].
+    #[arg(long, value_name = "FILE")]
+    sensor: Option<PathBuf>,
+    /// Most contacts in a trial.
+    #[arg(long, value_name = "N", default_value_t = 6)]
+    max_contacts: usize,
+    /// Write the trial's circuit as a netlist for ngspice; the input must be one line.
+    #[arg(long, value_name = "FILE")]
+    spice: Option<PathBuf>,
+    /// Which electrode is the netlist's sink, from 0.
+    #[arg(long, value_name = "K", default_value_t = 0, requires = "spice")]
+    inject: usize,
+    /// Write the trial's deformation as an input deck for CalculiX; the input must be one line.
+    #[arg(long, value_name = "FILE")]
+    calculix: Option<PathBuf>,
+    /// Draw the trial's deformed mesh; the input must be one line.
+    #[arg(long, value_name = "FILE.svg")]
+    picture: Option<PathBuf>,
+    /// Folder whose `cache` keeps solved unit responses [env: PALPATE_DATA] [default:
+    /// palpate-data].
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// Accepted for scripts: answers are lines of JSON anyway.
+    #[arg(long)]
+    json: bool,
+}
+
+/// The answer to a line.
+#[derive(Serialize)]
+struct Answer<'a> {
+    voltages_v: &'a [f64],
+}
+
+/// Runs the command. Exit code: 0 all lines are answered, 2 bad input.
+pub fn trials(args: &TrialArgs) -> Result<ExitCode, CliError> {
+    let sensor = read_sensor(args.sensor.as_deref())?;
+    let last = sensor.electrodes_mm().len() - 1;
+    if args.inject > last {
+        return Err(CliError::argument("inject", args.inject, format!("must be from 0 to {last}")));
+    }
+    let (input, name) = open(&args.contacts)?;
+    let mut lines = ContactLines::new(input, &name, Limits::of(&sensor, args.max_contacts));
+    // The first line is read before the model is there: a slip of the pen is told at once.
+    let mut next = lines.next_trial().map_err(problem)?;
+    if args.exports() {
+        let only = "must hold one line for --spice, --calculix and --picture";
+        if next.is_none() || lines.next_trial().map_err(problem)?.is_some() {
+            return Err(problem(Problem::whole(&name, only)));
+        }
+    }
+    let model = load_or_build(&sensor, &data_or_default(args.data.clone()).join("cache"))?;
+    let mut work = Workspace::default();
+    while let Some(contacts) = next {
+        let file = lines.place();
+        args.export(&model, &contacts, &file)?;
+        let voltages_v = model.voltages(&contacts, &mut work).map_err(|e| refused(&file, &e))?;
+        if !answer(voltages_v)? {
+            break;
+        }
+        next = lines.next_trial().map_err(problem)?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+impl TrialArgs {
+    /// Whether a trial is written for another tool.
+    fn exports(&self) -> bool {
+        self.spice.is_some() || self.calculix.is_some() || self.picture.is_some()
+    }
+
+    /// Writes the files that were asked for.
+    fn export(
+        &self,
+        model: &ForwardModel,
+        contacts: &[Contact],
+        file: &str,
+    ) -> Result<(), CliError> {
+        let written = |path: &Path, text: Result<String, ExportError>| {
+            text.map_err(|e| refused(file, &e)).and_then(|text| write(path, &text))
+        };
+        if let Some(path) = &self.spice {
+            written(path, export::netlist(model, contacts, self.inject))?;
+        }
+        if let Some(path) = &self.calculix {
+            written(path, export::deck(model, contacts))?;
+        }
+        if let Some(path) = &self.picture {
+            written(path, export::picture(model, contacts))?;
+        }
+        Ok(())
+    }
+}
+
+/// The input, and its name in problems.
+fn open(path: &Path) -> Result<(Box<dyn BufRead>, String), CliError> {
+    if path == Path::new("-") {
+        return Ok((Box::new(io::stdin().lock()), "standard input".into()));
+    }
+    let name = path.display().to_string();
+    let file = File::open(path).map_err(|e| problem(Problem::whole(&name, e.to_string())))?;
+    Ok((Box::new(BufReader::new(file)), name))
+}
+
+/// Writes a line and hands it on at once; `false` where nobody reads any more.
+fn answer(voltages_v: &[f64]) -> Result<bool, CliError> {
+    let mut out = io::stdout().lock();
+    let line = serde_json::to_string(&Answer { voltages_v }).map_err(io::Error::from);
+    match line.and_then(|line| writeln!(out, "{line}")).and_then(|()| out.flush()) {
+        Ok(()) => Ok(true),
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(false),
+        Err(source) => Err(CliError::System { operation: "writing an answer", source }),
+    }
+}
+
+fn problem(problem: Problem) -> CliError {
+    CliError::Problems(vec![problem])
+}
+
+fn refused(file: &str, error: &dyn std::error::Error) -> CliError {
+    problem(Problem::whole(file, error.to_string()))
+}
