@@ -6,6 +6,7 @@
 //! `readout` turns what is left into the impedances Z and the voltages.
 
 pub mod adjoint;
+pub mod back;
 pub mod kron;
 pub mod readout;
 pub mod sheet;
