@@ -99,7 +99,7 @@ pub(crate) struct NodeLaw {
 }
 
 /// The forward model of one skin. `Send + Sync`; each thread brings its own [`Workspace`].
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct ForwardModel {
     sensor: Sensor,
     mesh: Mesh,
@@ -167,10 +167,7 @@ impl ForwardModel {
         }
         let mesh = Mesh::new(sensor)?;
         fields.check(&mesh)?;
-        let square_s = 1.0 / sensor.file.circuit.sheet_ohm_per_sq;
-        let sheet_s: Vec<f64> =
-            fields.ln_sheet_conductance.iter().map(|ln| square_s * ln.exp()).collect();
-        let network = SheetNetwork::new(&mesh, &sheet_s, &circuit)?;
+        let network = network(sensor, &mesh, &fields, &circuit)?;
         Ok(Self {
             laws: node_laws(sensor, &mesh, &fields),
             hash: model_hash(sensor, &responses, &fields, &circuit, Spreading::default()),
@@ -219,6 +216,11 @@ impl ForwardModel {
     /// The readout circuit.
     pub fn circuit(&self) -> &ReadoutCircuit {
         &self.circuit
+    }
+
+    /// The resistor network without the foam, as [`Workspace::to_top_s`] counts its nodes.
+    pub fn network(&self) -> Result<SheetNetwork, ElectrodeError> {
+        network(&self.sensor, &self.mesh, &self.fields, &self.circuit)
     }
 
     /// Rows of the unit responses under a point's six vertices.
@@ -331,6 +333,18 @@ impl ForwardModel {
         work.readout.evaluate(reduced, &self.circuit);
         work.readout.frame_v()
     }
+}
+
+fn network(
+    sensor: &Sensor,
+    mesh: &Mesh,
+    fields: &NodeFields,
+    circuit: &ReadoutCircuit,
+) -> Result<SheetNetwork, ElectrodeError> {
+    let square_s = 1.0 / sensor.file.circuit.sheet_ohm_per_sq;
+    let sheet_s: Vec<f64> =
+        fields.ln_sheet_conductance.iter().map(|ln| square_s * ln.exp()).collect();
+    SheetNetwork::new(mesh, &sheet_s, circuit)
 }
 
 fn node_laws(sensor: &Sensor, mesh: &Mesh, fields: &NodeFields) -> Vec<NodeLaw> {

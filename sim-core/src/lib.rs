@@ -3,8 +3,8 @@
 //! Uses: faer for the elastic solve. Never: async, files, clock, database, unseeded chance.
 //!
 //! Data flows one way: `sensor -> mesh -> (element, material, order, boundary, assemble, solve) ->
-//! responses -> fields, piezo, tip -> network -> forward ->
-//! jacobian`.
+//! responses -> fields, piezo, tip -> network -> forward -> jacobian, batch`. `surface` and
+//! `calibration` tie it to measurements.
 
 pub mod sensor;
 pub mod mesh;
@@ -15,6 +15,7 @@ pub mod boundary;
 pub mod assemble;
 pub mod solve;
 pub mod responses;
+pub mod surface;
 pub mod piezo;
 pub mod fields;
 pub mod circuit;
@@ -22,4 +23,6 @@ pub mod network;
 pub mod tip;
 pub mod forward;
 pub mod jacobian;
+pub mod batch;
+pub mod calibration;
 mod digest;

@@ -51,7 +51,7 @@ pub struct Share {
 }
 
 /// The mesh's lattice as a grid, so that a place's triangle is found without a search.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct TipLattice {
     origin_mm: [f64; 2],
     step_mm: [f64; 2],

@@ -20,9 +20,11 @@ use crate::campaign::command::{Handle, Request};
 use crate::campaign::engine;
 use crate::clock::Clock;
 use crate::conductor::{Conductor, ConductorError, RigFile};
+use crate::simulate::twins::TwinPool;
 use crate::store::{NewAction, Store, StoreError};
 
 mod auth;
+mod evaluation;
 mod events;
 mod health;
 mod live;
@@ -36,6 +38,7 @@ mod rig;
 mod runs;
 mod status;
 mod trials;
+mod twins;
 
 pub use lock_file::{LockFile, LockFileError};
 pub use runs::Summary;
@@ -59,6 +62,8 @@ pub struct ServeOptions {
     pub rig_text: String,
     /// Go on by itself with an interrupted run that allows it.
     pub resume: bool,
+    /// Threads that compute simulated twins; 0 for none.
+    pub twin_workers: usize,
 }
 
 /// Why a service does not start.
@@ -111,6 +116,8 @@ pub struct App {
     pub campaign: Handle,
     /// The queue.
     pub conductor: Conductor,
+    /// The simulated twins.
+    pub twins: TwinPool,
     facts: Arc<Facts>,
 }
 
@@ -189,6 +196,9 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(trials::one))
         .routes(routes!(trials::frames))
         .routes(routes!(trials::bench_records))
+        .routes(routes!(twins::all))
+        .routes(routes!(twins::of_run))
+        .routes(routes!(evaluation::simulation))
         .routes(routes!(events::events))
         .routes(routes!(live::frames))
         .routes(routes!(rig::act))
@@ -258,9 +268,12 @@ impl Service {
         let conductor = Conductor::new(store.clone(), campaign.clone(), rig.clone());
         let (ending, ended) = watch::channel(false);
         let facts = Facts { bind: address, started_at: Timestamp::now(), rig, ending: ended };
-        let app = App { store, campaign, conductor, facts: Arc::new(facts) };
+        let cache = options.data.join("cache");
+        let twins = TwinPool::new(store.clone(), campaign.clone(), cache, options.twin_workers);
+        let app = App { store, campaign, conductor, twins, facts: Arc::new(facts) };
         let tasks = vec![
             tokio::spawn(app.conductor.clone().follow()),
+            tokio::spawn(app.twins.clone().work()),
             tokio::spawn(after_start(app.clone(), options.resume)),
         ];
         let server = tokio::spawn(serve(listener, app.clone()));

@@ -12,6 +12,10 @@ use super::files::RigFiles;
 use super::{At, DEFAULT_URL};
 use crate::api::{ServeOptions, Service};
 
+/// Threads for simulated twins, unless said otherwise: one keeps up with a rig at a hundred times
+/// real speed, and leaves the other processors alone.
+pub const TWIN_WORKERS: usize = 1;
+
 /// The server that the options name, or the default one, if it answers. A server that was named
 /// and does not answer is an error.
 pub async fn find(at: &At) -> Result<Option<Client>, CliError> {
@@ -39,6 +43,7 @@ pub fn options(data: PathBuf, rig: &RigFiles) -> ServeOptions {
         rig_file: rig.file.clone(),
         rig_text: rig.text.clone(),
         resume: false,
+        twin_workers: TWIN_WORKERS,
     }
 }
 

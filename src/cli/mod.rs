@@ -12,17 +12,21 @@ use serde_json::json;
 
 mod access;
 mod ask;
+mod calibrate;
 mod client;
 mod embed;
 mod error;
+mod evaluate;
 mod files;
 mod follow;
 mod output;
 mod plan;
+mod progress;
 mod queue;
 mod rig;
 mod run;
 mod serve;
+mod simulate;
 mod summary;
 mod view;
 mod virtual_bench;
@@ -90,6 +94,13 @@ pub enum Command {
     ///
     /// Exit code 2 where something forbids it: each problem names file, key, value and limit.
     Plan(plan::PlanArgs),
+    /// Fit the model to measurements of this skin, and write a calibration file.
+    ///
+    /// Exit code 2 where a table holds what cannot be used: each problem names line, column, value
+    /// and limit.
+    Calibrate(calibrate::CalibrateArgs),
+    /// Simulate frames of contacts; nothing moves.
+    Simulate(simulate::SimulateArgs),
     /// Show where rig, run and service stand.
     Status(At),
     /// Show and change what runs next.
@@ -114,6 +125,8 @@ pub enum Command {
     Key(access::KeyArgs),
     /// Check and move the rig by hand.
     Rig(rig::RigArgs),
+    /// Say how good the model is.
+    Evaluate(evaluate::EvaluateArgs),
 }
 
 /// Does what was asked. Errors are on standard error, in words; the exit code is 0, 1, or 2 for
@@ -121,6 +134,7 @@ pub enum Command {
 pub fn main(command: Command) -> ExitCode {
     let outcome = match command {
         Command::Plan(args) => plan::plan(&args),
+        Command::Calibrate(args) => calibrate::calibrate(&args),
         command => on_runtime(command),
     };
     outcome.unwrap_or_else(|error| {
@@ -144,7 +158,9 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
     let none = || json!({});
     match command {
         Command::Plan(args) => return plan::plan(&args),
+        Command::Calibrate(args) => return calibrate::calibrate(&args),
         Command::Run(args) => return run::run(args).await,
+        Command::Simulate(args) => return simulate::simulate(args).await,
         Command::Rig(args) => return rig::rig(args).await,
         Command::Serve(args) => serve::serve(args).await?,
         Command::Status(at) => ask::status(&at).await?,
@@ -158,6 +174,7 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
         Command::Estop(args) => ask::estop(&args).await?,
         Command::Lock(args) => access::lock(args).await?,
         Command::Key(args) => access::key(args).await?,
+        Command::Evaluate(args) => evaluate::evaluate(args).await?,
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -12,6 +12,7 @@ use serde_json::json;
 
 use super::client::Client;
 use super::error::CliError;
+use super::evaluate::wait_for_twins;
 use super::files::{DEFAULT_SKIN_SEED, ExperimentFiles, RigFiles};
 use super::follow::{Follower, Left, Signals, Watch};
 use super::output::{bytes, duration, say, say_json};
@@ -21,12 +22,16 @@ use super::view::{PreflightView, StatusView};
 use super::virtual_bench::{BenchOptions, VirtualBench};
 use super::{At, embed};
 use crate::campaign::rig_state::RigState;
+use crate::evaluate::simulation::SimulationReport;
+use crate::ids::RunUid;
 use crate::problem::Problem;
 use crate::rig::config::RigConfig;
 use crate::store::RunRow;
 
 /// How fast the stand-in lab runs unless asked otherwise.
 const DEFAULT_SPEED: f64 = 20.0;
+/// Longest wait for another simulated twin after the run's end.
+const TWINS_STALLED: Duration = Duration::from_secs(30);
 /// Longest wait for the wires of a rig.
 const CONNECTING: Duration = Duration::from_secs(60);
 
@@ -230,7 +235,17 @@ async fn drive(client: Client, order: Order) -> Result<Closing, CliError> {
         Left::Open(why) => Some(why),
     };
     let (summary, status) = (client.summary(uid).await?, client.status().await?);
-    Ok(Closing::of(summary, status.service.database, status.rig.clock_rate, why))
+    let fit = if left == Left::Ended { fit(&client, uid).await } else { None };
+    Ok(Closing::of(summary, status.service.database, status.rig.clock_rate, why).with_fit(fit))
+}
+
+/// How well the simulated twins fit, once they are all there. The trials are what counts: without
+/// twins in time the run has ended all the same.
+async fn fit(client: &Client, run: RunUid) -> Option<SimulationReport> {
+    let waited = wait_for_twins(client, run, TWINS_STALLED).await;
+    waited.inspect_err(|error| tracing::warn!(%error, "twins are missing")).ok()?;
+    let report = client.get(&format!("/api/v1/runs/{run}/evaluation/simulation")).await;
+    report.inspect_err(|error| tracing::warn!(%error, "the fit is not known")).ok()
 }
 
 /// A run that was started.

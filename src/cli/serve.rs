@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::data_or_default;
+use super::embed::TWIN_WORKERS;
 use super::error::CliError;
 use super::files::RigFiles;
 use super::follow::Signals;
@@ -28,6 +29,9 @@ pub struct ServeArgs {
     /// Leave interrupted runs alone, even those that may go on by themselves.
     #[arg(long)]
     pub no_resume: bool,
+    /// Threads that compute simulated twins; 0 for none.
+    #[arg(long, value_name = "N", default_value_t = TWIN_WORKERS)]
+    pub twin_workers: usize,
 }
 
 /// Runs the command.
@@ -40,6 +44,7 @@ pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
         rig_file: rig.file,
         rig_text: rig.text,
         resume: !args.no_resume,
+        twin_workers: args.twin_workers,
     };
     let data = options.data.display().to_string();
     let service = Service::start(options).await?;

@@ -9,6 +9,7 @@ use serde::Serialize;
 use super::output::{counted, duration};
 use crate::api::Summary;
 use crate::campaign::journal::ExitStatus;
+use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
 use crate::store::{Label, RunKind};
 
@@ -54,6 +55,10 @@ pub struct Finished {
     pub clock_rate: f64,
     /// Stored trials with 0 to 6 contacts.
     pub contact_counts: [u64; 7],
+    /// Trials with a simulated twin, where that is known.
+    pub twins: Option<u64>,
+    /// Median fraction of variance that the twins leave unexplained, trials with contacts.
+    pub median_fvu: Option<f64>,
 }
 
 /// How a followed run ended, for scripts and for people.
@@ -89,8 +94,17 @@ impl Closing {
             resumable: run.exit_status.is_none(),
             clock_rate,
             contact_counts: summary.contact_counts,
+            twins: None,
+            median_fvu: None,
         };
         Self { finished, summary, data: String::new(), follow_url: None }
+    }
+
+    /// Adds how well the simulated twins fit.
+    pub fn with_fit(mut self, fit: Option<SimulationReport>) -> Self {
+        self.finished.twins = fit.as_ref().map(|fit| fit.trials + fit.flagged);
+        self.finished.median_fvu = fit.and_then(|fit| fit.median_fvu);
+        self
     }
 
     /// Adds what to type next: the data folder, or the server where the run lies.
@@ -126,6 +140,12 @@ impl fmt::Display for Closing {
                 rate => format!(", {} of process time at speed {rate}", duration(wall_s * rate)),
             };
             line(f, "start to end", format!("{}{process}", duration(wall_s)))?;
+        }
+        if let Some(twins) = done.twins {
+            let fit = done.median_fvu.map_or_else(String::new, |fvu| {
+                format!(", median FVU {fvu:.3} where there is contact")
+            });
+            line(f, "twins", format!("{twins} of {} simulated{fit}", done.trials_stored))?;
         }
         line(f, "database", done.database.clone())?;
         line(f, "run", done.run.to_string())?;
@@ -186,7 +206,13 @@ impl Closing {
             writeln!(f, "  palpate serve --data {}", self.data)?;
         }
         let path = format!("{url}/api/v1/runs/{}/trials?limit=3", self.finished.scan_id);
-        writeln!(f, "  curl '{path}'")
+        writeln!(f, "  curl '{path}'")?;
+        let run = self.finished.scan_id;
+        let place = match &self.follow_url {
+            Some(url) => format!("--url {url}"),
+            None => format!("--data {}", self.data),
+        };
+        writeln!(f, "  palpate evaluate simulation --run {run} {place} --out fit")
     }
 }
 

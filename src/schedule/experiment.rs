@@ -28,6 +28,9 @@ pub struct Experiment {
     /// What happens when something fails.
     #[serde(default)]
     pub policy: Policy,
+    /// When simulated twins say that something is wrong.
+    #[serde(default)]
+    pub twins: TwinLimits,
     /// Limits of this experiment; the rig's own limits hold too.
     #[serde(default)]
     pub limits: Limits,
@@ -143,6 +146,36 @@ impl Default for Policy {
     }
 }
 
+/// When the simulated twins of a run's trials say that something is wrong.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TwinLimits {
+    /// Trials that are judged together: the last so many.
+    pub window: u32,
+    /// Trials whose largest force is under this say nothing, N: near the deadband noise alone leaves
+    /// the variance unexplained (paper, Fig. 7E).
+    pub min_force_n: f64,
+    /// Median FVU of the window over which the run warns.
+    pub warn_fvu: f64,
+    /// Median FVU of the window over which the run is suspended; absent: never.
+    pub suspend_fvu: Option<f64>,
+    /// FVU of a pair of neighbouring electrodes over window and sinks, over which the run warns. At 1
+    /// the model says no more of its readings than their means do.
+    pub pair_warn_fvu: f64,
+}
+
+impl Default for TwinLimits {
+    fn default() -> Self {
+        Self {
+            window: 100,
+            min_force_n: 10.0,
+            warn_fvu: 0.3,
+            suspend_fvu: None,
+            pair_warn_fvu: 1.0,
+        }
+    }
+}
+
 /// Limits of an experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -230,6 +263,14 @@ impl Experiment {
         c.within("measure.injection_sum_v", m.injection_sum_v, 0.0, 100.0);
         c.within("policy.retries", f64::from(self.policy.retries), 0.0, 100.0);
         c.within("policy.auto_resume_after_s", self.policy.auto_resume_after_s, 0.0, 86_400.0);
+        let t = &self.twins;
+        c.within("twins.window", f64::from(t.window), 2.0, 10_000.0);
+        c.within("twins.min_force_n", t.min_force_n, 0.0, 1000.0);
+        c.within("twins.warn_fvu", t.warn_fvu, 0.0, 1e6);
+        if let Some(suspend_fvu) = t.suspend_fvu {
+            c.within("twins.suspend_fvu", suspend_fvu, 0.0, 1e6);
+        }
+        c.within("twins.pair_warn_fvu", t.pair_warn_fvu, 0.0, 1e6);
         c.within("limits.force_n", self.limits.force_n, 0.5, 1000.0);
         c.within("limits.force_sum_n", self.limits.force_sum_n, 0.5, 6000.0);
         c.done()

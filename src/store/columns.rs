@@ -138,10 +138,18 @@ impl<'r> Columns<'r> {
 
     /// Voltages.
     pub(super) fn volts(&self, column: &'static str) -> Result<Vec<f32>, StoreError> {
-        let bytes: &[u8] = self.get(column)?;
+        self.volts_or_none(column)?.ok_or_else(|| self.unreadable(column, "NULL"))
+    }
+
+    /// Voltages that may be absent.
+    pub(super) fn volts_or_none(
+        &self,
+        column: &'static str,
+    ) -> Result<Option<Vec<f32>>, StoreError> {
+        let Some(bytes) = self.get::<Option<&[u8]>>(column)? else { return Ok(None) };
         let (values, rest) = bytes.as_chunks::<4>();
         if rest.is_empty() {
-            Ok(values.iter().map(|b| f32::from_le_bytes(*b)).collect())
+            Ok(Some(values.iter().map(|b| f32::from_le_bytes(*b)).collect()))
         } else {
             Err(self.unreadable(column, format!("{} bytes", bytes.len())))
         }

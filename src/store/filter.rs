@@ -36,11 +36,15 @@ pub enum TrialColumn {
     StartedAt,
     /// Its last frame.
     MeasuredAt,
+    /// Difference to its newest twin, V.
+    RmseV,
+    /// Fraction of variance unexplained by its newest twin.
+    Fvu,
 }
 
 impl TrialColumn {
     /// All of them.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 15] = [
         Self::TrialId,
         Self::Configuration,
         Self::DepthIndex,
@@ -54,6 +58,8 @@ impl TrialColumn {
         Self::FrameCount,
         Self::StartedAt,
         Self::MeasuredAt,
+        Self::RmseV,
+        Self::Fvu,
     ];
 
     /// Its name in answers and in filters.
@@ -72,6 +78,8 @@ impl TrialColumn {
             Self::FrameCount => "frame_count",
             Self::StartedAt => "started_at",
             Self::MeasuredAt => "measured_at",
+            Self::RmseV => "rmse_v",
+            Self::Fvu => "fvu",
         }
     }
 
@@ -100,6 +108,8 @@ impl TrialColumn {
             Self::FrameCount => "t.frame_count",
             Self::StartedAt => "t.started_at",
             Self::MeasuredAt => "t.measured_at",
+            Self::RmseV => "w.rmse_v",
+            Self::Fvu => "w.fvu",
         }
     }
 }

@@ -23,6 +23,7 @@ mod queue;
 mod runs;
 mod trial_rows;
 mod trials;
+mod twins;
 mod writer;
 
 #[cfg(test)]
@@ -47,6 +48,7 @@ pub use keys::{KeyRow, Role};
 pub use lock::LockRow;
 pub use runs::{Label, NewRun, RunKind, RunPage, RunRow};
 pub use trial_rows::{Contact, MAX_PAGE, Order, TrialQuery, TrialRow};
+pub use twins::{Fit, NewTwinModel, Twin, TwinCount, TwinModelId, TwinOutcome};
 
 use crate::clock::Clock;
 use crate::ids::RunUid;

@@ -41,7 +41,8 @@ pub enum Label {
 }
 
 impl Label {
-    fn as_str(self) -> &'static str {
+    /// The label as it is stored and shown.
+    pub fn as_str(self) -> &'static str {
         match self {
             Label::Measured => "measured",
             Label::Virtual => "virtual",

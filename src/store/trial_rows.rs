@@ -20,15 +20,23 @@ pub const MAX_PAGE: u32 = 10_000;
 
 const READING: &str = "reading trials";
 
-/// What a row is made of; `CROSS JOIN` keeps SQLite walking the trials in their order.
-const SELECT: &str = "SELECT t.*, r.uid, r.experiment, r.kind, r.deadband_n, r.tip_diameter_mm
-     FROM trials t CROSS JOIN runs r ON r.scan_id = t.run";
-
-/// The same with the mean voltages.
-const SELECT_WITH_VOLTAGES: &str =
-    "SELECT t.*, r.uid, r.experiment, r.kind, r.deadband_n, r.tip_diameter_mm, v.voltages_v
+/// What a row is made of, with the fit of its newest twin; `CROSS JOIN` keeps SQLite walking the
+/// trials in their order.
+const SELECT: &str = "SELECT t.*, r.uid, r.experiment, r.kind, r.deadband_n, r.tip_diameter_mm,
+         w.rmse_v, w.fvu
      FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
-     CROSS JOIN trial_voltages v ON v.trial = t.id";
+     LEFT JOIN twins w ON w.trial = t.id
+         AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)";
+
+/// The same with the mean voltages and the twin's.
+pub(super) const SELECT_WITH_VOLTAGES: &str =
+    "SELECT t.*, r.uid, r.experiment, r.kind, r.deadband_n, r.tip_diameter_mm,
+         w.rmse_v, w.fvu, v.voltages_v, s.voltages_v AS sim_voltages_v
+     FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
+     CROSS JOIN trial_voltages v ON v.trial = t.id
+     LEFT JOIN twins w ON w.trial = t.id
+         AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)
+     LEFT JOIN twin_voltages s ON s.trial = t.id AND s.model = w.model";
 
 /// A place on the skin that was pressed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -99,6 +107,15 @@ pub struct TrialRow {
     /// Mean of its frames, V, injection-major, where it was asked for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub voltages_v: Option<Vec<f32>>,
+    /// Its newest twin's frame, V, injection-major, where it was asked for and is there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sim_voltages_v: Option<Vec<f32>>,
+    /// Root of the mean squared difference to its newest twin, V.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rmse_v: Option<f64>,
+    /// Fraction of variance unexplained by its newest twin (paper, Eq. 2).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fvu: Option<f64>,
 }
 
 /// In which order trials come.
@@ -282,7 +299,7 @@ pub(super) async fn row_of_key(
 }
 
 /// Joins a page of trials with their tips and placed contacts: two queries for the whole page.
-async fn assemble(
+pub(super) async fn assemble(
     connection: &mut SqliteConnection,
     rows: Vec<SqliteRow>,
     operation: &'static str,
@@ -411,5 +428,11 @@ fn trial_row(
         started_at: c.time("started_at")?,
         measured_at: c.time("measured_at")?,
         voltages_v: if c.has("voltages_v") { Some(c.volts("voltages_v")?) } else { None },
+        sim_voltages_v: match c.has("sim_voltages_v") {
+            true => c.volts_or_none("sim_voltages_v")?,
+            false => None,
+        },
+        rmse_v: c.get("rmse_v")?,
+        fvu: c.get("fvu")?,
     })
 }

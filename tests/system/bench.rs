@@ -100,13 +100,18 @@ impl Lab {
 
     /// Waits for the status to satisfy this.
     pub async fn until(&self, what: &str, done: impl Fn(&Value) -> bool) -> Value {
+        self.eventually(what, "/api/v1/status", done).await
+    }
+
+    /// Waits for what stands at a path to satisfy this.
+    pub async fn eventually(&self, what: &str, path: &str, done: impl Fn(&Value) -> bool) -> Value {
         let start = Instant::now();
         loop {
-            let status = self.get("/api/v1/status").await;
-            if done(&status) {
-                return status;
+            let found = self.get(path).await;
+            if done(&found) {
+                return found;
             }
-            assert!(start.elapsed() < LIMIT, "{what} does not come: {status:#}");
+            assert!(start.elapsed() < LIMIT, "{what} does not come: {found:#}");
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     }
@@ -211,5 +216,6 @@ pub fn options(rig: &VirtualRig, data: &Path) -> ServeOptions {
         rig_file: "served.toml".into(),
         rig_text: rig.rig_text.clone(),
         resume: true,
+        twin_workers: 1,
     }
 }

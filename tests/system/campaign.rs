@@ -65,7 +65,25 @@ async fn a_small_campaign_stores_every_planned_trial_once() {
     let references = lab.get(&records("references")).await.as_array().unwrap().len();
     let tares = lab.get(&records("tares")).await.as_array().unwrap().len();
     assert_eq!(tares, 6 + references);
+    every_trial_has_its_twin(&lab, &run).await;
     lab.close().await;
+}
+
+/// The simulated twins of a run that has ended: all there, and near the paper's fit.
+async fn every_trial_has_its_twin(lab: &Lab, run: &str) {
+    let all_there = |t: &Value| t["trials"] == TRIALS && t["pending"] == 0;
+    let path = format!("/api/v1/runs/{run}/twins");
+    assert_eq!(lab.eventually("all twins", &path, all_there).await["failures"], 0);
+    let deep =
+        lab.get(&format!("/api/v1/runs/{run}/trials?max_force_n__gt=15&voltages=true")).await;
+    for trial in deep["trials"].as_array().unwrap() {
+        assert_eq!(trial["sim_voltages_v"].as_array().unwrap().len(), 784);
+        assert!(trial["fvu"].as_f64().unwrap() < 0.5, "{} {}", trial["trial_id"], trial["fvu"]);
+    }
+    let report = lab.get(&format!("/api/v1/runs/{run}/evaluation/simulation")).await;
+    assert_eq!(report["trials"], TRIALS);
+    let median = report["median_fvu"].as_f64().unwrap();
+    assert!((0.02..0.4).contains(&median), "{median}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

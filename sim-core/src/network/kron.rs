@@ -20,7 +20,7 @@ const PANEL: usize = 8;
 pub(super) const TILE: usize = 4;
 
 /// One dense front.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Front {
     /// Nodes removed here.
     pub(super) pivots: usize,
@@ -44,7 +44,7 @@ impl Front {
 }
 
 /// The plan of the removal; holds for every load of the same network.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct KronReduction {
     pub(super) fronts: Vec<Front>,
     /// Node at each place of the order, the kept ones last.

@@ -8,7 +8,12 @@
 pub mod adjoint;
 pub mod back;
 pub mod kron;
+pub(crate) mod lane;
+#[cfg(target_arch = "x86_64")]
+pub(crate) mod lane_x86;
+pub mod plan;
 pub mod readout;
+pub(crate) mod reduce;
 pub mod sheet;
 
 use crate::circuit::ReadoutCircuit;

@@ -7,12 +7,14 @@ use sim_core::forward::{Contact, ForwardModel};
 use sim_core::responses::UnitResponses;
 use sim_core::sensor::Sensor;
 
+mod batch;
 mod deformation;
 mod elements;
 mod forward;
 mod jacobian;
 mod mesh;
 mod network;
+mod surface;
 mod tip;
 
 /// The paper's skin.

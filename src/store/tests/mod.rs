@@ -5,6 +5,7 @@ mod people;
 mod runs;
 mod schema;
 mod trials;
+mod twins;
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};

@@ -1,0 +1,26 @@
+//! How good the model is on a run.
+//! Uses: `evaluate`, `store`. Never: a computation that a motion waits for.
+
+use axum::Json;
+use axum::extract::{Path, State};
+use axum::http::StatusCode;
+
+use super::App;
+use super::problem::{ApiError, ProblemBody};
+use super::runs::find;
+use crate::evaluate::simulation::{SimulationReport, report};
+
+/// How well the simulated twins fit a run's trials: the paper's Fig. 7B to 7F as numbers. Trials
+/// without a twin yet are not in it.
+#[utoipa::path(get, path = "/api/v1/runs/{run}/evaluation/simulation", tag = "simulation",
+    params(("run" = String, Path, description = "uid or scan_id")),
+    responses((status = 200, body = SimulationReport), (status = 404, body = ProblemBody)))]
+pub async fn simulation(
+    State(app): State<App>,
+    Path(run): Path<String>,
+) -> Result<Json<SimulationReport>, ApiError> {
+    let run = find(&app, &run).await?.uid;
+    let fits = app.store.fits(run).await?;
+    let report = tokio::task::spawn_blocking(move || report(&fits)).await;
+    report.map(Json).map_err(|e| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, e.to_string()))
+}

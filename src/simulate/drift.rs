@@ -1,0 +1,241 @@
+//! The rolling fit of a run: is the skin, or one electrode, drifting away from the model?
+//! PURE. Uses: `compare`, `schedule` (the limits). Never: an action (who watches takes it).
+
+use std::collections::VecDeque;
+
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use crate::schedule::experiment::TwinLimits;
+
+/// Pairs of electrodes named in a finding, the worst first.
+const WORST_PAIRS: usize = 5;
+/// Share of the window that must be filled before it says anything.
+const FILLED: f64 = 0.5;
+
+/// A trial with its twin.
+#[derive(Debug, Clone)]
+pub struct Pairing {
+    /// Largest force, N.
+    pub max_force_n: f64,
+    /// Measured frame, V, injection-major.
+    pub measured_v: Vec<f32>,
+    /// Simulated frame, V.
+    pub simulated_v: Vec<f32>,
+    /// Fraction of variance unexplained between them.
+    pub fvu: f64,
+}
+
+/// How bad it is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Level {
+    /// Within all limits.
+    Ok,
+    /// Over a limit that warns.
+    Warn,
+    /// Over the limit that suspends the run.
+    Suspend,
+}
+
+/// The readings between two neighbouring electrodes, over all sinks.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, ToSchema)]
+pub struct PairFit {
+    /// The pair, from 0: the potential of the first less that of the second is read.
+    pub electrodes: [usize; 2],
+    /// Over window and sinks: squared differences to the twins over the readings' own variance.
+    pub fvu: f64,
+}
+
+/// The fit over the window.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct RollingFit {
+    /// How bad it is.
+    pub level: Level,
+    /// Trials in the window, of those with at least `min_force_n`.
+    pub trials: usize,
+    /// Median of the trials' FVU.
+    pub median_fvu: f64,
+    /// Pairs of electrodes over their limit.
+    pub pairs_over_limit: usize,
+    /// The worst pairs.
+    pub worst_pairs: Vec<PairFit>,
+}
+
+impl RollingFit {
+    /// In words, for events and for the reason of a suspended run.
+    pub fn describe(&self, limits: &TwinLimits) -> String {
+        let mut words = format!(
+            "median FVU {:.2} over the last {} trials of at least {} N",
+            self.median_fvu, self.trials, limits.min_force_n
+        );
+        if let Some(worst) = self.worst_pairs.first().filter(|_| self.pairs_over_limit > 0) {
+            let [from, to] = worst.electrodes;
+            words += &format!(
+                "; electrode pairs over {}: {}, worst {from} and {to} at {:.2}",
+                limits.pair_warn_fvu, self.pairs_over_limit, worst.fvu
+            );
+        }
+        words
+    }
+}
+
+/// The last trials of a run with their twins.
+#[derive(Debug)]
+pub struct DriftWatch {
+    limits: TwinLimits,
+    electrodes: usize,
+    window: VecDeque<Pairing>,
+    level: Level,
+}
+
+impl DriftWatch {
+    /// An empty window for a sensor of so many electrodes.
+    pub fn new(limits: TwinLimits, electrodes: usize) -> Self {
+        Self { limits, electrodes, window: VecDeque::new(), level: Level::Ok }
+    }
+
+    /// The limits.
+    pub fn limits(&self) -> &TwinLimits {
+        &self.limits
+    }
+
+    /// Takes up a trial; returns the fit when its level has changed. A window that led to a
+    /// suspension is forgotten: who resumes is not stopped again by the same trials.
+    pub fn push(&mut self, pairing: Pairing) -> Option<RollingFit> {
+        if pairing.max_force_n < self.limits.min_force_n {
+            return None;
+        }
+        let window = self.limits.window as usize;
+        while self.window.len() >= window {
+            self.window.pop_front();
+        }
+        self.window.push_back(pairing);
+        if (self.window.len() as f64) < FILLED * window as f64 {
+            return None;
+        }
+        let fit = self.fit();
+        if fit.level == self.level {
+            return None;
+        }
+        self.level = fit.level;
+        if fit.level == Level::Suspend {
+            self.window.clear();
+            self.level = Level::Ok;
+        }
+        Some(fit)
+    }
+
+    /// The fit over the window as it is.
+    pub fn fit(&self) -> RollingFit {
+        let mut fvu: Vec<f64> = self.window.iter().map(|p| p.fvu).collect();
+        fvu.sort_by(f64::total_cmp);
+        let median_fvu = match fvu.len() {
+            0 => 0.0,
+            n => 0.5 * (fvu[(n - 1) / 2] + fvu[n / 2]),
+        };
+        let mut pairs = self.pairs();
+        pairs.sort_by(|a, b| b.fvu.total_cmp(&a.fvu));
+        let over = pairs.iter().filter(|p| p.fvu > self.limits.pair_warn_fvu).count();
+        let level = if self.limits.suspend_fvu.is_some_and(|limit| median_fvu > limit) {
+            Level::Suspend
+        } else if median_fvu > self.limits.warn_fvu || over > 0 {
+            Level::Warn
+        } else {
+            Level::Ok
+        };
+        pairs.truncate(WORST_PAIRS);
+        RollingFit {
+            level,
+            trials: self.window.len(),
+            median_fvu,
+            pairs_over_limit: over,
+            worst_pairs: pairs,
+        }
+    }
+
+    /// Eq. 2 along the window for each pair: its variance is that of each reading around its own
+    /// mean. A pair that never changes has none.
+    fn pairs(&self) -> Vec<PairFit> {
+        let count = self.electrodes;
+        (0..count)
+            .filter_map(|pair| {
+                let (mut unexplained, mut variance) = (0.0, 0.0);
+                for reading in (0..count).map(|sink| count * sink + pair) {
+                    let measured = || self.window.iter().map(|p| f64::from(p.measured_v[reading]));
+                    let mean = measured().sum::<f64>() / self.window.len() as f64;
+                    variance += measured().map(|v| (v - mean).powi(2)).sum::<f64>();
+                    let apart = |p: &Pairing| p.measured_v[reading] - p.simulated_v[reading];
+                    unexplained +=
+                        self.window.iter().map(|p| f64::from(apart(p)).powi(2)).sum::<f64>();
+                }
+                let electrodes = [pair, (pair + 1) % count];
+                (variance > 0.0).then(|| PairFit { electrodes, fvu: unexplained / variance })
+            })
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{DriftWatch, Level, Pairing};
+    use crate::schedule::experiment::TwinLimits;
+
+    const LIMITS: TwinLimits = TwinLimits {
+        window: 10,
+        min_force_n: 10.0,
+        warn_fvu: 0.3,
+        suspend_fvu: Some(0.6),
+        pair_warn_fvu: 1.0,
+    };
+
+    /// Two electrodes: four readings. `off` is added to the last reading's twin.
+    fn pairing(n: u32, fvu: f64, off: f32) -> Pairing {
+        let v = if n.is_multiple_of(2) { 1.0 } else { -1.0 };
+        Pairing {
+            max_force_n: 20.0,
+            measured_v: vec![v, -v, v, -v],
+            simulated_v: vec![v, -v, v, -v + off],
+            fvu,
+        }
+    }
+
+    #[test]
+    fn a_change_of_level_is_said_once() {
+        let mut watch = DriftWatch::new(LIMITS, 2);
+        let levels: Vec<Option<Level>> = (0..40)
+            .map(|n| {
+                let fvu = if (10..20).contains(&n) { 0.4 } else { 0.1 };
+                watch.push(pairing(n, fvu, 0.0)).map(|fit| fit.level)
+            })
+            .collect();
+        let said: Vec<(usize, Level)> =
+            levels.iter().enumerate().filter_map(|(n, level)| Some((n, (*level)?))).collect();
+        // The median of ten passes a limit when more than half of them have.
+        assert_eq!(said, [(15, Level::Warn), (24, Level::Ok)]);
+    }
+
+    #[test]
+    fn a_suspended_window_is_forgotten() {
+        let mut watch = DriftWatch::new(LIMITS, 2);
+        let suspended = (0..30).filter(|n| {
+            watch.push(pairing(*n, 0.9, 0.0)).is_some_and(|fit| fit.level == Level::Suspend)
+        });
+        // Half a window each time.
+        assert_eq!(suspended.collect::<Vec<_>>(), [4, 9, 14, 19, 24, 29]);
+    }
+
+    #[test]
+    fn a_bad_pair_is_named_and_light_trials_say_nothing() {
+        let mut watch = DriftWatch::new(LIMITS, 2);
+        for n in 0..20 {
+            let light = Pairing { max_force_n: 9.0, ..pairing(n, 5.0, 9.0) };
+            assert_eq!(watch.push(light), None);
+        }
+        let said: Vec<_> = (0..5).filter_map(|n| watch.push(pairing(n, 0.1, 3.0))).collect();
+        let [fit] = &said[..] else { panic!("said once: {said:?}") };
+        assert_eq!((fit.level, fit.pairs_over_limit), (Level::Warn, 1));
+        assert_eq!(fit.worst_pairs[0].electrodes, [1, 0]);
+        assert!(fit.describe(&LIMITS).contains("worst 1 and 0"), "{}", fit.describe(&LIMITS));
+    }
+}
