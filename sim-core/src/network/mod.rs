@@ -6,6 +6,7 @@
 //! `readout` turns what is left into the impedances Z and the voltages.
 
 pub mod adjoint;
+pub mod back;
 pub mod kron;
 pub(crate) mod lane;
 #[cfg(target_arch = "x86_64")]
