@@ -55,7 +55,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     });
     rows.push(("ours, f64, one at a time".into(), us));
     let network = model.network()?;
-    if std::env::args().any(|a| a == "--quick") { print_table(&rows); return Ok(()); }
+    if std::env::args().any(|a| a == "--quick") {
+        print_table(&rows);
+        return Ok(());
+    }
     let mut faer = [[0.0; 3]; 2];
     for (i, trials) in trials.iter().enumerate() {
         model.voltages(&trials[0], &mut work)?;
