@@ -29,7 +29,7 @@ use sim_core::sensor::Sensor;
 /// Contacts per trial.
 const COUNTS: [usize; 3] = [1, 3, 6];
 /// Trials per repetition of the batch paths: whole vectors in every kernel.
-const TRIALS: usize = 128;
+const TRIALS: usize = 64;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let sensor = Sensor::from_toml(include_str!("../../experiments/sensors/ert-28.toml"))?;
@@ -55,10 +55,6 @@ fn main() -> Result<(), Box<dyn Error>> {
     });
     rows.push(("ours, f64, one at a time".into(), us));
     let network = model.network()?;
-    if std::env::args().any(|a| a == "--quick") {
-        print_table(&rows);
-        return Ok(());
-    }
     let mut faer = [[0.0; 3]; 2];
     for (i, trials) in trials.iter().enumerate() {
         model.voltages(&trials[0], &mut work)?;
@@ -132,7 +128,7 @@ fn batch_us(batch: &BatchModel, trials: &[Vec<Contact>]) -> f64 {
     let trials: Vec<&[Contact]> = trials.iter().map(Vec::as_slice).collect();
     let mut out = vec![0.0; trials.len() * batch.frame_len()];
     let mut work = BatchWork::default();
-    let us = least_us(60, || {
+    let us = least_us(100, || {
         batch.voltages(black_box(&trials), &mut out, &mut work).expect("the trials are legal");
     });
     us / trials.len() as f64

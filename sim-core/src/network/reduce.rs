@@ -180,6 +180,7 @@ fn factor_pivots<L: Lane>(front: &Front, panel: &mut [Rows<L>], roots: &mut [Row
 ///
 /// A pivot must wait for `1 / d` of the one before; the roots are taken when all are known.
 #[inline(always)]
+#[expect(clippy::needless_range_loop, reason = "rows and columns of one square, by their numbers")]
 fn factor_square<L: Lane>(square: &mut Tile<L>, mut sums: Rows<L>) -> Rows<L> {
     let mut roots = sums;
     for k in 0..TILE {
