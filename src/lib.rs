@@ -10,6 +10,7 @@ pub mod schedule;
 pub mod rig;
 pub mod campaign;
 pub mod store;
+pub mod calibrate;
 pub mod simulate;
 pub mod evaluate;
 pub mod conductor;

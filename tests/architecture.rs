@@ -10,8 +10,18 @@ use std::fs;
 use std::path::Path;
 
 /// Folders of `src/` in the order in which data flows; imports only look back along it.
-const STAGES: [&str; 9] =
-    ["schedule", "rig", "campaign", "store", "simulate", "evaluate", "conductor", "api", "cli"];
+const STAGES: [&str; 10] = [
+    "schedule",
+    "rig",
+    "campaign",
+    "store",
+    "calibrate",
+    "simulate",
+    "evaluate",
+    "conductor",
+    "api",
+    "cli",
+];
 
 /// Files of `src/` that everything may use and that use nothing but each other.
 const VOCABULARY: [&str; 4] = ["clock", "ids", "problem", "syntax"];

@@ -59,6 +59,12 @@ impl DisplacementLut {
         let (low, high) = (self.samples_mm[cell], self.samples_mm[cell + 1]);
         low + (high - low) * (place - cell as f64)
     }
+
+    /// Slope of [`Self::apply`]; at a sample, that of the piece after it.
+    pub fn slope(&self, linear_mm: f64) -> f64 {
+        let cell = ((linear_mm / self.step_mm) as usize).min(self.samples_mm.len() - 2);
+        (self.samples_mm[cell + 1] - self.samples_mm[cell]) / self.step_mm
+    }
 }
 
 /// Natural logarithms of factors on the nominal values (0 = nominal), and the foam's law.

@@ -17,8 +17,10 @@ use crate::network::{ElectrodeError, SheetNetwork};
 use crate::piezo::{SPECIMEN_AREA_MM2, conductance_s};
 use crate::responses::UnitResponses;
 use crate::sensor::{ResistancePer, Sensor};
+use crate::tip::{Share, Spreading, TipLattice};
 
-/// A contact counts as on a point within this distance, mm.
+/// A contact is taken for one on a point within this distance by those who need a point's number,
+/// mm; the model itself takes every contact where it is.
 pub const POINT_TOLERANCE_MM: f64 = 0.5;
 
 /// One contact of a tip's size.
@@ -32,10 +34,10 @@ pub struct Contact {
     pub force_n: f64,
 }
 
-/// A force on one vertex node.
+/// A force on one node.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VertexForce {
-    /// Row of the unit responses.
+    /// The node, and row of the unit responses.
     pub row: usize,
     /// Force, N, >= 0.
     pub force_n: f64,
@@ -61,18 +63,25 @@ pub enum ModelError {
 /// A contact that the model does not take.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum ContactError {
-    /// It is not on one of the points.
-    #[error("contact {contact} at ({x_mm:.2}, {y_mm:.2}) mm is on none of the skin's points")]
-    NotAPoint {
+    /// The tip would not stand wholly on the skin.
+    #[error(
+        "contact {contact}: {field} = {value_mm} is outside {least_mm} to {most_mm} mm, \
+         where a tip stands wholly on the skin"
+    )]
+    OffSkin {
         /// Index of the contact.
         contact: usize,
-        /// Its place, mm.
-        x_mm: f64,
-        /// Its place, mm.
-        y_mm: f64,
+        /// `x_mm` or `y_mm`.
+        field: &'static str,
+        /// Its value, mm.
+        value_mm: f64,
+        /// Smallest legal value, mm: a tip's radius.
+        least_mm: f64,
+        /// Largest legal value, mm.
+        most_mm: f64,
     },
     /// Its force is negative or not a number.
-    #[error("contact {contact}: force {force_n} N is not a number >= 0")]
+    #[error("contact {contact}: force_n = {force_n} is not a finite number >= 0 N")]
     Force {
         /// Index of the contact.
         contact: usize,
@@ -83,38 +92,43 @@ pub enum ContactError {
 
 /// Eq. 1 at one node, with everything per node folded in.
 #[derive(Debug, Clone, Copy)]
-struct NodeLaw {
-    a_ohm: f64,
-    b_per_mm: f64,
-    c_ohm: f64,
-    compliance: f64,
+pub(crate) struct NodeLaw {
+    pub a_ohm: f64,
+    pub b_per_mm: f64,
+    pub c_ohm: f64,
+    pub compliance: f64,
 }
 
 /// The forward model of one skin. `Send + Sync`; each thread brings its own [`Workspace`].
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct ForwardModel {
     sensor: Sensor,
     mesh: Mesh,
     responses: Arc<UnitResponses>,
     fields: NodeFields,
     circuit: ReadoutCircuit,
+    lattice: TipLattice,
+    spreading: Spreading,
     /// Rows of the unit responses under each point's vertices.
     point_rows: Vec<[usize; 6]>,
-    laws: Vec<NodeLaw>,
-    reduction: KronReduction,
+    pub(crate) laws: Vec<NodeLaw>,
+    pub(crate) reduction: KronReduction,
     /// Nodes of the network: the mesh's, and electrodes of their own.
     network_nodes: usize,
+    pub(crate) electrode_nodes: Vec<u32>,
     hash: String,
 }
 
 /// Memory of one evaluation.
 #[derive(Debug, Default)]
 pub struct Workspace {
-    forces: Vec<VertexForce>,
-    compression_mm: Vec<f64>,
-    to_top_s: Vec<f64>,
-    kron: KronWork,
-    readout: ReadoutWork,
+    shares: Vec<Share>,
+    /// Loads of single nodes, N.
+    forces: Vec<(usize, f64)>,
+    pub(crate) compression_mm: Vec<f64>,
+    pub(crate) to_top_s: Vec<f64>,
+    pub(crate) kron: KronWork,
+    pub(crate) readout: ReadoutWork,
 }
 
 impl Workspace {
@@ -155,30 +169,29 @@ impl ForwardModel {
         let mesh = Mesh::new(sensor)?;
         fields.check(&mesh)?;
         let network = network(sensor, &mesh, &fields, &circuit)?;
-        let row = |node: u32| responses.row_of(node).ok_or(ModelError::OtherResponses);
-        let point_rows = mesh
-            .points
-            .iter()
-            .map(|p| -> Result<[usize; 6], ModelError> {
-                let mut rows = [0; 6];
-                for (row_at, vertex) in rows.iter_mut().zip(p.vertices) {
-                    *row_at = row(vertex)?;
-                }
-                Ok(rows)
-            })
-            .collect::<Result<_, _>>()?;
         Ok(Self {
             laws: node_laws(sensor, &mesh, &fields),
-            hash: model_hash(sensor, &responses, &fields, &circuit),
+            hash: model_hash(sensor, &responses, &fields, &circuit, Spreading::default()),
+            spreading: Spreading::default(),
             reduction: KronReduction::new(&network),
             network_nodes: network.places_mm.len(),
+            electrode_nodes: network.electrodes,
+            lattice: TipLattice::new(sensor, &mesh),
+            point_rows: mesh.points.iter().map(|p| p.vertices.map(|v| v as usize)).collect(),
             sensor: sensor.clone(),
             mesh,
             responses,
             fields,
             circuit,
-            point_rows,
         })
+    }
+
+    /// The same skin with another way to load the nodes around a tip.
+    pub fn with_spreading(mut self, spreading: Spreading) -> Self {
+        self.hash =
+            model_hash(&self.sensor, &self.responses, &self.fields, &self.circuit, spreading);
+        self.spreading = spreading;
+        self
     }
 
     /// The sensor.
@@ -226,81 +239,115 @@ impl ForwardModel {
         &self.hash
     }
 
-    /// The frame of contacts on points, V after gain: `[n * k + j]` = V_j - V_(j+1 mod n) while
-    /// electrode k is the sink. No contacts: the untouched skin.
+    /// The frame of contacts anywhere on the skin, V after gain: `[n * k + j]` = V_j - V_(j+1 mod n)
+    /// while electrode k is the sink. No contacts: the untouched skin. [`crate::tip`] says how a tip
+    /// between the nodes loads them.
     pub fn voltages<'w>(
         &self,
         contacts: &[Contact],
         work: &'w mut Workspace,
     ) -> Result<&'w [f64], ContactError> {
-        let mut forces = std::mem::take(&mut work.forces);
-        let outcome = self.spread(contacts, &mut forces);
-        if outcome.is_ok() {
-            self.evaluate(&forces, work);
-        }
-        work.forces = forces;
-        outcome.map(|()| work.readout.frame_v())
+        self.load(contacts, work)?;
+        Ok(self.solve(work))
     }
 
-    /// The forces on nodes of the surface that contacts amount to.
-    pub fn node_forces(&self, contacts: &[Contact]) -> Result<Vec<NodeForce>, ContactError> {
-        let mut forces = Vec::new();
-        self.spread(contacts, &mut forces)?;
-        let node = |row: usize| self.responses.vertices()[row];
-        Ok(forces.iter().map(|f| NodeForce { node: node(f.row), force_n: f.force_n }).collect())
-    }
-
-    /// Replaces `forces` by those of contacts: each as six equal ones on its hexagon's vertices.
-    fn spread(
-        &self,
-        contacts: &[Contact],
-        forces: &mut Vec<VertexForce>,
-    ) -> Result<(), ContactError> {
-        forces.clear();
-        for (contact, c) in contacts.iter().enumerate() {
-            if !(c.force_n >= 0.0 && c.force_n.is_finite()) {
-                return Err(ContactError::Force { contact, force_n: c.force_n });
-            }
-            let point = self
-                .sensor
-                .point_near(c.x_mm, c.y_mm, POINT_TOLERANCE_MM)
-                .ok_or(ContactError::NotAPoint { contact, x_mm: c.x_mm, y_mm: c.y_mm })?;
-            let force_n = c.force_n / 6.0;
-            forces.extend(self.point_rows[point].map(|row| VertexForce { row, force_n }));
-        }
-        Ok(())
-    }
-
-    /// The frame of any forces on vertices (tilted tips, places between points), V after gain.
+    /// The frame of any forces on nodes (tilted tips), V after gain.
     pub fn voltages_of_vertex_forces<'w>(
         &self,
         forces: &[VertexForce],
         work: &'w mut Workspace,
     ) -> &'w [f64] {
-        self.evaluate(forces, work);
-        work.readout.frame_v()
+        self.superpose(forces.iter().map(|f| (f.row, f.force_n)), &mut work.compression_mm);
+        self.solve(work)
     }
 
-    fn evaluate(&self, forces: &[VertexForce], work: &mut Workspace) {
-        let x = &mut work.compression_mm;
-        x.clear();
-        x.resize(self.mesh.plane_nodes(), 0.0);
-        for force in forces {
-            for (x, &unit) in x.iter_mut().zip(self.responses.row(force.row)) {
-                *x += force.force_n * f64::from(unit);
+    /// Refuses a contact off the skin, or with a force that is none.
+    pub fn check(&self, contact: usize, c: &Contact) -> Result<(), ContactError> {
+        let least_mm = self.sensor.file.tip_diameter_mm / 2.0;
+        for (field, value_mm, extent_mm) in [
+            ("x_mm", c.x_mm, self.sensor.file.width_mm),
+            ("y_mm", c.y_mm, self.sensor.file.height_mm),
+        ] {
+            let most_mm = extent_mm - least_mm;
+            if !(least_mm..=most_mm).contains(&value_mm) {
+                return Err(ContactError::OffSkin { contact, field, value_mm, least_mm, most_mm });
             }
         }
+        if !(c.force_n >= 0.0 && c.force_n.is_finite()) {
+            return Err(ContactError::Force { contact, force_n: c.force_n });
+        }
+        Ok(())
+    }
+
+    /// The forces on nodes of the surface that contacts amount to.
+    pub fn node_forces(&self, contacts: &[Contact]) -> Result<Vec<NodeForce>, ContactError> {
+        let mut shares = Vec::new();
+        let mut forces = Vec::new();
+        for (index, contact) in contacts.iter().enumerate() {
+            self.check(index, contact)?;
+            shares.clear();
+            self.spread(contact, &mut shares);
+            let loaded = shares.iter().filter(|share| share.sixths != 0.0);
+            let force_n = |share: &Share| contact.force_n / 6.0 * share.sixths;
+            forces.extend(loaded.map(|s| NodeForce { node: s.node, force_n: force_n(s) }));
+        }
+        Ok(forces)
+    }
+
+    /// Leaves the compression of the nominal skin under contacts, before the clamp.
+    pub(crate) fn load(
+        &self,
+        contacts: &[Contact],
+        work: &mut Workspace,
+    ) -> Result<(), ContactError> {
+        work.forces.clear();
+        for (index, contact) in contacts.iter().enumerate() {
+            self.check(index, contact)?;
+            work.shares.clear();
+            self.spread(contact, &mut work.shares);
+            let sixth_n = contact.force_n / 6.0;
+            let loaded = work.shares.iter().filter(|share| share.sixths != 0.0);
+            work.forces.extend(loaded.map(|s| (s.node as usize, sixth_n * s.sixths)));
+        }
+        self.superpose(work.forces.iter().copied(), &mut work.compression_mm);
+        Ok(())
+    }
+
+    /// A contact's shares on the nodes.
+    pub(crate) fn spread(&self, contact: &Contact, shares: &mut Vec<Share>) {
+        self.lattice.spread(self.spreading, contact.x_mm, contact.y_mm, shares);
+    }
+
+    /// Sum of unit responses, each times its node's load, at every node.
+    pub(crate) fn superpose(&self, loads: impl Iterator<Item = (usize, f64)>, sum: &mut Vec<f64>) {
+        sum.clear();
+        sum.resize(self.mesh.plane_nodes(), 0.0);
+        for (node, load) in loads {
+            for (sum, &unit) in sum.iter_mut().zip(self.responses.row(node)) {
+                *sum += load * f64::from(unit);
+            }
+        }
+    }
+
+    /// From the nominal skin's compression to this one's, and to conductances.
+    pub(crate) fn conduct(&self, work: &mut Workspace) {
         work.to_top_s.clear();
         work.to_top_s.resize(self.network_nodes, 0.0);
-        for ((x, g), law) in x.iter_mut().zip(&mut work.to_top_s).zip(&self.laws) {
+        let nodes = work.compression_mm.iter_mut().zip(&mut work.to_top_s);
+        for ((x, g), law) in nodes.zip(&self.laws) {
             *x = x.max(0.0) * law.compliance;
             if let Some(lut) = &self.fields.displacement {
                 *x = lut.apply(*x);
             }
             *g = conductance_s(law.a_ohm, law.b_per_mm, law.c_ohm, *x);
         }
+    }
+
+    fn solve<'w>(&self, work: &'w mut Workspace) -> &'w [f64] {
+        self.conduct(work);
         let reduced = self.reduction.reduce(&work.to_top_s, &mut work.kron);
         work.readout.evaluate(reduced, &self.circuit);
+        work.readout.frame_v()
     }
 }
 
@@ -340,8 +387,9 @@ fn model_hash(
     responses: &UnitResponses,
     fields: &NodeFields,
     circuit: &ReadoutCircuit,
+    spreading: Spreading,
 ) -> String {
-    let mut digest = Digest::new("forward model 1; kron f64 1");
+    let mut digest = Digest::new("forward model 2; kron f64 1");
     digest.bytes(responses.own_key());
     let piezo = &sensor.file.piezo;
     digest.numbers([piezo.a_ohm, piezo.b_per_mm, piezo.c_ohm]);
@@ -352,5 +400,9 @@ fn model_hash(
     digest.numbers([sensor.file.circuit.sheet_ohm_per_sq]);
     fields.digest(&mut digest);
     circuit.digest(&mut digest);
+    digest.word(match spreading {
+        Spreading::Linear => "linear",
+        Spreading::Sharp => "sharp",
+    });
     format!("sim-{}", hex(&digest.finish()[..8]))
 }

@@ -3,7 +3,8 @@
 //! Uses: faer for the elastic solve. Never: async, files, clock, database, unseeded chance.
 //!
 //! Data flows one way: `sensor -> mesh -> (element, material, order, boundary, assemble, solve) ->
-//! responses, deformation -> fields, piezo -> network -> forward -> spice, calculix`.
+//! responses -> fields, piezo, tip -> network -> forward -> jacobian, batch`. `deformation`, `spice`
+//! and `calculix` are for comparison, `surface` and `calibration` tie the model to measurements.
 
 pub mod sensor;
 pub mod mesh;
@@ -14,12 +15,17 @@ pub mod boundary;
 pub mod assemble;
 pub mod solve;
 pub mod responses;
+pub mod surface;
 pub mod deformation;
 pub mod piezo;
 pub mod fields;
 pub mod circuit;
 pub mod network;
+pub mod tip;
 pub mod forward;
+pub mod jacobian;
+pub mod batch;
+pub mod calibration;
 pub mod spice;
 pub mod calculix;
 mod digest;

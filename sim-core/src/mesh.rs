@@ -179,6 +179,30 @@ impl Mesh {
         best
     }
 
+    /// Slopes of a located place's weights in x and y, 1/mm; on an edge, those of its triangle.
+    /// Beyond the rim, where weights are clamped, those of the clamped weights.
+    pub fn weight_slopes(&self, place: &MeshPlace, x_mm: f64, y_mm: f64) -> [[f64; 2]; 3] {
+        let [a, b, c] = place.nodes.map(|n| self.nodes_mm[n as usize]);
+        let whole = 2.0 * self.triangle_area_mm2(&place.nodes);
+        let along = |p: [f64; 2], q: [f64; 2]| [(p[1] - q[1]) / whole, (q[0] - p[0]) / whole];
+        let raw = self.barycentric(&place.nodes, x_mm, y_mm);
+        let mut slopes = [along(b, c), along(c, a), along(a, b)];
+        let beyond = |k: usize| raw[k] < 0.0 && place.weights[k] == 0.0;
+        if (0..3).any(beyond) {
+            for k in (0..3).filter(|&k| beyond(k)) {
+                slopes[k] = [0.0; 2];
+            }
+            let sum: f64 = raw.iter().map(|w| w.max(0.0)).sum();
+            let total = [0, 1].map(|axis| slopes.iter().map(|s| s[axis]).sum::<f64>());
+            for (slope, weight) in slopes.iter_mut().zip(place.weights) {
+                for (s, total) in slope.iter_mut().zip(total) {
+                    *s = (*s - weight * total) / sum;
+                }
+            }
+        }
+        slopes
+    }
+
     fn barycentric(&self, triangle: &[u32; 3], x: f64, y: f64) -> [f64; 3] {
         let [a, b, c] = triangle.map(|n| self.nodes_mm[n as usize]);
         let twice = |p: [f64; 2], q: [f64; 2]| (p[0] - x) * (q[1] - y) - (q[0] - x) * (p[1] - y);

@@ -24,3 +24,37 @@ pub(crate) fn conductance_s(a_ohm: f64, b_per_mm: f64, c_ohm: f64, compression_m
     let x = compression_mm.max(LEAST_COMPRESSION_MM);
     1.0 / (a_ohm / (b_per_mm * x).exp_m1() + c_ohm)
 }
+
+/// How a node's conductance changes, at one compression.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct ConductanceSlopes {
+    /// With the compression, S/mm; 0 at and below the least one.
+    pub per_mm: f64,
+    /// With ln a, S.
+    pub per_ln_a: f64,
+    /// With ln b, S.
+    pub per_ln_b: f64,
+    /// With ln c, S.
+    pub per_ln_c: f64,
+}
+
+/// Slopes of [`conductance_s`].
+pub(crate) fn conductance_slopes(
+    a_ohm: f64,
+    b_per_mm: f64,
+    c_ohm: f64,
+    compression_mm: f64,
+) -> ConductanceSlopes {
+    let x = compression_mm.max(LEAST_COMPRESSION_MM);
+    let grown = (b_per_mm * x).exp_m1();
+    let foam_ohm = a_ohm / grown;
+    let g = 1.0 / (foam_ohm + c_ohm);
+    // d(foam_ohm)/dx = -foam_ohm b (grown + 1) / grown.
+    let along_x = g * g * foam_ohm * b_per_mm * (1.0 + 1.0 / grown);
+    ConductanceSlopes {
+        per_mm: if compression_mm > LEAST_COMPRESSION_MM { along_x } else { 0.0 },
+        per_ln_a: -g * g * foam_ohm,
+        per_ln_b: along_x * x,
+        per_ln_c: -g * g * c_ohm,
+    }
+}

@@ -156,6 +156,7 @@ pub struct Sensor {
     pub file: SensorFile,
     points: Vec<Point>,
     electrodes: Vec<[f64; 2]>,
+    calibration: Option<String>,
 }
 
 impl Sensor {
@@ -171,7 +172,7 @@ impl Sensor {
         check(&file)?;
         let points = lay_out_points(&file);
         let electrodes = lay_out_electrodes(&file);
-        let sensor = Self { file, points, electrodes };
+        let sensor = Self { file, points, electrodes, calibration: None };
         for (i, p) in sensor.points.iter().enumerate() {
             if !sensor.holds_tip(p.x_mm, p.y_mm) {
                 let value = format!("point {i} at ({:.2}, {:.2}) mm", p.x_mm, p.y_mm);
@@ -187,6 +188,16 @@ impl Sensor {
             }
         }
         Ok(sensor)
+    }
+
+    /// The same sensor, with the id of the calibration that its values come from.
+    pub(crate) fn calibrated(self, id: String) -> Self {
+        Self { calibration: Some(id), ..self }
+    }
+
+    /// Id of the calibration that was applied to the file's values, if one was.
+    pub fn calibration(&self) -> Option<&str> {
+        self.calibration.as_deref()
     }
 
     /// Distance between neighbouring points, mm: the hexagon's side times sqrt(3).

@@ -5,11 +5,15 @@ use std::io;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use sim_core::calibration::CalibrationError;
+
 use crate::api::ServeError;
+use crate::calibrate::CalibrateError;
 use crate::evaluate::figures::FigureError;
 use crate::problem::Problem;
 use crate::rig::error::RigError;
 use crate::simulate::model::ModelUnavailable;
+use crate::simulate::random::error::RandomError;
 
 /// Why a command ended without doing what it was asked.
 #[derive(Debug, thiserror::Error)]
@@ -78,6 +82,9 @@ pub enum CliError {
     /// There is no model of the skin.
     #[error(transparent)]
     Model(#[from] ModelUnavailable),
+    /// Sim-Random's shards could not be made.
+    #[error(transparent)]
+    SimRandom(#[from] RandomError),
     /// The rig is tripped.
     #[error("the rig is tripped: {detail}; look at it, then `palpate rig reset`")]
     Tripped {
@@ -110,6 +117,12 @@ pub enum CliError {
     /// A figure could not be drawn.
     #[error(transparent)]
     Figure(#[from] FigureError),
+    /// The model cannot be fitted, for another reason than its input.
+    #[error(transparent)]
+    Calibrate(CalibrateError),
+    /// A calibration does not fit what it is used with.
+    #[error("calibration: {0}")]
+    Calibration(#[from] CalibrationError),
     /// A file made by this program could not be written as text.
     #[error("writing TOML: {0}")]
     Toml(#[from] toml::ser::Error),
@@ -126,6 +139,7 @@ impl CliError {
         match self {
             CliError::Problems(_)
             | CliError::NotConfirmed { .. }
+            | CliError::SimRandom(RandomError::OtherDefinition { .. })
             | CliError::Refused { status: 422, .. } => ExitCode::from(2),
             _ => ExitCode::FAILURE,
         }

@@ -22,6 +22,8 @@ pub const DEFAULT_RIG_FILE: &str = "experiments/rigs/virtual.toml";
 pub const DEFAULT_RIG: &str = include_str!("../../experiments/rigs/virtual.toml");
 /// The default skin's differences from the model.
 pub const DEFAULT_GAP: &str = include_str!("../../experiments/gaps/gap-a.toml");
+/// Name of the carried sensor file in problems.
+const DEFAULT_SENSOR_FILE: &str = "experiments/sensors/ert-28.toml";
 /// The default skin.
 pub const DEFAULT_SENSOR: &str = include_str!("../../experiments/sensors/ert-28.toml");
 /// The default skin's seed.
@@ -101,14 +103,6 @@ impl RigFiles {
     }
 }
 
-/// A sensor file, checked; the carried one where none is named.
-pub fn read_sensor(path: Option<&Path>) -> Result<Sensor, CliError> {
-    match path {
-        Some(path) => parse_sensor(&path.display().to_string(), &read_input(path)?),
-        None => parse_sensor("experiments/sensors/ert-28.toml", DEFAULT_SENSOR),
-    }
-}
-
 /// Writes a file, with the folders above it.
 pub fn write(path: &Path, text: &str) -> Result<(), CliError> {
     let failed = |source| CliError::File { path: path.into(), source };
@@ -119,7 +113,7 @@ pub fn write(path: &Path, text: &str) -> Result<(), CliError> {
 }
 
 /// A file that a person named: what is wrong with it is bad input.
-fn read_input(path: &Path) -> Result<String, CliError> {
+pub fn read_input(path: &Path) -> Result<String, CliError> {
     std::fs::read_to_string(path).map_err(|e| {
         CliError::Problems(vec![Problem::whole(&path.display().to_string(), e.to_string())])
     })
@@ -131,6 +125,14 @@ fn read_named(file: &str, key: &str, value: &str, path: &Path) -> Result<String,
         let limit = format!("{}: {e}", path.display());
         CliError::Problems(vec![Problem::new(file, key, value, limit)])
     })
+}
+
+/// Reads a sensor file, or takes the carried one.
+pub fn read_sensor(path: Option<&Path>) -> Result<Sensor, CliError> {
+    match path {
+        Some(path) => parse_sensor(&path.display().to_string(), &read_input(path)?),
+        None => parse_sensor(DEFAULT_SENSOR_FILE, DEFAULT_SENSOR),
+    }
 }
 
 fn parse_sensor(file: &str, text: &str) -> Result<Sensor, CliError> {

@@ -12,6 +12,7 @@ use serde_json::json;
 
 mod access;
 mod ask;
+mod calibrate;
 mod client;
 mod embed;
 mod error;
@@ -93,6 +94,11 @@ pub enum Command {
     ///
     /// Exit code 2 where something forbids it: each problem names file, key, value and limit.
     Plan(plan::PlanArgs),
+    /// Fit the model to measurements of this skin, and write a calibration file.
+    ///
+    /// Exit code 2 where a table holds what cannot be used: each problem names line, column, value
+    /// and limit.
+    Calibrate(calibrate::CalibrateArgs),
     /// Simulate frames of contacts; nothing moves.
     Simulate(simulate::SimulateArgs),
     /// Show where rig, run and service stand.
@@ -128,6 +134,7 @@ pub enum Command {
 pub fn main(command: Command) -> ExitCode {
     let outcome = match command {
         Command::Plan(args) => plan::plan(&args),
+        Command::Calibrate(args) => calibrate::calibrate(&args),
         command => on_runtime(command),
     };
     outcome.unwrap_or_else(|error| {
@@ -151,6 +158,7 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
     let none = || json!({});
     match command {
         Command::Plan(args) => return plan::plan(&args),
+        Command::Calibrate(args) => return calibrate::calibrate(&args),
         Command::Run(args) => return run::run(args).await,
         Command::Simulate(args) => return simulate::simulate(args).await,
         Command::Rig(args) => return rig::rig(args).await,

@@ -112,6 +112,7 @@ pub fn by_force(report: &SimulationReport, quantity: Quantity) -> Result<String,
             .build_cartesian_2d(0.0..FORCE_END_N, 0.0..(1.08 * top).max(1e-6))?;
         chart
             .configure_mesh()
+            .x_label_formatter(&whole)
             .x_desc("largest force (N)")
             .y_desc(quantity.axis())
             .light_line_style(TRANSPARENT)
@@ -168,7 +169,7 @@ pub fn boxes(report: &SimulationReport, quantity: Quantity) -> Result<String, Fi
             .configure_mesh()
             .disable_x_mesh()
             .x_labels(7)
-            .x_label_formatter(&|x| format!("{x:.0}"))
+            .x_label_formatter(&whole)
             .x_desc("contacts")
             .y_desc(quantity.axis())
             .light_line_style(TRANSPARENT)
@@ -216,6 +217,8 @@ pub fn map(points: &[PointFit], skin: &Outline) -> Result<String, FigureError> {
         chart
             .configure_mesh()
             .disable_mesh()
+            .x_label_formatter(&whole)
+            .y_label_formatter(&whole)
             .x_desc("x (mm)")
             .y_desc("y (mm)")
             .label_style(SMALL)
@@ -262,6 +265,10 @@ fn bar(area: &Area<'_>) -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
+fn whole(value: &f64) -> String {
+    format!("{value:.0}")
+}
+
 fn colour(fvu: f64) -> RGBColor {
     ViridisRGB.get_color((fvu / MAP_END).clamp(0.0, 1.0))
 }
@@ -286,6 +293,8 @@ pub fn frames(measured_v: &[f32], simulated_v: &[f32]) -> Result<String, FigureE
             .build_cartesian_2d(0.0..measured_v.len() as f64, low - room..high + room)?;
         chart
             .configure_mesh()
+            .x_label_formatter(&whole)
+            .y_label_formatter(&whole)
             .x_desc("reading (28 for each injection)")
             .y_desc("voltage (mV)")
             .light_line_style(TRANSPARENT)

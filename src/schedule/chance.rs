@@ -22,6 +22,14 @@ impl Chance {
         Self { rng: ChaCha8Rng::from_seed(hash.finalize().into()) }
     }
 
+    /// The `number`-th of 2^64 streams of this name: ChaCha8's own stream number, so that any of
+    /// them is reached without the others.
+    pub fn numbered(seed: u64, name: &str, number: u64) -> Self {
+        let mut chance = Self::named(seed, name);
+        chance.rng.set_stream(number);
+        chance
+    }
+
     /// A number from 0 to `n` - 1, each equally likely (multiply and reject, Lemire 2019).
     /// `n` must not be 0.
     pub fn below(&mut self, n: u32) -> u32 {

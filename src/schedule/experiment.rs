@@ -159,8 +159,8 @@ pub struct TwinLimits {
     pub warn_fvu: f64,
     /// Median FVU of the window over which the run is suspended; absent: never.
     pub suspend_fvu: Option<f64>,
-    /// FVU of a single reading (a pair of electrodes and a sink) over the window, over which the run
-    /// warns. At 1 the model says no more of the reading than its mean does.
+    /// FVU of a pair of neighbouring electrodes over window and sinks, over which the run warns. At 1
+    /// the model says no more of its readings than their means do.
     pub pair_warn_fvu: f64,
 }
 

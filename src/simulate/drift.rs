@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 
 use crate::schedule::experiment::TwinLimits;
 
-/// Pairs named in a finding, the worst first.
+/// Pairs of electrodes named in a finding, the worst first.
 const WORST_PAIRS: usize = 5;
 /// Share of the window that must be filled before it says anything.
 const FILLED: f64 = 0.5;
@@ -38,14 +38,12 @@ pub enum Level {
     Suspend,
 }
 
-/// One reading of a frame: an adjacent pair of electrodes while another is the sink.
+/// The readings between two neighbouring electrodes, over all sinks.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, ToSchema)]
 pub struct PairFit {
-    /// Electrode at 0 V, from 0.
-    pub sink: usize,
-    /// The reading is the potential of this electrode less that of the next.
-    pub electrode: usize,
-    /// Over the window: squared differences to the twins over the reading's own variance.
+    /// The pair, from 0: the potential of the first less that of the second is read.
+    pub electrodes: [usize; 2],
+    /// Over window and sinks: squared differences to the twins over the readings' own variance.
     pub fvu: f64,
 }
 
@@ -58,9 +56,9 @@ pub struct RollingFit {
     pub trials: usize,
     /// Median of the trials' FVU.
     pub median_fvu: f64,
-    /// Readings over the limit for pairs.
+    /// Pairs of electrodes over their limit.
     pub pairs_over_limit: usize,
-    /// The worst readings.
+    /// The worst pairs.
     pub worst_pairs: Vec<PairFit>,
 }
 
@@ -72,10 +70,10 @@ impl RollingFit {
             self.median_fvu, self.trials, limits.min_force_n
         );
         if let Some(worst) = self.worst_pairs.first().filter(|_| self.pairs_over_limit > 0) {
-            let (from, to) = (worst.electrode, worst.electrode + 1);
+            let [from, to] = worst.electrodes;
             words += &format!(
-                "; {} readings over {}, worst: electrodes {from} and {to} with sink {} at {:.2}",
-                self.pairs_over_limit, limits.pair_warn_fvu, worst.sink, worst.fvu
+                "; electrode pairs over {}: {}, worst {from} and {to} at {:.2}",
+                limits.pair_warn_fvu, self.pairs_over_limit, worst.fvu
             );
         }
         words
@@ -156,25 +154,23 @@ impl DriftWatch {
         }
     }
 
-    /// Eq. 2 along the window for each reading: its variance is that around its own mean. The
-    /// sink's own two neighbours are readings like any other; a reading that never changes has none.
+    /// Eq. 2 along the window for each pair: its variance is that of each reading around its own
+    /// mean. A pair that never changes has none.
     fn pairs(&self) -> Vec<PairFit> {
-        let count = self.window.len() as f64;
-        (0..self.electrodes * self.electrodes)
-            .filter_map(|i| {
-                let measured = || self.window.iter().map(|p| f64::from(p.measured_v[i]));
-                let mean = measured().sum::<f64>() / count;
-                let variance: f64 = measured().map(|v| (v - mean).powi(2)).sum();
-                let unexplained: f64 = self
-                    .window
-                    .iter()
-                    .map(|p| f64::from(p.measured_v[i] - p.simulated_v[i]).powi(2))
-                    .sum();
-                (variance > 0.0).then(|| PairFit {
-                    sink: i / self.electrodes,
-                    electrode: i % self.electrodes,
-                    fvu: unexplained / variance,
-                })
+        let count = self.electrodes;
+        (0..count)
+            .filter_map(|pair| {
+                let (mut unexplained, mut variance) = (0.0, 0.0);
+                for reading in (0..count).map(|sink| count * sink + pair) {
+                    let measured = || self.window.iter().map(|p| f64::from(p.measured_v[reading]));
+                    let mean = measured().sum::<f64>() / self.window.len() as f64;
+                    variance += measured().map(|v| (v - mean).powi(2)).sum::<f64>();
+                    let apart = |p: &Pairing| p.measured_v[reading] - p.simulated_v[reading];
+                    unexplained +=
+                        self.window.iter().map(|p| f64::from(apart(p)).powi(2)).sum::<f64>();
+                }
+                let electrodes = [pair, (pair + 1) % count];
+                (variance > 0.0).then(|| PairFit { electrodes, fvu: unexplained / variance })
             })
             .collect()
     }
@@ -230,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn one_bad_reading_is_named_and_light_trials_say_nothing() {
+    fn a_bad_pair_is_named_and_light_trials_say_nothing() {
         let mut watch = DriftWatch::new(LIMITS, 2);
         for n in 0..20 {
             let light = Pairing { max_force_n: 9.0, ..pairing(n, 5.0, 9.0) };
@@ -239,7 +235,7 @@ mod tests {
         let said: Vec<_> = (0..5).filter_map(|n| watch.push(pairing(n, 0.1, 3.0))).collect();
         let [fit] = &said[..] else { panic!("said once: {said:?}") };
         assert_eq!((fit.level, fit.pairs_over_limit), (Level::Warn, 1));
-        assert_eq!((fit.worst_pairs[0].sink, fit.worst_pairs[0].electrode), (1, 1));
-        assert!(fit.describe(&LIMITS).contains("sink 1"), "{}", fit.describe(&LIMITS));
+        assert_eq!(fit.worst_pairs[0].electrodes, [1, 0]);
+        assert!(fit.describe(&LIMITS).contains("worst 1 and 0"), "{}", fit.describe(&LIMITS));
     }
 }

@@ -8,3 +8,5 @@ pub mod export;
 pub mod compare;
 pub mod drift;
 pub mod twins;
+pub mod schema;
+pub mod random;

@@ -157,7 +157,7 @@ impl TwinPool {
         let limit = (self.inner.workers * TRIALS_AT_ONCE) as u32;
         for run in active.into_iter().chain(others) {
             let given_up = progress.unusable.contains(&run);
-            if given_up || (progress.done.contains(&run) && Some(run) != active) {
+            if given_up || progress.done.contains(&run) {
                 continue;
             }
             let recipe = match self.recipe(run, progress).await {
@@ -171,7 +171,10 @@ impl TwinPool {
             let after = progress.passed.get(&run).copied().unwrap_or(TrialId(0));
             let trials = store.pending_twins(run, recipe.id, after, limit).await?;
             let Some(last) = trials.last().map(|t| t.trial_id) else {
-                progress.done.insert(run);
+                // More comes to the run under way, also while it is no longer looked at as such.
+                if Some(run) != active {
+                    progress.done.insert(run);
+                }
                 continue;
             };
             let began = Instant::now();

@@ -1,11 +1,13 @@
 """Latency figures of a running service (standard library only).
 
-    python3 tests/figures/latency.py URL trials RUN        gaps between trials of a run, from its records
-    python3 tests/figures/latency.py URL load SECONDS      200 read requests a second against the API
-    python3 tests/figures/latency.py URL estop COUNT       e-stop request to the last axis's acknowledgement
+    python3 tests/figures/latency.py URL gaps RUN [SECONDS]   gaps between trials, with and without load
+    python3 tests/figures/latency.py URL estop COUNT [moving] e-stop request to the last acknowledgement
+    python3 tests/figures/latency.py URL load SECONDS         200 read requests a second against the API
 
-`trials`: within a configuration, from the last frame of a trial to the start of the next one's motion:
-the commit and everything else that is neither motion, settling nor frame.
+`gaps`: within a configuration, from the last frame of a trial to the start of the next one's motion: the
+commit and everything else that is neither motion, settling nor frame. While the run is under way, for so
+many seconds, each second minute is under load. Without SECONDS: a run as it was.
+`estop moving`: x is on its way at each stop (a rig that may move, homed before each).
 """
 
 import json
@@ -17,6 +19,7 @@ import urllib.request
 from datetime import datetime
 
 READS = ["/api/v1/status", "/api/v1/trials?limit=20&sort=-trial_id", "/api/v1/events?since=-50", "/metrics"]
+PERIOD_S = 60.0
 
 
 def call(url: str, path: str, body: dict | None = None) -> dict | str:
@@ -29,24 +32,38 @@ def call(url: str, path: str, body: dict | None = None) -> dict | str:
 
 def spread(name: str, values: list[float], unit: str) -> None:
     values = sorted(values)
+    if not values:
+        print(f"{name}: none")
+        return
     at = lambda q: values[min(len(values) - 1, int(q * len(values)))]
     print(f"{name}: n {len(values)}, p50 {at(0.5):.3f}, p99 {at(0.99):.3f}, max {values[-1]:.3f} {unit}")
 
 
-def trials(url: str, run: str) -> None:
+def gaps(url: str, run: str, seconds: float) -> None:
+    loaded, end = [], time.time() + seconds
+    while time.time() < end:
+        time.sleep(min(PERIOD_S, end - time.time()))
+        if time.time() < end:
+            begun = time.time()
+            load(url, min(PERIOD_S, end - begun))
+            loaded.append((begun, time.time()))
     rows, cursor = [], 0
     while cursor is not None:
         page = call(url, f"/api/v1/runs/{run}/trials?limit=5000&cursor={cursor}")
         rows, cursor = rows + page["trials"], page["next"]
     when = lambda row, key: datetime.fromisoformat(row[key].replace("Z", "+00:00")).timestamp()
-    gaps, shares = [], []
+    found = {"idle": ([], []), "under load": ([], [])}
     for last, row in zip(rows, rows[1:]):
-        if row["configuration"] == last["configuration"]:
-            gap = when(row, "started_at") - when(last, "measured_at")
-            gaps.append(gap * 1e3)
+        at = when(row, "started_at")
+        if row["configuration"] == last["configuration"] and (not seconds or end - seconds < at < end):
+            took, shares = found["under load" if any(a < at < b for a, b in loaded) else "idle"]
+            gap = at - when(last, "measured_at")
+            took.append(gap * 1e3)
             shares.append(gap / (when(row, "measured_at") - when(last, "measured_at")))
-    spread("last frame to next motion", gaps, "ms")
-    print(f"share of a trial's time: mean {100 * statistics.mean(shares):.2f} %")
+    for name, (took, shares) in found.items():
+        spread(f"last frame to next motion, {name}", took, "ms")
+        if shares:
+            print(f"  share of a trial's time: mean {100 * statistics.mean(shares):.2f} %")
 
 
 def load(url: str, seconds: float, rate: float = 200.0) -> None:
@@ -73,13 +90,24 @@ def load(url: str, seconds: float, rate: float = 200.0) -> None:
     spread("answer", took, "ms")
 
 
-def estop(url: str, count: int) -> None:
+def estop(url: str, count: int, moving: bool) -> None:
     rig = lambda: call(url, "/api/v1/status")["rig"]
-    act = lambda action: call(url, "/api/v1/rig/actions", {"action": action, "who": "figures"})
+    act = lambda action, **more: call(url, "/api/v1/rig/actions", {"action": action, "who": "figures", **more})
+
+    def until(state: str) -> None:
+        while rig()["state"] != state:
+            time.sleep(0.02)
+
     took = []
-    for _ in range(count):
+    for n in range(count):
+        if moving:
+            act("home")
+            until("homed")
+            act("jog", axis="x", to_mm=[100.0, 400.0][n % 2])
+            time.sleep(0.3)
         call(url, "/api/v1/estop", {"why": "figures"})
-        while (ms := rig()["estop_acknowledged_ms"]) is None or rig()["state"] != "tripped":
+        until("tripped")
+        while (ms := rig()["estop_acknowledged_ms"]) is None:
             time.sleep(0.02)
         took.append(ms)
         act("reset")
@@ -87,9 +115,9 @@ def estop(url: str, count: int) -> None:
 
 
 def main() -> None:
-    url, what, value = sys.argv[1:4]
-    {"trials": lambda: trials(url, value), "load": lambda: load(url, float(value)),
-     "estop": lambda: estop(url, int(value))}[what]()
+    url, what, value, more = [*sys.argv[1:4], *sys.argv[4:5], ""][:4]
+    {"gaps": lambda: gaps(url, value, float(more or 0)), "load": lambda: load(url, float(value)),
+     "estop": lambda: estop(url, int(value), more == "moving")}[what]()
 
 
 main()

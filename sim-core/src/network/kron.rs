@@ -8,6 +8,8 @@
 //! part 1 section 3).
 //! Multifrontal: each part of the dissection is a small dense front (column-major, below the
 //! diagonal only, last row = top); what remains of it is added to its parent's front.
+//! A kept factor also gives potentials everywhere: a removed node's is the mean of those still there
+//! when it went, weighted by `a_kj / d`.
 
 use super::{Resistor, SheetNetwork};
 use crate::order::{Part, dissect};
@@ -18,7 +20,7 @@ const PANEL: usize = 8;
 const TILE: usize = 4;
 
 /// One dense front.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 struct Front {
     /// Nodes removed here.
     pivots: usize,
@@ -30,6 +32,8 @@ struct Front {
     resistors: Vec<(u32, f64)>,
     /// Per child, in the order of the stack from its top: row here of each of its rows, top last.
     children: Vec<Vec<u32>>,
+    /// Places in the order of the rows after the pivots.
+    remains: Vec<u32>,
 }
 
 impl Front {
@@ -40,7 +44,7 @@ impl Front {
 }
 
 /// The plan of the removal; holds for every load of the same network.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct KronReduction {
     fronts: Vec<Front>,
     /// Node at each place of the order, the kept ones last.
@@ -54,6 +58,17 @@ pub struct KronWork {
     front: Vec<f64>,
     stack: Vec<f64>,
     reduced: Vec<f64>,
+}
+
+/// What a reduction leaves behind for [`KronReduction::solve_columns`]: the pivots' columns of all
+/// fronts, one after the other, each with `1 / sqrt(d)` on its diagonal.
+#[derive(Debug, Default)]
+pub struct KronFactor {
+    columns: Vec<f64>,
+    /// Potentials in one front, row-major.
+    front: Vec<f64>,
+    /// Potentials at every place of the order, row-major.
+    ordered: Vec<f64>,
 }
 
 impl KronReduction {
@@ -95,6 +110,73 @@ impl KronReduction {
     /// the network's nodes. The result is a (kept + 1) x kept block, column-major: below the
     /// diagonal the conductances between electrodes, in the last row those to the top.
     pub fn reduce<'w>(&self, to_top_s: &[f64], work: &'w mut KronWork) -> &'w [f64] {
+        self.eliminate(to_top_s, work, |_| ())
+    }
+
+    /// [`Self::reduce`] that keeps its factor: the same block, to the last bit.
+    pub fn factor<'w>(
+        &self,
+        to_top_s: &[f64],
+        work: &'w mut KronWork,
+        factor: &mut KronFactor,
+    ) -> &'w [f64] {
+        factor.columns.clear();
+        self.eliminate(to_top_s, work, |pivots| factor.columns.extend_from_slice(pivots))
+    }
+
+    /// Potentials at all nodes (row-major, indexed by the network's nodes, `width` columns) that
+    /// follow from those of the electrodes (`kept`, row-major in their order) and of the top layer
+    /// (`top`, the same in every column), with no current fed in elsewhere. Each is a weighted mean of
+    /// the given ones, without a subtraction. `width` is a multiple of four.
+    pub fn solve_columns(
+        &self,
+        factor: &mut KronFactor,
+        kept: &[f64],
+        top: f64,
+        width: usize,
+        potentials: &mut Vec<f64>,
+    ) {
+        let KronFactor { columns, front: local, ordered } = factor;
+        ordered.clear();
+        ordered.resize((self.order.len() - self.kept) * width, 0.0);
+        ordered.extend_from_slice(kept);
+        let mut end = columns.len();
+        for front in self.fronts.iter().rev() {
+            let lead = front.lead();
+            let begin = end - front.pivots * lead;
+            let block = &columns[begin..end];
+            end = begin;
+            // Here the last row comes first, so that a pivot's sum runs over all that is known.
+            local.clear();
+            local.resize(width, top);
+            for &place in front.remains.iter().rev() {
+                local.extend_from_slice(&ordered[place as usize * width..][..width]);
+            }
+            let own = &mut ordered[front.first * width..][..front.pivots * width];
+            let mut k = front.pivots;
+            while k > 0 {
+                if k >= TILE {
+                    k -= TILE;
+                    solve_pivots::<TILE>(block, lead, [front.rows, k], local, own, width);
+                } else {
+                    k -= 1;
+                    solve_pivots::<1>(block, lead, [front.rows, k], local, own, width);
+                }
+            }
+        }
+        potentials.resize(ordered.len(), 0.0);
+        for (&node, row) in self.order.iter().zip(ordered.chunks_exact(width)) {
+            potentials[node as usize * width..][..width].copy_from_slice(row);
+        }
+    }
+
+    /// `keep` sees each front's pivot columns after their removal.
+    fn eliminate<'w>(
+        &self,
+        to_top_s: &[f64],
+        work: &'w mut KronWork,
+        mut keep: impl FnMut(&[f64]),
+    ) -> &'w [f64] {
         let KronWork { front: buffer, stack, reduced } = work;
         stack.clear();
         for front in &self.fronts {
@@ -117,6 +199,7 @@ impl KronReduction {
                 stack.truncate(stack.len() - size);
             }
             remove_pivots(block, lead, front.rows, front.pivots);
+            keep(&block[..front.pivots * lead]);
             for j in front.pivots..front.rows {
                 stack.extend_from_slice(&block[j * lead + j + 1..=j * lead + front.rows]);
             }
@@ -149,8 +232,9 @@ fn extend_add(block: &mut [f64], lead: usize, rows: &[u32], update: &[f64]) {
     }
 }
 
-/// Removes the first `pivots` nodes of a front of `rows` nodes and the top. Entries on and above the
-/// diagonal, and in the padding columns, are scratch: nothing reads them.
+/// Removes the first `pivots` nodes of a front of `rows` nodes and the top, and leaves their
+/// `1 / sqrt(d)` on the diagonal. Other entries on and above it, and in the padding columns, are
+/// scratch: nothing reads them.
 fn remove_pivots(block: &mut [f64], lead: usize, rows: usize, pivots: usize) {
     let mut start = 0;
     while start < pivots {
@@ -193,6 +277,54 @@ fn update_tiles(panel: &[f64], columns: &mut [f64], lead: usize, from: usize) {
     }
 }
 
+/// Potentials of the pivots `first..first + P` of a front, from those of all later rows in `local`
+/// (the last one first), to which they are appended; also into `own`, by pivots.
+fn solve_pivots<const P: usize>(
+    block: &[f64],
+    lead: usize,
+    [rows, first]: [usize; 2],
+    local: &mut Vec<f64>,
+    own: &mut [f64],
+    width: usize,
+) {
+    let columns: [&[f64]; P] = std::array::from_fn(|p| &block[(first + p) * lead..][..=rows]);
+    for at in (0..width).step_by(TILE) {
+        let mut sums = later_sums(&columns, local, [rows, first + P], [width, at]);
+        for p in (0..P).rev() {
+            for q in (p + 1..P).rev() {
+                let (weight, later) = (columns[p][first + q], sums[q]);
+                sums[p] = std::array::from_fn(|c| sums[p][c] + weight * later[c]);
+            }
+            sums[p] = sums[p].map(|value| value * columns[p][first + p]);
+            own[(first + p) * width + at..][..TILE].copy_from_slice(&sums[p]);
+        }
+    }
+    for pivot in own[first * width..][..P * width].chunks_exact(width).rev() {
+        local.extend_from_slice(pivot);
+    }
+}
+
+/// Part of [`solve_pivots`]: a function of its own, so that the sums stay in registers.
+#[inline(never)]
+fn later_sums<const P: usize>(
+    columns: &[&[f64]; P],
+    local: &[f64],
+    [rows, next]: [usize; 2],
+    [width, at]: [usize; 2],
+) -> [[f64; TILE]; P] {
+    let mut sums = [[0.0; TILE]; P];
+    for (later, row) in local.chunks_exact(width).zip((next..=rows).rev()) {
+        let later = four(later, at);
+        for (sums, column) in sums.iter_mut().zip(columns) {
+            let weight = column[row];
+            for (sum, value) in sums.iter_mut().zip(later) {
+                *sum += weight * value;
+            }
+        }
+    }
+    sums
+}
+
 #[inline(always)]
 fn four(values: &[f64], at: usize) -> &[f64; TILE] {
     values[at..].first_chunk().expect("columns are padded to whole tiles")
@@ -204,13 +336,14 @@ fn factor_panel(panel: &mut [f64], lead: usize, start: usize) {
     for k in 0..width {
         let (before, column) = panel.split_at_mut(k * lead);
         let row = start + k;
-        let column = &mut column[row + 1..lead];
+        let (diagonal, column) = column[row..lead].split_at_mut(1);
         for source in before.chunks_exact(lead) {
             add_scaled(column, source[row], &source[row + 1..]);
         }
         let d = sum(column);
         let scale = if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 };
         column.iter_mut().for_each(|value| *value *= scale);
+        diagonal[0] = scale;
     }
 }
 
@@ -242,7 +375,6 @@ fn fronts(
     kept: usize,
 ) -> Vec<Front> {
     let removed = (place.len() - kept) as u32;
-    let mut remains: Vec<Vec<u32>> = Vec::with_capacity(parts.len());
     let mut fronts: Vec<Front> = Vec::with_capacity(parts.len());
     let mut front_of = Vec::with_capacity(place.len());
     let mut first = 0;
@@ -254,7 +386,7 @@ fn fronts(
             .nodes
             .iter()
             .flat_map(|&n| neighbours[n as usize].iter().map(|&m| place[m as usize]))
-            .chain(part.children.iter().flat_map(|&c| remains[c].iter().copied()))
+            .chain(part.children.iter().flat_map(|&c| fronts[c].remains.iter().copied()))
             .chain(if is_root { removed..place.len() as u32 } else { 0..0 })
             .filter(|&at| at >= end)
             .collect();
@@ -266,13 +398,14 @@ fn fronts(
             .iter()
             .rev()
             .map(|&child| {
-                let mapped = remains[child].iter().map(|at| row_of(&rows, *at));
+                let mapped = fronts[child].remains.iter().map(|at| row_of(&rows, *at));
                 mapped.chain([rows.len() as u32]).collect()
             })
             .collect();
         front_of.extend(std::iter::repeat_n(index, pivots));
-        fronts.push(Front { pivots, first, rows: rows.len(), resistors: Vec::new(), children });
-        remains.push(boundary);
+        let rows = rows.len();
+        let resistors = Vec::new();
+        fronts.push(Front { pivots, first, rows, resistors, children, remains: boundary });
         first += pivots;
     }
     front_of.extend(std::iter::repeat_n(parts.len() - 1, kept));
@@ -286,7 +419,7 @@ fn fronts(
             if at < end && at >= base {
                 at - base
             } else {
-                front.pivots as u32 + row_of(&remains[index], at)
+                front.pivots as u32 + row_of(&front.remains, at)
             }
         };
         let at = row(low) * front.lead() as u32 + row(high);

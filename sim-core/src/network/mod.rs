@@ -5,8 +5,14 @@
 //! layer. `order` and `kron` remove all nodes but the electrodes and the top without a subtraction;
 //! `readout` turns what is left into the impedances Z and the voltages.
 
+pub mod adjoint;
 pub mod kron;
+pub(crate) mod lane;
+#[cfg(target_arch = "x86_64")]
+pub(crate) mod lane_x86;
+pub mod plan;
 pub mod readout;
+pub(crate) mod reduce;
 pub mod sheet;
 
 use crate::circuit::ReadoutCircuit;

@@ -35,6 +35,7 @@ impl ReadoutWork {
 
     /// Works out Z, the voltages and the frame from the block of [`super::kron::KronReduction`]
     /// (column-major, `n + 1` rows, conductances below the diagonal, those to the top last).
+    #[inline(always)] // so that a kernel's vectors serve here too
     pub fn evaluate(&mut self, reduced: &[f64], circuit: &ReadoutCircuit) {
         let n = circuit.electrodes.len();
         for block in
@@ -45,25 +46,27 @@ impl ReadoutWork {
         }
         self.factor(reduced, n);
         self.invert(n);
-        for k in 0..n {
-            let own = self.impedance_ohm[n * k + k] + circuit.electrodes[k].lead_ohm;
-            for j in (0..n).filter(|&j| j != k) {
-                let seen = if own.is_finite() && own > 0.0 {
-                    (own - self.impedance_ohm[n * j + k]) / own
-                } else {
-                    0.0 // no path to the top at all: nothing flows
-                };
-                self.electrodes_v[n * k + j] = circuit.source_v * seen;
-            }
-            let voltages = &self.electrodes_v[n * k..][..n];
-            for j in 0..n {
-                self.frame_v[n * k + j] = circuit.gain * (voltages[j] - voltages[(j + 1) % n]);
+        let ReadoutWork { impedance_ohm, electrodes_v, frame_v, .. } = self;
+        let rows = impedance_ohm.chunks_exact(n).zip(electrodes_v.chunks_exact_mut(n));
+        for (k, ((z, voltages), frame)) in rows.zip(frame_v.chunks_exact_mut(n)).enumerate() {
+            let own = z[k] + circuit.electrodes[k].lead_ohm;
+            if own.is_finite() && own > 0.0 {
+                let volts_per_ohm = circuit.source_v / own;
+                for (v, z) in voltages.iter_mut().zip(z) {
+                    *v = volts_per_ohm * (own - z);
+                }
+            } // else no path to the top at all: nothing flows
+            voltages[k] = 0.0;
+            for (j, value) in frame.iter_mut().enumerate() {
+                let next = if j + 1 < n { j + 1 } else { 0 };
+                *value = circuit.gain * (voltages[j] - voltages[next]);
             }
         }
     }
 
     /// Cholesky without subtraction: `lower[column]` holds l_ik > 0 below the diagonal, and
     /// `1 / sqrt(d)` on it; the last row (top) takes part in d.
+    #[inline(always)]
     fn factor(&mut self, reduced: &[f64], n: usize) {
         let lead = n + 1;
         self.lower.clear();
@@ -76,30 +79,50 @@ impl ReadoutWork {
             column[k + 1..].iter_mut().for_each(|v| *v *= scale);
             column[k] = scale;
             for (j, target) in (k + 1..n).zip(from_k.chunks_exact_mut(lead)) {
-                for i in j + 1..lead {
-                    target[i] += column[i] * column[j];
-                }
+                add_scaled(&mut target[j + 1..], column[j], &column[j + 1..]);
             }
         }
     }
 
-    /// `inverse` = L^-1 (row-major, all entries >= 0), Z = L^-T L^-1.
+    /// `inverse` = L^-1 by columns, all entries >= 0; then Z = L^-T L^-1.
+    #[inline(always)]
     fn invert(&mut self, n: usize) {
         let lead = n + 1;
-        for k in 0..n {
-            self.inverse[n * k + k] = self.lower[k * lead + k];
-            for i in k + 1..n {
-                let sum: f64 =
-                    (k..i).map(|j| self.lower[j * lead + i] * self.inverse[n * j + k]).sum();
-                self.inverse[n * i + k] = sum * self.lower[i * lead + i];
+        for (k, column) in self.inverse.chunks_exact_mut(n).enumerate() {
+            column[k] = 1.0;
+            for (j, lower) in self.lower.chunks_exact(lead).enumerate().skip(k) {
+                let (done, rest) = column.split_at_mut(j + 1);
+                done[j] *= lower[j];
+                add_scaled(rest, done[j], &lower[j + 1..n]);
             }
         }
-        for j in 0..n {
-            for k in 0..=j {
-                let z = (j..n).map(|i| self.inverse[n * i + j] * self.inverse[n * i + k]).sum();
+        for (j, left) in self.inverse.chunks_exact(n).enumerate() {
+            for (k, right) in self.inverse.chunks_exact(n).enumerate().take(j + 1) {
+                let z = dot(&left[j..], &right[j..]);
                 self.impedance_ohm[n * j + k] = z;
                 self.impedance_ohm[n * k + j] = z;
             }
         }
     }
+}
+
+#[inline(always)]
+fn add_scaled(target: &mut [f64], factor: f64, source: &[f64]) {
+    for (t, s) in target.iter_mut().zip(source) {
+        *t += factor * s;
+    }
+}
+
+/// Scalar product in four strands, which a processor adds side by side.
+#[inline(always)]
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let ((a, a_tail), (b, b_tail)) = (a.as_chunks::<4>(), b.as_chunks::<4>());
+    let mut sums = [0.0; 4];
+    for (a, b) in a.iter().zip(b) {
+        for (sum, (a, b)) in sums.iter_mut().zip(a.iter().zip(b)) {
+            *sum += a * b;
+        }
+    }
+    let tail: f64 = a_tail.iter().zip(b_tail).map(|(a, b)| a * b).sum();
+    sums.iter().sum::<f64>() + tail
 }

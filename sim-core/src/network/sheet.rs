@@ -13,14 +13,21 @@ use crate::mesh::Mesh;
 pub fn resistors(mesh: &Mesh, sheet_s: &[f64]) -> Vec<Resistor> {
     let mut edges: BTreeMap<(u32, u32), f64> = BTreeMap::new();
     for (triangle, &sigma) in mesh.triangles.iter().zip(sheet_s) {
-        let area = mesh.triangle_area_mm2(triangle);
-        for corner in 0..3 {
-            let [apex, a, b] = [0, 1, 2].map(|k| triangle[(corner + k) % 3]);
-            let [p, q, r] = [apex, a, b].map(|n| mesh.nodes_mm[n as usize]);
-            let dot = (q[0] - p[0]) * (r[0] - p[0]) + (q[1] - p[1]) * (r[1] - p[1]);
-            let cot = dot / (2.0 * area);
-            *edges.entry((a.min(b), a.max(b))).or_default() += 0.5 * sigma * cot;
+        for Resistor { a, b, conductance_s } in of_triangle(mesh, triangle, sigma) {
+            *edges.entry((a, b)).or_default() += conductance_s;
         }
     }
     edges.into_iter().map(|((a, b), conductance_s)| Resistor { a, b, conductance_s }).collect()
+}
+
+/// What a triangle of `sigma` S per square adds to the resistors on its edges.
+pub fn of_triangle(mesh: &Mesh, triangle: &[u32; 3], sigma: f64) -> [Resistor; 3] {
+    let area = mesh.triangle_area_mm2(triangle);
+    std::array::from_fn(|corner| {
+        let [apex, a, b] = [0, 1, 2].map(|k| triangle[(corner + k) % 3]);
+        let [p, q, r] = [apex, a, b].map(|n| mesh.nodes_mm[n as usize]);
+        let dot = (q[0] - p[0]) * (r[0] - p[0]) + (q[1] - p[1]) * (r[1] - p[1]);
+        let cot = dot / (2.0 * area);
+        Resistor { a: a.min(b), b: a.max(b), conductance_s: 0.5 * sigma * cot }
+    })
 }

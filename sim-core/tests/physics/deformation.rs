@@ -115,7 +115,7 @@ fn confined_compression_follows_the_closed_form() {
 #[test]
 fn the_cache_gives_back_the_same_table_and_refuses_others() {
     let table = responses();
-    assert_eq!(table.vertices().len(), 1720);
+    assert_eq!(table.nodes(), 3503);
     let bytes = table.to_bytes();
     assert_eq!(UnitResponses::from_bytes(&bytes, sensor()).unwrap(), *table);
     let mut flipped = bytes.clone();

@@ -7,13 +7,17 @@ use sim_core::forward::{Contact, ForwardModel};
 use sim_core::responses::UnitResponses;
 use sim_core::sensor::Sensor;
 
+mod batch;
 mod calculix;
 mod convergence;
 mod deformation;
 mod elements;
 mod forward;
+mod jacobian;
 mod mesh;
 mod network;
+mod surface;
+mod tip;
 mod ngspice;
 mod tools;
 

@@ -7,6 +7,7 @@ use clap::{Args, Subcommand};
 
 use super::error::CliError;
 
+mod random;
 mod trials;
 
 /// Options of `simulate`.
@@ -21,12 +22,18 @@ pub struct SimulateArgs {
 
 /// What is simulated, besides trials from a file.
 #[derive(Debug, Clone, Subcommand)]
-pub enum SimulateCommand {}
+pub enum SimulateCommand {
+    /// Make Sim-Random: trials with random contacts, as Parquet shards.
+    ///
+    /// The same seed and options give the same bytes, whatever the number of threads. Killed or
+    /// stopped, the same command goes on.
+    Random(random::RandomArgs),
+}
 
 /// Runs the command.
 pub async fn simulate(args: SimulateArgs) -> Result<ExitCode, CliError> {
     match args.command {
         None => trials::trials(&args.trials),
-        Some(command) => match command {},
+        Some(SimulateCommand::Random(args)) => random::random(args).await,
     }
 }

@@ -1,0 +1,381 @@
+//! A calibration: what measurements say about a skin's foam and layers, and whose id simulations
+//! carry. Uses: `sensor`, `responses` (which meshes are alike), serde and toml. Never: fitting,
+//! files (the text is handed in), a clock.
+//!
+//! A compression test gives a, b and c of Eq. 1 (paper III-B), indentations give the moduli (III-A).
+//! Each part stands alone, and [`Calibration::over`] joins them. The id is `cal-` and the start of
+//! the sha256 over the file's content, so that an edited file is noticed.
+
+use serde::{Deserialize, Serialize};
+
+use crate::digest::{Digest, hex};
+use crate::responses::UnitResponses;
+use crate::sensor::{Sensor, SensorError};
+
+/// What is wrong with a calibration, or with using it.
+#[derive(Debug, thiserror::Error, PartialEq)]
+pub enum CalibrationError {
+    /// The text is not TOML, or has a key or a type that a calibration does not have.
+    #[error("{0}")]
+    Syntax(String),
+    /// A value is outside its limits.
+    #[error("{key} = {value}: {limit}")]
+    Value {
+        /// Dotted key in the file.
+        key: String,
+        /// The value found, as text.
+        value: String,
+        /// What is allowed.
+        limit: String,
+    },
+    /// The id is not that of the content: the file was edited or damaged.
+    #[error("id = {found}: the content's id is {needed}; calibrate again, do not edit")]
+    Id {
+        /// The id in the file.
+        found: String,
+        /// The content's.
+        needed: String,
+    },
+    /// It was made for another sensor.
+    #[error("sensor = {found}: the calibration is of another sensor than {needed}")]
+    OtherSensor {
+        /// The calibration's.
+        found: String,
+        /// The one at hand.
+        needed: String,
+    },
+    /// The moduli were fitted on another mesh: point loads make them depend on it.
+    #[error("foam.mesh = {found}: the moduli are of another mesh than {needed}")]
+    OtherMesh {
+        /// The calibration's.
+        found: String,
+        /// The one at hand.
+        needed: String,
+    },
+    /// With the calibrated values the sensor is not sound.
+    #[error("calibrated sensor: {0}")]
+    Sensor(#[from] SensorError),
+}
+
+/// A fitted number with its 95 % confidence interval.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Fitted {
+    /// The estimate.
+    pub value: f64,
+    /// Lower end of the interval.
+    pub low_95: f64,
+    /// Upper end of the interval.
+    pub high_95: f64,
+}
+
+/// How far a model is from measurements, and relative to how much these vary.
+///
+/// The paper states "a normalized root-mean-square error (RMSE) of 24.1%" for the displacement
+/// (III-A) and "a normalized RMSE of 28.3%" for the voltages (III-C), and does not say in its main
+/// text by what it divides. Both usual readings are given. For voltages the first agrees with the
+/// rest of the paper: it is the square root of the FVU of Eq. 2, and 28.3 % is an FVU of 0.08 where
+/// Fig. 7 has medians of about 0.1.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Accuracy {
+    /// Root mean square of model minus measurement, in the measurement's unit (mm or V).
+    pub rmse: f64,
+    /// The same over the standard deviation of the measurements.
+    pub nrmse_by_sd: f64,
+    /// The same over the range (largest minus smallest) of the measurements.
+    pub nrmse_by_range: f64,
+    /// Values compared.
+    pub values: usize,
+}
+
+/// Eq. 1 as a compression test gives it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PiezoCalibration {
+    /// sha256 of the measurements' file.
+    pub data_sha256: String,
+    /// Rows in it.
+    pub rows: usize,
+    /// Smallest and largest compression measured, mm: outside, the law is extrapolated.
+    pub compression_mm: [f64; 2],
+    /// Residual standard deviation of ln(resistance).
+    pub residual_sd_ln: f64,
+    /// a, ohm.
+    pub a_ohm: Fitted,
+    /// b, 1/mm.
+    pub b_per_mm: Fitted,
+    /// c, ohm.
+    pub c_ohm: Fitted,
+}
+
+/// The moduli as single-point indentations give them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FoamCalibration {
+    /// sha256 of the measurements' file.
+    pub data_sha256: String,
+    /// Rows in it.
+    pub rows: usize,
+    /// The mesh that the moduli belong to, see [`mesh_id`].
+    pub mesh: String,
+    /// Largest force measured, N.
+    pub force_n: f64,
+    /// Young's modulus of the bottom fabric, MPa.
+    pub bottom_mpa: f64,
+    /// Young's modulus of the top fabric, MPa.
+    pub top_mpa: f64,
+    /// Young's modulus of the foam, MPa.
+    pub foam_mpa: Fitted,
+    /// Factor on both fabrics' moduli in the sensor file; absent where the data do not identify it
+    /// and the sensor file's are kept.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fabric_factor: Option<Fitted>,
+    /// Displacement of the model against the measured one, mm.
+    pub displacement: Accuracy,
+}
+
+/// What is known about a skin. Values replace those of the sensor file; the rest stays.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Calibration {
+    /// Name of the sensor file it was made with.
+    pub sensor: String,
+    /// From a compression test.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub piezo: Option<PiezoCalibration>,
+    /// From indentations.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub foam: Option<FoamCalibration>,
+    /// Voltages of single contacts under this calibration against measured ones, V.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub voltage: Option<Accuracy>,
+}
+
+/// Name of what moduli depend on besides themselves: lattice, layers, element, solver. The start of
+/// the unit responses' key with every modulus set to 1 MPa.
+pub fn mesh_id(sensor: &Sensor) -> Result<String, SensorError> {
+    let mut file = sensor.file.clone();
+    for layer in [&mut file.layers.bottom, &mut file.layers.foam, &mut file.layers.top] {
+        layer.youngs_mpa = 1.0;
+    }
+    Ok(hex(&UnitResponses::key(&Sensor::new(file)?)[..8]))
+}
+
+impl Calibration {
+    /// Parses and checks a calibration file's text.
+    pub fn from_toml(text: &str) -> Result<Self, CalibrationError> {
+        let syntax = |e: toml::de::Error| CalibrationError::Syntax(e.to_string());
+        let mut table: toml::Table = toml::from_str(text).map_err(syntax)?;
+        let id = table.remove("id");
+        let calibration: Self = table.try_into().map_err(syntax)?;
+        calibration.check()?;
+        let found = id.as_ref().and_then(toml::Value::as_str).unwrap_or("none").to_owned();
+        let needed = calibration.id()?;
+        if found != needed {
+            return Err(CalibrationError::Id { found, needed });
+        }
+        Ok(calibration)
+    }
+
+    /// The file's text; what [`Self::from_toml`] reads back as the same.
+    pub fn to_toml(&self) -> Result<String, CalibrationError> {
+        Ok(format!("id = \"{}\"\n{}", self.id()?, self.content()?))
+    }
+
+    /// `cal-` and the start of the sha256 over the content.
+    pub fn id(&self) -> Result<String, CalibrationError> {
+        let mut digest = Digest::new("calibration 1");
+        digest.word(&self.content()?);
+        Ok(format!("cal-{}", hex(&digest.finish()[..8])))
+    }
+
+    /// This one, and from an earlier one the parts that this one does not have. The voltages' accuracy
+    /// belongs to a combination: it is dropped where the earlier one adds something.
+    pub fn over(mut self, earlier: &Self) -> Result<Self, CalibrationError> {
+        if earlier.sensor != self.sensor {
+            let (found, needed) = (earlier.sensor.clone(), self.sensor);
+            return Err(CalibrationError::OtherSensor { found, needed });
+        }
+        let adds = (self.piezo.is_none() && earlier.piezo.is_some())
+            || (self.foam.is_none() && earlier.foam.is_some());
+        if adds {
+            self.voltage = None;
+        }
+        self.piezo = self.piezo.or_else(|| earlier.piezo.clone());
+        self.foam = self.foam.or_else(|| earlier.foam.clone());
+        Ok(self)
+    }
+
+    /// The sensor with the calibrated values in place of its own, and this calibration's id.
+    pub fn apply(&self, sensor: &Sensor) -> Result<Sensor, CalibrationError> {
+        let mut file = sensor.file.clone();
+        if self.sensor != file.name {
+            let (found, needed) = (self.sensor.clone(), file.name);
+            return Err(CalibrationError::OtherSensor { found, needed });
+        }
+        if let Some(piezo) = &self.piezo {
+            file.piezo.a_ohm = piezo.a_ohm.value;
+            file.piezo.b_per_mm = piezo.b_per_mm.value;
+            file.piezo.c_ohm = piezo.c_ohm.value;
+        }
+        if let Some(foam) = &self.foam {
+            let needed = mesh_id(sensor)?;
+            if foam.mesh != needed {
+                return Err(CalibrationError::OtherMesh { found: foam.mesh.clone(), needed });
+            }
+            file.layers.bottom.youngs_mpa = foam.bottom_mpa;
+            file.layers.foam.youngs_mpa = foam.foam_mpa.value;
+            file.layers.top.youngs_mpa = foam.top_mpa;
+        }
+        Ok(Sensor::new(file)?.calibrated(self.id()?))
+    }
+
+    fn content(&self) -> Result<String, CalibrationError> {
+        toml::to_string(self).map_err(|e| CalibrationError::Syntax(e.to_string()))
+    }
+
+    fn check(&self) -> Result<(), CalibrationError> {
+        if self.piezo.is_none() && self.foam.is_none() {
+            return Err(bad("piezo, foam", "neither", "a calibration holds at least one"));
+        }
+        if let Some(p) = &self.piezo {
+            fitted("piezo.a_ohm", &p.a_ohm)?;
+            fitted("piezo.b_per_mm", &p.b_per_mm)?;
+            fitted("piezo.c_ohm", &p.c_ohm)?;
+        }
+        if let Some(f) = &self.foam {
+            fitted("foam.foam_mpa", &f.foam_mpa)?;
+            f.fabric_factor.as_ref().map_or(Ok(()), |x| fitted("foam.fabric_factor", x))?;
+            for (key, mpa) in [("foam.bottom_mpa", f.bottom_mpa), ("foam.top_mpa", f.top_mpa)] {
+                if !(mpa > 0.0 && mpa.is_finite()) {
+                    return Err(bad(key, mpa, "must be a positive number"));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn bad(key: &str, value: impl ToString, limit: &str) -> CalibrationError {
+    CalibrationError::Value { key: key.into(), value: value.to_string(), limit: limit.into() }
+}
+
+fn fitted(key: &str, f: &Fitted) -> Result<(), CalibrationError> {
+    let ordered = 0.0 < f.low_95 && f.low_95 <= f.value && f.value <= f.high_95;
+    if ordered && f.high_95.is_finite() {
+        return Ok(());
+    }
+    let found = format!("{} ({} to {})", f.value, f.low_95, f.high_95);
+    Err(bad(key, found, "must be positive, within its interval"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sensor() -> Sensor {
+        Sensor::from_toml(include_str!("../../experiments/sensors/ert-28.toml")).unwrap()
+    }
+
+    fn about(value: f64) -> Fitted {
+        Fitted { value, low_95: 0.9 * value, high_95: 1.1 * value }
+    }
+
+    fn piezo() -> Calibration {
+        let piezo = PiezoCalibration {
+            data_sha256: "00".into(),
+            rows: 12,
+            compression_mm: [0.05, 3.0],
+            residual_sd_ln: 0.1,
+            a_ohm: about(2.0e8),
+            b_per_mm: about(1.5),
+            c_ohm: about(6.0e5),
+        };
+        Calibration { sensor: "ert-28".into(), piezo: Some(piezo), foam: None, voltage: None }
+    }
+
+    fn foam() -> Calibration {
+        let foam = FoamCalibration {
+            data_sha256: "11".into(),
+            rows: 20,
+            mesh: mesh_id(&sensor()).unwrap(),
+            force_n: 40.0,
+            bottom_mpa: 20.0,
+            top_mpa: 20.0,
+            foam_mpa: about(0.05),
+            fabric_factor: None,
+            displacement: Accuracy {
+                rmse: 0.2,
+                nrmse_by_sd: 0.25,
+                nrmse_by_range: 0.07,
+                values: 20,
+            },
+        };
+        Calibration { sensor: "ert-28".into(), piezo: None, foam: Some(foam), voltage: None }
+    }
+
+    #[test]
+    fn a_file_is_read_back_as_the_same() {
+        let both = foam().over(&piezo()).unwrap();
+        let text = both.to_toml().unwrap();
+        assert_eq!(Calibration::from_toml(&text).unwrap(), both);
+    }
+
+    #[test]
+    fn the_id_is_of_the_content_and_stays_what_it_is() {
+        // Files in the world carry it: a change of this number is a change of the format.
+        assert_eq!(piezo().id().unwrap(), "cal-c5258dd7737cff82");
+        assert_ne!(piezo().id().unwrap(), foam().id().unwrap());
+        let edited = piezo().to_toml().unwrap().replace("1.5", "1.6");
+        assert!(matches!(Calibration::from_toml(&edited), Err(CalibrationError::Id { .. })));
+    }
+
+    #[test]
+    fn applied_to_its_sensor_it_replaces_what_it_knows_and_leaves_its_id() {
+        let both = foam().over(&piezo()).unwrap();
+        let applied = both.apply(&sensor()).unwrap();
+        assert_eq!(applied.file.piezo.b_per_mm, 1.5);
+        assert_eq!(applied.file.layers.foam.youngs_mpa, 0.05);
+        assert_eq!(applied.file.circuit, sensor().file.circuit);
+        assert_eq!(applied.calibration(), Some(both.id().unwrap().as_str()));
+        assert_eq!(sensor().calibration(), None);
+    }
+
+    #[test]
+    fn another_sensor_and_another_mesh_are_refused() {
+        let mut other = sensor().file;
+        other.name = "mine".into();
+        let other = Sensor::new(other).unwrap();
+        assert!(matches!(piezo().apply(&other), Err(CalibrationError::OtherSensor { .. })));
+        let mut thicker = sensor().file;
+        thicker.layers.foam.elements = 4;
+        let thicker = Sensor::new(thicker).unwrap();
+        assert!(matches!(foam().apply(&thicker), Err(CalibrationError::OtherMesh { .. })));
+        // Moduli do not make a mesh.
+        let mut softer = sensor().file;
+        softer.layers.foam.youngs_mpa = 0.06;
+        assert!(foam().apply(&Sensor::new(softer).unwrap()).is_ok());
+    }
+
+    #[test]
+    fn the_accuracy_of_voltages_does_not_outlive_its_combination() {
+        let mut with = piezo();
+        with.voltage = foam().foam.map(|f| f.displacement);
+        assert!(with.clone().over(&piezo()).unwrap().voltage.is_some());
+        assert!(with.over(&foam()).unwrap().voltage.is_none());
+    }
+
+    #[test]
+    fn a_wrong_value_or_key_is_named() {
+        let mut wrong = piezo();
+        wrong.piezo.as_mut().unwrap().c_ohm.low_95 = -1.0;
+        let error = Calibration::from_toml(&wrong.to_toml().unwrap()).unwrap_err().to_string();
+        assert!(error.starts_with("piezo.c_ohm = 600000 (-1 to"), "{error}");
+        let none = Calibration { piezo: None, ..piezo() };
+        assert!(Calibration::from_toml(&none.to_toml().unwrap()).is_err());
+        let unknown = piezo().to_toml().unwrap().replace("rows", "rwos");
+        let error = Calibration::from_toml(&unknown).unwrap_err().to_string();
+        assert!(error.contains("rwos"), "{error}");
+    }
+}

@@ -1,0 +1,375 @@
+//! The frame's derivative: by contacts (place, force) and by the skin's fields and circuit.
+//! Uses: `forward`, `tip`, `piezo`, `network::adjoint`. Never: differences of frames.
+//!
+//! One elimination and one back-substitution per load, whatever the number of parameters; then each
+//! parameter costs a sum over the nodes that it moves, and the gradient of a misfit over all
+//! parameters of all fields at once costs about as much as one frame.
+//!
+//! Where the model has a kink the derivative is that of one side: a node at or below the clamps
+//! (uplift; the least compression inside f) does not move with load or compliance; at a sample of a
+//! displacement table the next piece counts; on an edge of the lattice, one of its two triangles.
+
+use crate::circuit::ReadoutCircuit;
+use crate::fields::NodeFields;
+use crate::forward::{Contact, ContactError, ForwardModel, NodeLaw, Workspace};
+use crate::mesh::Mesh;
+use crate::network::adjoint::{Direction, Potentials, Pull};
+use crate::network::kron::KronFactor;
+use crate::network::{Resistor, sheet};
+use crate::piezo::conductance_slopes;
+use crate::tip::Share;
+
+/// A contact's parameters, in the order of [`Linearised::contacts`]: x (mm), y (mm), force (N).
+pub const CONTACT_PARAMETERS: usize = 3;
+
+/// A field of parameters of the skin or its circuit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Field {
+    /// ln a of Eq. 1, per node.
+    LnA,
+    /// ln b of Eq. 1, per node.
+    LnB,
+    /// ln c of Eq. 1, per node.
+    LnC,
+    /// ln of the foam's compliance, per node.
+    LnCompliance,
+    /// ln of the sheet's conductance, per triangle.
+    LnSheetConductance,
+    /// Lead resistance, ohm, per electrode.
+    LeadOhm,
+    /// Contact (spreading) resistance, ohm, per electrode. On an ideal electrode, from 0 up.
+    ContactOhm,
+    /// The electrode's x, mm. An ideal electrode is a node and cannot move: 0.
+    ElectrodeX,
+    /// The electrode's y, mm. An ideal electrode is a node and cannot move: 0.
+    ElectrodeY,
+}
+
+impl Field {
+    /// All fields.
+    pub const ALL: [Self; 9] = [
+        Self::LnA,
+        Self::LnB,
+        Self::LnC,
+        Self::LnCompliance,
+        Self::LnSheetConductance,
+        Self::LeadOhm,
+        Self::ContactOhm,
+        Self::ElectrodeX,
+        Self::ElectrodeY,
+    ];
+
+    /// Values of the field on a model.
+    pub fn len(self, model: &ForwardModel) -> usize {
+        match self {
+            Self::LnA | Self::LnB | Self::LnC | Self::LnCompliance => model.mesh().plane_nodes(),
+            Self::LnSheetConductance => model.mesh().triangles.len(),
+            Self::LeadOhm | Self::ContactOhm | Self::ElectrodeX | Self::ElectrodeY => {
+                model.circuit().electrodes.len()
+            }
+        }
+    }
+}
+
+/// A direction in one field: by how much each of its values moves, the others not at all.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Mode {
+    /// The field.
+    pub field: Field,
+    /// Index in the field, and how far it moves. Cost is in proportion to their number.
+    pub entries: Vec<(u32, f64)>,
+}
+
+/// A value for every parameter of every field.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FieldGradient {
+    values: [Vec<f64>; Field::ALL.len()],
+}
+
+impl FieldGradient {
+    /// Zeros for a model.
+    pub fn zeros(model: &ForwardModel) -> Self {
+        Self { values: Field::ALL.map(|field| vec![0.0; field.len(model)]) }
+    }
+
+    /// The values of one field.
+    pub fn of(&self, field: Field) -> &[f64] {
+        &self.values[field as usize]
+    }
+
+    fn of_mut(&mut self, field: Field) -> &mut [f64] {
+        &mut self.values[field as usize]
+    }
+}
+
+/// How one node's conductance to the top moves, S per unit.
+#[derive(Debug, Clone, Copy, Default)]
+struct NodeSlopes {
+    /// Per mm of the nominal skin's compression before the clamp.
+    per_mm: f64,
+    per_ln_a: f64,
+    per_ln_b: f64,
+    per_ln_c: f64,
+    per_ln_compliance: f64,
+}
+
+impl NodeSlopes {
+    fn new(law: &NodeLaw, fields: &NodeFields, sum_mm: f64) -> Self {
+        let linear_mm = sum_mm.max(0.0) * law.compliance;
+        let (compression_mm, slope) = match &fields.displacement {
+            Some(lut) => (lut.apply(linear_mm), lut.slope(linear_mm)),
+            None => (linear_mm, 1.0),
+        };
+        let of = conductance_slopes(law.a_ohm, law.b_per_mm, law.c_ohm, compression_mm);
+        let presses = if sum_mm > 0.0 { law.compliance } else { 0.0 };
+        Self {
+            per_mm: of.per_mm * slope * presses,
+            per_ln_a: of.per_ln_a,
+            per_ln_b: of.per_ln_b,
+            per_ln_c: of.per_ln_c,
+            per_ln_compliance: of.per_mm * slope * linear_mm,
+        }
+    }
+
+    fn of(&self, field: Field) -> f64 {
+        match field {
+            Field::LnA => self.per_ln_a,
+            Field::LnB => self.per_ln_b,
+            Field::LnC => self.per_ln_c,
+            Field::LnCompliance => self.per_ln_compliance,
+            _ => 0.0,
+        }
+    }
+}
+
+/// Memory of a linearisation; each thread brings its own.
+#[derive(Debug, Default)]
+pub struct JacobianWork {
+    forward: Workspace,
+    factor: KronFactor,
+    potentials: Potentials,
+    slopes: Vec<NodeSlopes>,
+    /// Nodes that move with the load.
+    moving: Vec<u32>,
+    shares: Vec<Share>,
+    /// Slopes of the compression before the clamp with a contact's parameters, at those nodes.
+    load_slopes: Vec<[f64; CONTACT_PARAMETERS]>,
+    direction: Direction,
+    pull: Pull,
+    columns: Vec<f64>,
+}
+
+/// The model at one load, from which derivatives follow.
+#[derive(Debug)]
+pub struct Linearised<'a> {
+    model: &'a ForwardModel,
+    contacts: &'a [Contact],
+    work: &'a mut JacobianWork,
+}
+
+impl ForwardModel {
+    /// Derivative of the frame with respect to every contact's x (V/mm), y (V/mm) and force (V/N):
+    /// `[channels * (3 * contact + parameter) + channel]`, channels as in [`Self::voltages`].
+    pub fn jacobian<'w>(
+        &self,
+        contacts: &[Contact],
+        work: &'w mut JacobianWork,
+    ) -> Result<&'w [f64], ContactError> {
+        self.linearise(contacts, work)?.contacts();
+        Ok(&work.columns)
+    }
+
+    /// Factorises the model at a load. Its frame is that of [`Self::voltages`], to the last bit.
+    pub fn linearise<'a>(
+        &'a self,
+        contacts: &'a [Contact],
+        work: &'a mut JacobianWork,
+    ) -> Result<Linearised<'a>, ContactError> {
+        self.load(contacts, &mut work.forward)?;
+        let forward = &mut work.forward;
+        let sums = forward.compression_mm.iter();
+        work.slopes.clear();
+        work.slopes.extend(
+            sums.zip(&self.laws).map(|(&sum, law)| NodeSlopes::new(law, self.fields(), sum)),
+        );
+        work.moving.clear();
+        let moves = |(node, s): (usize, &NodeSlopes)| (s.per_mm != 0.0).then_some(node as u32);
+        work.moving.extend(work.slopes.iter().enumerate().filter_map(moves));
+        self.conduct(forward);
+        let reduced = self.reduction.factor(&forward.to_top_s, &mut forward.kron, &mut work.factor);
+        forward.readout.evaluate(reduced, self.circuit());
+        let electrodes = self.circuit().electrodes.len();
+        work.potentials.solve(&self.reduction, &mut work.factor, &forward.readout, electrodes);
+        Ok(Linearised { model: self, contacts, work })
+    }
+}
+
+impl Linearised<'_> {
+    /// The frame, V after gain.
+    pub fn frame_v(&self) -> &[f64] {
+        self.work.forward.readout.frame_v()
+    }
+
+    /// Derivative by the contacts, as [`ForwardModel::jacobian`] gives it.
+    pub fn contacts(&mut self) -> &[f64] {
+        let JacobianWork {
+            forward,
+            potentials,
+            slopes,
+            moving,
+            shares,
+            load_slopes,
+            direction,
+            columns,
+            ..
+        } = &mut *self.work;
+        let model = self.model;
+        let channels = forward.readout.frame_v().len();
+        columns.clear();
+        columns.resize(channels * CONTACT_PARAMETERS * self.contacts.len(), 0.0);
+        direction.clear(potentials);
+        for &node in moving.iter() {
+            direction.to_top(potentials, node as usize, 0.0);
+        }
+        let mut out = columns.chunks_exact_mut(channels);
+        for contact in self.contacts {
+            shares.clear();
+            model.spread(contact, shares);
+            let sixth_n = contact.force_n / 6.0;
+            load_slopes.clear();
+            load_slopes.resize(moving.len(), [0.0; CONTACT_PARAMETERS]);
+            for share in shares.iter() {
+                let [along_x, along_y] = share.slope_per_mm.map(|slope| sixth_n * slope);
+                let loads = [along_x, along_y, share.sixths / 6.0];
+                let row = model.responses().row(share.node as usize);
+                for (slopes, &node) in load_slopes.iter_mut().zip(moving.iter()) {
+                    let unit = f64::from(row[node as usize]);
+                    for (slope, load) in slopes.iter_mut().zip(loads) {
+                        *slope += load * unit;
+                    }
+                }
+            }
+            for parameter in 0..CONTACT_PARAMETERS {
+                direction.replace_to_top(
+                    moving
+                        .iter()
+                        .zip(load_slopes.iter())
+                        .map(|(&node, of_load)| slopes[node as usize].per_mm * of_load[parameter]),
+                );
+                if let Some(column) = out.next() {
+                    direction.frame(potentials, &forward.readout, model.circuit(), column);
+                }
+            }
+        }
+        columns
+    }
+
+    /// Derivative along modes of the fields: `[channels * mode + channel]`, V after gain per unit of
+    /// the mode.
+    ///
+    /// # Panics
+    /// If a mode has an index beyond its field.
+    pub fn modes(&mut self, modes: &[Mode]) -> &[f64] {
+        let JacobianWork { forward, potentials, slopes, direction, columns, .. } = &mut *self.work;
+        let model = self.model;
+        let channels = forward.readout.frame_v().len();
+        columns.clear();
+        columns.resize(channels * modes.len(), 0.0);
+        for (mode, column) in modes.iter().zip(columns.chunks_exact_mut(channels)) {
+            direction.clear(potentials);
+            for &(index, moved) in &mode.entries {
+                match mode.field {
+                    Field::LnA | Field::LnB | Field::LnC | Field::LnCompliance => {
+                        let change_s = moved * slopes[index as usize].of(mode.field);
+                        direction.to_top(potentials, index as usize, change_s);
+                    }
+                    _ => {
+                        let parts = circuit_parts(model, mode.field, index as usize);
+                        for r in parts.resistors.into_iter().flatten() {
+                            let (a, b) = (r.a as usize, r.b as usize);
+                            direction.between(potentials, a, b, moved * r.conductance_s);
+                        }
+                        direction.lead(parts.electrode, moved * parts.lead_ohm);
+                    }
+                }
+            }
+            direction.frame(potentials, &forward.readout, model.circuit(), column);
+        }
+        columns
+    }
+
+    /// Gradient of `sum(residual * frame)` by every parameter of every field (J' r).
+    ///
+    /// # Panics
+    /// If the residual has not the frame's length, or the gradient is another model's.
+    pub fn pull(&mut self, residual: &[f64], gradient: &mut FieldGradient) {
+        let JacobianWork { forward, potentials, slopes, pull, .. } = &mut *self.work;
+        let model = self.model;
+        assert_eq!(residual.len(), forward.readout.frame_v().len(), "a residual per channel");
+        pull.prepare(residual, potentials, &forward.readout, model.circuit());
+        for (node, slopes) in slopes.iter().enumerate() {
+            let per_siemens = pull.to_top(potentials, node);
+            for field in [Field::LnA, Field::LnB, Field::LnC, Field::LnCompliance] {
+                gradient.of_mut(field)[node] = per_siemens * slopes.of(field);
+            }
+        }
+        for field in &Field::ALL[4..] {
+            for (index, value) in gradient.of_mut(*field).iter_mut().enumerate() {
+                let parts = circuit_parts(model, *field, index);
+                let of = |r: Resistor| {
+                    r.conductance_s * pull.between(potentials, r.a as usize, r.b as usize)
+                };
+                let sheet: f64 = parts.resistors.into_iter().flatten().map(of).sum();
+                *value = sheet + parts.lead_ohm * pull.lead(parts.electrode);
+            }
+        }
+    }
+}
+
+/// What moves with one value of a field that is not the foam's, per unit of it.
+struct CircuitParts {
+    /// Resistors, with the change of their conductance.
+    resistors: [Option<Resistor>; 3],
+    electrode: usize,
+    lead_ohm: f64,
+}
+
+fn circuit_parts(model: &ForwardModel, field: Field, index: usize) -> CircuitParts {
+    let mut parts = CircuitParts { resistors: [None; 3], electrode: 0, lead_ohm: 0.0 };
+    if field == Field::LnSheetConductance {
+        let sigma = model.fields().ln_sheet_conductance[index].exp()
+            / model.sensor().file.circuit.sheet_ohm_per_sq;
+        let triangle = &model.mesh().triangles[index];
+        parts.resistors = sheet::of_triangle(model.mesh(), triangle, sigma).map(Some);
+        return parts;
+    }
+    parts.electrode = index;
+    let ideal = model.circuit().electrodes[index].contact_ohm == 0.0;
+    match field {
+        Field::LeadOhm => parts.lead_ohm = 1.0,
+        // In series with its own lead, and without current otherwise.
+        Field::ContactOhm if ideal => parts.lead_ohm = 1.0,
+        Field::ContactOhm | Field::ElectrodeX | Field::ElectrodeY if !ideal => {
+            parts.resistors = electrode_slopes(model, field, index);
+        }
+        _ => {}
+    }
+    parts
+}
+
+/// Slopes of the resistors between an electrode of its own and the sheet.
+fn electrode_slopes(model: &ForwardModel, field: Field, electrode: usize) -> [Option<Resistor>; 3] {
+    let (mesh, circuit): (&Mesh, &ReadoutCircuit) = (model.mesh(), model.circuit());
+    let site = circuit.electrodes[electrode];
+    let place = mesh.locate(site.x_mm, site.y_mm);
+    let slopes = mesh.weight_slopes(&place, site.x_mm, site.y_mm);
+    let own = model.electrode_nodes[electrode];
+    std::array::from_fn(|corner| {
+        let conductance_s = match field {
+            Field::ContactOhm => -place.weights[corner] / site.contact_ohm.powi(2),
+            Field::ElectrodeX => slopes[corner][0] / site.contact_ohm,
+            _ => slopes[corner][1] / site.contact_ohm,
+        };
+        Some(Resistor { a: place.nodes[corner], b: own, conductance_s })
+    })
+}

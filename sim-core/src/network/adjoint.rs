@@ -1,0 +1,276 @@
+//! How a frame changes with the network's conductances and leads: the adjoint method.
+//! Uses: `kron`, `readout`, `circuit`. Never: how conductances depend on anything.
+//!
+//! With `U = A^-1 E` (potential below the top at every node, per ampere drawn at each electrode), a
+//! conductance `dg` from node i to the top changes `Z` by `-dg u_i u_i'`, and one between a and b by
+//! `-dg (u_a - u_b)(u_a - u_b)'`. One elimination and one back-substitution give U.
+//!
+//! Digits: on a light load all of U is one huge number (1e8 ohm and more) that does not reach the
+//! frame, beside differences of 1e4 ohm that do. So `U = common + D`, and D is what is solved for:
+//! electrodes at `Z - common`, the top at `-common`. The frame's change is then a sum of terms of
+//! its own size.
+
+use super::kron::{KronFactor, KronReduction};
+use super::readout::ReadoutWork;
+use crate::circuit::ReadoutCircuit;
+
+/// Side of the squares in which products are summed.
+const TILE: usize = 4;
+/// Rows that are summed together: they stay in the first cache.
+const BLOCK: usize = 128;
+
+/// Potentials at every node per ampere drawn at each electrode.
+#[derive(Debug, Default)]
+pub struct Potentials {
+    electrodes: usize,
+    width: usize,
+    common_ohm: f64,
+    relative_ohm: Vec<f64>,
+    kept: Vec<f64>,
+}
+
+impl Potentials {
+    /// Solves for them, after `reduction.factor` and `readout.evaluate`.
+    pub fn solve(
+        &mut self,
+        reduction: &KronReduction,
+        factor: &mut KronFactor,
+        readout: &ReadoutWork,
+        electrodes: usize,
+    ) {
+        let z = readout.impedance_ohm();
+        self.electrodes = electrodes;
+        self.width = electrodes.next_multiple_of(TILE);
+        self.common_ohm = z.iter().sum::<f64>() / z.len() as f64;
+        self.kept.clear();
+        self.kept.resize(electrodes * self.width, 0.0);
+        for (row, z) in self.kept.chunks_exact_mut(self.width).zip(z.chunks_exact(electrodes)) {
+            for (relative, z) in row.iter_mut().zip(z) {
+                *relative = z - self.common_ohm;
+            }
+        }
+        let top = -self.common_ohm;
+        reduction.solve_columns(factor, &self.kept, top, self.width, &mut self.relative_ohm);
+    }
+
+    /// Values in a row: the electrodes, and padding that nobody reads.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// A node's potentials less the common one, ohm.
+    pub fn row(&self, node: usize) -> &[f64] {
+        &self.relative_ohm[node * self.width..][..self.width]
+    }
+}
+
+/// A direction in which conductances and leads change.
+#[derive(Debug, Default)]
+pub struct Direction {
+    /// Rows of potentials (or of differences of them), one for each conductance that changes.
+    rows: Vec<f64>,
+    /// Change of each, S.
+    conductances_s: Vec<f64>,
+    /// Sum over conductances to the top, S, and of them times their rows.
+    to_top_s: f64,
+    to_top_v: Vec<f64>,
+    lead_ohm: Vec<f64>,
+    /// Sum of conductance times products of its row, row-major, above the diagonal and on it.
+    products: Vec<f64>,
+}
+
+impl Direction {
+    /// Starts again from no change.
+    pub fn clear(&mut self, potentials: &Potentials) {
+        self.rows.clear();
+        self.conductances_s.clear();
+        self.to_top_s = 0.0;
+        self.to_top_v.clear();
+        self.to_top_v.resize(potentials.width, 0.0);
+        self.lead_ohm.clear();
+        self.lead_ohm.resize(potentials.electrodes, 0.0);
+    }
+
+    /// The conductance from a node to the top changes by `change_s`.
+    pub fn to_top(&mut self, potentials: &Potentials, node: usize, change_s: f64) {
+        let row = potentials.row(node);
+        self.rows.extend_from_slice(row);
+        self.conductances_s.push(change_s);
+        self.to_top_s += change_s;
+        for (sum, value) in self.to_top_v.iter_mut().zip(row) {
+            *sum += change_s * value;
+        }
+    }
+
+    /// The conductance between two nodes changes by `change_s`.
+    pub fn between(&mut self, potentials: &Potentials, a: usize, b: usize, change_s: f64) {
+        let ends = potentials.row(a).iter().zip(potentials.row(b));
+        self.rows.extend(ends.map(|(a, b)| a - b));
+        self.conductances_s.push(change_s);
+    }
+
+    /// An electrode's lead changes by `change_ohm`.
+    pub fn lead(&mut self, electrode: usize, change_ohm: f64) {
+        self.lead_ohm[electrode] += change_ohm;
+    }
+
+    /// The same nodes with other changes of their conductances to the top (S, in the order in which
+    /// they came).
+    pub fn replace_to_top(&mut self, changes_s: impl Iterator<Item = f64>) {
+        self.conductances_s.clear();
+        self.conductances_s.extend(changes_s);
+        self.to_top_s = self.conductances_s.iter().sum();
+        self.to_top_v.fill(0.0);
+        let rows = self.rows.chunks_exact(self.to_top_v.len());
+        for (row, change_s) in rows.zip(&self.conductances_s) {
+            for (sum, value) in self.to_top_v.iter_mut().zip(row) {
+                *sum += change_s * value;
+            }
+        }
+    }
+
+    /// The frame's change along this direction, V after gain, into `out` (electrodes squared).
+    pub fn frame(
+        &mut self,
+        potentials: &Potentials,
+        readout: &ReadoutWork,
+        circuit: &ReadoutCircuit,
+        out: &mut [f64],
+    ) {
+        let (n, width, common) = (potentials.electrodes, potentials.width, potentials.common_ohm);
+        weighted_products(&self.rows, &self.conductances_s, width, &mut self.products);
+        let product = |j: usize, k: usize| self.products[width * j.min(k) + j.max(k)];
+        let z = readout.impedance_ohm();
+        for k in 0..n {
+            let own = z[n * k + k] + circuit.electrodes[k].lead_ohm;
+            // -dZ_kk, and with it what changes the sink's share.
+            let fall = common * (common * self.to_top_s + 2.0 * self.to_top_v[k]) + product(k, k);
+            let lead = self.lead_ohm[k];
+            let volts = &mut out[n * k..][..n];
+            for (j, volts) in volts.iter_mut().enumerate() {
+                let seen = (own - z[n * j + k]) / own;
+                // -d(Z_kk - Z_jk), without the common part.
+                let apart = common * (self.to_top_v[k] - self.to_top_v[j])
+                    + (product(k, k) - product(j, k));
+                *volts = circuit.source_v / own * (seen * (fall - lead) + lead - apart);
+            }
+            volts[k] = 0.0;
+            let first = volts[0];
+            for j in 0..n {
+                let next = if j + 1 < n { volts[j + 1] } else { first };
+                volts[j] = circuit.gain * (volts[j] - next);
+            }
+        }
+    }
+}
+
+/// `out[width * j + k] = sum_i weights_i rows_ij rows_ik` for whole tiles with j <= k.
+fn weighted_products(rows: &[f64], weights: &[f64], width: usize, out: &mut Vec<f64>) {
+    out.clear();
+    out.resize(width * width, 0.0);
+    for (rows, weights) in rows.chunks(BLOCK * width).zip(weights.chunks(BLOCK)) {
+        for j in (0..width).step_by(TILE) {
+            for k in (j..width).step_by(TILE) {
+                let mut sums = [[0.0; TILE]; TILE];
+                for (row, &weight) in rows.chunks_exact(width).zip(weights) {
+                    let (left, right) = (tile(row, j), tile(row, k));
+                    for (sums, left) in sums.iter_mut().zip(left) {
+                        let factor = weight * left;
+                        for (sum, right) in sums.iter_mut().zip(right) {
+                            *sum += factor * right;
+                        }
+                    }
+                }
+                for (r, sums) in sums.iter().enumerate() {
+                    for (c, sum) in sums.iter().enumerate() {
+                        out[width * (j + r) + k + c] += sum;
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn tile(row: &[f64], at: usize) -> &[f64; TILE] {
+    row[at..].first_chunk().expect("rows are padded to whole tiles")
+}
+
+/// The adjoint of [`Direction`]: how the inner product of a frame with a residual changes with each
+/// conductance and lead.
+#[derive(Debug, Default)]
+pub struct Pull {
+    width: usize,
+    /// Per node: what pairs with its row of potentials.
+    partners: Vec<f64>,
+    /// What pairs with the common potential.
+    common: Vec<f64>,
+    per_lead: Vec<f64>,
+    coefficients: Vec<f64>,
+    common_ohm: f64,
+}
+
+impl Pull {
+    /// Prepares for a residual (electrodes squared, per volt after gain).
+    pub fn prepare(
+        &mut self,
+        residual: &[f64],
+        potentials: &Potentials,
+        readout: &ReadoutWork,
+        circuit: &ReadoutCircuit,
+    ) {
+        let (n, width) = (potentials.electrodes, potentials.width);
+        (self.width, self.common_ohm) = (width, potentials.common_ohm);
+        let z = readout.impedance_ohm();
+        // Row k: coefficients of -u_k u_j in the change.
+        self.coefficients.clear();
+        self.coefficients.resize(n * width, 0.0);
+        self.common.clear();
+        self.common.resize(width, 0.0);
+        self.per_lead.clear();
+        self.per_lead.resize(n, 0.0);
+        for k in 0..n {
+            let own = z[n * k + k] + circuit.electrodes[k].lead_ohm;
+            let volts = circuit.gain * circuit.source_v / own;
+            for j in (0..n).filter(|&j| j != k) {
+                let weight = volts * (residual[n * k + j] - residual[n * k + (j + n - 1) % n]);
+                let share = z[n * j + k] / own;
+                self.coefficients[width * k + j] = -weight;
+                self.coefficients[width * k + k] += weight * share;
+                self.common[k] -= weight * ((own - z[n * j + k]) / own);
+                self.per_lead[k] += weight * share;
+            }
+        }
+        self.partners.clear();
+        for row in potentials.relative_ohm.chunks_exact(width) {
+            let start = self.partners.len();
+            self.partners.resize(start + width, 0.0);
+            let own = &mut self.partners[start..][..n];
+            for (partner, c) in own.iter_mut().zip(self.coefficients.chunks_exact(width)) {
+                *partner = c.iter().zip(row).map(|(c, d)| c * d).sum();
+            }
+        }
+    }
+
+    /// Per siemens from a node to the top.
+    pub fn to_top(&self, potentials: &Potentials, node: usize) -> f64 {
+        let partners = &self.partners[node * self.width..][..self.width];
+        let terms = potentials.row(node).iter().zip(partners).zip(&self.common);
+        -terms
+            .map(|((d, partner), c)| (self.common_ohm + d) * (partner + self.common_ohm * c))
+            .sum::<f64>()
+    }
+
+    /// Per siemens between two nodes.
+    pub fn between(&self, potentials: &Potentials, a: usize, b: usize) -> f64 {
+        let partners = |node: usize| &self.partners[node * self.width..][..self.width];
+        let potential = potentials.row(a).iter().zip(potentials.row(b)).map(|(a, b)| a - b);
+        let partner = partners(a).iter().zip(partners(b)).map(|(a, b)| a - b);
+        -potential.zip(partner).map(|(d, p)| d * p).sum::<f64>()
+    }
+
+    /// Per ohm of an electrode's lead.
+    pub fn lead(&self, electrode: usize) -> f64 {
+        self.per_lead[electrode]
+    }
+}

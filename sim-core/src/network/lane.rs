@@ -1,0 +1,220 @@
+//! A lane vector: one number of each of several loads, worked on side by side.
+//! Uses: std alone. Never: a sum or a comparison across lanes (a load's result must not depend on
+//! its neighbours).
+//!
+//! The kernels of this crate are written once over [`Lane`]. `f64` is a vector of one; [`Portable`]
+//! is an array that the compiler may map to whatever vectors there are; `lane_x86` has AVX2 and
+//! AVX-512.
+
+use super::reduce::ReduceWork;
+
+/// Numbers of several loads side by side.
+pub(crate) trait Lane: Copy + Send + Sync + 'static {
+    /// One load's number.
+    type Number: Copy;
+    /// How many loads.
+    const LANES: usize;
+    /// Columns of a 4 x 4 tile whose sums the registers hold at once: 2 or 4.
+    const COLUMNS_AT_ONCE: usize;
+
+    /// The same number in every lane.
+    fn splat(value: f64) -> Self;
+
+    /// From the first `LANES` numbers of a slice.
+    fn load(numbers: &[Self::Number]) -> Self;
+
+    /// To the first `LANES` numbers of a slice.
+    fn store(self, numbers: &mut [Self::Number]);
+
+    /// The sum.
+    fn add(self, other: Self) -> Self;
+
+    /// The product.
+    fn mul(self, other: Self) -> Self;
+
+    /// `self * factor + addend`, rounded once where the processor can.
+    fn mul_add(self, factor: Self, addend: Self) -> Self;
+
+    /// `1 / self`, but at most 1e36: zero times it is zero.
+    fn reciprocal(self) -> Self;
+
+    /// The square root.
+    fn sqrt(self) -> Self;
+}
+
+/// Lanes of f32, with what the foam's law needs beside.
+pub(crate) trait Lane32: Lane<Number = f32> {
+    /// The quotient.
+    fn div(self, other: Self) -> Self;
+
+    /// The smaller one.
+    fn min(self, other: Self) -> Self;
+
+    /// The larger one.
+    fn max(self, other: Self) -> Self;
+
+    /// 2^n of `self = ROUND + n`, n = 0, 1, .. 127.
+    fn power_of_two(self) -> Self;
+
+    /// The memory that belongs to these lanes.
+    fn own(work: &mut LaneWork) -> &mut ReduceWork<Self>;
+}
+
+/// Adding this rounds an f32 (below 2^22) to a whole number, which then stands in its lowest bits.
+pub(crate) const ROUND: f32 = 12_582_912.0;
+
+/// Below this a sum of conductances counts as none.
+pub(super) const LEAST_SUM_S: f64 = 1e-36;
+
+/// Something to be done in lanes of whichever kind.
+pub(crate) trait LaneJob {
+    /// What comes of it.
+    type Output;
+
+    /// Does it. Implementations are `#[inline(always)]`, as is all that they call in lanes: only
+    /// then does the compiler know the processor's features in them.
+    fn run<L: Lane32>(self) -> Self::Output;
+}
+
+/// Memory for each kind of lanes; only what is used is ever filled.
+#[derive(Default)]
+pub(crate) struct LaneWork {
+    portable: ReduceWork<Portable>,
+    #[cfg(target_arch = "x86_64")]
+    pub(super) avx2: ReduceWork<super::lane_x86::F32x8>,
+    #[cfg(target_arch = "x86_64")]
+    pub(super) avx512: ReduceWork<super::lane_x86::F32x16>,
+}
+
+impl Lane for f64 {
+    type Number = f64;
+    const LANES: usize = 1;
+    const COLUMNS_AT_ONCE: usize = 4;
+
+    #[inline(always)]
+    fn splat(value: f64) -> Self {
+        value
+    }
+
+    #[inline(always)]
+    fn load(numbers: &[f64]) -> Self {
+        numbers[0]
+    }
+
+    #[inline(always)]
+    fn store(self, numbers: &mut [f64]) {
+        numbers[0] = self;
+    }
+
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        self + other
+    }
+
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        self * other
+    }
+
+    #[inline(always)]
+    fn mul_add(self, factor: Self, addend: Self) -> Self {
+        self * factor + addend
+    }
+
+    #[inline(always)]
+    fn reciprocal(self) -> Self {
+        1.0 / self.max(LEAST_SUM_S)
+    }
+
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        self.sqrt()
+    }
+}
+
+/// Eight f32 without any one processor's instructions.
+#[derive(Debug, Clone, Copy)]
+#[repr(align(32))]
+pub(crate) struct Portable([f32; 8]);
+
+impl Portable {
+    #[inline(always)]
+    fn zip(mut self, other: Self, f: impl Fn(f32, f32) -> f32) -> Self {
+        for (i, a) in self.0.iter_mut().enumerate() {
+            *a = f(*a, other.0[i]);
+        }
+        self
+    }
+}
+
+impl Lane for Portable {
+    type Number = f32;
+    const LANES: usize = 8;
+    const COLUMNS_AT_ONCE: usize = 2;
+
+    #[inline(always)]
+    fn splat(value: f64) -> Self {
+        Self([value as f32; 8])
+    }
+
+    #[inline(always)]
+    fn load(numbers: &[f32]) -> Self {
+        Self(*numbers.first_chunk().expect("a whole vector is loaded"))
+    }
+
+    #[inline(always)]
+    fn store(self, numbers: &mut [f32]) {
+        *numbers.first_chunk_mut().expect("a whole vector is stored") = self.0;
+    }
+
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        self.zip(other, |a, b| a + b)
+    }
+
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        self.zip(other, |a, b| a * b)
+    }
+
+    #[inline(always)]
+    fn mul_add(self, factor: Self, addend: Self) -> Self {
+        self.mul(factor).add(addend)
+    }
+
+    #[inline(always)]
+    fn reciprocal(self) -> Self {
+        self.zip(self, |a, _| 1.0 / a.max(LEAST_SUM_S as f32))
+    }
+
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        self.zip(self, |a, _| a.sqrt())
+    }
+}
+
+impl Lane32 for Portable {
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        self.zip(other, |a, b| a / b)
+    }
+
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        self.zip(other, |a, b| if a < b { a } else { b })
+    }
+
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        self.zip(other, |a, b| if a > b { a } else { b })
+    }
+
+    #[inline(always)]
+    fn power_of_two(self) -> Self {
+        self.zip(self, |a, _| f32::from_bits((a.to_bits() << 23).wrapping_add(1f32.to_bits())))
+    }
+
+    fn own(work: &mut LaneWork) -> &mut ReduceWork<Self> {
+        &mut work.portable
+    }
+}

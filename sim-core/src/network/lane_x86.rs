@@ -1,0 +1,233 @@
+//! Lane vectors of x86: AVX-512, and AVX2 with FMA. The only file of this crate with `unsafe`.
+//! Uses: std's intrinsics. Never: a type that comes to life where the processor lacks it.
+//!
+//! Why it is sound: an intrinsic may only run on a processor that has it. The two types are named in
+//! no other file but as the owners of memory in `lane`, which holds no value of them until a job
+//! runs; a job runs in them only through [`on_avx512`] and [`on_avx2`], which ask the processor
+//! first. The rest of `unsafe` here is two loads and two stores, of references to arrays.
+#![expect(unsafe_code, reason = "vector instructions; every one of this crate is in this file")]
+
+use std::arch::x86_64::*;
+
+use super::lane::{LEAST_SUM_S, Lane, Lane32, LaneJob, LaneWork};
+use super::reduce::ReduceWork;
+
+/// Whether the processor has AVX-512 (foundation) and FMA.
+pub(crate) fn has_avx512() -> bool {
+    is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("fma")
+}
+
+/// Whether the processor has AVX2 and FMA.
+pub(crate) fn has_avx2() -> bool {
+    is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")
+}
+
+/// Does a job in lanes of sixteen. Panics where the processor cannot.
+pub(crate) fn on_avx512<J: LaneJob>(job: J) -> J::Output {
+    #[target_feature(enable = "avx512f,avx2,fma")]
+    fn run<J: LaneJob>(job: J) -> J::Output {
+        job.run::<F32x16>()
+    }
+    assert!(has_avx512(), "avx512 was chosen on a processor without it");
+    // SAFETY: the processor has the features.
+    unsafe { run(job) }
+}
+
+/// Does a job in lanes of eight. Panics where the processor cannot.
+pub(crate) fn on_avx2<J: LaneJob>(job: J) -> J::Output {
+    #[target_feature(enable = "avx2,fma")]
+    fn run<J: LaneJob>(job: J) -> J::Output {
+        job.run::<F32x8>()
+    }
+    assert!(has_avx2(), "avx2 was chosen on a processor without it");
+    // SAFETY: the processor has the features.
+    unsafe { run(job) }
+}
+
+/// Sixteen f32 in an AVX-512 register.
+#[derive(Clone, Copy)]
+#[repr(transparent)]
+pub(crate) struct F32x16(__m512);
+
+impl Lane for F32x16 {
+    type Number = f32;
+    const LANES: usize = 16;
+    const COLUMNS_AT_ONCE: usize = 4;
+
+    #[inline(always)]
+    fn splat(value: f64) -> Self {
+        // SAFETY: see the head of this file.
+        unsafe { Self(_mm512_set1_ps(value as f32)) }
+    }
+
+    #[inline(always)]
+    fn load(numbers: &[f32]) -> Self {
+        let numbers: &[f32; 16] = numbers.first_chunk().expect("a whole vector is loaded");
+        // SAFETY: see the head of this file; the pointer is to 16 numbers.
+        unsafe { Self(_mm512_loadu_ps(numbers.as_ptr())) }
+    }
+
+    #[inline(always)]
+    fn store(self, numbers: &mut [f32]) {
+        let numbers: &mut [f32; 16] = numbers.first_chunk_mut().expect("a whole vector is stored");
+        // SAFETY: see the head of this file; the pointer is to 16 numbers.
+        unsafe { _mm512_storeu_ps(numbers.as_mut_ptr(), self.0) }
+    }
+
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        // SAFETY: see the head of this file.
+        unsafe { Self(_mm512_add_ps(self.0, other.0)) }
+    }
+
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        // SAFETY: see the head of this file.
+        unsafe { Self(_mm512_mul_ps(self.0, other.0)) }
+    }
+
+    #[inline(always)]
+    fn mul_add(self, factor: Self, addend: Self) -> Self {
+        // SAFETY: see the head of this file.
+        unsafe { Self(_mm512_fmadd_ps(self.0, factor.0, addend.0)) }
+    }
+
+    #[inline(always)]
+    fn reciprocal(self) -> Self {
+        Self::splat(1.0).div(self.max(Self::splat(LEAST_SUM_S)))
+    }
+
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        // SAFETY: see the head of this file.
+        unsafe { Self(_mm512_sqrt_ps(self.0)) }
+    }
+}
+
+impl Lane32 for F32x16 {
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        // SAFETY: see the head of this file.
+        unsafe { Self(_mm512_div_ps(self.0, other.0)) }
+    }
+
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        // SAFETY: see the head of this file.
+        unsafe { Self(_mm512_min_ps(self.0, other.0)) }
+    }
+
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        // SAFETY: see the head of this file.
+        unsafe { Self(_mm512_max_ps(self.0, other.0)) }
+    }
+
+    #[inline(always)]
+    fn power_of_two(self) -> Self {
+        // SAFETY: see the head of this file.
+        unsafe {
+            let exponent = _mm512_slli_epi32::<23>(_mm512_castps_si512(self.0));
+            let one = _mm512_set1_epi32(1f32.to_bits() as i32);
+            Self(_mm512_castsi512_ps(_mm512_add_epi32(exponent, one)))
+        }
+    }
+
+    fn own(work: &mut LaneWork) -> &mut ReduceWork<Self> {
+        &mut work.avx512
+    }
+}
+
+/// Eight f32 in an AVX register.
+#[derive(Clone, Copy)]
+#[repr(transparent)]
+pub(crate) struct F32x8(__m256);
+
+impl Lane for F32x8 {
+    type Number = f32;
+    const LANES: usize = 8;
+    const COLUMNS_AT_ONCE: usize = 2;
+
+    #[inline(always)]
+    fn splat(value: f64) -> Self {
+        // SAFETY: see the head of this file.
+        unsafe { Self(_mm256_set1_ps(value as f32)) }
+    }
+
+    #[inline(always)]
+    fn load(numbers: &[f32]) -> Self {
+        let numbers: &[f32; 8] = numbers.first_chunk().expect("a whole vector is loaded");
+        // SAFETY: see the head of this file; the pointer is to 8 numbers.
+        unsafe { Self(_mm256_loadu_ps(numbers.as_ptr())) }
+    }
+
+    #[inline(always)]
+    fn store(self, numbers: &mut [f32]) {
+        let numbers: &mut [f32; 8] = numbers.first_chunk_mut().expect("a whole vector is stored");
+        // SAFETY: see the head of this file; the pointer is to 8 numbers.
+        unsafe { _mm256_storeu_ps(numbers.as_mut_ptr(), self.0) }
+    }
+
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        // SAFETY: see the head of this file.
+        unsafe { Self(_mm256_add_ps(self.0, other.0)) }
+    }
+
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        // SAFETY: see the head of this file.
+        unsafe { Self(_mm256_mul_ps(self.0, other.0)) }
+    }
+
+    #[inline(always)]
+    fn mul_add(self, factor: Self, addend: Self) -> Self {
+        // SAFETY: see the head of this file.
+        unsafe { Self(_mm256_fmadd_ps(self.0, factor.0, addend.0)) }
+    }
+
+    #[inline(always)]
+    fn reciprocal(self) -> Self {
+        Self::splat(1.0).div(self.max(Self::splat(LEAST_SUM_S)))
+    }
+
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        // SAFETY: see the head of this file.
+        unsafe { Self(_mm256_sqrt_ps(self.0)) }
+    }
+}
+
+impl Lane32 for F32x8 {
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        // SAFETY: see the head of this file.
+        unsafe { Self(_mm256_div_ps(self.0, other.0)) }
+    }
+
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        // SAFETY: see the head of this file.
+        unsafe { Self(_mm256_min_ps(self.0, other.0)) }
+    }
+
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        // SAFETY: see the head of this file.
+        unsafe { Self(_mm256_max_ps(self.0, other.0)) }
+    }
+
+    #[inline(always)]
+    fn power_of_two(self) -> Self {
+        // SAFETY: see the head of this file.
+        unsafe {
+            let exponent = _mm256_slli_epi32::<23>(_mm256_castps_si256(self.0));
+            let one = _mm256_set1_epi32(1f32.to_bits() as i32);
+            Self(_mm256_castsi256_ps(_mm256_add_epi32(exponent, one)))
+        }
+    }
+
+    fn own(work: &mut LaneWork) -> &mut ReduceWork<Self> {
+        &mut work.avx2
+    }
+}

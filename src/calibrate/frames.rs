@@ -1,0 +1,147 @@
+//! Measured frames of single contacts, and how far the model's voltages are from them.
+//! PURE. Uses: sim-core's forward model. Never: fitting (the voltages only judge).
+//!
+//! JSON lines: `{"contacts":[{"x_mm":..,"y_mm":..,"force_n":..}],"voltages_v":[..]}`, more keys are
+//! welcome. That is what `GET /api/v1/trials?voltages=true` gives as `application/x-ndjson`, and what
+//! two lines of pandas write. Lines with no contact or several are left out and counted.
+
+use serde::Deserialize;
+use sim_core::calibration::Accuracy;
+use sim_core::forward::{Contact, ForwardModel, Workspace};
+
+use super::{CalibrateError, accuracy};
+use crate::problem::Problem;
+
+/// A measured frame of one contact.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SingleContact {
+    /// Its line in the file, from 1.
+    pub line: usize,
+    /// The contact.
+    pub contact: Contact,
+    /// The frame, V after gain, injection-major.
+    pub voltages_v: Vec<f64>,
+}
+
+/// The frames of a file.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Frames {
+    /// Those of one contact.
+    pub single: Vec<SingleContact>,
+    /// How many had none or several.
+    pub left_out: usize,
+}
+
+#[derive(Deserialize)]
+struct Line {
+    contacts: Vec<LineContact>,
+    voltages_v: Option<Vec<f64>>,
+}
+
+#[derive(Deserialize)]
+struct LineContact {
+    x_mm: f64,
+    y_mm: f64,
+    force_n: f64,
+}
+
+/// Reads frames of so many channels.
+pub fn read(file: &str, text: &str, channels: usize) -> Result<Frames, CalibrateError> {
+    let (mut frames, mut problems) = (Frames::default(), Vec::new());
+    for (n, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
+        match read_line(line, channels) {
+            Ok(Some((contact, voltages_v))) => {
+                frames.single.push(SingleContact { line: n + 1, contact, voltages_v });
+            }
+            Ok(None) => frames.left_out += 1,
+            Err((key, value, limit)) => {
+                problems.push(Problem::new(file, &format!("line {}, {key}", n + 1), value, limit));
+            }
+        }
+    }
+    if !problems.is_empty() {
+        return Err(CalibrateError::Measurements(problems));
+    }
+    if frames.single.is_empty() {
+        let words = "no line with exactly one contact: voltages of single contacts are compared";
+        return Err(CalibrateError::undetermined(file, words));
+    }
+    Ok(frames)
+}
+
+/// A line's contact and frame; `None` unless it has exactly one contact. Else key, value and limit.
+#[expect(clippy::type_complexity, reason = "used once, right above")]
+fn read_line(
+    line: &str,
+    channels: usize,
+) -> Result<Option<(Contact, Vec<f64>)>, (&'static str, String, String)> {
+    let parsed: Line =
+        serde_json::from_str(line).map_err(|e| ("JSON", "not a trial".into(), e.to_string()))?;
+    let [LineContact { x_mm, y_mm, force_n }] = parsed.contacts[..] else { return Ok(None) };
+    if !(force_n >= 0.0) {
+        return Err(("force_n", force_n.to_string(), "must be a number >= 0".into()));
+    }
+    let voltages_v = parsed.voltages_v.unwrap_or_default();
+    if voltages_v.len() != channels {
+        let limit = format!("this sensor has {channels} voltages (trials: ask with voltages=true)");
+        return Err(("voltages_v", format!("{} numbers", voltages_v.len()), limit));
+    }
+    Ok(Some((Contact { x_mm, y_mm, force_n }, voltages_v)))
+}
+
+/// Voltages of the model against the measured ones, over all values of all frames.
+pub fn voltage_accuracy(
+    file: &str,
+    frames: &Frames,
+    model: &ForwardModel,
+) -> Result<Accuracy, CalibrateError> {
+    let mut work = Workspace::default();
+    let (mut measured, mut modelled) = (Vec::new(), Vec::new());
+    for frame in &frames.single {
+        let simulated = model.voltages(&[frame.contact], &mut work).map_err(|error| {
+            let Contact { x_mm, y_mm, force_n } = frame.contact;
+            let (key, value) = (
+                format!("line {}, contacts", frame.line),
+                format!("{force_n} N at ({x_mm}, {y_mm}) mm"),
+            );
+            let problem = Problem::new(file, &key, value, error.to_string());
+            CalibrateError::Measurements(vec![problem])
+        })?;
+        measured.extend_from_slice(&frame.voltages_v);
+        modelled.extend_from_slice(simulated);
+    }
+    accuracy(&measured, &modelled)
+        .ok_or_else(|| CalibrateError::undetermined(file, "all voltages are the same"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn single_contacts_are_kept_and_others_counted() {
+        let text = r#"{"contacts":[{"x_mm":1,"y_mm":2,"force_n":3,"diameter_mm":20}],"voltages_v":[0.1,0.2],"run":"a"}
+
+{"contacts":[],"voltages_v":[0,0]}
+{"contacts":[{"x_mm":1,"y_mm":2,"force_n":3},{"x_mm":1,"y_mm":2,"force_n":3}]}
+"#;
+        let frames = read("f.jsonl", text, 2).unwrap();
+        assert_eq!((frames.single.len(), frames.left_out), (1, 2));
+        assert_eq!(frames.single[0].contact.force_n, 3.0);
+        assert_eq!(frames.single[0].voltages_v, [0.1, 0.2]);
+    }
+
+    #[test]
+    fn wrong_lines_are_named_with_field_and_limit() {
+        let text = "{\"contacts\":[{\"x_mm\":1,\"y_mm\":2,\"force_n\":-3}],\"voltages_v\":[0,0]}\n\
+                    {\"contacts\":[{\"x_mm\":1,\"y_mm\":2,\"force_n\":3}],\"voltages_v\":[0]}\n\
+                    {\"contacts\":[{\"x_mm\":1,\"y_mm\":2}],\"voltages_v\":[0,0]}\n";
+        let error = read("f.jsonl", text, 2).unwrap_err().to_string();
+        let lines: Vec<&str> = error.lines().collect();
+        assert_eq!(lines[0], "f.jsonl: line 1, force_n = -3: must be a number >= 0");
+        assert!(lines[1].starts_with("f.jsonl: line 2, voltages_v = 1 numbers: this sensor has 2"));
+        assert!(lines[2].contains("line 3") && lines[2].contains("force_n"), "{error}");
+        let none = read("f.jsonl", "\n", 2).unwrap_err().to_string();
+        assert!(none.contains("no line with exactly one contact"), "{none}");
+    }
+}

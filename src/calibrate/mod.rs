@@ -1,0 +1,82 @@
+//! Fits the model to measurements: Eq. 1 to a compression test, moduli to indentations; states how
+//! far voltages of single contacts are off. The results are sim-core's `calibration::Calibration`.
+//! PURE. Uses: sim-core, `problem`. Never: files (text in, text out), simulating in bulk.
+//!
+//! `text -> table -> (piezo | foam, by regression) -> Calibration`, `frames -> accuracy`, `plot`.
+
+use sha2::{Digest, Sha256};
+use sim_core::calibration::Accuracy;
+use sim_core::responses::ResponsesError;
+use sim_core::sensor::SensorError;
+
+use crate::problem::Problem;
+
+pub mod table;
+pub mod regression;
+pub mod piezo;
+pub mod foam;
+pub mod frames;
+pub mod plot;
+
+/// Why measurements give no calibration.
+#[derive(Debug, thiserror::Error)]
+pub enum CalibrateError {
+    /// The measurements hold values that cannot be used, or do not determine the model.
+    #[error("{}", .0.iter().map(Problem::to_string).collect::<Vec<_>>().join("\n"))]
+    Measurements(Vec<Problem>),
+    /// The skin could not be solved with some moduli.
+    #[error("solving the skin's surface: {0}")]
+    Surface(#[from] ResponsesError),
+    /// Moduli that a sensor cannot have.
+    #[error("fitting moduli: {0}")]
+    Sensor(#[from] SensorError),
+    /// The plot could not be drawn.
+    #[error("drawing the plot: {0}")]
+    Plot(String),
+}
+
+impl CalibrateError {
+    /// The measurements as a whole do not determine the model.
+    fn undetermined(file: &str, words: impl std::fmt::Display) -> Self {
+        Self::Measurements(vec![Problem::whole(file, words.to_string())])
+    }
+}
+
+/// How far a model is from measurements (same length, same unit). `None` where the measurements are
+/// fewer than two or all alike: there is nothing to divide by.
+pub fn accuracy(measured: &[f64], modelled: &[f64]) -> Option<Accuracy> {
+    let n = measured.len() as f64;
+    let mean = measured.iter().sum::<f64>() / n;
+    let sd = (measured.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt();
+    let squares = measured.iter().zip(modelled).map(|(m, s)| (m - s).powi(2));
+    let rmse = (squares.sum::<f64>() / n).sqrt();
+    let (low, high) = measured.iter().fold((f64::MAX, f64::MIN), |(l, h), &v| (l.min(v), h.max(v)));
+    (sd > 0.0).then(|| Accuracy {
+        rmse,
+        nrmse_by_sd: rmse / sd,
+        nrmse_by_range: rmse / (high - low),
+        values: measured.len(),
+    })
+}
+
+/// sha256 of a file's text, as calibrations name their data.
+fn sha256(text: &str) -> String {
+    Sha256::digest(text.as_bytes()).iter().map(|b| format!("{b:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_squared_ratio_to_the_spread_is_the_fraction_of_variance_unexplained() {
+        let (measured, modelled) = ([0.0, 1.0, 2.0, 5.0], [0.5, 1.0, 1.0, 5.5]);
+        let a = accuracy(&measured, &modelled).unwrap();
+        // Eq. 2 by hand: (0.25 + 0 + 1 + 0.25) / (4 + 1 + 0 + 9).
+        assert!((a.nrmse_by_sd.powi(2) - 1.5 / 14.0).abs() < 1e-12);
+        assert!((a.rmse - (1.5f64 / 4.0).sqrt()).abs() < 1e-12);
+        assert!((a.nrmse_by_range - a.rmse / 5.0).abs() < 1e-12);
+        assert_eq!(accuracy(&[1.0, 1.0], &[1.0, 2.0]), None);
+        assert_eq!(accuracy(&[], &[]), None);
+    }
+}

@@ -1,0 +1,201 @@
+//! `palpate calibrate`: fits the model to a lab's measurements and writes a calibration file.
+//! Uses: `calibrate`, `simulate` (the model that voltages are compared with), files. Never: the
+//! network, the rig.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::{Args, Subcommand};
+use serde_json::json;
+use sim_core::calibration::{Accuracy, Calibration, CalibrationError, Fitted};
+use sim_core::sensor::Sensor;
+
+use super::data_or_default;
+use super::error::CliError;
+use super::files::{read_input, read_sensor, write};
+use super::output::{counted, say, say_json};
+use crate::calibrate::{CalibrateError, foam, frames, piezo, plot};
+use crate::problem::Problem;
+use crate::simulate::model::load_or_build;
+
+/// Options of `calibrate`.
+#[derive(Debug, Clone, Args)]
+pub struct CalibrateArgs {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Clone, Subcommand)]
+enum What {
+    /// Fit a, b and c of Eq. 1 to a compression test.
+    ///
+    /// The table has the columns displacement_mm and resistance_ohm.
+    Piezo(Common),
+    /// Fit the moduli of foam and fabrics to single-point indentations.
+    ///
+    /// The table has the columns point, or x_mm and y_mm; force_n; displacement_mm; and, where the
+    /// displacement is not the tip's own, gauge_x_mm and gauge_y_mm.
+    Foam(Common),
+}
+
+#[derive(Debug, Clone, Args)]
+struct Common {
+    /// Table of measurements.
+    #[arg(value_name = "CSV")]
+    measurements: PathBuf,
+    /// Sensor file [default: ert-28].
+    #[arg(long, value_name = "FILE")]
+    sensor: Option<PathBuf>,
+    /// Earlier calibration, whose other part is kept.
+    #[arg(long, value_name = "FILE")]
+    from: Option<PathBuf>,
+    /// Measured frames of single contacts (JSON lines of contacts and voltages_v): says how far the
+    /// calibrated model's voltages are off.
+    #[arg(long, value_name = "FILE")]
+    frames: Option<PathBuf>,
+    /// Write the calibration file.
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Draw data, fit and band.
+    #[arg(long, value_name = "FILE.svg")]
+    plot: Option<PathBuf>,
+    /// Folder of the cache of solved skins [env: PALPATE_DATA] [default: palpate-data].
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// One JSON object on standard output.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+pub fn calibrate(args: &CalibrateArgs) -> Result<ExitCode, CliError> {
+    let (What::Piezo(common) | What::Foam(common)) = &args.what;
+    let sensor = read_sensor(common.sensor.as_deref())?;
+    let earlier = common.from.as_deref().map(|path| read_calibration(path, &sensor)).transpose()?;
+    let file = common.measurements.display().to_string();
+    let text = read_input(&common.measurements)?;
+    let alone = Calibration { sensor: sensor.file.name.clone(), ..Calibration::default() };
+    let (alone, picture) = match &args.what {
+        What::Piezo(_) => {
+            let fit = piezo::calibrate(&file, &text)?;
+            let picture = common.plot.as_ref().map(|_| plot::piezo(&fit)).transpose()?;
+            (Calibration { piezo: Some(fit.calibration), ..alone }, picture)
+        }
+        What::Foam(_) => {
+            let fit = foam::calibrate(&file, &text, &sensor)?;
+            let picture = common.plot.as_ref().map(|_| plot::foam(&fit)).transpose()?;
+            (Calibration { foam: Some(fit.calibration), ..alone }, picture)
+        }
+    };
+    let mut whole = match &earlier {
+        Some(earlier) => alone.over(earlier)?,
+        None => alone,
+    };
+    let left_out = judge_voltages(common, &sensor, &mut whole)?;
+    if let Some(path) = &common.out {
+        write(path, &whole.to_toml()?)?;
+    }
+    if let (Some(path), Some(picture)) = (&common.plot, &picture) {
+        write(path, picture)?;
+    }
+    answer(common, &whole, left_out)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// A calibration file that fits the sensor; what is wrong with it is bad input.
+pub fn read_calibration(path: &Path, sensor: &Sensor) -> Result<Calibration, CliError> {
+    let parsed = Calibration::from_toml(&read_input(path)?);
+    let fits = parsed.and_then(|calibration| calibration.apply(sensor).map(|_| calibration));
+    fits.map_err(|error| {
+        let file = path.display().to_string();
+        let problem = match error {
+            CalibrationError::Value { key, value, limit } => {
+                Problem::new(&file, &key, value, limit)
+            }
+            other => Problem::whole(&file, other.to_string()),
+        };
+        CliError::Problems(vec![problem])
+    })
+}
+
+/// Compares measured frames with the calibrated model; returns how many were left out.
+fn judge_voltages(
+    common: &Common,
+    sensor: &Sensor,
+    calibration: &mut Calibration,
+) -> Result<usize, CliError> {
+    let Some(path) = &common.frames else { return Ok(0) };
+    let file = path.display().to_string();
+    let frames = frames::read(&file, &read_input(path)?, sensor.channels())?;
+    let cache = data_or_default(common.data.clone()).join("cache");
+    let model = load_or_build(&calibration.apply(sensor)?, &cache)?;
+    calibration.voltage = Some(frames::voltage_accuracy(&file, &frames, &model)?);
+    Ok(frames.left_out)
+}
+
+fn answer(common: &Common, whole: &Calibration, left_out: usize) -> Result<(), CliError> {
+    let id = whole.id()?;
+    if common.json {
+        let mut object = json!(whole);
+        object["id"] = json!(id);
+        say_json(&object);
+        return Ok(());
+    }
+    say(&id);
+    if let Some(p) = &whole.piezo {
+        let [least, most] = p.compression_mm;
+        say(format_args!("Eq. 1 from {} rows, {least} to {most} mm", p.rows));
+        say_fitted("a", &p.a_ohm, "ohm");
+        say_fitted("b", &p.b_per_mm, "1/mm");
+        say_fitted("c", &p.c_ohm, "ohm");
+        let factor = p.residual_sd_ln.exp();
+        say(format_args!("  scatter: a factor of {factor:.3} (one standard deviation)"));
+    }
+    if let Some(f) = &whole.foam {
+        say(format_args!("moduli from {} rows, up to {} N", f.rows, f.force_n));
+        say_fitted("foam", &f.foam_mpa, "MPa");
+        match &f.fabric_factor {
+            Some(factor) => say_fitted("fabrics, times the sensor file's", factor, ""),
+            None => say("  fabrics: kept; tips alone do not tell them from the foam, gauges do"),
+        }
+        say_accuracy("displacement", &f.displacement, 1.0, "mm", "24.1 %");
+    }
+    if let Some(v) = &whole.voltage {
+        say_accuracy("voltage", v, 1e3, "mV", "28.3 %");
+    }
+    if left_out > 0 {
+        let lines = counted(left_out as u64, "frame", "frames");
+        say(format_args!("{lines} left out: not of exactly one contact"));
+    }
+    match &common.out {
+        Some(path) => say(format_args!("written to {}", path.display())),
+        None => say("not written: name a file with --out"),
+    }
+    Ok(())
+}
+
+fn say_fitted(name: &str, fitted: &Fitted, unit: &str) {
+    let Fitted { value, low_95, high_95 } = fitted;
+    let number = |v: &f64| if *v < 1e4 { format!("{v:.4}") } else { format!("{v:.3e}") };
+    let [value, low, high] = [value, low_95, high_95].map(number);
+    say(format_args!("  {name} = {value} {unit} (95 %: {low} to {high})"));
+}
+
+fn say_accuracy(name: &str, accuracy: &Accuracy, scale: f64, unit: &str, paper: &str) {
+    say(format_args!(
+        "{name}, single contacts: RMSE {:.3} {unit}; {:.1} % of the measurements' standard \
+         deviation, {:.1} % of their range (paper: {paper}, by what is not said)",
+        scale * accuracy.rmse,
+        100.0 * accuracy.nrmse_by_sd,
+        100.0 * accuracy.nrmse_by_range,
+    ));
+}
+
+impl From<CalibrateError> for CliError {
+    fn from(error: CalibrateError) -> Self {
+        match error {
+            CalibrateError::Measurements(problems) => Self::Problems(problems),
+            other => Self::Calibrate(other),
+        }
+    }
+}

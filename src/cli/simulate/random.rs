@@ -1,0 +1,280 @@
+//! `palpate simulate random`: Sim-Random to a folder, with progress, and Ctrl-C as a request.
+//! Uses: `simulate::random`, indicatif. Never: a decision about a byte of the shards.
+
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use indicatif::ProgressBar;
+use serde_json::json;
+use sim_core::batch::{BatchModel, Kernel};
+
+use crate::cli::calibrate::read_calibration;
+use crate::cli::data_or_default;
+use crate::cli::error::CliError;
+use crate::cli::files::read_sensor;
+use crate::cli::follow::Signals;
+use crate::cli::output::{bytes, counted, duration, say, say_json};
+use crate::cli::progress::progress_bar;
+use crate::simulate::model::load_or_build;
+use crate::simulate::random::draw::Draws;
+use crate::simulate::random::folder::Look;
+use crate::simulate::random::manifest::{Definition, Manifest, Order};
+use crate::simulate::random::{Means, Outcome, Progress, generate};
+
+/// How often progress is told where there is no terminal.
+const TELL: Duration = Duration::from_secs(10);
+/// Most threads.
+const THREADS_MAX: usize = 256;
+
+/// Options of `simulate random`.
+#[derive(Debug, Clone, Args)]
+pub struct RandomArgs {
+    /// How many trials.
+    #[arg(long, value_name = "N", default_value_t = 200_000)]
+    trials: u64,
+    /// Seed: with the other options it decides every byte.
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    seed: u64,
+    /// Folder of the shards and their manifest.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Threads that simulate [default: the machine's cores]; they change no byte.
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    /// Instructions that solve the frames [default: the fastest of this processor]; the last digits
+    /// of a frame depend on them.
+    #[arg(long, value_name = "KERNEL", value_parser = kernel)]
+    kernel: Option<Kernel>,
+    /// Sensor file: the skin's geometry and materials [default: ert-28].
+    #[arg(long, value_name = "FILE")]
+    sensor: Option<PathBuf>,
+    /// Calibration file, whose values take the place of the sensor file's.
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
+    /// How many contacts a trial has, each number equally likely.
+    #[arg(long, value_name = "A..B", default_value = "1..6", value_parser = contacts)]
+    contacts: [u8; 2],
+    /// Least and largest force of a contact, N, uniform in between.
+    #[arg(long, value_names = ["MIN", "MAX"], num_args = 2, default_values_t = [5.0, 40.0])]
+    force_n: Vec<f64>,
+    /// Trials of a shard.
+    #[arg(long, value_name = "N", default_value_t = 10_000)]
+    shard_trials: u64,
+    /// Read every byte of the shards that are there, instead of trusting their length.
+    #[arg(long)]
+    verify: bool,
+    /// Folder whose `cache` keeps solved unit responses [env: PALPATE_DATA] [default:
+    /// palpate-data].
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// A line of JSON for each shard, and a last one with totals, on standard output.
+    #[arg(long)]
+    json: bool,
+}
+
+/// `A..B`, or `A` for always so many.
+fn contacts(text: &str) -> Result<[u8; 2], String> {
+    let (fewest, most) = text.split_once("..").unwrap_or((text, text));
+    match (fewest.parse(), most.parse()) {
+        (Ok(fewest), Ok(most)) => Ok([fewest, most]),
+        _ => Err("must be a number, or two as in 1..6".into()),
+    }
+}
+
+/// A kernel that this processor has, by its name.
+fn kernel(name: &str) -> Result<Kernel, String> {
+    let here = || Kernel::ALL.into_iter().filter(|kernel| kernel.is_here());
+    here().find(|kernel| kernel.name() == name).ok_or_else(|| {
+        let names: Vec<_> = here().map(Kernel::name).collect();
+        format!("this processor has {}", names.join(", "))
+    })
+}
+
+/// Runs the command. Exit code: 0 all trials are there, 1 failed or stopped, 2 bad input.
+pub async fn random(args: RandomArgs) -> Result<ExitCode, CliError> {
+    let mut signals = Signals::catch()?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let work = tokio::task::spawn_blocking({
+        let stop = stop.clone();
+        move || make(&args, &stop)
+    });
+    tokio::pin!(work);
+    loop {
+        tokio::select! {
+            made = &mut work => {
+                return made.unwrap_or_else(|e| std::panic::resume_unwind(e.into_panic()));
+            }
+            _ = signals.next() => {
+                if stop.swap(true, Ordering::Relaxed) {
+                    eprintln!("left; the same command goes on after the last whole shard");
+                    return Ok(ExitCode::FAILURE);
+                }
+                eprintln!("stopping after this shard; Ctrl-C again leaves at once");
+            }
+        }
+    }
+}
+
+fn make(args: &RandomArgs, stop: &AtomicBool) -> Result<ExitCode, CliError> {
+    let mut sensor = read_sensor(args.sensor.as_deref())?;
+    if let Some(path) = &args.calibration {
+        sensor = read_calibration(path, &sensor)?.apply(&sensor)?;
+    }
+    let [least, largest] = args.force_n[..] else {
+        return Err(CliError::argument("force-n", format!("{:?}", args.force_n), "two numbers"));
+    };
+    let draws = Draws { seed: args.seed, contacts: args.contacts, force_n: [least, largest] };
+    let order = Order::new(draws, args.trials, args.shard_trials, sensor.points().len())
+        .map_err(CliError::Problems)?;
+    let threads = threads(args.threads)?;
+    let model = load_or_build(&sensor, &data_or_default(args.data.clone()).join("cache"))?;
+    let kernel = args.kernel.unwrap_or_else(Kernel::detect);
+    let definition = Definition::new(order, &model, kernel);
+    let frames = BatchModel::new(&model, kernel);
+    let look = if args.verify { Look::Sha256 } else { Look::Length };
+    let mut screen = Screen::new(args.json, args.trials);
+    let means = Means { threads, look, stop };
+    let outcome =
+        generate(&definition, &sensor, &frames, &args.out, means, &mut |p| screen.tell(p));
+    screen.bar.finish_and_clear();
+    let outcome = outcome?;
+    screen.end(&outcome, args);
+    Ok(match outcome {
+        Outcome::Complete(_) => ExitCode::SUCCESS,
+        Outcome::Stopped(_) => ExitCode::FAILURE,
+    })
+}
+
+fn threads(asked: Option<usize>) -> Result<NonZeroUsize, CliError> {
+    match asked {
+        None => Ok(std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)),
+        Some(n) => NonZeroUsize::new(n).filter(|n| n.get() <= THREADS_MAX).ok_or_else(|| {
+            CliError::argument("threads", n, format!("must be from 1 to {THREADS_MAX}"))
+        }),
+    }
+}
+
+/// Standard error as a person sees it, standard output as a script reads it.
+struct Screen {
+    bar: ProgressBar,
+    json: bool,
+    trials: u64,
+    found: u64,
+    made: u64,
+    stored: u64,
+    started: Instant,
+    told: Instant,
+}
+
+impl Screen {
+    fn new(json: bool, trials: u64) -> Self {
+        let bar = progress_bar("trials");
+        bar.set_length(trials);
+        let now = Instant::now();
+        Self { bar, json, trials, found: 0, made: 0, stored: 0, started: now, told: now }
+    }
+
+    fn tell(&mut self, progress: Progress<'_>) {
+        match progress {
+            Progress::Found { trials, damaged } => {
+                self.found = trials;
+                self.stored = trials;
+                self.bar.set_position(trials);
+                self.bar.reset_eta();
+                if damaged > 0 {
+                    let shards = counted(damaged, "shard is", "shards are");
+                    self.note(&format!("{shards} missing or damaged, and made again"));
+                }
+            }
+            Progress::Made(trials) => {
+                self.made += trials;
+                self.bar.inc(trials);
+                self.tell_a_log();
+            }
+            Progress::Shard(row) => {
+                self.stored += row.trials;
+                if self.json {
+                    let mut line = json!(row);
+                    line["event"] = "shard".into();
+                    say_json(&line);
+                }
+            }
+        }
+    }
+
+    /// A line now and then where there is no terminal.
+    fn tell_a_log(&mut self) {
+        if self.bar.is_hidden() && self.told.elapsed() >= TELL {
+            self.told = Instant::now();
+            let (done, rate) = (self.found + self.made, self.rate());
+            let left = duration((self.trials - done) as f64 / rate);
+            eprintln!("{done}/{} {rate:.0} trials/s | done in {left}", self.trials);
+        }
+    }
+
+    /// Trials a second that were made here.
+    fn rate(&self) -> f64 {
+        self.made as f64 / self.started.elapsed().as_secs_f64().max(1e-9)
+    }
+
+    fn note(&self, words: &str) {
+        if self.bar.is_hidden() {
+            eprintln!("{words}");
+        } else {
+            self.bar.println(words);
+        }
+    }
+
+    fn end(&self, outcome: &Outcome, args: &RandomArgs) {
+        let (complete, Manifest { shards, .. }) = match outcome {
+            Outcome::Complete(manifest) => (true, manifest),
+            Outcome::Stopped(manifest) => (false, manifest),
+        };
+        let wall_s = self.started.elapsed().as_secs_f64();
+        let size: u64 = shards.iter().map(|s| s.bytes).sum();
+        if self.json {
+            say_json(&json!({
+                "event": "finished",
+                "exit_status": if complete { "success" } else { "abort" },
+                "trials_planned": self.trials,
+                "trials_stored": self.stored,
+                "trials_made": self.made,
+                "shards": shards.len(),
+                "bytes": size,
+                "duration_s": wall_s,
+                "trials_per_s": self.rate(),
+                "folder": args.out,
+            }));
+            return;
+        }
+        let there = format!(
+            "{} trials in {}, {}, in {}",
+            self.stored,
+            counted(shards.len() as u64, "shard", "shards"),
+            bytes(size as f64),
+            args.out.display(),
+        );
+        let (made, wall, rate) = (self.made, duration(wall_s), self.rate());
+        say(format_args!("{there}; {made} made in {wall} ({rate:.0}/s)"));
+        if !complete {
+            say("stopped; the same command goes on");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_of_contacts_are_read() {
+        assert_eq!(contacts("1..6"), Ok([1, 6]));
+        assert_eq!(contacts("3"), Ok([3, 3]));
+        assert!(contacts("1..").is_err() && contacts("-1..2").is_err() && contacts("").is_err());
+    }
+}

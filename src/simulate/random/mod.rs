@@ -1,0 +1,230 @@
+//! Sim-Random (paper IV-A): free trials in bulk, as Parquet shards whose bytes follow from their
+//! definition alone.
+//! Uses: sim-core, `simulate::schema`, threads. Never: a clock, the order in which threads finish.
+//!
+//! `draw -> simulate -> encode` makes a row group on one thread; the keeper, the calling thread,
+//! appends row groups in order and makes each full shard durable (`folder`). Row group n is thread
+//! n mod threads' work and waits in that thread's own bounded queue, so that memory depends on
+//! the number of threads alone and nothing is ever put into order.
+
+use std::num::NonZeroUsize;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread;
+
+use sim_core::batch::{BatchModel, BatchWork};
+use sim_core::sensor::Sensor;
+
+pub mod draw;
+pub mod encode;
+pub mod error;
+pub mod folder;
+pub mod manifest;
+
+use encode::{Encoder, Layout, RowGroup, Trials};
+use error::RandomError;
+use folder::{Folder, Look};
+use manifest::{Definition, Manifest, Shard, ShardRow};
+
+/// Row groups that a thread may be ahead of the file.
+const AHEAD: usize = 2;
+
+/// What is told while shards are made.
+#[derive(Debug, Clone, Copy)]
+pub enum Progress<'a> {
+    /// What an earlier call has left done, before the first new trial.
+    Found {
+        /// Trials in sound shards.
+        trials: u64,
+        /// Shards whose files are missing or damaged, and which are made again.
+        damaged: u64,
+    },
+    /// So many more trials are made.
+    Made(u64),
+    /// A shard is durable.
+    Shard(&'a ShardRow),
+}
+
+/// How it ended.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Outcome {
+    /// All shards are there.
+    Complete(Manifest),
+    /// It was told to stop; the same call goes on.
+    Stopped(Manifest),
+}
+
+/// How shards are made: nothing of it changes a byte.
+#[derive(Debug, Clone, Copy)]
+pub struct Means<'a> {
+    /// Threads that simulate.
+    pub threads: NonZeroUsize,
+    /// How closely shards that are there are looked at.
+    pub look: Look,
+    /// Set by another thread to end after the shard under way.
+    pub stop: &'a AtomicBool,
+}
+
+/// Makes the shards of a definition that are not yet in the folder.
+///
+/// `model` is the one that the definition names, for this sensor. Killed at any instant, the same
+/// call goes on after the last shard that the manifest names.
+pub fn generate(
+    definition: &Definition,
+    sensor: &Sensor,
+    model: &BatchModel,
+    folder: &Path,
+    means: Means<'_>,
+    tell: &mut dyn FnMut(Progress<'_>),
+) -> Result<Outcome, RandomError> {
+    let folder = Folder::take(folder)?;
+    let mut manifest = folder.manifest(definition)?;
+    let missing = missing(definition, &manifest, &folder, means.look, tell)?;
+    let layout = Layout::new(definition, sensor.channels(), sensor.file.tip_diameter_mm)
+        .map_err(|source| RandomError::Encode { file: "the shards' columns".into(), source })?;
+    let maker = Maker { definition, sensor, model, layout: &layout };
+    let complete = thread::scope(|scope| -> Result<bool, RandomError> {
+        let threads = means.threads.get();
+        let queues: Vec<Receiver<Made>> = (0..threads)
+            .map(|thread| {
+                let (give, take) = sync_channel(AHEAD);
+                let share =
+                    missing.iter().flat_map(|s| s.row_groups()).skip(thread).step_by(threads);
+                let maker = &maker;
+                scope.spawn(move || maker.make_all(share, &give));
+                take
+            })
+            .collect();
+        let mut made = queues.iter().cycle();
+        for shard in &missing {
+            if means.stop.load(Ordering::Relaxed) {
+                return Ok(false);
+            }
+            let row = keep(shard, &folder, &layout, &mut made, tell)?;
+            reproduced(manifest.row(shard), &row)?;
+            tell(Progress::Shard(&row));
+            manifest.set(row);
+            folder.write_manifest(&manifest)?;
+        }
+        Ok(true)
+    })?;
+    Ok(if complete { Outcome::Complete(manifest) } else { Outcome::Stopped(manifest) })
+}
+
+/// The shards that are not there, or are not what their rows say.
+fn missing(
+    definition: &Definition,
+    manifest: &Manifest,
+    folder: &Folder,
+    look: Look,
+    tell: &mut dyn FnMut(Progress<'_>),
+) -> Result<Vec<Shard>, RandomError> {
+    let (mut missing, mut trials, mut damaged) = (Vec::new(), 0, 0);
+    for shard in definition.shards() {
+        match manifest.row(&shard) {
+            Some(row) if folder.holds(row, look)? => trials += shard.trials,
+            row => {
+                damaged += u64::from(row.is_some());
+                missing.push(shard);
+            }
+        }
+    }
+    tell(Progress::Found { trials, damaged });
+    Ok(missing)
+}
+
+/// Writes a shard from the row groups that come next, and makes it durable.
+fn keep<'q>(
+    shard: &Shard,
+    folder: &Folder,
+    layout: &Layout,
+    made: &mut impl Iterator<Item = &'q Receiver<Made>>,
+    tell: &mut dyn FnMut(Progress<'_>),
+) -> Result<ShardRow, RandomError> {
+    let failed = |source| RandomError::Encode { file: shard.file_name(), source };
+    let mut file = layout.file(folder.begin(shard)?).map_err(failed)?;
+    // In this order: when the shard has no more row groups, no queue is passed over.
+    for ((_, trials), queue) in shard.row_groups().zip(made) {
+        // A thread that hangs up early has panicked; the scope then panics in its place.
+        let group = queue.recv().expect("a thread makes all of its row groups")?;
+        encode::append(&mut file, group).map_err(failed)?;
+        tell(Progress::Made(trials));
+    }
+    folder.finish(shard, file.into_inner().map_err(failed)?)
+}
+
+/// A shard that was made before has the same bytes now.
+fn reproduced(before: Option<&ShardRow>, now: &ShardRow) -> Result<(), RandomError> {
+    match before {
+        Some(before) if before.sha256 != now.sha256 => Err(RandomError::NotReproduced {
+            file: now.file.clone(),
+            before: before.sha256.clone(),
+            now: now.sha256.clone(),
+        }),
+        _ => Ok(()),
+    }
+}
+
+/// A row group, or why there is none.
+type Made = Result<RowGroup, RandomError>;
+
+/// What all threads share.
+struct Maker<'a> {
+    definition: &'a Definition,
+    sensor: &'a Sensor,
+    model: &'a BatchModel,
+    layout: &'a Layout,
+}
+
+impl Maker<'_> {
+    /// Makes row groups until they are done, one fails, or nobody takes them any more.
+    fn make_all(&self, row_groups: impl Iterator<Item = (u64, u64)>, give: &SyncSender<Made>) {
+        let mut work = BatchWork::default();
+        let mut encoder = None;
+        for (first, count) in row_groups {
+            let made = self.make(first, count, &mut encoder, &mut work);
+            let failed = made.is_err();
+            if give.send(made).is_err() || failed {
+                return;
+            }
+        }
+    }
+
+    fn make(
+        &self,
+        first: u64,
+        count: u64,
+        encoder: &mut Option<Encoder>,
+        work: &mut BatchWork,
+    ) -> Made {
+        let trials = self.simulate(first, count, work)?;
+        let failed = |source| RandomError::Encode { file: format!("trials from {first}"), source };
+        let encoder = match encoder {
+            Some(encoder) => encoder,
+            none => none.insert(self.layout.encoder().map_err(failed)?),
+        };
+        encoder.encode(trials).map_err(failed)
+    }
+
+    /// Draws and solves consecutive trials.
+    fn simulate(
+        &self,
+        first: u64,
+        count: u64,
+        work: &mut BatchWork,
+    ) -> Result<Trials, RandomError> {
+        let (mut contacts, mut ends) = (Vec::new(), Vec::with_capacity(count as usize));
+        for index in first..first + count {
+            self.definition.draws.trial(self.sensor.points(), index, &mut contacts);
+            ends.push(contacts.len());
+        }
+        let mut trials = Trials { first, contacts, ends, voltages_v: Vec::new() };
+        let mut voltages_v = vec![0.0; trials.ends.len() * self.sensor.channels()];
+        self.model
+            .voltages(&trials.each(), &mut voltages_v, work)
+            .map_err(|source| RandomError::Simulate { first, last: first + count - 1, source })?;
+        trials.voltages_v = voltages_v;
+        Ok(trials)
+    }
+}
