@@ -6,6 +6,7 @@
 //! ones of the rim; same materials; bottom fixed; each contact as six point forces; small strains.
 //! Units: mm, N, MPa. Node `1 + level * plane + node`; level 0 is the bottom.
 
+use std::collections::BTreeMap;
 use std::fmt::{Arguments, Write as _};
 
 use crate::deformation::NodeForce;
@@ -31,13 +32,21 @@ pub fn deck(title: &str, mesh: &Mesh, forces: &[NodeForce]) -> String {
     deck.level_set(mesh, "FOAMTOP", mesh.foam_levels[1]);
     deck.line(format_args!("*BOUNDARY\nFIXED, 1, 3"));
     deck.line(format_args!("*STEP\n*STATIC"));
-    if !forces.is_empty() {
+    // Forces of neighbouring contacts on one node are summed here: a line for each node.
+    let mut on_node: BTreeMap<u32, f64> = BTreeMap::new();
+    for force in forces {
+        *on_node.entry(force.node).or_default() += force.force_n;
+    }
+    if !on_node.is_empty() {
         deck.line(format_args!("*CLOAD"));
     }
     let surface = mesh.levels() - 1;
-    for force in forces {
-        let node = node_number(mesh, surface, force.node as usize);
-        deck.line(format_args!("{node}, 3, {:.12e}", -force.force_n));
+    for (node, force_n) in on_node {
+        deck.line(format_args!(
+            "{}, 3, {:.12e}",
+            node_number(mesh, surface, node as usize),
+            -force_n
+        ));
     }
     deck.line(format_args!("*NODE PRINT, NSET=FOAMBOTTOM\nU\n*NODE PRINT, NSET=FOAMTOP\nU"));
     deck.line(format_args!("*NODE FILE\nU\n*END STEP"));

@@ -11,6 +11,7 @@ use clap::Args;
 use serde::Serialize;
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 
+use crate::cli::calibrate::read_calibration;
 use crate::cli::data_or_default;
 use crate::cli::error::CliError;
 use crate::cli::files::{read_sensor, write};
@@ -31,6 +32,9 @@ pub struct TrialArgs {
     /// Sensor file: the skin's geometry and materials [default: ert-28].
     #[arg(long, value_name = "FILE")]
     sensor: Option<PathBuf>,
+    /// Calibration file, whose values take the place of the sensor file's.
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
     /// Most contacts in a trial.
     #[arg(long, value_name = "N", default_value_t = 6)]
     max_contacts: usize,
@@ -63,7 +67,10 @@ struct Answer<'a> {
 
 /// Runs the command. Exit code: 0 all lines are answered, 2 bad input.
 pub fn trials(args: &TrialArgs) -> Result<ExitCode, CliError> {
-    let sensor = read_sensor(args.sensor.as_deref())?;
+    let mut sensor = read_sensor(args.sensor.as_deref())?;
+    if let Some(path) = &args.calibration {
+        sensor = read_calibration(path, &sensor)?.apply(&sensor)?;
+    }
     let last = sensor.electrodes_mm().len() - 1;
     if args.inject > last {
         return Err(CliError::argument("inject", args.inject, format!("must be from 0 to {last}")));
