@@ -75,8 +75,10 @@ fn gauss() -> Vec<(f64, [f64; 3])> {
     rule
 }
 
-/// Nodes (level, plane) and corners of every brick.
-fn all_bricks(mesh: &Mesh) -> Vec<([(usize, usize); 8], [[f64; 3]; 8])> {
+/// Nodes (level, plane) and corners of a brick.
+type Brick = ([(usize, usize); 8], [[f64; 3]; 8]);
+
+fn all_bricks(mesh: &Mesh) -> Vec<Brick> {
     let heights = mesh.level_heights_mm();
     let brick = |level: usize, cell: &[u32; 4]| {
         let nodes = std::array::from_fn(|i| (level + i / 4, cell[i % 4] as usize));
