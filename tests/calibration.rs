@@ -3,6 +3,7 @@
 
 use std::fmt::Write;
 use std::path::PathBuf;
+use std::process::Command;
 use std::sync::{Arc, OnceLock};
 
 use palpate::calibrate::{foam, frames, piezo, plot};
@@ -166,11 +167,11 @@ fn single_contacts() -> String {
 #[test]
 fn the_compression_test_gives_back_the_papers_numbers() {
     let text = example("compression.csv", &compression());
-    let fit = piezo::calibrate("compression.csv", &text).unwrap();
+    let fit = piezo::calibrate("compression.csv", &text, &sensor().file.piezo).unwrap();
     let (found, truth) = (&fit.calibration, sensor().file.piezo);
     assert!(holds(&found.a_ohm, truth.a_ohm), "{found:?}");
     assert!(holds(&found.b_per_mm, truth.b_per_mm), "{found:?}");
-    assert!(holds(&found.c_ohm, truth.c_ohm), "{found:?}");
+    assert!(holds(&found.c_ohm.unwrap(), truth.c_ohm), "{found:?}");
     assert!((0.09..0.15).contains(&found.residual_sd_ln), "{found:?}");
     let picture = plot::piezo(&fit).unwrap();
     assert!(picture.starts_with("<svg") && picture.matches("<circle").count() > 60);
@@ -214,7 +215,7 @@ fn the_voltages_of_single_contacts_are_judged_and_a_calibration_carries_it() {
     let sensor = sensor();
     let read = frames::read("single-contacts.jsonl", &text, sensor.channels()).unwrap();
     assert_eq!((read.single.len(), read.left_out), (POINTS.len(), 0));
-    let fit = piezo::calibrate("compression.csv", &compression()).unwrap();
+    let fit = piezo::calibrate("compression.csv", &compression(), &sensor().file.piezo).unwrap();
     let alone = Calibration { sensor: sensor.file.name.clone(), ..Calibration::default() };
     let mut calibration = Calibration { piezo: Some(fit.calibration), ..alone };
     let calibrated = calibration.apply(&sensor).unwrap();
@@ -262,4 +263,78 @@ fn wrong_indentations_are_named_with_line_field_and_limit() {
         error("point,force_n,displacement_mm\n3,5,1\n"),
         "t.csv: 1 rows are too few for 1 unknowns; at least one more is needed"
     );
+}
+
+// ---------------------------------------------------------------- the command
+
+/// A folder of this test's own.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let folder = std::env::temp_dir().join(format!("palpate-{name}-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        Self(folder)
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.0.join(name).display().to_string()
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        std::fs::remove_dir_all(&self.0).ok();
+    }
+}
+
+fn palpate(arguments: &[&str]) -> std::process::Output {
+    Command::new(env!("CARGO_BIN_EXE_palpate")).arg("calibrate").args(arguments).output().unwrap()
+}
+
+#[test]
+fn the_command_writes_a_file_that_applies_and_a_plot_and_keeps_the_other_part() {
+    let folder = Folder::new("calibrate");
+    let [first, both, picture] = ["piezo.toml", "both.toml", "piezo.svg"].map(|n| folder.path(n));
+    let examples = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/calibration");
+    let table = format!("{examples}/compression.csv");
+    let piezo = palpate(&["piezo", &table, "--out", &first, "--plot", &picture, "--json"]);
+    assert!(piezo.status.success(), "{}", String::from_utf8_lossy(&piezo.stderr));
+    let said: serde_json::Value = serde_json::from_slice(&piezo.stdout).unwrap();
+    let read =
+        |path: &str| Calibration::from_toml(&std::fs::read_to_string(path).unwrap()).unwrap();
+    assert_eq!(said["id"], read(&first).id().unwrap());
+    assert!(std::fs::read_to_string(&picture).unwrap().starts_with("<svg"));
+
+    let table = format!("{examples}/indentation.csv");
+    let foam = palpate(&["foam", &table, "--from", &first, "--out", &both]);
+    assert!(foam.status.success(), "{}", String::from_utf8_lossy(&foam.stderr));
+    let words = String::from_utf8(foam.stdout).unwrap();
+    assert!(words.contains("fabrics: kept") && words.contains("paper: 24.1 %"), "{words}");
+    let (both, first) = (read(&both), read(&first));
+    assert!(both.foam.is_some());
+    assert_eq!(both.piezo, first.piezo);
+    assert!(both.apply(&sensor()).is_ok());
+}
+
+#[test]
+fn bad_input_ends_with_2_and_says_where() {
+    let folder = Folder::new("calibrate-bad");
+    let table = folder.path("t.csv");
+    std::fs::write(&table, "displacement_mm,resistance_ohm\n1,none\n").unwrap();
+    let bad = palpate(&["piezo", &table]);
+    assert_eq!(bad.status.code(), Some(2));
+    let words = String::from_utf8(bad.stderr).unwrap();
+    assert!(words.contains("t.csv: line 2, resistance_ohm = none: must be"), "{words}");
+
+    let edited = folder.path("edited.toml");
+    let fit = piezo::calibrate("compression.csv", &compression(), &sensor().file.piezo).unwrap();
+    let sensor = sensor().file.name;
+    let whole = Calibration { sensor, piezo: Some(fit.calibration), ..Calibration::default() };
+    std::fs::write(&edited, whole.to_toml().unwrap().replace("rows = 60", "rows = 61")).unwrap();
+    std::fs::write(&table, compression()).unwrap();
+    let bad = palpate(&["piezo", &table, "--from", &edited]);
+    assert_eq!(bad.status.code(), Some(2));
+    let words = String::from_utf8(bad.stderr).unwrap();
+    assert!(words.contains("edited.toml: id = cal-"), "{words}");
 }

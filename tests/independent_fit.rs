@@ -5,6 +5,7 @@ use std::process::{Command, Stdio};
 
 use palpate::calibrate::{piezo, regression};
 use sim_core::calibration::Fitted;
+use sim_core::sensor::Sensor;
 
 /// A Python that has scipy, if there is one.
 fn python() -> Option<String> {
@@ -39,8 +40,10 @@ fn scipy_finds_the_same_numbers_and_intervals() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let scipy: Scipy = serde_json::from_slice(&output.stdout).unwrap();
     let text = std::fs::read_to_string(&table).unwrap();
-    let ours = piezo::calibrate("compression.csv", &text).unwrap().calibration;
-    for (fitted, theirs) in [ours.a_ohm, ours.b_per_mm, ours.c_ohm].iter().zip(scipy.fitted) {
+    let sensor = Sensor::from_toml(include_str!("../experiments/sensors/ert-28.toml")).unwrap();
+    let ours = piezo::calibrate("compression.csv", &text, &sensor.file.piezo).unwrap().calibration;
+    let c_ohm = ours.c_ohm.expect("the example holds c");
+    for (fitted, theirs) in [ours.a_ohm, ours.b_per_mm, c_ohm].iter().zip(scipy.fitted) {
         let Fitted { value, low_95, high_95 } = *fitted;
         for (ours, theirs) in [value, low_95, high_95].into_iter().zip(theirs) {
             assert!((ours / theirs - 1.0).abs() < 1e-5, "{fitted:?}, scipy {theirs}");

@@ -105,8 +105,10 @@ pub struct PiezoCalibration {
     pub a_ohm: Fitted,
     /// b, 1/mm.
     pub b_per_mm: Fitted,
-    /// c, ohm.
-    pub c_ohm: Fitted,
+    /// c, ohm; absent where the test ends before the resistance levels off and the sensor file's is
+    /// kept.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub c_ohm: Option<Fitted>,
 }
 
 /// The moduli as single-point indentations give them.
@@ -217,7 +219,7 @@ impl Calibration {
         if let Some(piezo) = &self.piezo {
             file.piezo.a_ohm = piezo.a_ohm.value;
             file.piezo.b_per_mm = piezo.b_per_mm.value;
-            file.piezo.c_ohm = piezo.c_ohm.value;
+            file.piezo.c_ohm = piezo.c_ohm.map_or(file.piezo.c_ohm, |c| c.value);
         }
         if let Some(foam) = &self.foam {
             let needed = mesh_id(sensor)?;
@@ -242,7 +244,7 @@ impl Calibration {
         if let Some(p) = &self.piezo {
             fitted("piezo.a_ohm", &p.a_ohm)?;
             fitted("piezo.b_per_mm", &p.b_per_mm)?;
-            fitted("piezo.c_ohm", &p.c_ohm)?;
+            p.c_ohm.as_ref().map_or(Ok(()), |c| fitted("piezo.c_ohm", c))?;
         }
         if let Some(f) = &self.foam {
             fitted("foam.foam_mpa", &f.foam_mpa)?;
@@ -290,7 +292,7 @@ mod tests {
             residual_sd_ln: 0.1,
             a_ohm: about(2.0e8),
             b_per_mm: about(1.5),
-            c_ohm: about(6.0e5),
+            c_ohm: Some(about(6.0e5)),
         };
         Calibration { sensor: "ert-28".into(), piezo: Some(piezo), foam: None, voltage: None }
     }
@@ -369,9 +371,9 @@ mod tests {
     #[test]
     fn a_wrong_value_or_key_is_named() {
         let mut wrong = piezo();
-        wrong.piezo.as_mut().unwrap().c_ohm.low_95 = -1.0;
+        wrong.piezo.as_mut().unwrap().a_ohm.low_95 = -1.0;
         let error = Calibration::from_toml(&wrong.to_toml().unwrap()).unwrap_err().to_string();
-        assert!(error.starts_with("piezo.c_ohm = 600000 (-1 to"), "{error}");
+        assert!(error.starts_with("piezo.a_ohm = 200000000 (-1 to"), "{error}");
         let none = Calibration { piezo: None, ..piezo() };
         assert!(Calibration::from_toml(&none.to_toml().unwrap()).is_err());
         let unknown = piezo().to_toml().unwrap().replace("rows", "rwos");

@@ -14,7 +14,7 @@ use crate::fields::NodeFields;
 use crate::forward::{Contact, ContactError, ForwardModel, NodeLaw, Workspace};
 use crate::mesh::Mesh;
 use crate::network::adjoint::{Direction, Potentials, Pull};
-use crate::network::kron::KronFactor;
+use crate::network::back::KronFactor;
 use crate::network::{Resistor, sheet};
 use crate::piezo::conductance_slopes;
 use crate::tip::Share;

@@ -49,14 +49,10 @@ struct LineContact {
 pub fn read(file: &str, text: &str, channels: usize) -> Result<Frames, CalibrateError> {
     let (mut frames, mut problems) = (Frames::default(), Vec::new());
     for (n, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
-        match read_line(line, channels) {
-            Ok(Some((contact, voltages_v))) => {
-                frames.single.push(SingleContact { line: n + 1, contact, voltages_v });
-            }
+        match read_line(file, n + 1, line, channels) {
+            Ok(Some(frame)) => frames.single.push(frame),
             Ok(None) => frames.left_out += 1,
-            Err((key, value, limit)) => {
-                problems.push(Problem::new(file, &format!("line {}, {key}", n + 1), value, limit));
-            }
+            Err(problem) => problems.push(problem),
         }
     }
     if !problems.is_empty() {
@@ -69,24 +65,28 @@ pub fn read(file: &str, text: &str, channels: usize) -> Result<Frames, Calibrate
     Ok(frames)
 }
 
-/// A line's contact and frame; `None` unless it has exactly one contact. Else key, value and limit.
-#[expect(clippy::type_complexity, reason = "used once, right above")]
+/// The frame of a line; `None` unless it has exactly one contact.
 fn read_line(
-    line: &str,
+    file: &str,
+    line: usize,
+    text: &str,
     channels: usize,
-) -> Result<Option<(Contact, Vec<f64>)>, (&'static str, String, String)> {
-    let parsed: Line =
-        serde_json::from_str(line).map_err(|e| ("JSON", "not a trial".into(), e.to_string()))?;
+) -> Result<Option<SingleContact>, Problem> {
+    let problem = |key: &str, value: String, limit: String| {
+        Problem::new(file, &format!("line {line}, {key}"), value, limit)
+    };
+    let parsed: Line = serde_json::from_str(text)
+        .map_err(|e| problem("JSON", "not a trial".into(), e.to_string()))?;
     let [LineContact { x_mm, y_mm, force_n }] = parsed.contacts[..] else { return Ok(None) };
-    if !(force_n >= 0.0) {
-        return Err(("force_n", force_n.to_string(), "must be a number >= 0".into()));
+    if force_n < 0.0 {
+        return Err(problem("force_n", force_n.to_string(), "must be a number >= 0".into()));
     }
     let voltages_v = parsed.voltages_v.unwrap_or_default();
     if voltages_v.len() != channels {
         let limit = format!("this sensor has {channels} voltages (trials: ask with voltages=true)");
-        return Err(("voltages_v", format!("{} numbers", voltages_v.len()), limit));
+        return Err(problem("voltages_v", format!("{} numbers", voltages_v.len()), limit));
     }
-    Ok(Some((Contact { x_mm, y_mm, force_n }, voltages_v)))
+    Ok(Some(SingleContact { line, contact: Contact { x_mm, y_mm, force_n }, voltages_v }))
 }
 
 /// Voltages of the model against the measured ones, over all values of all frames.

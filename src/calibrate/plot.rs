@@ -55,9 +55,10 @@ fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Result<(), CalibrateError> {
     let ends = bands.iter().flat_map(|(_, b)| b.measurement_ohm);
     let (low, high) = measured.chain(ends).fold((f64::MAX, 0f64), |(l, h), v| (l.min(v), h.max(v)));
     let c = &fit.calibration;
+    let tail = c.c_ohm.map_or("c kept".into(), |c| format!("c = {:.2e} ohm", c.value));
     let title = format!(
-        "a = {:.3e} ohm, b = {:.3} /mm, c = {:.3e} ohm ({} rows)",
-        c.a_ohm.value, c.b_per_mm.value, c.c_ohm.value, c.rows
+        "a = {:.2e} ohm, b = {:.3} /mm, {tail} ({} rows)",
+        c.a_ohm.value, c.b_per_mm.value, c.rows
     );
     let mut chart = ChartBuilder::on(area)
         .caption(title, ("sans-serif", 17))

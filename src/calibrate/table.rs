@@ -65,9 +65,10 @@ pub fn read(file: &str, text: &str, columns: &[Column]) -> Result<Vec<Row>, Vec<
     let header = reader.headers().map_err(whole)?.clone();
     let places = places(file, &header, columns).map_err(|problem| vec![problem])?;
     let (mut rows, mut problems) = (Vec::new(), Vec::new());
+    let mut lines = Lines { text, byte: 0, line: 1 };
     for record in reader.records() {
         let record = record.map_err(whole)?;
-        let line = record.position().map_or(0, csv::Position::line);
+        let line = lines.of(record.position().map_or(0, csv::Position::byte) as usize);
         match row(file, line, &record, header.len(), &places) {
             Ok(row) => rows.push(row),
             Err(found) => problems.extend(found),
@@ -77,6 +78,30 @@ pub fn read(file: &str, text: &str, columns: &[Column]) -> Result<Vec<Row>, Vec<
         }
     }
     if problems.is_empty() { Ok(rows) } else { Err(problems) }
+}
+
+/// Lines of records. The csv crate says where it began to look for a record: blank lines and
+/// comments may still lie before it.
+struct Lines<'a> {
+    text: &'a str,
+    byte: usize,
+    line: u64,
+}
+
+impl Lines<'_> {
+    /// The line of the record that was looked for from a byte on; bytes may only grow.
+    fn of(&mut self, from: usize) -> u64 {
+        for piece in self.text[self.byte..].split_inclusive('\n') {
+            let content = piece.trim();
+            let is_record = !content.is_empty() && !content.starts_with('#');
+            if is_record && self.byte + piece.trim_end().len() > from {
+                break;
+            }
+            self.byte += piece.len();
+            self.line += 1;
+        }
+        self.line
+    }
 }
 
 /// Where in a record each asked column stands.

@@ -77,7 +77,7 @@ pub fn calibrate(args: &CalibrateArgs) -> Result<ExitCode, CliError> {
     let alone = Calibration { sensor: sensor.file.name.clone(), ..Calibration::default() };
     let (alone, picture) = match &args.what {
         What::Piezo(_) => {
-            let fit = piezo::calibrate(&file, &text)?;
+            let fit = piezo::calibrate(&file, &text, &sensor.file.piezo)?;
             let picture = common.plot.as_ref().map(|_| plot::piezo(&fit)).transpose()?;
             (Calibration { piezo: Some(fit.calibration), ..alone }, picture)
         }
@@ -147,7 +147,10 @@ fn answer(common: &Common, whole: &Calibration, left_out: usize) -> Result<(), C
         say(format_args!("Eq. 1 from {} rows, {least} to {most} mm", p.rows));
         say_fitted("a", &p.a_ohm, "ohm");
         say_fitted("b", &p.b_per_mm, "1/mm");
-        say_fitted("c", &p.c_ohm, "ohm");
+        match &p.c_ohm {
+            Some(c) => say_fitted("c", c, "ohm"),
+            None => say("  c: kept; compress until the resistance levels off"),
+        }
         let factor = p.residual_sd_ln.exp();
         say(format_args!("  scatter: a factor of {factor:.3} (one standard deviation)"));
     }

@@ -94,3 +94,50 @@ fn expm1<L: Lane32>(y: L) -> L {
     let power = shifted.power_of_two();
     power.mul_add(small, power.add(number(-1.0)))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::batch::Kernel;
+    use crate::network::lane::LaneJob;
+    use crate::piezo::conductance_s;
+
+    struct Conduct<'a>(&'a Foam, [f32; BLOCK]);
+
+    impl LaneJob for Conduct<'_> {
+        type Output = [f32; BLOCK];
+
+        #[inline(always)]
+        fn run<L: Lane32>(mut self) -> [f32; BLOCK] {
+            self.0.conduct::<L>(0, &mut self.1);
+            self.1
+        }
+    }
+
+    #[test]
+    fn eq_1_holds_to_5e_7_at_every_compression() {
+        let law = NodeLaw { a_ohm: 2.2e8, b_per_mm: 1.4, c_ohm: 6.5e5, compliance: 1.0 };
+        let order: Vec<u32> = (0..BLOCK as u32).collect();
+        let foam = Foam::new(&order, &[law; BLOCK], None);
+        for kernel in Kernel::ALL.into_iter().filter(|kernel| kernel.is_here()) {
+            let mut worst = 0f64;
+            for step in 0..4000 {
+                // 1e-5 to 1e3 mm, and below zero.
+                let x = (1e-5 * 10f64.powf(8.0 * f64::from(step) / 4000.0)) as f32;
+                let found = kernel.run(Conduct(&foam, [x; BLOCK]));
+                assert!(found.iter().all(|g| *g == found[0]), "the same in every lane");
+                let exact = conductance_s(law.a_ohm, law.b_per_mm, law.c_ohm, f64::from(x));
+                worst = worst.max((f64::from(found[0]) / exact - 1.0).abs());
+            }
+            assert!(worst < 5e-7, "{}: {worst:e}", kernel.name());
+            let rest = kernel.run(Conduct(&foam, [0.0; BLOCK]));
+            assert_eq!(kernel.run(Conduct(&foam, [-3.0; BLOCK])), rest, "uplift is no compression");
+        }
+    }
+
+    #[test]
+    fn a_node_without_foam_conducts_nothing() {
+        let foam = Foam::new(&[7], &[], None);
+        assert_eq!(Kernel::detect().run(Conduct(&foam, [2.0; BLOCK])), [0.0; BLOCK]);
+    }
+}

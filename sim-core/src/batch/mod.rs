@@ -108,54 +108,98 @@ impl BatchModel {
             let found = out_v.len();
             return Err(BatchError::Output { trials: trials.len(), needed, found });
         }
-        self.kernel.run(Frames { batch: self, trials, out_v, work })
-    }
-}
-
-/// The job of [`BatchModel::voltages`].
-struct Frames<'a> {
-    batch: &'a BatchModel,
-    trials: &'a [&'a [Contact]],
-    out_v: &'a mut [f32],
-    work: &'a mut BatchWork,
-}
-
-impl LaneJob for Frames<'_> {
-    type Output = Result<(), BatchError>;
-
-    #[inline(always)]
-    fn run<L: Lane32>(self) -> Self::Output {
-        let Self { batch, trials, out_v, work } = self;
-        rest::<L>(batch, work);
-        let frames = out_v.chunks_mut(L::LANES * batch.frame_len());
-        for (group, (trials, frames)) in trials.chunks(L::LANES).zip(frames).enumerate() {
-            work.to_top_s.resize(batch.foam.nodes() * L::LANES, 0.0);
-            for lane in 0..L::LANES {
-                let contacts = trials.get(lane).copied().unwrap_or_default();
-                let trial = group * L::LANES + lane;
-                load_trial::<L>(batch, contacts, lane, work)
-                    .map_err(|source| BatchError::Trial { trial, source })?;
-            }
-            let reduced = reduce(&batch.plan, &work.to_top_s, L::own(&mut work.lanes));
-            work.reduced.resize(reduced.len() * L::LANES, 0.0);
-            for (lanes, numbers) in reduced.iter().zip(work.reduced.chunks_exact_mut(L::LANES)) {
-                lanes.store(numbers);
-            }
-            for (lane, frame) in frames.chunks_exact_mut(batch.frame_len()).enumerate() {
-                read_out(batch, lane, L::LANES, work, frame);
-            }
+        // Each stage is a job of its own: what the compiler puts into vectors stays small.
+        self.kernel.run(Rest { foam: &self.foam, work });
+        let lanes = self.kernel.lanes();
+        let frames = out_v.chunks_mut(lanes * self.frame_len());
+        for (group, (trials, frames)) in trials.chunks(lanes).zip(frames).enumerate() {
+            self.kernel.run(Load { batch: self, trials, work }).map_err(|(lane, source)| {
+                BatchError::Trial { trial: group * lanes + lane, source }
+            })?;
+            self.kernel.run(Reduce { plan: &self.plan, work });
+            self.kernel.run(ReadOut { batch: self, work, frames });
         }
         Ok(())
     }
 }
 
-/// Conductances of the untouched skin.
-#[inline(always)]
-fn rest<L: Lane32>(batch: &BatchModel, work: &mut BatchWork) {
-    work.rest_s.clear();
-    work.rest_s.resize(batch.foam.nodes() / BLOCK, [0.0; BLOCK]);
-    for (block, values) in work.rest_s.iter_mut().enumerate() {
-        batch.foam.conduct::<L>(block, values);
+/// Works out the conductances of the untouched skin.
+struct Rest<'a> {
+    foam: &'a Foam,
+    work: &'a mut BatchWork,
+}
+
+impl LaneJob for Rest<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lane32>(self) {
+        self.work.rest_s.clear();
+        self.work.rest_s.resize(self.foam.nodes() / BLOCK, [0.0; BLOCK]);
+        for (block, values) in self.work.rest_s.iter_mut().enumerate() {
+            self.foam.conduct::<L>(block, values);
+        }
+    }
+}
+
+/// Works out the conductances of trials, one in each lane; lanes without a trial are untouched.
+struct Load<'a> {
+    batch: &'a BatchModel,
+    trials: &'a [&'a [Contact]],
+    work: &'a mut BatchWork,
+}
+
+impl LaneJob for Load<'_> {
+    type Output = Result<(), (usize, ContactError)>;
+
+    #[inline(always)]
+    fn run<L: Lane32>(self) -> Self::Output {
+        let Self { batch, trials, work } = self;
+        work.to_top_s.resize(batch.foam.nodes() * L::LANES, 0.0);
+        for lane in 0..L::LANES {
+            let contacts = trials.get(lane).copied().unwrap_or_default();
+            load_trial::<L>(batch, contacts, lane, work).map_err(|source| (lane, source))?;
+        }
+        Ok(())
+    }
+}
+
+/// Reduces the network to its electrodes.
+struct Reduce<'a> {
+    plan: &'a ReductionPlan,
+    work: &'a mut BatchWork,
+}
+
+impl LaneJob for Reduce<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lane32>(self) {
+        let BatchWork { to_top_s, lanes, reduced, .. } = self.work;
+        let block = reduce(self.plan, to_top_s, L::own(lanes));
+        reduced.resize(block.len() * L::LANES, 0.0);
+        for (lanes, numbers) in block.iter().zip(reduced.chunks_exact_mut(L::LANES)) {
+            lanes.store(numbers);
+        }
+    }
+}
+
+/// Turns the reduced network of each lane into its frame, in f64.
+struct ReadOut<'a> {
+    batch: &'a BatchModel,
+    work: &'a mut BatchWork,
+    frames: &'a mut [f32],
+}
+
+impl LaneJob for ReadOut<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lane32>(self) {
+        let Self { batch, work, frames } = self;
+        for (lane, frame) in frames.chunks_exact_mut(batch.frame_len()).enumerate() {
+            read_out(batch, lane, L::LANES, work, frame);
+        }
     }
 }
 

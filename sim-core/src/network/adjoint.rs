@@ -10,7 +10,8 @@
 //! electrodes at `Z - common`, the top at `-common`. The frame's change is then a sum of terms of
 //! its own size.
 
-use super::kron::{KronFactor, KronReduction};
+use super::back::KronFactor;
+use super::kron::KronReduction;
 use super::readout::ReadoutWork;
 use crate::circuit::ReadoutCircuit;
 

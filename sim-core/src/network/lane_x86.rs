@@ -6,6 +6,7 @@
 //! runs; a job runs in them only through [`on_avx512`] and [`on_avx2`], which ask the processor
 //! first. The rest of `unsafe` here is two loads and two stores, of references to arrays.
 #![expect(unsafe_code, reason = "vector instructions; every one of this crate is in this file")]
+#![allow(clippy::wildcard_imports, reason = "thirty-two intrinsics, recognised by their names")]
 
 use std::arch::x86_64::*;
 

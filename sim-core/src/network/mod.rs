@@ -3,9 +3,11 @@
 //!
 //! Unknowns are the sheet's nodes (and electrodes that are not nodes), beside one more: the top
 //! layer. `order` and `kron` remove all nodes but the electrodes and the top without a subtraction;
-//! `readout` turns what is left into the impedances Z and the voltages.
+//! `plan`, `lane` and `reduce` do the same for many loads side by side; `readout` turns what is left
+//! into the impedances Z and the voltages.
 
 pub mod adjoint;
+pub mod back;
 pub mod kron;
 pub(crate) mod lane;
 #[cfg(target_arch = "x86_64")]

@@ -180,6 +180,7 @@ fn factor_pivots<L: Lane>(front: &Front, panel: &mut [Rows<L>], roots: &mut [Row
 ///
 /// A pivot must wait for `1 / d` of the one before; the roots are taken when all are known.
 #[inline(always)]
+#[expect(clippy::needless_range_loop, reason = "rows and columns of one square, by their numbers")]
 fn factor_square<L: Lane>(square: &mut Tile<L>, mut sums: Rows<L>) -> Rows<L> {
     let mut roots = sums;
     for k in 0..TILE {
@@ -329,4 +330,51 @@ fn divide<L: Lane>([a, b, c, d]: Tile<L>, square: &Tile<L>, roots: &Rows<L>) -> 
     let d = fused(&b, square[1][3], fused(&a, square[0][3], d));
     let d = scaled(fused(&c, square[2][3], d), roots[3]);
     [a, b, c, d]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::network::kron::{KronReduction, KronWork};
+    use crate::network::{Resistor, SheetNetwork};
+
+    /// A square patch with diagonals, all conductances different.
+    fn patch(side: u32, electrodes: Vec<u32>) -> SheetNetwork {
+        let mut resistors = Vec::new();
+        for (y, x) in (0..side).flat_map(|y| (0..side).map(move |x| (y, x))) {
+            let a = y * side + x;
+            for (dx, dy) in [(1, 0), (0, 1), (1, 1)] {
+                if x + dx < side && y + dy < side {
+                    let b = a + dx + side * dy;
+                    let conductance_s = 1e-5 * (1.0 + f64::from(a * 7 + b * 3).sin().powi(2));
+                    resistors.push(Resistor { a, b, conductance_s });
+                }
+            }
+        }
+        let place = |at: u32| [f64::from(at % side), f64::from(at / side)];
+        SheetNetwork { places_mm: (0..side * side).map(place).collect(), resistors, electrodes }
+    }
+
+    #[test]
+    fn it_agrees_with_the_other_layout_of_the_same_method() {
+        for (side, electrodes) in
+            [(2, vec![0, 3]), (9, vec![3, 40, 41, 80]), (23, vec![0, 250, 528])]
+        {
+            let network = patch(side, electrodes);
+            let to_top: Vec<f64> =
+                (0..side * side).map(|i| 1e-9 * (1.5 + f64::from(i).cos())).collect();
+            let mut work = KronWork::default();
+            let expected = KronReduction::new(&network).reduce(&to_top, &mut work);
+            let plan = ReductionPlan::new(&network);
+            let ordered: Vec<f64> = plan.order().iter().map(|&n| to_top[n as usize]).collect();
+            let mut work = ReduceWork::default();
+            let found: &[f64] = reduce(&plan, &ordered, &mut work);
+            let kept = plan.kept();
+            for (column, row) in (0..kept).flat_map(|c| (c + 1..=kept).map(move |r| (c, r))) {
+                let found = found[packed_entry(kept + 1, row, column)];
+                let expected = expected[column * (kept + 1) + row];
+                assert!((found / expected - 1.0).abs() < 1e-13, "{side}: {row}, {column}");
+            }
+        }
+    }
 }

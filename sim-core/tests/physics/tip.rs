@@ -2,10 +2,10 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use sim_core::forward::{Contact, ContactError, VertexForce, Workspace};
+use sim_core::forward::{Contact, ContactError, ForwardModel, VertexForce, Workspace};
 use sim_core::tip::{Share, Spreading, TipLattice};
 
-use super::{model, point_at, press, sensor};
+use super::{model, point_at, press, responses, sensor};
 
 fn shares(spreading: Spreading, x_mm: f64, y_mm: f64) -> Vec<Share> {
     let mut shares = Vec::new();
@@ -77,6 +77,24 @@ fn sharp_shares_have_no_second_moment_and_linear_ones_do() {
         blur = blur.max(moment(Spreading::Linear, x, y) - 100.0);
     }
     assert!((30.0..100.0 / 3.0 + 1e-6).contains(&blur), "{blur} mm2");
+}
+
+#[test]
+fn between_nodes_a_sharp_tip_draws_its_current_and_a_linear_one_does_not() {
+    let linear =
+        ForwardModel::new(sensor(), responses()).unwrap().with_spreading(Spreading::Linear);
+    assert_ne!(linear.model_hash(), model().model_hash());
+    let [a, b, c] =
+        model().mesh().triangles[3400].map(|node| model().mesh().nodes_mm[node as usize]);
+    let conductance = |model: &ForwardModel, [x_mm, y_mm]: [f64; 2]| -> f64 {
+        let mut work = Workspace::default();
+        model.voltages(&[Contact { x_mm, y_mm, force_n: 20.0 }], &mut work).unwrap();
+        work.to_top_s().iter().sum()
+    };
+    let on_nodes = [a, b, c].map(|node| conductance(model(), node)).iter().sum::<f64>() / 3.0;
+    let middle = [0, 1].map(|i| (a[i] + b[i] + c[i]) / 3.0);
+    let [sharp, blurred] = [model(), &linear].map(|m| conductance(m, middle) / on_nodes);
+    assert!((sharp - 1.0).abs() < 0.06 && blurred < 0.9, "{sharp} {blurred}");
 }
 
 #[test]

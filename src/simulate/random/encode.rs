@@ -137,7 +137,7 @@ impl Layout {
     }
 }
 
-/// Encodes row groups. Each thread has its own.
+/// Encodes row groups, on any number of threads.
 #[derive(Debug)]
 pub struct Encoder {
     layout: Layout,

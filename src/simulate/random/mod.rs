@@ -81,9 +81,12 @@ pub fn generate(
     let folder = Folder::take(folder)?;
     let mut manifest = folder.manifest(definition)?;
     let missing = missing(definition, &manifest, &folder, means.look, tell)?;
+    let columns_failed =
+        |source| RandomError::Encode { file: "the shards' columns".into(), source };
     let layout = Layout::new(definition, sensor.channels(), sensor.file.tip_diameter_mm)
-        .map_err(|source| RandomError::Encode { file: "the shards' columns".into(), source })?;
-    let maker = Maker { definition, sensor, model, layout: &layout };
+        .map_err(columns_failed)?;
+    let encoder = layout.encoder().map_err(columns_failed)?;
+    let maker = Maker { definition, sensor, model, encoder };
     let complete = thread::scope(|scope| -> Result<bool, RandomError> {
         let threads = means.threads.get();
         let queues: Vec<Receiver<Made>> = (0..threads)
@@ -103,9 +106,9 @@ pub fn generate(
             }
             let row = keep(shard, &folder, &layout, &mut made, tell)?;
             reproduced(manifest.row(shard), &row)?;
-            tell(Progress::Shard(&row));
-            manifest.set(row);
+            manifest.set(row.clone());
             folder.write_manifest(&manifest)?;
+            tell(Progress::Shard(&row));
         }
         Ok(true)
     })?;
@@ -174,16 +177,15 @@ struct Maker<'a> {
     definition: &'a Definition,
     sensor: &'a Sensor,
     model: &'a BatchModel,
-    layout: &'a Layout,
+    encoder: Encoder,
 }
 
 impl Maker<'_> {
     /// Makes row groups until they are done, one fails, or nobody takes them any more.
     fn make_all(&self, row_groups: impl Iterator<Item = (u64, u64)>, give: &SyncSender<Made>) {
         let mut work = BatchWork::default();
-        let mut encoder = None;
         for (first, count) in row_groups {
-            let made = self.make(first, count, &mut encoder, &mut work);
+            let made = self.make(first, count, &mut work);
             let failed = made.is_err();
             if give.send(made).is_err() || failed {
                 return;
@@ -191,20 +193,12 @@ impl Maker<'_> {
         }
     }
 
-    fn make(
-        &self,
-        first: u64,
-        count: u64,
-        encoder: &mut Option<Encoder>,
-        work: &mut BatchWork,
-    ) -> Made {
+    fn make(&self, first: u64, count: u64, work: &mut BatchWork) -> Made {
         let trials = self.simulate(first, count, work)?;
-        let failed = |source| RandomError::Encode { file: format!("trials from {first}"), source };
-        let encoder = match encoder {
-            Some(encoder) => encoder,
-            none => none.insert(self.layout.encoder().map_err(failed)?),
-        };
-        encoder.encode(trials).map_err(failed)
+        self.encoder.encode(trials).map_err(|source| RandomError::Encode {
+            file: format!("trials {first} to {}", first + count - 1),
+            source,
+        })
     }
 
     /// Draws and solves consecutive trials.
