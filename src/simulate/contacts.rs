@@ -85,7 +85,7 @@ impl<R: BufRead> ContactLines<R> {
         }
         let text =
             std::str::from_utf8(&self.bytes).map_err(|e| Problem::whole(&file, e.to_string()))?;
-        parse(text, &file, &self.limits).map(Some)
+        parse(text.trim_end(), &file, &self.limits).map(Some)
     }
 
     /// The line that was read last, as problems name it.

@@ -16,9 +16,9 @@ mod forward;
 mod jacobian;
 mod mesh;
 mod network;
+mod ngspice;
 mod surface;
 mod tip;
-mod ngspice;
 mod tools;
 
 /// The paper's skin.

@@ -32,6 +32,8 @@ const SMOOTH: f64 = 0.03;
 const PATCHES: usize = 4;
 /// Longest arrow, as a share of the part's longer side.
 const ARROW_SHARE: f64 = 0.17;
+/// Forces below this share of the largest have no arrow.
+const LEAST_ARROW: f64 = 0.02;
 /// Forces this near belong to a contact's label, mm.
 const NEAR_MM: f64 = 15.0;
 /// Forces.
@@ -296,7 +298,7 @@ fn arrows(scene: &Scene<'_>, part: &Part) -> Vec<Arrow> {
         let length = ARROW_SHARE * part.longer_mm() / STRETCH * force.force_n / most_n;
         Arrow { from: [to[0], to[1], to[2] + length], to }
     };
-    scene.forces.iter().filter(|f| f.force_n > 0.0).map(arrow).collect()
+    scene.forces.iter().filter(|f| f.force_n > LEAST_ARROW * most_n).map(arrow).collect()
 }
 
 /// The point forces, and over those of each contact its force.
