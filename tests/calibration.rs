@@ -215,7 +215,7 @@ fn the_voltages_of_single_contacts_are_judged_and_a_calibration_carries_it() {
     let sensor = sensor();
     let read = frames::read("single-contacts.jsonl", &text, sensor.channels()).unwrap();
     assert_eq!((read.single.len(), read.left_out), (POINTS.len(), 0));
-    let fit = piezo::calibrate("compression.csv", &compression(), &sensor().file.piezo).unwrap();
+    let fit = piezo::calibrate("compression.csv", &compression(), &sensor.file.piezo).unwrap();
     let alone = Calibration { sensor: sensor.file.name.clone(), ..Calibration::default() };
     let mut calibration = Calibration { piezo: Some(fit.calibration), ..alone };
     let calibrated = calibration.apply(&sensor).unwrap();
