@@ -9,6 +9,7 @@ use std::time::Duration;
 use axum::middleware::from_fn_with_state;
 use axum::routing::get;
 use jiff::Timestamp;
+use sim_core::calibration::Calibration;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -64,6 +65,8 @@ pub struct ServeOptions {
     pub resume: bool,
     /// Threads that compute simulated twins; 0 for none.
     pub twin_workers: usize,
+    /// What the simulated twins of runs on its sensor are made with.
+    pub calibration: Option<Calibration>,
 }
 
 /// Why a service does not start.
@@ -265,11 +268,22 @@ impl Service {
         let (campaign, engine) =
             engine::spawn(config.clone(), journal).map_err(ServeError::Thread)?;
         let rig = RigFile { file: options.rig_file, text: options.rig_text, config };
-        let conductor = Conductor::new(store.clone(), campaign.clone(), rig.clone());
+        let conductor = Conductor::new(
+            store.clone(),
+            campaign.clone(),
+            rig.clone(),
+            options.calibration.clone(),
+        );
         let (ending, ended) = watch::channel(false);
         let facts = Facts { bind: address, started_at: Timestamp::now(), rig, ending: ended };
         let cache = options.data.join("cache");
-        let twins = TwinPool::new(store.clone(), campaign.clone(), cache, options.twin_workers);
+        let twins = TwinPool::new(
+            store.clone(),
+            campaign.clone(),
+            options.calibration,
+            cache,
+            options.twin_workers,
+        );
         let app = App { store, campaign, conductor, twins, facts: Arc::new(facts) };
         let tasks = vec![
             tokio::spawn(app.conductor.clone().follow()),

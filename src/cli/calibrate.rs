@@ -104,18 +104,23 @@ pub fn calibrate(args: &CalibrateArgs) -> Result<ExitCode, CliError> {
 
 /// A calibration file that fits the sensor; what is wrong with it is bad input.
 pub fn read_calibration(path: &Path, sensor: &Sensor) -> Result<Calibration, CliError> {
-    let parsed = Calibration::from_toml(&read_input(path)?);
-    let fits = parsed.and_then(|calibration| calibration.apply(sensor).map(|_| calibration));
-    fits.map_err(|error| {
-        let file = path.display().to_string();
-        let problem = match error {
-            CalibrationError::Value { key, value, limit } => {
-                Problem::new(&file, &key, value, limit)
-            }
-            other => Problem::whole(&file, other.to_string()),
-        };
-        CliError::Problems(vec![problem])
-    })
+    let calibration = parse_calibration(path)?;
+    calibration.apply(sensor).map_err(|e| calibration_problem(path, e))?;
+    Ok(calibration)
+}
+
+/// A calibration file of any sensor.
+pub fn parse_calibration(path: &Path) -> Result<Calibration, CliError> {
+    Calibration::from_toml(&read_input(path)?).map_err(|e| calibration_problem(path, e))
+}
+
+fn calibration_problem(path: &Path, error: CalibrationError) -> CliError {
+    let file = path.display().to_string();
+    let problem = match error {
+        CalibrationError::Value { key, value, limit } => Problem::new(&file, &key, value, limit),
+        other => Problem::whole(&file, other.to_string()),
+    };
+    CliError::Problems(vec![problem])
 }
 
 /// Compares measured frames with the calibrated model; returns how many were left out.

@@ -44,6 +44,7 @@ pub fn options(data: PathBuf, rig: &RigFiles) -> ServeOptions {
         rig_text: rig.text.clone(),
         resume: false,
         twin_workers: TWIN_WORKERS,
+        calibration: None,
     }
 }
 

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use super::calibrate::parse_calibration;
 use super::data_or_default;
 use super::embed::TWIN_WORKERS;
 use super::error::CliError;
@@ -29,6 +30,9 @@ pub struct ServeArgs {
     /// Leave interrupted runs alone, even those that may go on by themselves.
     #[arg(long)]
     pub no_resume: bool,
+    /// Calibration that simulated twins are made with [default: the sensor file's values].
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
     /// Threads that compute simulated twins; 0 for none.
     #[arg(long, value_name = "N", default_value_t = TWIN_WORKERS)]
     pub twin_workers: usize,
@@ -45,6 +49,7 @@ pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
         rig_text: rig.text,
         resume: !args.no_resume,
         twin_workers: args.twin_workers,
+        calibration: args.calibration.as_deref().map(parse_calibration).transpose()?,
     };
     let data = options.data.display().to_string();
     let service = Service::start(options).await?;

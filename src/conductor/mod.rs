@@ -9,6 +9,7 @@ use std::time::Duration;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
+use sim_core::calibration::Calibration;
 use utoipa::ToSchema;
 
 use crate::campaign::command::{Handle, Refusal, Request};
@@ -56,6 +57,7 @@ struct Inner {
     store: Store,
     campaign: Handle,
     rig: RigFile,
+    calibration: Option<Calibration>,
     armings: Mutex<BTreeMap<RunUid, Arming>>,
 }
 
@@ -114,9 +116,14 @@ pub enum ConductorError {
 }
 
 impl Conductor {
-    /// A conductor of one rig.
-    pub fn new(store: Store, campaign: Handle, rig: RigFile) -> Self {
-        let inner = Inner { store, campaign, rig, armings: Mutex::default() };
+    /// A conductor of one rig. Runs on the calibration's sensor carry its id.
+    pub fn new(
+        store: Store,
+        campaign: Handle,
+        rig: RigFile,
+        calibration: Option<Calibration>,
+    ) -> Self {
+        let inner = Inner { store, campaign, rig, calibration, armings: Mutex::default() };
         Self { inner: Arc::new(inner) }
     }
 
@@ -143,7 +150,7 @@ impl Conductor {
             seed: experiment.seed,
             rig: self.inner.rig.text.clone(),
             sensor: files.sensor,
-            calibration_id: None,
+            calibration_id: self.calibration_of(&prepared.sensor_name),
             label: prepared.label,
             version: env!("CARGO_PKG_VERSION").into(),
             git_commit: option_env!("PALPATE_COMMIT").map(Into::into),
@@ -154,6 +161,11 @@ impl Conductor {
             submitted_by: who,
         };
         Ok(self.inner.store.enqueue(new).await?)
+    }
+
+    fn calibration_of(&self, sensor_name: &str) -> Option<String> {
+        let calibration = self.inner.calibration.as_ref();
+        calibration.filter(|c| c.sensor == sensor_name).and_then(|c| c.id().ok())
     }
 
     /// The preflight of a stored run on this rig.

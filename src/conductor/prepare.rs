@@ -46,6 +46,8 @@ pub struct Prepared {
     pub plan: Plan,
     /// What a person reads before arming.
     pub preflight: Preflight,
+    /// Name of the sensor.
+    pub sensor_name: String,
     /// Diameter of a tip, mm.
     pub tip_diameter_mm: f64,
     /// The rig's label.
@@ -69,7 +71,8 @@ impl Prepared {
         };
         let clock_rate = rig.config.clock_rate;
         let tip_diameter_mm = sensor.file.tip_diameter_mm;
-        Ok(Self { experiment, plan, preflight, tip_diameter_mm, label, clock_rate })
+        let sensor_name = sensor.file.name;
+        Ok(Self { experiment, plan, preflight, sensor_name, tip_diameter_mm, label, clock_rate })
     }
 
     /// Itself, unless the preflight found problems.

@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use serde_json::json;
+use sim_core::calibration::Calibration;
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 use sim_core::sensor::Sensor;
 use utoipa::ToSchema;
@@ -63,6 +64,7 @@ pub struct TwinPool {
 struct Inner {
     store: Store,
     campaign: Handle,
+    calibration: Option<Calibration>,
     cache_dir: PathBuf,
     workers: usize,
     status: Mutex<PoolStatus>,
@@ -105,11 +107,18 @@ struct Progress {
 }
 
 impl TwinPool {
-    /// A pool of so many threads, 0 for none. Unit responses are cached in `cache_dir`.
-    pub fn new(store: Store, campaign: Handle, cache_dir: PathBuf, workers: usize) -> Self {
+    /// A pool of so many threads, 0 for none. `calibration` holds for runs on its sensor; unit
+    /// responses are cached in `cache_dir`.
+    pub fn new(
+        store: Store,
+        campaign: Handle,
+        calibration: Option<Calibration>,
+        cache_dir: PathBuf,
+        workers: usize,
+    ) -> Self {
         let status = Mutex::new(PoolStatus { workers, ..PoolStatus::default() });
         let models = Mutex::default();
-        let inner = Inner { store, campaign, cache_dir, workers, status, models };
+        let inner = Inner { store, campaign, calibration, cache_dir, workers, status, models };
         Self { inner: Arc::new(inner) }
     }
 
@@ -191,7 +200,7 @@ impl TwinPool {
         Ok(false)
     }
 
-    /// The model of a run's own sensor file, and what counts as a contact on its rig.
+    /// The model of a run's own sensor file, calibrated where a calibration holds for it, and what counts as a contact on its rig.
     async fn recipe(&self, run: RunUid, progress: &mut Progress) -> Result<Recipe, PoolError> {
         if let Some(recipe) = progress.recipes.get(&run) {
             return Ok(recipe.clone());
@@ -212,7 +221,7 @@ impl TwinPool {
         let new = NewTwinModel {
             hash: model.model_hash().to_owned(),
             sensor_sha256: row.sensor_sha256.clone(),
-            calibration_id: row.calibration_id.clone(),
+            calibration_id: model.sensor().calibration().map(Into::into),
             version: env!("CARGO_PKG_VERSION").into(),
             git_commit: option_env!("PALPATE_COMMIT").map(Into::into),
         };
@@ -232,8 +241,13 @@ impl TwinPool {
         let (text, cache_dir, scan_id) =
             (row.sensor.clone(), self.inner.cache_dir.clone(), row.scan_id);
         let unusable = move |why: String| PoolError::File { run: scan_id, file: "sensor", why };
+        let calibration = self.inner.calibration.clone();
         let built = tokio::task::spawn_blocking(move || {
             let sensor = Sensor::from_toml(&text).map_err(|e| e.to_string())?;
+            let sensor = match calibration.filter(|c| c.sensor == sensor.file.name) {
+                Some(calibration) => calibration.apply(&sensor).map_err(|e| e.to_string())?,
+                None => sensor,
+            };
             load_or_build(&sensor, &cache_dir).map_err(|e| e.to_string())
         });
         let built = built.await.map_err(|_| PoolError::Worker)?;

@@ -217,5 +217,6 @@ pub fn options(rig: &VirtualRig, data: &Path) -> ServeOptions {
         rig_text: rig.rig_text.clone(),
         resume: true,
         twin_workers: 1,
+        calibration: None,
     }
 }
