@@ -48,7 +48,8 @@ pub async fn status(at: &At) -> Result<(), CliError> {
         say_json(&status);
         return Ok(());
     }
-    say(status_words(&client.status().await?));
+    let twins: Value = client.get("/api/v1/twins").await?;
+    say(status_words(&client.status().await?, &twins));
     Ok(())
 }
 
@@ -98,7 +99,7 @@ pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-fn status_words(status: &StatusView) -> String {
+fn status_words(status: &StatusView, twins: &Value) -> String {
     let rig = &status.rig;
     let mut lines = vec![format!("rig      {} ({}): {}", rig.name, rig.label, rig.state.as_str())];
     if rig.trip.is_some() {
@@ -119,8 +120,20 @@ fn status_words(status: &StatusView) -> String {
     }
     lines.extend(status.run.as_ref().map_or(vec!["run      none".into()], run_words));
     lines.push(format!("queue    {}", counted(status.queue_length as u64, "run", "runs")));
+    lines.extend(twin_words(twins));
     lines.push(format!("service  {}, {}", status.service.version, status.service.database));
     lines.join("\n")
+}
+
+/// Simulated twins: of the newest run with trials.
+fn twin_words(twins: &Value) -> Option<String> {
+    let newest = twins["runs"].get(0)?;
+    let (trials, pending) = (newest["trials"].as_u64()?, newest["pending"].as_u64()?);
+    let fit = twins["pool"]["rolling"]["median_fvu"].as_f64();
+    let fit = fit.map_or_else(String::new, |fvu| format!(", median FVU of late {fvu:.2}"));
+    let failed = twins["pool"]["last_error"].as_str();
+    let failed = failed.map_or_else(String::new, |why| format!("; {why}"));
+    Some(format!("twins    {} of {trials}{fit}{failed}", trials - pending))
 }
 
 fn run_words(run: &RunView) -> Vec<String> {

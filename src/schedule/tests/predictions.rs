@@ -40,8 +40,8 @@ fn parts_that_can_be_counted_are_what_was_counted() {
     assert!(near(parts.frames_s, trials * (2.0 + 1.5) / 30.0), "two kept, one and a half dropped");
     assert!(near(parts.tare_s, 24.0 * 4.5 * 0.1), "four samples, half a period to the first");
     assert!(near(parts.press_s, 24.0 * 10.0 * (0.5 / 2.0 + 2.0 / 1000.0)), "ten steps of 0.5 mm");
-    assert!(near(parts.approach_s, 24.0 * (4.0 / 50.0 + 0.05)), "from 5 mm to 1 mm");
-    assert!(near(parts.raise_s, 24.0 * (9.0 / 50.0 + 0.05)), "from 4 mm below to 5 mm above");
+    assert!(near(parts.approach_s, 24.0 * (3.65 / 50.0 + 0.05)), "from 5 mm to 1.35 mm");
+    assert!(near(parts.raise_s, 24.0 * (8.65 / 50.0 + 0.05)), "from 3.65 mm below to 5 mm above");
 }
 
 #[test]
