@@ -13,9 +13,14 @@ use serde_json::{Value, json};
 const SPEED: &str = "20";
 /// Longest wait for a process to answer, and for the end.
 const LIMIT: Duration = Duration::from_secs(120);
-/// Two settings of four configurations and four depths: 32 trials.
-const EXPERIMENT: &str = "name = 'crash'\nseed = 8\nsensor = 's'\n[real_hex]\ntips = [1, 3]\n\
-     configurations = 4\ndepths = 4\nblock = 4\nreference_every = 0\n[measure]\nsettle_ms = 2000.0\n";
+/// Two settings of so many configurations and four depths, which go on after any number of crashes.
+fn experiment(configurations: u32) -> String {
+    format!(
+        "name = 'crash'\nseed = 8\nsensor = 's'\n[real_hex]\ntips = [1, 3]\n\
+         configurations = {configurations}\ndepths = 4\nblock = 4\nreference_every = 0\n\
+         [measure]\nsettle_ms = 2000.0\n[policy]\nmax_auto_resumes = 10000\n"
+    )
+}
 
 /// A process that does not outlive the test.
 struct Process(Child);
@@ -93,20 +98,37 @@ impl Site {
         }
     }
 
-    /// Homes, queues, arms, starts; returns the run.
-    async fn begin(&self) -> String {
-        for action in ["connect", "home"] {
-            self.post("/api/v1/rig/actions", json!({ "action": action })).await;
-        }
-        self.until("/api/v1/status", |s| s["rig"]["state"] == "homed").await;
+    /// Queues and starts; returns the run.
+    async fn begin(&self, experiment: String) -> String {
         let sensor = std::fs::read_to_string(experiments("sensors/ert-28.toml")).unwrap();
-        let body = json!({ "file": "crash.toml", "definition": EXPERIMENT, "sensor": sensor,
+        let body = json!({ "file": "crash.toml", "definition": experiment, "sensor": sensor,
             "auto_resume": true });
         let run = self.post("/api/v1/queue", body).await["uid"].as_str().unwrap().to_owned();
+        self.start(&run).await;
+        run
+    }
+
+    /// Homes, arms, starts, as far as that is to be done.
+    async fn start(&self, run: &str) {
+        for (from, action) in [("disconnected", "connect"), ("disarmed", "home")] {
+            if self.answer("/api/v1/status").await["rig"]["state"] == from {
+                self.post("/api/v1/rig/actions", json!({ "action": action })).await;
+                self.until("/api/v1/status", |s| s["rig"]["state"] != from).await;
+            }
+        }
         let armed = self.post(&format!("/api/v1/runs/{run}/arm"), json!({})).await;
         let start = json!({ "action": "start", "code": armed["code"] });
         self.post(&format!("/api/v1/runs/{run}/actions"), start).await;
-        run
+    }
+
+    /// A run that waited for a person when the service was killed is not gone on with unasked: that
+    /// person starts it. Returns the run's state.
+    async fn look_after(&self, run: &str) -> String {
+        let row = self.answer(&format!("/api/v1/runs/{run}")).await;
+        if row["state"] == "interrupted" {
+            self.start(run).await;
+        }
+        row["state"].as_str().unwrap().to_owned()
     }
 }
 
@@ -144,15 +166,16 @@ async fn killed_at_random_instants_every_planned_trial_is_stored_once() {
     let mut service = site.serve().await;
     let hands = ["virtual-operator", "--url", &site.url, "--control", control, "--speed", SPEED];
     let _operator = palpate(&hands);
-    let run = site.begin().await;
+    // Enough trials that the last kill still finds some to do.
+    let configurations = (2 * kills).max(4);
+    let run = site.begin(experiment(configurations)).await;
     let mut chance = rand_chacha::ChaCha8Rng::seed_from_u64(4);
     let mut at = Vec::new();
     for _ in 0..kills {
         // From the first motion after a start to well inside the trials.
-        let alive = Duration::from_millis(chance.random_range(200..9000));
+        let alive = Duration::from_millis(chance.random_range(200..14_000));
         tokio::time::sleep(alive).await;
-        let row = site.answer(&format!("/api/v1/runs/{run}")).await;
-        if row["state"] == "ended" {
+        if site.look_after(&run).await == "ended" {
             break;
         }
         let status = site.answer("/api/v1/status").await;
@@ -161,12 +184,17 @@ async fn killed_at_random_instants_every_planned_trial_is_stored_once() {
         service = site.serve().await;
     }
     println!("killed in {at:?}");
-    site.until(&format!("/api/v1/runs/{run}"), |r| r["state"] == "ended").await;
+    let start = Instant::now();
+    while site.look_after(&run).await != "ended" {
+        assert!(start.elapsed() < LIMIT * 4, "the run does not end");
+        tokio::time::sleep(Duration::from_millis(200)).await;
+    }
     let page = site.answer(&format!("/api/v1/runs/{run}/trials?limit=1000")).await;
     let trials = page["trials"].as_array().unwrap();
     let keys: BTreeSet<String> =
         trials.iter().map(|t| format!("{} {}", t["configuration"], t["depth_index"])).collect();
-    assert_eq!((trials.len(), keys.len()), (32, 32));
+    let planned = 2 * 4 * configurations as usize;
+    assert_eq!((trials.len(), keys.len()), (planned, planned));
     let summary = site.answer(&format!("/api/v1/runs/{run}/summary")).await;
     assert_eq!(summary["run"]["exit_status"], "success", "{summary:#}");
     assert!(!at.is_empty(), "it was never killed");

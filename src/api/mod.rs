@@ -336,7 +336,7 @@ async fn after_start(app: App, resume: bool) {
     let outcome = if resume {
         app.conductor.go_on().await
     } else {
-        app.store.interrupt_open_runs().await.map(|_| ()).map_err(ConductorError::from)
+        app.store.interrupt_open_runs(None).await.map_err(ConductorError::from)
     };
     if let Err(error) = outcome {
         tracing::warn!(%error, "no run was gone on with");

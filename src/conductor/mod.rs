@@ -15,6 +15,7 @@ use utoipa::ToSchema;
 use crate::campaign::command::{Handle, Refusal, Request};
 use crate::campaign::journal::Journal;
 use crate::campaign::rig_state::RigState;
+use crate::campaign::run_state::{PausedWhy, RunState};
 use crate::ids::RunUid;
 use crate::problem::Problem;
 use crate::rig::config::RigConfig;
@@ -251,23 +252,39 @@ impl Conductor {
         Ok(())
     }
 
-    /// After a start of the service: marks what a crash left open, and goes on by itself with the
-    /// run that its arming allows to. Says in events what it does and what it cannot do.
+    /// After a start of the service: goes on by itself with the run that was being driven when the
+    /// process ended, if its arming allows that, and marks what else was left open as interrupted.
+    /// Says in events what it does and what it cannot do.
+    ///
+    /// Until it drives the run again, the run keeps the state that it was left in: a process that
+    /// ends on the way leaves the same case to the next one.
     pub async fn go_on(&self) -> Result<(), ConductorError> {
-        let open = self.inner.store.interrupt_open_runs().await?;
-        let Some(run) = open.into_iter().rfind(|r| r.auto_resume) else { return Ok(()) };
+        let store = &self.inner.store;
+        let open = store.open_runs().await?;
+        let run = open.into_iter().rfind(|run| run.auto_resume && was_driven(run));
+        store.interrupt_open_runs(run.as_ref().map(|run| run.uid)).await?;
+        let Some(run) = run else { return Ok(()) };
+        let outcome = self.go_on_with(&run).await;
+        if !matches!(outcome, Ok(true)) {
+            store.interrupt_open_runs(None).await?;
+        }
+        outcome.map(|_| ())
+    }
+
+    /// Whether it is driven again; `false` when the rig could not be reached.
+    async fn go_on_with(&self, run: &RunRow) -> Result<bool, ConductorError> {
         let mut pause = RESTART_PAUSE;
         for attempt in 1..=RESTART_TRIES {
             let outcome = match self.bring_up().await {
-                Ok(()) => self.begin(&run).await,
+                Ok(()) => self.begin(run).await,
                 Err(refusal) => Err(refusal.into()),
             };
             let Err(error) = outcome else {
-                self.say(&run, "went_on", json!({ "attempt": attempt })).await;
-                return Ok(());
+                self.say(run, "went_on", json!({ "attempt": attempt })).await;
+                return Ok(true);
             };
             let why = error.to_string();
-            self.say(&run, "not_gone_on", json!({ "attempt": attempt, "why": why })).await;
+            self.say(run, "not_gone_on", json!({ "attempt": attempt, "why": why })).await;
             let tripped = self.inner.campaign.status().rig.state == RigState::Tripped;
             if tripped || matches!(error, ConductorError::Problems { .. }) {
                 return Err(error);
@@ -275,7 +292,7 @@ impl Conductor {
             tokio::time::sleep(pause).await;
             pause *= 2;
         }
-        Ok(())
+        Ok(false)
     }
 
     async fn say(&self, run: &RunRow, kind: &str, data: serde_json::Value) {
@@ -325,6 +342,13 @@ impl Conductor {
     fn armings(&self) -> std::sync::MutexGuard<'_, BTreeMap<RunUid, Arming>> {
         self.inner.armings.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// A run that waited for a person, stood in a trip, or was to end when the process ended is not gone
+/// on with unasked: somebody may be at the rig.
+fn was_driven(run: &RunRow) -> bool {
+    run.state == RunState::Running.as_str()
+        || run.paused_why.as_deref() == Some(PausedWhy::Restart.as_str())
 }
 
 fn startable(run: &RunRow) -> Result<(), ConductorError> {

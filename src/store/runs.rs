@@ -308,25 +308,39 @@ impl Store {
         Ok(RunPage { runs, next })
     }
 
-    /// Marks the runs that a process left open as `interrupted` and returns them, oldest first. For
+    /// Runs in a state of the engine, oldest first. At the start, before any engine runs: those that
+    /// a process left open.
+    pub async fn open_runs(&self) -> Result<Vec<RunRow>, StoreError> {
+        const OPERATION: &str = "reading open runs";
+        let rows = sqlx::query(
+            "SELECT * FROM runs WHERE state NOT IN ('queued', 'interrupted', 'ended', 'removed')
+             ORDER BY scan_id",
+        )
+        .fetch_all(&self.inner.readers)
+        .await
+        .map_err(StoreError::sql(OPERATION))?;
+        read_all(&rows, OPERATION)
+    }
+
+    /// Marks the runs that a process left open as `interrupted`, all but one if one is named. For
     /// the start, before any engine runs.
-    pub async fn interrupt_open_runs(&self) -> Result<Vec<RunRow>, StoreError> {
+    pub async fn interrupt_open_runs(&self, but: Option<RunUid>) -> Result<(), StoreError> {
         const OPERATION: &str = "marking interrupted runs";
+        let but = but.map(|run| run.to_string());
         self.inner
             .writer
             .run(OPERATION, async move |connection| {
-                let rows = sqlx::query(
+                sqlx::query(
                     "UPDATE runs
                      SET state = 'interrupted', requested_state = NULL, paused_why = 'restart'
                      WHERE state NOT IN ('queued', 'interrupted', 'ended', 'removed')
-                     RETURNING *",
+                         AND uid IS NOT ?1",
                 )
-                .fetch_all(connection)
+                .bind(but)
+                .execute(connection)
                 .await
                 .map_err(StoreError::sql(OPERATION))?;
-                let mut runs = read_all(&rows, OPERATION)?;
-                runs.sort_by_key(|r| r.scan_id);
-                Ok(runs)
+                Ok(())
             })
             .await
     }

@@ -80,10 +80,15 @@ async fn open_runs_are_interrupted_at_the_start() {
         }
         uids.push(uid);
     }
-    let found = store.interrupt_open_runs().await.unwrap();
-    assert_eq!(found.iter().map(|r| r.uid).collect::<Vec<_>>(), uids[..2]);
-    assert!(found.iter().all(|r| r.state == "interrupted" && r.requested_state.is_none()));
-    assert!(store.interrupt_open_runs().await.unwrap().is_empty());
+    let open =
+        async || -> Vec<_> { store.open_runs().await.unwrap().iter().map(|run| run.uid).collect() };
+    assert_eq!(open().await, uids[..2]);
+    store.interrupt_open_runs(Some(uids[0])).await.unwrap();
+    assert_eq!(open().await, uids[..1], "the one that is gone on with keeps its state");
+    store.interrupt_open_runs(None).await.unwrap();
+    assert!(open().await.is_empty());
+    let left = store.run(uids[1]).await.unwrap().unwrap();
+    assert_eq!((left.state.as_str(), left.requested_state), ("interrupted", None));
     store.run_state(uids[0], "running", None, None).await.unwrap();
 }
 
