@@ -12,6 +12,7 @@ pub mod campaign;
 pub mod store;
 pub mod calibrate;
 pub mod simulate;
+pub mod dataset;
 pub mod evaluate;
 pub mod conductor;
 pub mod api;

@@ -10,13 +10,14 @@ use std::fs;
 use std::path::Path;
 
 /// Folders of `src/` in the order in which data flows; imports only look back along it.
-const STAGES: [&str; 10] = [
+const STAGES: [&str; 11] = [
     "schedule",
     "rig",
     "campaign",
     "store",
     "calibrate",
     "simulate",
+    "dataset",
     "evaluate",
     "conductor",
     "api",

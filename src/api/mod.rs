@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use axum::extract::DefaultBodyLimit;
 use axum::middleware::from_fn_with_state;
 use axum::routing::get;
 use jiff::Timestamp;
@@ -21,13 +22,19 @@ use crate::campaign::command::{Handle, Request};
 use crate::campaign::engine;
 use crate::clock::Clock;
 use crate::conductor::{Conductor, ConductorError, RigFile};
+use crate::dataset::catalog::Catalog;
+use crate::dataset::definition::Definition;
+use crate::dataset::error::DatasetError;
 use crate::simulate::twins::TwinPool;
 use crate::store::{NewAction, Store, StoreError};
 
 mod auth;
+mod datasets;
 mod evaluation;
 mod events;
+mod exports;
 mod health;
+mod imports;
 mod live;
 mod lock_file;
 mod page;
@@ -37,6 +44,7 @@ mod query;
 mod queue;
 mod rig;
 mod runs;
+mod send;
 mod status;
 mod trials;
 mod twins;
@@ -46,6 +54,11 @@ pub use runs::Summary;
 
 use auth::Asker;
 use problem::ApiError;
+
+/// How often runs that have ended are looked for.
+const LOOK_FOR_FINISHED: Duration = Duration::from_secs(5);
+/// Runs that are looked at, newest first.
+const FINISHED_AT_ONCE: u32 = 20;
 
 /// Longest wait for the tips to be raised when the service ends.
 const LEAVE: Duration = Duration::from_secs(60);
@@ -105,6 +118,9 @@ pub enum ServeError {
         "bind = {0}: an address beyond this machine needs a key first: palpate key create NAME"
     )]
     NoKey(SocketAddr),
+    /// The folders of datasets cannot be used.
+    #[error(transparent)]
+    Datasets(#[from] DatasetError),
     /// The campaign's thread does not start.
     #[error("starting the campaign's thread: {0}")]
     Thread(#[source] std::io::Error),
@@ -121,6 +137,8 @@ pub struct App {
     pub conductor: Conductor,
     /// The simulated twins.
     pub twins: TwinPool,
+    /// The datasets.
+    pub datasets: Catalog,
     facts: Arc<Facts>,
 }
 
@@ -202,6 +220,15 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(twins::all))
         .routes(routes!(twins::of_run))
         .routes(routes!(evaluation::simulation))
+        .routes(routes!(datasets::list, datasets::make))
+        .routes(routes!(datasets::one))
+        .routes(routes!(datasets::lineage))
+        .routes(routes!(datasets::card))
+        .routes(routes!(datasets::rows))
+        .routes(routes!(datasets::data))
+        .routes(routes!(exports::list, exports::ask))
+        .routes(routes!(exports::one))
+        .routes(routes!(exports::file))
         .routes(routes!(events::events))
         .routes(routes!(live::frames))
         .routes(routes!(rig::act))
@@ -212,6 +239,14 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(people::revoke_key))
         .routes(routes!(people::actions))
         .routes(routes!(health::metrics))
+        .merge(uploads())
+}
+
+/// Routes whose bodies are large.
+fn uploads() -> OpenApiRouter<App> {
+    OpenApiRouter::new()
+        .routes(routes!(imports::add))
+        .layer(DefaultBodyLimit::max(imports::FILE_MAX_BYTES))
 }
 
 /// The description of all routes.
@@ -284,10 +319,14 @@ impl Service {
             cache,
             options.twin_workers,
         );
-        let app = App { store, campaign, conductor, twins, facts: Arc::new(facts) };
+        store.sweep_imports().await?;
+        let datasets = Catalog::open(store.clone(), &options.data, Clock::new(1.0))?;
+        let app = App { store, campaign, conductor, twins, datasets, facts: Arc::new(facts) };
         let tasks = vec![
             tokio::spawn(app.conductor.clone().follow()),
             tokio::spawn(app.twins.clone().work()),
+            tokio::spawn(app.datasets.clone().work()),
+            tokio::spawn(keep_finished_runs(app.clone())),
             tokio::spawn(after_start(app.clone(), options.resume)),
         ];
         let server = tokio::spawn(serve(listener, app.clone()));
@@ -330,6 +369,37 @@ async fn serve(listener: TcpListener, app: App) -> std::io::Result<()> {
         let _ = ending.wait_for(|ended| *ended).await;
     };
     axum::serve(listener, router(app)).with_graceful_shutdown(graceful).await
+}
+
+/// Gives every run that has ended, and has its twins, its Parquet file and card; while no run is
+/// under way.
+async fn keep_finished_runs(app: App) {
+    let mut kept = std::collections::HashSet::new();
+    loop {
+        tokio::time::sleep(LOOK_FOR_FINISHED).await;
+        if app.campaign.status().run.is_some() {
+            continue;
+        }
+        let runs = match app.store.runs(FINISHED_AT_ONCE, None).await {
+            Ok(page) => page.runs,
+            Err(error) => {
+                tracing::warn!(%error, "finished runs are not looked for");
+                continue;
+            }
+        };
+        for run in runs.iter().filter(|run| run.state == "ended") {
+            let twins_wait = match app.twins.count(run.uid).await {
+                Ok(count) => app.twins.status().workers > 0 && count.pending() > 0,
+                Err(_) => true,
+            };
+            if twins_wait || !kept.insert(run.uid) {
+                continue;
+            }
+            if let Err(error) = app.datasets.make(&Definition::of_run(run.scan_id)).await {
+                tracing::info!(run = run.scan_id, %error, "a finished run has no file");
+            }
+        }
+    }
 }
 
 async fn after_start(app: App, resume: bool) {

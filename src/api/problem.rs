@@ -11,6 +11,8 @@ use utoipa::ToSchema;
 
 use crate::campaign::command::Refusal;
 use crate::conductor::ConductorError;
+use crate::dataset::error::DatasetError;
+use crate::dataset::shards::ShardsError;
 use crate::problem::Problem;
 use crate::store::StoreError;
 
@@ -55,6 +57,11 @@ impl ApiError {
     pub fn problems(errors: Vec<Problem>) -> Self {
         let detail = errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
         Self { status: StatusCode::UNPROCESSABLE_ENTITY, detail, errors }
+    }
+
+    /// A query names what there is not, or values of another type.
+    pub fn bad_query(errors: Vec<Problem>) -> Self {
+        Self { status: StatusCode::BAD_REQUEST, ..Self::problems(errors) }
     }
 
     /// There is nothing of that name.
@@ -106,6 +113,30 @@ impl From<ConductorError> for ApiError {
             ConductorError::Refused(refusal) => refusal.into(),
             ConductorError::Store(error) => error.into(),
         }
+    }
+}
+
+impl From<DatasetError> for ApiError {
+    fn from(error: DatasetError) -> Self {
+        let status = match error {
+            DatasetError::Problems(problems) => return Self::bad_query(problems),
+            DatasetError::Store(error) => return error.into(),
+            DatasetError::NoDataset { .. }
+            | DatasetError::NoRun(_)
+            | DatasetError::Empty { .. } => StatusCode::NOT_FOUND,
+            DatasetError::Labels(_)
+            | DatasetError::Channels { .. }
+            | DatasetError::Models { .. }
+            | DatasetError::Changed
+            | DatasetError::NotEnded(_) => StatusCode::CONFLICT,
+            DatasetError::Shards(ShardsError::None(_)) => StatusCode::NOT_FOUND,
+            DatasetError::DiskFull { .. } => StatusCode::INSUFFICIENT_STORAGE,
+            _ => StatusCode::INTERNAL_SERVER_ERROR,
+        };
+        if status == StatusCode::INTERNAL_SERVER_ERROR {
+            tracing::error!(%error, "a dataset failed");
+        }
+        Self::new(status, error.to_string())
     }
 }
 

@@ -1,7 +1,11 @@
-//! A query string as filters over trials: `column__gt=..`, `sort`, `limit`, `cursor`.
-//! PURE. Uses: `store`'s closed lists of columns and comparisons. Never: SQL.
+//! A query string as filters over rows: `column__gt=..`, `columns`, `sort`, `limit`, `cursor`.
+//! PURE. Uses: `store`'s closed lists of columns and comparisons, `dataset`'s filters. Never: SQL.
 
 use crate::campaign::record::Flag;
+use crate::dataset::filter::Filter as RowFilter;
+use crate::dataset::format::Format;
+use crate::dataset::schema::{COLUMNS, Kind};
+use crate::dataset::select::Wanted;
 use crate::ids::{RunUid, TrialId};
 use crate::problem::Problem;
 use crate::store::{Comparison, Filter, FilterValue, MAX_PAGE, Order, TrialColumn, TrialQuery};
@@ -9,28 +13,119 @@ use crate::store::{Comparison, Filter, FilterValue, MAX_PAGE, Order, TrialColumn
 /// Rows of a page, unless asked otherwise.
 const PAGE: u32 = 100;
 
+/// What a query string asks of stored trials.
+#[derive(Debug, Default)]
+pub struct TrialsWanted {
+    /// Which trials.
+    pub query: TrialQuery,
+    /// Which columns, and how much of each frame.
+    pub wanted: Wanted,
+    /// In which format, where it is said.
+    pub format: Option<Format>,
+}
+
+/// What a query string asks of a dataset's rows.
+#[derive(Debug)]
+pub struct RowsWanted {
+    /// Which rows and columns.
+    pub wanted: Wanted,
+    /// In which format, where it is said.
+    pub format: Option<Format>,
+    /// The row of the dataset's file where the page starts.
+    pub from: u64,
+    /// Up to so many rows.
+    pub limit: u32,
+}
+
 /// Reads the pairs of a query string; an unknown name is a problem, not ignored.
 pub fn trial_query(
     run: Option<RunUid>,
     pairs: &[(String, String)],
-) -> Result<TrialQuery, Vec<Problem>> {
-    let mut query = TrialQuery { run, limit: PAGE, ..TrialQuery::default() };
+) -> Result<TrialsWanted, Vec<Problem>> {
+    let query = TrialQuery { run, limit: PAGE, ..TrialQuery::default() };
+    let mut wanted = TrialsWanted { query, ..TrialsWanted::default() };
+    each(pairs, |key, value| {
+        Ok(common(&mut wanted.wanted, &mut wanted.format, &mut wanted.query.limit, key, value)?
+            || apply(&mut wanted.query, key, value)?)
+    })?;
+    Ok(wanted)
+}
+
+/// The same for the rows of a dataset, whose filters look at its columns as they are labelled.
+pub fn rows_query(pairs: &[(String, String)]) -> Result<RowsWanted, Vec<Problem>> {
+    let wanted = Wanted::default();
+    let mut asked = RowsWanted { wanted, format: None, from: 0, limit: PAGE };
+    each(pairs, |key, value| {
+        if common(&mut asked.wanted, &mut asked.format, &mut asked.limit, key, value)? {
+            return Ok(true);
+        }
+        match key {
+            "cursor" => asked.from = number(value)?,
+            "map" => asked.wanted.map = Some(value.into()),
+            "where" => {
+                RowFilter::parse(value)?;
+                asked.wanted.conditions.push(value.into());
+            }
+            _ => {
+                RowFilter::from_pair(key, value)?;
+                asked.wanted.conditions.push(format!("{key}={value}"));
+            }
+        }
+        Ok(true)
+    })?;
+    Ok(asked)
+}
+
+/// Applies each pair, and collects what is wrong.
+fn each(
+    pairs: &[(String, String)],
+    mut apply: impl FnMut(&str, &str) -> Result<bool, String>,
+) -> Result<(), Vec<Problem>> {
     let mut problems = Vec::new();
     for (key, value) in pairs {
-        if let Err(limit) = apply(&mut query, key, value) {
+        if let Err(limit) = apply(key, value) {
             problems.push(Problem::new("query", key, value, limit));
         }
     }
-    if problems.is_empty() { Ok(query) } else { Err(problems) }
+    if problems.is_empty() { Ok(()) } else { Err(problems) }
 }
 
-fn apply(query: &mut TrialQuery, key: &str, value: &str) -> Result<(), String> {
+/// What every list of rows understands; `false` for other keys.
+fn common(
+    wanted: &mut Wanted,
+    format: &mut Option<Format>,
+    page: &mut u32,
+    key: &str,
+    value: &str,
+) -> Result<bool, String> {
     match key {
         "key" => {}
         "limit" => match value.parse() {
-            Ok(n @ 1..=MAX_PAGE) => query.limit = n,
-            _ => return Err(format!("must be from 1 to {MAX_PAGE}")),
+            Ok(n @ 1..=MAX_PAGE) => *page = n,
+            _ => return Err(format!("must be from 1 to {MAX_PAGE}; for more ask for an export")),
         },
+        "columns" => {
+            for name in value.split(',').map(str::trim) {
+                if !COLUMNS.iter().any(|(column, _)| column == name) {
+                    let names: Vec<&str> = COLUMNS.iter().map(|(c, _)| c.as_str()).collect();
+                    return Err(format!(
+                        "there is no column {name}; there are {}",
+                        names.join(", ")
+                    ));
+                }
+                wanted.columns.push(name.into());
+            }
+        }
+        "slice" => wanted.slice = Some(value.into()),
+        "format" if value == "json" => *format = None,
+        "format" => *format = Some(value.parse().map_err(|e| format!("{e}, or json"))?),
+        _ => return Ok(false),
+    }
+    Ok(true)
+}
+
+fn apply(query: &mut TrialQuery, key: &str, value: &str) -> Result<bool, String> {
+    match key {
         "cursor" => query.after = Some(TrialId(number(value)?)),
         "voltages" => query.with_voltages = number(value)?,
         "flagged" => query.flagged = Some(number(value)?),
@@ -44,7 +139,7 @@ fn apply(query: &mut TrialQuery, key: &str, value: &str) -> Result<(), String> {
         }
         _ => query.filters.push(filter(key, value)?),
     }
-    Ok(())
+    Ok(true)
 }
 
 fn number<T: std::str::FromStr>(value: &str) -> Result<T, String> {
@@ -59,7 +154,10 @@ fn filter(key: &str, value: &str) -> Result<Filter, String> {
     let (name, suffix) = key.rsplit_once("__").unwrap_or((key, "eq"));
     let column = TrialColumn::from_name(name).ok_or_else(|| {
         let names: Vec<&str> = TrialColumn::ALL.iter().map(|c| c.name()).collect();
-        format!("unknown; filters are COLUMN__eq|gt|gte|lt|lte|in on {}", names.join(", "))
+        let list = COLUMNS.iter().any(|(column, kind)| column == name && *kind == Kind::List);
+        let why =
+            if list { "holds a list for each trial and cannot be compared" } else { "unknown" };
+        format!("{why}; filters are COLUMN__eq|gt|gte|lt|lte|in on {}", names.join(", "))
     })?;
     let typed = |text: &str| -> Result<FilterValue, String> {
         if column.is_time() {
@@ -83,7 +181,7 @@ mod tests {
 
     fn read(pairs: &[(&str, &str)]) -> Result<TrialQuery, Vec<Problem>> {
         let pairs: Vec<_> = pairs.iter().map(|&(k, v)| (k.into(), v.into())).collect();
-        trial_query(None, &pairs)
+        trial_query(None, &pairs).map(|wanted| wanted.query)
     }
 
     #[test]

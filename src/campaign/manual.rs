@@ -7,8 +7,8 @@ use std::sync::Arc;
 
 use super::control::Control;
 use super::halt::Halt;
-use super::measure::{frame_flags, record};
-use super::record::{Flag, PlacedContact, TrialRecord};
+use super::measure::{frame_flags, frame_quality, record};
+use super::record::{Flag, FrameQuality, PlacedContact, TrialRecord};
 use super::status::Phase;
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialKey};
@@ -44,7 +44,14 @@ pub async fn measure(
     let started_at = clock.timestamp();
     let (settle_ms, at_rest) = settle(skin, clock, control, plan_measure).await?;
     control.phase(Phase::Measure);
+    let before = skin.counters();
     let frames = skin.take(clock.now(), plan_measure.frames_per_trial as usize).await?;
+    let after = skin.counters();
+    let dropped = (after.missed - before.missed) + (after.garbled - before.garbled);
+    let quality = FrameQuality {
+        dropped_packets: Some(dropped as u32),
+        ..frame_quality(frames.iter().map(AsRef::as_ref))
+    };
     let mut flags = frame_flags(frames.iter().map(AsRef::as_ref), plan_measure);
     if !at_rest {
         flags.push(Flag::Unsettled);
@@ -61,6 +68,7 @@ pub async fn measure(
         placed,
         placed_by: Some(who),
         frames: frames.iter().map(|f| record(f)).collect(),
+        quality,
         flags,
         settle_ms,
         overshoot_n: None,

@@ -6,7 +6,7 @@ use std::time::Duration;
 use super::control::Control;
 use super::halt::Halt;
 use super::interlock::TripKind;
-use super::record::{Flag, FrameRecord};
+use super::record::{Flag, FrameQuality, FrameRecord};
 use super::stage::Stage;
 use crate::rig::config::ARMS;
 use crate::rig::error::RigError;
@@ -61,6 +61,8 @@ pub struct Taken {
     pub frames: Vec<FrameRecord>,
     /// Mean output of the cells around the frames, V.
     pub volts: [f64; ARMS],
+    /// How good the frames are.
+    pub quality: FrameQuality,
     /// What may be wrong with the frames.
     pub flags: Vec<Flag>,
 }
@@ -69,7 +71,7 @@ pub struct Taken {
 pub async fn take(stage: &mut Stage, measure: &Measure) -> Result<Taken, Halt> {
     let count = measure.frames_per_trial as usize;
     let skin = stage.bench.skin.clone();
-    let missed_before = skin.counters().missed;
+    let counters_before = skin.counters();
     let (before, frames) =
         futures::join!(stage.bench.cells.read(), skin.take(stage.clock.now(), count));
     let (before, frames) = (before?, frames.map_err(|e| no_frames(stage, e))?);
@@ -81,12 +83,20 @@ pub async fn take(stage: &mut Stage, measure: &Measure) -> Result<Taken, Halt> {
         return Err(Halt::Failed(format!("a frame of {found} values, {expected} expected")));
     }
     let mut flags = frame_flags(frames.iter().map(AsRef::as_ref), measure);
+    let counters = skin.counters();
+    let missed = counters.missed - counters_before.missed;
+    let garbled = counters.garbled - counters_before.garbled;
+    let quality = FrameQuality {
+        dropped_packets: Some((missed + garbled) as u32),
+        stuck_channels: frames.first().map(|frame| stage.stuck.push(&frame.counts)),
+        ..frame_quality(frames.iter().map(AsRef::as_ref))
+    };
     let consecutive = frames.windows(2).all(|p| p[1].sequence == p[0].sequence.wrapping_add(1));
-    if !consecutive && skin.counters().missed > missed_before {
+    if !consecutive && missed > 0 {
         flags.push(Flag::DroppedFrames);
     }
     let frames = frames.iter().map(|f| record(f)).collect();
-    Ok(Taken { frames, volts, flags })
+    Ok(Taken { frames, volts, quality, flags })
 }
 
 /// A stream that gives some frames fails the try; one that has stopped trips the rig.
@@ -117,6 +127,18 @@ pub fn frame_flags<'a>(
         flags.push(Flag::InjectionSum);
     }
     flags
+}
+
+/// What frames by themselves say about their quality.
+pub fn frame_quality<'a>(frames: impl Iterator<Item = &'a Frame> + Clone) -> FrameQuality {
+    let saturated = frames.clone().map(Frame::saturated_channels).max().unwrap_or(0);
+    FrameQuality {
+        saturated_channels: Some(saturated as u32),
+        // A frame that lacks a channel is never accepted.
+        missing_channels: Some(0),
+        injection_sum_v: frames.map(Frame::largest_injection_sum_v).reduce(f64::max),
+        ..FrameQuality::default()
+    }
 }
 
 /// A frame as it is stored.

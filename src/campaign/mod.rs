@@ -1,7 +1,8 @@
 //! One run on one bench: states, safety, the engine that presses and measures.
 //! Uses: `schedule`, `rig`, `clock`, `ids`. Never: SQL, HTTP.
 //!
-//! PURE: `run_state`, `rig_state`, `interlock`, `resume`, `eta`, `record`, `halt`, `job`, `status`.
+//! PURE: `run_state`, `rig_state`, `interlock`, `resume`, `eta`, `record`, `halt`, `job`, `status`,
+//! `stuck`.
 
 pub mod record;
 pub mod journal;
@@ -16,6 +17,7 @@ pub mod halt;
 pub mod estop;
 pub mod command;
 pub mod control;
+pub mod stuck;
 pub mod stage;
 pub mod tare;
 pub mod touch_off;

@@ -115,6 +115,7 @@ impl Pressing<'_> {
             placed: Vec::new(),
             placed_by: None,
             frames: taken.frames,
+            quality: taken.quality,
             flags,
             settle_ms: settled.settle_ms,
             overshoot_n: Some((stage.peak_n - measured_n).max(0.0)),

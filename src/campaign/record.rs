@@ -64,6 +64,21 @@ pub struct FrameRecord {
     pub counts: Vec<i16>,
 }
 
+/// How good the frames of a trial are, in numbers; absent where it was not looked at.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct FrameQuality {
+    /// Channels that sat at the converter's end in any frame.
+    pub saturated_channels: Option<u32>,
+    /// Channels with one and the same count in this trial and those before it.
+    pub stuck_channels: Option<u32>,
+    /// Channels without a value.
+    pub missing_channels: Option<u32>,
+    /// Largest magnitude of an injection's sum in any frame, V; zero up to noise.
+    pub injection_sum_v: Option<f64>,
+    /// Packets that the stream lost or garbled while the frames were taken.
+    pub dropped_packets: Option<u32>,
+}
+
 /// What may be wrong with a trial that was kept.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema,
@@ -82,6 +97,20 @@ pub enum Flag {
     DepthMissed,
     /// A cell stayed still while depth grew.
     StillCell,
+}
+
+impl Flag {
+    /// The flag as it is stored and shown.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Unsettled => "unsettled",
+            Self::SaturatedChannels => "saturated_channels",
+            Self::InjectionSum => "injection_sum",
+            Self::DroppedFrames => "dropped_frames",
+            Self::DepthMissed => "depth_missed",
+            Self::StillCell => "still_cell",
+        }
+    }
 }
 
 /// An accepted attempt: what law 1 stores exactly once per key.
@@ -107,6 +136,8 @@ pub struct TrialRecord {
     pub placed_by: Option<String>,
     /// Raw frames, at least one.
     pub frames: Vec<FrameRecord>,
+    /// How good they are.
+    pub quality: FrameQuality,
     /// What may be wrong with it.
     pub flags: Vec<Flag>,
     /// Time between the end of motion and the measurement, process ms.

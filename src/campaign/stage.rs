@@ -12,6 +12,7 @@ use super::control::Control;
 use super::halt::Halt;
 use super::interlock::{self, ForceLimits, TripKind};
 use super::record::{Pose, TouchOffRecord};
+use super::stuck::StuckChannels;
 use crate::clock::Clock;
 use crate::rig::config::{ARMS, RigConfig};
 use crate::rig::traits::{Axis, AxisStatus, Bench, CellVolts};
@@ -60,6 +61,8 @@ pub struct Stage {
     pub tare_v: [f64; ARMS],
     /// The surface, once touched.
     pub surface: Option<TouchOffRecord>,
+    /// Channels that have stopped moving.
+    pub stuck: StuckChannels,
     /// Largest force on a cell since it was last cleared, N.
     pub peak_n: f64,
     /// Slowest round of polling of late, process s.
@@ -89,6 +92,7 @@ impl Stage {
             limits,
             tare_v,
             surface: None,
+            stuck: StuckChannels::default(),
             peak_n: 0.0,
             slowest_poll_s: 0.0,
         }

@@ -1,8 +1,10 @@
 //! The service as the command line sees it: requests with deadlines, refusals as errors.
 //! Uses: reqwest, `view`. Never: the service's insides, retries that could start something twice.
 
+use std::path::Path;
 use std::time::Duration;
 
+use reqwest::multipart::{Form, Part};
 use reqwest::{Method, RequestBuilder, Response};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -31,6 +33,7 @@ pub struct Client {
     http: reqwest::Client,
     key: Option<String>,
     who: String,
+    answer_within: Duration,
 }
 
 impl Client {
@@ -48,13 +51,18 @@ impl Client {
     fn with(url: &str, key: Option<String>) -> Result<Self, CliError> {
         // A lab's rig is on the lab's net: a proxy for the world outside is never in between.
         let http = reqwest::Client::builder()
-            .timeout(ANSWER)
             .no_proxy()
             .build()
             .map_err(|source| CliError::Http { operation: "HTTP client".into(), source })?;
         let user = std::env::var("USER").ok().filter(|u| !u.is_empty());
         let who = user.unwrap_or_else(|| "cli".into());
-        Ok(Self { url: url.trim_end_matches('/').into(), http, key, who })
+        let url = url.trim_end_matches('/').into();
+        Ok(Self { url, http, key, who, answer_within: ANSWER })
+    }
+
+    /// The same client, ready to wait so long for an answer.
+    pub fn patient(&self, answer_within: Duration) -> Self {
+        Self { answer_within, ..self.clone() }
     }
 
     /// Where the service is.
@@ -175,11 +183,63 @@ impl Client {
         body: Option<&impl Serialize>,
     ) -> Result<Response, CliError> {
         let operation = format!("{method} {path}");
-        let request = self.with_key(self.http.request(method, format!("{}{path}", self.url)));
+        let request = self.http.request(method, format!("{}{path}", self.url));
         let request = match body {
             Some(body) => request.json(body),
             None => request,
         };
+        self.carry_out(operation, request).await
+    }
+
+    /// Sends a request for a part of a file.
+    pub async fn send_ranged(
+        &self,
+        method: Method,
+        path: &str,
+        range: &str,
+    ) -> Result<Response, CliError> {
+        let operation = format!("{method} {path}");
+        let request = self.http.request(method, format!("{}{path}", self.url));
+        self.carry_out(operation, request.header(reqwest::header::RANGE, range)).await
+    }
+
+    /// Sends a file with texts beside it, each with its own file name where it has one.
+    pub async fn upload<T: DeserializeOwned>(
+        &self,
+        path: &str,
+        file: &Path,
+        texts: impl IntoIterator<Item = (&'static str, String, Option<String>)>,
+    ) -> Result<T, CliError> {
+        let operation = format!("POST {path}");
+        let read = |source| CliError::File { path: file.into(), source };
+        let opened = tokio::fs::File::open(file).await.map_err(read)?;
+        let length = opened.metadata().await.map_err(read)?.len();
+        let pieces = tokio_util::io::ReaderStream::new(opened);
+        let body = reqwest::Body::wrap_stream(pieces);
+        let name = file.display().to_string();
+        let mut form =
+            Form::new().part("file", Part::stream_with_length(body, length).file_name(name));
+        for (key, text, file_name) in texts {
+            let part = Part::text(text);
+            form = form.part(
+                key,
+                match file_name {
+                    Some(name) => part.file_name(name),
+                    None => part,
+                },
+            );
+        }
+        let request = self.http.post(format!("{}{path}", self.url)).multipart(form);
+        let answer = self.carry_out(operation.clone(), request).await?;
+        answer.json().await.map_err(|source| CliError::Http { operation, source })
+    }
+
+    async fn carry_out(
+        &self,
+        operation: String,
+        request: RequestBuilder,
+    ) -> Result<Response, CliError> {
+        let request = self.with_key(request).timeout(self.answer_within);
         let answer = request.send().await.map_err(|source| {
             if source.is_connect() {
                 CliError::NoServer { url: self.url.clone() }

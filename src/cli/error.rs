@@ -140,7 +140,7 @@ impl CliError {
             CliError::Problems(_)
             | CliError::NotConfirmed { .. }
             | CliError::SimRandom(RandomError::OtherDefinition { .. })
-            | CliError::Refused { status: 422, .. } => ExitCode::from(2),
+            | CliError::Refused { status: 400 | 422, .. } => ExitCode::from(2),
             _ => ExitCode::FAILURE,
         }
     }

@@ -14,6 +14,7 @@ mod access;
 mod ask;
 mod calibrate;
 mod client;
+mod dataset;
 mod embed;
 mod error;
 mod evaluate;
@@ -125,6 +126,8 @@ pub enum Command {
     Key(access::KeyArgs),
     /// Check and move the rig by hand.
     Rig(rig::RigArgs),
+    /// Datasets: what there is, files out, trials measured elsewhere in.
+    Dataset(dataset::DatasetArgs),
     /// Say how good the model is.
     Evaluate(evaluate::EvaluateArgs),
 }
@@ -174,6 +177,7 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
         Command::Estop(args) => ask::estop(&args).await?,
         Command::Lock(args) => access::lock(args).await?,
         Command::Key(args) => access::key(args).await?,
+        Command::Dataset(args) => dataset::dataset(args).await?,
         Command::Evaluate(args) => evaluate::evaluate(args).await?,
     }
     Ok(ExitCode::SUCCESS)

@@ -340,9 +340,13 @@ async fn resumable(
             run.state == "interrupted"
                 && run.definition_sha256 == definition
                 && run.sensor_sha256 == sensor
-                && RigConfig::from_toml("", &run.rig).is_ok_and(|rig| {
-                    rig.name == status.rig.name && rig.label.as_str() == status.rig.label
-                })
+                && run
+                    .rig
+                    .as_deref()
+                    .and_then(|text| RigConfig::from_toml("", text).ok())
+                    .is_some_and(|rig| {
+                        rig.name == status.rig.name && rig.label.as_str() == status.rig.label
+                    })
         })
         .await
 }

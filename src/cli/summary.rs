@@ -159,10 +159,7 @@ impl fmt::Display for Closing {
 
 impl Closing {
     fn label(&self) -> &'static str {
-        match self.finished.label {
-            Label::Measured => "measured",
-            Label::Virtual => "virtual",
-        }
+        self.finished.label.as_str()
     }
 
     /// Trials by contacts, beside the paper's scaled to as many trials.
@@ -175,6 +172,8 @@ impl Closing {
         let (name, paper) = match kind {
             RunKind::RealHex => ("Real-Hex", scaled(&REAL_HEX, REAL_HEX_PRESSED, stored)),
             RunKind::RealRandom => ("Real-Random", scaled(&REAL_RANDOM, 150, stored)),
+            // Nothing of the kind is in Table I.
+            RunKind::Imported => return Ok(()),
         };
         let column = format!("run {} ({})", self.finished.scan_id, self.label());
         writeln!(f, "\n  contacts {column:>18} {:>26}", format!("{name}, Table I, scaled"))?;

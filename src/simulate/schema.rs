@@ -30,7 +30,7 @@ pub const CONTACTS: &str = "contacts";
 /// Column of the simulated frame.
 pub const SIM_VOLTAGES_V: &str = "sim_voltages_v";
 /// Name of a list's items, as the Parquet format has it.
-const ELEMENT: &str = "element";
+pub(crate) const ELEMENT: &str = "element";
 
 /// What a contact holds: place (mm, as f64: a point's coordinates are those of the sensor file),
 /// force (N) and diameter (mm).
@@ -80,7 +80,7 @@ pub fn sim_random(channels: i32) -> Schema {
     ])
 }
 
-fn with_unit(field: Field, unit: &str) -> Field {
+pub(crate) fn with_unit(field: Field, unit: &str) -> Field {
     field.with_metadata(HashMap::from([(UNIT.to_owned(), unit.to_owned())]))
 }
 

@@ -26,8 +26,8 @@ use crate::ids::{RunUid, TrialId};
 use crate::rig::config::RigConfig;
 use crate::schedule::experiment::Experiment;
 use crate::store::{
-    NewTwinModel, RunKind, RunRow, Store, StoreError, TrialRow, Twin, TwinCount, TwinModelId,
-    TwinOutcome,
+    IMPORTED_MODEL, NewTwinModel, RunKind, RunRow, Store, StoreError, TrialRow, Twin, TwinCount,
+    TwinModelId, TwinOutcome,
 };
 
 /// Trials of one worker between two looks at the store: a few milliseconds of work, and a
@@ -87,6 +87,8 @@ enum PoolError {
     Store(#[from] StoreError),
     #[error("run {run}: its {file} file cannot be used: {why}")]
     File { run: i64, file: &'static str, why: String },
+    #[error("run {0} is of a skin that there is no model of")]
+    Foreign(i64),
     #[error("a worker panicked")]
     Worker,
 }
@@ -171,6 +173,10 @@ impl TwinPool {
             }
             let recipe = match self.recipe(run, progress).await {
                 Ok(recipe) => recipe,
+                Err(PoolError::Foreign(_)) => {
+                    progress.unusable.insert(run);
+                    continue;
+                }
                 Err(error @ PoolError::File { .. }) => {
                     progress.unusable.insert(run);
                     return Err(error);
@@ -207,9 +213,22 @@ impl TwinPool {
         }
         let row = self.row(run).await?;
         let unusable = |file, why: String| PoolError::File { run: row.scan_id, file, why };
-        let rig = RigConfig::from_toml("rig", &row.rig).map_err(|p| {
-            unusable("rig", p.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))
-        })?;
+        let force_noise_n = match &row.rig {
+            Some(rig) => {
+                RigConfig::from_toml("rig", rig)
+                    .map_err(|p| {
+                        let words = p.iter().map(ToString::to_string).collect::<Vec<_>>();
+                        unusable("rig", words.join("; "))
+                    })?
+                    .cells
+                    .force_noise_n
+            }
+            // Contacts of an import are as they were handed in.
+            None => 0.0,
+        };
+        if row.kind == RunKind::Imported && self.is_foreign(&row).await? {
+            return Err(PoolError::Foreign(row.scan_id));
+        }
         let model = match progress.skins.get(&row.sensor) {
             Some(model) => model.clone(),
             None => {
@@ -226,10 +245,21 @@ impl TwinPool {
             git_commit: option_env!("PALPATE_COMMIT").map(Into::into),
         };
         let id = self.inner.store.twin_model(new).await?;
-        let recipe = Recipe { model, id, kind: row.kind, force_noise_n: rig.cells.force_noise_n };
+        let recipe = Recipe { model, id, kind: row.kind, force_noise_n };
         progress.recipes.insert(run, recipe.clone());
         self.models().insert(run, id);
         Ok(recipe)
+    }
+
+    /// Whether an import is of another kind of skin, or came with simulated frames of its own.
+    async fn is_foreign(&self, row: &RunRow) -> Result<bool, PoolError> {
+        if Sensor::from_toml(&row.sensor).is_err() {
+            return Ok(true);
+        }
+        let extent = self.inner.store.run_extent(row.uid).await?;
+        let Some(hash) = extent.model else { return Ok(false) };
+        let model = self.inner.store.twin_model_of(&hash).await?;
+        Ok(model.is_some_and(|model| model.version == IMPORTED_MODEL))
     }
 
     async fn row(&self, run: RunUid) -> Result<RunRow, PoolError> {
@@ -335,7 +365,10 @@ async fn compute(
 
 /// What the model says to a trial's measured contacts and forces.
 fn twin(recipe: &Recipe, trial: &TrialRow, work: &mut Workspace) -> Twin {
-    let contacts = contacts(trial, recipe.kind, recipe.force_noise_n);
+    let Some(contacts) = contacts(trial, recipe.kind, recipe.force_noise_n) else {
+        let why = "a contact has no place or no force".into();
+        return Twin { trial: trial.trial_id, outcome: TwinOutcome::Failure(why) };
+    };
     let outcome = match (recipe.model.voltages(&contacts, work), &trial.voltages_v) {
         (Err(error), _) => TwinOutcome::Failure(error.to_string()),
         (Ok(_), None) => TwinOutcome::Failure("the trial has no voltages".into()),
@@ -352,18 +385,19 @@ fn twin(recipe: &Recipe, trial: &TrialRow, work: &mut Workspace) -> Twin {
 }
 
 /// What pressed: every attached tip whose force stands above the cells' noise, or the placed
-/// weights (`design.md` 2, "twin").
-fn contacts(trial: &TrialRow, kind: RunKind, force_noise_n: f64) -> Vec<Contact> {
+/// weights (`design.md` 2, "twin"). `None` where that is not known of each contact.
+fn contacts(trial: &TrialRow, kind: RunKind, force_noise_n: f64) -> Option<Vec<Contact>> {
     let contact = |x_mm, y_mm, force_n| Contact { x_mm, y_mm, force_n };
     match kind {
         RunKind::RealHex => trial
             .arms
             .iter()
             .filter(|arm| arm.force_n > force_noise_n)
-            .map(|arm| contact(arm.x_mm, arm.y_mm, arm.force_n))
+            .map(|arm| Some(contact(arm.x_mm, arm.y_mm, arm.force_n)))
             .collect(),
-        RunKind::RealRandom => {
-            trial.contacts.iter().map(|c| contact(c.x_mm, c.y_mm, c.force_n)).collect()
+        RunKind::RealRandom | RunKind::Imported => {
+            let placed = |[x_mm, y_mm, force_n]: [f64; 3]| contact(x_mm, y_mm, force_n);
+            trial.contacts.iter().map(|c| c.pressed().map(placed)).collect()
         }
     }
 }

@@ -11,7 +11,7 @@ use super::{Store, StoreError};
 use crate::campaign::journal::ExitStatus;
 use crate::ids::RunUid;
 
-/// The two measured experiments of Table I.
+/// Where trials come from: the two measured experiments of Table I, or elsewhere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum RunKind {
@@ -19,13 +19,17 @@ pub enum RunKind {
     RealHex,
     /// Weights placed by hand; nominal contacts are all kept, also under the deadband.
     RealRandom,
+    /// Trials measured elsewhere, with contacts as they were handed in.
+    Imported,
 }
 
 impl RunKind {
-    fn as_str(self) -> &'static str {
+    /// The kind as it is stored and shown.
+    pub fn as_str(self) -> &'static str {
         match self {
             RunKind::RealHex => "real-hex",
             RunKind::RealRandom => "real-random",
+            RunKind::Imported => "imported",
         }
     }
 }
@@ -38,6 +42,8 @@ pub enum Label {
     Measured,
     /// On the virtual rig.
     Virtual,
+    /// Nowhere: computed by somebody's model, and imported.
+    Simulated,
 }
 
 impl Label {
@@ -46,6 +52,7 @@ impl Label {
         match self {
             Label::Measured => "measured",
             Label::Virtual => "virtual",
+            Label::Simulated => "simulated",
         }
     }
 }
@@ -61,10 +68,10 @@ pub struct NewRun {
     pub kind: RunKind,
     /// Text of the experiment file.
     pub definition: String,
-    /// Seed of everything drawn; at most 2^63 - 1, the largest of TOML.
-    pub seed: u64,
-    /// Text of the rig file.
-    pub rig: String,
+    /// Seed of everything drawn; at most 2^63 - 1, the largest of TOML. Absent for an import.
+    pub seed: Option<u64>,
+    /// Text of the rig file; absent for an import.
+    pub rig: Option<String>,
     /// Text of the sensor file.
     pub sensor: String,
     /// The calibration in force, if there is one.
@@ -102,12 +109,12 @@ pub struct RunRow {
     pub definition: String,
     /// Its sha256.
     pub definition_sha256: String,
-    /// Seed of everything drawn.
-    pub seed: u64,
-    /// Text of the rig file.
-    pub rig: String,
+    /// Seed of everything drawn; absent for an import.
+    pub seed: Option<u64>,
+    /// Text of the rig file; absent for an import.
+    pub rig: Option<String>,
     /// Its sha256.
-    pub rig_sha256: String,
+    pub rig_sha256: Option<String>,
     /// Text of the sensor file.
     pub sensor: String,
     /// Its sha256.
@@ -176,7 +183,7 @@ impl RunRow {
             kind: c.word("kind")?,
             definition: c.get("definition")?,
             definition_sha256: c.get("definition_sha256")?,
-            seed: c.whole("seed")?,
+            seed: c.whole_or_none("seed")?,
             rig: c.get("rig")?,
             rig_sha256: c.get("rig_sha256")?,
             sensor: c.get("sensor")?,
@@ -212,7 +219,8 @@ pub(super) async fn insert(
     operation: &'static str,
 ) -> Result<RunRow, StoreError> {
     let refused = |field, limit| StoreError::Refused { operation, field, limit };
-    let seed = i64::try_from(new.seed).map_err(|_| refused("seed", "must be under 2^63"))?;
+    let seed = new.seed.map(i64::try_from).transpose();
+    let seed = seed.map_err(|_| refused("seed", "must be under 2^63"))?;
     let planned = i64::try_from(new.trials_planned)
         .map_err(|_| refused("trials_planned", "must be under 2^63"))?;
     if !new.deadband_n.is_finite() {
@@ -236,7 +244,7 @@ pub(super) async fn insert(
     .bind(sha256_hex(&new.definition))
     .bind(seed)
     .bind(&new.rig)
-    .bind(sha256_hex(&new.rig))
+    .bind(new.rig.as_deref().map(sha256_hex))
     .bind(&new.sensor)
     .bind(sha256_hex(&new.sensor))
     .bind(&new.calibration_id)

@@ -9,10 +9,10 @@ use utoipa::ToSchema;
 
 use super::columns::Columns;
 use super::filter::Filter;
-use super::runs::RunKind;
+use super::runs::{Label, RunKind};
 use super::trials::pose;
 use super::{Store, StoreError};
-use crate::campaign::record::{ArmReading, Flag, FrameRecord, PlacedContact, Pose};
+use crate::campaign::record::{ArmReading, Flag, FrameQuality, FrameRecord, Pose};
 use crate::ids::{RunUid, TrialId, TrialKey};
 
 /// The largest page.
@@ -22,34 +22,51 @@ const READING: &str = "reading trials";
 
 /// What a row is made of, with the fit of its newest twin; `CROSS JOIN` keeps SQLite walking the
 /// trials in their order.
-const SELECT: &str = "SELECT t.*, r.uid, r.experiment, r.kind, r.deadband_n, r.tip_diameter_mm,
-         w.rmse_v, w.fvu
+const SELECT: &str = "SELECT t.*, r.uid, r.experiment, r.kind, r.label, r.deadband_n,
+         r.tip_diameter_mm, w.rmse_v, w.fvu, m.hash AS sim_model
      FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
+     LEFT JOIN twins w ON w.trial = t.id
+         AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)
+     LEFT JOIN twin_models m ON m.id = w.model";
+
+/// The ids alone.
+const SELECT_IDS: &str = "SELECT t.id FROM trials t
      LEFT JOIN twins w ON w.trial = t.id
          AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)";
 
 /// The same with the mean voltages and the twin's.
 pub(super) const SELECT_WITH_VOLTAGES: &str =
-    "SELECT t.*, r.uid, r.experiment, r.kind, r.deadband_n, r.tip_diameter_mm,
-         w.rmse_v, w.fvu, v.voltages_v, s.voltages_v AS sim_voltages_v
+    "SELECT t.*, r.uid, r.experiment, r.kind, r.label, r.deadband_n,
+         r.tip_diameter_mm, w.rmse_v, w.fvu, m.hash AS sim_model, v.voltages_v, s.voltages_v AS sim_voltages_v
      FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
      CROSS JOIN trial_voltages v ON v.trial = t.id
      LEFT JOIN twins w ON w.trial = t.id
          AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)
+     LEFT JOIN twin_models m ON m.id = w.model
      LEFT JOIN twin_voltages s ON s.trial = t.id AND s.model = w.model";
 
 /// A place on the skin that was pressed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Contact {
-    /// Centre on the skin, mm.
-    pub x_mm: f64,
-    /// Centre on the skin, mm.
-    pub y_mm: f64,
-    /// Force, N.
-    pub force_n: f64,
+    /// Centre on the skin, mm, where it is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub x_mm: Option<f64>,
+    /// Centre on the skin, mm, where it is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub y_mm: Option<f64>,
+    /// Force, N, where it is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub force_n: Option<f64>,
     /// Diameter, mm, where it is known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diameter_mm: Option<f64>,
+}
+
+impl Contact {
+    /// Place and force (mm, mm, N), where all of them are known.
+    pub fn pressed(&self) -> Option<[f64; 3]> {
+        Some([self.x_mm?, self.y_mm?, self.force_n?])
+    }
 }
 
 /// A stored trial.
@@ -63,6 +80,10 @@ pub struct TrialRow {
     pub scan_id: i64,
     /// Name of the experiment.
     pub experiment: String,
+    /// Where it comes from.
+    pub kind: RunKind,
+    /// Whether a skin was touched.
+    pub label: Label,
     /// Position of the configuration in the plan.
     pub configuration: u32,
     /// Position of the depth in the configuration.
@@ -92,24 +113,30 @@ pub struct TrialRow {
     pub placed_by: Option<String>,
     /// What may be wrong with it.
     pub flags: Vec<Flag>,
+    /// How good its frames are.
+    #[serde(flatten)]
+    pub quality: FrameQuality,
     /// Time between the end of motion and the measurement, process ms.
-    pub settle_ms: f64,
+    pub settle_ms: Option<f64>,
     /// Largest force while approaching and settling over the measured one, N.
     pub overshoot_n: Option<f64>,
     /// Raw frames kept.
     pub frame_count: u32,
     /// Start of its motion.
-    #[schema(value_type = String, format = DateTime)]
-    pub started_at: Timestamp,
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub started_at: Option<Timestamp>,
     /// Its last frame.
-    #[schema(value_type = String, format = DateTime)]
-    pub measured_at: Timestamp,
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub measured_at: Option<Timestamp>,
     /// Mean of its frames, V, injection-major, where it was asked for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub voltages_v: Option<Vec<f32>>,
     /// Its newest twin's frame, V, injection-major, where it was asked for and is there.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sim_voltages_v: Option<Vec<f32>>,
+    /// Model of its newest twin.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sim_model: Option<String>,
     /// Root of the mean squared difference to its newest twin, V.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rmse_v: Option<f64>,
@@ -151,7 +178,10 @@ pub struct TrialQuery {
 
 impl TrialQuery {
     fn build(&self, scan_id: Option<i64>) -> QueryBuilder<Sqlite> {
-        let select = if self.with_voltages { SELECT_WITH_VOLTAGES } else { SELECT };
+        self.select(if self.with_voltages { SELECT_WITH_VOLTAGES } else { SELECT }, scan_id)
+    }
+
+    fn select(&self, select: &'static str, scan_id: Option<i64>) -> QueryBuilder<Sqlite> {
         let mut query = QueryBuilder::new(select);
         query.push(" WHERE TRUE");
         if let Some(scan_id) = scan_id {
@@ -203,6 +233,21 @@ impl Store {
         assemble(&mut view, rows, READING).await
     }
 
+    /// The ids of a page of trials, for whoever reads the trials in smaller pieces.
+    pub async fn trial_ids(&self, query: &TrialQuery) -> Result<Vec<TrialId>, StoreError> {
+        let scan_id = match query.run {
+            Some(run) => Some(self.facts(run, READING).await?.scan_id),
+            None => None,
+        };
+        let ids: Vec<i64> = query
+            .select(SELECT_IDS, scan_id)
+            .build_query_scalar()
+            .fetch_all(&self.inner.readers)
+            .await
+            .map_err(StoreError::sql(READING))?;
+        Ok(ids.into_iter().map(TrialId).collect())
+    }
+
     /// One trial, with its mean voltages.
     pub async fn trial_by_id(&self, trial: TrialId) -> Result<Option<TrialRow>, StoreError> {
         let mut view = self.read(READING).await?;
@@ -215,6 +260,30 @@ impl Store {
             .await
             .map_err(StoreError::sql(READING))?;
         Ok(assemble(&mut view, rows, READING).await?.pop())
+    }
+
+    /// These trials with their voltages, by id; those that are not there are left out.
+    pub async fn trials_with_voltages(&self, ids: &[TrialId]) -> Result<Vec<TrialRow>, StoreError> {
+        self.trials_by(SELECT_WITH_VOLTAGES, ids).await
+    }
+
+    /// The same without their voltages.
+    pub async fn trials_of(&self, ids: &[TrialId]) -> Result<Vec<TrialRow>, StoreError> {
+        self.trials_by(SELECT, ids).await
+    }
+
+    async fn trials_by(
+        &self,
+        select: &'static str,
+        ids: &[TrialId],
+    ) -> Result<Vec<TrialRow>, StoreError> {
+        let mut view = self.read(READING).await?;
+        let wanted: Vec<i64> = ids.iter().map(|id| id.0).collect();
+        let mut query = QueryBuilder::new(select);
+        query.push(" WHERE t.id IN (SELECT value FROM json_each(");
+        query.push_bind(format!("{wanted:?}")).push(")) ORDER BY t.id");
+        let rows = query.build().fetch_all(&mut *view).await.map_err(StoreError::sql(READING))?;
+        assemble(&mut view, rows, READING).await
     }
 
     /// The mean of a trial's frames, V, injection-major.
@@ -334,7 +403,8 @@ pub(super) async fn assemble(
             let arms = tips.take(*id, arm)?;
             let placed = placed.take(*id, |c| {
                 let (x_mm, y_mm) = (c.get("x_mm")?, c.get("y_mm")?);
-                Ok(PlacedContact { x_mm, y_mm, force_n: c.get("force_n")? })
+                let (force_n, diameter_mm) = (c.get("force_n")?, c.get("diameter_mm")?);
+                Ok(Contact { x_mm, y_mm, force_n, diameter_mm })
             })?;
             trial_row(&Columns::of(row, operation), arms, placed)
         })
@@ -371,21 +441,36 @@ impl<'r> Belonging<'r> {
     }
 }
 
+/// The tips that press with at least the deadband: what Real-Hex calls contacts (paper IV-A).
+pub fn tips_as_contacts(
+    arms: &[ArmReading],
+    deadband_n: f64,
+    diameter_mm: Option<f64>,
+) -> Vec<Contact> {
+    let pressing = arms.iter().filter(|a| a.force_n >= deadband_n);
+    let contact = |a: &ArmReading| Contact {
+        x_mm: Some(a.x_mm),
+        y_mm: Some(a.y_mm),
+        force_n: Some(a.force_n),
+        diameter_mm,
+    };
+    pressing.map(contact).collect()
+}
+
 fn trial_row(
     c: &Columns<'_>,
     arms: Vec<ArmReading>,
-    placed: Vec<PlacedContact>,
+    placed: Vec<Contact>,
 ) -> Result<TrialRow, StoreError> {
     let (deadband_n, diameter_mm): (f64, Option<f64>) =
         (c.get("deadband_n")?, c.get("tip_diameter_mm")?);
-    let contact = |x_mm, y_mm, force_n| Contact { x_mm, y_mm, force_n, diameter_mm };
-    let contacts = match c.word::<RunKind>("kind")? {
-        RunKind::RealHex => arms
-            .iter()
-            .filter(|a| a.force_n >= deadband_n)
-            .map(|a| contact(a.x_mm, a.y_mm, a.force_n))
+    let kind = c.word::<RunKind>("kind")?;
+    let contacts = match kind {
+        RunKind::RealHex => tips_as_contacts(&arms, deadband_n, diameter_mm),
+        RunKind::RealRandom | RunKind::Imported => placed
+            .into_iter()
+            .map(|p| Contact { diameter_mm: p.diameter_mm.or(diameter_mm), ..p })
             .collect(),
-        RunKind::RealRandom => placed.iter().map(|p| contact(p.x_mm, p.y_mm, p.force_n)).collect(),
     };
     let mut forces_n = [None; 6];
     for a in &arms {
@@ -398,6 +483,8 @@ fn trial_row(
         run: c.uid("uid")?,
         scan_id: c.get("run")?,
         experiment: c.get("experiment")?,
+        kind,
+        label: c.word("label")?,
         configuration: c.whole("configuration")?,
         depth_index: c.whole("depth_index")?,
         attempt: c.whole("attempt")?,
@@ -422,16 +509,24 @@ fn trial_row(
         ]),
         placed_by: c.get("placed_by")?,
         flags: c.json("flags")?,
+        quality: FrameQuality {
+            saturated_channels: c.whole_or_none("saturated_channels")?,
+            stuck_channels: c.whole_or_none("stuck_channels")?,
+            missing_channels: c.whole_or_none("missing_channels")?,
+            injection_sum_v: c.get("injection_sum_v")?,
+            dropped_packets: c.whole_or_none("dropped_packets")?,
+        },
         settle_ms: c.get("settle_ms")?,
         overshoot_n: c.get("overshoot_n")?,
         frame_count: c.whole("frame_count")?,
-        started_at: c.time("started_at")?,
-        measured_at: c.time("measured_at")?,
+        started_at: c.time_or_none("started_at")?,
+        measured_at: c.time_or_none("measured_at")?,
         voltages_v: if c.has("voltages_v") { Some(c.volts("voltages_v")?) } else { None },
         sim_voltages_v: match c.has("sim_voltages_v") {
             true => c.volts_or_none("sim_voltages_v")?,
             false => None,
         },
+        sim_model: c.get("sim_model")?,
         rmse_v: c.get("rmse_v")?,
         fvu: c.get("fvu")?,
     })

@@ -36,7 +36,7 @@ impl Entry {
         let forces = record.arms.iter().map(|a| a.force_n);
         let contacts = match facts.kind {
             RunKind::RealHex => forces.clone().filter(|f| *f >= facts.deadband_n).count(),
-            RunKind::RealRandom => record.placed.len(),
+            RunKind::RealRandom | RunKind::Imported => record.placed.len(),
         };
         let largest = forces.chain(record.placed.iter().map(|p| p.force_n)).reduce(f64::max);
         let contact_count = u8::try_from(contacts)
@@ -83,9 +83,10 @@ impl Entry {
                  target_x_mm, target_y_mm, target_z_mm, target_radius_mm,
                  reached_x_mm, reached_y_mm, reached_z_mm, reached_radius_mm,
                  placed_by, flags, settle_ms, overshoot_n, contact_count, max_force_n,
-                 frame_count, started_at, measured_at)
+                 frame_count, started_at, measured_at, saturated_channels, stuck_channels,
+                 missing_channels, injection_sum_v, dropped_packets)
              VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17,
-                 ?18, ?19, ?20, ?21, ?22, ?23)
+                 ?18, ?19, ?20, ?21, ?22, ?23, ?24, ?25, ?26, ?27, ?28)
              ON CONFLICT (run, configuration, depth_index) DO NOTHING
              RETURNING id",
         )
@@ -112,6 +113,11 @@ impl Entry {
             .bind(self.record.frames.len() as i64)
             .bind(time_text(r.started_at))
             .bind(time_text(r.measured_at))
+            .bind(r.quality.saturated_channels)
+            .bind(r.quality.stuck_channels)
+            .bind(r.quality.missing_channels)
+            .bind(r.quality.injection_sum_v)
+            .bind(r.quality.dropped_packets)
             .fetch_optional(connection)
             .await
             .map_err(StoreError::sql(STORING))?;
@@ -183,13 +189,18 @@ fn check(record: &TrialRecord) -> Result<(), StoreError> {
         return Err(refused("frames", "must be of one length"));
     }
     let poses = [record.target, record.reached].into_iter().flatten();
-    let numbers = [Some(record.settle_ms), record.depth_mm, record.overshoot_n]
-        .into_iter()
-        .flatten()
-        .chain(poses.flat_map(|p| [p.x_mm, p.y_mm, p.z_mm, p.radius_mm]))
-        .chain(record.arms.iter().flat_map(|a| [a.x_mm, a.y_mm, a.force_n, a.cell_v, a.tare_v]))
-        .chain(record.placed.iter().flat_map(|p| [p.x_mm, p.y_mm, p.force_n]))
-        .chain(record.frames.iter().map(|f| f64::from(f.volts_per_count)));
+    let numbers = [
+        Some(record.settle_ms),
+        record.depth_mm,
+        record.overshoot_n,
+        record.quality.injection_sum_v,
+    ]
+    .into_iter()
+    .flatten()
+    .chain(poses.flat_map(|p| [p.x_mm, p.y_mm, p.z_mm, p.radius_mm]))
+    .chain(record.arms.iter().flat_map(|a| [a.x_mm, a.y_mm, a.force_n, a.cell_v, a.tare_v]))
+    .chain(record.placed.iter().flat_map(|p| [p.x_mm, p.y_mm, p.force_n]))
+    .chain(record.frames.iter().map(|f| f64::from(f.volts_per_count)));
     for number in numbers {
         if !number.is_finite() {
             return Err(refused("every number", "must be finite"));

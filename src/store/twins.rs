@@ -130,6 +130,27 @@ impl Store {
         Ok(TwinModelId(id))
     }
 
+    /// What the model of this hash is made of.
+    pub async fn twin_model_of(&self, hash: &str) -> Result<Option<NewTwinModel>, StoreError> {
+        const OPERATION: &str = "reading a model";
+        let row = sqlx::query("SELECT * FROM twin_models WHERE hash = ?1")
+            .bind(hash)
+            .fetch_optional(&self.inner.readers)
+            .await
+            .map_err(StoreError::sql(OPERATION))?;
+        row.map(|row| {
+            let c = Columns::of(&row, OPERATION);
+            Ok(NewTwinModel {
+                hash: c.get("hash")?,
+                sensor_sha256: c.get("sensor_sha256")?,
+                calibration_id: c.get("calibration_id")?,
+                version: c.get("version")?,
+                git_commit: c.get("git_commit")?,
+            })
+        })
+        .transpose()
+    }
+
     /// Up to `limit` trials of a run that have no twin of this model, with their mean voltages, in
     /// the order in which they were stored, from the one `after` this.
     pub async fn pending_twins(
@@ -244,7 +265,7 @@ impl Store {
     }
 }
 
-async fn insert(
+pub(super) async fn insert(
     connection: &mut SqliteConnection,
     model: TwinModelId,
     twin: Twin,

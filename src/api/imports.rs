@@ -1,0 +1,151 @@
+//! Trials measured elsewhere, handed in as a file.
+//! Uses: `dataset::import`. Never: a file in memory, a file that stays when it is refused.
+
+use std::io::Write;
+
+use axum::extract::multipart::MultipartError;
+use axum::extract::{Multipart, State};
+use axum::http::StatusCode;
+use axum::{Extension, Json};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::App;
+use super::auth::Asker;
+use super::problem::{ApiError, ProblemBody};
+use crate::dataset::file::NewFile;
+use crate::dataset::import::{Import, import};
+use crate::problem::Problem;
+use crate::store::{Label, RunRow};
+
+/// The largest file.
+pub const FILE_MAX_BYTES: usize = 16 << 30;
+/// The largest sensor file.
+const TEXT_MAX_BYTES: usize = 1 << 20;
+
+/// What became of an import.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct ImportOut {
+    /// The run that holds the trials.
+    pub run: RunRow,
+    /// Trials.
+    pub trials: u64,
+    /// Columns of the file that nothing was made of.
+    pub columns_left_out: Vec<String>,
+    /// Name of the dataset of all its trials.
+    pub dataset: String,
+}
+
+/// The parts of an upload.
+#[derive(Debug, ToSchema)]
+#[expect(dead_code, reason = "describes the request for openapi.yaml")]
+pub struct ImportForm {
+    /// A Parquet file of the trials table.
+    #[schema(value_type = String, format = Binary)]
+    file: Vec<u8>,
+    /// Text of its sensor file.
+    sensor: String,
+    /// Name of the experiment.
+    name: String,
+    /// `measured`, `virtual` or `simulated`.
+    label: String,
+    /// Who asks.
+    who: Option<String>,
+}
+
+#[derive(Default)]
+struct Parts {
+    file: Option<(String, NewFile)>,
+    sensor: Option<(String, String)>,
+    name: Option<String>,
+    label: Option<Label>,
+    who: Option<String>,
+}
+
+/// Stores trials measured elsewhere as a run of their own.
+#[utoipa::path(post, path = "/api/v1/imports", tag = "datasets",
+    request_body(content = ImportForm, content_type = "multipart/form-data"),
+    responses((status = 201, body = ImportOut), (status = 400, body = ProblemBody)))]
+pub async fn add(
+    State(app): State<App>,
+    Extension(asker): Extension<Asker>,
+    form: Multipart,
+) -> Result<(StatusCode, Json<ImportOut>), ApiError> {
+    let mut who = None;
+    let outcome = async {
+        let parts = receive(&app, form).await?;
+        who = parts.who.clone();
+        app.unlocked(&asker, parts.who.as_deref()).await?;
+        let lacks = |part: &str| {
+            ApiError::bad_query(vec![Problem::new("form", part, "absent", "must be given")])
+        };
+        let (file, upload) = parts.file.ok_or_else(|| lacks("file"))?;
+        let (sensor_file, sensor) = parts.sensor.ok_or_else(|| lacks("sensor"))?;
+        let what = Import {
+            name: parts.name.ok_or_else(|| lacks("name"))?,
+            label: parts.label.ok_or_else(|| lacks("label"))?,
+            file,
+            sensor_file,
+            sensor,
+            submitted_by: asker.name(parts.who.as_deref()),
+        };
+        Ok(import(&app.store, upload.path(), what).await?)
+    }
+    .await;
+    let run = outcome.as_ref().ok().map(|done| done.run.uid);
+    let done = app.logged(&asker, "import", (run, who.as_deref(), None), outcome).await?;
+    let dataset = format!("run-{}", done.run.scan_id);
+    let out = ImportOut {
+        dataset,
+        run: done.run,
+        trials: done.trials,
+        columns_left_out: done.columns_left_out,
+    };
+    Ok((StatusCode::CREATED, Json(out)))
+}
+
+/// Receives the parts; the file goes to the disk as it comes, and goes away again after.
+async fn receive(app: &App, mut form: Multipart) -> Result<Parts, ApiError> {
+    let mut parts = Parts::default();
+    while let Some(mut field) = form.next_field().await.map_err(|error| refused(&error))? {
+        let part = field.name().unwrap_or_default().to_owned();
+        let file = field.file_name().unwrap_or(&part).to_owned();
+        if part == "file" {
+            let folder = app.datasets.uploads();
+            let failed = |error: std::io::Error| {
+                ApiError::new(
+                    StatusCode::INTERNAL_SERVER_ERROR,
+                    format!("{}: {error}", folder.display()),
+                )
+            };
+            let mut upload = NewFile::create(&folder).map_err(failed)?;
+            while let Some(piece) = field.chunk().await.map_err(|error| refused(&error))? {
+                upload.write_all(&piece).map_err(failed)?;
+            }
+            parts.file = Some((file, upload));
+            continue;
+        }
+        let text = field.text().await.map_err(|error| refused(&error))?;
+        let wrong =
+            |limit: &str| ApiError::bad_query(vec![Problem::new("form", &part, &text, limit)]);
+        match part.as_str() {
+            "sensor" if text.len() <= TEXT_MAX_BYTES => parts.sensor = Some((file, text)),
+            "sensor" => return Err(wrong("must be at most 1 MiB of TOML")),
+            "name" if (1..=100).contains(&text.trim().len()) => {
+                parts.name = Some(text.trim().into());
+            }
+            "name" => return Err(wrong("must be 1 to 100 bytes long")),
+            "who" => parts.who = Some(text),
+            "label" => match serde_json::from_value(text.clone().into()) {
+                Ok(label) => parts.label = Some(label),
+                Err(_) => return Err(wrong("must be measured, virtual or simulated")),
+            },
+            _ => return Err(wrong("must be file, sensor, name, label or who")),
+        }
+    }
+    Ok(parts)
+}
+
+fn refused(error: &MultipartError) -> ApiError {
+    ApiError::new(error.status(), error.body_text())
+}

@@ -1,0 +1,381 @@
+//! `palpate dataset`: what there is, what it is made of, files out and trials in.
+//! Uses: `client`. Never: rows of its own (the service reads and writes them).
+
+use std::io::{Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use clap::{Args, Subcommand};
+use futures::StreamExt;
+use reqwest::Method;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+
+use super::client::Client;
+use super::error::CliError;
+use super::files::read_input;
+use super::output::{bytes, counted, say, say_json};
+use super::progress::progress_bar;
+use super::{At, embed};
+use crate::dataset::export::ExportRequest;
+use crate::dataset::format::Format;
+use crate::dataset::select::Wanted;
+
+/// Between two looks at how far an export is.
+const LOOK: Duration = Duration::from_millis(200);
+/// Longest wait for a dataset to be made, or an import to be stored.
+const MAKING: Duration = Duration::from_secs(3600);
+/// Tries of a download whose connection breaks.
+const TRIES: u32 = 5;
+
+/// Options of `dataset`.
+#[derive(Debug, Args)]
+pub struct DatasetArgs {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// Show the datasets that were made, and the names that can be asked for.
+    List(At),
+    /// Show a dataset: parts, contacts, what was left out and why, columns.
+    Show(ShowArgs),
+    /// Make the dataset of a definition file on what is stored now.
+    Make(MakeArgs),
+    /// Write a dataset to a file.
+    ///
+    /// The service writes it first and says how far it is, also after a restart; then the file is
+    /// fetched, gone on with where a connection broke, and its sha256 checked.
+    Export(ExportArgs),
+    /// Take in trials measured elsewhere, as a run of their own.
+    ///
+    /// FILE is Parquet with the columns of the trials table, of which only `voltages_v` must be
+    /// there. Contacts may lack force or place. Exit code 2 where a value cannot be used: each
+    /// problem names row, column, value and limit, and nothing is stored.
+    Import(ImportArgs),
+}
+
+#[derive(Debug, Args)]
+struct ShowArgs {
+    /// Its id or name; `run-N` is all trials of a run.
+    name: String,
+    /// Where it comes from: runs, models, calibrations, shards, code.
+    #[arg(long)]
+    lineage: bool,
+    #[command(flatten)]
+    at: At,
+}
+
+#[derive(Debug, Args)]
+struct MakeArgs {
+    /// Definition file; see experiments/datasets.
+    #[arg(value_name = "DATASET.toml")]
+    definition: PathBuf,
+    #[command(flatten)]
+    at: At,
+}
+
+#[derive(Debug, Args)]
+struct ExportArgs {
+    /// Its id or name; `run-N` is all trials of a run.
+    name: String,
+    /// parquet, arrow, csv, ndjson or npz.
+    #[arg(long, default_value = "parquet")]
+    format: Format,
+    /// A condition on rows, such as `contact_count__gte=3` or `split=train`; may be repeated.
+    #[arg(long = "where", value_name = "COLUMN__gt=VALUE")]
+    conditions: Vec<String>,
+    /// Columns, in this order.
+    #[arg(long, value_delimiter = ',', value_name = "NAME,..")]
+    columns: Vec<String>,
+    /// A force map for each row, as pixel x diameter in mm: 4x20.
+    #[arg(long, value_name = "PIXELxDIAMETER")]
+    map: Option<String>,
+    /// Only these values of each frame, the end left out: 0:28.
+    #[arg(long, value_name = "FIRST:END")]
+    slice: Option<String>,
+    /// The file [default: NAME.FORMAT here].
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    at: At,
+}
+
+#[derive(Debug, Args)]
+struct ImportArgs {
+    /// Parquet file.
+    file: PathBuf,
+    /// Its sensor file: TOML with name, channels, width_mm and height_mm, or one of Palpate's.
+    #[arg(long, value_name = "SENSOR.toml")]
+    sensor: PathBuf,
+    /// measured, virtual or simulated.
+    #[arg(long, default_value = "measured")]
+    label: String,
+    /// Name of the experiment [default: the file's].
+    #[arg(long)]
+    name: Option<String>,
+    #[command(flatten)]
+    at: At,
+}
+
+/// What the command line reads of an export.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct ExportView {
+    id: String,
+    state: String,
+    rows_done: u64,
+    rows_total: u64,
+    dataset: Option<String>,
+    bytes: Option<u64>,
+    sha256: Option<String>,
+    error: Option<String>,
+    url: Option<String>,
+}
+
+/// Does what was asked.
+pub async fn dataset(args: DatasetArgs) -> Result<(), CliError> {
+    match args.what {
+        What::List(at) => {
+            let json = at.json;
+            embed::with_server(&at, move |client| async move { list(&client, json).await }).await
+        }
+        What::Show(args) => {
+            let at = args.at.clone();
+            embed::with_server(&at, move |client| async move { show(&client, &args).await }).await
+        }
+        What::Make(args) => {
+            let at = args.at.clone();
+            embed::with_server(&at, move |client| async move { make(&client, &args).await }).await
+        }
+        What::Export(args) => {
+            let at = args.at.clone();
+            embed::with_server(&at, move |client| async move { export(&client, &args).await }).await
+        }
+        What::Import(args) => {
+            let at = args.at.clone();
+            embed::with_server(&at, move |client| async move { import(&client, &args).await }).await
+        }
+    }
+}
+
+async fn list(client: &Client, json: bool) -> Result<(), CliError> {
+    let found: Value = client.get("/api/v1/datasets").await?;
+    if json {
+        say_json(&found);
+        return Ok(());
+    }
+    let made = found["datasets"].as_array().cloned().unwrap_or_default();
+    for row in &made {
+        say(format_args!(
+            "{:<20} {:<16} {:>8} rows {:>10}  {}",
+            text(&row["id"]),
+            text(&row["name"]),
+            row["rows"],
+            bytes(row["bytes"].as_f64().unwrap_or_default()),
+            text(&row["created_at"]),
+        ));
+    }
+    if made.is_empty() {
+        say("no dataset was made yet");
+    }
+    let names: Vec<&str> =
+        found["definitions"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
+    say(format_args!("made when asked for: {}, run-N", names.join(", ")));
+    Ok(())
+}
+
+async fn show(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
+    let more = if args.lineage { "/lineage" } else { "" };
+    let path = format!("/api/v1/datasets/{}{more}", args.name);
+    let found: Value = client.patient(MAKING).get(&path).await?;
+    if args.at.json {
+        say_json(&found);
+    } else if args.lineage {
+        let pretty = serde_json::to_string_pretty(&found["lineage"]).unwrap_or_default();
+        say(pretty);
+    } else {
+        describe(&found, client.url());
+    }
+    Ok(())
+}
+
+async fn make(client: &Client, args: &MakeArgs) -> Result<(), CliError> {
+    let file = args.definition.display().to_string();
+    let body = json!({ "toml": read_input(&args.definition)?, "file": file });
+    let made: Value = client.patient(MAKING).post("/api/v1/datasets", &body).await?;
+    if args.at.json {
+        say_json(&made);
+    } else {
+        describe(&made, client.url());
+    }
+    Ok(())
+}
+
+/// A dataset for people.
+fn describe(row: &Value, url: &str) {
+    let length = bytes(row["bytes"].as_f64().unwrap_or_default());
+    say(format_args!(
+        "{} {}: {} rows, {length}",
+        text(&row["name"]),
+        text(&row["id"]),
+        row["rows"]
+    ));
+    let report = &row["report"];
+    table("part", &report["parts"]);
+    table("contacts", &report["contact_counts"]);
+    table("left out", &report["left_out"]);
+    say("  pandas.read_parquet(..), polars.scan_parquet(..) or DuckDB's read_parquet(..) of");
+    say(format_args!("  {url}{}", text(&row["url"])));
+}
+
+fn table(heading: &str, counts: &Value) {
+    for (what, rows) in counts.as_object().into_iter().flatten() {
+        say(format_args!("  {heading:<9} {what:<44} {rows:>8}"));
+    }
+}
+
+async fn export(client: &Client, args: &ExportArgs) -> Result<(), CliError> {
+    let request = ExportRequest {
+        dataset: args.name.clone(),
+        format: args.format,
+        wanted: Wanted {
+            columns: args.columns.clone(),
+            conditions: args.conditions.clone(),
+            map: args.map.clone(),
+            slice: args.slice.clone(),
+        },
+    };
+    let asked: ExportView = client.post("/api/v1/exports", &request).await?;
+    let done = follow(client, asked).await?;
+    let out = args
+        .out
+        .clone()
+        .unwrap_or_else(|| PathBuf::from(format!("{}.{}", args.name, args.format.extension())));
+    fetch(client, &done, &out).await?;
+    if args.at.json {
+        say_json(&json!({ "file": out, "export": done }));
+    } else {
+        let rows = counted(done.rows_total, "row", "rows");
+        let of = done.dataset.as_deref().unwrap_or_default();
+        let length = bytes(done.bytes.unwrap_or_default() as f64);
+        let rows = if done.rows_total > 0 { format!("{rows} of ") } else { String::new() };
+        say(format_args!(
+            "{}: {rows}{of}, {length}, sha256 {}",
+            out.display(),
+            done.sha256.clone().unwrap_or_default()
+        ));
+    }
+    Ok(())
+}
+
+/// Shows how far an export is, until it is over.
+async fn follow(client: &Client, asked: ExportView) -> Result<ExportView, CliError> {
+    let bar = progress_bar("rows");
+    let (mut now, mut rows) = (asked, 0);
+    loop {
+        rows = rows.max(now.rows_total);
+        bar.set_length(now.rows_total);
+        bar.set_position(now.rows_done);
+        match now.state.as_str() {
+            "done" => {
+                bar.finish_and_clear();
+                now.rows_total = rows;
+                return Ok(now);
+            }
+            "failed" => {
+                bar.abandon();
+                let operation = format!("export {}", now.id);
+                let detail = now.error.unwrap_or_default();
+                return Err(CliError::Refused { operation, status: 409, detail });
+            }
+            _ => tokio::time::sleep(LOOK).await,
+        }
+        now = client.get(&format!("/api/v1/exports/{}", now.id)).await?;
+    }
+}
+
+/// Fetches the file of an export, going on where a connection broke.
+async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), CliError> {
+    let failed = |source| CliError::File { path: out.into(), source };
+    let partial = out.with_extension("partial");
+    let mut file = std::fs::File::create(&partial).map_err(failed)?;
+    let url = done.url.clone().unwrap_or_else(|| format!("/api/v1/exports/{}/file", done.id));
+    let (mut hash, mut have, mut tries) = (Sha256::new(), 0_u64, 0);
+    let wanted = done.bytes.unwrap_or_default();
+    let bar = progress_bar("bytes");
+    bar.set_length(wanted);
+    while have < wanted {
+        let range = format!("bytes={have}-");
+        let answer = client.patient(MAKING).send_ranged(Method::GET, &url, &range).await?;
+        let mut pieces = answer.bytes_stream();
+        while let Some(piece) = pieces.next().await {
+            match piece {
+                Ok(piece) => {
+                    file.write_all(&piece).map_err(failed)?;
+                    hash.update(&piece);
+                    have += piece.len() as u64;
+                    bar.set_position(have);
+                }
+                Err(_) if tries < TRIES => {
+                    tries += 1;
+                    break;
+                }
+                Err(source) => {
+                    return Err(CliError::Http { operation: format!("GET {url}"), source });
+                }
+            }
+        }
+    }
+    bar.finish_and_clear();
+    let found = crate::dataset::file::hex(&hash.finalize());
+    if Some(&found) != done.sha256.as_ref() {
+        let detail = format!("the file that came has the sha256 {found}");
+        return Err(CliError::Refused { operation: format!("GET {url}"), status: 500, detail });
+    }
+    file.seek(SeekFrom::End(0)).and_then(|_| file.sync_all()).map_err(failed)?;
+    std::fs::rename(&partial, out).map_err(failed)
+}
+
+async fn import(client: &Client, args: &ImportArgs) -> Result<(), CliError> {
+    let sensor = read_input(&args.sensor)?;
+    let name = args.name.clone().unwrap_or_else(|| {
+        args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+    });
+    let made: Value = client
+        .patient(MAKING)
+        .upload(
+            "/api/v1/imports",
+            &args.file,
+            [
+                ("sensor", sensor, Some(args.sensor.display().to_string())),
+                ("name", name, None),
+                ("label", args.label.clone(), None),
+                ("who", client.who().to_owned(), None),
+            ],
+        )
+        .await?;
+    if args.at.json {
+        say_json(&made);
+        return Ok(());
+    }
+    let run = &made["run"];
+    let trials = counted(made["trials"].as_u64().unwrap_or_default(), "trial", "trials");
+    say(format_args!("run {}: {trials} ({})", run["scan_id"], text(&run["label"])));
+    let left_out: Vec<&str> = made["columns_left_out"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .filter_map(Value::as_str)
+        .collect();
+    if !left_out.is_empty() {
+        say(format_args!("  columns that nothing was made of: {}", left_out.join(", ")));
+    }
+    say(format_args!("  its dataset: palpate dataset show {}", text(&made["dataset"])));
+    Ok(())
+}
+
+fn text(value: &Value) -> &str {
+    value.as_str().unwrap_or_default()
+}

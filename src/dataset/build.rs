@@ -1,0 +1,529 @@
+//! Making a dataset: survey its runs, then read, encode, hash and store the rows that stay.
+//! Uses: `store`, `dataset::{survey, shards, batch, format, file}`. Never: HTTP; all rows at once.
+//!
+//! ```text
+//! runs -> survey (no frames) -> ids that stay, parts -> pages of 1000 with frames --+
+//! shards, each checked --------------------------------------------------------> encoder thread
+//!                                           Parquet file <- row group, sha256 of the rows <-+
+//! ```
+//! The id is known when the last row is: the file is renamed to it then.
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use arrow_array::RecordBatch;
+use arrow_ipc::writer::StreamWriter;
+use arrow_schema::SchemaRef;
+use jiff::Timestamp;
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+use tokio::sync::mpsc;
+
+use super::batch::{self, Row};
+use super::card;
+use super::definition::{Definition, SplitBy, Task};
+use super::error::DatasetError;
+use super::file::{Hashing, NewFile, hex};
+use super::format::{Format, Stream};
+use super::schema::{self, BATCH_ROWS, Kind};
+use super::shards::{self, ShardFolder};
+use super::split::{Group, Part, divide, place};
+use super::survey::{Survey, Surveyed, label};
+use crate::store::{DatasetRow, Label, MAX_PAGE, RunExtent, RunRow, Store, TrialQuery};
+
+/// Pages that may wait for the encoder.
+const AHEAD: usize = 2;
+/// Hexadecimal digits of an id.
+const ID_DIGITS: usize = 16;
+/// Version of the way from stored trials to rows: another one gives other inputs.
+const BUILD_VERSION: u32 = 1;
+
+/// How far a dataset is.
+#[derive(Debug, Default)]
+pub struct Progress {
+    /// Rows that are written.
+    pub done: AtomicU64,
+    /// Rows to write; 0 while they are being counted.
+    pub total: AtomicU64,
+}
+
+/// What a definition comes down to at this moment.
+#[derive(Debug, Clone)]
+pub struct Inputs {
+    definition: Definition,
+    runs: Vec<(RunRow, RunExtent)>,
+    folders: Vec<ShardFolder>,
+    /// sha256 over everything that the rows depend on.
+    pub key: String,
+}
+
+impl Inputs {
+    /// Finds the runs and shards of a definition, as they are now.
+    pub async fn find(
+        store: &Store,
+        data: &Path,
+        definition: &Definition,
+    ) -> Result<Self, DatasetError> {
+        definition.check(&definition.name).map_err(DatasetError::Problems)?;
+        let mut runs = Vec::new();
+        for run in select_runs(store, definition).await? {
+            let extent = store.run_extent(run.uid).await?;
+            runs.push((run, extent));
+        }
+        check_labels(definition, &runs)?;
+        let folders = shards::find(data, &definition.sim_random)?;
+        let mut hash = Sha256::new();
+        let text = json!({
+            "version": BUILD_VERSION,
+            "definition": definition,
+            "runs": runs.iter().map(|(run, extent)| json!([run.uid, extent])).collect::<Vec<_>>(),
+            "shards": folders.iter().map(|f| json!([f.name, f.manifest])).collect::<Vec<_>>(),
+        });
+        hash.update(text.to_string());
+        let key = hex(&hash.finalize());
+        Ok(Self { definition: definition.clone(), runs, folders, key })
+    }
+
+    /// Rows that are looked at.
+    pub fn candidates(&self) -> u64 {
+        let trials: u64 = self.runs.iter().map(|(_, e)| e.trials.unsigned_abs()).sum();
+        trials + self.folders.iter().map(ShardFolder::trials).sum::<u64>()
+    }
+
+    /// The newest model among the twins of the runs.
+    fn model(&self) -> Option<&str> {
+        let newest = self.runs.iter().max_by_key(|(_, extent)| extent.newest)?;
+        newest.1.model.as_deref()
+    }
+
+    /// Voltages in a frame: the same in all runs and shards.
+    async fn channels(&self, store: &Store) -> Result<i32, DatasetError> {
+        let mut found: Option<(usize, String)> = None;
+        for (run, extent) in &self.runs {
+            if extent.trials == 0 {
+                continue;
+            }
+            let Some(frame) = store.trial_voltages(crate::ids::TrialId(extent.last)).await? else {
+                continue;
+            };
+            let who = format!("run {}", run.scan_id);
+            match &found {
+                Some((channels, other)) if *channels != frame.len() => {
+                    return Err(DatasetError::Channels {
+                        one: format!("{other} has {channels} voltages a frame"),
+                        other: format!("{who} has {}", frame.len()),
+                    });
+                }
+                _ => found = Some((frame.len(), who)),
+            }
+        }
+        let channels = found.map_or(schema::CHANNELS as usize, |(channels, _)| channels);
+        i32::try_from(channels).map_err(|_| DatasetError::Channels {
+            one: format!("{channels} voltages a frame"),
+            other: "more than can be stored".into(),
+        })
+    }
+}
+
+async fn select_runs(store: &Store, definition: &Definition) -> Result<Vec<RunRow>, DatasetError> {
+    let mut all = Vec::new();
+    let mut before = None;
+    loop {
+        let page = store.runs(1000, before).await?;
+        all.extend(page.runs);
+        before = page.next;
+        if before.is_none() {
+            break;
+        }
+    }
+    all.retain(|run| run.state != "removed");
+    all.sort_by_key(|run| run.scan_id);
+    let labelled = |run: &RunRow| definition.label.is_none_or(|label| run.label == label);
+    if definition.runs.is_empty() {
+        let kinds = definition.task.kinds();
+        let takes =
+            |run: &RunRow| run.state == "ended" && kinds.contains(&run.kind) && labelled(run);
+        return Ok(all.into_iter().filter(takes).collect());
+    }
+    for wanted in &definition.runs {
+        if !all.iter().any(|run| names(run, wanted)) {
+            return Err(DatasetError::NoRun(wanted.clone()));
+        }
+    }
+    let named = |run: &RunRow| definition.runs.iter().any(|wanted| names(run, wanted));
+    Ok(all.into_iter().filter(|run| named(run) && labelled(run)).collect())
+}
+
+/// Whether a word of a definition means this run.
+fn names(run: &RunRow, wanted: &str) -> bool {
+    run.scan_id.to_string() == wanted || run.uid.to_string() == wanted || run.experiment == wanted
+}
+
+/// Measured and virtual trials never come together unasked.
+fn check_labels(definition: &Definition, runs: &[(RunRow, RunExtent)]) -> Result<(), DatasetError> {
+    let of = |label: Label| {
+        let with = |run: &RunRow| run.label == label && definition.task != Task::S2sRecon;
+        runs.iter().find(|(run, extent)| with(run) && extent.trials > 0).map(|(r, _)| r.scan_id)
+    };
+    let [measured, virtual_, simulated] =
+        [Label::Measured, Label::Virtual, Label::Simulated].map(of);
+    let found: Vec<String> =
+        [("measured", measured), ("virtual", virtual_), ("simulated", simulated)]
+            .into_iter()
+            .filter_map(|(label, run)| Some(format!("run {} is {label}", run?)))
+            .collect();
+    if found.len() > 1 { Err(DatasetError::Labels(found.join(", "))) } else { Ok(()) }
+}
+
+/// Makes the dataset of these inputs in this folder, and stores what it is.
+pub async fn build(
+    store: &Store,
+    folder: &Path,
+    inputs: Inputs,
+    at: Timestamp,
+    progress: Arc<Progress>,
+) -> Result<DatasetRow, DatasetError> {
+    let channels = inputs.channels(store).await?;
+    let definition = &inputs.definition;
+    let columns = schema::of_dataset(definition, channels);
+    let (mut surveyed, rows_of_run) = survey(store, &inputs, channels).await?;
+    let parts_of_shards = divide_shards(&inputs, &mut surveyed)?;
+    let shard_rows: u64 = parts_of_shards.iter().map(|(folder, _)| folder.trials()).sum();
+    progress.total.store(surveyed.kept.len() as u64 + shard_rows, Ordering::Relaxed);
+    let lineage = lineage(store, &inputs, &rows_of_run, &parts_of_shards).await?;
+    let footer = footer(definition, &inputs, &lineage)?;
+
+    let (pages, waiting) = mpsc::channel(AHEAD);
+    let encoder = Encoder::new(folder, definition, &columns, footer)?;
+    let (shown, schema) = (progress.clone(), columns.clone());
+    let encoding = tokio::task::spawn_blocking(move || {
+        encode(encoder, waiting, parts_of_shards, &schema, &shown)
+    });
+    // When the encoder gives up, the pages have nowhere to go; it says why.
+    read_pages(store, &inputs, &surveyed.kept, pages).await?;
+    let (encoder, tally) = encoding.await.map_err(|_| DatasetError::Worker)??;
+
+    let report = report(definition, &columns, channels, &surveyed, &tally);
+    let id = encoder.id();
+    let finished = encoder.finish(&id)?;
+    let row = DatasetRow {
+        name: definition.name.clone(),
+        definition: serde_json::to_value(definition).map_err(DatasetError::json)?,
+        rows: tally.rows,
+        bytes: finished.bytes,
+        sha256: finished.sha256,
+        report,
+        lineage,
+        created_at: at,
+        id,
+    };
+    let row = store.insert_dataset(row, &inputs.key).await?;
+    write_card(folder, &row)?;
+    Ok(row)
+}
+
+/// The first pass. Returns what stays, and how many trials each run has.
+async fn survey(
+    store: &Store,
+    inputs: &Inputs,
+    channels: i32,
+) -> Result<(Surveyed, BTreeMap<i64, u64>), DatasetError> {
+    let scalars = Arc::new(schema::all(channels));
+    let mut survey = Survey::new(&inputs.definition, scalars, inputs.model());
+    let mut rows = BTreeMap::new();
+    for (run, _) in &inputs.runs {
+        let mut query = TrialQuery { run: Some(run.uid), limit: MAX_PAGE, ..TrialQuery::default() };
+        loop {
+            let mut page = store.trials(&query).await?;
+            let Some(last) = page.last().map(|trial| trial.trial_id) else { break };
+            query.after = Some(last);
+            *rows.entry(run.scan_id).or_default() += page.len() as u64;
+            for trial in &mut page {
+                label(trial, &inputs.definition, run);
+            }
+            survey.push(page)?;
+        }
+    }
+    let mut surveyed = survey.finish();
+    surveyed.kept.sort_by_key(|(trial, _)| *trial);
+    Ok((surveyed, rows))
+}
+
+/// The parts of the trials of each folder of shards of the model; others are left out, and said.
+fn divide_shards(
+    inputs: &Inputs,
+    surveyed: &mut Surveyed,
+) -> Result<Vec<(ShardFolder, Vec<Option<Part>>)>, DatasetError> {
+    let split = &inputs.definition.split;
+    let mut divided = Vec::new();
+    let first = inputs.folders.first().map(|f| f.manifest.definition.model.as_str());
+    let model = inputs.model().or(first);
+    for folder in &inputs.folders {
+        let definition = &folder.manifest.definition;
+        if Some(definition.model.as_str()) != model {
+            if inputs.definition.sim_random.contains(&folder.name) {
+                return Err(DatasetError::Models {
+                    folder: folder.name.clone(),
+                    there: definition.model.clone(),
+                    here: model.unwrap_or_default().into(),
+                });
+            }
+            let why = format!("Sim-Random {} of another model: {}", folder.name, definition.model);
+            surveyed.left_out.insert(why, folder.trials());
+            continue;
+        }
+        let numbers = folder.manifest.shards.iter().flat_map(|s| s.first..s.first + s.trials);
+        let seed = definition.draws.seed;
+        let groups: Vec<Group> = numbers
+            .map(|number| Group {
+                place: place(split.seed, format!("sim-random {seed} {number}").as_bytes()),
+                rows: 1,
+                stratum: 0,
+            })
+            .collect();
+        let parts = match split.by {
+            SplitBy::None => vec![None; groups.len()],
+            _ => divide(&groups, split).into_iter().map(Some).collect(),
+        };
+        divided.push((folder.clone(), parts));
+    }
+    Ok(divided)
+}
+
+/// The second pass: the trials that stay, with their frames.
+async fn read_pages(
+    store: &Store,
+    inputs: &Inputs,
+    kept: &[(crate::ids::TrialId, Option<Part>)],
+    pages: mpsc::Sender<Vec<Row>>,
+) -> Result<(), DatasetError> {
+    let by_scan_id: BTreeMap<i64, &RunRow> =
+        inputs.runs.iter().map(|(run, _)| (run.scan_id, run)).collect();
+    for chunk in kept.chunks(BATCH_ROWS) {
+        let ids: Vec<_> = chunk.iter().map(|(trial, _)| *trial).collect();
+        let trials = store.trials_with_voltages(&ids).await?;
+        if trials.len() != ids.len() {
+            return Err(DatasetError::Changed);
+        }
+        let rows = trials.into_iter().zip(chunk).map(|(mut trial, (_, part))| {
+            if let Some(run) = by_scan_id.get(&trial.scan_id) {
+                label(&mut trial, &inputs.definition, run);
+            }
+            Row { trial, part: *part }
+        });
+        if pages.send(rows.collect()).await.is_err() {
+            return Ok(());
+        }
+    }
+    Ok(())
+}
+
+/// What is counted while rows are written.
+#[derive(Debug, Default)]
+struct Tally {
+    rows: u64,
+    parts: BTreeMap<&'static str, u64>,
+    contact_counts: BTreeMap<u8, u64>,
+}
+
+impl Tally {
+    fn count(&mut self, part: Option<Part>, contacts: u8) {
+        self.rows += 1;
+        *self.contact_counts.entry(contacts).or_default() += 1;
+        if let Some(part) = part {
+            *self.parts.entry(part.name()).or_default() += 1;
+        }
+    }
+}
+
+/// The file of a dataset on its way, and the hash of its rows.
+struct Encoder {
+    parquet: Stream<NewFile>,
+    rows: StreamWriter<Hashing>,
+}
+
+impl Encoder {
+    fn new(
+        folder: &Path,
+        definition: &Definition,
+        schema: &SchemaRef,
+        footer: HashMap<String, String>,
+    ) -> Result<Self, DatasetError> {
+        let file = NewFile::create(folder).map_err(DatasetError::file("making", folder))?;
+        let described = Arc::new(schema.as_ref().clone().with_metadata(footer));
+        let mut hash = Hashing::default();
+        hash.0.update(serde_json::to_string(definition).map_err(DatasetError::json)?);
+        Ok(Self {
+            parquet: Stream::new(Format::Parquet, &described, file)?,
+            // Without what the file says of itself: the same rows have the same id, whoever made them.
+            rows: StreamWriter::try_new(hash, schema)?,
+        })
+    }
+
+    fn push(&mut self, batch: &RecordBatch) -> Result<(), DatasetError> {
+        self.rows.write(batch)?;
+        Ok(self.parquet.push(batch)?)
+    }
+
+    /// `ds-` and the start of a sha256 over definition, schema and rows.
+    fn id(&self) -> String {
+        let digest = self.rows.get_ref().0.clone().finalize();
+        format!("ds-{}", &hex(&digest)[..ID_DIGITS])
+    }
+
+    fn finish(self, id: &str) -> Result<super::file::Finished, DatasetError> {
+        let file = self.parquet.finish()?;
+        let name = format!("{id}.parquet");
+        file.finish(&name).map_err(DatasetError::file("writing", Path::new(&name)))
+    }
+}
+
+/// Encodes pages of trials as they come, then the shards. On a thread of its own.
+fn encode(
+    mut encoder: Encoder,
+    mut pages: mpsc::Receiver<Vec<Row>>,
+    shards: Vec<(ShardFolder, Vec<Option<Part>>)>,
+    schema: &SchemaRef,
+    progress: &Progress,
+) -> Result<(Encoder, Tally), DatasetError> {
+    let mut tally = Tally::default();
+    while let Some(page) = pages.blocking_recv() {
+        encoder.push(&batch::of_trials(schema, &page)?)?;
+        page.iter().for_each(|row| tally.count(row.part, row.trial.contact_count));
+        progress.done.store(tally.rows, Ordering::Relaxed);
+    }
+    for (folder, parts) in shards {
+        let mut parts = parts.as_slice();
+        for shard in &folder.manifest.shards {
+            for rows in folder.read(shard)? {
+                let (own, rest) = parts.split_at(rows.num_rows().min(parts.len()));
+                parts = rest;
+                let batch = batch::of_shard(schema, &rows, own)?;
+                let counts = batch.column_by_name("contact_count").cloned();
+                for (row, part) in own.iter().enumerate() {
+                    let count = counts.as_ref().and_then(|c| super::filter::number(c, row));
+                    tally.count(*part, count.unwrap_or_default() as u8);
+                }
+                encoder.push(&batch)?;
+                progress.done.store(tally.rows, Ordering::Relaxed);
+            }
+        }
+    }
+    encoder.rows.finish()?;
+    Ok((encoder, tally))
+}
+
+/// Where the rows come from, down to the code.
+async fn lineage(
+    store: &Store,
+    inputs: &Inputs,
+    rows_of_run: &BTreeMap<i64, u64>,
+    shards: &[(ShardFolder, Vec<Option<Part>>)],
+) -> Result<Value, DatasetError> {
+    let runs: Vec<Value> = inputs
+        .runs
+        .iter()
+        .map(|(run, extent)| {
+            json!({
+                "uid": run.uid, "scan_id": run.scan_id, "experiment": run.experiment,
+                "kind": run.kind, "label": run.label, "seed": run.seed,
+                "definition_sha256": run.definition_sha256, "rig_sha256": run.rig_sha256,
+                "sensor_sha256": run.sensor_sha256, "calibration": run.calibration_id,
+                "version": run.version, "git_commit": run.git_commit,
+                "started_at": run.started_at, "ended_at": run.ended_at,
+                "deadband_n": inputs.definition.deadband_n.unwrap_or(run.deadband_n),
+                "trials": rows_of_run.get(&run.scan_id), "taken_back": extent.taken_back,
+            })
+        })
+        .collect();
+    let mut models = Vec::new();
+    if inputs.definition.task.has_simulated()
+        && let Some(hash) = inputs.model()
+        && let Some(model) = store.twin_model_of(hash).await?
+    {
+        models.push(json!({
+            "model": model.hash, "sensor_sha256": model.sensor_sha256,
+            "calibration": model.calibration_id, "version": model.version,
+            "git_commit": model.git_commit,
+        }));
+    }
+    let sim_random: Vec<Value> = shards
+        .iter()
+        .map(|(folder, _)| {
+            json!({ "folder": folder.name, "definition": folder.manifest.definition,
+                "shards": folder.manifest.shards })
+        })
+        .collect();
+    Ok(json!({
+        "runs": runs, "models": models, "sim_random": sim_random,
+        "code": {
+            "version": env!("CARGO_PKG_VERSION"),
+            "git_commit": option_env!("PALPATE_COMMIT"),
+        },
+    }))
+}
+
+/// What the Parquet file says of itself.
+fn footer(
+    definition: &Definition,
+    inputs: &Inputs,
+    lineage: &Value,
+) -> Result<HashMap<String, String>, DatasetError> {
+    let definition = serde_json::to_string(definition).map_err(DatasetError::json)?;
+    let mut footer = HashMap::from([
+        ("palpate.definition".to_owned(), definition),
+        ("palpate.lineage".to_owned(), lineage.to_string()),
+    ]);
+    if let Some((run, _)) = inputs.runs.first() {
+        footer.insert(schema::SENSOR.into(), run.sensor.clone());
+    }
+    Ok(footer)
+}
+
+fn report(
+    definition: &Definition,
+    columns: &SchemaRef,
+    channels: i32,
+    surveyed: &Surveyed,
+    tally: &Tally,
+) -> Value {
+    let columns: Vec<Value> = columns
+        .fields()
+        .iter()
+        .map(|field| {
+            json!({ "name": field.name(), "type": field.data_type().to_string(),
+                "unit": field.metadata().get(crate::simulate::schema::UNIT),
+                "filterable": schema::kind(field.data_type()) != Kind::List })
+        })
+        .collect();
+    json!({
+        "task": definition.task, "channels": channels, "parts": tally.parts,
+        "contact_counts": tally.contact_counts, "left_out": surveyed.left_out,
+        "columns": columns,
+    })
+}
+
+/// Writes the card beside the file.
+fn write_card(folder: &Path, row: &DatasetRow) -> Result<(), DatasetError> {
+    let name = format!("{}.md", row.id);
+    let write = || {
+        use std::io::Write;
+        let mut file = NewFile::create(folder)?;
+        file.write_all(card::text(row).as_bytes())?;
+        file.finish(&name)
+    };
+    write().map_err(DatasetError::file("writing", &folder.join(&name)))?;
+    Ok(())
+}
+
+/// Where a dataset's rows are.
+pub fn data_file(folder: &Path, id: &str) -> PathBuf {
+    folder.join(format!("{id}.parquet"))
+}
+
+/// Where its card is.
+pub fn card_file(folder: &Path, id: &str) -> PathBuf {
+    folder.join(format!("{id}.md"))
+}

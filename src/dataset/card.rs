@@ -1,0 +1,129 @@
+//! The card beside a dataset's file: what, when, where, how many, units, quality, citation.
+//! PURE. Uses: `store`'s row of a dataset. Never: a number that is not in it.
+
+use std::fmt::Write;
+
+use serde_json::Value;
+
+use crate::store::DatasetRow;
+
+/// The work that these datasets follow.
+const PAPER: &str = "Predicting the Force Map of an ERT-Based Tactile Sensor Using Simulation and \
+                     Deep Networks (Table II)";
+
+/// The card, as Markdown.
+pub fn text(row: &DatasetRow) -> String {
+    let mut card = String::new();
+    // Writing to a string does not fail.
+    let _ = write(&mut card, row);
+    card
+}
+
+fn write(card: &mut String, row: &DatasetRow) -> std::fmt::Result {
+    let (report, lineage) = (&row.report, &row.lineage);
+    writeln!(card, "# {} ({})\n", row.name, row.id)?;
+    writeln!(card, "{} rows, made {} by Palpate {}.", row.rows, row.created_at, code(lineage))?;
+    let labels = labels(lineage);
+    if labels.contains(&"virtual") {
+        writeln!(card, "\n**Virtual**: measured on a virtual rig. No skin was touched.")?;
+    }
+    writeln!(card, "\n## What\n")?;
+    writeln!(card, "Task: {}.", words(&report["task"]))?;
+    counts(card, "Parts", &report["parts"])?;
+    counts(card, "Rows by number of contacts", &report["contact_counts"])?;
+    writeln!(card, "\n## Quality\n")?;
+    writeln!(
+        card,
+        "Flags and counts of saturated, stuck and missing channels, injection sums, dropped \
+         packets, depth error, settling and overshoot are columns. What was not looked at is null."
+    )?;
+    match report["left_out"].as_object().filter(|reasons| !reasons.is_empty()) {
+        Some(_) => counts(card, "Left out", &report["left_out"])?,
+        None => writeln!(card, "\nNothing was left out.")?,
+    }
+    writeln!(card, "\n## Where from\n")?;
+    for run in lineage["runs"].as_array().into_iter().flatten() {
+        writeln!(
+            card,
+            "- run {} `{}` {} ({}), {} to {}: {} trials, contacts from {} N",
+            run["scan_id"],
+            words(&run["uid"]),
+            words(&run["experiment"]),
+            words(&run["label"]),
+            words(&run["started_at"]),
+            words(&run["ended_at"]),
+            run["trials"],
+            run["deadband_n"],
+        )?;
+    }
+    for model in lineage["models"].as_array().into_iter().flatten() {
+        let calibration = match &model["calibration"] {
+            Value::Null => "not calibrated".to_owned(),
+            id => format!("calibration {}", words(id)),
+        };
+        writeln!(card, "- simulated with {} ({calibration})", words(&model["model"]))?;
+    }
+    for folder in lineage["sim_random"].as_array().into_iter().flatten() {
+        let shards = folder["shards"].as_array().map_or(0, Vec::len);
+        writeln!(
+            card,
+            "- Sim-Random {}: {shards} shards, seed {}, {}",
+            words(&folder["folder"]),
+            folder["definition"]["draws"]["seed"],
+            words(&folder["definition"]["model"]),
+        )?;
+    }
+    writeln!(card, "\n## Columns\n\n| column | type | unit |\n|---|---|---|")?;
+    for column in report["columns"].as_array().into_iter().flatten() {
+        writeln!(
+            card,
+            "| {} | {} | {} |",
+            words(&column["name"]),
+            words(&column["type"]),
+            words(&column["unit"])
+        )?;
+    }
+    writeln!(
+        card,
+        "\nA frame is injection-major: `v[28 k + j] = V_j - V_(j+1 mod 28)` while electrode k is \
+         the sink, V after gain. Contacts are in skin coordinates, from the skin's corner."
+    )?;
+    writeln!(
+        card,
+        "\n## Citation\n\nDataset {}, Palpate {}. After: {PAPER}.",
+        row.id,
+        code(lineage)
+    )
+}
+
+fn labels(lineage: &Value) -> Vec<&str> {
+    let runs = lineage["runs"].as_array().into_iter().flatten();
+    runs.filter_map(|run| run["label"].as_str()).collect()
+}
+
+fn code(lineage: &Value) -> String {
+    let code = &lineage["code"];
+    match code["git_commit"].as_str() {
+        Some(commit) => format!("{} ({commit})", words(&code["version"])),
+        None => words(&code["version"]),
+    }
+}
+
+fn words(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        Value::Null => String::new(),
+        other => other.to_string(),
+    }
+}
+
+fn counts(card: &mut String, heading: &str, counts: &Value) -> std::fmt::Result {
+    let Some(counts) = counts.as_object().filter(|counts| !counts.is_empty()) else {
+        return Ok(());
+    };
+    writeln!(card, "\n| {heading} | rows |\n|---|---|")?;
+    for (what, rows) in counts {
+        writeln!(card, "| {what} | {rows} |")?;
+    }
+    Ok(())
+}

@@ -1,0 +1,114 @@
+//! Files that appear under their names only when they are whole and durable.
+//! Uses: std's files, sha2. Never: a name that is taken is written over by other bytes.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use sha2::{Digest, Sha256};
+
+/// How temporary names begin.
+const PARTIAL: &str = "_partial-";
+
+/// A file on its way, hashed and counted; removed when it is dropped unfinished.
+#[derive(Debug)]
+pub struct NewFile {
+    folder: PathBuf,
+    partial: PathBuf,
+    file: File,
+    sha256: Sha256,
+    bytes: u64,
+    finished: bool,
+}
+
+/// A file that is whole.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Finished {
+    /// Its length.
+    pub bytes: u64,
+    /// sha256 over its bytes, in hexadecimal digits.
+    pub sha256: String,
+}
+
+impl NewFile {
+    /// Starts a file in this folder, which is made if need be.
+    pub fn create(folder: &Path) -> io::Result<Self> {
+        fs::create_dir_all(folder)?;
+        let partial = folder.join(format!("{PARTIAL}{}", uuid::Uuid::now_v7()));
+        let file = File::create_new(&partial)?;
+        let (folder, sha256) = (folder.to_owned(), Sha256::new());
+        Ok(Self { folder, partial, file, sha256, bytes: 0, finished: false })
+    }
+
+    /// Where it is for now.
+    pub fn path(&self) -> &Path {
+        &self.partial
+    }
+
+    /// Makes the file durable under its name.
+    pub fn finish(mut self, name: &str) -> io::Result<Finished> {
+        self.file.sync_all()?;
+        fs::rename(&self.partial, self.folder.join(name))?;
+        self.finished = true;
+        File::open(&self.folder)?.sync_all()?;
+        let digest = std::mem::take(&mut self.sha256).finalize();
+        Ok(Finished { bytes: self.bytes, sha256: hex(&digest) })
+    }
+}
+
+impl Write for NewFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.file.write(bytes)?;
+        self.sha256.update(&bytes[..written]);
+        self.bytes += written as u64;
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Drop for NewFile {
+    fn drop(&mut self) {
+        if !self.finished {
+            // What stays is swept at the next start.
+            fs::remove_file(&self.partial).ok();
+        }
+    }
+}
+
+/// Removes what a killed process left half written in a folder.
+pub fn sweep(folder: &Path) -> io::Result<()> {
+    let entries = match fs::read_dir(folder) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        entries => entries?,
+    };
+    for entry in entries {
+        let entry = entry?;
+        if entry.file_name().to_string_lossy().starts_with(PARTIAL) {
+            fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
+}
+
+/// Bytes as lower-case hexadecimal digits.
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// A sink that hashes what is written to it.
+#[derive(Debug, Default)]
+pub struct Hashing(pub Sha256);
+
+impl Write for Hashing {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.update(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}

@@ -1,0 +1,317 @@
+//! Force maps: newtons per pixel over a square centred on the skin (paper V-B, Table IV).
+//! PURE. Uses: nothing. Never: sampling, files, the choice of contacts.
+//!
+//! Each contact's force is spread uniformly over a disc. A pixel gets the part of the disc's area
+//! that it covers, in closed form: with `g(t) = integral of sqrt(r^2 - s^2) ds from 0 to t`, the
+//! area of the disc to the lower left of a corner `(x, y)`, measured from the disc's centre, is
+//!
+//! ```text
+//! pi r^2 / 4 + g(x) + g(y) + x y     corner inside the disc
+//! 2 g(x) + 2 g(y)                    outside, x >= 0 and y >= 0
+//! pi r^2 / 2 + 2 g(x)                outside, x < 0 and y >= 0 (likewise with x and y swapped)
+//! 0                                  outside, x < 0 and y < 0
+//! ```
+//!
+//! and a rectangle is the alternating sum over its four corners. `g` is worked out once for each
+//! grid line, so a corner costs an addition.
+
+#[cfg(test)]
+mod tests;
+
+use std::f64::consts::PI;
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+/// Side of the square that every map covers, mm; its centre is the centre of the skin.
+pub const SIDE_MM: f64 = 640.0;
+/// Smallest and largest side of a pixel, mm.
+pub const PIXEL_MM: (f64, f64) = (2.0, 160.0);
+/// Largest diameter of the disc that a force is spread over, mm.
+pub const DIAMETER_MAX_MM: f64 = 320.0;
+
+/// Resolution of a map and the spread of its forces; written `4x20` (pixel x diameter, mm).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct ForceMapSpec {
+    /// Side of a pixel, mm: a whole number of pixels fits [`SIDE_MM`].
+    pub pixel_mm: f64,
+    /// Diameter of the disc that each contact's force is spread over, mm.
+    pub diameter_mm: f64,
+}
+
+/// The twelve maps of Table IV, in its order.
+pub const TABLE_IV: [ForceMapSpec; 12] = [
+    spec(4.0, 20.0),
+    spec(4.0, 28.0),
+    spec(4.0, 32.0),
+    spec(4.0, 44.0),
+    spec(4.0, 52.0),
+    spec(4.0, 60.0),
+    spec(10.0, 10.0),
+    spec(10.0, 30.0),
+    spec(10.0, 50.0),
+    spec(10.0, 70.0),
+    spec(20.0, 20.0),
+    spec(20.0, 60.0),
+];
+
+const fn spec(pixel_mm: f64, diameter_mm: f64) -> ForceMapSpec {
+    ForceMapSpec { pixel_mm, diameter_mm }
+}
+
+/// A map that cannot be drawn, and the limit that says so.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ForceMapError {
+    /// Not two numbers with an `x` between them.
+    #[error("force map `{text}`: must be pixel x diameter in mm, as in 4x20")]
+    Syntax {
+        /// What was given.
+        text: String,
+    },
+    /// Pixels too small or too large.
+    #[error("pixel {pixel_mm} mm: must be from {} to {} mm", PIXEL_MM.0, PIXEL_MM.1)]
+    PixelRange {
+        /// The side asked for.
+        pixel_mm: f64,
+    },
+    /// Pixels that do not fill the square.
+    #[error("pixel {pixel_mm} mm: must divide {SIDE_MM} mm, as 4, 10 and 20 do")]
+    PixelDivides {
+        /// The side asked for.
+        pixel_mm: f64,
+    },
+    /// No disc, or too large a one.
+    #[error("diameter {diameter_mm} mm: must be above 0 and at most {DIAMETER_MAX_MM} mm")]
+    Diameter {
+        /// The diameter asked for.
+        diameter_mm: f64,
+    },
+    /// A skin that reaches beyond the square.
+    #[error("skin of {width_mm} x {height_mm} mm: sides must be above 0 and at most {SIDE_MM} mm")]
+    Skin {
+        /// Extent along x.
+        width_mm: f64,
+        /// Extent along y.
+        height_mm: f64,
+    },
+    /// A contact whose disc misses the square, or that is not a number.
+    #[error("contact of {force_n} N at ({x_mm}, {y_mm}) mm: its disc must touch the map's square")]
+    Contact {
+        /// Its place along x.
+        x_mm: f64,
+        /// Its place along y.
+        y_mm: f64,
+        /// Its force.
+        force_n: f64,
+    },
+}
+
+impl ForceMapSpec {
+    /// A map of these sizes, or the limit that one of them breaks.
+    pub fn new(pixel_mm: f64, diameter_mm: f64) -> Result<Self, ForceMapError> {
+        if !(PIXEL_MM.0..=PIXEL_MM.1).contains(&pixel_mm) {
+            return Err(ForceMapError::PixelRange { pixel_mm });
+        }
+        if ((SIDE_MM / pixel_mm).round() * pixel_mm - SIDE_MM).abs() > 1e-9 {
+            return Err(ForceMapError::PixelDivides { pixel_mm });
+        }
+        if !(diameter_mm > 0.0 && diameter_mm <= DIAMETER_MAX_MM) {
+            return Err(ForceMapError::Diameter { diameter_mm });
+        }
+        Ok(Self { pixel_mm, diameter_mm })
+    }
+
+    /// Pixels along a side of the map.
+    pub fn pixels(&self) -> usize {
+        (SIDE_MM / self.pixel_mm).round() as usize
+    }
+}
+
+impl FromStr for ForceMapSpec {
+    type Err = ForceMapError;
+
+    fn from_str(text: &str) -> Result<Self, ForceMapError> {
+        let numbers = text.split_once('x').and_then(|(pixel, diameter)| {
+            Some((pixel.trim().parse().ok()?, diameter.trim().parse().ok()?))
+        });
+        let (pixel_mm, diameter_mm) =
+            numbers.ok_or_else(|| ForceMapError::Syntax { text: text.to_owned() })?;
+        Self::new(pixel_mm, diameter_mm)
+    }
+}
+
+impl fmt::Display for ForceMapSpec {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}x{}", self.pixel_mm, self.diameter_mm)
+    }
+}
+
+impl TryFrom<String> for ForceMapSpec {
+    type Error = ForceMapError;
+
+    fn try_from(text: String) -> Result<Self, ForceMapError> {
+        text.parse()
+    }
+}
+
+impl From<ForceMapSpec> for String {
+    fn from(spec: ForceMapSpec) -> Self {
+        spec.to_string()
+    }
+}
+
+/// Draws the maps of one specification on one skin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ForceMap {
+    spec: ForceMapSpec,
+    /// Skin coordinates of the square's corner at row 0, column 0, mm.
+    origin_mm: [f64; 2],
+}
+
+impl ForceMap {
+    /// Maps of a skin of this extent (mm): the square's centre is the skin's.
+    pub fn new(spec: ForceMapSpec, width_mm: f64, height_mm: f64) -> Result<Self, ForceMapError> {
+        let spec = ForceMapSpec::new(spec.pixel_mm, spec.diameter_mm)?;
+        let fits = |extent_mm: f64| extent_mm > 0.0 && extent_mm <= SIDE_MM;
+        if !(fits(width_mm) && fits(height_mm)) {
+            return Err(ForceMapError::Skin { width_mm, height_mm });
+        }
+        let corner = |extent_mm: f64| (extent_mm - SIDE_MM) / 2.0;
+        Ok(Self { spec, origin_mm: [corner(width_mm), corner(height_mm)] })
+    }
+
+    /// Pixels along a side: a map holds the square of this.
+    pub fn pixels(&self) -> usize {
+        self.spec.pixels()
+    }
+
+    /// Adds contacts `(x_mm, y_mm, force_n)` to `map`, which the caller has zeroed.
+    ///
+    /// `map` is row-major, `pixels x pixels`: `map[row * pixels + column]`, row 0 at the least y,
+    /// column 0 at the least x; N per pixel. What a contact adds sums to its force. Only pixels
+    /// that its disc overlaps are written. Where a disc reaches beyond the square (on the default
+    /// skin only discs above 80 mm can), the part beyond is left out and the rest carries the whole
+    /// force.
+    ///
+    /// Fails on a contact whose disc misses the square; those before it are then in `map` already.
+    ///
+    /// # Panics
+    /// When `map` is not `pixels x pixels` long.
+    pub fn render(
+        &self,
+        contacts: &[(f64, f64, f64)],
+        map: &mut [f32],
+    ) -> Result<(), ForceMapError> {
+        let pixels = self.pixels();
+        assert_eq!(map.len(), pixels * pixels, "a map of {pixels} x {pixels} pixels");
+        let disc = Disc::new(self.spec.diameter_mm / 2.0);
+        for &(x_mm, y_mm, force_n) in contacts {
+            let columns = self.lines(&disc, x_mm - self.origin_mm[0]);
+            let rows = self.lines(&disc, y_mm - self.origin_mm[1]);
+            let area_mm2 = disc.within(columns.ends(), rows.ends());
+            if !(area_mm2 > 0.0 && force_n.is_finite()) {
+                return Err(ForceMapError::Contact { x_mm, y_mm, force_n });
+            }
+            let pressure = force_n / area_mm2;
+            for (row, ys) in rows.cells() {
+                for (column, xs) in columns.cells() {
+                    let area_mm2 = disc.within(xs, ys);
+                    if area_mm2 > 0.0 {
+                        map[row * pixels + column] += (pressure * area_mm2) as f32;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The grid lines around a disc centred this far from the square's corner, along one axis.
+    fn lines(&self, disc: &Disc, centre_mm: f64) -> Lines {
+        let pixel_mm = self.spec.pixel_mm;
+        // A centre that is not a number gives no lines; a far one is held at the square's rim.
+        let held = |line: f64| line.clamp(0.0, self.pixels() as f64) as usize;
+        let first = held(((centre_mm - disc.radius_mm) / pixel_mm).floor());
+        let last = held(((centre_mm + disc.radius_mm) / pixel_mm).ceil());
+        let line = |i: usize| disc.line(i as f64 * pixel_mm - centre_mm);
+        Lines { first, lines: (first..=last).map(line).collect() }
+    }
+}
+
+/// Grid lines along one axis, and the pixels between them.
+struct Lines {
+    first: usize,
+    lines: Vec<Line>,
+}
+
+impl Lines {
+    /// The first and the last line: there is always one, and it may be both.
+    fn ends(&self) -> [Line; 2] {
+        [self.lines[0], self.lines[self.lines.len() - 1]]
+    }
+
+    /// Number of each pixel along the axis, with the lines on either side of it.
+    fn cells(&self) -> impl Iterator<Item = (usize, [Line; 2])> + '_ {
+        self.lines.windows(2).enumerate().map(|(i, pair)| (self.first + i, [pair[0], pair[1]]))
+    }
+}
+
+/// A grid line as a disc sees it.
+#[derive(Debug, Clone, Copy)]
+struct Line {
+    /// Signed distance from the disc's centre, mm, held within its radius.
+    at_mm: f64,
+    /// `g` of it, mm^2: area between the axis, the line and the disc's upper rim.
+    under_mm2: f64,
+}
+
+/// A disc centred on the origin.
+#[derive(Debug, Clone, Copy)]
+struct Disc {
+    radius_mm: f64,
+}
+
+impl Disc {
+    fn new(radius_mm: f64) -> Self {
+        Self { radius_mm }
+    }
+
+    fn line(&self, distance_mm: f64) -> Line {
+        let r = self.radius_mm;
+        let t = distance_mm.clamp(-r, r);
+        let half_chord = (r * r - t * t).max(0.0).sqrt();
+        Line { at_mm: t, under_mm2: 0.5 * (t * half_chord + r * r * (t / r).asin()) }
+    }
+
+    /// Area (mm^2) of the disc's part left of `x` and below `y`.
+    fn lower_left(&self, x: Line, y: Line) -> f64 {
+        let quarter = PI * self.radius_mm * self.radius_mm / 4.0;
+        if x.at_mm * x.at_mm + y.at_mm * y.at_mm < self.radius_mm * self.radius_mm {
+            return quarter + x.under_mm2 + y.under_mm2 + x.at_mm * y.at_mm;
+        }
+        match (x.at_mm >= 0.0, y.at_mm >= 0.0) {
+            (true, true) => 2.0 * (x.under_mm2 + y.under_mm2),
+            (false, true) => 2.0 * (quarter + x.under_mm2),
+            (true, false) => 2.0 * (quarter + y.under_mm2),
+            (false, false) => 0.0,
+        }
+    }
+
+    /// Area (mm^2) of the disc within the rectangle between two lines each way: exactly 0 outside
+    /// the disc, exactly the rectangle inside it.
+    fn within(&self, [x0, x1]: [Line; 2], [y0, y1]: [Line; 2]) -> f64 {
+        let nearest = |low: Line, high: Line| low.at_mm.max(-high.at_mm).max(0.0).powi(2);
+        let farthest = |low: Line, high: Line| high.at_mm.max(-low.at_mm).powi(2);
+        let r2 = self.radius_mm * self.radius_mm;
+        if nearest(x0, x1) + nearest(y0, y1) >= r2 {
+            return 0.0;
+        }
+        if farthest(x0, x1) + farthest(y0, y1) < r2 {
+            return (x1.at_mm - x0.at_mm) * (y1.at_mm - y0.at_mm);
+        }
+        let upper = self.lower_left(x1, y1) - self.lower_left(x0, y1);
+        let lower = self.lower_left(x1, y0) - self.lower_left(x0, y0);
+        (upper - lower).max(0.0)
+    }
+}

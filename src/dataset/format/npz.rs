@@ -1,0 +1,84 @@
+//! NPZ: a NumPy array for each column in a zip file, not compressed, that `numpy.load` reads
+//! without pickle.
+//! Uses: `dataset::format`, zip. Never: all rows at once.
+//!
+//! | column | array of N rows |
+//! |---|---|
+//! | f32, f64 | the same, NaN where missing |
+//! | whole numbers | the same; f64 with NaN where any is missing |
+//! | truths | bool; f64 with NaN where any is missing |
+//! | text | `<U`, as wide as the longest; empty where missing |
+//! | time | `datetime64[ms]` in UTC, NaT where missing |
+//! | list of one length of f32 (frames, forces, maps) | `(N, length)` f32, NaN where missing |
+//! | list of records (contacts) | `(N, most, fields)` f64, fields in the order of the schema (`x_mm, y_mm, force_n, diameter_mm`), NaN beyond a list's end and where missing |
+//! | list of texts (flags) | `<U` of JSON; empty where missing |
+//!
+//! The rows are read once to learn the widths, and once more for each column, so that no more than
+//! a batch is held. Sizes are zip64, times fixed, values aligned to 64 bytes.
+
+use std::io::Write;
+
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, DateTime, ZipWriter};
+
+use super::npy::{Layout, Survey};
+use super::{Format, FormatError, Rows, counted};
+
+/// Writes all rows; `progress` is told the part of the bytes that is done, in rows.
+pub(super) fn write(
+    rows: &dyn Rows,
+    out: &mut (impl Write + Send),
+    progress: &mut dyn FnMut(u64),
+) -> Result<(), FormatError> {
+    let layouts = layouts(rows)?;
+    let row_bytes: usize = layouts.iter().map(|layout| layout.row_bytes()).sum();
+    let options = SimpleFileOptions::default()
+        .compression_method(CompressionMethod::Stored)
+        .last_modified_time(DateTime::default())
+        .unix_permissions(0o644)
+        .large_file(true)
+        .with_alignment(64);
+    let mut file = ZipWriter::new_stream(out);
+    let mut bytes = Vec::new();
+    let mut written = 0;
+    for (column, (field, layout)) in rows.schema().fields().iter().zip(&layouts).enumerate() {
+        file.start_file(format!("{}.npy", field.name()), options)?;
+        file.write_all(&layout.header(rows.count()))?;
+        let mut found = 0;
+        for batch in rows.batches(Some(&[column]))? {
+            let batch = batch?;
+            bytes.clear();
+            layout.append(field, batch.column(0), &mut bytes)?;
+            file.write_all(&bytes)?;
+            found += batch.num_rows() as u64;
+            written += bytes.len() as u64;
+            progress(written / row_bytes.max(1) as u64);
+        }
+        counted(rows, found)?;
+    }
+    file.finish()?;
+    Ok(())
+}
+
+/// What each column becomes, after a look at those whose values decide it.
+fn layouts(rows: &dyn Rows) -> Result<Vec<Layout>, FormatError> {
+    let schema = rows.schema();
+    let fields = schema.fields();
+    let mut surveys = vec![Survey::default(); fields.len()];
+    let needed: Vec<usize> = (0..fields.len()).filter(|&i| Survey::is_needed(&fields[i])).collect();
+    if !needed.is_empty() {
+        for batch in rows.batches(Some(&needed))? {
+            for (&column, values) in needed.iter().zip(batch?.columns()) {
+                surveys[column].add(&fields[column], values)?;
+            }
+        }
+    }
+    let layout = |(field, survey): (&arrow_schema::FieldRef, Survey)| {
+        Layout::of(field, survey).ok_or_else(|| FormatError::Column {
+            column: field.name().clone(),
+            kind: field.data_type().clone(),
+            format: Format::Npz,
+        })
+    };
+    fields.iter().zip(surveys).map(layout).collect()
+}

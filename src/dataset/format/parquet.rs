@@ -1,0 +1,115 @@
+//! Parquet: a row group for each batch, its columns encoded on two threads.
+//! Uses: `dataset::format`, parquet. Never: files, the meaning of columns.
+//!
+//! Settings follow from the schema (`docs/decisions/0007-parquet-encoding.md`): byte stream split
+//! for floating point numbers, whose upper bytes repeat; deltas for whole numbers; statistics for
+//! single values, so that readers skip row groups, and none for lists.
+
+use std::io::Write;
+use std::sync::{Mutex, PoisonError};
+use std::{panic, thread};
+
+use arrow_array::RecordBatch;
+use arrow_schema::{Schema, SchemaRef};
+use parquet::arrow::arrow_writer::{
+    ArrowColumnChunk, ArrowColumnWriter, ArrowLeafColumn, ArrowRowGroupWriterFactory,
+    compute_leaves,
+};
+use parquet::arrow::{ArrowSchemaConverter, ArrowWriter};
+use parquet::basic::{Compression, Encoding, Type, ZstdLevel};
+use parquet::errors::ParquetError;
+use parquet::file::metadata::KeyValue;
+use parquet::file::properties::{EnabledStatistics, WriterProperties};
+use parquet::file::writer::SerializedFileWriter;
+
+use super::FormatError;
+
+/// A Parquet file being written.
+pub(super) struct Writer<W: Write + Send> {
+    schema: SchemaRef,
+    file: SerializedFileWriter<W>,
+    columns: ArrowRowGroupWriterFactory,
+    groups: usize,
+}
+
+impl<W: Write + Send> Writer<W> {
+    pub(super) fn new(schema: &SchemaRef, out: W) -> Result<Self, FormatError> {
+        let settings = Some(properties(schema)?);
+        let writer = ArrowWriter::try_new(out, schema.clone(), settings)?;
+        let (file, columns) = writer.into_serialized_writer()?;
+        Ok(Self { schema: schema.clone(), file, columns, groups: 0 })
+    }
+
+    /// Appends a row group, unless the batch is empty.
+    pub(super) fn push(&mut self, batch: &RecordBatch) -> Result<(), FormatError> {
+        if batch.num_rows() == 0 {
+            return Ok(());
+        }
+        let mut leaves = Vec::new();
+        for (field, column) in self.schema.fields().iter().zip(batch.columns()) {
+            leaves.extend(compute_leaves(field, column)?);
+        }
+        let writers = self.columns.create_column_writers(self.groups)?;
+        let mut group = self.file.next_row_group()?;
+        for chunk in encode(leaves.into_iter().zip(writers).collect())? {
+            chunk.append_to_row_group(&mut group)?;
+        }
+        group.close()?;
+        self.groups += 1;
+        Ok(())
+    }
+
+    pub(super) fn finish(self) -> Result<W, FormatError> {
+        Ok(self.file.into_inner()?)
+    }
+}
+
+/// Encodes and compresses the columns of a row group on two threads, in their order.
+fn encode(
+    columns: Vec<(ArrowLeafColumn, ArrowColumnWriter)>,
+) -> Result<Vec<ArrowColumnChunk>, ParquetError> {
+    let waiting = Mutex::new(columns.into_iter().enumerate());
+    let next = || waiting.lock().unwrap_or_else(PoisonError::into_inner).next();
+    let work = || {
+        let mut done = Vec::new();
+        while let Some((number, (leaf, mut writer))) = next() {
+            done.push((number, writer.write(&leaf).and_then(|()| writer.close())));
+        }
+        done
+    };
+    let mut chunks = thread::scope(|scope| {
+        let other = scope.spawn(work);
+        let mut done = work();
+        done.extend(other.join().unwrap_or_else(|cause| panic::resume_unwind(cause)));
+        done
+    });
+    chunks.sort_by_key(|(number, _)| *number);
+    chunks.into_iter().map(|(_, chunk)| chunk).collect()
+}
+
+fn properties(schema: &Schema) -> Result<WriterProperties, ParquetError> {
+    let mut footer: Vec<_> = schema.metadata().iter().collect();
+    footer.sort();
+    let footer = footer.into_iter().map(|(key, text)| KeyValue::new(key.clone(), text.clone()));
+    let mut properties = WriterProperties::builder()
+        .set_compression(Compression::ZSTD(ZstdLevel::default()))
+        .set_key_value_metadata(Some(footer.collect()))
+        .set_statistics_enabled(EnabledStatistics::Chunk);
+    for leaf in ArrowSchemaConverter::new().convert(schema)?.columns() {
+        let encoding = match leaf.physical_type() {
+            Type::FLOAT | Type::DOUBLE => Some(Encoding::BYTE_STREAM_SPLIT),
+            Type::INT32 | Type::INT64 => Some(Encoding::DELTA_BINARY_PACKED),
+            _ => None,
+        };
+        if let Some(encoding) = encoding {
+            properties = properties
+                .set_column_dictionary_enabled(leaf.path().clone(), false)
+                .set_column_encoding(leaf.path().clone(), encoding);
+        }
+        if leaf.max_rep_level() > 0 {
+            let none = EnabledStatistics::None;
+            properties = properties.set_column_statistics_enabled(leaf.path().clone(), none);
+        }
+    }
+    Ok(properties.build())
+}

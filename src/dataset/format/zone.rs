@@ -1,0 +1,28 @@
+//! Times in UTC for the writers of text, which know offsets but no names of zones.
+//! PURE. Uses: arrow. Never: other zones.
+
+use std::sync::Arc;
+
+use arrow_array::cast::AsArray;
+use arrow_array::types::TimestampMillisecondType;
+use arrow_array::{ArrayRef, RecordBatch};
+use arrow_schema::{ArrowError, DataType, Field, Schema, TimeUnit};
+
+/// The batch with zone `+00:00` where a column has `UTC`; the instants stay.
+pub(super) fn as_offsets(batch: &RecordBatch) -> Result<RecordBatch, ArrowError> {
+    let schema = batch.schema();
+    let offset = Arc::<str>::from("+00:00");
+    let columns = schema.fields().iter().zip(batch.columns()).map(|(field, column)| {
+        match field.data_type() {
+            DataType::Timestamp(TimeUnit::Millisecond, Some(zone)) if zone.as_ref() == "UTC" => {
+                let times = column.as_primitive::<TimestampMillisecondType>().clone();
+                let times: ArrayRef = Arc::new(times.with_timezone(offset.clone()));
+                let kind = times.data_type().clone();
+                (Arc::new(Field::clone(field).with_data_type(kind)), times)
+            }
+            _ => (field.clone(), column.clone()),
+        }
+    });
+    let (fields, columns): (Vec<_>, Vec<_>) = columns.unzip();
+    RecordBatch::try_new(Arc::new(Schema::new(fields)), columns)
+}

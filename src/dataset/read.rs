@@ -1,0 +1,219 @@
+//! Rows of a dataset's file, chosen and cut: as often as they are asked for, in the same order.
+//! Uses: parquet, `dataset::select`. Never: all rows at once.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use arrow_array::RecordBatch;
+use arrow_schema::SchemaRef;
+use arrow_select::coalesce::BatchCoalescer;
+use parquet::arrow::ProjectionMask;
+use parquet::arrow::arrow_reader::{
+    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder,
+};
+
+use super::error::DatasetError;
+use super::format::{Batches, Rows, RowsError, rows_per_batch};
+use super::schema::{self, BATCH_ROWS};
+use super::select::{Selection, Skin, Wanted};
+
+/// The paper's skin, where a file says nothing else.
+const SKIN: Skin = Skin { width_mm: 540.0, height_mm: 560.0 };
+
+/// Chosen rows of a dataset.
+pub struct DatasetRows {
+    path: PathBuf,
+    metadata: ArrowReaderMetadata,
+    selection: Selection,
+    count: u64,
+}
+
+impl DatasetRows {
+    /// Opens a dataset's file for what is wanted of it.
+    pub fn open(path: &Path, wanted: &Wanted) -> Result<Self, DatasetError> {
+        let file = File::open(path).map_err(DatasetError::file("opening", path))?;
+        let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())?;
+        let selection = Selection::new(wanted, metadata.schema(), skin(&metadata))
+            .map_err(DatasetError::Problems)?;
+        let mut rows = Self { path: path.to_owned(), metadata, selection, count: 0 };
+        rows.count = rows.counted()?;
+        Ok(rows)
+    }
+
+    /// True when the rows are those of the file, as they are.
+    pub fn is_whole(&self) -> bool {
+        self.selection.is_whole()
+    }
+
+    /// Rows of a batch that comes out.
+    fn at_once(&self) -> usize {
+        rows_per_batch(self.selection.schema())
+    }
+
+    /// Rows of the file.
+    fn all(&self) -> u64 {
+        self.metadata.metadata().file_metadata().num_rows().unsigned_abs()
+    }
+
+    fn counted(&self) -> Result<u64, DatasetError> {
+        if self.selection.keeps_all_rows() {
+            return Ok(self.all());
+        }
+        let mut count = 0;
+        for batch in self.raw(&self.selection.needed(Some(&[])), 0, BATCH_ROWS)? {
+            let batch = batch?;
+            count += self.selection.mask(&batch).map_or(0, |mask| mask.true_count() as u64);
+        }
+        Ok(count)
+    }
+
+    /// A page: up to `limit` chosen rows from row `from` of the file on, and the row of the file
+    /// where the next page starts, if there may be more.
+    pub fn page(
+        &self,
+        from: u64,
+        limit: usize,
+    ) -> Result<(Vec<RecordBatch>, Option<u64>), DatasetError> {
+        let (mut page, mut found, mut at) = (Vec::new(), 0, from);
+        for batch in self.raw(&self.selection.needed(None), from, self.at_once())? {
+            let mut batch = batch?;
+            let mask = self.selection.mask(&batch);
+            let mut taken = batch.num_rows();
+            if let Some(mask) = mask {
+                let stays: Vec<usize> = (0..mask.len()).filter(|&row| mask.value(row)).collect();
+                if let Some(&last) = stays.get(limit - found) {
+                    taken = last;
+                }
+                let mask = arrow_array::BooleanArray::from_iter(
+                    (0..mask.len()).map(|row| Some(row < taken && mask.value(row))),
+                );
+                batch = arrow_select::filter::filter_record_batch(&batch, &mask)?;
+            } else {
+                taken = taken.min(limit - found);
+                batch = batch.slice(0, taken);
+            }
+            at += taken as u64;
+            found += batch.num_rows();
+            page.push(self.selection.apply(&batch, None)?);
+            if found == limit {
+                break;
+            }
+        }
+        Ok((page, (at < self.all()).then_some(at)))
+    }
+
+    /// Batches of some of the file's columns, from a row on.
+    fn raw(
+        &self,
+        columns: &[usize],
+        from: u64,
+        at_once: usize,
+    ) -> Result<parquet::arrow::arrow_reader::ParquetRecordBatchReader, DatasetError> {
+        let file = File::open(&self.path).map_err(DatasetError::file("opening", &self.path))?;
+        let builder =
+            ParquetRecordBatchReaderBuilder::new_with_metadata(file, self.metadata.clone());
+        let mask = ProjectionMask::roots(builder.parquet_schema(), columns.iter().copied());
+        let mut skipped = 0;
+        let groups = self.metadata.metadata().row_groups();
+        let first = groups
+            .iter()
+            .position(|group| {
+                let rows = group.num_rows().unsigned_abs();
+                let inside = skipped + rows > from;
+                skipped += if inside { 0 } else { rows };
+                inside
+            })
+            .unwrap_or(groups.len());
+        Ok(builder
+            .with_projection(mask)
+            .with_row_groups((first..groups.len()).collect())
+            .with_offset((from - skipped.min(from)) as usize)
+            .with_batch_size(at_once)
+            .build()?)
+    }
+}
+
+fn skin(metadata: &ArrowReaderMetadata) -> Skin {
+    #[derive(serde::Deserialize)]
+    struct Extent {
+        width_mm: f64,
+        height_mm: f64,
+    }
+    let footer = metadata.metadata().file_metadata().key_value_metadata();
+    let text = footer.and_then(|f| f.iter().find(|kv| kv.key == schema::SENSOR));
+    let text = text.and_then(|kv| kv.value.as_deref());
+    match text.and_then(|text| toml::from_str::<Extent>(text).ok()) {
+        Some(Extent { width_mm, height_mm }) => Skin { width_mm, height_mm },
+        None => SKIN,
+    }
+}
+
+impl Rows for DatasetRows {
+    fn schema(&self) -> SchemaRef {
+        self.selection.schema().clone()
+    }
+
+    fn count(&self) -> u64 {
+        self.count
+    }
+
+    fn batches(&self, columns: Option<&[usize]>) -> Result<Batches<'_>, RowsError> {
+        let needed = self.selection.needed(columns);
+        let raw = self.raw(&needed, 0, self.at_once()).map_err(RowsError::new)?;
+        let columns: Option<Vec<usize>> = columns.map(<[usize]>::to_vec);
+        if self.selection.keeps_all_rows() {
+            return Ok(Box::new(raw.map(move |batch| {
+                let batch = batch.map_err(RowsError::new)?;
+                self.selection.apply(&batch, columns.as_deref()).map_err(RowsError::new)
+            })));
+        }
+        // Rows that stay come in full batches again, so that row groups do not crumble.
+        let names =
+            SchemaRef::new(self.metadata.schema().project(&needed).map_err(RowsError::new)?);
+        let coalescer = BatchCoalescer::new(names, self.at_once());
+        Ok(Box::new(Chosen { rows: self, raw, columns, coalescer, ended: false }))
+    }
+}
+
+/// Full batches of rows that stay.
+struct Chosen<'a> {
+    rows: &'a DatasetRows,
+    raw: parquet::arrow::arrow_reader::ParquetRecordBatchReader,
+    columns: Option<Vec<usize>>,
+    coalescer: BatchCoalescer,
+    ended: bool,
+}
+
+impl Chosen<'_> {
+    fn advance(&mut self) -> Result<Option<RecordBatch>, DatasetError> {
+        loop {
+            if let Some(batch) = self.coalescer.next_completed_batch() {
+                return Ok(Some(self.rows.selection.apply(&batch, self.columns.as_deref())?));
+            }
+            if self.ended {
+                return Ok(None);
+            }
+            match self.raw.next() {
+                Some(batch) => {
+                    let batch = batch?;
+                    match self.rows.selection.mask(&batch) {
+                        Some(mask) => self.coalescer.push_batch_with_filter(batch, &mask)?,
+                        None => self.coalescer.push_batch(batch)?,
+                    }
+                }
+                None => {
+                    self.ended = true;
+                    self.coalescer.finish_buffered_batch()?;
+                }
+            }
+        }
+    }
+}
+
+impl Iterator for Chosen<'_> {
+    type Item = Result<RecordBatch, RowsError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.advance().map_err(RowsError::new).transpose()
+    }
+}
