@@ -20,6 +20,9 @@ use crate::network::plan::ReductionPlan;
 use crate::network::readout::ReadoutWork;
 use crate::network::reduce::reduce;
 
+/// Trials that are read out together; divides every lane count.
+const READ_OUT: usize = 8;
+
 /// Why there are no frames.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum BatchError {
@@ -54,18 +57,26 @@ pub struct BatchModel {
     points: PointRows,
 }
 
+/// What one trial's contacts do to the skin.
+#[derive(Default)]
+struct TrialLoad {
+    /// Nominal compression, before the clamp.
+    compression_mm: Vec<[f32; BLOCK]>,
+    /// Blocks that are not as in the untouched skin.
+    touched: Vec<bool>,
+}
+
 /// Memory of evaluations; fits any model and kernel.
 #[derive(Default)]
 pub struct BatchWork {
     one: Workspace,
-    compression_mm: Vec<[f32; BLOCK]>,
-    touched: Vec<bool>,
+    loads: Vec<TrialLoad>,
     rest_s: Vec<[f32; BLOCK]>,
     to_top_s: Vec<f32>,
     lanes: LaneWork,
     reduced: Vec<f32>,
-    block: Vec<f64>,
-    readout: ReadoutWork,
+    block: Vec<[f64; READ_OUT]>,
+    readout: ReadoutWork<READ_OUT>,
 }
 
 impl BatchModel {
@@ -117,7 +128,8 @@ impl BatchModel {
                 BatchError::Trial { trial: group * lanes + lane, source }
             })?;
             self.kernel.run(Reduce { plan: &self.plan, work });
-            self.kernel.run(ReadOut { batch: self, work, frames });
+            // In AVX-512 the compiler would gather and scatter the lanes, which is far slower.
+            Kernel::Avx2F32x8.run(ReadOut { batch: self, lanes, work, frames });
         }
         Ok(())
     }
@@ -155,10 +167,25 @@ impl LaneJob for Load<'_> {
     #[inline(always)]
     fn run<L: Lane32>(self) -> Self::Output {
         let Self { batch, trials, work } = self;
-        work.to_top_s.resize(batch.foam.nodes() * L::LANES, 0.0);
+        work.loads.resize_with(L::LANES, TrialLoad::default);
         for lane in 0..L::LANES {
             let contacts = trials.get(lane).copied().unwrap_or_default();
-            load_trial::<L>(batch, contacts, lane, work).map_err(|source| (lane, source))?;
+            let load = &mut work.loads[lane];
+            superpose::<L>(batch, contacts, load, &mut work.one).map_err(|e| (lane, e))?;
+        }
+        work.to_top_s.resize(batch.foam.nodes() * L::LANES, 0.0);
+        let nodes = work.to_top_s.chunks_exact_mut(BLOCK * L::LANES);
+        for (block, (nodes, rest_s)) in nodes.zip(&work.rest_s).enumerate() {
+            for (lane, load) in work.loads.iter().enumerate() {
+                let mut values = *rest_s;
+                if load.touched[block] {
+                    values = load.compression_mm[block];
+                    batch.foam.conduct::<L>(block, &mut values);
+                }
+                for (lanes, value) in nodes.chunks_exact_mut(L::LANES).zip(values) {
+                    lanes[lane] = value;
+                }
+            }
         }
         Ok(())
     }
@@ -187,6 +214,8 @@ impl LaneJob for Reduce<'_> {
 /// Turns the reduced network of each lane into its frame, in f64.
 struct ReadOut<'a> {
     batch: &'a BatchModel,
+    /// Lanes of the kernel that reduced.
+    lanes: usize,
     work: &'a mut BatchWork,
     frames: &'a mut [f32],
 }
@@ -196,78 +225,65 @@ impl LaneJob for ReadOut<'_> {
 
     #[inline(always)]
     fn run<L: Lane32>(self) {
-        let Self { batch, work, frames } = self;
-        for (lane, frame) in frames.chunks_exact_mut(batch.frame_len()).enumerate() {
-            read_out(batch, lane, L::LANES, work, frame);
+        let Self { batch, lanes, work, frames } = self;
+        let groups = frames.chunks_mut(READ_OUT * batch.frame_len());
+        for (first, frames) in (0..lanes).step_by(READ_OUT).zip(groups) {
+            read_out(batch, [first, lanes], work, frames);
         }
     }
 }
 
-/// Works out one trial's conductances and puts them into its lane.
+/// Works out one trial's compression.
 #[inline(always)]
-fn load_trial<L: Lane32>(
+fn superpose<L: Lane32>(
     batch: &BatchModel,
     contacts: &[Contact],
-    lane: usize,
-    work: &mut BatchWork,
+    load: &mut TrialLoad,
+    one: &mut Workspace,
 ) -> Result<(), ContactError> {
     let blocks = batch.foam.nodes() / BLOCK;
-    work.compression_mm.clear();
-    work.compression_mm.resize(blocks, [0.0; BLOCK]);
-    work.touched.clear();
-    work.touched.resize(blocks, false);
-    let mut on_points = true;
+    let TrialLoad { compression_mm, touched } = load;
+    compression_mm.clear();
+    compression_mm.resize(blocks, [0.0; BLOCK]);
+    touched.clear();
+    touched.resize(blocks, false);
     for (index, contact) in contacts.iter().enumerate() {
         batch.model.check(index, contact)?;
         let Some(row) = batch.points.find(contact.x_mm, contact.y_mm) else {
-            on_points = false;
+            batch.model.load(contacts, one)?;
+            let nodes = compression_mm.as_flattened_mut().iter_mut();
+            for (x, &node) in nodes.zip(batch.plan.order()) {
+                *x = one.compression_mm().get(node as usize).map_or(0.0, |&x| x as f32);
+            }
+            touched.fill(true);
             break;
         };
-        let sums = &mut work.compression_mm;
-        batch.points.add::<L>(row, contact.force_n, sums, &mut work.touched);
-    }
-    if !on_points {
-        batch.model.load(contacts, &mut work.one)?;
-        let nodes = work.compression_mm.as_flattened_mut().iter_mut();
-        for (x, &node) in nodes.zip(batch.plan.order()) {
-            *x = work.one.compression_mm().get(node as usize).map_or(0.0, |&x| x as f32);
-        }
-        work.touched.fill(true);
-    }
-    let nodes = work.to_top_s.chunks_exact_mut(BLOCK * L::LANES);
-    for (block, (nodes, values)) in nodes.zip(&mut work.compression_mm).enumerate() {
-        if work.touched[block] {
-            batch.foam.conduct::<L>(block, values);
-        } else {
-            *values = work.rest_s[block];
-        }
-        for (lanes, &value) in nodes.chunks_exact_mut(L::LANES).zip(values.iter()) {
-            lanes[lane] = value;
-        }
+        batch.points.add::<L>(row, contact.force_n, compression_mm, touched);
     }
     Ok(())
 }
 
-/// From one lane of the reduced network to its frame, in f64.
+/// From some lanes of the reduced network, the first of them `first`, to their frames, in f64.
 #[inline(always)]
 fn read_out(
     batch: &BatchModel,
-    lane: usize,
-    lanes: usize,
+    [first, lanes]: [usize; 2],
     work: &mut BatchWork,
-    frame: &mut [f32],
+    frames: &mut [f32],
 ) {
     let kept = batch.plan.kept();
     work.block.clear();
-    work.block.resize((kept + 1) * kept, 0.0);
-    let mut numbers = work.reduced.iter().skip(lane).step_by(lanes);
+    work.block.resize((kept + 1) * kept, [0.0; READ_OUT]);
+    let mut numbers = work.reduced.chunks_exact(lanes);
     for (column, values) in work.block.chunks_exact_mut(kept + 1).enumerate() {
-        for (value, &number) in values[column + 1..].iter_mut().zip(&mut numbers) {
-            *value = f64::from(number);
+        for (value, numbers) in values[column + 1..].iter_mut().zip(&mut numbers) {
+            *value = std::array::from_fn(|lane| f64::from(numbers[first + lane]));
         }
     }
-    work.readout.evaluate(&work.block, batch.model.circuit());
-    for (out, &v) in frame.iter_mut().zip(work.readout.frame_v()) {
-        *out = v as f32;
+    let frame_v = work.readout.evaluate_lanes(&work.block, batch.model.circuit());
+    for (lane, frame) in frames.chunks_exact_mut(batch.frame_len()).enumerate() {
+        for (out, v) in frame.iter_mut().zip(frame_v) {
+            *out = v[lane] as f32;
+        }
     }
 }
