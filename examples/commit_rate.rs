@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use palpate::campaign::journal::Journal;
-use palpate::campaign::record::{ArmReading, FrameRecord, Pose, TrialRecord};
+use palpate::campaign::record::{ArmReading, FrameQuality, FrameRecord, Pose, TrialRecord};
 use palpate::clock::Clock;
 use palpate::ids::{RunUid, TrialKey};
 use palpate::store::{
@@ -47,6 +47,7 @@ fn trial(n: u32) -> TrialRecord {
         placed: vec![],
         placed_by: None,
         frames: vec![frame],
+        quality: FrameQuality::default(),
         flags: vec![],
         settle_ms: 1800.0,
         overshoot_n: Some(0.1),
@@ -61,8 +62,8 @@ fn new_run(trials: u32) -> NewRun {
         experiment: "commit_rate".into(),
         kind: RunKind::RealHex,
         definition: String::new(),
-        seed: 1,
-        rig: String::new(),
+        seed: Some(1),
+        rig: Some(String::new()),
         sensor: String::new(),
         calibration_id: None,
         label: Label::Virtual,

@@ -4,6 +4,7 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+use palpate::dataset::definition::Definition;
 use palpate::problem::Problem;
 use palpate::rig::config::RigConfig;
 use palpate::rig::reach::{bench, reach};
@@ -212,6 +213,19 @@ fn an_unreachable_depth_is_one_error() {
         "real-hex.toml: real_hex.standoff_mm = 1.35: must not be above skin.clearance_mm = 0.8 of \
          rigs/virtual.toml"
     );
+}
+
+#[test]
+fn every_dataset_file_is_a_definition_of_its_name() {
+    let mut found = 0;
+    for entry in std::fs::read_dir(folder().join("datasets")).unwrap() {
+        let path = entry.unwrap().path();
+        let text = std::fs::read_to_string(&path).unwrap();
+        let definition = Definition::from_toml(&path.display().to_string(), &text).unwrap();
+        assert_eq!(Some(definition.name.as_str()), path.file_stem().and_then(|n| n.to_str()));
+        found += 1;
+    }
+    assert_eq!(found, Definition::built_in_names().count());
 }
 
 #[test]

@@ -9,7 +9,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use palpate::campaign::journal::Journal;
-use palpate::campaign::record::{ArmReading, FrameRecord, TrialRecord};
+use palpate::campaign::record::{ArmReading, FrameQuality, FrameRecord, TrialRecord};
 use palpate::clock::Clock;
 use palpate::ids::{RunUid, TrialId, TrialKey};
 use palpate::store::{Label, MAX_PAGE, NewRun, RunKind, Store, TrialQuery, TrialRow};
@@ -56,6 +56,7 @@ fn trial(n: u32) -> TrialRecord {
         placed: vec![],
         placed_by: None,
         frames: (0..=n % 3).map(|k| frame(4 * n + k)).collect(),
+        quality: FrameQuality::default(),
         flags: vec![],
         settle_ms: f64::from(n),
         overshoot_n: None,
@@ -101,8 +102,8 @@ async fn open_with_run(path: &Path) -> Store {
         experiment: "durability".into(),
         kind: RunKind::RealHex,
         definition: String::new(),
-        seed: 1,
-        rig: String::new(),
+        seed: Some(1),
+        rig: Some(String::new()),
         sensor: String::new(),
         calibration_id: None,
         label: Label::Virtual,
@@ -192,7 +193,7 @@ async fn check_whole(store: &Store) -> BTreeMap<u32, i64> {
     for row in rows {
         let n = place(row.configuration, row.depth_index);
         let expected = trial(n);
-        assert_eq!((row.arms, row.settle_ms), (expected.arms.clone(), expected.settle_ms));
+        assert_eq!((row.arms, row.settle_ms), (expected.arms.clone(), Some(expected.settle_ms)));
         assert_eq!(store.frames(row.trial_id).await.unwrap(), expected.frames);
         let mean = store.trial_voltages(row.trial_id).await.unwrap().unwrap();
         assert_eq!(mean, expected.mean_voltages_v());

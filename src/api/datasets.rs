@@ -11,11 +11,11 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::problem::{ApiError, Body, ProblemBody};
-use super::query::rows_query;
+use super::query::{file_query, rows_query};
 use super::send;
 use crate::dataset::definition::Definition;
 use crate::dataset::error::DatasetError;
-use crate::dataset::format::{Format, Rows};
+use crate::dataset::format::{Format, Rows, UnknownFormat};
 use crate::store::DatasetRow;
 
 /// A dataset.
@@ -114,16 +114,17 @@ pub async fn make(
     State(app): State<App>,
     Body(new): Body<NewDataset>,
 ) -> Result<Json<DatasetOut>, ApiError> {
-    let definition = match (new.name, new.definition, new.toml) {
-        (Some(name), None, None) => app.datasets.definition(&name).await?,
-        (None, Some(definition), None) => definition,
+    let file = new.file.as_deref().unwrap_or("definition");
+    let row = match (new.name, new.definition, new.toml) {
+        (Some(name), None, None) => app.datasets.resolve(&name).await?,
+        (None, Some(definition), None) => app.datasets.make_own(file, &definition).await?,
         (None, None, Some(text)) => {
-            let file = new.file.as_deref().unwrap_or("definition");
-            Definition::from_toml(file, &text).map_err(DatasetError::Problems)?
+            let definition = Definition::from_toml(file, &text).map_err(DatasetError::Problems)?;
+            app.datasets.make_own(file, &definition).await?
         }
         _ => return Err(ApiError::value("dataset", "", "must be one of name, definition, toml")),
     };
-    Ok(Json(app.datasets.make(&definition).await?.into()))
+    Ok(Json(row.into()))
 }
 
 /// A dataset by its id, or the one that a name stands for now.
@@ -200,13 +201,8 @@ pub async fn rows(
                 for batch in &batches {
                     lines.push(batch).map_err(DatasetError::from)?;
                 }
-                let text = lines.finish().map_err(DatasetError::from)?;
-                let rows = text
-                    .split(|&byte| byte == b'\n')
-                    .filter(|line| !line.is_empty())
-                    .map(serde_json::from_slice)
-                    .collect::<Result<_, _>>()
-                    .map_err(DatasetError::Json)?;
+                let lines = lines.finish().map_err(DatasetError::from)?;
+                let rows = send::values(&lines)?;
                 Ok(Json(RowsPage { dataset: row.id, rows, next }).into_response())
             }
         }
@@ -229,14 +225,13 @@ pub async fn data(
     request: Request,
 ) -> Result<Response, ApiError> {
     let (name, extension) = file.rsplit_once('.').unwrap_or((&file, ""));
+    let by_extension = Format::ALL.into_iter().find(|format| format.extension() == extension);
+    let format = by_extension.map_or_else(|| extension.parse(), Ok);
     let format: Format =
-        extension.parse().map_err(|error: crate::dataset::format::UnknownFormat| {
-            ApiError::not_found(format!("{file}: {error}"))
-        })?;
-    let asked = rows_query(&pairs).map_err(ApiError::bad_query)?;
+        format.map_err(|error: UnknownFormat| ApiError::not_found(format!("{file}: {error}")))?;
+    let wanted = file_query(&pairs).map_err(ApiError::bad_query)?;
     let row = app.datasets.resolve(name).await?;
-    let sendable =
-        app.datasets.file(&row, format, &asked.wanted, std::sync::Arc::default()).await?;
+    let sendable = app.datasets.file(&row, format, &wanted, std::sync::Arc::default()).await?;
     let shown = format!("{}.{}", row.id, format.extension());
     send::file(request, &sendable, format, (&shown, name == row.id)).await
 }

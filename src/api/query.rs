@@ -10,6 +10,9 @@ use crate::ids::{RunUid, TrialId};
 use crate::problem::Problem;
 use crate::store::{Comparison, Filter, FilterValue, MAX_PAGE, Order, TrialColumn, TrialQuery};
 
+/// Columns that only datasets have.
+pub const OF_DATASETS: [&str; 3] = ["seed", "index", "split"];
+
 /// Rows of a page, unless asked otherwise.
 const PAGE: u32 = 100;
 
@@ -45,6 +48,10 @@ pub fn trial_query(
     let query = TrialQuery { run, limit: PAGE, ..TrialQuery::default() };
     let mut wanted = TrialsWanted { query, ..TrialsWanted::default() };
     each(pairs, |key, value| {
+        let of_datasets = |name: &str| OF_DATASETS.contains(&name.trim());
+        if key == "columns" && value.split(',').any(of_datasets) {
+            return Err(format!("stored trials have {}", columns_but(&OF_DATASETS)));
+        }
         Ok(common(&mut wanted.wanted, &mut wanted.format, &mut wanted.query.limit, key, value)?
             || apply(&mut wanted.query, key, value)?)
     })?;
@@ -60,7 +67,7 @@ pub fn rows_query(pairs: &[(String, String)]) -> Result<RowsWanted, Vec<Problem>
             return Ok(true);
         }
         match key {
-            "cursor" => asked.from = number(value)?,
+            "cursor" => asked.from = whole(value)?,
             "map" => asked.wanted.map = Some(value.into()),
             "where" => {
                 RowFilter::parse(value)?;
@@ -74,6 +81,17 @@ pub fn rows_query(pairs: &[(String, String)]) -> Result<RowsWanted, Vec<Problem>
         Ok(true)
     })?;
     Ok(asked)
+}
+
+/// The same for a dataset as a file, which has no pages and whose name says its format.
+pub fn file_query(pairs: &[(String, String)]) -> Result<Wanted, Vec<Problem>> {
+    const PAGES: [&str; 3] = ["limit", "cursor", "format"];
+    if let Some((key, value)) = pairs.iter().find(|(key, _)| PAGES.contains(&key.as_str())) {
+        let limit = "belongs to pages, /api/v1/datasets/NAME/rows; a file is whole, and its name \
+                     says its format";
+        return Err(vec![Problem::new("query", key, value, limit)]);
+    }
+    rows_query(pairs).map(|asked| asked.wanted)
 }
 
 /// Applies each pair, and collects what is wrong.
@@ -107,10 +125,9 @@ fn common(
         "columns" => {
             for name in value.split(',').map(str::trim) {
                 if !COLUMNS.iter().any(|(column, _)| column == name) {
-                    let names: Vec<&str> = COLUMNS.iter().map(|(c, _)| c.as_str()).collect();
                     return Err(format!(
                         "there is no column {name}; there are {}",
-                        names.join(", ")
+                        columns_but(&[])
                     ));
                 }
                 wanted.columns.push(name.into());
@@ -126,9 +143,9 @@ fn common(
 
 fn apply(query: &mut TrialQuery, key: &str, value: &str) -> Result<bool, String> {
     match key {
-        "cursor" => query.after = Some(TrialId(number(value)?)),
-        "voltages" => query.with_voltages = number(value)?,
-        "flagged" => query.flagged = Some(number(value)?),
+        "cursor" => query.after = Some(TrialId(whole(value)?)),
+        "voltages" => query.with_voltages = yes_or_no(value)?,
+        "flagged" => query.flagged = Some(yes_or_no(value)?),
         "flag" => query.flags.push(flag(value)?),
         "sort" => {
             query.order = match value {
@@ -142,8 +159,23 @@ fn apply(query: &mut TrialQuery, key: &str, value: &str) -> Result<bool, String>
     Ok(true)
 }
 
-fn number<T: std::str::FromStr>(value: &str) -> Result<T, String> {
-    value.parse().map_err(|_| format!("must be a {}", std::any::type_name::<T>()))
+/// The names of all columns but some.
+fn columns_but(left_out: &[&str]) -> String {
+    let names = COLUMNS.iter().map(|(name, _)| name.as_str());
+    names.filter(|name| !left_out.contains(name)).collect::<Vec<_>>().join(", ")
+}
+
+fn whole<T: std::str::FromStr>(value: &str) -> Result<T, String> {
+    value.parse().map_err(|_| "must be what `next` said".into())
+}
+
+fn yes_or_no(value: &str) -> Result<bool, String> {
+    value.parse().map_err(|_| "must be true or false".into())
+}
+
+fn number(value: &str) -> Result<f64, String> {
+    let number = value.parse().ok().filter(|number: &f64| number.is_finite());
+    number.ok_or_else(|| "must be a number".into())
 }
 
 fn flag(value: &str) -> Result<Flag, String> {

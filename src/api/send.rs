@@ -11,6 +11,7 @@ use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use base64::Engine;
+use serde_json::value::RawValue;
 use tower_http::services::ServeFile;
 
 use super::problem::ApiError;
@@ -32,10 +33,15 @@ pub async fn file(
     (name, immutable): (&str, bool),
 ) -> Result<Response, ApiError> {
     let tag = format!("\"{}\"", sendable.sha256);
-    let unchanged = text(request.headers(), &header::IF_NONE_MATCH)
-        .is_some_and(|tags| tags == "*" || tags.split(',').any(|known| known.trim() == tag));
+    let unchanged = text(request.headers(), &header::IF_NONE_MATCH).is_some_and(|tags| {
+        tags == "*" || tags.split(',').any(|known| known.trim().trim_start_matches("W/") == tag)
+    });
     if text(request.headers(), &header::IF_RANGE).is_some_and(|wanted| wanted != tag) {
         // The rest of another file would not fit: the whole of this one is sent instead.
+        request.headers_mut().remove(header::RANGE);
+    }
+    // Other units than bytes are to be ignored (RFC 9110, 14.2).
+    if text(request.headers(), &header::RANGE).is_some_and(|range| !range.starts_with("bytes=")) {
         request.headers_mut().remove(header::RANGE);
     }
     // The tag decides, not the time of the file.
@@ -123,6 +129,12 @@ pub fn batches(
         Ok(stream.finish()?)
     };
     Ok(with_headers(format, next, Body::from(out()?)))
+}
+
+/// Lines of JSON as values of an answer.
+pub fn values(lines: &[u8]) -> Result<Vec<Box<RawValue>>, DatasetError> {
+    let lines = lines.split(|&byte| byte == b'\n').filter(|line| !line.is_empty());
+    lines.map(serde_json::from_slice).collect::<Result<_, _>>().map_err(DatasetError::Json)
 }
 
 /// An answer in a format, with the cursor of the page after it.

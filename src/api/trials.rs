@@ -3,16 +3,19 @@
 
 use arrow_schema::SchemaRef;
 use axum::Json;
+use axum::body::Body;
 use axum::extract::{Path, Query, State};
-use axum::http::HeaderMap;
+use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
+use futures::{StreamExt, TryStreamExt};
 use serde::Serialize;
 use serde_json::{Value, json};
+use tokio_stream::wrappers::ReceiverStream;
 use utoipa::ToSchema;
 
 use super::App;
 use super::problem::{ApiError, ProblemBody};
-use super::query::{TrialsWanted, trial_query};
+use super::query::{OF_DATASETS, TrialsWanted, trial_query};
 use super::runs::find;
 use super::send;
 use crate::dataset::batch::{self, Row};
@@ -23,6 +26,11 @@ use crate::dataset::select::{Selection, Skin, Wanted};
 use crate::ids::{RunUid, TrialId};
 use crate::problem::Problem;
 use crate::store::{Order, TrialQuery, TrialRow};
+
+/// Trials of a piece of a page.
+const ROWS_AT_ONCE: usize = 500;
+/// Pieces that are read at a time.
+const READS: usize = 3;
 
 /// A page of trials.
 #[derive(Debug, Serialize, ToSchema)]
@@ -87,31 +95,42 @@ async fn page(
     let TrialsWanted { query, wanted, format } =
         trial_query(run, pairs).map_err(ApiError::bad_query)?;
     if let Some(format) = format.or_else(|| send::accepted(headers)) {
-        return as_table(app, query, &wanted, format).await;
+        let Table { pieces, next } = table(app, query, &wanted, format).await?;
+        return Ok(send::with_headers(format, next, Body::from_stream(pieces)));
+    }
+    if !wanted.columns.is_empty() || wanted.slice.is_some() {
+        let Table { pieces, next } = table(app, query, &wanted, Format::Ndjson).await?;
+        let pieces: Vec<Vec<u8>> = pieces.try_collect().await.map_err(internal)?;
+        let trials = send::values(&pieces.concat())?;
+        let next = next.and_then(|next| next.parse::<i64>().ok());
+        return Ok(Json(ChosenPage { trials, next }).into_response());
     }
     let trials = app.store.trials(&query).await?;
     let full = trials.len() == query.limit as usize;
     let next = trials.last().filter(|_| full).map(|t| t.trial_id.0);
-    if wanted.columns.is_empty() {
-        return Ok(Json(TrialPage { trials, next }).into_response());
-    }
-    let chosen = |trial: &TrialRow| -> Result<Value, serde_json::Error> {
-        let Value::Object(fields) = serde_json::to_value(trial)? else { return Ok(Value::Null) };
-        Ok(fields.into_iter().filter(|(name, _)| wanted.columns.contains(name)).collect())
-    };
-    let chosen: Result<Vec<Value>, _> = trials.iter().map(chosen).collect();
-    let trials = chosen.map_err(DatasetError::Json)?;
-    Ok(Json(json!({ "trials": trials, "next": next })).into_response())
+    Ok(Json(TrialPage { trials, next }).into_response())
 }
 
-/// A page in the columns of the trials table, read and sent in pieces, so that a page of frames
-/// takes no more memory than some of its rows.
-async fn as_table(
+/// A page of some columns.
+#[derive(Debug, Serialize)]
+struct ChosenPage {
+    trials: Vec<Box<serde_json::value::RawValue>>,
+    next: Option<i64>,
+}
+
+/// A page in the columns of the trials table, in pieces as they are read and written, so that a
+/// page of frames takes no more memory than some of its rows; and the cursor of the next.
+struct Table {
+    pieces: ReceiverStream<std::io::Result<Vec<u8>>>,
+    next: Option<String>,
+}
+
+async fn table(
     app: &App,
     mut query: TrialQuery,
     wanted: &Wanted,
     format: Format,
-) -> Result<Response, ApiError> {
+) -> Result<Table, ApiError> {
     if format == Format::Npz {
         let limit = "pages come as json, ndjson, csv, parquet or arrow";
         return Err(ApiError::bad_query(vec![Problem::new("query", "format", "npz", limit)]));
@@ -119,29 +138,43 @@ async fn as_table(
     let limit = query.limit as usize;
     let ids = app.store.trial_ids(&query).await?;
     let next = ids.last().filter(|_| ids.len() == limit).map(|id| id.0.to_string());
-    query.with_voltages =
-        query.with_voltages || wanted.columns.iter().any(|c| c.ends_with("voltages_v"));
-    let first = match ids.first() {
-        Some(&first) => app.store.trial_voltages(first).await?,
-        None => None,
+    let frames = wanted.columns.iter().any(|column| column.ends_with("voltages_v"));
+    query.with_voltages = query.with_voltages || frames;
+    let lengths = match query.with_voltages {
+        true => app.store.frame_lengths(&ids).await?,
+        false => Vec::new(),
     };
-    let channels = first.map_or(schema::CHANNELS, |frame| frame.len() as i32);
+    if lengths.len() > 1 {
+        let words = format!(
+            "these trials have frames of {lengths:?} voltages, which make no table: name a run"
+        );
+        return Err(ApiError::new(StatusCode::CONFLICT, words));
+    }
+    let channels = lengths.first().map_or(schema::CHANNELS, |&length| length as i32);
     let table = trials_schema(channels, query.with_voltages);
     let skin = Skin { width_mm: 0.0, height_mm: 0.0 };
     let selection = Selection::new(wanted, &table, skin).map_err(ApiError::bad_query)?;
-    let (sender, pieces) = tokio::sync::mpsc::channel(2);
     let piece = send::Piece::default();
     let mut stream =
         Stream::new(format, selection.schema(), piece.clone()).map_err(DatasetError::from)?;
+    let (sender, pieces) = tokio::sync::mpsc::channel(2);
     let store = app.store.clone();
     tokio::spawn(async move {
         let mut work = async || -> Result<(), DatasetError> {
-            for chunk in ids.chunks(schema::BATCH_ROWS) {
-                let mut trials = if query.with_voltages {
-                    store.trials_with_voltages(chunk).await?
-                } else {
-                    store.trials_of(chunk).await?
-                };
+            let chunks: Vec<Vec<TrialId>> = ids.chunks(ROWS_AT_ONCE).map(<[_]>::to_vec).collect();
+            let frames = query.with_voltages;
+            let reads = chunks.into_iter().map(|chunk| {
+                let store = store.clone();
+                async move {
+                    match frames {
+                        true => store.trials_with_voltages(&chunk).await,
+                        false => store.trials_of(&chunk).await,
+                    }
+                }
+            });
+            let mut reads = futures::stream::iter(reads).buffered(READS);
+            while let Some(trials) = reads.next().await {
+                let mut trials = trials?;
                 if query.order == Order::NewestFirst {
                     trials.reverse();
                 }
@@ -164,8 +197,11 @@ async fn as_table(
         // Who asked may have gone.
         let _ = sender.send(last).await;
     });
-    let body = axum::body::Body::from_stream(tokio_stream::wrappers::ReceiverStream::new(pieces));
-    Ok(send::with_headers(format, next, body))
+    Ok(Table { pieces: ReceiverStream::new(pieces), next })
+}
+
+fn internal(error: std::io::Error) -> ApiError {
+    ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string())
 }
 
 /// The columns of stored trials; frames only where they are asked for.
@@ -175,7 +211,7 @@ fn trials_schema(channels: i32, with_voltages: bool) -> SchemaRef {
         .fields()
         .iter()
         .filter(|field| match field.name().as_str() {
-            "seed" | "index" | schema::SPLIT => false,
+            name if OF_DATASETS.contains(&name) => false,
             name => with_voltages || !name.ends_with("voltages_v"),
         })
         .cloned()

@@ -20,7 +20,6 @@ use super::progress::progress_bar;
 use super::{At, embed};
 use crate::dataset::export::ExportRequest;
 use crate::dataset::format::Format;
-use crate::dataset::select::Wanted;
 
 /// Between two looks at how far an export is.
 const LOOK: Duration = Duration::from_millis(200);
@@ -51,8 +50,8 @@ enum What {
     Export(ExportArgs),
     /// Take in trials measured elsewhere, as a run of their own.
     ///
-    /// FILE is Parquet with the columns of the trials table, of which only `voltages_v` must be
-    /// there. Contacts may lack force or place. Exit code 2 where a value cannot be used: each
+    /// FILE is Parquet with the columns of the trials table, of which `voltages_v` and `contacts`
+    /// must be there. Contacts may lack force or place. Exit code 2 where a value cannot be used: each
     /// problem names row, column, value and limit, and nothing is stored.
     Import(ImportArgs),
 }
@@ -240,12 +239,10 @@ async fn export(client: &Client, args: &ExportArgs) -> Result<(), CliError> {
     let request = ExportRequest {
         dataset: args.name.clone(),
         format: args.format,
-        wanted: Wanted {
-            columns: args.columns.clone(),
-            conditions: args.conditions.clone(),
-            map: args.map.clone(),
-            slice: args.slice.clone(),
-        },
+        columns: args.columns.clone(),
+        conditions: args.conditions.clone(),
+        map: args.map.clone(),
+        slice: args.slice.clone(),
     };
     let asked: ExportView = client.post("/api/v1/exports", &request).await?;
     let done = follow(client, asked).await?;

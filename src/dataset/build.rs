@@ -16,29 +16,34 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use arrow_array::RecordBatch;
 use arrow_ipc::writer::StreamWriter;
 use arrow_schema::SchemaRef;
+use futures::StreamExt;
 use jiff::Timestamp;
 use serde_json::{Value, json};
-use sha2::{Digest, Sha256};
+use sha2::Digest;
 use tokio::sync::mpsc;
 
+use super::background::background;
 use super::batch::{self, Row};
 use super::card;
-use super::definition::{Definition, SplitBy, Task};
+use super::definition::{Definition, SplitBy};
 use super::error::DatasetError;
 use super::file::{Hashing, NewFile, hex};
 use super::format::{Format, Stream};
+use super::inputs::Inputs;
 use super::schema::{self, BATCH_ROWS, Kind};
-use super::shards::{self, ShardFolder};
+use super::shards::ShardFolder;
 use super::split::{Group, Part, divide, place};
 use super::survey::{Survey, Surveyed, label};
-use crate::store::{DatasetRow, Label, MAX_PAGE, RunExtent, RunRow, Store, TrialQuery};
+use crate::store::{DatasetRow, RunRow, Store, TrialQuery};
 
 /// Pages that may wait for the encoder.
 const AHEAD: usize = 2;
+/// Trials of a page of the survey, which has no frames.
+const SURVEY_ROWS: u32 = 2000;
+/// Pages that are read at a time.
+const READS: usize = 2;
 /// Hexadecimal digits of an id.
 const ID_DIGITS: usize = 16;
-/// Version of the way from stored trials to rows: another one gives other inputs.
-const BUILD_VERSION: u32 = 1;
 
 /// How far a dataset is.
 #[derive(Debug, Default)]
@@ -49,133 +54,8 @@ pub struct Progress {
     pub total: AtomicU64,
 }
 
-/// What a definition comes down to at this moment.
-#[derive(Debug, Clone)]
-pub struct Inputs {
-    definition: Definition,
-    runs: Vec<(RunRow, RunExtent)>,
-    folders: Vec<ShardFolder>,
-    /// sha256 over everything that the rows depend on.
-    pub key: String,
-}
-
-impl Inputs {
-    /// Finds the runs and shards of a definition, as they are now.
-    pub async fn find(
-        store: &Store,
-        data: &Path,
-        definition: &Definition,
-    ) -> Result<Self, DatasetError> {
-        definition.check(&definition.name).map_err(DatasetError::Problems)?;
-        let mut runs = Vec::new();
-        for run in select_runs(store, definition).await? {
-            let extent = store.run_extent(run.uid).await?;
-            runs.push((run, extent));
-        }
-        check_labels(definition, &runs)?;
-        let folders = shards::find(data, &definition.sim_random)?;
-        let mut hash = Sha256::new();
-        let text = json!({
-            "version": BUILD_VERSION,
-            "definition": definition,
-            "runs": runs.iter().map(|(run, extent)| json!([run.uid, extent])).collect::<Vec<_>>(),
-            "shards": folders.iter().map(|f| json!([f.name, f.manifest])).collect::<Vec<_>>(),
-        });
-        hash.update(text.to_string());
-        let key = hex(&hash.finalize());
-        Ok(Self { definition: definition.clone(), runs, folders, key })
-    }
-
-    /// Rows that are looked at.
-    pub fn candidates(&self) -> u64 {
-        let trials: u64 = self.runs.iter().map(|(_, e)| e.trials.unsigned_abs()).sum();
-        trials + self.folders.iter().map(ShardFolder::trials).sum::<u64>()
-    }
-
-    /// The newest model among the twins of the runs.
-    fn model(&self) -> Option<&str> {
-        let newest = self.runs.iter().max_by_key(|(_, extent)| extent.newest)?;
-        newest.1.model.as_deref()
-    }
-
-    /// Voltages in a frame: the same in all runs and shards.
-    async fn channels(&self, store: &Store) -> Result<i32, DatasetError> {
-        let mut found: Option<(usize, String)> = None;
-        for (run, extent) in &self.runs {
-            if extent.trials == 0 {
-                continue;
-            }
-            let Some(frame) = store.trial_voltages(crate::ids::TrialId(extent.last)).await? else {
-                continue;
-            };
-            let who = format!("run {}", run.scan_id);
-            match &found {
-                Some((channels, other)) if *channels != frame.len() => {
-                    return Err(DatasetError::Channels {
-                        one: format!("{other} has {channels} voltages a frame"),
-                        other: format!("{who} has {}", frame.len()),
-                    });
-                }
-                _ => found = Some((frame.len(), who)),
-            }
-        }
-        let channels = found.map_or(schema::CHANNELS as usize, |(channels, _)| channels);
-        i32::try_from(channels).map_err(|_| DatasetError::Channels {
-            one: format!("{channels} voltages a frame"),
-            other: "more than can be stored".into(),
-        })
-    }
-}
-
-async fn select_runs(store: &Store, definition: &Definition) -> Result<Vec<RunRow>, DatasetError> {
-    let mut all = Vec::new();
-    let mut before = None;
-    loop {
-        let page = store.runs(1000, before).await?;
-        all.extend(page.runs);
-        before = page.next;
-        if before.is_none() {
-            break;
-        }
-    }
-    all.retain(|run| run.state != "removed");
-    all.sort_by_key(|run| run.scan_id);
-    let labelled = |run: &RunRow| definition.label.is_none_or(|label| run.label == label);
-    if definition.runs.is_empty() {
-        let kinds = definition.task.kinds();
-        let takes =
-            |run: &RunRow| run.state == "ended" && kinds.contains(&run.kind) && labelled(run);
-        return Ok(all.into_iter().filter(takes).collect());
-    }
-    for wanted in &definition.runs {
-        if !all.iter().any(|run| names(run, wanted)) {
-            return Err(DatasetError::NoRun(wanted.clone()));
-        }
-    }
-    let named = |run: &RunRow| definition.runs.iter().any(|wanted| names(run, wanted));
-    Ok(all.into_iter().filter(|run| named(run) && labelled(run)).collect())
-}
-
-/// Whether a word of a definition means this run.
-fn names(run: &RunRow, wanted: &str) -> bool {
-    run.scan_id.to_string() == wanted || run.uid.to_string() == wanted || run.experiment == wanted
-}
-
-/// Measured and virtual trials never come together unasked.
-fn check_labels(definition: &Definition, runs: &[(RunRow, RunExtent)]) -> Result<(), DatasetError> {
-    let of = |label: Label| {
-        let with = |run: &RunRow| run.label == label && definition.task != Task::S2sRecon;
-        runs.iter().find(|(run, extent)| with(run) && extent.trials > 0).map(|(r, _)| r.scan_id)
-    };
-    let [measured, virtual_, simulated] =
-        [Label::Measured, Label::Virtual, Label::Simulated].map(of);
-    let found: Vec<String> =
-        [("measured", measured), ("virtual", virtual_), ("simulated", simulated)]
-            .into_iter()
-            .filter_map(|(label, run)| Some(format!("run {} is {label}", run?)))
-            .collect();
-    if found.len() > 1 { Err(DatasetError::Labels(found.join(", "))) } else { Ok(()) }
-}
+/// A folder of shards, and the part of each of its trials.
+type Divided = (ShardFolder, Vec<Option<Part>>);
 
 /// Makes the dataset of these inputs in this folder, and stores what it is.
 pub async fn build(
@@ -188,7 +68,7 @@ pub async fn build(
     let channels = inputs.channels(store).await?;
     let definition = &inputs.definition;
     let columns = schema::of_dataset(definition, channels);
-    let (mut surveyed, rows_of_run) = survey(store, &inputs, channels).await?;
+    let (mut surveyed, rows_of_run) = survey(store, &inputs).await?;
     let parts_of_shards = divide_shards(&inputs, &mut surveyed)?;
     let shard_rows: u64 = parts_of_shards.iter().map(|(folder, _)| folder.trials()).sum();
     progress.total.store(surveyed.kept.len() as u64 + shard_rows, Ordering::Relaxed);
@@ -198,12 +78,12 @@ pub async fn build(
     let (pages, waiting) = mpsc::channel(AHEAD);
     let encoder = Encoder::new(folder, definition, &columns, footer)?;
     let (shown, schema) = (progress.clone(), columns.clone());
-    let encoding = tokio::task::spawn_blocking(move || {
-        encode(encoder, waiting, parts_of_shards, &schema, &shown)
-    });
+    let encoding = background(move || encode(encoder, waiting, parts_of_shards, &schema, &shown));
     // When the encoder gives up, the pages have nowhere to go; it says why.
-    read_pages(store, &inputs, &surveyed.kept, pages).await?;
-    let (encoder, tally) = encoding.await.map_err(|_| DatasetError::Worker)??;
+    let reading = read_pages(store, &inputs, &surveyed.kept, pages);
+    let (encoded, read) = futures::join!(encoding, reading);
+    read?;
+    let (encoder, tally) = encoded??;
 
     let report = report(definition, &columns, channels, &surveyed, &tally);
     let id = encoder.id();
@@ -228,13 +108,12 @@ pub async fn build(
 async fn survey(
     store: &Store,
     inputs: &Inputs,
-    channels: i32,
 ) -> Result<(Surveyed, BTreeMap<i64, u64>), DatasetError> {
-    let scalars = Arc::new(schema::all(channels));
-    let mut survey = Survey::new(&inputs.definition, scalars, inputs.model());
+    let mut survey = Survey::new(&inputs.definition, schema::scalars(), inputs.model());
     let mut rows = BTreeMap::new();
     for (run, _) in &inputs.runs {
-        let mut query = TrialQuery { run: Some(run.uid), limit: MAX_PAGE, ..TrialQuery::default() };
+        let mut query =
+            TrialQuery { run: Some(run.uid), limit: SURVEY_ROWS, ..TrialQuery::default() };
         loop {
             let mut page = store.trials(&query).await?;
             let Some(last) = page.last().map(|trial| trial.trial_id) else { break };
@@ -252,10 +131,7 @@ async fn survey(
 }
 
 /// The parts of the trials of each folder of shards of the model; others are left out, and said.
-fn divide_shards(
-    inputs: &Inputs,
-    surveyed: &mut Surveyed,
-) -> Result<Vec<(ShardFolder, Vec<Option<Part>>)>, DatasetError> {
+fn divide_shards(inputs: &Inputs, surveyed: &mut Surveyed) -> Result<Vec<Divided>, DatasetError> {
     let split = &inputs.definition.split;
     let mut divided = Vec::new();
     let first = inputs.folders.first().map(|f| f.manifest.definition.model.as_str());
@@ -301,13 +177,21 @@ async fn read_pages(
 ) -> Result<(), DatasetError> {
     let by_scan_id: BTreeMap<i64, &RunRow> =
         inputs.runs.iter().map(|(run, _)| (run.scan_id, run)).collect();
-    for chunk in kept.chunks(BATCH_ROWS) {
-        let ids: Vec<_> = chunk.iter().map(|(trial, _)| *trial).collect();
-        let trials = store.trials_with_voltages(&ids).await?;
-        if trials.len() != ids.len() {
+    let chunks: Vec<Vec<_>> = kept.chunks(BATCH_ROWS).map(<[_]>::to_vec).collect();
+    let reads = chunks.into_iter().map(|chunk| {
+        let store = store.clone();
+        async move {
+            let ids: Vec<_> = chunk.iter().map(|(trial, _)| *trial).collect();
+            store.trials_with_voltages(&ids).await.map(|trials| (chunk, trials))
+        }
+    });
+    let mut reads = futures::stream::iter(reads).buffered(READS);
+    while let Some(read) = reads.next().await {
+        let (chunk, trials) = read?;
+        if trials.len() != chunk.len() {
             return Err(DatasetError::Changed);
         }
-        let rows = trials.into_iter().zip(chunk).map(|(mut trial, (_, part))| {
+        let rows = trials.into_iter().zip(&chunk).map(|(mut trial, (_, part))| {
             if let Some(run) = by_scan_id.get(&trial.scan_id) {
                 label(&mut trial, &inputs.definition, run);
             }
@@ -384,7 +268,7 @@ impl Encoder {
 fn encode(
     mut encoder: Encoder,
     mut pages: mpsc::Receiver<Vec<Row>>,
-    shards: Vec<(ShardFolder, Vec<Option<Part>>)>,
+    shards: Vec<Divided>,
     schema: &SchemaRef,
     progress: &Progress,
 ) -> Result<(Encoder, Tally), DatasetError> {
@@ -420,7 +304,7 @@ async fn lineage(
     store: &Store,
     inputs: &Inputs,
     rows_of_run: &BTreeMap<i64, u64>,
-    shards: &[(ShardFolder, Vec<Option<Part>>)],
+    shards: &[Divided],
 ) -> Result<Value, DatasetError> {
     let runs: Vec<Value> = inputs
         .runs
@@ -493,7 +377,7 @@ fn report(
         .fields()
         .iter()
         .map(|field| {
-            json!({ "name": field.name(), "type": field.data_type().to_string(),
+            json!({ "name": field.name(), "type": schema::type_words(field.data_type()),
                 "unit": field.metadata().get(crate::simulate::schema::UNIT),
                 "filterable": schema::kind(field.data_type()) != Kind::List })
         })

@@ -11,15 +11,19 @@ use std::time::Duration;
 
 use tokio::sync::watch;
 
-use super::build::{self, Inputs, Progress, build, data_file};
+use super::background::background;
+use super::build::{self, Progress, build, data_file};
 use super::definition::Definition;
 use super::error::DatasetError;
 use super::export::{self, ExportRequest, Sendable};
 use super::file::sweep;
 use super::format::{Format, Rows};
-use super::read::DatasetRows;
-use super::select::Wanted;
+use super::inputs::Inputs;
+use super::read::{DatasetRows, SKIN};
+use super::schema;
+use super::select::{Selection, Wanted};
 use crate::clock::Clock;
+use crate::problem::Problem;
 use crate::store::{DatasetRow, ExportEnd, ExportRow, ExportState, RunRow, Store};
 
 /// Free bytes that stay for runs, whatever is exported.
@@ -112,8 +116,8 @@ impl Catalog {
         DatasetError::NoDataset { name: name.into(), choices }
     }
 
-    /// The definition that a name stands for: of the last dataset of that name, of the binary, or of
-    /// a run (`run-N`).
+    /// The definition that a name stands for: of a run (`run-N`), of the binary, or of the last dataset
+    /// of that name.
     pub async fn definition(&self, name: &str) -> Result<Definition, DatasetError> {
         if let Some(run) = self.run_of(name).await? {
             return match run.state.as_str() {
@@ -121,10 +125,30 @@ impl Catalog {
                 _ => Err(DatasetError::NotEnded(run.scan_id)),
             };
         }
-        if let Some(row) = self.inner.store.newest_dataset(name).await? {
-            return serde_json::from_value(row.definition).map_err(DatasetError::json);
+        if let Some(built_in) = Definition::built_in(name) {
+            return Ok(built_in);
         }
-        Definition::built_in(name).ok_or_else(|| self.no_dataset(name))
+        match self.inner.store.newest_dataset(name).await? {
+            Some(row) => serde_json::from_value(row.definition).map_err(DatasetError::json),
+            None => Err(self.no_dataset(name)),
+        }
+    }
+
+    /// Makes the dataset of somebody's definition, which must not take a name that means another.
+    pub async fn make_own(
+        &self,
+        file: &str,
+        definition: &Definition,
+    ) -> Result<DatasetRow, DatasetError> {
+        definition.check(file).map_err(DatasetError::Problems)?;
+        let name = &definition.name;
+        let taken = name.starts_with("run-")
+            || Definition::built_in(name).is_some_and(|built_in| built_in != *definition);
+        if taken {
+            let limit = "is the name of another dataset: choose one of your own";
+            return Err(DatasetError::Problems(vec![Problem::new(file, "name", name, limit)]));
+        }
+        self.make(definition).await
     }
 
     async fn run_of(&self, name: &str) -> Result<Option<RunRow>, DatasetError> {
@@ -239,10 +263,8 @@ impl Catalog {
         self.room_for(rows.count() * bytes_a_row).await?;
         let folder = self.exports();
         trim(&folder, EXPORTS_BYTES).map_err(DatasetError::file("trimming", &folder))?;
-        let finished = tokio::task::spawn_blocking(move || {
-            export::write(&rows, format, &folder, &name, &progress)
-        });
-        let finished = finished.await.map_err(|_| DatasetError::Worker)??;
+        let writing = background(move || export::write(&rows, format, &folder, &name, &progress));
+        let finished = writing.await??;
         std::fs::write(&beside, &finished.sha256)
             .map_err(DatasetError::file("writing", &beside))?;
         Ok(Sendable { path, sha256: finished.sha256 })
@@ -259,10 +281,15 @@ impl Catalog {
             let limit = format!("must be under {WAITING_MAX}: wait for some to end");
             return Err(DatasetError::value("exports that wait", waiting, &limit));
         }
+        let wanted = request.wanted();
         if request.dataset.starts_with("ds-") {
-            self.rows(&self.of_id(&request.dataset).await?.id, &request.wanted)?;
+            self.rows(&self.of_id(&request.dataset).await?.id, &wanted)?;
         } else {
-            self.definition(&request.dataset).await?;
+            // The number of channels is known when its rows are.
+            let wanted = Wanted { slice: None, ..wanted };
+            let definition = self.definition(&request.dataset).await?;
+            let columns = schema::of_dataset(&definition, schema::CHANNELS);
+            Selection::new(&wanted, &columns, SKIN).map_err(DatasetError::Problems)?;
         }
         let id = format!("ex-{}", uuid::Uuid::now_v7());
         let text = serde_json::to_value(request).map_err(DatasetError::json)?;
@@ -345,7 +372,7 @@ impl Catalog {
             }
         };
         store.begin_export(&export.id, Some(&row.id)).await?;
-        self.file(&row, request.format, &request.wanted, progress).await
+        self.file(&row, request.format, &request.wanted(), progress).await
     }
 
     fn progress(&self) -> std::sync::MutexGuard<'_, HashMap<String, Arc<Progress>>> {

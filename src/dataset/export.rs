@@ -25,15 +25,37 @@ const NAME_DIGITS: usize = 24;
 
 /// What is asked for.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
 pub struct ExportRequest {
     /// A dataset's id, or a name: then the dataset as it is when the export begins.
     pub dataset: String,
     /// `parquet`, `arrow`, `csv`, `ndjson` or `npz`.
     #[schema(value_type = String)]
     pub format: Format,
+    /// Columns, in this order; empty: all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub columns: Vec<String>,
+    /// Conditions that all hold, each `COLUMN__gt=VALUE`.
+    #[serde(default, rename = "where", skip_serializing_if = "Vec::is_empty")]
+    pub conditions: Vec<String>,
+    /// A force map for each row, as pixel and diameter in mm: `4x20`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub map: Option<String>,
+    /// Only these values of each frame: `0:28`, the end left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub slice: Option<String>,
+}
+
+impl ExportRequest {
     /// Which rows and columns.
-    #[serde(flatten)]
-    pub wanted: Wanted,
+    pub fn wanted(&self) -> Wanted {
+        Wanted {
+            columns: self.columns.clone(),
+            conditions: self.conditions.clone(),
+            map: self.map.clone(),
+            slice: self.slice.clone(),
+        }
+    }
 }
 
 /// Name of the file that holds this: by its contents, so that equal wishes share it.

@@ -10,7 +10,7 @@ use arrow_array::{Array, BooleanArray, RecordBatch};
 use arrow_schema::{DataType, Schema};
 use jiff::Timestamp;
 
-use super::schema::{COLUMNS, Kind};
+use super::schema::{COLUMNS, Kind, kind};
 
 /// How a value is compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -85,7 +85,16 @@ impl Filter {
     pub fn fits(&self, schema: &Schema) -> Result<(), String> {
         match schema.field_with_name(&self.column) {
             Ok(_) => Ok(()),
-            Err(_) => Err(format!("these rows have no column {}", self.column)),
+            Err(_) => {
+                let fields = schema.fields().iter();
+                let names = fields.filter(|f| kind(f.data_type()) != Kind::List).map(|f| f.name());
+                let names: Vec<&str> = names.map(String::as_str).collect();
+                Err(format!(
+                    "these rows have no column {}; there are {}",
+                    self.column,
+                    names.join(", ")
+                ))
+            }
         }
     }
 

@@ -18,7 +18,7 @@ use super::schema::{self, BATCH_ROWS};
 use super::select::{Selection, Skin, Wanted};
 
 /// The paper's skin, where a file says nothing else.
-const SKIN: Skin = Skin { width_mm: 540.0, height_mm: 560.0 };
+pub const SKIN: Skin = Skin { width_mm: 540.0, height_mm: 560.0 };
 
 /// Chosen rows of a dataset.
 pub struct DatasetRows {

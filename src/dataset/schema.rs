@@ -91,6 +91,13 @@ pub fn all(channels: i32) -> Schema {
     ])
 }
 
+/// The columns that rows can be filtered by.
+pub fn scalars() -> SchemaRef {
+    let all = all(CHANNELS);
+    let fields = all.fields().iter().filter(|field| kind(field.data_type()) != Kind::List);
+    Arc::new(Schema::new(fields.cloned().collect::<Vec<_>>()))
+}
+
 /// A contact of which anything may be unknown.
 pub fn contact_element() -> Field {
     let fields = base::contact_fields();
@@ -111,6 +118,22 @@ pub fn of_dataset(definition: &Definition, channels: i32) -> SchemaRef {
     let fields: Vec<Field> =
         all(channels).fields().iter().map(|f| f.as_ref().clone()).filter(has).collect();
     Arc::new(Schema::new(fields))
+}
+
+/// A type in words: `float32[784]`, `list of {x_mm float64, ..}`.
+pub fn type_words(data_type: &DataType) -> String {
+    match data_type {
+        DataType::Utf8 => "string".into(),
+        DataType::Timestamp(..) => "timestamp, UTC".into(),
+        DataType::List(item) => format!("list of {}", type_words(item.data_type())),
+        DataType::FixedSizeList(item, size) => format!("{}[{size}]", type_words(item.data_type())),
+        DataType::Struct(fields) => {
+            let words =
+                |field: &Arc<Field>| format!("{} {}", field.name(), type_words(field.data_type()));
+            format!("{{{}}}", fields.iter().map(words).collect::<Vec<_>>().join(", "))
+        }
+        other => other.to_string().to_lowercase(),
+    }
 }
 
 /// What a column can be compared with.

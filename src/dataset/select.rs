@@ -213,10 +213,11 @@ impl Selection {
     }
 }
 
+/// Place (mm, mm) and force (N) of a contact.
+type Pressed = (f64, f64, f64);
+
 /// Place and force of contacts, or `None` where one of them is not known.
-fn pressed(
-    contacts: &arrow_array::StructArray,
-) -> Result<Option<Vec<(f64, f64, f64)>>, ArrowError> {
+fn pressed(contacts: &arrow_array::StructArray) -> Result<Option<Vec<Pressed>>, ArrowError> {
     let column = |name: &str| {
         let missing = || ArrowError::SchemaError(format!("a contact has no {name}"));
         contacts.column_by_name(name).ok_or_else(missing)

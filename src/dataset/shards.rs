@@ -43,7 +43,7 @@ pub enum ShardsError {
         why: String,
     },
     /// A shard is not what its manifest says.
-    #[error("{path}: its sha256 is not the manifest's: make it again with --check", path = path.display())]
+    #[error("{path}: its sha256 is not the manifest's: `palpate simulate random --verify` makes it again", path = path.display())]
     Damaged {
         /// The shard.
         path: PathBuf,

@@ -4,6 +4,8 @@
 use std::fmt::Write;
 
 use jiff::Timestamp;
+use serde::de::IntoDeserializer;
+use serde::de::value::StrDeserializer;
 use sha2::{Digest, Sha256};
 use sqlx::Row;
 use sqlx::sqlite::{Sqlite, SqliteRow};
@@ -167,5 +169,6 @@ impl<'r> Columns<'r> {
 
 /// An enum's value from the word that serde gives it.
 pub(super) fn word<T: serde::de::DeserializeOwned>(text: &str) -> Option<T> {
-    serde_json::from_value(serde_json::Value::String(text.to_owned())).ok()
+    let word: StrDeserializer<'_, serde::de::value::Error> = text.into_deserializer();
+    T::deserialize(word).ok()
 }

@@ -18,6 +18,8 @@ pub enum TrialColumn {
     DepthIndex,
     /// Depth, mm.
     DepthMm,
+    /// The run's number for people.
+    ScanId,
     /// Attached tips, or placed contacts.
     Tips,
     /// Contacts, by the run's deadband.
@@ -30,6 +32,16 @@ pub enum TrialColumn {
     SettleMs,
     /// Which try it was.
     Attempt,
+    /// Channels at the converter's end.
+    SaturatedChannels,
+    /// Channels with one and the same count, trial after trial.
+    StuckChannels,
+    /// Channels without a value.
+    MissingChannels,
+    /// Largest sum over an injection, V.
+    InjectionSumV,
+    /// Packets lost or garbled.
+    DroppedPackets,
     /// Raw frames kept.
     FrameCount,
     /// Start of its motion.
@@ -44,17 +56,23 @@ pub enum TrialColumn {
 
 impl TrialColumn {
     /// All of them.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 21] = [
         Self::TrialId,
         Self::Configuration,
         Self::DepthIndex,
         Self::DepthMm,
+        Self::ScanId,
         Self::Tips,
         Self::ContactCount,
         Self::MaxForceN,
         Self::OvershootN,
         Self::SettleMs,
         Self::Attempt,
+        Self::SaturatedChannels,
+        Self::StuckChannels,
+        Self::MissingChannels,
+        Self::InjectionSumV,
+        Self::DroppedPackets,
         Self::FrameCount,
         Self::StartedAt,
         Self::MeasuredAt,
@@ -69,12 +87,18 @@ impl TrialColumn {
             Self::Configuration => "configuration",
             Self::DepthIndex => "depth_index",
             Self::DepthMm => "depth_mm",
+            Self::ScanId => "scan_id",
             Self::Tips => "tips",
             Self::ContactCount => "contact_count",
             Self::MaxForceN => "max_force_n",
             Self::OvershootN => "overshoot_n",
             Self::SettleMs => "settle_ms",
             Self::Attempt => "attempt",
+            Self::SaturatedChannels => "saturated_channels",
+            Self::StuckChannels => "stuck_channels",
+            Self::MissingChannels => "missing_channels",
+            Self::InjectionSumV => "injection_sum_v",
+            Self::DroppedPackets => "dropped_packets",
             Self::FrameCount => "frame_count",
             Self::StartedAt => "started_at",
             Self::MeasuredAt => "measured_at",
@@ -99,12 +123,18 @@ impl TrialColumn {
             Self::Configuration => "t.configuration",
             Self::DepthIndex => "t.depth_index",
             Self::DepthMm => "t.depth_mm",
+            Self::ScanId => "t.run",
             Self::Tips => "t.tips",
             Self::ContactCount => "t.contact_count",
             Self::MaxForceN => "t.max_force_n",
             Self::OvershootN => "t.overshoot_n",
             Self::SettleMs => "t.settle_ms",
             Self::Attempt => "t.attempt",
+            Self::SaturatedChannels => "t.saturated_channels",
+            Self::StuckChannels => "t.stuck_channels",
+            Self::MissingChannels => "t.missing_channels",
+            Self::InjectionSumV => "t.injection_sum_v",
+            Self::DroppedPackets => "t.dropped_packets",
             Self::FrameCount => "t.frame_count",
             Self::StartedAt => "t.started_at",
             Self::MeasuredAt => "t.measured_at",

@@ -148,7 +148,7 @@ async fn insert(
         "INSERT INTO trials (run, configuration, depth_index, attempt, tips, depth_mm, flags,
              contact_count, max_force_n, frame_count, started_at, measured_at, saturated_channels,
              stuck_channels, missing_channels, injection_sum_v, dropped_packets)
-         VALUES (?1, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8, 0, ?9, ?9, ?10, ?11, ?12, ?13, ?14)
+         VALUES (?1, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8, 0, ?9, NULL, ?10, ?11, ?12, ?13, ?14)
          RETURNING id",
     )
     .bind(scan_id)

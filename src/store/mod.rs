@@ -70,6 +70,9 @@ const READERS: u32 = 4;
 /// Longest wait for one of them.
 const READER_TIMEOUT: Duration = Duration::from_secs(5);
 
+/// Rows that a reading connection may be ahead of who reads them: each wait is a change of threads.
+const ROWS_AHEAD: usize = 1024;
+
 /// The log is cut back to this after a long read had let it grow.
 const LOG_BYTES: &str = "67108864";
 
@@ -122,7 +125,9 @@ impl Store {
             .idle_timeout(None)
             .max_lifetime(None)
             .test_before_acquire(false)
-            .connect_with(options.read_only(true).pragma("query_only", "ON"))
+            .connect_with(
+                options.read_only(true).row_buffer_size(ROWS_AHEAD).pragma("query_only", "ON"),
+            )
             .await
             .map_err(open)?;
         let runs = Mutex::new(HashMap::new());

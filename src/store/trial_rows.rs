@@ -46,7 +46,7 @@ pub(super) const SELECT_WITH_VOLTAGES: &str =
      LEFT JOIN twin_voltages s ON s.trial = t.id AND s.model = w.model";
 
 /// A place on the skin that was pressed.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Contact {
     /// Centre on the skin, mm, where it is known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -286,6 +286,19 @@ impl Store {
         assemble(&mut view, rows, READING).await
     }
 
+    /// The different lengths of these trials' frames, in voltages.
+    pub async fn frame_lengths(&self, ids: &[TrialId]) -> Result<Vec<u32>, StoreError> {
+        let wanted: Vec<i64> = ids.iter().map(|id| id.0).collect();
+        sqlx::query_scalar(
+            "SELECT DISTINCT length(v.voltages_v) / 4 FROM json_each(?1) wanted
+             CROSS JOIN trial_voltages v ON v.trial = wanted.value ORDER BY 1",
+        )
+        .bind(format!("{wanted:?}"))
+        .fetch_all(&self.inner.readers)
+        .await
+        .map_err(StoreError::sql(READING))
+    }
+
     /// The mean of a trial's frames, V, injection-major.
     pub async fn trial_voltages(&self, trial: TrialId) -> Result<Option<Vec<f32>>, StoreError> {
         const OPERATION: &str = "reading a trial's voltages";
@@ -508,7 +521,10 @@ fn trial_row(
             c.get("reached_radius_mm")?,
         ]),
         placed_by: c.get("placed_by")?,
-        flags: c.json("flags")?,
+        flags: match c.get("flags")? {
+            "[]" => Vec::new(),
+            _ => c.json("flags")?,
+        },
         quality: FrameQuality {
             saturated_channels: c.whole_or_none("saturated_channels")?,
             stuck_channels: c.whole_or_none("stuck_channels")?,

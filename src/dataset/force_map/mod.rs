@@ -208,53 +208,45 @@ impl ForceMap {
         assert_eq!(map.len(), pixels * pixels, "a map of {pixels} x {pixels} pixels");
         let disc = Disc::new(self.spec.diameter_mm / 2.0);
         for &(x_mm, y_mm, force_n) in contacts {
-            let columns = self.lines(&disc, x_mm - self.origin_mm[0]);
-            let rows = self.lines(&disc, y_mm - self.origin_mm[1]);
-            let area_mm2 = disc.within(columns.ends(), rows.ends());
+            let columns = self.axis(&disc, x_mm - self.origin_mm[0]);
+            let rows = self.axis(&disc, y_mm - self.origin_mm[1]);
+            let area_mm2 = disc.within(&columns.whole, &rows.whole);
             if !(area_mm2 > 0.0 && force_n.is_finite()) {
                 return Err(ForceMapError::Contact { x_mm, y_mm, force_n });
             }
             let pressure = force_n / area_mm2;
-            for (row, ys) in rows.cells() {
-                for (column, xs) in columns.cells() {
-                    let area_mm2 = disc.within(xs, ys);
-                    if area_mm2 > 0.0 {
-                        map[row * pixels + column] += (pressure * area_mm2) as f32;
-                    }
+            for (row, y) in (rows.first..).zip(&rows.pixels) {
+                let line = &mut map[row * pixels + columns.first..][..columns.pixels.len()];
+                for (pixel, x) in line.iter_mut().zip(&columns.pixels) {
+                    *pixel += (pressure * disc.within(x, y)) as f32;
                 }
             }
         }
         Ok(())
     }
 
-    /// The grid lines around a disc centred this far from the square's corner, along one axis.
-    fn lines(&self, disc: &Disc, centre_mm: f64) -> Lines {
+    /// The pixels around a disc centred this far from the square's corner, along one axis.
+    fn axis(&self, disc: &Disc, centre_mm: f64) -> Axis {
         let pixel_mm = self.spec.pixel_mm;
-        // A centre that is not a number gives no lines; a far one is held at the square's rim.
+        // A centre that is not a number gives no pixels; a far one is held at the square's rim.
         let held = |line: f64| line.clamp(0.0, self.pixels() as f64) as usize;
         let first = held(((centre_mm - disc.radius_mm) / pixel_mm).floor());
         let last = held(((centre_mm + disc.radius_mm) / pixel_mm).ceil());
         let line = |i: usize| disc.line(i as f64 * pixel_mm - centre_mm);
-        Lines { first, lines: (first..=last).map(line).collect() }
+        let lines: Vec<Line> = (first..=last).map(line).collect();
+        let whole = Span::new(lines[0], lines[lines.len() - 1]);
+        let pixels = lines.windows(2).map(|pair| Span::new(pair[0], pair[1])).collect();
+        Axis { first, whole, pixels }
     }
 }
 
-/// Grid lines along one axis, and the pixels between them.
-struct Lines {
+/// The pixels that a disc may overlap, along one axis.
+struct Axis {
+    /// Number of the first.
     first: usize,
-    lines: Vec<Line>,
-}
-
-impl Lines {
-    /// The first and the last line: there is always one, and it may be both.
-    fn ends(&self) -> [Line; 2] {
-        [self.lines[0], self.lines[self.lines.len() - 1]]
-    }
-
-    /// Number of each pixel along the axis, with the lines on either side of it.
-    fn cells(&self) -> impl Iterator<Item = (usize, [Line; 2])> + '_ {
-        self.lines.windows(2).enumerate().map(|(i, pair)| (self.first + i, [pair[0], pair[1]]))
-    }
+    /// From the first to the last.
+    whole: Span,
+    pixels: Vec<Span>,
 }
 
 /// A grid line as a disc sees it.
@@ -264,6 +256,24 @@ struct Line {
     at_mm: f64,
     /// `g` of it, mm^2: area between the axis, the line and the disc's upper rim.
     under_mm2: f64,
+}
+
+/// What lies between two grid lines.
+#[derive(Debug, Clone, Copy)]
+struct Span {
+    low: Line,
+    high: Line,
+    /// Squared distances of its nearest and farthest line from the disc's centre, mm^2.
+    nearest_mm2: f64,
+    farthest_mm2: f64,
+}
+
+impl Span {
+    fn new(low: Line, high: Line) -> Self {
+        let nearest_mm2 = low.at_mm.max(-high.at_mm).max(0.0).powi(2);
+        let farthest_mm2 = high.at_mm.max(-low.at_mm).powi(2);
+        Self { low, high, nearest_mm2, farthest_mm2 }
+    }
 }
 
 /// A disc centred on the origin.
@@ -298,20 +308,18 @@ impl Disc {
         }
     }
 
-    /// Area (mm^2) of the disc within the rectangle between two lines each way: exactly 0 outside
-    /// the disc, exactly the rectangle inside it.
-    fn within(&self, [x0, x1]: [Line; 2], [y0, y1]: [Line; 2]) -> f64 {
-        let nearest = |low: Line, high: Line| low.at_mm.max(-high.at_mm).max(0.0).powi(2);
-        let farthest = |low: Line, high: Line| high.at_mm.max(-low.at_mm).powi(2);
-        let r2 = self.radius_mm * self.radius_mm;
-        if nearest(x0, x1) + nearest(y0, y1) >= r2 {
+    /// Area (mm^2) of the disc within a rectangle: exactly 0 outside the disc, exactly the
+    /// rectangle inside it.
+    fn within(&self, x: &Span, y: &Span) -> f64 {
+        let rim_mm2 = self.radius_mm * self.radius_mm;
+        if x.nearest_mm2 + y.nearest_mm2 >= rim_mm2 {
             return 0.0;
         }
-        if farthest(x0, x1) + farthest(y0, y1) < r2 {
-            return (x1.at_mm - x0.at_mm) * (y1.at_mm - y0.at_mm);
+        if x.farthest_mm2 + y.farthest_mm2 < rim_mm2 {
+            return (x.high.at_mm - x.low.at_mm) * (y.high.at_mm - y.low.at_mm);
         }
-        let upper = self.lower_left(x1, y1) - self.lower_left(x0, y1);
-        let lower = self.lower_left(x1, y0) - self.lower_left(x0, y0);
+        let upper = self.lower_left(x.high, y.high) - self.lower_left(x.low, y.high);
+        let lower = self.lower_left(x.high, y.low) - self.lower_left(x.low, y.low);
         (upper - lower).max(0.0)
     }
 }

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 
 use proptest::prelude::*;
 
-use super::{Disc, ForceMap, ForceMapError, ForceMapSpec, TABLE_IV};
+use super::{Disc, ForceMap, ForceMapError, ForceMapSpec, Span, TABLE_IV};
 
 const SKIN_MM: (f64, f64) = (540.0, 560.0);
 
@@ -45,7 +45,8 @@ proptest! {
         let x = [from.0 * radius, (from.0 + extent.0) * radius];
         let y = [from.1 * radius, (from.1 + extent.1) * radius];
         let disc = Disc::new(radius);
-        let exact = disc.within(x.map(|t| disc.line(t)), y.map(|t| disc.line(t)));
+        let span = |ends: [f64; 2]| Span::new(disc.line(ends[0]), disc.line(ends[1]));
+        let exact = disc.within(&span(x), &span(y));
         let error = (exact - by_strips(radius, x, y)).abs();
         prop_assert!(error < 1e-5 * radius * radius, "{exact} differs by {error}");
     }
@@ -53,7 +54,9 @@ proptest! {
     #[test]
     fn a_map_sums_to_its_forces_wherever_they_are(
         which in 0..TABLE_IV.len(),
-        contacts in prop::collection::vec((-49.0..589.0_f64, -39.0..599.0_f64, 0.1..60.0_f64), 0..7),
+        contacts in prop::collection::vec(
+            (-49.0..589.0_f64, -39.0..599.0_f64, 0.1..60.0_f64), 0..7,
+        ),
     ) {
         let map = ForceMap::new(TABLE_IV[which], SKIN_MM.0, SKIN_MM.1).unwrap();
         let pixels = drawn(&map, &contacts);

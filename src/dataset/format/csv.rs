@@ -4,7 +4,7 @@
 //! Numbers are the shortest text that reads back as the same number of their width; a missing
 //! value is an empty cell, as an empty text is; what is not a number is `NaN`, `inf` or `-inf`.
 
-use std::io::Write as Output;
+use std::io::Write;
 
 use arrow_array::cast::AsArray;
 use arrow_array::{Array, FixedSizeListArray, RecordBatch};
@@ -12,30 +12,31 @@ use arrow_cast::display::{ArrayFormatter, FormatOptions};
 use arrow_json::EncoderOptions;
 use arrow_json::writer::{NullableEncoder, make_encoder};
 use arrow_schema::{ArrowError, DataType, FieldRef, Schema};
-use csv::Terminator;
+use csv::{ByteRecord, Terminator};
 
 use super::FormatError;
 
 /// A CSV file being written.
-pub(super) struct Writer<W: Output> {
+pub(super) struct Writer<W: Write> {
     lines: csv::Writer<W>,
 }
 
-impl<W: Output> Writer<W> {
+impl<W: Write> Writer<W> {
     /// Writes the header line.
     pub(super) fn new(schema: &Schema, out: W) -> Result<Self, FormatError> {
-        let mut lines = csv::WriterBuilder::new().terminator(Terminator::CRLF).from_writer(out);
+        let mut header = ByteRecord::new();
         for field in schema.fields() {
             match field.data_type() {
                 DataType::FixedSizeList(_, length) => {
                     for item in 0..*length {
-                        lines.write_field(format!("{}_{item}", field.name()))?;
+                        header.push_field(format!("{}_{item}", field.name()).as_bytes());
                     }
                 }
-                _ => lines.write_field(field.name())?,
+                _ => header.push_field(field.name().as_bytes()),
             }
         }
-        lines.write_record(None::<&[u8]>)?;
+        let mut lines = csv::WriterBuilder::new().terminator(Terminator::CRLF).from_writer(out);
+        lines.write_byte_record(&header)?;
         Ok(Self { lines })
     }
 
@@ -48,12 +49,13 @@ impl<W: Output> Writer<W> {
         for (field, column) in schema.fields().iter().zip(batch.columns()) {
             columns.push(Column::new(field, column.as_ref(), &texts, &json)?);
         }
-        let mut cell = Cell::default();
+        let mut line = Line::default();
         for row in 0..batch.num_rows() {
+            line.cells.clear();
             for column in &mut columns {
-                column.write(row, &mut cell, &mut self.lines)?;
+                column.write(row, &mut line)?;
             }
-            self.lines.write_record(None::<&[u8]>)?;
+            self.lines.write_byte_record(&line.cells)?;
         }
         Ok(())
     }
@@ -64,11 +66,21 @@ impl<W: Output> Writer<W> {
     }
 }
 
-/// Room for a cell's text, used again and again.
+/// The cells of a row, and room for the text of one; used again and again.
 #[derive(Default)]
-struct Cell {
+struct Line {
+    cells: ByteRecord,
     text: String,
     json: Vec<u8>,
+}
+
+impl Line {
+    fn text(&mut self, texts: &ArrayFormatter<'_>, at: usize) -> Result<(), ArrowError> {
+        self.text.clear();
+        texts.value(at).write(&mut self.text)?;
+        self.cells.push_field(self.text.as_bytes());
+        Ok(())
+    }
 }
 
 /// A column of a batch as cells.
@@ -95,43 +107,27 @@ impl<'a> Column<'a> {
         })
     }
 
-    fn write<W: Output>(
-        &mut self,
-        row: usize,
-        cell: &mut Cell,
-        lines: &mut csv::Writer<W>,
-    ) -> Result<(), FormatError> {
+    fn write(&mut self, row: usize, line: &mut Line) -> Result<(), ArrowError> {
         match self {
-            Self::One(texts) => text(texts, row, cell, lines),
+            Self::One(texts) => line.text(texts, row)?,
             Self::Each(lists, texts) => {
                 let length = lists.value_length() as usize;
                 for item in row * length..(row + 1) * length {
                     if lists.is_null(row) {
-                        lines.write_field("")?;
+                        line.cells.push_field(b"");
                     } else {
-                        text(texts, item, cell, lines)?;
+                        line.text(texts, item)?;
                     }
                 }
-                Ok(())
             }
             Self::Json(values) => {
-                cell.json.clear();
+                line.json.clear();
                 if !values.is_null(row) {
-                    values.encode(row, &mut cell.json);
+                    values.encode(row, &mut line.json);
                 }
-                Ok(lines.write_field(&cell.json)?)
+                line.cells.push_field(&line.json);
             }
         }
+        Ok(())
     }
-}
-
-fn text<W: Output>(
-    texts: &ArrayFormatter<'_>,
-    at: usize,
-    cell: &mut Cell,
-    lines: &mut csv::Writer<W>,
-) -> Result<(), FormatError> {
-    cell.text.clear();
-    texts.value(at).write(&mut cell.text)?;
-    Ok(lines.write_field(&cell.text)?)
 }

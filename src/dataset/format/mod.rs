@@ -44,8 +44,8 @@ pub enum Format {
     Csv,
     /// A JSON object on each line, without the values that are missing.
     Ndjson,
-    /// NumPy arrays, one for each column, that `numpy.load` reads without pickle: see
-    /// `docs/how-to` and the `npz` module for what each column becomes.
+    /// NumPy arrays, one for each column, that `numpy.load` reads without pickle; the head of
+    /// `npz.rs` says what each type of column becomes.
     Npz,
 }
 

@@ -10,8 +10,11 @@
 //! | text | `<U`, as wide as the longest; empty where missing |
 //! | time | `datetime64[ms]` in UTC, NaT where missing |
 //! | list of one length of f32 (frames, forces, maps) | `(N, length)` f32, NaN where missing |
-//! | list of records (contacts) | `(N, most, fields)` f64, fields in the order of the schema (`x_mm, y_mm, force_n, diameter_mm`), NaN beyond a list's end and where missing |
+//! | list of records (contacts) | `(N, most, fields)` f64, NaN beyond a list's end and if missing |
 //! | list of texts (flags) | `<U` of JSON; empty where missing |
+//!
+//! The fields of a record are in the order of the schema: `x_mm, y_mm, force_n, diameter_mm` in
+//! `contacts`. `most` is the length of the longest list.
 //!
 //! The rows are read once to learn the widths, and once more for each column, so that no more than
 //! a batch is held. Sizes are zip64, times fixed, values aligned to 64 bytes.

@@ -12,6 +12,7 @@ use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 use sha2::{Digest, Sha256};
 use tokio::sync::mpsc;
 
+use super::background::background;
 use super::error::DatasetError;
 use super::file::{Hashing, hex};
 use crate::ids::RunUid;
@@ -59,8 +60,7 @@ pub async fn import(store: &Store, path: &Path, import: Import) -> Result<Import
         .map_err(DatasetError::Problems)?;
     let checked = {
         let (path, file, sensor) = (path.to_owned(), import.file.clone(), sensor.clone());
-        let checking = tokio::task::spawn_blocking(move || check(&path, &file, &sensor));
-        checking.await.map_err(|_| DatasetError::Worker)??
+        background(move || check(&path, &file, &sensor)).await??
     };
     let run = store.begin_import(new_run(&import, &sensor, &checked)).await?;
     let model = match checked.simulated {
@@ -167,7 +167,7 @@ async fn store_trials(
 ) -> Result<(), DatasetError> {
     let (sender, mut pages) = mpsc::channel::<Vec<ImportedTrial>>(2);
     let (path, file, sensor) = (path.to_owned(), import.file.clone(), sensor.clone());
-    let reading = tokio::task::spawn_blocking(move || -> Result<(), DatasetError> {
+    let reading = background(move || -> Result<(), DatasetError> {
         let mut reader = Reader::new(&file, &sensor);
         for batch in batches(&path, &file)? {
             let trials = reader.read(&batch?).map_err(DatasetError::Problems)?;
@@ -177,8 +177,15 @@ async fn store_trials(
         }
         Ok(())
     });
-    while let Some(trials) = pages.recv().await {
-        store.import_trials(run, model, trials).await?;
-    }
-    reading.await.map_err(|_| DatasetError::Worker)?
+    let storing = async {
+        while let Some(trials) = pages.recv().await {
+            store.import_trials(run, model, trials).await?;
+        }
+        // Dropped here, so that the reader ends too when storing failed.
+        drop(pages);
+        Ok::<(), DatasetError>(())
+    };
+    let (read, stored) = futures::join!(reading, storing);
+    stored?;
+    read?
 }

@@ -2,12 +2,13 @@
 //! PURE. Uses: arrow, `store`'s imported trial. Never: files; a value in place of one that lacks.
 
 use std::collections::HashSet;
+use std::sync::Arc;
 
 use arrow_array::cast::AsArray;
 use arrow_array::types::{Float32Type, Float64Type, Int64Type, TimestampMillisecondType};
 use arrow_array::{Array, ArrayRef, RecordBatch};
-use arrow_cast::cast;
-use arrow_schema::{DataType, Schema, TimeUnit};
+use arrow_cast::{CastOptions, cast, cast_with_options};
+use arrow_schema::{DataType, Field, Schema, TimeUnit};
 use jiff::Timestamp;
 
 use super::sensor::ImportedSensor;
@@ -30,6 +31,8 @@ const READ: [&str; 9] = [
     "flags",
     "started_at",
 ];
+/// What may be known of a contact.
+const CONTACT: [&str; 4] = ["x_mm", "y_mm", "force_n", "diameter_mm"];
 /// Problems after which no more are looked for.
 const PROBLEMS_MAX: usize = 20;
 /// Largest force that is taken for one, N.
@@ -59,13 +62,20 @@ impl<'a> Reader<'a> {
 
     /// That a file has what cannot be done without.
     pub fn check(&self, schema: &Schema) -> Result<(), Vec<Problem>> {
-        if schema.index_of(VOLTAGES_V).is_ok() {
-            return Ok(());
-        }
         let names: Vec<&str> = schema.fields().iter().map(|f| f.name().as_str()).collect();
-        let limit =
-            format!("must be a column of lists of voltages; the file has {}", names.join(", "));
-        Err(vec![Problem::new(self.file, VOLTAGES_V, "absent", limit)])
+        let wanted = [
+            (VOLTAGES_V, "lists of voltages"),
+            (CONTACTS, "lists of contacts, empty for an untouched skin"),
+        ];
+        let missing = wanted.into_iter().filter(|(name, _)| schema.index_of(name).is_err());
+        let problems: Vec<Problem> = missing
+            .map(|(name, words)| {
+                let limit =
+                    format!("must be a column of {words}; the file has {}", names.join(", "));
+                Problem::new(self.file, name, "absent", limit)
+            })
+            .collect();
+        if problems.is_empty() { Ok(()) } else { Err(problems) }
     }
 
     /// The trials of a batch.
@@ -117,9 +127,10 @@ impl<'a> Reader<'a> {
         if tips.is_err() {
             self.wrong("tips", "out of range", "must be from 0 to 255");
         }
+        let has_key = configuration.is_ok() && depth_index.is_ok();
         let (configuration, depth_index, tips) =
             (configuration.unwrap_or(0), depth_index.unwrap_or(0), tips.ok().flatten());
-        if !self.keys.insert((configuration, depth_index)) {
+        if has_key && !self.keys.insert((configuration, depth_index)) {
             let value = format!("{configuration}, {depth_index}");
             self.wrong("configuration, depth_index", value, "must come once in a file");
         }
@@ -188,9 +199,11 @@ impl<'a> Reader<'a> {
     }
 
     fn contacts(&mut self, columns: &Columns, at: usize) -> Vec<Contact> {
-        let Some(lists) = columns.contacts.as_ref().filter(|lists| !lists.is_null(at)) else {
+        let Some(lists) = &columns.contacts else { return Vec::new() };
+        if lists.is_null(at) {
+            self.wrong(CONTACTS, "null", "must be a list, empty for an untouched skin");
             return Vec::new();
-        };
+        }
         let found = lists.as_list::<i64>().value(at);
         let found = found.as_struct();
         if found.len() > IMPORTED_CONTACTS_MAX {
@@ -202,19 +215,19 @@ impl<'a> Reader<'a> {
         };
         let mut contacts = Vec::with_capacity(found.len());
         for contact in 0..found.len() {
-            let [x_mm, y_mm, force_n, diameter_mm] =
-                ["x_mm", "y_mm", "force_n", "diameter_mm"].map(|name| number(name, contact));
+            let [x_mm, y_mm, force_n, diameter_mm] = CONTACT.map(|name| number(name, contact));
             let (width_mm, height_mm) = (self.sensor.width_mm, self.sensor.height_mm);
             for (name, value, least, most) in [
                 ("x_mm", x_mm, 0.0, width_mm),
                 ("y_mm", y_mm, 0.0, height_mm),
                 ("force_n", force_n, 0.0, FORCE_MAX_N),
-                ("diameter_mm", diameter_mm, f64::MIN_POSITIVE, width_mm.max(height_mm)),
+                ("diameter_mm", diameter_mm, 0.0, width_mm.max(height_mm)),
             ] {
                 if let Some(value) = value
-                    && !(least..=most).contains(&value)
+                    && (!(least..=most).contains(&value) || name == "diameter_mm" && value == 0.0)
                 {
-                    let limit = format!("must be from {least} to {most}, or null");
+                    let from = if name == "diameter_mm" { "above" } else { "from" };
+                    let limit = format!("must be {from} {least} to {most}, or null");
                     self.wrong(&format!("contacts[{contact}].{name}"), value, limit);
                 }
             }
@@ -269,12 +282,21 @@ impl Columns {
     fn of(file: &str, batch: &RecordBatch) -> Result<Self, Problem> {
         let list = |item: DataType| DataType::new_large_list(item, true);
         let time = DataType::Timestamp(TimeUnit::Millisecond, Some("UTC".into()));
-        let column = |name: &str, wanted: DataType, words: &str| match batch.column_by_name(name) {
-            None => Ok(None),
-            Some(found) => cast(found, &wanted).map(Some).map_err(|_| {
-                let limit = format!("must be a column of {words}");
-                Problem::new(file, name, found.data_type(), limit)
-            }),
+        let column = |name: &str, wanted: DataType, words: &str| {
+            let Some(found) = batch.column_by_name(name) else { return Ok(None) };
+            let wrong = |value: String| {
+                Problem::new(file, name, value, format!("must be a column of {words}"))
+            };
+            if !resembles(found.data_type(), &wanted) {
+                return Err(wrong(found.data_type().to_string()));
+            }
+            if let Some(fraction) = fraction(found, &wanted) {
+                return Err(wrong(fraction.to_string()));
+            }
+            // What does not fit is an error, not a null.
+            let options = CastOptions { safe: false, ..CastOptions::default() };
+            let cast = cast_with_options(found, &wanted, &options);
+            cast.map(Some).map_err(|error| wrong(error.to_string()))
         };
         Ok(Self {
             voltages_v: column(VOLTAGES_V, list(DataType::Float32), "lists of numbers")?,
@@ -290,25 +312,69 @@ impl Columns {
     }
 }
 
+/// Whether a column is of the sort that is wanted: numbers are not read from words, nor lists from
+/// single values.
+fn resembles(found: &DataType, wanted: &DataType) -> bool {
+    use DataType::{FixedSizeList, LargeList, List, Null};
+    match (found, wanted) {
+        (Null, _) => true,
+        (List(item) | LargeList(item) | FixedSizeList(item, _), LargeList(wanted)) => {
+            resembles(item.data_type(), wanted.data_type())
+        }
+        (found, DataType::Utf8) => {
+            matches!(found, DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View)
+        }
+        (found, DataType::Timestamp(..)) => matches!(found, DataType::Timestamp(..)),
+        (found, wanted) => found.is_numeric() && wanted.is_numeric(),
+    }
+}
+
+/// The first number with a fraction in a column that should hold whole ones (pandas makes floats of
+/// whole numbers with gaps).
+fn fraction(found: &ArrayRef, wanted: &DataType) -> Option<f64> {
+    if *wanted != DataType::Int64 || !found.data_type().is_floating() {
+        return None;
+    }
+    let numbers = cast(found, &DataType::Float64).ok()?;
+    numbers.as_primitive::<Float64Type>().iter().flatten().find(|number| number.fract() != 0.0)
+}
+
 /// The contacts, whose items may have any of four numbers of any type.
 fn contacts(file: &str, batch: &RecordBatch) -> Result<Option<ArrayRef>, Problem> {
     let Some(found) = batch.column_by_name(CONTACTS) else { return Ok(None) };
     let item = match found.data_type() {
-        DataType::Null => return Ok(None),
         DataType::List(item) | DataType::LargeList(item) | DataType::FixedSizeList(item, _) => item,
         _ => return Err(no_contacts(file, found)),
     };
     match item.data_type() {
         // A file in which nothing was ever touched.
-        DataType::Null => Ok(None),
-        DataType::Struct(_) => cast(found, &DataType::LargeList(item.clone()))
+        DataType::Null => cast(found, &DataType::LargeList(Arc::new(nothing())))
             .map(Some)
             .map_err(|_| no_contacts(file, found)),
+        DataType::Struct(fields) => {
+            let known = |field: &Arc<Field>| {
+                let numeric =
+                    field.data_type().is_numeric() || *field.data_type() == DataType::Null;
+                CONTACT.contains(&field.name().as_str()) && numeric
+            };
+            if !fields.iter().all(known) {
+                return Err(no_contacts(file, found));
+            }
+            cast(found, &DataType::LargeList(item.clone()))
+                .map(Some)
+                .map_err(|_| no_contacts(file, found))
+        }
         _ => Err(no_contacts(file, found)),
     }
 }
 
+/// A contact of which nothing is known.
+fn nothing() -> Field {
+    Field::new("item", DataType::Struct(Vec::<Field>::new().into()), true)
+}
+
 fn no_contacts(file: &str, found: &ArrayRef) -> Problem {
-    let limit = "must be lists of {x_mm, y_mm, force_n, diameter_mm}, each of which may be null";
+    let limit = "must be lists of {x_mm, y_mm, force_n, diameter_mm}, all numbers, each of which may be \
+                 null or absent";
     Problem::new(file, CONTACTS, found.data_type(), limit)
 }

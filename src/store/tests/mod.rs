@@ -1,6 +1,7 @@
 //! The store, function by function, on real files.
 //! Uses: `store`. Never: a file outside its own temporary folder.
 
+mod datasets;
 mod people;
 mod runs;
 mod schema;
@@ -13,7 +14,9 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use jiff::Timestamp;
 
 use super::{Label, NewRun, RunKind, Store};
-use crate::campaign::record::{ArmReading, Flag, FrameRecord, PlacedContact, Pose, TrialRecord};
+use crate::campaign::record::{
+    ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose, TrialRecord,
+};
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialKey};
 
@@ -54,8 +57,8 @@ fn new_run(kind: RunKind) -> NewRun {
         experiment: "quickstart".into(),
         kind,
         definition: "name = \"quickstart\"\n".into(),
-        seed: 7,
-        rig: "rig".into(),
+        seed: Some(7),
+        rig: Some("rig".into()),
         sensor: "sensor".into(),
         calibration_id: None,
         label: Label::Virtual,
@@ -98,6 +101,13 @@ fn hex_trial(configuration: u32, depth_index: u32, forces_n: &[f64]) -> TrialRec
             volts_per_count: 12.0 / 32_768.0 * 1.000_123,
             counts,
         }],
+        quality: FrameQuality {
+            saturated_channels: Some(configuration),
+            stuck_channels: Some(0),
+            missing_channels: Some(0),
+            injection_sum_v: Some(0.001 * c),
+            dropped_packets: Some(depth_index),
+        },
         flags: vec![],
         settle_ms: 1800.25,
         overshoot_n: Some(0.125),

@@ -12,19 +12,19 @@ async fn a_run_keeps_its_provenance() {
     let store = open(&folder.file()).await;
     let new = new_run(RunKind::RealRandom);
     let row = store.create_run(new.clone()).await.unwrap();
-    assert_eq!((row.scan_id, row.state.as_str(), row.seed), (1, "idle", 7));
+    assert_eq!((row.scan_id, row.state.as_str(), row.seed), (1, "idle", Some(7)));
     assert_eq!(row.definition, new.definition);
     // printf rig | sha256sum
     let known = "c00ae0a63348054ecc8343f23278fe13bfa5c44255e208ff6102ffc2d7910a53";
-    assert_eq!(row.rig_sha256, known);
-    assert_ne!(row.rig_sha256, row.sensor_sha256);
+    assert_eq!(row.rig_sha256.as_deref(), Some(known));
+    assert_ne!(row.rig_sha256.as_deref(), Some(row.sensor_sha256.as_str()));
     assert_eq!(store.run(new.uid).await.unwrap(), Some(row.clone()));
     assert_eq!(store.run_by_scan_id(1).await.unwrap(), Some(row));
     assert_eq!(store.run(RunUid::new()).await.unwrap(), None);
     let twice = store.create_run(new).await.unwrap_err();
     assert!(!twice.outcome_unknown(), "a refused id is known not to be stored: {twice}");
     let mut huge = new_run(RunKind::RealHex);
-    huge.seed = u64::MAX;
+    huge.seed = Some(u64::MAX);
     assert!(matches!(store.create_run(huge).await, Err(StoreError::Refused { field: "seed", .. })));
 }
 

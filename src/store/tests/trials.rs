@@ -36,13 +36,15 @@ async fn a_trial_comes_back_bit_for_bit() {
         got.forces_n,
         [Some(0.1 + 0.2), Some(5.0), Some(4.999_999_999), Some(-0.31), Some(41.7), None]
     );
-    assert_eq!((got.settle_ms, got.overshoot_n), (put.settle_ms, put.overshoot_n));
-    assert_eq!((got.started_at, got.measured_at), (put.started_at, put.measured_at));
+    assert_eq!((got.settle_ms, got.overshoot_n), (Some(put.settle_ms), put.overshoot_n));
+    let times = (Some(put.started_at), Some(put.measured_at));
+    assert_eq!((got.started_at, got.measured_at), times);
+    assert_eq!(got.quality, put.quality);
     assert_eq!(got.flags, []);
     // At the deadband counts, just under it does not.
     assert_eq!((got.contact_count, got.max_force_n), (2, Some(41.7)));
     let contacts: Vec<_> = got.contacts.iter().map(|c| (c.force_n, c.diameter_mm)).collect();
-    assert_eq!(contacts, [(5.0, Some(20.0)), (41.7, Some(20.0))]);
+    assert_eq!(contacts, [(Some(5.0), Some(20.0)), (Some(41.7), Some(20.0))]);
 
     assert_eq!(store.frames(id).await.unwrap(), put.frames);
     let bits = |v: &[f32]| v.iter().map(|x| x.to_bits()).collect::<Vec<_>>();

@@ -1,0 +1,148 @@
+//! What a definition comes down to at this moment: its runs, its shards, and a key of their state.
+//! Uses: `store`, `dataset::shards`. Never: rows.
+
+use std::path::Path;
+
+use serde_json::json;
+use sha2::{Digest, Sha256};
+
+use super::definition::{Definition, Task};
+use super::error::DatasetError;
+use super::file::hex;
+use super::schema;
+use super::shards::{self, ShardFolder};
+use crate::store::{Label, RunExtent, RunRow, Store};
+
+/// Version of the way from stored trials to rows: another one gives other inputs.
+const BUILD_VERSION: u32 = 1;
+
+/// What a definition comes down to at this moment.
+#[derive(Debug, Clone)]
+pub struct Inputs {
+    /// The definition.
+    pub definition: Definition,
+    /// Its runs, and how far each has come.
+    pub runs: Vec<(RunRow, RunExtent)>,
+    /// Its folders of shards.
+    pub folders: Vec<ShardFolder>,
+    /// sha256 over everything that the rows depend on.
+    pub key: String,
+}
+
+impl Inputs {
+    /// Finds the runs and shards of a definition, as they are now.
+    pub async fn find(
+        store: &Store,
+        data: &Path,
+        definition: &Definition,
+    ) -> Result<Self, DatasetError> {
+        definition.check(&definition.name).map_err(DatasetError::Problems)?;
+        let mut runs = Vec::new();
+        for run in select_runs(store, definition).await? {
+            let extent = store.run_extent(run.uid).await?;
+            runs.push((run, extent));
+        }
+        check_labels(definition, &runs)?;
+        let folders = shards::find(data, &definition.sim_random)?;
+        let mut hash = Sha256::new();
+        let text = json!({
+            "version": BUILD_VERSION,
+            "definition": definition,
+            "runs": runs.iter().map(|(run, extent)| json!([run.uid, extent])).collect::<Vec<_>>(),
+            "shards": folders.iter().map(|f| json!([f.name, f.manifest])).collect::<Vec<_>>(),
+        });
+        hash.update(text.to_string());
+        let key = hex(&hash.finalize());
+        Ok(Self { definition: definition.clone(), runs, folders, key })
+    }
+
+    /// Rows that are looked at.
+    pub fn candidates(&self) -> u64 {
+        let trials: u64 = self.runs.iter().map(|(_, e)| e.trials.unsigned_abs()).sum();
+        trials + self.folders.iter().map(ShardFolder::trials).sum::<u64>()
+    }
+
+    /// The newest model among the twins of the runs.
+    pub fn model(&self) -> Option<&str> {
+        let newest = self.runs.iter().max_by_key(|(_, extent)| extent.newest)?;
+        newest.1.model.as_deref()
+    }
+
+    /// Voltages in a frame: the same in all runs and shards.
+    pub async fn channels(&self, store: &Store) -> Result<i32, DatasetError> {
+        let mut found: Option<(usize, String)> = None;
+        for (run, extent) in &self.runs {
+            if extent.trials == 0 {
+                continue;
+            }
+            let Some(frame) = store.trial_voltages(crate::ids::TrialId(extent.last)).await? else {
+                continue;
+            };
+            let who = format!("run {}", run.scan_id);
+            match &found {
+                Some((channels, other)) if *channels != frame.len() => {
+                    return Err(DatasetError::Channels {
+                        one: format!("{other} has {channels} voltages a frame"),
+                        other: format!("{who} has {}", frame.len()),
+                    });
+                }
+                _ => found = Some((frame.len(), who)),
+            }
+        }
+        let channels = found.map_or(schema::CHANNELS as usize, |(channels, _)| channels);
+        i32::try_from(channels).map_err(|_| DatasetError::Channels {
+            one: format!("{channels} voltages a frame"),
+            other: "more than can be stored".into(),
+        })
+    }
+}
+
+async fn select_runs(store: &Store, definition: &Definition) -> Result<Vec<RunRow>, DatasetError> {
+    let mut all = Vec::new();
+    let mut before = None;
+    loop {
+        let page = store.runs(1000, before).await?;
+        all.extend(page.runs);
+        before = page.next;
+        if before.is_none() {
+            break;
+        }
+    }
+    all.retain(|run| run.state != "removed");
+    all.sort_by_key(|run| run.scan_id);
+    let labelled = |run: &RunRow| definition.label.is_none_or(|label| run.label == label);
+    if definition.runs.is_empty() {
+        let kinds = definition.task.kinds();
+        let takes =
+            |run: &RunRow| run.state == "ended" && kinds.contains(&run.kind) && labelled(run);
+        return Ok(all.into_iter().filter(takes).collect());
+    }
+    for wanted in &definition.runs {
+        if !all.iter().any(|run| names(run, wanted)) {
+            return Err(DatasetError::NoRun(wanted.clone()));
+        }
+    }
+    let named = |run: &RunRow| definition.runs.iter().any(|wanted| names(run, wanted));
+    Ok(all.into_iter().filter(|run| named(run) && labelled(run)).collect())
+}
+
+/// Whether a word of a definition means this run.
+fn names(run: &RunRow, wanted: &str) -> bool {
+    run.scan_id.to_string() == wanted || run.uid.to_string() == wanted || run.experiment == wanted
+}
+
+/// Measured and virtual trials never come together unasked.
+fn check_labels(definition: &Definition, runs: &[(RunRow, RunExtent)]) -> Result<(), DatasetError> {
+    let of = |label: Label| {
+        let with = |run: &RunRow| run.label == label && definition.task != Task::S2sRecon;
+        runs.iter().find(|(run, extent)| with(run) && extent.trials > 0).map(|(r, _)| r.scan_id)
+    };
+    let [measured, virtual_, simulated] =
+        [Label::Measured, Label::Virtual, Label::Simulated].map(of);
+    let found: Vec<String> =
+        [("measured", measured), ("virtual", virtual_), ("simulated", simulated)]
+            .into_iter()
+            .filter_map(|(label, run)| Some(format!("run {} is {label}", run?)))
+            .collect();
+    if found.len() > 1 { Err(DatasetError::Labels(found.join(", "))) } else { Ok(()) }
+}

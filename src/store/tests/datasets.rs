@@ -1,0 +1,198 @@
+//! Imports, datasets and exports in the store; and that the tables made anew lose nothing.
+//! Uses: `store`. Never: files of datasets (see `dataset` and `tests/datasets`).
+
+use serde_json::json;
+use sqlx::Connection;
+use sqlx::sqlite::SqliteConnectOptions;
+
+use super::{Folder, new_run, open, random_trial, time};
+use crate::campaign::journal::Journal;
+use crate::ids::{RunUid, TrialKey};
+use crate::store::{
+    Contact, DatasetRow, ExportEnd, ExportState, ImportedTrial, Label, MIGRATIONS, NewRun,
+    NewTwinModel, RunKind, Store, TrialQuery,
+};
+
+fn imported() -> NewRun {
+    NewRun {
+        kind: RunKind::Imported,
+        seed: None,
+        rig: None,
+        label: Label::Measured,
+        deadband_n: 0.0,
+        ..new_run(RunKind::Imported)
+    }
+}
+
+fn elsewhere(configuration: u32) -> ImportedTrial {
+    let place = Contact { x_mm: Some(10.0), y_mm: Some(20.5), force_n: None, diameter_mm: None };
+    let force = Contact { force_n: Some(3.5), ..Contact::default() };
+    ImportedTrial {
+        configuration,
+        contacts: vec![place, force],
+        voltages_v: vec![0.5, f32::NAN, -0.25],
+        sim_voltages_v: Some(vec![0.4, 0.0, -0.2]),
+        fit: Some((0.07, None)),
+        ..ImportedTrial::default()
+    }
+}
+
+async fn all(store: &Store, run: RunUid) -> Vec<crate::store::TrialRow> {
+    let query =
+        TrialQuery { run: Some(run), limit: 100, with_voltages: true, ..TrialQuery::default() };
+    store.trials(&query).await.unwrap()
+}
+
+#[tokio::test]
+async fn an_import_is_a_run_whose_trials_lack_what_was_not_known() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let run = store.begin_import(imported()).await.unwrap();
+    assert_eq!(store.run(run.uid).await.unwrap().unwrap().state, "removed");
+    let model = NewTwinModel {
+        hash: "sim-1".into(),
+        sensor_sha256: "s".into(),
+        calibration_id: None,
+        version: "imported".into(),
+        git_commit: None,
+    };
+    let model = store.twin_model(model).await.unwrap();
+    store.import_trials(run.uid, Some(model), vec![elsewhere(0), elsewhere(4)]).await.unwrap();
+    let ended = store.end_import(run.uid).await.unwrap();
+    assert_eq!((ended.state.as_str(), ended.seed, ended.rig), ("ended", None, None));
+    let trials = all(&store, run.uid).await;
+    assert_eq!(trials.len(), 2);
+    let trial = &trials[1];
+    assert_eq!((trial.configuration, trial.tips, trial.contact_count), (4, 2, 2));
+    assert_eq!(trial.contacts[0].pressed(), None);
+    assert_eq!(trial.contacts[0].diameter_mm, Some(20.0));
+    assert_eq!(trial.max_force_n, Some(3.5));
+    assert_eq!((trial.settle_ms, trial.started_at, trial.frame_count), (None, None, 0));
+    assert!(trial.voltages_v.as_ref().unwrap()[1].is_nan());
+    assert_eq!(trial.sim_voltages_v, Some(vec![0.4, 0.0, -0.2]));
+    assert_eq!((trial.sim_model.as_deref(), trial.rmse_v), (Some("sim-1"), Some(0.07)));
+    let twice = store.import_trials(run.uid, None, vec![elsewhere(9), elsewhere(0)]).await;
+    assert!(twice.is_err());
+    assert_eq!(all(&store, run.uid).await.len(), 2);
+}
+
+#[tokio::test]
+async fn half_an_import_is_gone_after_the_next_start() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let run = store.begin_import(imported()).await.unwrap();
+    store.import_trials(run.uid, None, vec![elsewhere(0)]).await.unwrap();
+    assert_eq!(store.sweep_imports().await.unwrap(), 1);
+    assert!(all(&store, run.uid).await.is_empty());
+    store.integrity_check().await.unwrap();
+}
+
+#[tokio::test]
+async fn a_dataset_is_stored_once_and_found_by_its_inputs() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let row = DatasetRow {
+        id: "ds-1".into(),
+        name: "real".into(),
+        definition: json!({ "name": "real" }),
+        rows: 3,
+        bytes: 4,
+        sha256: "ab".into(),
+        report: json!({}),
+        lineage: json!({ "runs": [] }),
+        created_at: time("2026-11-20T18:00:00Z"),
+    };
+    let stored = store.insert_dataset(row.clone(), "one").await.unwrap();
+    assert_eq!(stored, row);
+    let later = DatasetRow { created_at: time("2026-11-21T18:00:00Z"), ..row.clone() };
+    assert_eq!(store.insert_dataset(later, "two").await.unwrap(), row);
+    for inputs in ["one", "two"] {
+        assert_eq!(store.dataset_of_inputs(inputs).await.unwrap().as_ref(), Some(&row));
+    }
+    assert_eq!(store.dataset_of_inputs("three").await.unwrap(), None);
+    assert_eq!(store.newest_dataset("real").await.unwrap(), Some(row.clone()));
+    assert_eq!(store.datasets().await.unwrap(), [row]);
+}
+
+#[tokio::test]
+async fn an_export_waits_runs_and_ends() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let request = json!({ "dataset": "real", "format": "csv" });
+    for id in ["ex-1", "ex-2"] {
+        let row = store.create_export(id.into(), request.clone(), "ada").await.unwrap();
+        assert_eq!((row.state, row.asked_by.as_str()), (ExportState::Waiting, "ada"));
+    }
+    store.begin_export("ex-1", None).await.unwrap();
+    let open_now = store.open_exports(10).await.unwrap();
+    assert_eq!(open_now.iter().map(|e| e.id.as_str()).collect::<Vec<_>>(), ["ex-1", "ex-2"]);
+    let done = ExportEnd::Done { file: "f.csv".into(), bytes: 7, sha256: "cd".into() };
+    store.end_export("ex-1", done).await.unwrap();
+    store.end_export("ex-2", ExportEnd::Failed("no rows".into())).await.unwrap();
+    assert!(store.open_exports(10).await.unwrap().is_empty());
+    let row = store.export("ex-1").await.unwrap().unwrap();
+    assert_eq!(
+        (row.state, row.bytes, row.sha256.as_deref()),
+        (ExportState::Done, Some(7), Some("cd"))
+    );
+    // What is over stays as it ended.
+    store.begin_export("ex-2", None).await.unwrap();
+    let failed = store.export("ex-2").await.unwrap().unwrap();
+    assert_eq!((failed.state, failed.error.as_deref()), (ExportState::Failed, Some("no rows")));
+}
+
+/// A file of the version before, with a trial that was taken back, keeps everything.
+#[tokio::test]
+async fn tables_made_anew_lose_nothing() {
+    let folder = Folder::new();
+    let options = SqliteConnectOptions::new().filename(folder.file()).create_if_missing(true);
+    let mut old = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
+    let mut before = sqlx::migrate::Migrator::new(std::path::Path::new(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/migrations"
+    )))
+    .await
+    .unwrap();
+    before.migrations.to_mut().truncate(2);
+    before.run(&mut old).await.unwrap();
+    sqlx::raw_sql(
+        "INSERT INTO runs (scan_id, uid, experiment, kind, definition, definition_sha256, seed,
+             rig, rig_sha256, sensor, sensor_sha256, label, version, deadband_n, trials_planned,
+             auto_resume, state, created_at, submitted_by)
+         VALUES (1, '0190a0a0-0000-7000-8000-000000000001', 'e', 'real-random', 'd', 'h', 7, 'r',
+             'h', 's', 'h', 'virtual', '0', 5.0, 2, 0, 'interrupted', '2026-11-20T18:00:00.000Z',
+             'a');
+         INSERT INTO trials (id, run, configuration, depth_index, attempt, tips, flags, settle_ms,
+             contact_count, frame_count, started_at, measured_at)
+         VALUES (5, 1, 0, 0, 1, 1, '[]', 1.5, 1, 1, '2026-11-20T18:00:00.000Z',
+             '2026-11-20T18:00:01.000Z'),
+             (6, 1, 1, 0, 1, 1, '[]', 1.5, 1, 1, '2026-11-20T18:00:00.000Z',
+             '2026-11-20T18:00:01.000Z');
+         INSERT INTO placed_contacts VALUES (5, 0, 1.5, 2.5, 4.905);
+         INSERT INTO trial_voltages VALUES (5, x'0000803f');
+         INSERT INTO frames VALUES (5, 0, 1, 2, 0.5, x'0200');
+         DELETE FROM trials WHERE id = 6;",
+    )
+    .execute(&mut old)
+    .await
+    .unwrap();
+    old.close().await.unwrap();
+
+    let store = open(&folder.file()).await;
+    store.integrity_check().await.unwrap();
+    let run = store.run_by_scan_id(1).await.unwrap().unwrap();
+    assert_eq!((run.seed, run.rig.as_deref()), (Some(7), Some("r")));
+    let trials = all(&store, run.uid).await;
+    assert_eq!(trials.len(), 1);
+    let trial = &trials[0];
+    assert_eq!((trial.trial_id.0, trial.settle_ms), (5, Some(1.5)));
+    assert_eq!(trial.contacts[0].pressed(), Some([1.5, 2.5, 4.905]));
+    assert_eq!(trial.voltages_v, Some(vec![1.0]));
+    assert_eq!(trial.quality.saturated_channels, None);
+    assert_eq!(store.frames(trial.trial_id).await.unwrap().len(), 1);
+    // The id of the trial that was taken back is not given again.
+    let mut next = random_trial(1, 1);
+    next.key = TrialKey { configuration: 1, depth_index: 0 };
+    assert_eq!(store.trial(run.uid, &next).await.unwrap().0, 7);
+    assert_eq!(MIGRATIONS.iter().count(), 3);
+}

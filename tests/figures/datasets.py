@@ -1,0 +1,303 @@
+"""Figures of datasets: filters, pages, exports, joins, side by side with what one would do instead.
+
+    cargo run --example fill_database -- --data DATA_DIR
+    python3 tests/figures/datasets.py PALPATE_BINARY DATA_DIR [PART ..]
+
+Needs pandas, polars, duckdb and pyarrow. Starts the service on the filled folder and a rig that is not
+there; removes DATA_DIR/datasets and DATA_DIR/exports first. Parts: query, pages, export, join, kill; all
+without any. Each time is the best of some repetitions with the files in the page cache, unless it is
+said to be of one. Memory is the VmHWM of a service that was started for this step. Prints Markdown.
+"""
+
+import hashlib
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from pathlib import Path
+
+import duckdb
+import pandas as pd
+import polars as pl
+import pyarrow as pa
+
+BINARY, DATA = Path(sys.argv[1]).resolve(), Path(sys.argv[2]).resolve()
+PARTS = sys.argv[3:] or ["query", "pages", "export", "join", "kill"]
+RIG = Path(__file__).parents[2] / "experiments" / "rigs" / "virtual.toml"
+PORT, REPETITIONS, PAGE, WAIT_S = 18180, 5, 100, 1200
+WORK = Path(tempfile.mkdtemp(prefix="palpate-figures-"))
+ASKED = "contact_count=3&max_force_n__gt=10"
+SQL = "contact_count = 3 AND max_force_n > 10"
+LIMIT = 10_000
+SIM_RANDOM = 200_000
+
+
+class Service:
+    """`palpate serve` on the data folder."""
+
+    url = f"http://127.0.0.1:{PORT}"
+
+    def __init__(self):
+        # Addresses of its own: a bench or a test on this machine keeps its rig.
+        rig = WORK / "rig.toml"
+        rig.write_text(RIG.read_text().replace("127.0.0.1:50", "127.0.0.1:250"))
+        self.command = [BINARY, "serve", "--data", DATA, "--bind", f"127.0.0.1:{PORT}", "--rig", rig, "--twin-workers", "0"]
+        self.log = open(WORK / "serve.log", "a")
+        self.start()
+
+    def start(self) -> None:
+        self.process = subprocess.Popen(self.command, stdout=self.log, stderr=self.log)
+        until(self.answers, "the service to answer", 60)
+
+    def restart(self) -> None:
+        self.stop()
+        self.start()
+
+    def answers(self) -> bool:
+        if self.process.poll() is not None:
+            raise SystemExit((WORK / "serve.log").read_text())
+        try:
+            return bool(self.get("/api/v1/status"))
+        except OSError:
+            return False
+
+    def get(self, path: str) -> bytes:
+        return self.open(path).read()
+
+    def open(self, path: str):
+        return urllib.request.urlopen(self.url + path, timeout=WAIT_S)
+
+    def json(self, path: str, body: dict | None = None) -> dict:
+        data = None if body is None else json.dumps(body).encode()
+        request = urllib.request.Request(self.url + path, data, {"Content-Type": "application/json"})
+        with urllib.request.urlopen(request, timeout=WAIT_S) as answer:
+            return json.load(answer)
+
+    def memory_mb(self) -> float:
+        status = Path(f"/proc/{self.process.pid}/status").read_text()
+        return int(status.split("VmHWM:")[1].split()[0]) / 1000
+
+    def stop(self, how=signal.SIGTERM) -> None:
+        self.process.send_signal(how)
+        self.process.wait(60)
+
+
+def until(done, what: str, seconds: float = WAIT_S, pause: float = 0.02):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if answer := done():
+            return answer
+        time.sleep(pause)
+    raise SystemExit(f"waited {seconds} s for {what}")
+
+
+def timed(work, *arguments):
+    begun = time.perf_counter()
+    answer = work(*arguments)
+    return time.perf_counter() - begun, answer
+
+
+def best(work, *arguments, repetitions: int = REPETITIONS):
+    """The least time, and the last answer."""
+    took = [timed(work, *arguments) for _ in range(repetitions)]
+    return min(seconds for seconds, _ in took), took[-1][1]
+
+
+def shown(seconds: float) -> str:
+    return f"{seconds * 1e3:.1f} ms" if seconds < 1 else f"{seconds:.2f} s"
+
+
+def table(title: str, columns: list[str], rows: list[list]) -> None:
+    print(f"\n{title}\n\n| {' | '.join(columns)} |\n|{'---|' * len(columns)}")
+    for row in rows:
+        print(f"| {' | '.join(map(str, row))} |", flush=True)
+
+
+def in_memory(connection, sql: str) -> pa.Table:
+    answer = connection.execute(sql).arrow()
+    return answer if isinstance(answer, pa.Table) else answer.read_all()
+
+
+def downloaded(service: Service, path: str, name: str) -> Path:
+    file = WORK / name
+    with service.open(path) as answer, open(file, "wb") as out:
+        shutil.copyfileobj(answer, out, 1 << 20)
+    return file
+
+
+# --- The parts ---------------------------------------------------------------------------------------
+
+
+def first_building(service: Service, name: str) -> dict:
+    service.restart()
+    before = service.memory_mb()
+    seconds, row = timed(service.json, f"/api/v1/datasets/{name}")
+    megabytes = row["bytes"] / 1e6
+    cells = [f"{row['rows']:,}", f"{megabytes:.0f} MB", shown(seconds), f"{before:.0f} -> {service.memory_mb():.0f} MB"]
+    table(f"First building of `{name}` (once)", ["rows", "file", "time", "memory"], [cells])
+    return row
+
+
+def query(service: Service, ours: str, theirs: str) -> None:
+    path = f"/api/v1/trials?{ASKED}&voltages=true&limit={LIMIT}&format=arrow"
+    # What is fetched is a table in memory, as with the others.
+    fetch = lambda path: pa.ipc.open_stream(service.get(path)).read_all()
+    connection = duckdb.connect()
+    where = (pl.col("contact_count") == 3) & (pl.col("max_force_n") > 10)
+    filters = [("contact_count", "==", 3), ("max_force_n", ">", 10)]
+    for limit in [LIMIT, PAGE]:
+        seconds, found = best(fetch, path.replace(f"limit={LIMIT}", f"limit={limit}"))
+        rows = [["Palpate, `/api/v1/trials`, Arrow", shown(seconds), "1"]]
+        for words, file in [("our Parquet", ours), ("polars' own Parquet", theirs)]:
+            sql = f"SELECT * FROM '{file}' WHERE {SQL} ORDER BY trial_id LIMIT {limit}"
+            for tool, work in [
+                ("DuckDB", lambda: in_memory(connection, sql)["trial_id"].to_pylist()),
+                ("polars, lazy", lambda: pl.scan_parquet(file).filter(where).head(limit).collect()["trial_id"].to_list()),
+                ("pandas", lambda: list(pd.read_parquet(file, filters=filters)["trial_id"][:limit])),
+            ]:
+                took, ids = best(work, repetitions=3)
+                same = ids == found["trial_id"].to_pylist()
+                rows.append([f"{tool} on {words}", shown(took), f"{took / seconds:.1f}" + ("" if same else " OTHER ROWS")])
+        title = f"Three contacts and more than 10 N, all columns, both frames: the first {found.num_rows:,} such trials"
+        table(title, ["", "best", "times ours"], rows)
+
+
+def pages(service: Service, ours: str, total: int) -> None:
+    connection, rows = duckdb.connect(), []
+    first = service.json("/api/v1/trials?limit=1")["trials"][0]["trial_id"]
+    scalars = "EXCLUDE (voltages_v, sim_voltages_v)"
+    for share in [0, 0.25, 0.5, 0.75, 0.99]:
+        offset = int(share * total)
+        path = f"/api/v1/trials?limit={PAGE}&cursor={first - 1 + offset}"
+        json_s, page = best(service.json, path, repetitions=20)
+        arrow_s, _ = best(service.get, f"{path}&format=arrow", repetitions=20)
+        rows_s, _ = best(service.get, f"/api/v1/datasets/run-1/rows?limit={PAGE}&cursor={offset}&format=arrow")
+        sql = f"SELECT * {scalars} FROM '{ours}' LIMIT {PAGE} OFFSET {offset}"
+        duckdb_s, same = best(in_memory, connection, sql)
+        lazy = pl.scan_parquet(ours).select(pl.exclude("voltages_v", "sim_voltages_v")).slice(offset, PAGE)
+        polars_s, _ = best(lazy.collect)
+        ids = [row["trial_id"] for row in page["trials"]]
+        words = "" if ids == same["trial_id"].to_pylist() else " OTHER ROWS"
+        rows.append([f"{offset:,}{words}", *map(shown, [json_s, arrow_s, rows_s, duckdb_s, polars_s])])
+    columns = ["from row", "`/trials`, JSON", "`/trials`, Arrow", "`/rows`, frames too", "DuckDB OFFSET", "polars slice"]
+    table(f"A page of {PAGE} trials", columns, rows)
+
+
+def export(service: Service, ours: str, frame: pl.DataFrame) -> None:
+    theirs = WORK / "written.parquet"
+    service.restart()
+    ours_s, _ = best(downloaded, service, "/api/v1/data/run-1.parquet", "fetched.parquet", repetitions=3)
+    memory = service.memory_mb()
+    polars_s, _ = best(frame.write_parquet, theirs, repetitions=3)
+    rows = [
+        ["Palpate, cached Parquet to a file", shown(ours_s), f"{Path(ours).stat().st_size / 1e6:.0f} MB", f"{memory:.0f} MB"],
+        ["polars, `write_parquet` of the frame in memory", shown(polars_s), f"{theirs.stat().st_size / 1e6:.0f} MB", "the frame"],
+    ]
+    table(f"All of `run-1` as Parquet: {ours_s / polars_s:.2f} of a polars write", ["", "best", "file", "memory"], rows)
+    rows = []
+    for form in ["arrow", "npz", "csv", "ndjson"]:
+        wish = {"dataset": "run-1", "format": form}
+        rows.append([form, *exported(service, wish)])
+    table("Exports of all of `run-1` (once each)", ["format", "time", "file", "rows/s", "memory"], rows)
+
+
+def finished(service: Service, wish: str) -> dict:
+    def look():
+        row = service.json(f"/api/v1/exports/{wish}")
+        if row["state"] == "failed":
+            raise SystemExit(f"{wish}: {row['error']}")
+        return row if row["state"] == "done" else None
+
+    return until(look, f"{wish} to be done", pause=0.1)
+
+
+def exported(service: Service, wish: dict) -> list[str]:
+    service.restart()
+    before = service.memory_mb()
+    ask = lambda: finished(service, service.json("/api/v1/exports", wish)["id"])
+    seconds, row = timed(ask)
+    rows = service.json(f"/api/v1/datasets/{row['dataset']}")["rows"]
+    memory = f"{before:.0f} -> {service.memory_mb():.0f} MB"
+    return [shown(seconds), f"{row['bytes'] / 1e6:,.0f} MB", f"{rows / seconds:,.0f}", memory]
+
+
+def join(service: Service) -> None:
+    folder = DATA / "sim-random" / "seed-1"
+    if not (folder / "_manifest.json").exists():
+        command = [BINARY, "simulate", "random", "--trials", str(SIM_RANDOM), "--seed", "1", "--out", folder]
+        seconds, _ = timed(lambda: subprocess.run(command, check=True, stdout=service.log, stderr=service.log))
+        print(f"\n{SIM_RANDOM:,} Sim-Random trials made in {shown(seconds)}")
+    first_building(service, "s2s-recon")
+    rows = [
+        [words, *exported(service, {"dataset": "s2s-recon", "format": form, "map": "20x60", **more})]
+        for words, form, more in [
+            ("Parquet", "parquet", {}),
+            ("NPZ of frame, map and split", "npz", {"columns": ["sim_voltages_v", "split"]}),
+        ]
+    ]
+    table("`s2s-recon` with a 32 x 32 map (`map=20x60`), once each", ["", "time", "file", "rows/s", "memory"], rows)
+
+
+def kill(service: Service) -> None:
+    wish = {"dataset": "run-1", "format": "csv", "columns": ["trial_id", "contacts", "voltages_v"]}
+    clear_exports()
+    ask = service.json("/api/v1/exports", wish)["id"]
+
+    def half():
+        row = service.json(f"/api/v1/exports/{ask}")
+        if row["state"] == "done":
+            raise SystemExit("the export was done before it could be killed")
+        return row["rows_total"] and row["rows_done"] * 2 > row["rows_total"] and row
+
+    row = until(half, "half of the export")
+    service.stop(signal.SIGKILL)
+    left = [file.name for file in (DATA / "exports").iterdir()]
+    service.start()
+    resumed = finished(service, ask)
+    bytes_ = service.get(f"/api/v1/exports/{ask}/file")
+    right = hashlib.sha256(bytes_).hexdigest() == resumed["sha256"]
+    clear_exports()
+    again = finished(service, service.json("/api/v1/exports", wish)["id"])
+    same = again["sha256"] == resumed["sha256"] and right
+    cells = [f"{row['rows_done']:,} of {row['rows_total']:,}", ", ".join(left), resumed["sha256"][:16], again["sha256"][:16], "yes" if same else "NO"]
+    table("CSV export, killed with SIGKILL and resumed", ["killed at row", "left behind", "sha256", "undisturbed", "the same"], [cells])
+
+
+def clear_exports() -> None:
+    shutil.rmtree(DATA / "exports", ignore_errors=True)
+
+
+def main() -> None:
+    clear_exports()
+    shutil.rmtree(DATA / "datasets", ignore_errors=True)
+    for module in [duckdb, pl, pd, pa]:
+        print(f"{module.__name__} {module.__version__}", end=", ")
+    print(f"best of {REPETITIONS} or more")
+    service = Service()
+    try:
+        row = first_building(service, "run-1")
+        ours = str(downloaded(service, row["url"], "run-1.parquet"))
+        frame = pl.read_parquet(ours) if {"query", "export"} & set(PARTS) else None
+        if "query" in PARTS:
+            theirs = str(WORK / "polars.parquet")
+            frame.write_parquet(theirs)
+            query(service, ours, theirs)
+        if "pages" in PARTS:
+            pages(service, ours, row["rows"])
+        if "export" in PARTS:
+            export(service, ours, frame)
+        del frame
+        if "join" in PARTS:
+            join(service)
+        if "kill" in PARTS:
+            kill(service)
+    finally:
+        service.stop()
+        shutil.rmtree(WORK, ignore_errors=True)
+
+
+main()
