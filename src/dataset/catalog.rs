@@ -253,11 +253,19 @@ impl Catalog {
         }
         let name = export::file_name(&row.id, format, wanted)?;
         let path = self.exports().join(&name);
-        let _one_at_a_time = self.inner.writing.lock().await;
         // The sha256 stands beside the file, and is written after it.
         let beside = path.with_extension(format!("{}.sha256", format.extension()));
-        if let (true, Ok(sha256)) = (path.is_file(), std::fs::read_to_string(&beside)) {
-            return Ok(Sendable { path, sha256 });
+        let there = || {
+            let sha256 = std::fs::read_to_string(&beside).ok().filter(|_| path.is_file())?;
+            Some(Sendable { path: path.clone(), sha256 })
+        };
+        if let Some(sendable) = there() {
+            return Ok(sendable);
+        }
+        let _one_at_a_time = self.inner.writing.lock().await;
+        // Somebody else may have wished for the same meanwhile.
+        if let Some(sendable) = there() {
+            return Ok(sendable);
         }
         let bytes_a_row = 8 * rows.schema().fields().len() as u64 + 3 * row.bytes / row.rows.max(1);
         self.room_for(rows.count() * bytes_a_row).await?;

@@ -1,12 +1,13 @@
 """Latency figures of a running service (standard library only).
 
-    python3 tests/figures/latency.py URL gaps RUN [SECONDS]   gaps between trials, with and without load
+    python3 tests/figures/latency.py URL gaps RUN [SECONDS [OF]]  gaps between trials, with and without load
     python3 tests/figures/latency.py URL estop COUNT [moving] e-stop request to the last acknowledgement
     python3 tests/figures/latency.py URL load SECONDS         200 read requests a second against the API
 
 `gaps`: within a configuration, from the last frame of a trial to the start of the next one's motion: the
 commit and everything else that is neither motion, settling nor frame. While the run is under way, for so
-many seconds, each second minute is under load. Without SECONDS: a run as it was.
+many seconds, each second minute is under load. Without SECONDS: a run as it was. With OF, another run's
+name such as `run-1`, the load is exports of it, one after the other, instead of reads.
 `estop moving`: x is on its way at each stop (a rig that may move, homed before each).
 """
 
@@ -39,13 +40,14 @@ def spread(name: str, values: list[float], unit: str) -> None:
     print(f"{name}: n {len(values)}, p50 {at(0.5):.3f}, p99 {at(0.99):.3f}, max {values[-1]:.3f} {unit}")
 
 
-def gaps(url: str, run: str, seconds: float) -> None:
+def gaps(url: str, run: str, seconds: float, of: str) -> None:
     loaded, end = [], time.time() + seconds
     while time.time() < end:
         time.sleep(min(PERIOD_S, end - time.time()))
         if time.time() < end:
             begun = time.time()
-            load(url, min(PERIOD_S, end - begun))
+            left = min(PERIOD_S, end - begun)
+            exports(url, of, left) if of else load(url, left)
             loaded.append((begun, time.time()))
     rows, cursor = [], 0
     while cursor is not None:
@@ -64,6 +66,18 @@ def gaps(url: str, run: str, seconds: float) -> None:
         spread(f"last frame to next motion, {name}", took, "ms")
         if shares:
             print(f"  share of a trial's time: mean {100 * statistics.mean(shares):.2f} %")
+
+
+def exports(url: str, of: str, seconds: float) -> None:
+    """One export after the other, each of other values, so that none is there already."""
+    end, done = time.time() + seconds, 0
+    while time.time() < end:
+        wanted = {"dataset": of, "format": "csv", "slice": f"{int(time.time() * 10) % 300}:784"}
+        export = call(url, "/api/v1/exports", wanted)["id"]
+        while time.time() < end and call(url, f"/api/v1/exports/{export}")["state"] != "done":
+            time.sleep(0.2)
+        done += 1
+    print(f"{done} exports of {of} in {seconds:.0f} s, the last one not finished")
 
 
 def load(url: str, seconds: float, rate: float = 200.0) -> None:
@@ -115,8 +129,8 @@ def estop(url: str, count: int, moving: bool) -> None:
 
 
 def main() -> None:
-    url, what, value, more = [*sys.argv[1:4], *sys.argv[4:5], ""][:4]
-    {"gaps": lambda: gaps(url, value, float(more or 0)), "load": lambda: load(url, float(value)),
+    url, what, value, more, of = [*sys.argv[1:6], "", ""][:5]
+    {"gaps": lambda: gaps(url, value, float(more or 0), of), "load": lambda: load(url, float(value)),
      "estop": lambda: estop(url, int(value), more == "moving")}[what]()
 
 
