@@ -46,7 +46,8 @@ fn parquet(columns: Vec<(&str, ArrayRef)>) -> Vec<u8> {
     writer.into_inner().unwrap()
 }
 
-async fn import(lab: &Filled, file: Vec<u8>, sensor: &str) -> (u16, Value) {
+/// Hands a file in: the status and the body.
+pub async fn import(lab: &Filled, file: Vec<u8>, sensor: &str) -> (u16, Value) {
     let form = Form::new()
         .part("file", Part::bytes(file).file_name("pad.parquet"))
         .part("sensor", Part::text(sensor.to_owned()).file_name("pad.toml"))

@@ -318,6 +318,7 @@ fn resembles(found: &DataType, wanted: &DataType) -> bool {
     use DataType::{FixedSizeList, LargeList, List, Null};
     match (found, wanted) {
         (Null, _) => true,
+        (DataType::Dictionary(_, value), wanted) => resembles(value, wanted),
         (List(item) | LargeList(item) | FixedSizeList(item, _), LargeList(wanted)) => {
             resembles(item.data_type(), wanted.data_type())
         }

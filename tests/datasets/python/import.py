@@ -1,6 +1,6 @@
 """Parquet files as another lab would hand them in, for `palpate dataset import`.
 
-    python tests/datasets/import.py OUT_DIR
+    python tests/datasets/python/import.py OUT_DIR
 
 A pad of 208 channels and 100 x 100 mm: OUT_DIR/pad.toml. What must be taken lies in OUT_DIR/good,
 what must be refused in OUT_DIR/bad; OUT_DIR/expected.json says of each good file what must come out,
@@ -39,16 +39,28 @@ def everything(row: int) -> list[dict]:
     return [contact, {**contact, "x_mm": 80.0}][: row % 3]
 
 
+def whole(table: pa.Table | pd.DataFrame) -> pa.Table | pd.DataFrame:
+    """The table, of untouched skins where it says nothing of contacts."""
+    if isinstance(table, pd.DataFrame):
+        return table if "contacts" in table else table.assign(contacts=[[]] * len(table))
+    if "contacts" in table.column_names:
+        return table
+    return table.append_column("contacts", pa.array([[]] * len(table), pa.list_(CONTACT)))
+
+
 def good(name: str, table: pa.Table | pd.DataFrame, **says) -> None:
     """`says`: trials, sums over trials (contacts, missing, null frames), columns left out."""
-    path = out / "good" / f"{name}.parquet"
+    path, table = out / "good" / f"{name}.parquet", whole(table)
     table.to_parquet(path) if isinstance(table, pd.DataFrame) else pq.write_table(table, path)
     expected[name] = {"trials": ROWS, "contacts": 0, "missing_channels": 0, "left_out": [], **says}
 
 
-def bad(name: str, table: pa.Table | bytes, *words: str) -> None:
+def bad(name: str, table: pa.Table | bytes, *words: str, as_it_is: bool = False) -> None:
     path = out / "bad" / f"{name}.parquet"
-    path.write_bytes(table) if isinstance(table, bytes) else pq.write_table(table, path)
+    if isinstance(table, bytes):
+        path.write_bytes(table)
+    else:
+        pq.write_table(table if as_it_is else whole(table), path)
     expected[name] = {"words": words}
 
 
@@ -71,7 +83,7 @@ def write_good() -> None:
         "started_at": pa.array([1_700_000_000_123 + row for row in range(ROWS)], pa.timestamp("ms", "UTC")),
         "temperature_c": pa.array([21.5] * ROWS),
     }), contacts=count, left_out=["temperature_c"])
-    good("pyarrow-voltages-alone", pa.table({"voltages_v": of_frames(frames())}))
+    good("pyarrow-untouched", pa.table({"voltages_v": of_frames(frames())}))
     good("pyarrow-lists-of-any-length", pa.table({"voltages_v": of_frames(frames(), pa.list_(pa.float64()))}))
     good("pyarrow-large-lists", pa.table({"voltages_v": of_frames(frames(), pa.large_list(pa.float32()))}))
     good("pyarrow-half-floats", pa.table({"voltages_v": of_frames(frames().astype(np.float16), pa.list_(pa.float16()))}))
@@ -83,8 +95,6 @@ def write_good() -> None:
          trials=3, contacts=2)
     good("pyarrow-without-place", with_contacts([[{"force_n": 9.5}], [{"force_n": 3.25}, {"force_n": None}]]),
          trials=2, contacts=3)
-    good("pyarrow-null-contacts", with_contacts([None, [], [{"x_mm": 1.0, "y_mm": 1.0, "force_n": 1.0}]]),
-         trials=3, contacts=1)
     good("pyarrow-contacts-of-nothing", pa.table({"voltages_v": of_frames(frames(3)), "contacts": pa.array([[], [], []])}),
          trials=3)
     values = [[None if channel in (3, 200) else 0.5 for channel in range(CHANNELS)] for _ in range(ROWS)]
@@ -130,6 +140,8 @@ def write_bad() -> None:
     bad("infinite", pa.table({"voltages_v": of_frames(infinite)}), "row 1, voltages_v", "infinite")
     bad("no-channel-at-all", pa.table({"voltages_v": of_frames(np.full((1, CHANNELS), np.nan))}), "row 0, voltages_v")
     bad("sim-of-other-length", pa.table({"voltages_v": of_frames(frames(2)), "sim_voltages_v": of_frames(frames(2, 9), pa.list_(pa.float32()))}), "row 0, sim_voltages_v", "9 values")
+    bad("voltages-alone", pa.table({"voltages_v": of_frames(frames())}), "contacts", "absent", as_it_is=True)
+    bad("null-contacts", with_contacts([[], None]), "row 1, contacts", "null", "untouched")
     contact = {"x_mm": 20.0, "y_mm": 35.0, "force_n": 5.0, "diameter_mm": 10.0}
     for name, change, *words in [
         ("contact-off-the-skin", {"x_mm": 100.5}, "x_mm", "100.5", "100"),
