@@ -167,8 +167,8 @@ pub async fn card(
     Ok(([(header::CONTENT_TYPE, "text/markdown; charset=utf-8")], text).into_response())
 }
 
-/// Rows of a dataset: filters `COLUMN__gt=..` on its columns, `columns`, `map`, `slice`, `limit`,
-/// `cursor`, `format=json|ndjson|csv|parquet|arrow`.
+/// Rows of a dataset: filters `COLUMN__gt=..` on its columns, `columns`, `map`, `slice`,
+/// `sort=COLUMN|-COLUMN`, `limit`, `cursor`, `format=json|ndjson|csv|parquet|arrow`.
 #[utoipa::path(get, path = "/api/v1/datasets/{dataset}/rows", tag = "datasets",
     params(("dataset" = String, Path, description = "id or name")),
     responses((status = 200, body = RowsPage), (status = 400, body = ProblemBody)))]
@@ -190,7 +190,11 @@ pub async fn rows(
     let catalog = app.datasets.clone();
     let reading = tokio::task::spawn_blocking(move || {
         let rows = catalog.rows(&row.id, &asked.wanted)?;
-        let (batches, next) = rows.page(asked.from, asked.limit as usize)?;
+        let limit = asked.limit as usize;
+        let (batches, next) = match &asked.sort {
+            Some(sort) => rows.sorted_page(sort, asked.from, limit)?,
+            None => rows.page(asked.from, limit)?,
+        };
         let next = next.map(|next| next.to_string());
         match format {
             Some(format) => send::batches(format, &rows.schema(), &batches, next),

@@ -26,7 +26,7 @@ use crate::dataset::catalog::Catalog;
 use crate::dataset::definition::Definition;
 use crate::dataset::error::DatasetError;
 use crate::simulate::twins::TwinPool;
-use crate::store::{NewAction, Store, StoreError};
+use crate::store::{NewAction, RunKind, Store, StoreError};
 
 mod auth;
 mod datasets;
@@ -388,8 +388,10 @@ async fn keep_finished_runs(app: App) {
             }
         };
         for run in runs.iter().filter(|run| run.state == "ended") {
+            // An import may be of a skin that has no model: nothing is waited for.
+            let gets_twins = app.twins.status().workers > 0 && run.kind != RunKind::Imported;
             let twins_wait = match app.twins.count(run.uid).await {
-                Ok(count) => app.twins.status().workers > 0 && count.pending() > 0,
+                Ok(count) => gets_twins && count.pending() > 0,
                 Err(_) => true,
             };
             if twins_wait || !kept.insert(run.uid) {

@@ -6,6 +6,7 @@ use crate::dataset::filter::Filter as RowFilter;
 use crate::dataset::format::Format;
 use crate::dataset::schema::{COLUMNS, Kind};
 use crate::dataset::select::Wanted;
+use crate::dataset::sort::Sort;
 use crate::ids::{RunUid, TrialId};
 use crate::problem::Problem;
 use crate::store::{Comparison, Filter, FilterValue, MAX_PAGE, Order, TrialColumn, TrialQuery};
@@ -34,7 +35,9 @@ pub struct RowsWanted {
     pub wanted: Wanted,
     /// In which format, where it is said.
     pub format: Option<Format>,
-    /// The row of the dataset's file where the page starts.
+    /// In the order of a column, where one is named.
+    pub sort: Option<Sort>,
+    /// The row, of the file or of that order, where the page starts.
     pub from: u64,
     /// Up to so many rows.
     pub limit: u32,
@@ -61,13 +64,14 @@ pub fn trial_query(
 /// The same for the rows of a dataset, whose filters look at its columns as they are labelled.
 pub fn rows_query(pairs: &[(String, String)]) -> Result<RowsWanted, Vec<Problem>> {
     let wanted = Wanted::default();
-    let mut asked = RowsWanted { wanted, format: None, from: 0, limit: PAGE };
+    let mut asked = RowsWanted { wanted, format: None, sort: None, from: 0, limit: PAGE };
     each(pairs, |key, value| {
         if common(&mut asked.wanted, &mut asked.format, &mut asked.limit, key, value)? {
             return Ok(true);
         }
         match key {
             "cursor" => asked.from = whole(value)?,
+            "sort" => asked.sort = Some(Sort::parse(value)),
             "map" => asked.wanted.map = Some(value.into()),
             "where" => {
                 RowFilter::parse(value)?;
@@ -85,7 +89,7 @@ pub fn rows_query(pairs: &[(String, String)]) -> Result<RowsWanted, Vec<Problem>
 
 /// The same for a dataset as a file, which has no pages and whose name says its format.
 pub fn file_query(pairs: &[(String, String)]) -> Result<Wanted, Vec<Problem>> {
-    const PAGES: [&str; 3] = ["limit", "cursor", "format"];
+    const PAGES: [&str; 4] = ["limit", "cursor", "format", "sort"];
     if let Some((key, value)) = pairs.iter().find(|(key, _)| PAGES.contains(&key.as_str())) {
         let limit = "belongs to pages, /api/v1/datasets/NAME/rows; a file is whole, and its name \
                      says its format";

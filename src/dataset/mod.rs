@@ -1,7 +1,8 @@
 //! Datasets that people can use in one line: labels, parts, force maps, files and exports.
 //! Uses: `store`, `simulate` (Sim-Random's manifests). Never: HTTP, motion, a dataset that changes.
 //!
-//! PURE: `definition`, `filter`, `split`, `force_map`, `schema`, `batch`, `survey`, `select`, `card`.
+//! PURE: `definition`, `filter`, `split`, `force_map`, `schema`, `batch`, `survey`, `select`, `sort`,
+//! `card`.
 //!
 //! ```text
 //! definition -> build: survey, batch, shards -> file DATA/datasets/ds-..  -> read, select -> format
@@ -20,6 +21,7 @@ pub mod file;
 pub mod background;
 pub mod format;
 pub mod select;
+pub mod sort;
 pub mod read;
 pub mod card;
 pub mod inputs;

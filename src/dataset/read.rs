@@ -4,18 +4,22 @@
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use arrow_array::RecordBatch;
+use arrow_array::{RecordBatch, UInt32Array, UInt64Array};
 use arrow_schema::SchemaRef;
 use arrow_select::coalesce::BatchCoalescer;
+use arrow_select::concat::{concat, concat_batches};
+use arrow_select::filter::filter_record_batch;
+use arrow_select::take::take_record_batch;
 use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::{
-    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder,
+    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder, RowSelection,
 };
 
 use super::error::DatasetError;
 use super::format::{Batches, Rows, RowsError, rows_per_batch};
 use super::schema::{self, BATCH_ROWS};
 use super::select::{Selection, Skin, Wanted};
+use super::sort::Sort;
 
 /// The paper's skin, where a file says nothing else.
 pub const SKIN: Skin = Skin { width_mm: 540.0, height_mm: 560.0 };
@@ -75,7 +79,10 @@ impl DatasetRows {
         limit: usize,
     ) -> Result<(Vec<RecordBatch>, Option<u64>), DatasetError> {
         let (mut page, mut found, mut at) = (Vec::new(), 0, from);
-        for batch in self.raw(&self.selection.needed(None), from, self.at_once())? {
+        // Where every row stays, no more of them are decoded than are asked for.
+        let all_stay = self.selection.keeps_all_rows();
+        let at_once = if all_stay { self.at_once().min(limit.max(1)) } else { self.at_once() };
+        for batch in self.raw(&self.selection.needed(None), from, at_once)? {
             let mut batch = batch?;
             let mask = self.selection.mask(&batch);
             let mut taken = batch.num_rows();
@@ -87,7 +94,7 @@ impl DatasetRows {
                 let mask = arrow_array::BooleanArray::from_iter(
                     (0..mask.len()).map(|row| Some(row < taken && mask.value(row))),
                 );
-                batch = arrow_select::filter::filter_record_batch(&batch, &mask)?;
+                batch = filter_record_batch(&batch, &mask)?;
             } else {
                 taken = taken.min(limit - found);
                 batch = batch.slice(0, taken);
@@ -100,6 +107,72 @@ impl DatasetRows {
             }
         }
         Ok((page, (at < self.all()).then_some(at)))
+    }
+
+    /// A page in the order of a column, from the row at `from` of that order on, and where the next
+    /// one starts. The column is read as a whole, frames only of the page.
+    pub fn sorted_page(
+        &self,
+        sort: &Sort,
+        from: u64,
+        limit: usize,
+    ) -> Result<(Vec<RecordBatch>, Option<u64>), DatasetError> {
+        let key = sort
+            .find(self.metadata.schema())
+            .map_err(|limit| DatasetError::value("sort", &sort.column, &limit))?;
+        let mut needed = self.selection.needed(Some(&[]));
+        needed.push(key);
+        needed.sort_unstable();
+        needed.dedup();
+        let (mut keys, mut rows, mut first) = (Vec::new(), Vec::new(), 0);
+        for batch in self.raw(&needed, 0, BATCH_ROWS)? {
+            let batch = batch?;
+            let mask = self.selection.mask(&batch);
+            let stays = |row: &usize| mask.as_ref().is_none_or(|mask| mask.value(*row));
+            rows.extend((0..batch.num_rows()).filter(stays).map(|row| first + row as u64));
+            first += batch.num_rows() as u64;
+            let batch = match &mask {
+                Some(mask) => filter_record_batch(&batch, mask)?,
+                None => batch,
+            };
+            keys.extend(batch.column_by_name(&sort.column).cloned());
+        }
+        if keys.is_empty() {
+            return Ok((Vec::new(), None));
+        }
+        let keys = concat(&keys.iter().map(AsRef::as_ref).collect::<Vec<_>>())?;
+        let rows = UInt64Array::from(rows);
+        let order = sort.order(keys, &rows, from as usize, limit)?;
+        let next = from + order.len() as u64;
+        Ok((self.rows_in_order(&order)?, (next < rows.len() as u64).then_some(next)))
+    }
+
+    /// These rows of the file, in this order.
+    fn rows_in_order(&self, order: &[u64]) -> Result<Vec<RecordBatch>, DatasetError> {
+        let mut places: Vec<usize> = (0..order.len()).collect();
+        places.sort_by_key(|&at| order[at]);
+        let ranges = places.iter().map(|&at| order[at] as usize..order[at] as usize + 1);
+        let selection = RowSelection::from_consecutive_ranges(ranges, self.all() as usize);
+        let file = File::open(&self.path).map_err(DatasetError::file("opening", &self.path))?;
+        let builder =
+            ParquetRecordBatchReaderBuilder::new_with_metadata(file, self.metadata.clone());
+        let needed = self.selection.needed(None);
+        let mask = ProjectionMask::roots(builder.parquet_schema(), needed.iter().copied());
+        let reader = builder
+            .with_projection(mask)
+            .with_row_selection(selection)
+            .with_batch_size(self.at_once())
+            .build()?;
+        let schema = SchemaRef::new(self.metadata.schema().project(&needed)?);
+        let batches = reader.collect::<Result<Vec<_>, _>>()?;
+        let found = concat_batches(&schema, &batches)?;
+        // Row n of what was found belongs to the nth of the places.
+        let mut turned = vec![0_u32; places.len()];
+        for (row, place) in places.into_iter().enumerate() {
+            turned[place] = row as u32;
+        }
+        let page = take_record_batch(&found, &UInt32Array::from(turned))?;
+        Ok(vec![self.selection.apply(&page, None)?])
     }
 
     /// Batches of some of the file's columns, from a row on.

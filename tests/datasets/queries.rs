@@ -36,6 +36,29 @@ async fn pages_cover_a_dataset_once_also_filtered() {
 }
 
 #[tokio::test]
+async fn rows_come_in_the_order_of_a_column() {
+    let lab = Filled::open("sorted").await;
+    let path = "/api/v1/datasets/run-1/rows?columns=trial_id,max_force_n,voltages_v&tips=2";
+    let all = lab.get(&format!("{path}&limit=10000")).await["rows"].as_array().unwrap().clone();
+    let mut wanted = all.clone();
+    let force = |row: &Value| row["max_force_n"].as_f64().unwrap();
+    wanted.sort_by(|a, b| force(b).total_cmp(&force(a)));
+    let (mut found, mut cursor) = (Vec::new(), String::new());
+    loop {
+        let page = lab.get(&format!("{path}&sort=-max_force_n&limit=37{cursor}")).await;
+        found.extend(page["rows"].as_array().unwrap().clone());
+        let Some(next) = page["next"].as_str() else { break };
+        cursor = format!("&cursor={next}");
+    }
+    assert_eq!(found.len(), all.len());
+    assert!(found == wanted, "frames belong to their rows");
+    let (status, words) = lab.refused(&format!("{path}&sort=voltages_v")).await;
+    assert_eq!(status, 400);
+    assert!(words.contains("max_force_n"), "{words}");
+    lab.close().await;
+}
+
+#[tokio::test]
 async fn frames_are_cut_and_maps_sum_to_the_forces() {
     let lab = Filled::open("maps").await;
     let whole = lab.get("/api/v1/datasets/real/rows?limit=3&columns=voltages_v").await;
