@@ -24,7 +24,7 @@ use super::schema;
 use super::select::{Selection, Wanted};
 use crate::clock::Clock;
 use crate::problem::Problem;
-use crate::store::{DatasetRow, ExportEnd, ExportRow, ExportState, RunRow, Store};
+use crate::store::{DatasetRow, ExportEnd, ExportRow, RunRow, Store};
 
 /// Free bytes that stay for runs, whatever is exported.
 const KEPT_FREE_BYTES: u64 = 2 << 30;
@@ -214,9 +214,9 @@ impl Catalog {
         Ok(())
     }
 
-    /// Rows of a dataset for a page of an answer.
+    /// Chosen rows of a dataset; what is wrong with the choice otherwise.
     pub fn rows(&self, id: &str, wanted: &Wanted) -> Result<DatasetRows, DatasetError> {
-        export::check(&self.datasets(), id, wanted)
+        DatasetRows::open(&data_file(&self.datasets(), id), wanted)
     }
 
     /// The text of a dataset's card.
@@ -386,11 +386,6 @@ impl Catalog {
     fn progress(&self) -> std::sync::MutexGuard<'_, HashMap<String, Arc<Progress>>> {
         self.inner.progress.lock().unwrap_or_else(PoisonError::into_inner)
     }
-}
-
-/// True when nothing more becomes of an export.
-pub fn is_over(export: &ExportRow) -> bool {
-    matches!(export.state, ExportState::Done | ExportState::Failed)
 }
 
 /// Removes the oldest files of a folder until it holds no more than this.

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use utoipa::ToSchema;
 
-use super::build::{Progress, data_file};
+use super::build::Progress;
 use super::error::DatasetError;
 use super::file::{Finished, NewFile, hex};
 use super::format::{self, Format, Rows};
@@ -72,11 +72,6 @@ pub struct Sendable {
     pub path: PathBuf,
     /// sha256 of its bytes.
     pub sha256: String,
-}
-
-/// Checks a request against a dataset's file, before anything is written.
-pub fn check(datasets: &Path, dataset: &str, wanted: &Wanted) -> Result<DatasetRows, DatasetError> {
-    DatasetRows::open(&data_file(datasets, dataset), wanted)
 }
 
 /// Writes rows into a file of this name. Takes long; the bytes follow from rows and format alone.
