@@ -15,3 +15,6 @@ pub mod perfect;
 pub mod published;
 pub mod table;
 pub mod anova;
+pub mod voltages;
+pub mod request;
+pub mod charts;

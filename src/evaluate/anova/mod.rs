@@ -89,18 +89,35 @@ pub enum AnovaError {
 pub struct Factorial {
     factors: Vec<Factor>,
     /// The last factor's levels are neighbours.
-    cells: Vec<Cell>,
+    cells: Vec<Moments>,
 }
 
 /// Count, mean and sum of squares around it (Welford 1962; joined as Chan 1979 has it).
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-struct Cell {
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Moments {
     n: f64,
     mean: f64,
     squares: f64,
 }
 
-impl Cell {
+impl FromIterator<f64> for Moments {
+    fn from_iter<I: IntoIterator<Item = f64>>(values: I) -> Self {
+        let one = |value| Self { n: 1.0, mean: value, squares: 0.0 };
+        values.into_iter().fold(Self::default(), |all, value| all.join(one(value)))
+    }
+}
+
+impl Moments {
+    /// The mean; none of no values.
+    pub fn mean(&self) -> Option<f64> {
+        (self.n > 0.0).then_some(self.mean)
+    }
+
+    /// Standard deviation (n - 1); none of fewer than two values.
+    pub fn sd(&self) -> Option<f64> {
+        (self.n > 1.0).then(|| (self.squares / (self.n - 1.0)).sqrt())
+    }
+
     fn join(self, other: Self) -> Self {
         let n = self.n + other.n;
         if n == 0.0 {
@@ -179,7 +196,7 @@ impl Factorial {
         if cells > CELLS_MAX {
             return Err(AnovaError::Cells);
         }
-        Ok(Self { factors, cells: vec![Cell::default(); cells] })
+        Ok(Self { factors, cells: vec![Moments::default(); cells] })
     }
 
     /// Adds a sample taken at these levels, one index for each factor.
@@ -187,12 +204,17 @@ impl Factorial {
         if !value.is_finite() {
             return Err(AnovaError::Sample { value });
         }
+        self.join(at, [value].into_iter().collect())
+    }
+
+    /// Adds samples taken at these levels, by their moments.
+    pub fn join(&mut self, at: &[usize], samples: Moments) -> Result<(), AnovaError> {
         let inside = at.iter().zip(&self.factors).all(|(level, f)| *level < f.levels.len());
         if at.len() != self.factors.len() || !inside {
             return Err(AnovaError::Place { at: at.to_vec() });
         }
         let cell = at.iter().zip(&self.factors).fold(0, |cell, (l, f)| cell * f.levels.len() + l);
-        self.cells[cell] = self.cells[cell].join(Cell { n: 1.0, mean: value, squares: 0.0 });
+        self.cells[cell] = self.cells[cell].join(samples);
         Ok(())
     }
 
@@ -272,7 +294,7 @@ impl Factorial {
         rows.iter()
             .map(|row| {
                 let behind = || row.iter().zip(&self.cells).filter(|(weight, _)| **weight > 0.0);
-                let all = behind().fold(Cell::default(), |all, (_, cell)| all.join(*cell));
+                let all = behind().fold(Moments::default(), |all, (_, cell)| all.join(*cell));
                 let first = row.iter().position(|weight| *weight > 0.0).unwrap_or_default();
                 let levels = self.levels_of(first).into_iter().enumerate();
                 MarginalMean {
@@ -280,7 +302,7 @@ impl Factorial {
                     n: all.n as u64,
                     mean: self.mean_of(row),
                     standard_error: (mean_square * self.product_over_n(row, row)).sqrt(),
-                    sd: (all.n > 1.0).then(|| (all.squares / (all.n - 1.0)).sqrt()),
+                    sd: all.sd(),
                 }
             })
             .collect()
