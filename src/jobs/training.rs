@@ -34,17 +34,17 @@ pub(super) use with_nets::{check, run};
 #[cfg(feature = "train")]
 mod with_nets {
     use nets::device::Compute;
-    use nets::network::Network;
     use nets::train::{End, Flow, Observer, Progress};
+    use sim_core::batch::{BatchModel, Kernel};
+    use sim_core::forward::ForwardModel;
 
     use super::*;
     use crate::dataset::background::background;
     use crate::dataset::build::data_file;
-    use crate::dataset::error::DatasetError;
     use crate::infer::registry::{self, NewModel, Residuals};
     use crate::learn::error::LearnError;
     use crate::learn::examples::Examples;
-    use crate::learn::model_file::{ModelFacts, NetTask, TrainedRange, model_of};
+    use crate::learn::model_file::{ModelFacts, model_of};
     use crate::learn::recipe::Recipe;
     use crate::learn::train::{self, Given, Learned};
     use crate::store::{DatasetRow, Label};
@@ -93,7 +93,7 @@ mod with_nets {
             }
             None => {
                 let (sensor, model) = jobs.inner.serving.simulation().await?;
-                background(move || work.on_stream(&sensor, &model)).await??
+                background(move || work.on_stream(sensor, &model)).await??
             }
         };
         let Some(new) = made else {
@@ -123,10 +123,9 @@ mod with_nets {
             file: &Path,
         ) -> Result<Option<NewModel>, JobError> {
             self.watch.phase("gathering frames", dataset.rows);
-            let task = self.recipe.task();
-            let columns = train::columns(task);
+            let columns = train::columns(self.recipe.task());
             let sensor = crate::dataset::read::sensor_text(file)?;
-            let (skin, facts) = registry::facts("sensor", &sensor)?;
+            let (skin, _) = registry::facts("sensor", &sensor)?;
             let conditions = &self.recipe.conditions;
             let examples = Examples::gather(file, conditions, columns, &self.scratch)?;
             let given = Given {
@@ -139,40 +138,69 @@ mod with_nets {
             let mut observer = self.observer("training")?;
             let checkpoint = std::fs::read(self.folder.join(CHECKPOINT)).ok();
             let learned = train::train(&self.recipe, &given, checkpoint.as_deref(), &mut observer)?;
+            self.new_model(learned, Lineage::of(dataset), sensor)
+        }
+
+        fn on_stream(
+            self,
+            sensor: String,
+            model: &ForwardModel,
+        ) -> Result<Option<NewModel>, JobError> {
+            let batch = Arc::new(BatchModel::new(model, Kernel::detect()));
+            let mut observer = self.observer("training on fresh simulations")?;
+            let checkpoint = std::fs::read(self.folder.join(CHECKPOINT)).ok();
+            let compute = Compute::Cpu { threads: 0 };
+            let learned = train::train_on_stream(
+                &self.recipe,
+                (batch, model),
+                compute,
+                checkpoint.as_deref(),
+                &mut observer,
+            )?;
+            let lineage = Lineage {
+                label: Label::Simulated,
+                dataset: None,
+                calibration: model.sensor().calibration().map(Into::into),
+                simulation: Some(model.model_hash().into()),
+            };
+            self.new_model(learned, lineage, sensor)
+        }
+
+        /// What was learned as a model; none when it was stopped.
+        fn new_model(
+            &self,
+            learned: Learned,
+            from: Lineage,
+            sensor: String,
+        ) -> Result<Option<NewModel>, JobError> {
             if learned.trained.end == End::Stopped {
                 return Ok(None);
             }
-            let lineage = Lineage::of(dataset);
-            let output_shape = learned.trained.network.output.clone();
-            let facts_of_model = ModelFacts {
-                task,
-                label: lineage.label,
+            let (_, facts) = registry::facts("sensor", &sensor)?;
+            let model = ModelFacts {
+                task: self.recipe.task(),
+                label: from.label,
                 sensor: facts.name.clone(),
                 channels: facts.channels,
-                output_shape,
+                output_shape: learned.trained.network.output.clone(),
                 force_map: self.recipe.map,
-                datasets: vec![dataset.id.clone()],
-                calibration: lineage.calibration,
-                simulation: lineage.simulation,
+                datasets: from.dataset.into_iter().collect(),
+                calibration: from.calibration,
+                simulation: from.simulation,
                 code: code(),
                 recipe: Some(self.recipe_text()),
-                trained_on: learned.range.clone(),
+                trained_on: learned.range,
             };
-            let (manifest, onnx) = model_of(&learned.trained.network, facts_of_model, &facts)
-                .map_err(LearnError::from)?;
+            let made = model_of(&learned.trained.network, model, &facts);
+            let (manifest, onnx) = made.map_err(LearnError::from)?;
             let residuals = learned.left_over.map(|left| Residuals {
                 mean_v: left.mean_v,
                 sd_v: left.sd_v,
                 trials: left.rows,
             });
-            Ok(Some(NewModel {
-                name: self.recipe.name.clone(),
-                manifest,
-                onnx,
-                sensor,
-                losses: std::fs::read_to_string(self.folder.join(LOSSES)).ok(),
-                residuals,
-            }))
+            let losses = std::fs::read_to_string(self.folder.join(LOSSES)).ok();
+            let name = self.recipe.name.clone();
+            Ok(Some(NewModel { name, manifest, onnx, sensor, losses, residuals }))
         }
 
         fn recipe_text(&self) -> String {
@@ -264,6 +292,7 @@ mod with_nets {
     /// What a model carries on from its dataset.
     struct Lineage {
         label: Label,
+        dataset: Option<String>,
         calibration: Option<String>,
         simulation: Option<String>,
     }
@@ -278,6 +307,7 @@ mod with_nets {
             let text = |value: &Value| value.as_str().map(str::to_owned);
             Self {
                 label: label.unwrap_or(Label::Simulated),
+                dataset: Some(dataset.id.clone()),
                 calibration: text(&model["calibration"]),
                 simulation: text(&model["model"]),
             }

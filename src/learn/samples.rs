@@ -32,6 +32,63 @@ pub struct FramesAndMaps<'a> {
     pub force_of_unknown_n: Option<f64>,
 }
 
+/// Samples kept in memory: few, and read again after every epoch.
+#[derive(Debug)]
+pub struct Fixed {
+    lens: [usize; 2],
+    inputs: Vec<f32>,
+    targets: Vec<f32>,
+}
+
+impl Fixed {
+    /// The first epoch of other samples.
+    pub fn of(samples: &dyn Samples) -> Result<Self, LearnError> {
+        let lens = [samples.input_len(), samples.target_len()];
+        let count = samples.len();
+        let [mut inputs, mut targets] = lens.map(|len| vec![0.0; len * count as usize]);
+        let numbers: Vec<u64> = (0..count).collect();
+        let read = samples.read(&numbers, &mut inputs, &mut targets);
+        read.map_err(|error| LearnError::Train(error.into()))?;
+        Ok(Self { lens, inputs, targets })
+    }
+
+    /// The largest Euclidean norm of an input.
+    pub fn max_norm_v(&self) -> Option<f64> {
+        let norm = |input: &[f32]| input.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>().sqrt();
+        self.inputs.chunks_exact(self.lens[0]).map(norm).reduce(f64::max)
+    }
+}
+
+impl Samples for Fixed {
+    fn len(&self) -> u64 {
+        (self.inputs.len() / self.lens[0]) as u64
+    }
+
+    fn input_len(&self) -> usize {
+        self.lens[0]
+    }
+
+    fn target_len(&self) -> usize {
+        self.lens[1]
+    }
+
+    fn read(
+        &self,
+        samples: &[u64],
+        inputs: &mut [f32],
+        targets: &mut [f32],
+    ) -> Result<(), SamplesError> {
+        for (out, from, len) in
+            [(inputs, &self.inputs, self.lens[0]), (targets, &self.targets, self.lens[1])]
+        {
+            for (&sample, out) in samples.iter().zip(out.chunks_exact_mut(len)) {
+                out.copy_from_slice(&from[sample as usize * len..][..len]);
+            }
+        }
+        Ok(())
+    }
+}
+
 /// Contacts as maps are drawn of them; those without place or force are an error that names the row.
 pub fn drawn(
     contacts: &[Contact],

@@ -1,22 +1,33 @@
 //! From a recipe and its data to a model: the training itself, its losses, what it leaves over.
 //! Uses: nets, `learn::{examples, samples, recipe}`. Never: the store, HTTP, a clock.
 
+use std::sync::Arc;
+
 use nets::network::Network;
 use nets::recipe::Net;
 use nets::samples::Samples;
+use nets::streamed::Streamed;
 use nets::train::{self as training, Observer, Plan, TrainError};
+use sim_core::batch::BatchModel;
+use sim_core::forward::ForwardModel;
 
 use super::error::LearnError;
 use super::examples::{Examples, MEASURED, SIMULATED};
 use super::model_file::{NetTask, TrainedRange};
 use super::recipe::Recipe;
-use super::samples::{FramePairs, FramesAndMaps};
+use super::samples::{Fixed, FramePairs, FramesAndMaps};
 use crate::dataset::force_map::ForceMap;
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::dataset::split::Part;
 
 /// Rows that the residuals of a Transfer-Net are measured on, at most.
 const RESIDUAL_ROWS: usize = 20_000;
+/// Fresh samples that count as an epoch, where the recipe does not say.
+const STREAM_EPOCH: u64 = 100_000;
+/// Samples that tell how good a net on fresh samples is: always the same.
+const STREAM_CHOSEN_WITH: u64 = 2_000;
+/// Keeps them apart from those that are learned from.
+const CHOOSING: u64 = 1 << 62;
 /// Frames that are answered at a time.
 const FRAMES_AT_ONCE: usize = 256;
 
@@ -101,6 +112,41 @@ pub fn train(
         _ => None,
     };
     Ok(Learned { trained, range, left_over })
+}
+
+/// Trains a Point-Net on simulations of this model that are made as it goes; they carry the model's
+/// hash as their name.
+pub fn train_on_stream(
+    recipe: &Recipe,
+    (batch, model): (Arc<BatchModel>, &ForwardModel),
+    compute: nets::device::Compute,
+    checkpoint: Option<&[u8]>,
+    observer: &mut (dyn Observer + Send),
+) -> Result<Learned, LearnError> {
+    let Net::PointNet(net) = &recipe.training.net else {
+        let limit = "must be point-net where no dataset is named";
+        return Err(LearnError::value("training.net", recipe.task().as_str(), limit));
+    };
+    let points = model.sensor().points();
+    let stream = |seed, len| Streamed::new(batch.clone(), points, net.draws, seed, len);
+    let seed = recipe.training.seed;
+    let learn = stream(seed, recipe.rows.unwrap_or(STREAM_EPOCH));
+    let choose = Fixed::of(&stream(seed ^ CHOOSING, STREAM_CHOSEN_WITH))?;
+    let plan = Plan {
+        recipe: recipe.training.clone(),
+        data: model.model_hash().into(),
+        noise_sd_v: None,
+        start: None,
+        compute,
+    };
+    let trained = training::train(&plan, &learn, &choose, checkpoint, observer)?;
+    let [fewest, most] = net.draws.contacts;
+    let range = TrainedRange {
+        contact_counts: (fewest as u32..=most as u32).collect(),
+        max_force_n: Some(net.draws.force_n[1].max(net.draws.light_force_n[1])),
+        max_norm_v: choose.max_norm_v(),
+    };
+    Ok(Learned { trained, range, left_over: None })
 }
 
 /// Keeps at most so many rows, evenly taken.
