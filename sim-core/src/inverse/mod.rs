@@ -1,0 +1,3 @@
+//! The model turned around: what skin, and which contacts, made these frames.
+
+pub mod skin;
