@@ -62,7 +62,19 @@ pub enum InferError {
     Plan(#[from] PlanError),
     /// A frame could not be fitted.
     #[error("exact: {0}")]
-    Fit(sim_core::inverse::contacts::FitError),
+    Fit(#[from] sim_core::inverse::contacts::FitError),
+    /// A skin could not be made ready for fits.
+    #[error("exact: {0}")]
+    Fitter(#[from] sim_core::inverse::contacts::FitterError),
+    /// The noise could not be reckoned with.
+    #[error("exact: {0}")]
+    Errors(#[from] sim_core::inverse::contacts::ErrorModelError),
+    /// A frame could not be added to a mean.
+    #[error("exact: {0}")]
+    Steady(#[from] sim_core::inverse::contacts::SteadyError),
+    /// The one-step reconstruction failed.
+    #[error("one step: {0}")]
+    OneStep(#[from] sim_core::inverse::linear::LinearError),
     /// A calibration.
     #[error(transparent)]
     Calibration(#[from] sim_core::calibration::CalibrationError),

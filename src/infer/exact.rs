@@ -5,7 +5,8 @@ use std::sync::Arc;
 
 use sim_core::forward::ForwardModel;
 use sim_core::inverse::contacts::{
-    ContactFitter, ErrorModel, Fit, FitError, FitOptions, FitWork, Observation, Proposal,
+    ContactFitter, ErrorModel, Fit, FitOptions, FitWork, Observation, Proposal, Steady,
+    SteadySettings,
 };
 
 use super::answer::{FoundContact, Reading};
@@ -35,13 +36,18 @@ impl std::fmt::Debug for ExactSkin {
 impl ExactSkin {
     /// Of a model, calibrated or not.
     pub fn new(model: &ForwardModel) -> Result<Self, InferError> {
-        let channels = model.circuit().electrodes.len().pow(2);
-        let errors = ErrorModel::white(channels, NOISE_SD_V);
+        let channels = model.sensor().channels();
+        let offsets_mv = model.sensor().skin().map(|skin| skin.offsets_mv.as_slice());
+        let offset_v = match offsets_mv {
+            Some(mv) if mv.len() == channels => mv.iter().map(|mv| 1e-3 * mv).collect(),
+            _ => vec![0.0; channels],
+        };
+        let errors = ErrorModel::white(channels, NOISE_SD_V)?;
         Ok(Self {
             calibration: model.sensor().calibration().map(Into::into),
             simulation: model.model_hash().into(),
-            offset_v: vec![0.0; channels],
-            fitter: ContactFitter::new(model, errors, FitOptions::default())?,
+            offset_v,
+            fitter: ContactFitter::new(model, &errors, FitOptions::default())?,
         })
     }
 
@@ -59,6 +65,13 @@ impl ExactSkin {
     pub fn channels(&self) -> usize {
         self.offset_v.len()
     }
+
+    /// A frame without what the untouched skin shows, V.
+    fn take_offsets(&self, frame: &[f32], frame_v: &mut Vec<f64>) {
+        frame_v.clear();
+        let offsets = self.offset_v.iter();
+        frame_v.extend(frame.iter().zip(offsets).map(|(v, offset)| f64::from(*v) - offset));
+    }
 }
 
 /// A skin and, where there is one, a net that says where to begin.
@@ -71,42 +84,47 @@ pub struct ExactPipeline {
 }
 
 /// Memory of fits, and the last of them; one for each stream of frames.
-#[derive(Default)]
+#[derive(Debug, Default)]
 pub struct Tracked {
     work: FitWork,
     frame_v: Vec<f64>,
     last: Option<Fit>,
+    steady: Option<Steady>,
 }
 
 impl ExactPipeline {
     /// Reads frames (V, one after the other), each the mean of so many, each from scratch.
     pub fn read(&self, frames: &[f32], averaged: f64) -> Result<Vec<Reading>, InferError> {
-        let mut tracked = Tracked::default();
+        let (mut work, mut frame_v) = (FitWork::default(), Vec::new());
         let mut readings = Vec::new();
         for frame in frames.chunks_exact(self.skin.channels()) {
-            tracked.last = None;
-            readings.push(self.follow(frame, averaged, &mut tracked)?);
+            self.skin.take_offsets(frame, &mut frame_v);
+            let observation = Observation { frame_v: &frame_v, frames: averaged };
+            let fit = self.skin.fitter.fit(&observation, &self.proposals(frame)?, &mut work)?;
+            readings.push(reading(&fit));
         }
         Ok(readings)
     }
 
-    /// Reads the next frame of a stream: from the last fit on, where it still holds.
-    pub fn follow(
-        &self,
-        frame: &[f32],
-        averaged: f64,
-        tracked: &mut Tracked,
-    ) -> Result<Reading, InferError> {
-        tracked.frame_v.clear();
-        let offsets = self.skin.offset_v.iter();
-        tracked.frame_v.extend(frame.iter().zip(offsets).map(|(v, offset)| f64::from(*v) - offset));
-        let observation = Observation { frame_v: &tracked.frame_v, frames: averaged };
-        let fitter = &self.skin.fitter;
-        let fit = match &tracked.last {
-            Some(last) => fitter.track(&observation, last, &mut tracked.work)?,
+    /// Reads the next frame of a stream: the mean of those since the load last changed, from the last
+    /// fit on where that still holds.
+    pub fn follow(&self, frame: &[f32], tracked: &mut Tracked) -> Result<Reading, InferError> {
+        self.skin.take_offsets(frame, &mut tracked.frame_v);
+        let steady = match &mut tracked.steady {
+            Some(steady) => steady,
+            none => {
+                let settings = SteadySettings::of_noise(NOISE_SD_V);
+                none.insert(Steady::new(self.skin.channels(), settings)?)
+            }
+        };
+        let mean = steady.push(&tracked.frame_v)?;
+        let observation = Observation { frame_v: mean.mean_v, frames: mean.frames };
+        let before = tracked.last.take().filter(|_| !mean.changed);
+        let fit = match before {
+            Some(last) => self.skin.fitter.track(&observation, &last, &mut tracked.work)?,
             None => {
                 let proposals = self.proposals(frame)?;
-                fitter.fit(&observation, &proposals, &mut tracked.work)?
+                self.skin.fitter.fit(&observation, &proposals, &mut tracked.work)?
             }
         };
         let reading = reading(&fit);
@@ -150,11 +168,5 @@ fn reading(fit: &Fit) -> Reading {
         contacts,
         misfit: Some(fit.chi2 / fit.degrees_of_freedom),
         ..Reading::default()
-    }
-}
-
-impl From<FitError> for InferError {
-    fn from(error: FitError) -> Self {
-        Self::Fit(error)
     }
 }

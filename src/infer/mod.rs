@@ -12,4 +12,5 @@ pub mod registry;
 pub mod maps;
 pub mod points;
 pub mod exact;
+pub mod one_step;
 pub mod serving;

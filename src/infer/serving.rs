@@ -171,7 +171,7 @@ impl Pipeline {
         if method == Method::Exact {
             let exact = self.exact()?;
             let id = exact.skin.id().to_owned();
-            return Ok((exact.follow_stream(frame, tracked)?, id));
+            return Ok((exact.follow(frame, tracked)?, id));
         }
         let answered = self.answer(method, frame, 1.0, with_map)?;
         let reading = answered.readings.into_iter().next().unwrap_or_default();
@@ -331,7 +331,8 @@ impl Serving {
         building.await.map_err(|_| InferError::Worker)?
     }
 
-    async fn model(&self, calibration: Option<&str>) -> Result<ForwardModel, InferError> {
+    /// The model of a calibration that is kept here, or the nominal one.
+    pub async fn model(&self, calibration: Option<&str>) -> Result<ForwardModel, InferError> {
         let path = calibration.map(|id| self.calibrations().join(format!("{id}.toml")));
         let (sensor, cache) = (self.inner.sensor.clone(), self.inner.data.join("cache"));
         let building = tokio::task::spawn_blocking(move || {

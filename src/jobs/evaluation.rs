@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::Value;
+use sim_core::inverse::linear::Regularisation;
 
 use super::error::JobError;
 use super::{Jobs, Watch};
@@ -27,6 +28,7 @@ use crate::infer::answer::{FoundContact, Reading};
 use crate::infer::error::InferError;
 use crate::infer::exact::ExactPipeline;
 use crate::infer::maps::MapPipeline;
+use crate::infer::one_step::OneStepPipeline;
 use crate::infer::points::PointPipeline;
 use crate::infer::registry::{self, Model};
 use crate::learn::error::LearnError;
@@ -46,6 +48,7 @@ enum Reader {
     Maps(MapPipeline),
     Points(PointPipeline),
     Exact(ExactPipeline),
+    OneStep(OneStepPipeline, Option<String>),
 }
 
 /// Scores; none when it was stopped.
@@ -102,7 +105,17 @@ async fn reader(jobs: &Jobs, request: &EvaluationRequest) -> Result<Reader, JobE
             let skin = jobs.inner.serving.skin(request.skin.as_deref()).await?;
             Reader::Exact(ExactPipeline { skin, points })
         }
-        Scored::Tikhonov | Scored::Noser => return Err(JobError::Lean),
+        Scored::Tikhonov | Scored::Noser => {
+            let model = jobs.inner.serving.model(request.skin.as_deref()).await?;
+            let kind = match request.scored {
+                Scored::Noser => Regularisation::Noser,
+                _ => Regularisation::Tikhonov,
+            };
+            let threshold_n = request.threshold_n;
+            let calibration = model.sensor().calibration().map(str::to_owned);
+            let ready = move || OneStepPipeline::new(&model, kind, MAP_1, threshold_n);
+            Reader::OneStep(background(ready).await??, calibration)
+        }
     })
 }
 
@@ -207,6 +220,7 @@ impl Scoring {
                 let points = exact.points.iter().map(|points| points.model().to_owned());
                 (points.collect(), exact.skin.calibration().map(str::to_owned))
             }
+            Reader::OneStep(_, calibration) => (Vec::new(), calibration.clone()),
         };
         let label = self.dataset.lineage["runs"][0]["label"].as_str();
         EvaluationReport {
@@ -335,6 +349,7 @@ impl Scoring {
                 let single = self.raw.is_some() || count == 0;
                 exact.read(frames, if single { 1.0 } else { f64::from(count) })
             }
+            Reader::OneStep(step, _) => step.read(frames, false),
             Reader::Voltages(_) => Ok(Vec::new()),
         }
     }

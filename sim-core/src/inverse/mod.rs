@@ -1,3 +1,6 @@
-//! The model turned around: what skin, and which contacts, made these frames.
+//! From frames back to what made them: contacts, and skins.
+//! Uses: the forward model and its derivative. Never: files, clock, unseeded chance.
 
+pub mod contacts;
+pub mod linear;
 pub mod skin;
