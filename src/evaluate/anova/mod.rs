@@ -241,7 +241,8 @@ impl Factorial {
             let product = |row: &Vec<f64>, own: &Vec<f64>| {
                 row.iter().flat_map(|r| own.iter().map(move |o| r * o)).collect::<Vec<f64>>()
             };
-            rows = rows.iter().flat_map(|row| own.iter().map(move |own| product(row, own))).collect();
+            rows =
+                rows.iter().flat_map(|row| own.iter().map(move |own| product(row, own))).collect();
         }
         rows
     }
