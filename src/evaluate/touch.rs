@@ -130,8 +130,8 @@ impl Touch {
         }
     }
 
-    /// Values with each true contact a sample of its own, as the paper's ANOVA has them (V-C2): what
-    /// is one for the frame stands once for each of its contacts.
+    /// Values with each contact a sample of its own, as the paper's ANOVA has them (V-C2): what is
+    /// one for the frame stands once for each of its true contacts.
     pub fn values_by_contact(&self, metric: Metric) -> Vec<f64> {
         match metric {
             Metric::Number | Metric::Exact | Metric::Ghosts => {

@@ -144,7 +144,7 @@ pub struct Effect {
     pub df: u64,
     /// Ratio of mean squares; absent where no cell varies within.
     pub f: Option<f64>,
-    /// Chance of such an F or a larger one without the effect (0 where it is too small for a number).
+    /// Chance of such an F or a larger one without the effect (0 where too small for a number).
     pub p: Option<f64>,
 }
 
