@@ -72,7 +72,7 @@ pub struct Score {
     /// (estimated - true) / true diameter, %, over pairs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diameter_percent: Option<Mean>,
-    /// Share of frames with the right number of contacts, 0 to 1; none is right on an untouched skin.
+    /// Share of frames with the right number of contacts, 0 to 1; untouched, none is right.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub exact_rate: Option<Mean>,
     /// Estimates farther than 40 mm from every true contact, over frames; on an untouched skin each
