@@ -1,4 +1,4 @@
-//! How good is it: the model against measured frames, answers against contacts, and pictures of both.
+//! How good is it: the model against measured frames, answers against contacts, and pictures.
 //! Uses: `store` (its rows), `dataset` (force maps), plotters. Never: motion, training, a number
 //! that was not measured.
 //!

@@ -2,8 +2,8 @@
 //! PURE. Uses: force maps and their peaks, `touch`. Never: a net, a second way to score.
 //!
 //! The true contacts are drawn as a label would be and read back as peaks. Contacts under the
-//! threshold, two within one circle, a disc wider than the circle and large pixels all cost a perfect
-//! map something; a method is read against that, not against 0.
+//! threshold, two within one circle, a disc wider than the circle and large pixels all cost a
+//! perfect map something; a method is read against that, not against 0.
 
 use crate::dataset::force_map::peaks::Peak;
 use crate::dataset::force_map::{ForceMap, ForceMapError};
@@ -123,7 +123,7 @@ mod tests {
     }
 
     /// An independent study (2026-11, in Python) of 600 such frames found -32.8 % and 60.7 mm with
-    /// the threshold of 5 N, which a third of the weights is under, and -0.5 % and 0.2 mm with 2.5 N.
+    /// the threshold of 5 N, which a third of the weights is under; -0.5 % and 0.2 mm with 2.5 N.
     #[test]
     fn a_perfect_map_of_light_weights_is_far_from_perfect_by_the_papers_rule() {
         let frames = unseen(600);

@@ -105,7 +105,8 @@ impl Touch {
             Places {
                 pairs: matched(&true_mm, &estimated_mm).into_iter().map(pair).collect(),
                 closest_mm: closest_mm(&true_mm, &estimated_mm).into_iter().flatten().collect(),
-                ghosts: closest_mm(&estimated_mm, &true_mm).iter().filter(|c| far(c)).count() as u32,
+                ghosts: closest_mm(&estimated_mm, &true_mm).iter().filter(|c| far(c)).count()
+                    as u32,
             }
         });
         let (contacts, estimates) = (truths.len() as u32, estimates.len() as u32);
@@ -121,9 +122,7 @@ impl Touch {
             Metric::Number if self.contacts == 0 => Vec::new(),
             Metric::Number => vec![100.0 * difference / f64::from(self.contacts)],
             Metric::Location => pairs().map(|pair| pair.distance_mm).collect(),
-            Metric::Closest => {
-                self.places.as_ref().map_or_else(Vec::new, |p| p.closest_mm.clone())
-            }
+            Metric::Closest => self.places.as_ref().map_or_else(Vec::new, |p| p.closest_mm.clone()),
             Metric::Force => pairs().filter_map(|pair| pair.force_percent).collect(),
             Metric::Diameter => pairs().filter_map(|pair| pair.diameter_percent).collect(),
             Metric::Exact => vec![f64::from(u8::from(difference == 0.0))],
@@ -131,8 +130,8 @@ impl Touch {
         }
     }
 
-    /// Values with each true contact a sample of its own, as the paper's ANOVA has them (V-C2): what
-    /// is one for the frame stands once for each of its contacts.
+    /// Values with each contact a sample of its own, as the paper's ANOVA has them (V-C2): what is
+    /// one for the frame stands once for each of its true contacts.
     pub fn values_by_contact(&self, metric: Metric) -> Vec<f64> {
         match metric {
             Metric::Number | Metric::Exact | Metric::Ghosts => {
@@ -225,7 +224,9 @@ mod tests {
         let pattern = Contact { force_n: None, diameter_mm: None, ..contact(0.0, 0.0, 0.0, 0.0) };
         let touch = Touch::of(&[pattern], &[estimate]).unwrap();
         assert_eq!(touch.values(Metric::Location), [5.0]);
-        assert!(touch.values(Metric::Force).is_empty() && touch.values(Metric::Diameter).is_empty());
+        assert!(
+            touch.values(Metric::Force).is_empty() && touch.values(Metric::Diameter).is_empty()
+        );
         let resting = Touch::of(&[contact(0.0, 0.0, 0.0, 20.0)], &[estimate]).unwrap();
         assert!(resting.values(Metric::Force).is_empty(), "nothing is relative to 0 N");
 

@@ -1,9 +1,9 @@
 //! Fixed-effects analysis of variance on a full factorial design, with all interactions (paper
 //! V-C2: pixel size x force distribution diameter x noise level).
-//! PURE. Uses: statrs (Fisher's F). Never: a row of samples (cells keep their count, mean and sum of
+//! PURE. Uses: statrs (Fisher's F). Never: a row of samples (cells keep count, mean and sum of
 //! squares), a cell without samples.
 //!
-//! Sums of squares are of type III: each effect is tested with every other effect in the model, as a
+//! Sums of squares are of type III: each effect is tested with every other one in the model, as a
 //! hypothesis on the unweighted means of the cells, so that unequal cell sizes do not decide. With
 //! cell means `m`, counts `n` and the contrasts `K` of an effect (differences to the first level of
 //! the factors in it, averages over the levels of those that are not),
@@ -15,7 +15,7 @@
 //! ```
 //!
 //! which is least squares on sum-to-zero contrasts (`statsmodels` with `C(.., Sum)`, `typ=3`), and
-//! with equal cells types I and II too. An estimated marginal mean is the unweighted average of cell
+//! with equal cells types I and II too. An estimated marginal mean is an unweighted average of cell
 //! means; its standard error is `sqrt(SS_error / df_error * sum of w^2 / n)`.
 
 use std::cmp::Reverse;
@@ -161,7 +161,7 @@ pub struct Effect {
     pub df: u64,
     /// Ratio of mean squares; absent where no cell varies within.
     pub f: Option<f64>,
-    /// Chance of such an F or a larger one without the effect (0 where it is too small for a number).
+    /// Chance of such an F or a larger one without the effect (0 where too small for a number).
     pub p: Option<f64>,
 }
 
@@ -263,7 +263,8 @@ impl Factorial {
             let product = |row: &Vec<f64>, own: &Vec<f64>| {
                 row.iter().flat_map(|r| own.iter().map(move |o| r * o)).collect::<Vec<f64>>()
             };
-            rows = rows.iter().flat_map(|row| own.iter().map(move |own| product(row, own))).collect();
+            rows =
+                rows.iter().flat_map(|row| own.iter().map(move |own| product(row, own))).collect();
         }
         rows
     }

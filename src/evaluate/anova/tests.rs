@@ -99,7 +99,7 @@ fn what_cannot_be_analysed_is_refused_and_named() {
 }
 
 proptest! {
-    /// With equal cells the sums of squares of all effects and of the error add up to the total, and
+    /// With equal cells the sums of squares of all effects and the error add up to the total, and
     /// a shift of all samples, however large, changes none of them.
     #[test]
     fn equal_cells_divide_the_total(
