@@ -1,0 +1,5 @@
+//! From frames back to what made them: contacts, and skins.
+//! Uses: the forward model and its derivative. Never: files, clock, unseeded chance, threads.
+
+pub mod contacts;
+pub mod linear;
