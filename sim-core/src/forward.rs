@@ -317,6 +317,11 @@ impl ForwardModel {
         Ok(())
     }
 
+    /// The lattice under the tips.
+    pub fn lattice(&self) -> &TipLattice {
+        &self.lattice
+    }
+
     /// A contact's shares on the nodes.
     pub(crate) fn spread(&self, contact: &Contact, shares: &mut Vec<Share>) {
         self.lattice.spread(self.spreading, contact.x_mm, contact.y_mm, shares);

@@ -4,7 +4,8 @@
 //!
 //! Data flows one way: `sensor -> mesh -> (element, material, order, boundary, assemble, solve) ->
 //! responses -> fields, piezo, tip -> network -> forward -> jacobian, batch`. `deformation`, `spice`
-//! and `calculix` are for comparison, `surface` and `calibration` tie the model to measurements.
+//! and `calculix` are for comparison, `surface` and `calibration` tie the model to measurements;
+//! `inverse` goes back from measurements to loads and skins.
 
 pub mod sensor;
 pub mod mesh;
@@ -28,6 +29,7 @@ pub mod jacobian;
 pub mod batch;
 pub mod inverse;
 pub mod calibration;
+pub mod inverse;
 pub mod spice;
 pub mod calculix;
 mod digest;
