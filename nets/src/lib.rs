@@ -3,3 +3,22 @@
 //! datasets' files, HTTP.
 
 pub mod network;
+pub mod samples;
+mod chance;
+mod noise;
+pub mod input;
+pub mod statistics;
+pub mod initial;
+pub mod transfer_net;
+pub mod recon_net;
+pub mod point_net;
+pub mod recipe;
+mod upsample;
+mod model;
+mod loss;
+mod adam;
+mod batches;
+pub mod checkpoint;
+pub mod device;
+pub mod train;
+pub mod streamed;

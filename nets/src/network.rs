@@ -127,3 +127,63 @@ pub struct Network {
     /// What is made of the last one.
     pub form: Form,
 }
+
+impl Network {
+    /// Shows every number of every layer to `see`, in one order for all networks of a shape.
+    pub fn each_number(&mut self, see: &mut dyn FnMut(&mut [f32])) {
+        for layer in &mut self.layers {
+            match layer {
+                Layer::Dense { weight, bias, .. }
+                | Layer::ConvTranspose { weight, bias, .. }
+                | Layer::Conv { weight, bias, .. } => {
+                    [weight, bias].into_iter().for_each(|x| see(x))
+                }
+                Layer::BatchNorm { scale, shift, mean, variance, .. } => {
+                    [scale, shift, mean, variance].into_iter().for_each(|x| see(x))
+                }
+                Layer::Standardise { mean, sd } => [mean, sd].into_iter().for_each(|x| see(x)),
+                Layer::Scale { scale, shift } => {
+                    [scale, shift].into_iter().for_each(|x| see(std::slice::from_mut(x)))
+                }
+                Layer::Relu
+                | Layer::Gelu
+                | Layer::Image { .. }
+                | Layer::PixelShuffle { .. }
+                | Layer::UnitNorm { .. } => {}
+            }
+        }
+    }
+
+    /// Every number, in that order.
+    pub fn numbers(&self) -> Vec<f32> {
+        let mut numbers = Vec::new();
+        self.clone().each_number(&mut |x| numbers.extend_from_slice(x));
+        numbers
+    }
+
+    /// Sets every number, in that order.
+    pub(crate) fn set_numbers(&mut self, numbers: &[f32]) {
+        let mut numbers = numbers;
+        self.each_number(&mut |x| {
+            let (these, rest) = numbers.split_at(x.len());
+            x.copy_from_slice(these);
+            numbers = rest;
+        });
+    }
+
+    /// Factor of the last [`Layer::Scale`]: the size of what the net was trained to answer.
+    pub(crate) fn target_size(&self) -> f32 {
+        let scale = |layer: &Layer| match layer {
+            Layer::Scale { scale, .. } => Some(*scale),
+            _ => None,
+        };
+        self.layers.iter().rev().find_map(scale).unwrap_or(1.0)
+    }
+
+    /// The layers without their numbers: two networks of a shape have the same.
+    pub fn shape(&self) -> Network {
+        let mut shape = self.clone();
+        shape.each_number(&mut |x| x.fill(0.0));
+        shape
+    }
+}

@@ -1,0 +1,29 @@
+//! Chance of a training: a generator for each purpose and number, so that none shifts another.
+//! PURE. Never: unseeded chance, state between calls.
+
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+/// What chance is drawn for.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Purpose {
+    /// First weights.
+    Weights,
+    /// Order of an epoch's samples.
+    Order,
+    /// Noise on a sample in an epoch.
+    Noise,
+    /// Samples that statistics are measured on.
+    Statistics,
+    /// Contacts of a streamed sample.
+    Contacts,
+}
+
+/// The generator of a purpose; `number` and `part` tell its uses apart.
+pub(crate) fn generator(seed: u64, purpose: Purpose, number: u64, part: u64) -> ChaCha8Rng {
+    let mut key = [0; 32];
+    for (bytes, word) in key.chunks_exact_mut(8).zip([seed, purpose as u64, number, part]) {
+        bytes.copy_from_slice(&word.to_le_bytes());
+    }
+    ChaCha8Rng::from_seed(key)
+}

@@ -1,0 +1,62 @@
+//! How a net sees a frame: the layers at its front, which are measured once and not trained.
+//! PURE. Uses: `statistics`. Never: burn.
+
+use serde::{Deserialize, Serialize};
+
+use crate::network::Layer;
+use crate::statistics::Statistics;
+
+/// Least norm of a frame that is divided by, V: that of readout noise of 36 uV, so that an
+/// untouched skin's frame is small and not blown up to one.
+pub const NORM_FLOOR_V: f32 = 1e-3;
+
+/// Normalisation of frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Input {
+    /// Each channel to mean 0 and standard deviation 1.
+    Standardised,
+    /// `sqrt(channels) v / |v|`: what a touch looks like, whatever its force.
+    Unit,
+    /// `v / |v|` to its first principal components, each of variance 1, and `ln |v|`
+    /// standardised: the study's best (part 4, section 4).
+    Whitened {
+        /// Components kept, at most as many as there are channels.
+        components: usize,
+    },
+}
+
+impl Input {
+    /// Layers of the normalisation, the same number for every frame.
+    pub const LAYERS: usize = 2;
+
+    /// Numbers that come out, of so many channels.
+    pub fn width(self, channels: usize) -> usize {
+        match self {
+            Self::Standardised | Self::Unit => channels,
+            Self::Whitened { components } => components + 1,
+        }
+    }
+
+    /// The layers, [`Input::LAYERS`] of them.
+    pub fn layers(self, statistics: &Statistics) -> Vec<Layer> {
+        let channels = statistics.mean.len();
+        match self {
+            Self::Standardised => {
+                let (mean, sd) = (statistics.mean.clone(), statistics.sd.clone());
+                vec![Layer::Standardise { mean, sd }, Layer::Scale { scale: 1.0, shift: 0.0 }]
+            }
+            Self::Unit => vec![
+                Layer::UnitNorm { floor: NORM_FLOOR_V, log_scale: None },
+                Layer::Scale { scale: (channels as f32).sqrt(), shift: 0.0 },
+            ],
+            Self::Whitened { .. } => {
+                let (weight, bias) = statistics.whitening.clone();
+                vec![
+                    Layer::UnitNorm { floor: NORM_FLOOR_V, log_scale: Some(1.0) },
+                    Layer::Dense { inputs: channels + 1, outputs: bias.len(), weight, bias },
+                ]
+            }
+        }
+    }
+}

@@ -1,0 +1,79 @@
+//! Point-Net (issue 5, study 4): for each point of the skin the logit of its being pressed and the
+//! logarithm of its force.
+//! PURE. Uses: `initial`, `input`. Never: burn.
+
+use serde::{Deserialize, Serialize};
+
+use crate::initial::{Initial, LINEAR};
+use crate::input::Input;
+use crate::network::{Form, Layer, Network};
+use crate::recipe::{RecipeError, require};
+use crate::statistics::Statistics;
+use crate::streamed::Draws;
+
+/// What a Point-Net is. Its answer is `[2, points]`: logits, then `ln` of the force in newtons.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct PointNet {
+    /// Principal components that it sees.
+    pub components: usize,
+    /// Hidden layers.
+    pub hidden: usize,
+    /// Neurons of a hidden layer.
+    pub width: usize,
+    /// Weight of the squared error of `ln` force, summed over the pressed points, beside the cross
+    /// entropy of presence, summed over all points.
+    pub force_weight: f64,
+    /// Contacts of the samples that are simulated while it trains.
+    pub draws: Draws,
+}
+
+impl Default for PointNet {
+    fn default() -> Self {
+        Self { components: 100, hidden: 3, width: 1024, force_weight: 1.0, draws: Draws::default() }
+    }
+}
+
+/// Logit of presence at the start: 3.5 contacts on 804 points.
+const RARE: f32 = -5.4;
+/// `ln` of the force at the start: 15 N.
+const TYPICAL: f32 = 2.7;
+
+impl PointNet {
+    /// Its normalisation.
+    pub fn input(&self) -> Input {
+        Input::Whitened { components: self.components }
+    }
+
+    pub(crate) fn check(&self) -> Result<(), RecipeError> {
+        require(self.components > 0, "net.components", self.components, "at least 1")?;
+        require((1..=64).contains(&self.hidden), "net.hidden", self.hidden, "1..64")?;
+        require((1..=1 << 14).contains(&self.width), "net.width", self.width, "1..16384")?;
+        let good = self.force_weight.is_finite() && self.force_weight >= 0.0;
+        require(good, "net.force-weight", self.force_weight, "at least 0")?;
+        self.draws.check()
+    }
+
+    /// A net that knows nothing yet, for so many points.
+    pub(crate) fn first(
+        &self,
+        statistics: &Statistics,
+        points: usize,
+        initial: &mut Initial,
+    ) -> Network {
+        let channels = statistics.mean.len();
+        let mut layers = self.input().layers(statistics);
+        let mut inputs = self.input().width(channels);
+        for _ in 0..self.hidden {
+            layers.extend([initial.dense(inputs, self.width, LINEAR), Layer::Gelu]);
+            inputs = self.width;
+        }
+        let mut heads = initial.dense(inputs, 2 * points, LINEAR);
+        if let Layer::Dense { bias, .. } = &mut heads {
+            bias[..points].fill(RARE);
+            bias[points..].fill(TYPICAL);
+        }
+        layers.push(heads);
+        Network { inputs: channels, output: vec![2, points], layers, form: Form::Plain }
+    }
+}

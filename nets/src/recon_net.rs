@@ -1,0 +1,101 @@
+//! Recon-Net (paper V-B): voltages to a force map, newtons per pixel. The paper's layers are not
+//! public; these are ours: a dense layer draws a small image with many channels, and transposed
+//! convolutions double its sides until it is the map.
+//! PURE. Uses: `initial`, `input`. Never: burn.
+
+use serde::{Deserialize, Serialize};
+
+use crate::initial::{Initial, LINEAR, RECTIFIED};
+use crate::input::Input;
+use crate::network::{Form, Layer, Network};
+use crate::recipe::{RecipeError, require};
+use crate::statistics::Statistics;
+
+/// What a Recon-Net is. It learns without a bound; the trained net ends in a rectifier, which can
+/// but lessen the error, since no true force is negative.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct ReconNet {
+    /// Pixels along a side of the map: 160, 64 or 32 in the paper.
+    pub side: usize,
+    /// Normalisation.
+    pub input: Input,
+    /// Neurons of a dense rectified layer between input and first image; 0: none.
+    pub hidden: usize,
+    /// Channels of the first image and of each that follows, the map itself left out. Its sides are
+    /// the map's over two to the power of their number.
+    pub channels: Vec<usize>,
+    /// Side of the transposed convolutions' kernels: 2 (pixels do not overlap) or 4.
+    pub kernel: usize,
+    /// Whether channels are normalised over the batch after each layer.
+    pub batch_norm: bool,
+}
+
+impl Default for ReconNet {
+    fn default() -> Self {
+        Self {
+            side: 160,
+            input: Input::Whitened { components: 100 },
+            hidden: 0,
+            channels: vec![128, 64, 32, 16],
+            kernel: 4,
+            batch_norm: false,
+        }
+    }
+}
+
+impl ReconNet {
+    /// Side of the first image.
+    fn first_side(&self) -> usize {
+        self.side >> self.channels.len()
+    }
+
+    pub(crate) fn check(&self) -> Result<(), RecipeError> {
+        let few = (1..=10).contains(&self.channels.len());
+        require(few, "net.channels", self.channels.len(), "a list of 1 to 10")?;
+        let sizes = self.channels.iter().all(|c| (1..=4096).contains(c));
+        require(sizes, "net.channels", format!("{:?}", self.channels), "numbers of 1..4096")?;
+        let whole = (1..=1024).contains(&self.side)
+            && self.first_side() << self.channels.len() == self.side;
+        let limit = "1..1024 and a multiple of two to the power of the number of channels";
+        require(whole, "net.side", self.side, limit)?;
+        require(self.hidden <= 1 << 14, "net.hidden", self.hidden, "at most 16384")?;
+        require([2, 4].contains(&self.kernel), "net.kernel", self.kernel, "2 or 4")
+    }
+
+    /// A net that knows nothing yet.
+    pub(crate) fn first(&self, statistics: &Statistics, initial: &mut Initial) -> Network {
+        let inputs = statistics.mean.len();
+        let mut layers = self.input.layers(statistics);
+        let mut width = self.input.width(inputs);
+        if self.hidden > 0 {
+            layers.extend([initial.dense(width, self.hidden, RECTIFIED), Layer::Relu]);
+            width = self.hidden;
+        }
+        let side = self.first_side();
+        let mut channels = self.channels[0];
+        layers.push(initial.dense(width, channels * side * side, RECTIFIED));
+        layers.push(Layer::Image { channels, height: side, width: side });
+        let normalise = |channels: usize| {
+            self.batch_norm.then(|| Layer::BatchNorm {
+                scale: vec![1.0; channels],
+                shift: vec![0.0; channels],
+                mean: vec![0.0; channels],
+                variance: vec![1.0; channels],
+                epsilon: 1e-5,
+            })
+        };
+        for &next in &self.channels[1..] {
+            layers.extend(normalise(channels));
+            layers.push(Layer::Relu);
+            layers.push(initial.twice(channels, next, self.kernel, RECTIFIED));
+            channels = next;
+        }
+        layers.extend(normalise(channels));
+        layers.push(Layer::Relu);
+        layers.push(initial.twice(channels, 1, self.kernel, LINEAR));
+        layers.push(Layer::Scale { scale: statistics.target_size, shift: 0.0 });
+        layers.push(Layer::Relu);
+        Network { inputs, output: vec![self.side, self.side], layers, form: Form::Plain }
+    }
+}

@@ -1,0 +1,177 @@
+//! What normalisation needs to know of the data: moments, principal components, size of targets.
+//! Uses: faer for the eigenvectors. Never: all of the data, validation data.
+
+use faer::{Mat, Side};
+use rand::RngExt;
+
+use crate::chance::{Purpose, generator};
+use crate::input::{Input, NORM_FLOOR_V};
+use crate::noise::NoiseSource;
+use crate::samples::{Samples, SamplesError, read_finite};
+
+/// Most samples that are measured, drawn from the seed.
+pub const MEASURED_MAX: u64 = 8192;
+/// Samples held at once.
+const CHUNK: usize = 64;
+
+/// Of the training data.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Statistics {
+    /// Mean of each input channel.
+    pub mean: Vec<f32>,
+    /// Standard deviation of each input channel; 1 where it is zero.
+    pub sd: Vec<f32>,
+    /// Root mean square of all targets' numbers; 1 where it is zero.
+    pub target_size: f32,
+    /// From `(v / |v|, ln |v|)` to whitened components and standardised logarithm: weight
+    /// `[components + 1][channels + 1]`, bias `[components + 1]`. Empty unless asked for.
+    pub whitening: (Vec<f32>, Vec<f32>),
+}
+
+/// Sums over samples, in f64.
+struct Moments {
+    count: f64,
+    sum: Vec<f64>,
+    square: Vec<f64>,
+}
+
+impl Moments {
+    fn new(len: usize) -> Self {
+        Self { count: 0.0, sum: vec![0.0; len], square: vec![0.0; len] }
+    }
+
+    fn add(&mut self, numbers: impl Iterator<Item = f64>) {
+        self.count += 1.0;
+        for ((sum, square), x) in self.sum.iter_mut().zip(&mut self.square).zip(numbers) {
+            *sum += x;
+            *square += x * x;
+        }
+    }
+
+    fn mean(&self, i: usize) -> f64 {
+        self.sum[i] / self.count
+    }
+
+    fn sd(&self, i: usize) -> f64 {
+        let sd = (self.square[i] / self.count - self.mean(i).powi(2)).max(0.0).sqrt();
+        if sd > 0.0 { sd } else { 1.0 }
+    }
+}
+
+impl Statistics {
+    /// Of data that nobody looked at: gives networks their shape, and nothing else.
+    pub(crate) fn unknown(input: Input, channels: usize) -> Self {
+        let whitening = match input {
+            Input::Whitened { components } => {
+                (vec![0.0; (components + 1) * (channels + 1)], vec![0.0; components + 1])
+            }
+            _ => Default::default(),
+        };
+        let of = |x| vec![x; channels];
+        Self { mean: of(0.0), sd: of(1.0), target_size: 1.0, whitening }
+    }
+
+    /// Measures up to [`MEASURED_MAX`] samples with the noise of the first epoch: components that
+    /// hold nothing but noise must be seen as large as it makes them.
+    pub(crate) fn measure(
+        from: &dyn Samples,
+        input: Input,
+        noise: &NoiseSource,
+        seed: u64,
+    ) -> Result<Self, SamplesError> {
+        let (channels, targets) = (from.input_len(), from.target_len());
+        let mut of_inputs = Moments::new(channels);
+        let mut of_logs = Moments::new(1);
+        let mut of_targets = Moments::new(1);
+        let mut products = match input {
+            Input::Whitened { .. } => Mat::<f64>::zeros(channels, channels),
+            _ => Mat::zeros(0, 0),
+        };
+        let mut unit_sum = vec![0.0; channels];
+        let picked = pick(from, seed);
+        let (mut x, mut y) = (vec![0.0; CHUNK * channels], vec![0.0; CHUNK * targets]);
+        for numbers in picked.chunks(CHUNK) {
+            let (x, y) = (&mut x[..numbers.len() * channels], &mut y[..numbers.len() * targets]);
+            read_finite(from, numbers, x, y)?;
+            let mut units = Mat::<f64>::zeros(channels, numbers.len());
+            for (row, frame) in x.chunks_exact_mut(channels).enumerate() {
+                noise.add(0, numbers[row], frame);
+                of_inputs.add(frame.iter().map(|&v| f64::from(v)));
+                let norm = norm(frame);
+                of_logs.add([norm.ln()].into_iter());
+                for (i, &v) in frame.iter().enumerate() {
+                    units[(i, row)] = f64::from(v) / norm;
+                    unit_sum[i] += units[(i, row)];
+                }
+            }
+            y.iter().for_each(|&v| of_targets.add([f64::from(v)].into_iter()));
+            if products.nrows() > 0 {
+                products += &units * units.transpose();
+            }
+        }
+        let each = |f: &dyn Fn(usize) -> f64| (0..channels).map(|i| f(i) as f32).collect();
+        let size = (of_targets.square[0] / of_targets.count).sqrt();
+        let mut statistics = Self {
+            mean: each(&|i| of_inputs.mean(i)),
+            sd: each(&|i| of_inputs.sd(i)),
+            target_size: if size > 0.0 { size as f32 } else { 1.0 },
+            whitening: (Vec::new(), Vec::new()),
+        };
+        if let Input::Whitened { components } = input {
+            let count = of_inputs.count;
+            let mean: Vec<f64> = unit_sum.iter().map(|s| s / count).collect();
+            let covariance = Mat::from_fn(channels, channels, |i, j| {
+                products[(i, j)] / count - mean[i] * mean[j]
+            });
+            statistics.whitening =
+                whitening(&covariance, &mean, [of_logs.mean(0), of_logs.sd(0)], components)?;
+        }
+        Ok(statistics)
+    }
+}
+
+/// Euclidean norm, at least the floor.
+fn norm(frame: &[f32]) -> f64 {
+    let square: f64 = frame.iter().map(|&v| f64::from(v).powi(2)).sum();
+    square.sqrt().max(f64::from(NORM_FLOOR_V))
+}
+
+/// Numbers of the samples that are measured: all of few, else drawn with replacement.
+fn pick(from: &dyn Samples, seed: u64) -> Vec<u64> {
+    if from.len() <= MEASURED_MAX {
+        return (0..from.len()).collect();
+    }
+    let mut chance = generator(seed, Purpose::Statistics, 0, 0);
+    let mut picked: Vec<u64> =
+        (0..MEASURED_MAX).map(|_| chance.random_range(0..from.len())).collect();
+    picked.sort_unstable(); // Rows of a file are read in their order.
+    picked
+}
+
+/// Rows of principal components over their standard deviation, and a row for the logarithm.
+fn whitening(
+    covariance: &Mat<f64>,
+    mean: &[f64],
+    [log_mean, log_sd]: [f64; 2],
+    components: usize,
+) -> Result<(Vec<f32>, Vec<f32>), SamplesError> {
+    let channels = mean.len();
+    let message = || "the covariance of the frames has no eigenvectors".to_string();
+    let decomposed = covariance
+        .self_adjoint_eigen(Side::Lower)
+        .map_err(|_| SamplesError::Source { message: message() })?;
+    let (values, vectors) = (decomposed.S().column_vector(), decomposed.U());
+    // Below this a component is rounding.
+    let least = values[channels - 1].max(f64::MIN_POSITIVE) * 1e-10;
+    let (mut weight, mut bias) = (Vec::new(), Vec::new());
+    for nth in 0..components {
+        let column = channels - 1 - nth;
+        let scale = 1.0 / values[column].max(least).sqrt();
+        let row = (0..channels).map(|i| vectors[(i, column)] * scale);
+        bias.push(-row.clone().zip(mean).map(|(w, m)| w * m).sum::<f64>() as f32);
+        weight.extend(row.map(|w| w as f32).chain([0.0]));
+    }
+    weight.extend(std::iter::repeat_n(0.0, channels).chain([(1.0 / log_sd) as f32]));
+    bias.push((-log_mean / log_sd) as f32);
+    Ok((weight, bias))
+}

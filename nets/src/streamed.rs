@@ -1,0 +1,141 @@
+//! Samples for Point-Net, simulated while it trains: a fixed set is memorised within a few epochs
+//! (study, part 4, section 4).
+//! Uses: sim-core. Never: files. A sample is a function of seed and number alone.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+use sim_core::batch::{BatchModel, BatchWork};
+use sim_core::forward::Contact;
+use sim_core::sensor::Point;
+
+use crate::chance::{Purpose, generator};
+use crate::recipe::{RecipeError, require};
+use crate::samples::{Samples, SamplesError};
+
+/// Which contacts samples have: as Sim-Random draws them (paper IV-A), and some lighter ones, since
+/// Real-Unseen's weights are 5 to 10 N.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct Draws {
+    /// Fewest and most contacts, each number equally likely.
+    pub contacts: [usize; 2],
+    /// Least and largest force of a contact, N, uniform.
+    pub force_n: [f64; 2],
+    /// Share of the samples all whose contacts are light.
+    pub light_share: f64,
+    /// Least and largest force of those, N, uniform.
+    pub light_force_n: [f64; 2],
+}
+
+impl Default for Draws {
+    fn default() -> Self {
+        Self {
+            contacts: [1, 6],
+            force_n: [5.0, 40.0],
+            light_share: 0.25,
+            light_force_n: [2.5, 12.0],
+        }
+    }
+}
+
+/// Most contacts of a sample: the model is checked up to it.
+const CONTACTS_MAX: usize = 6;
+
+impl Draws {
+    pub(crate) fn check(&self) -> Result<(), RecipeError> {
+        let [fewest, most] = self.contacts;
+        let shown = format!("{:?}", self.contacts);
+        let holds = fewest <= most && most <= CONTACTS_MAX;
+        require(holds, "net.draws.contacts", shown, "two numbers in order, at most 6")?;
+        let share = (0.0..=1.0).contains(&self.light_share);
+        require(share, "net.draws.light-share", self.light_share, "0..1")?;
+        for (field, [least, largest]) in
+            [("net.draws.force-n", self.force_n), ("net.draws.light-force-n", self.light_force_n)]
+        {
+            let holds = 0.0 < least && least <= largest && largest <= 40.0;
+            let limit = "two numbers in order, above 0 and at most 40";
+            require(holds, field, format!("{least} {largest}"), limit)?;
+        }
+        Ok(())
+    }
+
+    /// The pressed points of a sample, all different, and their forces in newtons.
+    fn sample(&self, seed: u64, number: u64, points: usize) -> Vec<(usize, f64)> {
+        let mut chance = generator(seed, Purpose::Contacts, number, 0);
+        let [fewest, most] = self.contacts;
+        let count = chance.random_range(fewest..=most.min(points));
+        let light = chance.random_bool(self.light_share);
+        let [least, largest] = if light { self.light_force_n } else { self.force_n };
+        let drawn = rand::seq::index::sample(&mut chance, points, count);
+        drawn.into_iter().map(|point| (point, chance.random_range(least..=largest))).collect()
+    }
+}
+
+/// A stream of simulated samples: the frame, and the force at each point.
+pub struct Streamed {
+    model: Arc<BatchModel>,
+    points: Vec<Point>,
+    draws: Draws,
+    seed: u64,
+    len: u64,
+    work: Mutex<BatchWork>,
+}
+
+impl Streamed {
+    /// A stream of a seed, `len` samples to an epoch. `points` are those of the model's skin.
+    pub fn new(
+        model: Arc<BatchModel>,
+        points: &[Point],
+        draws: Draws,
+        seed: u64,
+        len: u64,
+    ) -> Self {
+        let work = Mutex::default();
+        Self { model, points: points.to_vec(), draws, seed, len, work }
+    }
+}
+
+impl Samples for Streamed {
+    fn len(&self) -> u64 {
+        self.len
+    }
+
+    fn input_len(&self) -> usize {
+        self.model.frame_len()
+    }
+
+    fn target_len(&self) -> usize {
+        self.points.len()
+    }
+
+    fn is_stream(&self) -> bool {
+        true
+    }
+
+    fn read(
+        &self,
+        samples: &[u64],
+        inputs: &mut [f32],
+        targets: &mut [f32],
+    ) -> Result<(), SamplesError> {
+        targets.fill(0.0);
+        let mut trials = Vec::with_capacity(samples.len());
+        for (&number, target) in samples.iter().zip(targets.chunks_exact_mut(self.points.len())) {
+            let drawn = self.draws.sample(self.seed, number, self.points.len());
+            let contacts = drawn.into_iter().map(|(point, force_n)| {
+                target[point] = force_n as f32;
+                let Point { x_mm, y_mm, .. } = self.points[point];
+                Contact { x_mm, y_mm, force_n }
+            });
+            trials.push(contacts.collect::<Vec<_>>());
+        }
+        let trials: Vec<&[Contact]> = trials.iter().map(Vec::as_slice).collect();
+        // Work is scratch memory: what a thread that failed left in it is written over.
+        let mut work = self.work.lock().unwrap_or_else(PoisonError::into_inner);
+        self.model
+            .voltages(&trials, inputs, &mut work)
+            .map_err(|e| SamplesError::Source { message: e.to_string() })
+    }
+}

@@ -1,0 +1,414 @@
+//! Training: batches, losses and steps, until the epochs are over or nothing gets better.
+//! Uses: burn, everything else of this crate. Never: files, the clock.
+
+use burn::tensor::{Tensor, TensorData};
+
+use crate::adam::Adam;
+use crate::batches::{Batch, Pass};
+use crate::checkpoint::{self, CheckpointError, EpochLoss, Place, State, Subject};
+use crate::device::Compute;
+use crate::initial::Initial;
+use crate::input::Input;
+use crate::loss::Loss;
+use crate::model::Model;
+use crate::network::Network;
+use crate::noise::NoiseSource;
+use crate::recipe::{Net, Recipe, RecipeError, require};
+use crate::samples::{Samples, SamplesError};
+use crate::statistics::Statistics;
+
+/// Noise of validation samples is that of an epoch that no training reaches: always the same.
+const VALIDATION: u64 = u64::MAX;
+
+/// A training that could begin.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// What it follows.
+    pub recipe: Recipe,
+    /// Names of its data (dataset, model of a stream): a checkpoint of other data is refused.
+    pub data: String,
+    /// Standard deviation of each channel, V, that the recipe's noise level multiplies: of a
+    /// Transfer-Net's residuals (Fig. 10A).
+    pub noise_sd_v: Option<Vec<f32>>,
+    /// Where weights begin and the normalisation that stays; none: drawn from the seed, measured on
+    /// the training samples.
+    pub start: Option<Network>,
+    /// Where it computes. One thread gives the same bytes for the same plan and data.
+    pub compute: Compute,
+}
+
+/// What a training tells while it runs.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Progress {
+    /// The epoch under way, from 0.
+    pub epoch: u32,
+    /// Epochs of the recipe.
+    pub epochs: u32,
+    /// Batches of the epoch that are learned, and that it has.
+    pub batches: [u64; 2],
+    /// Samples learned since the training began, checkpoints included, and those of all epochs.
+    pub samples: [u64; 2],
+    /// Mean loss of the epoch so far, in its own unit.
+    pub train_loss: f64,
+    /// Loss on the validation samples, when the epoch has just ended.
+    pub validation_loss: Option<f64>,
+    /// The epoch with the least validation loss.
+    pub best: Option<EpochLoss>,
+}
+
+/// What a training shall do next.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Flow {
+    /// Go on.
+    Continue,
+    /// Hand over a checkpoint, then go on.
+    Checkpoint,
+    /// Hand over a checkpoint, then end.
+    Stop,
+}
+
+/// Who watches a training.
+pub trait Observer {
+    /// After every batch, and after each epoch with its validation loss.
+    fn see(&mut self, progress: &Progress) -> Flow;
+
+    /// A checkpoint that was asked for; give it to [`train`] to go on.
+    fn keep(&mut self, checkpoint: Vec<u8>);
+}
+
+/// Why a training ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum End {
+    /// All epochs are over.
+    Epochs,
+    /// The recipe's patience is.
+    Patience,
+    /// The observer wished it.
+    Stopped,
+}
+
+/// What training made.
+#[derive(Debug, Clone)]
+pub struct Trained {
+    /// The network with the least validation loss; the last one where no epoch ended.
+    pub network: Network,
+    /// Losses of each epoch that ended.
+    pub curve: Vec<EpochLoss>,
+    /// Why it ended.
+    pub end: End,
+}
+
+/// Why there is no trained net.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum TrainError {
+    /// The recipe cannot be followed, with these data.
+    #[error(transparent)]
+    Recipe(#[from] RecipeError),
+    /// The data cannot be read, or hold what is no number.
+    #[error(transparent)]
+    Samples(#[from] SamplesError),
+    /// The checkpoint is of something else.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    /// The network to start from is not what the recipe describes.
+    #[error("start: {0}")]
+    Start(&'static str),
+    /// The loss is no number any more.
+    #[error(
+        "training: the loss is not finite in epoch {epoch}, batch {batch}: a smaller \
+             learning rate may help"
+    )]
+    Diverged {
+        /// The epoch, from 0.
+        epoch: u32,
+        /// The batch, from 0.
+        batch: u64,
+    },
+    /// No threads to compute on.
+    #[error("training: its threads could not be started: {0}")]
+    Threads(String),
+}
+
+/// Trains a net, from the beginning or from a checkpoint of the same plan and data.
+pub fn train(
+    plan: &Plan,
+    train: &dyn Samples,
+    validation: &dyn Samples,
+    checkpoint: Option<&[u8]>,
+    observer: &mut (dyn Observer + Send),
+) -> Result<Trained, TrainError> {
+    plan.recipe.check()?;
+    plan.compute.run(|| Training::new(plan, train, validation, checkpoint)?.run(observer))?
+}
+
+/// Answers of a network through burn, one after the other, of frames one after the other: what
+/// other runtimes are compared with.
+pub fn answer(network: &Network, frames: &[f32], compute: Compute) -> Result<Vec<f32>, TrainError> {
+    compute.run(|| {
+        let device = compute.device();
+        let mut model = Model::new(network.clone(), network.layers.len(), &device);
+        let batch = frames.len() / network.inputs;
+        let data = TensorData::new(frames.to_vec(), [batch, network.inputs]);
+        numbers(model.answer(Tensor::from_data(data, &device)))
+    })
+}
+
+fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.into_data().try_to_vec().expect("answers are f32")
+}
+
+/// Refuses data that the net cannot be trained on.
+fn check(plan: &Plan, train: &dyn Samples, validation: &dyn Samples) -> Result<(), RecipeError> {
+    let (channels, target) = (train.input_len(), train.target_len());
+    require(!train.is_empty(), "training samples", 0, "at least 1")?;
+    require(!validation.is_empty(), "validation samples", 0, "at least 1")?;
+    let alike = validation.input_len() == channels && validation.target_len() == target;
+    require(alike, "validation samples", "of other lengths", "like the training samples")?;
+    require(channels > 0, "channels", channels, "at least 1")?;
+    if let Some(sd_v) = &plan.noise_sd_v {
+        let limit = "one for each channel";
+        require(sd_v.len() == channels, "noise standard deviations", sd_v.len(), limit)?;
+    }
+    let given = plan.recipe.noise.level == 0.0 || plan.noise_sd_v.is_some();
+    let limit = "0 where no residuals of a Transfer-Net are given";
+    require(given, "noise.level", plan.recipe.noise.level, limit)?;
+    match &plan.recipe.net {
+        Net::TransferNet(_) => {
+            require(target == channels, "numbers of a target", target, "as many as channels")
+        }
+        Net::ReconNet(net) | Net::EndToEnd(net) => {
+            let square = net.side * net.side;
+            require(target == square, "numbers of a target", target, "the square of net.side")
+        }
+        Net::PointNet(_) => require(target > 0, "points", target, "at least 1"),
+    }?;
+    if let Input::Whitened { components } = plan.recipe.net.input() {
+        let limit = "at most as many as channels";
+        require(components <= channels, "net.components", components, limit)?;
+    }
+    Ok(())
+}
+
+/// The net as it is before the first step.
+fn first(plan: &Plan, statistics: &Statistics, target: usize) -> Network {
+    let mut initial = Initial::new(plan.recipe.seed);
+    match &plan.recipe.net {
+        Net::TransferNet(net) => net.first(statistics, &mut initial),
+        Net::ReconNet(net) | Net::EndToEnd(net) => net.first(statistics, &mut initial),
+        Net::PointNet(net) => net.first(statistics, target, &mut initial),
+    }
+}
+
+/// A training under way.
+struct Training<'a> {
+    recipe: &'a Recipe,
+    subject: Subject,
+    train: &'a dyn Samples,
+    validation: &'a dyn Samples,
+    noise: NoiseSource,
+    loss: Loss,
+    model: Model,
+    adam: Adam,
+    place: Place,
+    best: Network,
+}
+
+impl<'a> Training<'a> {
+    fn new(
+        plan: &'a Plan,
+        train: &'a dyn Samples,
+        validation: &'a dyn Samples,
+        checkpoint: Option<&[u8]>,
+    ) -> Result<Self, TrainError> {
+        check(plan, train, validation)?;
+        let recipe = &plan.recipe;
+        let (channels, target) = (train.input_len(), train.target_len());
+        let subject = Subject {
+            recipe: recipe.clone(),
+            data: plan.data.clone(),
+            channels,
+            target,
+            samples: train.len(),
+            validation_samples: validation.len(),
+        };
+        let noise =
+            NoiseSource::new(recipe.seed, recipe.noise, plan.noise_sd_v.as_deref(), channels);
+        let input = recipe.net.input();
+        let state = checkpoint.map(|bytes| checkpoint::read(bytes, &subject)).transpose()?;
+        let mut network = match (&state, &plan.start) {
+            (None, None) => {
+                let statistics = Statistics::measure(train, input, &noise, recipe.seed)?;
+                first(plan, &statistics, target)
+            }
+            (_, Some(start)) => start.clone(),
+            (Some(_), None) => first(plan, &Statistics::unknown(input, channels), target),
+        };
+        let described = first(plan, &Statistics::unknown(input, channels), target);
+        if network.shape() != described.shape() {
+            return Err(TrainError::Start("its layers are not those of the recipe"));
+        }
+        let mut best = network.clone();
+        let mut place = Place::default();
+        if let Some(state) = &state {
+            checkpoint::fits(state, &network)?;
+            network.set_numbers(&state.network);
+            best.set_numbers(&state.best);
+            place = state.place.clone();
+        }
+        let device = plan.compute.device();
+        let loss = Loss::of(&recipe.net, network.target_size());
+        let model = Model::new(network, Input::LAYERS, &device);
+        let mut adam = Adam::new(recipe.optimiser, model.shapes(), &device, plan.compute.is_host());
+        if let Some(state) = state {
+            adam.set_state(state.steps, state.moments);
+        }
+        Ok(Self { recipe, subject, train, validation, noise, loss, model, adam, place, best })
+    }
+
+    fn run(mut self, observer: &mut dyn Observer) -> Result<Trained, TrainError> {
+        while self.place.epoch < self.recipe.epochs {
+            if self.impatient() {
+                return Ok(self.end(End::Patience));
+            }
+            if !self.epoch(observer)? {
+                return Ok(self.end(End::Stopped));
+            }
+            let validation = self.judge()?;
+            let train = self.train_loss();
+            let epoch = self.place.epoch;
+            if self.best_epoch().is_none_or(|best| validation < best.validation) {
+                self.best = self.model.network();
+            }
+            self.place.curve.push(EpochLoss { epoch, train, validation });
+            let progress = Progress { validation_loss: Some(validation), ..self.progress() };
+            self.place = Place { epoch: epoch + 1, batches: 0, loss_sum: 0.0, ..self.place };
+            if !self.follow(observer, &progress) {
+                return Ok(self.end(End::Stopped));
+            }
+        }
+        Ok(self.end(End::Epochs))
+    }
+
+    /// Learns what is left of the epoch; `false` when it shall stop.
+    fn epoch(&mut self, observer: &mut dyn Observer) -> Result<bool, TrainError> {
+        let noise = self.noise.clone();
+        let pass = Pass {
+            from: self.train,
+            noise: &noise,
+            batch: self.recipe.batch,
+            shuffle: Some(self.recipe.seed),
+            epoch: self.place.epoch.into(),
+            skip: self.place.batches,
+        };
+        pass.each(|batch| {
+            self.learn(batch)?;
+            let progress = self.progress();
+            Ok(self.follow(observer, &progress))
+        })
+    }
+
+    fn learn(&mut self, batch: Batch) -> Result<(), TrainError> {
+        let [inputs, targets] = self.tensors(batch);
+        let loss = self.loss.value(self.model.learn(inputs), targets.autodiff());
+        let value: f32 = loss.clone().into_scalar();
+        if !value.is_finite() {
+            let (epoch, batch) = (self.place.epoch, self.place.batches);
+            return Err(TrainError::Diverged { epoch, batch });
+        }
+        let gradients = self.model.gradients(&mut loss.backward());
+        drop(loss);
+        let taken = self.place.epoch as u64 * self.batches() + self.place.batches;
+        let steps = self.recipe.epochs as u64 * self.batches();
+        let rate = self.recipe.optimiser.rate(taken, steps);
+        self.adam.step(&mut self.model, gradients, rate);
+        self.place.batches += 1;
+        self.place.loss_sum += f64::from(value);
+        Ok(())
+    }
+
+    /// The loss on the validation samples.
+    fn judge(&mut self) -> Result<f64, TrainError> {
+        let noise = self.noise.clone();
+        let pass = Pass {
+            from: self.validation,
+            noise: &noise,
+            batch: self.recipe.batch,
+            shuffle: None,
+            epoch: VALIDATION,
+            skip: 0,
+        };
+        let mut sum = 0.0;
+        pass.each(|batch| {
+            let len = batch.len as f64;
+            let [inputs, targets] = self.tensors(batch);
+            let value: f32 = self.loss.value(self.model.judge(inputs), targets).into_scalar();
+            sum += f64::from(value) * len;
+            Ok::<_, TrainError>(true)
+        })?;
+        Ok(self.loss.in_units(sum / self.validation.len() as f64))
+    }
+
+    fn tensors(&self, batch: Batch) -> [Tensor<2>; 2] {
+        [batch.inputs, batch.targets].map(|numbers| {
+            let shape = [batch.len, numbers.len() / batch.len];
+            Tensor::from_data(TensorData::new(numbers, shape), self.model.device())
+        })
+    }
+
+    /// Batches of an epoch.
+    fn batches(&self) -> u64 {
+        self.train.len().div_ceil(self.recipe.batch as u64)
+    }
+
+    fn train_loss(&self) -> f64 {
+        self.loss.in_units(self.place.loss_sum / self.place.batches.max(1) as f64)
+    }
+
+    fn best_epoch(&self) -> Option<EpochLoss> {
+        let by_loss = |a: &&EpochLoss, b: &&EpochLoss| a.validation.total_cmp(&b.validation);
+        self.place.curve.iter().min_by(by_loss).copied()
+    }
+
+    fn impatient(&self) -> bool {
+        let since = self.best_epoch().map_or(0, |best| self.place.epoch - 1 - best.epoch);
+        self.recipe.patience.is_some_and(|patience| since >= patience)
+    }
+
+    fn progress(&self) -> Progress {
+        let (epoch, epochs) = (self.place.epoch, self.recipe.epochs);
+        let len = self.train.len();
+        let learned = (self.place.batches * self.recipe.batch as u64).min(len);
+        Progress {
+            epoch,
+            epochs,
+            batches: [self.place.batches, self.batches()],
+            samples: [u64::from(epoch) * len + learned, u64::from(epochs) * len],
+            train_loss: self.train_loss(),
+            validation_loss: None,
+            best: self.best_epoch(),
+        }
+    }
+
+    /// Shows progress and does what is wished; `false` when it shall stop.
+    fn follow(&self, observer: &mut dyn Observer, progress: &Progress) -> bool {
+        let flow = observer.see(progress);
+        if flow != Flow::Continue {
+            let (steps, moments) = self.adam.state();
+            let state = State {
+                place: self.place.clone(),
+                network: self.model.network().numbers(),
+                best: self.best.numbers(),
+                steps,
+                moments,
+            };
+            observer.keep(checkpoint::write(&self.subject, &state));
+        }
+        flow != Flow::Stop
+    }
+
+    fn end(self, end: End) -> Trained {
+        let none = self.place.curve.is_empty();
+        let network = if none { self.model.network() } else { self.best };
+        Trained { network, curve: self.place.curve, end }
+    }
+}

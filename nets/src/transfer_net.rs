@@ -1,0 +1,76 @@
+//! Transfer-Net (paper V-A): real voltages to simulated ones, five hidden layers of as many
+//! rectified neurons as there are channels.
+//! PURE. Uses: `initial`, `input`. Never: burn.
+
+use serde::{Deserialize, Serialize};
+
+use crate::initial::{Initial, LINEAR};
+use crate::input::{Input, NORM_FLOOR_V};
+use crate::network::{Form, Layer, Network};
+use crate::recipe::{RecipeError, require};
+use crate::statistics::Statistics;
+
+/// What a Transfer-Net is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+pub struct TransferNet {
+    /// What it answers, and its loss.
+    pub form: TransferForm,
+    /// Hidden layers.
+    pub hidden: usize,
+    /// Neurons of a hidden layer; 0: as many as channels.
+    pub width: usize,
+}
+
+/// Two forms of one net.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TransferForm {
+    /// As published: channels standardised, answers in volts, mean squared error.
+    Plain,
+    /// `y = v + |v| net(v / |v|)` with the loss `|p - y|^2 / |y|^2`: light touches count as much
+    /// as heavy ones (issue 5, study 7).
+    Residual,
+}
+
+impl Default for TransferNet {
+    fn default() -> Self {
+        Self { form: TransferForm::Plain, hidden: 5, width: 0 }
+    }
+}
+
+impl TransferNet {
+    /// Its normalisation.
+    pub fn input(&self) -> Input {
+        match self.form {
+            TransferForm::Plain => Input::Standardised,
+            TransferForm::Residual => Input::Unit,
+        }
+    }
+
+    pub(crate) fn check(&self) -> Result<(), RecipeError> {
+        require((1..=64).contains(&self.hidden), "net.hidden", self.hidden, "1..64")?;
+        require(self.width <= 1 << 14, "net.width", self.width, "at most 16384")
+    }
+
+    /// A net that knows nothing yet.
+    pub(crate) fn first(&self, statistics: &Statistics, initial: &mut Initial) -> Network {
+        let channels = statistics.mean.len();
+        let width = if self.width == 0 { channels } else { self.width };
+        let mut layers = self.input().layers(statistics);
+        let mut inputs = channels;
+        for _ in 0..self.hidden {
+            layers.extend([initial.dense(inputs, width, LINEAR), Layer::Relu]);
+            inputs = width;
+        }
+        layers.push(initial.dense(inputs, channels, LINEAR));
+        let (scale, form) = match self.form {
+            TransferForm::Plain => (statistics.target_size, Form::Plain),
+            TransferForm::Residual => {
+                (1.0 / (channels as f32).sqrt(), Form::Residual { floor: NORM_FLOOR_V })
+            }
+        };
+        layers.push(Layer::Scale { scale, shift: 0.0 });
+        Network { inputs: channels, output: vec![channels], layers, form }
+    }
+}
