@@ -74,8 +74,7 @@ fn points(answers: Tensor<2>, forces: Tensor<2>, force_weight: f64) -> Tensor<1>
     // Where nothing presses the logarithm is of 1, and counts for nothing.
     let true_logs = (forces + pressed.clone().neg().add_scalar(1.0)).log();
     // ln(1 + e^z) - z t, without overflow.
-    let log_one_more = activation::relu(logits.clone())
-        + logits.clone().abs().neg().exp().log1p();
+    let log_one_more = activation::relu(logits.clone()) + logits.clone().abs().neg().exp().log1p();
     let entropy = (log_one_more - logits * pressed.clone()).sum();
     let apart = (log_forces - true_logs) * pressed;
     let force = (apart.clone() * apart).sum().mul_scalar(force_weight);

@@ -123,7 +123,12 @@ impl Model {
     }
 
     /// `frames` are `[batch, inputs]`, answers `[batch, numbers of an answer]`.
-    fn forward(&mut self, frames: Tensor<2>, parameters: &[Vec<Tensor<2>>], pass: Pass) -> Tensor<2> {
+    fn forward(
+        &mut self,
+        frames: Tensor<2>,
+        parameters: &[Vec<Tensor<2>>],
+        pass: Pass,
+    ) -> Tensor<2> {
         let [batch, _] = frames.dims();
         let mut rows = Rows { x: frames.clone(), image: None };
         for nth in 0..self.network.layers.len() {

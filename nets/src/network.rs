@@ -135,7 +135,9 @@ impl Network {
             match layer {
                 Layer::Dense { weight, bias, .. }
                 | Layer::ConvTranspose { weight, bias, .. }
-                | Layer::Conv { weight, bias, .. } => [weight, bias].into_iter().for_each(|x| see(x)),
+                | Layer::Conv { weight, bias, .. } => {
+                    [weight, bias].into_iter().for_each(|x| see(x))
+                }
                 Layer::BatchNorm { scale, shift, mean, variance, .. } => {
                     [scale, shift, mean, variance].into_iter().for_each(|x| see(x))
                 }
@@ -143,7 +145,11 @@ impl Network {
                 Layer::Scale { scale, shift } => {
                     [scale, shift].into_iter().for_each(|x| see(std::slice::from_mut(x)))
                 }
-                Layer::Relu | Layer::Gelu | Layer::Image { .. } | Layer::PixelShuffle { .. } | Layer::UnitNorm { .. } => {}
+                Layer::Relu
+                | Layer::Gelu
+                | Layer::Image { .. }
+                | Layer::PixelShuffle { .. }
+                | Layer::UnitNorm { .. } => {}
             }
         }
     }

@@ -65,7 +65,11 @@ pub(crate) fn read_finite(
         [("input", &*inputs, from.input_len()), ("target", &*targets, from.target_len())]
     {
         if let Some(at) = numbers.iter().position(|x| !x.is_finite()) {
-            return Err(SamplesError::NotFinite { sample: samples[at / len], side, number: at % len });
+            return Err(SamplesError::NotFinite {
+                sample: samples[at / len],
+                side,
+                number: at % len,
+            });
         }
     }
     Ok(())

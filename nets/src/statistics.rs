@@ -91,8 +91,7 @@ impl Statistics {
         let picked = pick(from, seed);
         let (mut x, mut y) = (vec![0.0; CHUNK * channels], vec![0.0; CHUNK * targets]);
         for numbers in picked.chunks(CHUNK) {
-            let (x, y) =
-                (&mut x[..numbers.len() * channels], &mut y[..numbers.len() * targets]);
+            let (x, y) = (&mut x[..numbers.len() * channels], &mut y[..numbers.len() * targets]);
             read_finite(from, numbers, x, y)?;
             let mut units = Mat::<f64>::zeros(channels, numbers.len());
             for (row, frame) in x.chunks_exact_mut(channels).enumerate() {

@@ -114,8 +114,10 @@ pub enum TrainError {
     #[error("start: {0}")]
     Start(&'static str),
     /// The loss is no number any more.
-    #[error("training: the loss is not finite in epoch {epoch}, batch {batch}: a smaller \
-             learning rate may help")]
+    #[error(
+        "training: the loss is not finite in epoch {epoch}, batch {batch}: a smaller \
+             learning rate may help"
+    )]
     Diverged {
         /// The epoch, from 0.
         epoch: u32,
@@ -256,8 +258,7 @@ impl<'a> Training<'a> {
         let device = plan.compute.device();
         let loss = Loss::of(&recipe.net, network.target_size());
         let model = Model::new(network, Input::LAYERS, &device);
-        let mut adam =
-            Adam::new(recipe.optimiser, model.shapes(), &device, plan.compute.is_host());
+        let mut adam = Adam::new(recipe.optimiser, model.shapes(), &device, plan.compute.is_host());
         if let Some(state) = state {
             adam.set_state(state.steps, state.moments);
         }

@@ -73,12 +73,8 @@ pub(crate) fn conv_transpose(
         .permute([0, 1, 3, 2, 4, 5])
         .reshape([batch, high * stride, wide * stride, outputs]);
     let [tall, broad] = [high * stride - 2 * padding, wide * stride - 2 * padding];
-    let cut = pixels.slice([
-        0..batch,
-        padding..padding + tall,
-        padding..padding + broad,
-        0..outputs,
-    ]);
+    let cut =
+        pixels.slice([0..batch, padding..padding + tall, padding..padding + broad, 0..outputs]);
     (cut.reshape([batch * tall * broad, outputs]), [tall, broad])
 }
 
