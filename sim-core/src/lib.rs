@@ -29,7 +29,6 @@ pub mod jacobian;
 pub mod batch;
 pub mod inverse;
 pub mod calibration;
-pub mod inverse;
 pub mod spice;
 pub mod calculix;
 mod digest;

@@ -154,7 +154,9 @@ impl Mesh {
 
     /// Centre of a triangle, mm.
     pub fn triangle_centre_mm(&self, triangle: &[u32; 3]) -> [f64; 2] {
-        [0, 1].map(|axis| triangle.iter().map(|&n| self.nodes_mm[n as usize][axis]).sum::<f64>() / 3.0)
+        [0, 1].map(|axis| {
+            triangle.iter().map(|&n| self.nodes_mm[n as usize][axis]).sum::<f64>() / 3.0
+        })
     }
 
     /// The triangle that holds a place, or the nearest place on the mesh. A place on a node has that

@@ -134,7 +134,8 @@ async fn received(
         }
         (query, bytes.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect())
     } else {
-        let body = Json::<InferRequest>::from_request(request, app).await.map_err(ApiError::from)?;
+        let body =
+            Json::<InferRequest>::from_request(request, app).await.map_err(ApiError::from)?;
         let InferRequest { wish, frames } = body.0;
         for (index, frame) in frames.iter().enumerate() {
             if frame.len() != channels {

@@ -131,10 +131,7 @@ pub async fn one(
     params(("job" = String, Path, description = "its id")),
     responses((status = 200, body = String, content_type = "application/x-ndjson"),
         (status = 404, body = ProblemBody)))]
-pub async fn losses(
-    State(app): State<App>,
-    Path(job): Path<String>,
-) -> Result<Response, ApiError> {
+pub async fn losses(State(app): State<App>, Path(job): Path<String>) -> Result<Response, ApiError> {
     let row = find(&app, &job).await?;
     Ok(ndjson(app.jobs.losses(&row.id)))
 }

@@ -156,7 +156,9 @@ impl From<InferError> for ApiError {
             | InferError::OtherTask { .. }
             | InferError::OtherSensor { .. }
             | InferError::NoEarlier(_) => StatusCode::CONFLICT,
-            InferError::File { ref source, .. } if source.kind() == std::io::ErrorKind::NotFound => {
+            InferError::File { ref source, .. }
+                if source.kind() == std::io::ErrorKind::NotFound =>
+            {
                 StatusCode::NOT_FOUND
             }
             _ => StatusCode::INTERNAL_SERVER_ERROR,

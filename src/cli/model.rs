@@ -223,10 +223,8 @@ fn tell(serves: &ServesOut, as_json: bool) {
 fn line(model: &ModelOut) -> String {
     let label = model.manifest["label"].as_str().unwrap_or_default();
     let serves = if model.serves { "serves" } else { "" };
-    let mut line = format!(
-        "{} {:<28} {:<11} {label:<9} {serves:<6}",
-        model.id, model.name, model.task
-    );
+    let mut line =
+        format!("{} {:<28} {:<11} {label:<9} {serves:<6}", model.id, model.name, model.task);
     let last = model.scores.first().cloned().and_then(|report| serde_json::from_value(report).ok());
     if let Some(report) = last {
         line += &score(&report);

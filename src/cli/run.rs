@@ -156,7 +156,8 @@ pub async fn run(args: RunArgs) -> Result<ExitCode, CliError> {
             let closing = if on_virtual_rig {
                 with_virtual_rig(&args, rig, order).await
             } else {
-                embed::host(embed::options(data.clone(), &rig)?, |client| drive(client, order)).await
+                embed::host(embed::options(data.clone(), &rig)?, |client| drive(client, order))
+                    .await
             };
             closing?.with_next(&data, None)
         }

@@ -23,7 +23,10 @@ const LOOK: Duration = Duration::from_millis(250);
 /// The recipes that are in the binary, by their names.
 const CARRIED: [(&str, &str); 5] = [
     ("transfer-net", include_str!("../../experiments/recipes/transfer-net.toml")),
-    ("transfer-net-published", include_str!("../../experiments/recipes/transfer-net-published.toml")),
+    (
+        "transfer-net-published",
+        include_str!("../../experiments/recipes/transfer-net-published.toml"),
+    ),
     ("recon-net", include_str!("../../experiments/recipes/recon-net.toml")),
     ("end-to-end", include_str!("../../experiments/recipes/end-to-end.toml")),
     ("point-net", include_str!("../../experiments/recipes/point-net.toml")),
@@ -159,7 +162,12 @@ pub async fn train(args: TrainArgs) -> Result<(), CliError> {
         } else {
             let took = done.finished_at.zip(done.started_at);
             let took = took.map(|(end, start)| duration(end.duration_since(start).as_secs_f64()));
-            say(format_args!("{} {}, trained in {}", model.id, model.name, took.unwrap_or_default()));
+            say(format_args!(
+                "{} {}, trained in {}",
+                model.id,
+                model.name,
+                took.unwrap_or_default()
+            ));
         }
         Ok(())
     })

@@ -72,8 +72,7 @@ impl Picture {
 /// Lines over whole numbers, on a logarithmic scale upwards.
 pub fn lines(title: &str, x: &str, y: &str, lines: &[Line]) -> Result<String, FigureError> {
     let all = || lines.iter().flat_map(|line| &line.places);
-    let (left, right) =
-        all().fold((f64::MAX, f64::MIN), |(l, r), p| (l.min(p.0), r.max(p.0)));
+    let (left, right) = all().fold((f64::MAX, f64::MIN), |(l, r), p| (l.min(p.0), r.max(p.0)));
     let (low, high) =
         all().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(p.1.max(1e-3)), h.max(p.1)));
     if left > right {
@@ -136,9 +135,9 @@ pub fn bars(title: &str, bars: &[Bar]) -> Result<String, FigureError> {
             .x_desc(title)
             .y_labels(count)
             .y_label_formatter(&|at| match at {
-                SegmentValue::CenterOf(at) => {
-                    bars.get(count - 1 - at.min(&(count - 1))).map_or(String::new(), |b| b.name.clone())
-                }
+                SegmentValue::CenterOf(at) => bars
+                    .get(count - 1 - at.min(&(count - 1)))
+                    .map_or(String::new(), |b| b.name.clone()),
                 _ => String::new(),
             })
             .light_line_style(TRANSPARENT)
@@ -297,7 +296,8 @@ pub fn residuals(mean_v: &[f32], sd_v: &[f32]) -> Result<String, FigureError> {
             .draw_series(spread)?
             .label("standard deviation")
             .legend(|(x, y)| PathElement::new([(x, y), (x + 22, y)], COLOURS[1].stroke_width(3)));
-        let means = mean_v.iter().enumerate().map(|(at, mean)| (at as f64 + 0.5, millivolts(*mean)));
+        let means =
+            mean_v.iter().enumerate().map(|(at, mean)| (at as f64 + 0.5, millivolts(*mean)));
         chart
             .draw_series(LineSeries::new(means, COLOURS[5].stroke_width(1)))?
             .label("mean")
@@ -316,7 +316,11 @@ pub fn residuals(mean_v: &[f32], sd_v: &[f32]) -> Result<String, FigureError> {
 /// A page that says that there is nothing.
 fn empty(title: &str) -> Result<String, FigureError> {
     page("an empty page", (400, 120), |area| {
-        area.draw_text(&format!("{title}: nothing to show"), &TEXT.into_text_style(area), (20, 50))?;
+        area.draw_text(
+            &format!("{title}: nothing to show"),
+            &TEXT.into_text_style(area),
+            (20, 50),
+        )?;
         Ok(())
     })
 }

@@ -94,7 +94,8 @@ impl EvaluationRequest {
         checks.require(parts.contains(&part), "part", part, "must be train, validation or test");
         checks.within("threshold_n", self.threshold_n, 0.0, 1000.0);
         let needs = |key, there: bool, wanted: bool, checks: &mut Checks<'_>| {
-            let limit = format!("must be named for {:?}, and only where it takes part", self.scored);
+            let limit =
+                format!("must be named for {:?}, and only where it takes part", self.scored);
             checks.require(there == wanted, key, if there { "named" } else { "none" }, &limit);
         };
         needs("map", self.map.is_some(), self.scored == Scored::Paper, &mut checks);

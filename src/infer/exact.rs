@@ -164,9 +164,5 @@ fn reading(fit: &Fit) -> Reading {
         })
         .collect();
     contacts.sort_by(|a, b| b.force_n.unwrap_or(0.0).total_cmp(&a.force_n.unwrap_or(0.0)));
-    Reading {
-        contacts,
-        misfit: Some(fit.chi2 / fit.degrees_of_freedom),
-        ..Reading::default()
-    }
+    Reading { contacts, misfit: Some(fit.chi2 / fit.degrees_of_freedom), ..Reading::default() }
 }

@@ -37,7 +37,8 @@ impl OneStepPipeline {
         let sensor = model.sensor();
         let slopes = PointSlopes::secant(model, ABOUT_N)?;
         let channels = sensor.channels();
-        let offsets = sensor.skin().map(|skin| skin.offsets_mv.iter().map(|mv| 1e-3 * mv).collect());
+        let offsets =
+            sensor.skin().map(|skin| skin.offsets_mv.iter().map(|mv| 1e-3 * mv).collect());
         let offsets = offsets.filter(|offsets: &Vec<f64>| offsets.len() == channels);
         Ok(Self {
             step: Arc::new(OneStep::new(&slopes, regularisation)?),

@@ -65,7 +65,9 @@ impl PointPipeline {
         let candidates = self.candidates(frames, SAID)?;
         let frames = frames.chunks_exact(self.model.plan.channels());
         let read = |(frame, mut contacts): (&[f32], Vec<FoundContact>)| {
-            contacts.sort_by(|a, b| b.force_n.partial_cmp(&a.force_n).unwrap_or(std::cmp::Ordering::Equal));
+            contacts.sort_by(|a, b| {
+                b.force_n.partial_cmp(&a.force_n).unwrap_or(std::cmp::Ordering::Equal)
+            });
             let forces_n: Vec<f64> = contacts.iter().filter_map(|c| c.force_n).collect();
             let outside = range.frame(frame).into_iter().chain(range.answer(&forces_n));
             let outside = outside.map(|out| out.to_string()).collect();

@@ -12,6 +12,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
 use sim_core::sensor::Sensor;
+use utoipa::ToSchema;
 
 use super::error::InferError;
 use super::plan::Plan;
@@ -31,7 +32,7 @@ const RESIDUALS: &str = "residuals.json";
 const LOADED_MAX: usize = 8;
 
 /// What a Transfer-Net leaves over on trials that it was not trained on (paper, Fig. 10A).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Residuals {
     /// Mean of each channel, V.
     pub mean_v: Vec<f32>,

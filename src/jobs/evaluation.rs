@@ -71,13 +71,12 @@ pub(super) async fn run(
     let columns = columns(&reader, &request);
     let wish = request.clone();
     let at = file.clone();
-    let gathered =
-        background(move || Gathered::new(&at, &wish, columns, &scratch)).await??;
+    let gathered = background(move || Gathered::new(&at, &wish, columns, &scratch)).await??;
     let raw = match request.frames {
         FramesRead::Mean => None,
         FramesRead::First => Some(first_frames(&jobs.inner.store, &gathered).await?),
     };
-    let (watch, clock) = (watch.clone(), jobs.inner.clock);
+    let (watch, clock) = (watch.clone(), jobs.inner.clock.clone());
     let scoring = Scoring { request, dataset, gathered, raw, reader, watch, clock };
     let report = background(move || scoring.run()).await??;
     report.map(|report| serde_json::to_value(report).map_err(JobError::Json)).transpose()
@@ -98,9 +97,7 @@ async fn reader(jobs: &Jobs, request: &EvaluationRequest) -> Result<Reader, JobE
             let map = map.ok_or_else(|| InferError::NoModel("none".into()))?;
             Reader::Maps(MapPipeline::new(transfer, map, request.threshold_n)?)
         }
-        Scored::Fast => {
-            Reader::Points(points.ok_or_else(|| InferError::NoModel("none".into()))?)
-        }
+        Scored::Fast => Reader::Points(points.ok_or_else(|| InferError::NoModel("none".into()))?),
         Scored::Exact => {
             let skin = jobs.inner.serving.skin(request.skin.as_deref()).await?;
             Reader::Exact(ExactPipeline { skin, points })
@@ -261,7 +258,9 @@ impl Scoring {
             let frames = self.frames(at * FRAMES_AT_ONCE, rows)?;
             let mut answers = Vec::new();
             match transfer {
-                Some(model) => model.plan.answer(&frames, &mut answers).map_err(InferError::from)?,
+                Some(model) => {
+                    model.plan.answer(&frames, &mut answers).map_err(InferError::from)?
+                }
                 None => answers = frames,
             }
             for (&row, answer) in rows.iter().zip(answers.chunks_exact(channels)) {
@@ -299,7 +298,8 @@ impl Scoring {
             }
         }
         latencies.sort_by(f64::total_cmp);
-        report.latency_ms = quantile(&latencies, 0.5).zip(quantile(&latencies, 0.99)).map(Into::into);
+        report.latency_ms =
+            quantile(&latencies, 0.5).zip(quantile(&latencies, 0.99)).map(Into::into);
         report.contacts = Some(Scores::of(&touches, self.request.seed));
         report.cells = Some(cells(&touches));
         let spec = match &self.reader {

@@ -79,7 +79,7 @@ mod with_nets {
             scratch: jobs.inner.data.join("cache"),
             noise_sd_v,
             watch: watch.clone(),
-            clock: jobs.inner.clock,
+            clock: jobs.inner.clock.clone(),
         };
         let made = match &work.recipe.dataset {
             Some(name) => {
@@ -129,7 +129,11 @@ mod with_nets {
             let conditions = &self.recipe.conditions;
             let examples = Examples::gather(file, conditions, columns, &self.scratch)?;
             let given = Given {
-                data: std::iter::once(&dataset.id).chain(conditions).cloned().collect::<Vec<_>>().join(" "),
+                data: std::iter::once(&dataset.id)
+                    .chain(conditions)
+                    .cloned()
+                    .collect::<Vec<_>>()
+                    .join(" "),
                 examples: &examples,
                 skin: &skin,
                 noise_sd_v: self.noise_sd_v.clone(),

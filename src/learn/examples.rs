@@ -147,7 +147,8 @@ impl Examples {
 
     /// Where these rows have been: what a net that learns from them may be trusted with.
     pub fn range(&self, rows: &[u32]) -> TrainedRange {
-        let counts: BTreeSet<u32> = rows.iter().map(|&row| self.contacts(row).len() as u32).collect();
+        let counts: BTreeSet<u32> =
+            rows.iter().map(|&row| self.contacts(row).len() as u32).collect();
         let forces = rows.iter().flat_map(|&row| self.contacts(row)).filter_map(|c| c.force_n);
         TrainedRange {
             contact_counts: counts.into_iter().collect(),
@@ -167,9 +168,8 @@ impl Examples {
         for &name in &self.columns {
             let frame = column(name).and_then(|c| c.as_fixed_size_list_opt());
             let frame = frame.filter(|f| f.value_length() as usize == self.channels);
-            let frame = frame.ok_or_else(|| {
-                LearnError::value("dataset", name, "frames of different lengths")
-            })?;
+            let frame = frame
+                .ok_or_else(|| LearnError::value("dataset", name, "frames of different lengths"))?;
             if frame.null_count() > 0 {
                 let rows = format!("{name} of {} rows", frame.null_count());
                 return Err(LearnError::value("dataset", rows, "is not there; leave them out"));
@@ -213,7 +213,9 @@ impl Examples {
                 let number = |name: &str, at: usize| {
                     let column = contacts.column_by_name(name).filter(|c| c.is_valid(at))?;
                     Some(match column.data_type() {
-                        DataType::Float32 => f64::from(column.as_primitive::<Float32Type>().value(at)),
+                        DataType::Float32 => {
+                            f64::from(column.as_primitive::<Float32Type>().value(at))
+                        }
                         _ => column.as_primitive::<Float64Type>().value(at),
                     })
                 };
@@ -247,7 +249,7 @@ fn unnamed_file(folder: &Path) -> std::io::Result<File> {
 
 impl LearnError {
     /// A value that cannot be used.
-    pub(super) fn value(key: &str, value: impl std::fmt::Display, limit: &str) -> Self {
+    pub fn value(key: &str, value: impl std::fmt::Display, limit: &str) -> Self {
         Self::Problems(vec![Problem::new("recipe", key, value, limit)])
     }
 }

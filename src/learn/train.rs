@@ -177,7 +177,9 @@ fn samples<'a>(
             let unknown = contacts().all(|c| c.force_n.is_none()).then_some(1.0);
             Ok(Box::new(FramesAndMaps { examples, rows, draws, force_of_unknown_n: unknown }))
         }
-        _ => Err(LearnError::value("training.net", recipe.task().as_str(), "does not use a dataset")),
+        _ => {
+            Err(LearnError::value("training.net", recipe.task().as_str(), "does not use a dataset"))
+        }
     }
 }
 

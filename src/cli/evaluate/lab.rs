@@ -260,9 +260,9 @@ impl Lab {
 
     /// Under every table: at which scale, on what.
     pub fn scale_words(&self, label: &str) -> String {
-        let Scale { .. } = self.args.scale;
         let (transfer, maps) = (self.args.scale.transfer(), self.args.scale.maps());
-        let rows = |rows: Option<i64>| rows.map_or("all rows".into(), |rows| format!("{rows} rows"));
+        let rows =
+            |rows: Option<i64>| rows.map_or("all rows".into(), |rows| format!("{rows} rows"));
         let epochs = |epochs| self.args.epochs.unwrap_or(epochs);
         format!(
             "Scale {}: Transfer-Net {} epochs of {}, nets of maps {} epochs of {}; seed {}. Data: \

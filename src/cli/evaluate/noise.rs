@@ -24,9 +24,8 @@ pub async fn noise(lab: Lab) -> Result<Sheet, CliError> {
     let path = format!("/api/v1/models/{}/residuals", transfer.id);
     let left: Residuals = lab.client().get(&path).await?;
     let (frame, truth, label) = triple(&lab).await?;
-    let spec: ForceMapSpec = MAP.parse().map_err(|_| {
-        CliError::argument("map", MAP, "must be pixel x diameter, mm")
-    })?;
+    let spec: ForceMapSpec =
+        MAP.parse().map_err(|_| CliError::argument("map", MAP, "must be pixel x diameter, mm"))?;
     let mut shown = vec![Picture::of_contacts("true", spec, &truth)?];
     let mut rows = Vec::new();
     for level in LEVELS {

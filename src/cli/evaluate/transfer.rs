@@ -33,9 +33,10 @@ pub async fn transfer(lab: Lab) -> Result<Sheet, CliError> {
         let train = lab.scored(&wish).await?;
         if let (Some(test), Some(train)) = (&test.voltages, &train.voltages) {
             rows.push(row(&format!("1 to {most}"), Some(train), test));
-            let places = test.by_contacts.iter().filter_map(|score| {
-                Some((f64::from(score.contacts?), 100.0 * score.fvu))
-            });
+            let places = test
+                .by_contacts
+                .iter()
+                .filter_map(|score| Some((f64::from(score.contacts?), 100.0 * score.fvu)));
             curves.push(Line { name: format!("trained to {most}"), places: places.collect() });
         }
         let cell = |cell: &crate::evaluate::published::Transfer| {

@@ -75,7 +75,8 @@ async fn score(lab: Lab, args: UnseenArgs) -> Result<Sheet, CliError> {
     let listed = |scores: &Scores| -> Vec<_> {
         scores.iter().map(|(name, report)| json!({ "name": name, "report": report })).collect()
     };
-    let pictures = figures(&[("real-to-sim", &pipeline), ("end-to-end", &end_to_end), ("", &ours)])?;
+    let pictures =
+        figures(&[("real-to-sim", &pipeline), ("end-to-end", &end_to_end), ("", &ours)])?;
     Ok(Sheet {
         name: "fig-12",
         text,
@@ -95,7 +96,8 @@ fn wish(lab: &Lab, args: &UnseenArgs, scored: Scored) -> EvaluationRequest {
 /// The physics in one step, Point-Net, and the fit through the exact model.
 async fn ours(lab: &Lab, args: &UnseenArgs) -> Result<Scores, CliError> {
     let mut scores = Scores::new();
-    for (name, scored) in [("one step, Tikhonov", Scored::Tikhonov), ("one step, NOSER", Scored::Noser)]
+    for (name, scored) in
+        [("one step, Tikhonov", Scored::Tikhonov), ("one step, NOSER", Scored::Noser)]
     {
         let mut wish = wish(lab, args, scored);
         wish.skin = args.skin.clone();

@@ -109,13 +109,7 @@ pub struct TrialErrors {
 
 impl Default for TrialErrors {
     fn default() -> Self {
-        Self {
-            noise_v: 1.2e-3,
-            model_error: 0.05,
-            place_sd_mm: 1.2,
-            force_sd: 0.02,
-            gain_sd: 0.03,
-        }
+        Self { noise_v: 1.2e-3, model_error: 0.05, place_sd_mm: 1.2, force_sd: 0.02, gain_sd: 0.03 }
     }
 }
 
