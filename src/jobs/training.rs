@@ -137,7 +137,7 @@ mod with_nets {
                 examples: &examples,
                 skin: &skin,
                 noise_sd_v: self.noise_sd_v.clone(),
-                compute: Compute::Cpu { threads: 0 },
+                compute: compute(),
             };
             let mut observer = self.observer("training")?;
             let checkpoint = std::fs::read(self.folder.join(CHECKPOINT)).ok();
@@ -153,11 +153,10 @@ mod with_nets {
             let batch = Arc::new(BatchModel::new(model, Kernel::detect()));
             let mut observer = self.observer("training on fresh simulations")?;
             let checkpoint = std::fs::read(self.folder.join(CHECKPOINT)).ok();
-            let compute = Compute::Cpu { threads: 0 };
             let learned = train::train_on_stream(
                 &self.recipe,
                 (batch, model),
-                compute,
+                compute(),
                 checkpoint.as_deref(),
                 &mut observer,
             )?;
@@ -316,6 +315,16 @@ mod with_nets {
                 simulation: text(&model["model"]),
             }
         }
+    }
+
+    /// Where trainings compute: on what this build was made for.
+    fn compute() -> Compute {
+        #[cfg(feature = "cuda")]
+        return Compute::Cuda(0);
+        #[cfg(all(feature = "wgpu", not(feature = "cuda")))]
+        return Compute::Wgpu;
+        #[cfg(not(any(feature = "cuda", feature = "wgpu")))]
+        Compute::Cpu { threads: 0 }
     }
 
     /// What trained a model.
