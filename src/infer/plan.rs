@@ -203,8 +203,10 @@ impl Plan {
         guarded("answering", || {
             let input = Tensor::from_shape(&[batch, self.channels], frames)?;
             let outputs = plan.run(tvec!(input.into()))?;
-            let answer = outputs.first().context("no output")?;
-            out.extend_from_slice(answer.try_as_plain_ram()?.as_slice::<f32>()?);
+            // One, as `OnnxFile` makes sure.
+            for answer in outputs {
+                out.extend_from_slice(answer.try_as_plain_ram()?.as_slice::<f32>()?);
+            }
             Ok(())
         })?;
         match out[before..].iter().position(|value| !value.is_finite()) {
