@@ -203,9 +203,10 @@ impl Plan {
         guarded("answering", || {
             let input = Tensor::from_shape(&[batch, self.channels], frames)?;
             let outputs = plan.run(tvec!(input.into()))?;
-            // A graph of one output was checked for when the plan was made.
-            let answer = outputs[0].try_as_plain_ram()?;
-            out.extend_from_slice(answer.as_slice::<f32>()?);
+            // One, as `OnnxFile` makes sure.
+            for answer in outputs {
+                out.extend_from_slice(answer.try_as_plain_ram()?.as_slice::<f32>()?);
+            }
             Ok(())
         })?;
         match out[before..].iter().position(|value| !value.is_finite()) {
