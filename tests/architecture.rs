@@ -10,7 +10,7 @@ use std::fs;
 use std::path::Path;
 
 /// Folders of `src/` in the order in which data flows; imports only look back along it.
-const STAGES: [&str; 11] = [
+const STAGES: [&str; 14] = [
     "schedule",
     "rig",
     "campaign",
@@ -18,7 +18,10 @@ const STAGES: [&str; 11] = [
     "calibrate",
     "simulate",
     "dataset",
+    "learn",
+    "infer",
     "evaluate",
+    "jobs",
     "conductor",
     "api",
     "cli",

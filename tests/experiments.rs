@@ -62,7 +62,7 @@ fn preflight(name: &str) -> Preflight {
 #[test]
 fn every_file_can_be_done_on_the_virtual_bench_and_carries_its_own_name() {
     let files = files();
-    assert_eq!(files.len(), 9, "{files:?}");
+    assert_eq!(files.len(), 11, "{files:?}");
     for name in &files {
         let preflight = preflight(name);
         assert_eq!(preflight.problems, [], "{name}");
@@ -265,4 +265,19 @@ fn a_weight_above_the_experiments_limit_is_one_error() {
         found.iter().map(ToString::to_string).collect::<Vec<_>>(),
         ["real-random.toml: real_random.weights_n = 9.81: must not be above limits.force_n = 9"]
     );
+}
+
+#[cfg(feature = "train")]
+#[test]
+fn every_recipe_is_one_and_says_what_it_is_called() {
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(folder().join("recipes")).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_string_lossy().into_owned();
+        let text = std::fs::read_to_string(&path).unwrap();
+        let recipe = palpate::learn::recipe::Recipe::from_toml(&name, &text).unwrap();
+        assert_eq!(format!("{}.toml", recipe.name), name);
+        names.push(name);
+    }
+    assert_eq!(names.len(), 5, "{names:?}");
 }

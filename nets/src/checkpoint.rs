@@ -15,7 +15,6 @@ const VERSION: u32 = 1;
 
 /// Losses of an epoch, in the loss's own unit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
 pub struct EpochLoss {
     /// Number of the epoch, from 0.
     pub epoch: u32,
@@ -27,7 +26,6 @@ pub struct EpochLoss {
 
 /// What a training is of: what must agree for a checkpoint to go on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
 pub(crate) struct Subject {
     /// What it follows.
     pub recipe: Recipe,
@@ -45,7 +43,6 @@ pub(crate) struct Subject {
 
 /// Where a training is.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
 pub(crate) struct Place {
     /// The epoch under way, and the batches of it that are learned.
     pub epoch: u32,
@@ -58,7 +55,6 @@ pub(crate) struct Place {
 }
 
 #[derive(Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
 struct Head {
     place: Place,
     subject: Subject,

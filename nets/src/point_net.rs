@@ -13,7 +13,7 @@ use crate::streamed::Draws;
 
 /// What a Point-Net is. Its answer is `[2, points]`: logits, then `ln` of the force in newtons.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+#[serde(deny_unknown_fields, default)]
 pub struct PointNet {
     /// Principal components that it sees.
     pub components: usize,
@@ -50,7 +50,7 @@ impl PointNet {
         require((1..=64).contains(&self.hidden), "net.hidden", self.hidden, "1..64")?;
         require((1..=1 << 14).contains(&self.width), "net.width", self.width, "1..16384")?;
         let good = self.force_weight.is_finite() && self.force_weight >= 0.0;
-        require(good, "net.force-weight", self.force_weight, "at least 0")?;
+        require(good, "net.force_weight", self.force_weight, "at least 0")?;
         self.draws.check()
     }
 

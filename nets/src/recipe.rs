@@ -10,7 +10,7 @@ use crate::transfer_net::TransferNet;
 
 /// Everything that decides the trained bytes, but for the data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+#[serde(deny_unknown_fields)]
 pub struct Recipe {
     /// Of the first weights, the order of samples and the noise.
     pub seed: u64,
@@ -58,7 +58,7 @@ impl Net {
 
 /// Adam, as PyTorch defines it (Kingma and Ba 2015, algorithm 1).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+#[serde(deny_unknown_fields, default)]
 pub struct Optimiser {
     /// Step size at the start.
     pub learning_rate: f64,
@@ -105,7 +105,7 @@ impl Optimiser {
 
 /// Gaussian noise on every channel, drawn anew in each epoch (paper V-C).
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+#[serde(deny_unknown_fields, default)]
 pub struct Noise {
     /// Factor on each channel's standard deviation, which the plan gives: the paper's 0, 0.1, 0.5.
     pub level: f64,
@@ -164,13 +164,13 @@ impl Recipe {
         require((1..=1 << 16).contains(&self.batch), "batch", self.batch, "1..65536")?;
         require(self.patience != Some(0), "patience", 0, "at least 1")?;
         let good = learning_rate.is_finite() && learning_rate > 0.0;
-        require(good, "optimiser.learning-rate", learning_rate, "above 0")?;
+        require(good, "optimiser.learning_rate", learning_rate, "above 0")?;
         require(share(beta1), "optimiser.beta1", beta1, "0 <= beta1 < 1")?;
         require(share(beta2), "optimiser.beta2", beta2, "0 <= beta2 < 1")?;
         require(epsilon.is_finite() && epsilon > 0.0, "optimiser.epsilon", epsilon, "above 0")?;
         let Noise { level, white_v } = self.noise;
         require(level.is_finite() && level >= 0.0, "noise.level", level, "at least 0")?;
-        require(white_v.is_finite() && white_v >= 0.0, "noise.white-v", white_v, "at least 0")?;
+        require(white_v.is_finite() && white_v >= 0.0, "noise.white_v", white_v, "at least 0")?;
         match &self.net {
             Net::TransferNet(net) => net.check(),
             Net::ReconNet(net) | Net::EndToEnd(net) => net.check(),

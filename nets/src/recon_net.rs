@@ -14,7 +14,7 @@ use crate::statistics::Statistics;
 /// What a Recon-Net is. It learns without a bound; the trained net ends in a rectifier, which can
 /// but lessen the error, since no true force is negative.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+#[serde(deny_unknown_fields, default)]
 pub struct ReconNet {
     /// Pixels along a side of the map: 160, 64 or 32 in the paper.
     pub side: usize,

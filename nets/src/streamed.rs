@@ -17,7 +17,7 @@ use crate::samples::{Samples, SamplesError};
 /// Which contacts samples have: as Sim-Random draws them (paper IV-A), and some lighter ones, since
 /// Real-Unseen's weights are 5 to 10 N.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+#[serde(deny_unknown_fields, default)]
 pub struct Draws {
     /// Fewest and most contacts, each number equally likely.
     pub contacts: [usize; 2],
@@ -50,9 +50,9 @@ impl Draws {
         let holds = fewest <= most && most <= CONTACTS_MAX;
         require(holds, "net.draws.contacts", shown, "two numbers in order, at most 6")?;
         let share = (0.0..=1.0).contains(&self.light_share);
-        require(share, "net.draws.light-share", self.light_share, "0..1")?;
+        require(share, "net.draws.light_share", self.light_share, "0..1")?;
         for (field, [least, largest]) in
-            [("net.draws.force-n", self.force_n), ("net.draws.light-force-n", self.light_force_n)]
+            [("net.draws.force_n", self.force_n), ("net.draws.light_force_n", self.light_force_n)]
         {
             let holds = 0.0 < least && least <= largest && largest <= 40.0;
             let limit = "two numbers in order, above 0 and at most 40";

@@ -12,7 +12,7 @@ use crate::statistics::Statistics;
 
 /// What a Transfer-Net is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default, rename_all = "kebab-case")]
+#[serde(deny_unknown_fields, default)]
 pub struct TransferNet {
     /// What it answers, and its loss.
     pub form: TransferForm,

@@ -2,15 +2,19 @@
 //! carry. Uses: `sensor`, `responses` (which meshes are alike), serde and toml. Never: fitting,
 //! files (the text is handed in), a clock.
 //!
-//! A compression test gives a, b and c of Eq. 1 (paper III-B), indentations give the moduli (III-A).
-//! Each part stands alone, and [`Calibration::over`] joins them. The id is `cal-` and the start of
+//! A compression test gives a, b and c of Eq. 1 (paper III-B), indentations give the moduli (III-A),
+//! measured trials give what differs from place to place. The first two stand alone, the third holds
+//! on top of them, and [`Calibration::over`] joins them. The id is `cal-` and the start of
 //! the sha256 over the file's content, so that an edited file is noticed.
+
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
 use crate::digest::{Digest, hex};
 use crate::responses::UnitResponses;
 use crate::sensor::{Sensor, SensorError};
+use crate::skin::{SkinCalibration, SkinValueError};
 
 /// What is wrong with a calibration, or with using it.
 #[derive(Debug, thiserror::Error, PartialEq)]
@@ -152,6 +156,9 @@ pub struct Calibration {
     /// Voltages of single contacts under this calibration against measured ones, V.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub voltage: Option<Accuracy>,
+    /// From measured trials: one skin, place by place, on top of the parts above.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub skin: Option<SkinCalibration>,
 }
 
 /// Name of what moduli depend on besides themselves: lattice, layers, element, solver. The start of
@@ -192,8 +199,10 @@ impl Calibration {
         Ok(format!("cal-{}", hex(&digest.finish()[..8])))
     }
 
-    /// This one, and from an earlier one the parts that this one does not have. The voltages' accuracy
-    /// belongs to a combination: it is dropped where the earlier one adds something.
+    /// This one, and from an earlier one the moduli and Eq. 1 that this one does not have. The
+    /// voltages' accuracy belongs to a combination: it is dropped where the earlier one adds something.
+    /// An earlier skin is dropped: it was fitted with other values. This one's skin is taken to be
+    /// fitted with the earlier values that are joined here.
     pub fn over(mut self, earlier: &Self) -> Result<Self, CalibrationError> {
         if earlier.sensor != self.sensor {
             let (found, needed) = (earlier.sensor.clone(), self.sensor);
@@ -230,7 +239,11 @@ impl Calibration {
             file.layers.foam.youngs_mpa = foam.foam_mpa.value;
             file.layers.top.youngs_mpa = foam.top_mpa;
         }
-        Ok(Sensor::new(file)?.calibrated(self.id()?))
+        let calibrated = Sensor::new(file)?;
+        if let Some(skin) = &self.skin {
+            skin.check_for(&calibrated)?;
+        }
+        Ok(calibrated.calibrated(self.id()?, self.skin.clone().map(Arc::new)))
     }
 
     fn content(&self) -> Result<String, CalibrationError> {
@@ -238,9 +251,10 @@ impl Calibration {
     }
 
     fn check(&self) -> Result<(), CalibrationError> {
-        if self.piezo.is_none() && self.foam.is_none() {
-            return Err(bad("piezo, foam", "neither", "a calibration holds at least one"));
+        if self.piezo.is_none() && self.foam.is_none() && self.skin.is_none() {
+            return Err(bad("piezo, foam, skin", "none", "a calibration holds at least one"));
         }
+        self.skin.as_ref().map_or(Ok(()), SkinCalibration::check)?;
         if let Some(p) = &self.piezo {
             fitted("piezo.a_ohm", &p.a_ohm)?;
             fitted("piezo.b_per_mm", &p.b_per_mm)?;
@@ -261,6 +275,12 @@ impl Calibration {
 
 fn bad(key: &str, value: impl ToString, limit: &str) -> CalibrationError {
     CalibrationError::Value { key: key.into(), value: value.to_string(), limit: limit.into() }
+}
+
+impl From<SkinValueError> for CalibrationError {
+    fn from(SkinValueError { key, value, limit }: SkinValueError) -> Self {
+        Self::Value { key: format!("skin.{key}"), value, limit }
+    }
 }
 
 fn fitted(key: &str, f: &Fitted) -> Result<(), CalibrationError> {
@@ -294,7 +314,7 @@ mod tests {
             b_per_mm: about(1.5),
             c_ohm: Some(about(6.0e5)),
         };
-        Calibration { sensor: "ert-28".into(), piezo: Some(piezo), foam: None, voltage: None }
+        Calibration { sensor: "ert-28".into(), piezo: Some(piezo), ..Calibration::default() }
     }
 
     fn foam() -> Calibration {
@@ -314,7 +334,7 @@ mod tests {
                 values: 20,
             },
         };
-        Calibration { sensor: "ert-28".into(), piezo: None, foam: Some(foam), voltage: None }
+        Calibration { sensor: "ert-28".into(), foam: Some(foam), ..Calibration::default() }
     }
 
     #[test]

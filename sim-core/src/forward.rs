@@ -149,11 +149,15 @@ impl Workspace {
 }
 
 impl ForwardModel {
-    /// The nominal skin of a sensor file.
+    /// The skin of a sensor: the calibrated one where a calibration of the skin is applied to it,
+    /// else the nominal one of its file.
     pub fn new(sensor: &Sensor, responses: Arc<UnitResponses>) -> Result<Self, ModelError> {
         let mesh = Mesh::new(sensor)?;
-        let fields = NodeFields::nominal(&mesh);
-        Self::with(sensor, responses, fields, ReadoutCircuit::nominal(sensor))
+        let (fields, circuit) = match sensor.skin() {
+            Some(skin) => (skin.fields.over(sensor, &mesh), skin.electrodes.circuit(sensor)),
+            None => (NodeFields::nominal(&mesh), ReadoutCircuit::nominal(sensor)),
+        };
+        Self::with(sensor, responses, fields, circuit)
     }
 
     /// A skin that differs from the nominal one.
@@ -311,6 +315,11 @@ impl ForwardModel {
         }
         self.superpose(work.forces.iter().copied(), &mut work.compression_mm);
         Ok(())
+    }
+
+    /// The lattice under the tips.
+    pub fn lattice(&self) -> &TipLattice {
+        &self.lattice
     }
 
     /// A contact's shares on the nodes.

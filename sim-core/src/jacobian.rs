@@ -210,6 +210,11 @@ impl Linearised<'_> {
         self.work.forward.readout.frame_v()
     }
 
+    /// Conductance of the foam at every node, S.
+    pub fn to_top_s(&self) -> &[f64] {
+        self.work.forward.to_top_s()
+    }
+
     /// Derivative by the contacts, as [`ForwardModel::jacobian`] gives it.
     pub fn contacts(&mut self) -> &[f64] {
         let JacobianWork {

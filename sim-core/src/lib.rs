@@ -4,7 +4,8 @@
 //!
 //! Data flows one way: `sensor -> mesh -> (element, material, order, boundary, assemble, solve) ->
 //! responses -> fields, piezo, tip -> network -> forward -> jacobian, batch`. `deformation`, `spice`
-//! and `calculix` are for comparison, `surface` and `calibration` tie the model to measurements.
+//! and `calculix` are for comparison, `surface` and `calibration` tie the model to measurements;
+//! `inverse` goes back from measurements to loads and skins.
 
 pub mod sensor;
 pub mod mesh;
@@ -20,11 +21,13 @@ pub mod deformation;
 pub mod piezo;
 pub mod fields;
 pub mod circuit;
+pub mod skin;
 pub mod network;
 pub mod tip;
 pub mod forward;
 pub mod jacobian;
 pub mod batch;
+pub mod inverse;
 pub mod calibration;
 pub mod spice;
 pub mod calculix;

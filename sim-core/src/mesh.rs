@@ -152,6 +152,13 @@ impl Mesh {
         0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]))
     }
 
+    /// Centre of a triangle, mm.
+    pub fn triangle_centre_mm(&self, triangle: &[u32; 3]) -> [f64; 2] {
+        [0, 1].map(|axis| {
+            triangle.iter().map(|&n| self.nodes_mm[n as usize][axis]).sum::<f64>() / 3.0
+        })
+    }
+
     /// The triangle that holds a place, or the nearest place on the mesh. A place on a node has that
     /// node with weight 1.
     pub fn locate(&self, x_mm: f64, y_mm: f64) -> MeshPlace {

@@ -1,10 +1,14 @@
 //! The sensor file: the skin's geometry, its 804 points, its 28 electrodes and its materials.
-//! Uses: nothing but serde and toml. Never: files (the text is handed in), mesh, physics.
+//! Uses: serde, toml; carries an applied `skin`. Never: files (the text is handed in), mesh, physics.
 //!
 //! Geometry as inferred in `design.md` section 3, since the paper does not print it: hexagons whose
 //! longest diagonal is the tip's 20 mm tile the skin, and a tip stands on a hexagon's centre.
 
+use std::sync::Arc;
+
 use serde::{Deserialize, Serialize};
+
+use crate::skin::SkinCalibration;
 
 /// What is wrong with a sensor file.
 #[derive(Debug, thiserror::Error, PartialEq)]
@@ -157,6 +161,7 @@ pub struct Sensor {
     points: Vec<Point>,
     electrodes: Vec<[f64; 2]>,
     calibration: Option<String>,
+    skin: Option<Arc<SkinCalibration>>,
 }
 
 impl Sensor {
@@ -172,7 +177,7 @@ impl Sensor {
         check(&file)?;
         let points = lay_out_points(&file);
         let electrodes = lay_out_electrodes(&file);
-        let sensor = Self { file, points, electrodes, calibration: None };
+        let sensor = Self { file, points, electrodes, calibration: None, skin: None };
         for (i, p) in sensor.points.iter().enumerate() {
             if !sensor.holds_tip(p.x_mm, p.y_mm) {
                 let value = format!("point {i} at ({:.2}, {:.2}) mm", p.x_mm, p.y_mm);
@@ -190,14 +195,20 @@ impl Sensor {
         Ok(sensor)
     }
 
-    /// The same sensor, with the id of the calibration that its values come from.
-    pub(crate) fn calibrated(self, id: String) -> Self {
-        Self { calibration: Some(id), ..self }
+    /// The same sensor, with the id of the calibration that its values come from, and what that says
+    /// about this very skin.
+    pub(crate) fn calibrated(self, id: String, skin: Option<Arc<SkinCalibration>>) -> Self {
+        Self { calibration: Some(id), skin, ..self }
     }
 
     /// Id of the calibration that was applied to the file's values, if one was.
     pub fn calibration(&self) -> Option<&str> {
         self.calibration.as_deref()
+    }
+
+    /// What an applied calibration says about this very skin, if it does.
+    pub fn skin(&self) -> Option<&SkinCalibration> {
+        self.skin.as_deref()
     }
 
     /// Distance between neighbouring points, mm: the hexagon's side times sqrt(3).

@@ -116,6 +116,19 @@ impl TipLattice {
         shares.retain(|s| s.sixths != 0.0 || s.slope_per_mm != [0.0; 2]);
     }
 
+    /// The three nodes around a place, each with its linear weight (sum 1) and the weight's slope in
+    /// x and y, 1/mm. `None` where the lattice lacks a corner.
+    pub fn around(&self, x_mm: f64, y_mm: f64) -> [Option<Share>; 3] {
+        let place = [
+            (x_mm - self.origin_mm[0]) / self.step_mm[0],
+            (y_mm - self.origin_mm[1]) / self.step_mm[1],
+        ];
+        self.corners(place).map(|(place, sixths, slope)| {
+            let slope_per_mm = [slope[0] / self.step_mm[0], slope[1] / self.step_mm[1]];
+            self.node(place).map(|node| Share { node, sixths, slope_per_mm })
+        })
+    }
+
     /// Takes the second moment of a triangle's shares away.
     fn sharpen(&self, triangle: &[Corner; 3], first: usize, shares: &mut Vec<Share>) {
         let pairs = [(0, 1), (1, 2), (2, 0)].map(|(a, b)| (triangle[a], triangle[b]));

@@ -11,6 +11,7 @@ use axum::middleware::from_fn_with_state;
 use axum::routing::get;
 use jiff::Timestamp;
 use sim_core::calibration::Calibration;
+use sim_core::sensor::Sensor;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -25,6 +26,10 @@ use crate::conductor::{Conductor, ConductorError, RigFile};
 use crate::dataset::catalog::Catalog;
 use crate::dataset::definition::Definition;
 use crate::dataset::error::DatasetError;
+use crate::infer::error::InferError;
+use crate::infer::registry::Registry;
+use crate::infer::serving::Serving;
+use crate::jobs::Jobs;
 use crate::simulate::twins::TwinPool;
 use crate::store::{NewAction, RunKind, Store, StoreError};
 
@@ -35,8 +40,11 @@ mod events;
 mod exports;
 mod health;
 mod imports;
+mod infer;
+mod jobs;
 mod live;
 mod lock_file;
+mod models;
 mod page;
 mod people;
 mod problem;
@@ -49,7 +57,10 @@ mod status;
 mod trials;
 mod twins;
 
+pub use infer::{FrameAnswer, InferRequest, LiveAnswer, Wish};
+pub use jobs::JobOut;
 pub use lock_file::{LockFile, LockFileError};
+pub use models::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
 pub use runs::Summary;
 
 use auth::Asker;
@@ -80,6 +91,10 @@ pub struct ServeOptions {
     pub twin_workers: usize,
     /// What the simulated twins of runs on its sensor are made with.
     pub calibration: Option<Calibration>,
+    /// The skin under the rig.
+    pub sensor: Sensor,
+    /// Text of its file.
+    pub sensor_text: String,
 }
 
 /// Why a service does not start.
@@ -121,6 +136,9 @@ pub enum ServeError {
     /// The folders of datasets cannot be used.
     #[error(transparent)]
     Datasets(#[from] DatasetError),
+    /// The folder of models cannot be used.
+    #[error(transparent)]
+    Models(#[from] InferError),
     /// The campaign's thread does not start.
     #[error("starting the campaign's thread: {0}")]
     Thread(#[source] std::io::Error),
@@ -139,6 +157,12 @@ pub struct App {
     pub twins: TwinPool,
     /// The datasets.
     pub datasets: Catalog,
+    /// The models.
+    pub models: Registry,
+    /// Which of them serve.
+    pub serving: Serving,
+    /// Trainings and evaluations.
+    pub jobs: Jobs,
     facts: Arc<Facts>,
 }
 
@@ -229,6 +253,21 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(exports::list, exports::ask))
         .routes(routes!(exports::one))
         .routes(routes!(exports::file))
+        .routes(routes!(jobs::train))
+        .routes(routes!(jobs::evaluate))
+        .routes(routes!(jobs::list))
+        .routes(routes!(jobs::one))
+        .routes(routes!(jobs::losses))
+        .routes(routes!(jobs::stop))
+        .routes(routes!(models::list))
+        .routes(routes!(models::one))
+        .routes(routes!(models::onnx))
+        .routes(routes!(models::losses))
+        .routes(routes!(models::residuals))
+        .routes(routes!(models::add_calibration))
+        .routes(routes!(models::serving, models::promote))
+        .routes(routes!(models::roll_back))
+        .routes(routes!(infer::live))
         .routes(routes!(events::events))
         .routes(routes!(live::frames))
         .routes(routes!(rig::act))
@@ -244,9 +283,16 @@ fn routes() -> OpenApiRouter<App> {
 
 /// Routes whose bodies are large.
 fn uploads() -> OpenApiRouter<App> {
-    OpenApiRouter::new()
+    let imports = OpenApiRouter::new()
         .routes(routes!(imports::add))
-        .layer(DefaultBodyLimit::max(imports::FILE_MAX_BYTES))
+        .layer(DefaultBodyLimit::max(imports::FILE_MAX_BYTES));
+    let models = OpenApiRouter::new()
+        .routes(routes!(models::add))
+        .layer(DefaultBodyLimit::max(models::MODEL_MAX_BYTES));
+    let frames = OpenApiRouter::new()
+        .routes(routes!(infer::infer))
+        .layer(DefaultBodyLimit::max(infer::FRAMES_MAX_BYTES));
+    imports.merge(models).merge(frames)
 }
 
 /// The description of all routes.
@@ -321,13 +367,35 @@ impl Service {
         );
         store.sweep_imports().await?;
         let datasets = Catalog::open(store.clone(), &options.data, Clock::new(1.0))?;
-        let app = App { store, campaign, conductor, twins, datasets, facts: Arc::new(facts) };
+        let models = Registry::open(store.clone(), &options.data, Clock::new(1.0))?;
+        let skin = (options.sensor, options.sensor_text);
+        let serving = Serving::new(store.clone(), models.clone(), skin, &options.data);
+        let jobs = Jobs::new(
+            store.clone(),
+            datasets.clone(),
+            models.clone(),
+            serving.clone(),
+            &options.data,
+        );
+        let app = App {
+            serving: serving.clone(),
+            facts: Arc::new(facts),
+            store,
+            campaign,
+            conductor,
+            twins,
+            datasets,
+            models,
+            jobs,
+        };
         let tasks = vec![
             tokio::spawn(app.conductor.clone().follow()),
             tokio::spawn(app.twins.clone().work()),
             tokio::spawn(app.datasets.clone().work()),
+            tokio::spawn(app.jobs.clone().work()),
             tokio::spawn(keep_finished_runs(app.clone())),
             tokio::spawn(after_start(app.clone(), options.resume)),
+            tokio::spawn(async move { serving.restore().await }),
         ];
         let server = tokio::spawn(serve(listener, app.clone()));
         Ok(Self { address, app, ending, server, tasks, engine, _locks: locks })

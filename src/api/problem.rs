@@ -13,6 +13,8 @@ use crate::campaign::command::Refusal;
 use crate::conductor::ConductorError;
 use crate::dataset::error::DatasetError;
 use crate::dataset::shards::ShardsError;
+use crate::infer::error::InferError;
+use crate::jobs::JobError;
 use crate::problem::Problem;
 use crate::store::StoreError;
 
@@ -137,6 +139,48 @@ impl From<DatasetError> for ApiError {
             tracing::error!(%error, "a dataset failed");
         }
         Self::new(status, error.to_string())
+    }
+}
+
+impl From<InferError> for ApiError {
+    fn from(error: InferError) -> Self {
+        let status = match error {
+            InferError::Problems(problems) => return Self::problems(problems),
+            InferError::Store(error) => return error.into(),
+            InferError::Calibration(_)
+            | InferError::Model(_)
+            | InferError::Plan(_)
+            | InferError::Fit(_) => StatusCode::UNPROCESSABLE_ENTITY,
+            InferError::NoModel(_) => StatusCode::NOT_FOUND,
+            InferError::NotServed { .. }
+            | InferError::OtherTask { .. }
+            | InferError::OtherSensor { .. }
+            | InferError::NoEarlier(_) => StatusCode::CONFLICT,
+            InferError::File { ref source, .. }
+                if source.kind() == std::io::ErrorKind::NotFound =>
+            {
+                StatusCode::NOT_FOUND
+            }
+            _ => StatusCode::INTERNAL_SERVER_ERROR,
+        };
+        if status == StatusCode::INTERNAL_SERVER_ERROR {
+            tracing::error!(%error, "an inference failed");
+        }
+        Self::new(status, error.to_string())
+    }
+}
+
+impl From<JobError> for ApiError {
+    fn from(error: JobError) -> Self {
+        match error {
+            JobError::Problems(problems) => Self::problems(problems),
+            JobError::Store(error) => error.into(),
+            JobError::Infer(error) => error.into(),
+            JobError::Dataset(error) => error.into(),
+            JobError::Full(_) => Self::new(StatusCode::TOO_MANY_REQUESTS, error.to_string()),
+            JobError::Lean => Self::new(StatusCode::NOT_IMPLEMENTED, error.to_string()),
+            _ => Self::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()),
+        }
     }
 }
 

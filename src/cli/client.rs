@@ -4,11 +4,14 @@
 use std::path::Path;
 use std::time::Duration;
 
+use futures::StreamExt;
 use reqwest::multipart::{Form, Part};
 use reqwest::{Method, RequestBuilder, Response};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
+use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+use tokio_tungstenite::tungstenite::{self, Message};
 
 use super::error::CliError;
 use super::view::{ArmedView, EventPageView, StatusView, TakenUpView};
@@ -232,6 +235,55 @@ impl Client {
         let request = self.http.post(format!("{}{path}", self.url)).multipart(form);
         let answer = self.carry_out(operation.clone(), request).await?;
         answer.json().await.map_err(|source| CliError::Http { operation, source })
+    }
+
+    /// Sends a text, reads an answer.
+    pub async fn post_text<T: DeserializeOwned>(
+        &self,
+        path: &str,
+        text: String,
+    ) -> Result<T, CliError> {
+        let operation = format!("POST {path}");
+        let request = self.http.post(format!("{}{path}", self.url)).body(text);
+        let request = request.header(reqwest::header::CONTENT_TYPE, "text/plain; charset=utf-8");
+        let answer = self.carry_out(operation.clone(), request).await?;
+        answer.json().await.map_err(|source| CliError::Http { operation, source })
+    }
+
+    /// Reads the messages of a WebSocket until `take` wants no more, or it ends.
+    pub async fn messages(
+        &self,
+        path: &str,
+        mut take: impl FnMut(&str) -> bool,
+    ) -> Result<(), CliError> {
+        let operation = || format!("GET {path}");
+        let failed = |error: tungstenite::Error| match error {
+            tungstenite::Error::Http(answer) => {
+                let body = answer.body().as_deref().unwrap_or_default();
+                let body = serde_json::from_slice(body).unwrap_or_default();
+                refusal(operation(), answer.status().as_u16(), &body)
+            }
+            tungstenite::Error::Io(_) => CliError::NoServer { url: self.url.clone() },
+            other => CliError::Socket { operation: operation(), source: Box::new(other) },
+        };
+        let url = format!("{}{path}", self.url.replacen("http", "ws", 1));
+        let mut request = url.into_client_request().map_err(failed)?;
+        if let Some(key) = &self.key
+            && let Ok(value) = format!("Bearer {key}").parse()
+        {
+            request.headers_mut().insert("authorization", value);
+        }
+        let (mut socket, _) = tokio_tungstenite::connect_async(request).await.map_err(failed)?;
+        while let Some(message) = socket.next().await {
+            match message.map_err(failed)? {
+                Message::Text(text) if !take(&text) => break,
+                Message::Close(_) => break,
+                _ => {}
+            }
+        }
+        // Who has read enough does not wait for a farewell.
+        socket.close(None).await.ok();
+        Ok(())
     }
 
     async fn carry_out(

@@ -8,7 +8,7 @@ use tokio::sync::oneshot;
 
 use super::client::Client;
 use super::error::CliError;
-use super::files::RigFiles;
+use super::files::{RigFiles, read_sensor_text};
 use super::{At, DEFAULT_URL};
 use crate::api::{ServeOptions, Service};
 
@@ -36,8 +36,9 @@ pub async fn server(at: &At) -> Result<Client, CliError> {
 }
 
 /// Options of a service in this process: a free port of the loopback.
-pub fn options(data: PathBuf, rig: &RigFiles) -> ServeOptions {
-    ServeOptions {
+pub fn options(data: PathBuf, rig: &RigFiles) -> Result<ServeOptions, CliError> {
+    let (sensor, sensor_text) = read_sensor_text(None)?;
+    Ok(ServeOptions {
         bind: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)),
         data,
         rig_file: rig.file.clone(),
@@ -45,7 +46,9 @@ pub fn options(data: PathBuf, rig: &RigFiles) -> ServeOptions {
         resume: false,
         twin_workers: TWIN_WORKERS,
         calibration: None,
-    }
+        sensor,
+        sensor_text,
+    })
 }
 
 /// Does `work` with the server that is there, or with one started for it.
@@ -56,7 +59,7 @@ where
 {
     match find(at).await? {
         Some(client) => work(client).await,
-        None => host(options(at.data(), &RigFiles::read(None)?), work).await,
+        None => host(options(at.data(), &RigFiles::read(None)?)?, work).await,
     }
 }
 

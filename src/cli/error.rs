@@ -37,6 +37,14 @@ pub enum CliError {
         /// Why it failed.
         source: reqwest::Error,
     },
+    /// A stream of messages broke.
+    #[error("{operation}: {source}")]
+    Socket {
+        /// What was asked.
+        operation: String,
+        /// Why it broke.
+        source: Box<tokio_tungstenite::tungstenite::Error>,
+    },
     /// The service refuses.
     #[error("{operation}: {detail}")]
     Refused {

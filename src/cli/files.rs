@@ -105,11 +105,16 @@ impl RigFiles {
 
 /// Writes a file, with the folders above it.
 pub fn write(path: &Path, text: &str) -> Result<(), CliError> {
+    write_bytes(path, text.as_bytes())
+}
+
+/// Writes a file, and the folders that it is in.
+pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
     let failed = |source| CliError::File { path: path.into(), source };
     if let Some(folder) = path.parent() {
         std::fs::create_dir_all(folder).map_err(failed)?;
     }
-    std::fs::write(path, text).map_err(failed)
+    std::fs::write(path, bytes).map_err(failed)
 }
 
 /// A file that a person named: what is wrong with it is bad input.
@@ -129,10 +134,16 @@ fn read_named(file: &str, key: &str, value: &str, path: &Path) -> Result<String,
 
 /// Reads a sensor file, or takes the carried one.
 pub fn read_sensor(path: Option<&Path>) -> Result<Sensor, CliError> {
-    match path {
-        Some(path) => parse_sensor(&path.display().to_string(), &read_input(path)?),
-        None => parse_sensor(DEFAULT_SENSOR_FILE, DEFAULT_SENSOR),
-    }
+    read_sensor_text(path).map(|(sensor, _)| sensor)
+}
+
+/// The same, with its text.
+pub fn read_sensor_text(path: Option<&Path>) -> Result<(Sensor, String), CliError> {
+    let (file, text) = match path {
+        Some(path) => (path.display().to_string(), read_input(path)?),
+        None => (DEFAULT_SENSOR_FILE.into(), DEFAULT_SENSOR.into()),
+    };
+    Ok((parse_sensor(&file, &text)?, text))
 }
 
 fn parse_sensor(file: &str, text: &str) -> Result<Sensor, CliError> {

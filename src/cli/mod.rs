@@ -20,6 +20,8 @@ mod error;
 mod evaluate;
 mod files;
 mod follow;
+mod infer;
+mod model;
 mod output;
 mod plan;
 mod progress;
@@ -29,6 +31,7 @@ mod run;
 mod serve;
 mod simulate;
 mod summary;
+mod train;
 mod view;
 mod virtual_bench;
 
@@ -128,6 +131,19 @@ pub enum Command {
     Rig(rig::RigArgs),
     /// Datasets: what there is, files out, trials measured elsewhere in.
     Dataset(dataset::DatasetArgs),
+    /// Train a net by a recipe, on a dataset; the model is kept in the service.
+    ///
+    /// The service trains, and goes on after a restart. Exit code 2 where the recipe holds what cannot
+    /// be used: each problem names key, value and limit.
+    Train(train::TrainArgs),
+    /// Trainings and evaluations: what waits, runs and is over.
+    Job(train::JobArgs),
+    /// Models: what there is, how good they are, which serve.
+    Model(model::ModelArgs),
+    /// Say where and how hard frames of a file were touched.
+    Infer(infer::InferArgs),
+    /// Say where and how hard the rig's skin is being touched, frame by frame.
+    Live(infer::LiveArgs),
     /// Say how good the model is.
     Evaluate(evaluate::EvaluateArgs),
 }
@@ -178,6 +194,11 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
         Command::Lock(args) => access::lock(args).await?,
         Command::Key(args) => access::key(args).await?,
         Command::Dataset(args) => dataset::dataset(args).await?,
+        Command::Train(args) => train::train(args).await?,
+        Command::Job(args) => train::job(args).await?,
+        Command::Model(args) => model::model(args).await?,
+        Command::Infer(args) => infer::infer(args).await?,
+        Command::Live(args) => infer::live(args).await?,
         Command::Evaluate(args) => evaluate::evaluate(args).await?,
     }
     Ok(ExitCode::SUCCESS)

@@ -156,7 +156,8 @@ pub async fn run(args: RunArgs) -> Result<ExitCode, CliError> {
             let closing = if on_virtual_rig {
                 with_virtual_rig(&args, rig, order).await
             } else {
-                embed::host(embed::options(data.clone(), &rig), |client| drive(client, order)).await
+                embed::host(embed::options(data.clone(), &rig)?, |client| drive(client, order))
+                    .await
             };
             closing?.with_next(&data, None)
         }
@@ -190,7 +191,7 @@ async fn with_virtual_rig(
         fault: args.fault.clone(),
     };
     let bench = VirtualBench::switch_on(&options, order.json).await?;
-    let service = embed::options(options.data.clone(), &bench.rig);
+    let service = embed::options(options.data.clone(), &bench.rig)?;
     let (send, sent) = std::sync::mpsc::sync_channel(1);
     let closing = embed::host(service, |client| {
         let operator = bench.send_operator(client.url());

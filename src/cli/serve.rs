@@ -10,7 +10,7 @@ use super::calibrate::parse_calibration;
 use super::data_or_default;
 use super::embed::TWIN_WORKERS;
 use super::error::CliError;
-use super::files::RigFiles;
+use super::files::{RigFiles, read_sensor_text};
 use super::follow::Signals;
 use super::output::say;
 use crate::api::{ServeOptions, Service};
@@ -33,6 +33,9 @@ pub struct ServeArgs {
     /// Calibration that simulated twins are made with [default: the sensor file's values].
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
+    /// Sensor file of the skin under the rig, for live answers [default: ert-28].
+    #[arg(long, value_name = "FILE")]
+    pub sensor: Option<PathBuf>,
     /// Threads that compute simulated twins; 0 for none.
     #[arg(long, value_name = "N", default_value_t = TWIN_WORKERS)]
     pub twin_workers: usize,
@@ -42,6 +45,7 @@ pub struct ServeArgs {
 pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
     let rig = RigFiles::read(args.rig.as_deref())?;
     let mut signals = Signals::catch()?;
+    let (sensor, sensor_text) = read_sensor_text(args.sensor.as_deref())?;
     let options = ServeOptions {
         bind: args.bind,
         data: data_or_default(args.data),
@@ -50,6 +54,8 @@ pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
         resume: !args.no_resume,
         twin_workers: args.twin_workers,
         calibration: args.calibration.as_deref().map(parse_calibration).transpose()?,
+        sensor,
+        sensor_text,
     };
     let data = options.data.display().to_string();
     let service = Service::start(options).await?;

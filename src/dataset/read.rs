@@ -206,16 +206,25 @@ impl DatasetRows {
     }
 }
 
+/// The text of the sensor file behind a dataset's file; empty where it does not say.
+pub fn sensor_text(path: &Path) -> Result<String, DatasetError> {
+    let file = File::open(path).map_err(DatasetError::file("opening", path))?;
+    let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())?;
+    Ok(sensor(&metadata).unwrap_or_default().to_owned())
+}
+
+fn sensor(metadata: &ArrowReaderMetadata) -> Option<&str> {
+    let footer = metadata.metadata().file_metadata().key_value_metadata();
+    footer?.iter().find(|kv| kv.key == schema::SENSOR)?.value.as_deref()
+}
+
 fn skin(metadata: &ArrowReaderMetadata) -> Skin {
     #[derive(serde::Deserialize)]
     struct Extent {
         width_mm: f64,
         height_mm: f64,
     }
-    let footer = metadata.metadata().file_metadata().key_value_metadata();
-    let text = footer.and_then(|f| f.iter().find(|kv| kv.key == schema::SENSOR));
-    let text = text.and_then(|kv| kv.value.as_deref());
-    match text.and_then(|text| toml::from_str::<Extent>(text).ok()) {
+    match sensor(metadata).and_then(|text| toml::from_str::<Extent>(text).ok()) {
         Some(Extent { width_mm, height_mm }) => Skin { width_mm, height_mm },
         None => SKIN,
     }

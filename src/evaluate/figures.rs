@@ -54,10 +54,10 @@ pub struct Outline {
 }
 
 const SIZE: (u32, u32) = (900, 560);
-const TEXT: (&str, i32) = ("sans-serif", 18);
-const SMALL: (&str, i32) = ("sans-serif", 15);
+pub(super) const TEXT: (&str, i32) = ("sans-serif", 18);
+pub(super) const SMALL: (&str, i32) = ("sans-serif", 15);
 /// Dark on white, told apart by all eyes (Okabe and Ito), 0 to 6 contacts.
-const COLOURS: [RGBColor; 7] = [
+pub(super) const COLOURS: [RGBColor; 7] = [
     RGBColor(120, 120, 120),
     RGBColor(0, 114, 178),
     RGBColor(230, 159, 0),
@@ -71,10 +71,10 @@ const FEWEST: u64 = 5;
 /// The map's colours end at this FVU.
 const MAP_END: f64 = 1.0;
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
 /// Draws on a white page and returns its SVG text.
-fn page(
+pub(super) fn page(
     figure: &'static str,
     size: (u32, u32),
     draw: impl FnOnce(&Area<'_>) -> Result<(), Box<dyn std::error::Error>>,
@@ -265,7 +265,7 @@ fn bar(area: &Area<'_>) -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-fn whole(value: &f64) -> String {
+pub(super) fn whole(value: &f64) -> String {
     format!("{value:.0}")
 }
 

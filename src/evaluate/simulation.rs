@@ -6,6 +6,8 @@ use utoipa::ToSchema;
 
 use crate::store::Fit;
 
+use super::quantile::{median, quantile};
+
 /// Width of a bin of forces, N.
 pub const FORCE_BIN_N: f64 = 1.0;
 /// Forces beyond this share the last bin, N: the paper's plots end here.
@@ -192,19 +194,6 @@ impl BoxPlot {
             outliers: 1.0 - inside().count() as f64 / sorted.len() as f64,
         })
     }
-}
-
-fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut sorted: Vec<f64> = values.collect();
-    sorted.sort_by(f64::total_cmp);
-    quantile(&sorted, 0.5)
-}
-
-/// Linear between the two nearest of the sorted values.
-fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
-    let place = share * (sorted.len().checked_sub(1)? as f64);
-    let (low, high) = (sorted[place.floor() as usize], sorted[place.ceil() as usize]);
-    Some(low + (high - low) * place.fract())
 }
 
 fn by_point(touched: &[&Fit]) -> Vec<PointFit> {

@@ -214,6 +214,8 @@ impl Filled {
             resume: false,
             twin_workers: 0,
             calibration: None,
+            sensor: Sensor::from_toml(SENSOR).unwrap(),
+            sensor_text: SENSOR.into(),
         };
         let service = Service::start(options).await.unwrap();
         Self { data, service, http: reqwest::Client::new() }

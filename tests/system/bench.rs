@@ -5,8 +5,11 @@ use std::time::{Duration, Instant};
 
 use palpate::api::{ServeOptions, Service};
 use serde_json::{Value, json};
+use sim_core::sensor::Sensor;
 use virtual_rig::run::{RigArgs, VirtualRig};
 use virtual_rig::{OperatorArgs, operator_main};
+
+const SENSOR: &str = include_str!("../../experiments/sensors/ert-28.toml");
 
 /// Longest wait for anything that a test waits for.
 pub const LIMIT: Duration = Duration::from_secs(120);
@@ -218,5 +221,7 @@ pub fn options(rig: &VirtualRig, data: &Path) -> ServeOptions {
         resume: true,
         twin_workers: 1,
         calibration: None,
+        sensor: Sensor::from_toml(SENSOR).unwrap(),
+        sensor_text: SENSOR.into(),
     }
 }

@@ -9,14 +9,17 @@ use sim_core::sensor::Sensor;
 
 mod batch;
 mod calculix;
+mod contacts;
 mod convergence;
 mod deformation;
 mod elements;
 mod forward;
 mod jacobian;
+mod linear;
 mod mesh;
 mod network;
 mod ngspice;
+mod steady;
 mod surface;
 mod tip;
 mod tools;

@@ -15,6 +15,8 @@
 //! and a rectangle is the alternating sum over its four corners. `g` is worked out once for each
 //! grid line, so a corner costs an addition.
 
+pub mod peaks;
+
 #[cfg(test)]
 mod tests;
 

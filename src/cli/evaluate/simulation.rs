@@ -1,22 +1,22 @@
-//! `palpate evaluate`: how good the model is, as numbers, tables and pictures.
+//! `palpate evaluate simulation`: how good the simulation is, as numbers, tables and pictures.
 //! Uses: `client`, `evaluate`. Never: numbers of its own (the service reports, this shows).
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use clap::{Args, Subcommand};
+use clap::Args;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use sim_core::sensor::Sensor;
 use tokio::time::Instant;
 
-use super::client::Client;
-use super::error::CliError;
-use super::files::write;
-use super::output::{counted, say, say_json};
-use super::progress::progress_bar;
-use super::{At, embed};
+use crate::cli::client::Client;
+use crate::cli::error::CliError;
+use crate::cli::files::write;
+use crate::cli::output::{counted, say, say_json};
+use crate::cli::progress::progress_bar;
+use crate::cli::{At, embed};
 use crate::evaluate::figures::{Outline, Quantity, boxes, by_force, frames, map};
 use crate::evaluate::simulation::{BoxPlot, FORCE_BIN_N, SimulationReport};
 use crate::ids::RunUid;
@@ -27,25 +27,9 @@ const LOOK: Duration = Duration::from_millis(200);
 /// Longest wait without a single twin made.
 const STALLED: Duration = Duration::from_secs(120);
 
-/// Options of `evaluate`.
+/// Options of `evaluate simulation`.
 #[derive(Debug, Args)]
-pub struct EvaluateArgs {
-    /// What to evaluate.
-    #[command(subcommand)]
-    what: What,
-}
-
-#[derive(Debug, Subcommand)]
-enum What {
-    /// How well simulated twins fit a run's trials: RMSE, FVU, deadband, as in the paper's Fig. 7.
-    ///
-    /// Waits until every trial has its twin. With --out it leaves simulation.json, a CSV for each
-    /// table and an SVG for each figure there.
-    Simulation(SimulationArgs),
-}
-
-#[derive(Debug, Args)]
-struct SimulationArgs {
+pub struct SimulationArgs {
     /// uid or scan_id [default: the run of the newest trial].
     #[arg(long, value_name = "RUN")]
     run: Option<String>,
@@ -65,13 +49,12 @@ struct RunTwinsView {
 }
 
 /// Runs the command.
-pub async fn evaluate(args: EvaluateArgs) -> Result<(), CliError> {
-    let What::Simulation(args) = args.what;
+pub async fn simulation(args: SimulationArgs) -> Result<(), CliError> {
     let at = args.at.clone();
-    embed::with_server(&at, move |client| simulation(client, args)).await
+    embed::with_server(&at, move |client| report(client, args)).await
 }
 
-async fn simulation(client: Client, args: SimulationArgs) -> Result<(), CliError> {
+async fn report(client: Client, args: SimulationArgs) -> Result<(), CliError> {
     let run = client.run(run_of(&client, args.run).await?).await?;
     let count = wait_for_twins(&client, run.uid, STALLED).await?;
     let path = format!("/api/v1/runs/{}/evaluation/simulation", run.uid);

@@ -1,0 +1,249 @@
+//! The few directions in which frames differ: 784 voltages become some tens of numbers.
+//! Uses: the batch model for sample frames, the error model. Never: a measured frame's meaning.
+//!
+//! Light frames have 27 directions above the noise, the heaviest some tens more (`stack.md` part 4
+//! section 1). In units of each channel's noise an orthonormal basis keeps white noise white; the
+//! basis is turned so that the model's relative error is uncorrelated too. Then every number of a
+//! frame has a variance of its own, whatever the signal, and normal equations are cheap.
+
+use faer::{Mat, Side};
+
+use super::FitterError;
+use super::error::ErrorModel;
+use crate::batch::{BatchModel, BatchWork};
+use crate::forward::Contact;
+use crate::sensor::Sensor;
+
+/// Sample loads from which the directions are found.
+const SAMPLES: usize = 640;
+/// Contacts in a sample load: 1 to this.
+const MOST_CONTACTS: usize = 6;
+/// Forces of a sample load, N.
+const FORCES_N: [f64; 2] = [4.0, 60.0];
+/// What sample frames may keep outside the basis, in standard deviations of one channel's noise
+/// over the whole frame.
+const OUTSIDE: f64 = 0.5;
+/// Directions at most: the heaviest frames' last ones are far below any model error.
+const MOST_DIRECTIONS: usize = 96;
+/// Rows are padded to a multiple of this.
+pub(super) const PAD: usize = 8;
+
+/// The directions of one model's frames.
+#[derive(Debug, Clone)]
+pub(super) struct Basis {
+    channels: usize,
+    /// Numbers of a projected frame, with padding.
+    width: usize,
+    /// Row-major: `width` rows of `channels`, per volt.
+    rows: Vec<f64>,
+    /// The untouched frame, V.
+    rest_v: Vec<f64>,
+    /// Variance of each number by the model's error, per V^2 of signal.
+    relative: Vec<f64>,
+    /// The same per channel outside the basis.
+    relative_outside: f64,
+    inverse_sd: Vec<f64>,
+}
+
+/// A measured frame in the basis.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Projected {
+    /// Its numbers less those of the untouched frame.
+    pub z: Vec<f64>,
+    /// One over the variance of each.
+    pub weights: Vec<f64>,
+    /// Misfit outside the basis, where no contact reaches.
+    pub outside_chi2: f64,
+}
+
+impl Basis {
+    /// Finds the directions of a model's frames.
+    pub fn new(
+        batch: &BatchModel,
+        sensor: &Sensor,
+        rest_v: &[f64],
+        error: &ErrorModel,
+    ) -> Result<Self, FitterError> {
+        let channels = rest_v.len();
+        let inverse_sd: Vec<f64> = error.channel_sd_v.iter().map(|sd| 1.0 / sd).collect();
+        let mut frames = sample_frames(batch, sensor)?;
+        for frame in &mut frames {
+            for ((v, rest), scale) in frame.iter_mut().zip(rest_v).zip(&inverse_sd) {
+                *v = (*v - rest) * scale;
+            }
+        }
+        let directions = orthonormal(&mut frames);
+        let (rows, relative) = turned(&directions, error, &inverse_sd)?;
+        let width = rows.len().next_multiple_of(PAD);
+        let mut flat: Vec<f64> = Vec::with_capacity(width * channels);
+        for row in &rows {
+            flat.extend(row.iter().zip(&inverse_sd).map(|(b, scale)| b * scale));
+        }
+        flat.resize(width * channels, 0.0);
+        let mean_precision = inverse_sd.iter().map(|s| s * s).sum::<f64>() / channels as f64;
+        let mut basis = Self {
+            channels,
+            width,
+            rows: flat,
+            rest_v: rest_v.to_vec(),
+            relative,
+            relative_outside: error.floor.powi(2) / channels as f64 * mean_precision,
+            inverse_sd,
+        };
+        basis.relative.resize(width, 0.0);
+        Ok(basis)
+    }
+
+    /// Numbers of a projected frame, a multiple of [`PAD`].
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Projects columns of `channels` volts (`columns` of them, one after the other).
+    pub fn project(&self, columns: &[f64], out: &mut Vec<f64>) {
+        out.clear();
+        for column in columns.chunks_exact(self.channels) {
+            out.extend(self.rows.chunks_exact(self.channels).map(|row| dot(row, column)));
+        }
+    }
+
+    /// Projects a model's frame, less the untouched one.
+    pub fn project_frame(&self, frame_v: &[f64], scratch: &mut Vec<f64>, out: &mut Vec<f64>) {
+        scratch.clear();
+        scratch.extend(frame_v.iter().zip(&self.rest_v).map(|(v, rest)| v - rest));
+        self.project(scratch, out);
+    }
+
+    /// Projects a measured frame that is the mean of some. Where `frames` is large the model's error
+    /// is what remains.
+    pub fn measure(
+        &self,
+        frame_v: &[f64],
+        frames: f64,
+        scratch: &mut Vec<f64>,
+        out: &mut Projected,
+    ) {
+        self.project_frame(frame_v, scratch, &mut out.z);
+        let (mut signal_v2, mut scaled) = (0.0, 0.0);
+        for (v, scale) in scratch.iter().zip(&self.inverse_sd) {
+            signal_v2 += v * v - 1.0 / (frames * scale * scale);
+            scaled += (v * scale).powi(2);
+        }
+        let signal_v2 = signal_v2.max(0.0);
+        out.weights.clear();
+        out.weights.extend(self.relative.iter().map(|c| 1.0 / (1.0 / frames + signal_v2 * c)));
+        let inside: f64 = out.z.iter().map(|z| z * z).sum();
+        let variance = 1.0 / frames + signal_v2 * self.relative_outside;
+        out.outside_chi2 = (scaled - inside).max(0.0) / variance;
+    }
+}
+
+/// Inner product in four strands, which a processor adds side by side.
+pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let ((a, a_tail), (b, b_tail)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
+    let mut sums = [0.0; 8];
+    for (a, b) in a.iter().zip(b) {
+        for (sum, (a, b)) in sums.iter_mut().zip(a.iter().zip(b)) {
+            *sum += a * b;
+        }
+    }
+    let tail: f64 = a_tail.iter().zip(b_tail).map(|(a, b)| a * b).sum();
+    sums.iter().sum::<f64>() + tail
+}
+
+/// Frames of loads on points, V: the same ones every time.
+fn sample_frames(batch: &BatchModel, sensor: &Sensor) -> Result<Vec<Vec<f64>>, FitterError> {
+    let points = sensor.points();
+    let mut state = 0x9e37_79b9_7f4a_7c15u64;
+    let mut uniform = || {
+        // xorshift64: any fixed spread of places does.
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 11) as f64 / (1u64 << 53) as f64
+    };
+    let [least, most] = FORCES_N;
+    let loads: Vec<Vec<Contact>> = (0..SAMPLES)
+        .map(|sample| {
+            (0..1 + sample % MOST_CONTACTS)
+                .map(|_| {
+                    let point = &points[(uniform() * points.len() as f64) as usize];
+                    let force_n = least * (most / least).powf(uniform());
+                    Contact { x_mm: point.x_mm, y_mm: point.y_mm, force_n }
+                })
+                .collect()
+        })
+        .collect();
+    let trials: Vec<&[Contact]> = loads.iter().map(Vec::as_slice).collect();
+    let mut frames = vec![0f32; SAMPLES * batch.frame_len()];
+    batch.voltages(&trials, &mut frames, &mut BatchWork::default())?;
+    let volts = |frame: &[f32]| frame.iter().map(|&v| f64::from(v)).collect();
+    Ok(frames.chunks_exact(batch.frame_len()).map(volts).collect())
+}
+
+/// Orthonormal directions, the frame that sticks out most first; the frames are used up.
+fn orthonormal(frames: &mut [Vec<f64>]) -> Vec<Vec<f64>> {
+    let mut directions: Vec<Vec<f64>> = Vec::new();
+    let mut lengths: Vec<f64> = frames.iter().map(|f| dot(f, f)).collect();
+    while directions.len() < MOST_DIRECTIONS {
+        let Some((longest, &length)) = lengths.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))
+        else {
+            break;
+        };
+        if length <= OUTSIDE * OUTSIDE {
+            break;
+        }
+        let mut direction = frames[longest].clone();
+        // Once more against those before: what is left has lost digits.
+        for before in &directions {
+            let along = dot(&direction, before);
+            direction.iter_mut().zip(before).for_each(|(d, b)| *d -= along * b);
+        }
+        let scale = 1.0 / dot(&direction, &direction).sqrt();
+        direction.iter_mut().for_each(|d| *d *= scale);
+        for (frame, length) in frames.iter_mut().zip(&mut lengths) {
+            let along = dot(frame, &direction);
+            frame.iter_mut().zip(&direction).for_each(|(f, d)| *f -= along * d);
+            *length = dot(frame, frame);
+        }
+        directions.push(direction);
+    }
+    directions
+}
+
+/// The directions turned so that the relative error is uncorrelated, with its variances.
+fn turned(
+    directions: &[Vec<f64>],
+    error: &ErrorModel,
+    inverse_sd: &[f64],
+) -> Result<(Vec<Vec<f64>>, Vec<f64>), FitterError> {
+    let count = directions.len();
+    let scaled = |mode: &Vec<f64>| -> Vec<f64> {
+        mode.iter().zip(inverse_sd).map(|(m, scale)| m * scale).collect()
+    };
+    let modes: Vec<Vec<f64>> = error.modes.iter().map(scaled).collect();
+    let floor: Vec<f64> = {
+        let share = error.floor.powi(2) / inverse_sd.len() as f64;
+        inverse_sd.iter().map(|s| share * s * s).collect()
+    };
+    let of_modes: Vec<Vec<f64>> =
+        directions.iter().map(|d| modes.iter().map(|m| dot(d, m)).collect()).collect();
+    let weighted =
+        |d: &Vec<f64>| -> Vec<f64> { d.iter().zip(&floor).map(|(d, f)| d * f).collect() };
+    let of_floor: Vec<Vec<f64>> = directions.iter().map(weighted).collect();
+    let covariance = Mat::from_fn(count, count, |i, j| {
+        dot(&of_modes[i], &of_modes[j]) + dot(&directions[i], &of_floor[j])
+    });
+    let eigen = covariance.self_adjoint_eigen(Side::Lower).map_err(|_| FitterError::Eigenvalues)?;
+    let (values, vectors) = (eigen.S(), eigen.U());
+    let mut rows = Vec::with_capacity(count);
+    for column in 0..count {
+        let mut row = vec![0.0; inverse_sd.len()];
+        for (k, direction) in directions.iter().enumerate() {
+            let weight = vectors[(k, column)];
+            row.iter_mut().zip(direction).for_each(|(r, d)| *r += weight * d);
+        }
+        rows.push(row);
+    }
+    Ok((rows, (0..count).map(|i| values[i].max(0.0)).collect()))
+}

@@ -1,0 +1,324 @@
+//! Levenberg-Marquardt on contacts' places and forces, and what the optimum says: evidence and
+//! standard deviations. Uses: a model that predicts projected frames. Never: adding or dropping a
+//! contact.
+//!
+//! Parameters of a contact: x, y (mm, within limits) and ln F. Prior: uniform on the skin, normal in
+//! ln F. Evidence is Laplace's: the optimum's height times the width that data and prior leave it,
+//! over the prior's width. So a contact has to lower the misfit by `2 ln(skin's area / 2 pi sd_x sd_y)
+//! + 2 ln(prior's sd / sd)` of ln F, about 14 for one known to 10 mm: a threshold like that of the
+//! Bayesian information criterion (3 ln 784 = 20, 2 ln 784 = 13), which follows the case instead of
+//! being chosen.
+
+use super::basis::dot;
+use super::shapes::Place;
+use crate::forward::ContactError;
+
+/// Parameters of a contact.
+pub(super) const EACH: usize = 3;
+/// Damping at the start, and how it changes with a good and a bad step.
+const DAMPING: f64 = 1e-3;
+const LESS: f64 = 0.2;
+const MORE: f64 = 5.0;
+/// Bad steps in a row that end the descent.
+const BAD_STEPS: usize = 8;
+/// Longest step: mm, and ln F.
+const STEP: Place = [25.0, 25.0, 0.7];
+/// Limits of ln F: 0.3 N to 150 N.
+const LN_FORCE: [f64; 2] = [-1.2, 5.01];
+
+/// What is believed of a contact before a frame is seen.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Prior {
+    pub ln_force_mean: f64,
+    pub ln_force_sd: f64,
+    /// ln of the odds of one contact more.
+    pub ln_odds: f64,
+    /// Limits of a place, mm: `[axis][end]`.
+    pub limits_mm: [[f64; 2]; 2],
+}
+
+impl Prior {
+    fn of_force(&self, ln_force: f64) -> f64 {
+        ((ln_force - self.ln_force_mean) / self.ln_force_sd).powi(2)
+    }
+
+    /// Precision of x, y and ln F, that of a normal as wide as the uniform one.
+    fn precision(&self) -> Place {
+        let of = |[low, high]: [f64; 2]| 12.0 / (high - low).powi(2);
+        let [x, y] = self.limits_mm;
+        [of(x), of(y), self.ln_force_sd.powi(-2)]
+    }
+
+    pub fn clamp(&self, place: Place) -> Place {
+        let [[x0, x1], [y0, y1]] = self.limits_mm;
+        let [x, y, f] = place;
+        [x.clamp(x0, x1), y.clamp(y0, y1), f.clamp(LN_FORCE[0], LN_FORCE[1])]
+    }
+
+    /// What `count` contacts cost in -2 ln evidence, apart from misfit, force and width.
+    fn of_count(&self, count: usize) -> f64 {
+        let area = self.limits_mm.map(|[low, high]| high - low).iter().product::<f64>();
+        let each = (std::f64::consts::TAU * self.ln_force_sd.powi(2)).ln() + 2.0 * area.ln()
+            - EACH as f64 * std::f64::consts::TAU.ln()
+            - 2.0 * self.ln_odds;
+        // Contacts have no names: k! labellings are one load.
+        let ln_orders: f64 = (1..=count).map(|n| (n as f64).ln()).sum();
+        count as f64 * each - 2.0 * ln_orders
+    }
+}
+
+/// Predicts projected frames.
+pub(super) trait Predict {
+    /// Writes the frame of contacts, and its slopes by x, y and ln F of each (each as long as it).
+    fn predict(
+        &mut self,
+        places: &[Place],
+        z: &mut Vec<f64>,
+        slopes: &mut Vec<f64>,
+    ) -> Result<(), ContactError>;
+}
+
+/// What is fitted.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Problem<'a> {
+    pub z: &'a [f64],
+    pub weights: &'a [f64],
+    pub prior: &'a Prior,
+}
+
+/// When a descent ends.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Effort {
+    pub iterations: usize,
+    /// Decrease of the cost that no longer matters.
+    pub tolerance: f64,
+}
+
+/// An optimum.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Optimum {
+    /// Weighted sum of squares.
+    pub misfit: f64,
+    /// -2 ln evidence, up to a constant of the frame.
+    pub score: f64,
+    /// Models that were worked out.
+    pub predictions: usize,
+    /// Whether it converged.
+    pub converged: bool,
+}
+
+/// Memory of descents.
+#[derive(Debug, Default)]
+pub(super) struct DescentWork {
+    z: Vec<f64>,
+    slopes: Vec<f64>,
+    trial_z: Vec<f64>,
+    trial_slopes: Vec<f64>,
+    trial: Vec<Place>,
+    residual: Vec<f64>,
+    weighted: Vec<f64>,
+    normal: Vec<f64>,
+    factor: Vec<f64>,
+    gradient: Vec<f64>,
+    step: Vec<f64>,
+}
+
+impl DescentWork {
+    /// Residual at the last optimum, times the square root of its weights.
+    pub fn whitened_residual(&self, weights: &[f64], out: &mut Vec<f64>) {
+        out.clear();
+        out.extend(self.residual.iter().zip(weights).map(|(r, w)| r * w.sqrt()));
+    }
+
+    /// Slopes at the last optimum.
+    pub fn slopes(&self) -> &[f64] {
+        &self.slopes
+    }
+
+    /// Variances of x, y and ln F of each contact at the last optimum.
+    pub fn variances(&mut self, count: usize) -> Vec<Place> {
+        let size = EACH * count;
+        let mut variances = vec![[0.0; EACH]; count];
+        if !cholesky(&self.normal, size, &mut self.factor) {
+            return variances;
+        }
+        let mut unit = vec![0.0; size];
+        for i in 0..size {
+            unit.fill(0.0);
+            unit[i] = 1.0;
+            solve(&self.factor, size, &mut unit);
+            variances[i / EACH][i % EACH] = unit[i];
+        }
+        variances
+    }
+}
+
+/// Goes down from `places`, and leaves the optimum there.
+pub(super) fn descend(
+    problem: &Problem<'_>,
+    model: &mut impl Predict,
+    places: &mut [Place],
+    effort: Effort,
+    work: &mut DescentWork,
+) -> Result<Optimum, ContactError> {
+    let prior = problem.prior;
+    places.iter_mut().for_each(|p| *p = prior.clamp(*p));
+    model.predict(places, &mut work.z, &mut work.slopes)?;
+    let mut misfit = work.take_residual(problem);
+    let mut cost = misfit + of_forces(prior, places);
+    let (mut damping, mut bad, mut predictions) = (DAMPING, 0, 1);
+    let mut converged = places.is_empty();
+    work.assemble(problem, places);
+    while !converged && predictions < effort.iterations && bad < BAD_STEPS {
+        let expected = work.take_step(prior, places, damping);
+        if expected < effort.tolerance {
+            converged = true;
+            break;
+        }
+        let DescentWork { trial, trial_z, trial_slopes, .. } = work;
+        model.predict(trial, trial_z, trial_slopes)?;
+        predictions += 1;
+        let trial_misfit = misfit_of(problem, trial_z);
+        let trial_cost = trial_misfit + of_forces(prior, trial);
+        if trial_cost < cost {
+            converged = cost - trial_cost < effort.tolerance;
+            (misfit, cost, bad) = (trial_misfit, trial_cost, 0);
+            damping = (damping * LESS).max(1e-9);
+            places.copy_from_slice(trial);
+            std::mem::swap(&mut work.z, &mut work.trial_z);
+            std::mem::swap(&mut work.slopes, &mut work.trial_slopes);
+            work.take_residual(problem);
+            work.assemble(problem, places);
+        } else {
+            bad += 1;
+            damping *= MORE;
+        }
+    }
+    let score = cost + prior.of_count(places.len()) + work.ln_determinant(EACH * places.len());
+    Ok(Optimum { misfit, score, predictions, converged })
+}
+
+fn of_forces(prior: &Prior, places: &[Place]) -> f64 {
+    places.iter().map(|p| prior.of_force(p[2])).sum()
+}
+
+fn misfit_of(problem: &Problem<'_>, z: &[f64]) -> f64 {
+    let terms = problem.z.iter().zip(z).zip(problem.weights);
+    terms.map(|((measured, z), w)| w * (measured - z).powi(2)).sum()
+}
+
+impl DescentWork {
+    fn take_residual(&mut self, problem: &Problem<'_>) -> f64 {
+        self.residual.clear();
+        self.residual.extend(problem.z.iter().zip(&self.z).map(|(measured, z)| measured - z));
+        misfit_of(problem, &self.z)
+    }
+
+    /// Normal equations with the prior, at the current slopes and residual.
+    fn assemble(&mut self, problem: &Problem<'_>, places: &[Place]) {
+        let (size, width) = (EACH * places.len(), problem.z.len());
+        self.weighted.clear();
+        for column in self.slopes.chunks_exact(width) {
+            self.weighted.extend(column.iter().zip(problem.weights).map(|(s, w)| s * w));
+        }
+        self.normal.clear();
+        self.normal.resize(size * size, 0.0);
+        self.gradient.clear();
+        for (i, weighted) in self.weighted.chunks_exact(width).enumerate() {
+            self.gradient.push(dot(weighted, &self.residual));
+            for (j, column) in self.slopes.chunks_exact(width).enumerate().take(i + 1) {
+                self.normal[i * size + j] = dot(weighted, column);
+            }
+        }
+        let precision = problem.prior.precision();
+        for (c, place) in places.iter().enumerate() {
+            for (parameter, precision) in precision.iter().enumerate() {
+                let i = EACH * c + parameter;
+                self.normal[i * size + i] += precision;
+            }
+            // The uniform prior of the place has no slope; its width only bounds the normal matrix.
+            let prior = problem.prior;
+            self.gradient[EACH * c + 2] += (prior.ln_force_mean - place[2]) * precision[2];
+        }
+    }
+
+    /// Writes the places after a damped step, and gives the decrease of the cost that it promises.
+    fn take_step(&mut self, prior: &Prior, places: &[Place], damping: f64) -> f64 {
+        let size = EACH * places.len();
+        let mut damped = std::mem::take(&mut self.weighted);
+        damped.clear();
+        damped.extend_from_slice(&self.normal);
+        self.step.clear();
+        self.step.extend_from_slice(&self.gradient);
+        for (c, place) in places.iter().enumerate() {
+            for axis in 0..EACH {
+                let i = EACH * c + axis;
+                damped[i * size + i] *= 1.0 + damping;
+                let mut pushed = *place;
+                pushed[axis] += 1e-6 * self.gradient[i].signum();
+                if prior.clamp(pushed)[axis] == place[axis] && self.gradient[i] != 0.0 {
+                    // At a limit, and pushed against it: stays.
+                    self.step[i] = 0.0;
+                    for j in 0..size {
+                        damped[i.max(j) * size + i.min(j)] = f64::from(u8::from(i == j));
+                    }
+                }
+            }
+        }
+        let solvable = cholesky(&damped, size, &mut self.factor);
+        self.weighted = damped;
+        if !solvable {
+            return 0.0;
+        }
+        solve(&self.factor, size, &mut self.step);
+        let longest = self.step.iter().enumerate().map(|(i, s)| s.abs() / STEP[i % EACH]);
+        let scale = 1.0 / longest.fold(1.0, f64::max);
+        self.trial.clear();
+        self.trial.extend(places.iter().zip(self.step.chunks_exact(EACH)).map(|(p, step)| {
+            prior.clamp(std::array::from_fn(|axis| p[axis] + scale * step[axis]))
+        }));
+        scale * dot(&self.gradient, &self.step)
+    }
+
+    fn ln_determinant(&mut self, size: usize) -> f64 {
+        if !cholesky(&self.normal, size, &mut self.factor) {
+            return f64::INFINITY;
+        }
+        (0..size).map(|i| 2.0 * self.factor[i * size + i].ln()).sum()
+    }
+}
+
+/// Cholesky of a row-major lower triangle. `false` where it is not positive definite.
+pub(super) fn cholesky(lower: &[f64], size: usize, factor: &mut Vec<f64>) -> bool {
+    factor.clear();
+    factor.extend_from_slice(&lower[..size * size]);
+    for i in 0..size {
+        for j in 0..=i {
+            let (row_i, row_j) = (&factor[i * size..][..j], &factor[j * size..][..j]);
+            let sum = factor[i * size + j] - dot(row_i, row_j);
+            if i != j {
+                factor[i * size + j] = sum / factor[j * size + j];
+            } else if sum > 0.0 {
+                factor[i * size + i] = sum.sqrt();
+            } else {
+                return false;
+            }
+        }
+    }
+    true
+}
+
+/// Solves with a factor of [`cholesky`], in place.
+pub(super) fn solve(factor: &[f64], size: usize, x: &mut [f64]) {
+    for i in 0..size {
+        let sum = x[i] - dot(&factor[i * size..][..i], &x[..i]);
+        x[i] = sum / factor[i * size + i];
+    }
+    for i in (0..size).rev() {
+        x[i] /= factor[i * size + i];
+        let value = x[i];
+        for (x, f) in x[..i].iter_mut().zip(&factor[i * size..]) {
+            *x -= f * value;
+        }
+    }
+}

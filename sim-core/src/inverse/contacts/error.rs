@@ -1,0 +1,182 @@
+//! How far a measured frame may be from the model's, channel by channel and together.
+//! Uses: faer's symmetric eigenvalues. Never: where the contacts are.
+//!
+//! Covariance of a frame's error: `diag(sd^2) / frames + |v|^2 (sum of m m' + floor^2 I / channels)`:
+//! white noise that averaging lowers, and a model error in proportion to the signal `|v|` that it
+//! does not. The columns m come from held-out pairs of measured and modelled frames.
+
+use faer::{Mat, Side};
+
+/// Smallest signal of a pair that says anything about the model, in standard deviations of the noise.
+const LEAST_SIGNAL: f64 = 3.0;
+
+/// What is wrong with an error model.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ErrorModelError {
+    /// A channel's noise is not a positive number.
+    #[error("error model: noise of channel {channel} = {sd_v} V is not a finite number > 0")]
+    Noise {
+        /// The channel.
+        channel: usize,
+        /// Its standard deviation, V.
+        sd_v: f64,
+    },
+    /// A share is not a number >= 0.
+    #[error("error model: relative error {value} is not a finite number >= 0")]
+    Relative {
+        /// The share.
+        value: f64,
+    },
+    /// A pair's frames have other lengths, or hold something that is no number.
+    #[error("error model: pair {pair} is not two frames of {channels} finite voltages")]
+    Pair {
+        /// Index of the pair.
+        pair: usize,
+        /// Voltages needed.
+        channels: usize,
+    },
+    /// Too few pairs whose signal is above the noise.
+    #[error("error model: {found} of {given} pairs have a signal above the noise, {needed} needed")]
+    FewPairs {
+        /// Pairs with enough signal.
+        found: usize,
+        /// Pairs given.
+        given: usize,
+        /// Pairs needed.
+        needed: usize,
+    },
+    /// The eigenvalues did not converge.
+    #[error("error model: eigenvalues of the residuals' covariance did not converge")]
+    Eigenvalues,
+}
+
+/// A measured frame and the model's, V, of the same load.
+#[derive(Debug, Clone, Copy)]
+pub struct FramePair<'a> {
+    /// Measured, offsets taken off.
+    pub measured_v: &'a [f64],
+    /// Modelled.
+    pub modelled_v: &'a [f64],
+    /// Frames that the measured one is the mean of.
+    pub frames: f64,
+}
+
+/// The error model of one readout and one model.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ErrorModel {
+    /// Standard deviation of the noise of each channel in a single frame, V.
+    pub(super) channel_sd_v: Vec<f64>,
+    /// Directions of the relative error; a column's square is its variance.
+    pub(super) modes: Vec<Vec<f64>>,
+    /// What is left of it, as a share of the signal: the same on all channels.
+    pub(super) floor: f64,
+}
+
+impl ErrorModel {
+    /// White noise of the same size on all channels, V.
+    pub fn white(channels: usize, sd_v: f64) -> Result<Self, ErrorModelError> {
+        Self::of_channels(vec![sd_v; channels])
+    }
+
+    /// White noise of each channel, V.
+    pub fn of_channels(channel_sd_v: Vec<f64>) -> Result<Self, ErrorModelError> {
+        let bad = |sd: &f64| !(*sd > 0.0 && sd.is_finite());
+        if let Some(channel) = channel_sd_v.iter().position(bad) {
+            return Err(ErrorModelError::Noise { channel, sd_v: channel_sd_v[channel] });
+        }
+        Ok(Self { channel_sd_v, modes: Vec::new(), floor: 0.0 })
+    }
+
+    /// The same with a relative error that is alike on all channels, as a share of the signal.
+    pub fn with_relative(mut self, share: f64) -> Result<Self, ErrorModelError> {
+        if !(share >= 0.0 && share.is_finite()) {
+            return Err(ErrorModelError::Relative { value: share });
+        }
+        self.floor = share;
+        Ok(self)
+    }
+
+    /// The same with a relative error learnt from pairs that the model was not fitted to: the
+    /// `rank` strongest directions of `(measured - modelled) / |modelled|`, and one share for the
+    /// rest; the noise's part is taken off. Needs more pairs than directions.
+    pub fn with_pairs(
+        mut self,
+        pairs: &[FramePair<'_>],
+        rank: usize,
+    ) -> Result<Self, ErrorModelError> {
+        let channels = self.channel_sd_v.len();
+        let noise_v2: f64 = self.channel_sd_v.iter().map(|sd| sd * sd).sum();
+        let mut errors: Vec<Vec<f64>> = Vec::with_capacity(pairs.len());
+        let mut noise_share = 0.0;
+        for (index, pair) in pairs.iter().enumerate() {
+            let sound =
+                |frame: &[f64]| frame.len() == channels && frame.iter().all(|v| v.is_finite());
+            if !(sound(pair.measured_v) && sound(pair.modelled_v) && pair.frames > 0.0) {
+                return Err(ErrorModelError::Pair { pair: index, channels });
+            }
+            let signal_v2: f64 = pair.modelled_v.iter().map(|v| v * v).sum();
+            if signal_v2 * pair.frames < LEAST_SIGNAL.powi(2) * noise_v2 / channels as f64 {
+                continue;
+            }
+            let scale = 1.0 / signal_v2.sqrt();
+            let both = pair.measured_v.iter().zip(pair.modelled_v);
+            errors.push(both.map(|(measured, modelled)| scale * (measured - modelled)).collect());
+            noise_share += noise_v2 / pair.frames / signal_v2;
+        }
+        let found = errors.len();
+        if found <= rank {
+            return Err(ErrorModelError::FewPairs { found, given: pairs.len(), needed: rank + 1 });
+        }
+        self.decompose(&errors, noise_share / found as f64, rank)?;
+        Ok(self)
+    }
+
+    /// Splits the covariance of relative errors; `noise` is the noise's share of its trace.
+    fn decompose(
+        &mut self,
+        errors: &[Vec<f64>],
+        noise: f64,
+        rank: usize,
+    ) -> Result<(), ErrorModelError> {
+        let (count, channels) = (errors.len(), self.channel_sd_v.len());
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        // The Gram matrix has the covariance's eigenvalues, and its vectors mix the errors into
+        // the covariance's.
+        let gram = Mat::from_fn(count, count, |i, j| dot(&errors[i], &errors[j]) / count as f64);
+        let eigen =
+            gram.self_adjoint_eigen(Side::Lower).map_err(|_| ErrorModelError::Eigenvalues)?;
+        let (values, vectors) = (eigen.S(), eigen.U());
+        let per_channel = noise / channels as f64;
+        let trace: f64 = (0..count).map(|i| values[i]).sum();
+        let mut explained = 0.0;
+        self.modes.clear();
+        for column in (0..count).rev().take(rank) {
+            let value = values[column];
+            explained += value;
+            if value <= per_channel {
+                continue;
+            }
+            let scale = ((value - per_channel) / (value * count as f64)).sqrt();
+            let mut mode = vec![0.0; channels];
+            for (row, error) in errors.iter().enumerate() {
+                let weight = scale * vectors[(row, column)];
+                mode.iter_mut().zip(error).for_each(|(m, e)| *m += weight * e);
+            }
+            self.modes.push(mode);
+        }
+        let rest = trace - explained - noise * (1.0 - rank as f64 / channels as f64);
+        self.floor = rest.max(0.0).sqrt();
+        Ok(())
+    }
+
+    /// Channels in a frame.
+    pub fn channels(&self) -> usize {
+        self.channel_sd_v.len()
+    }
+
+    /// The whole relative error, as a share of the signal.
+    pub fn relative(&self) -> f64 {
+        let modes: f64 = self.modes.iter().flatten().map(|m| m * m).sum();
+        (modes + self.floor * self.floor).sqrt()
+    }
+}

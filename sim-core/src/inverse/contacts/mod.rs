@@ -1,0 +1,419 @@
+//! Analysis by synthesis: the contacts that explain a frame, by the exact forward model.
+//! Uses: `forward`, `jacobian`, `batch`, an error model. Never: threads, clock, chance, nets (their
+//! proposals are handed in).
+//!
+//! A frame is projected on the few directions in which the model's frames differ (`basis`). A
+//! search over a table of single contacts (`shapes`, `search`) finds hypotheses of every count; the
+//! best are finished with the exact model (`exact`, `descent`), and evidence chooses among them.
+
+mod basis;
+mod descent;
+pub mod error;
+mod exact;
+mod search;
+mod shapes;
+pub mod steady;
+
+use crate::batch::{BatchError, BatchModel, Kernel};
+use crate::forward::{Contact, ContactError, ForwardModel, Workspace};
+use basis::{Basis, Projected};
+use descent::{EACH, Effort, Optimum, Prior, Problem, descend};
+pub use error::{ErrorModel, ErrorModelError, FramePair};
+use exact::{Exact, ExactWork};
+use search::{Hypothesis, Search, SearchWork, closest_mm, same};
+use shapes::{Place, Shapes};
+pub use steady::{Steady, SteadyError, SteadyMean, SteadySettings};
+
+/// Weight below which a proposal is left out.
+const LEAST_WEIGHT: f64 = 0.15;
+
+/// Why there is no fitter.
+#[derive(Debug, thiserror::Error)]
+pub enum FitterError {
+    /// The error model is of frames of another length.
+    #[error("contact fitter: the error model has {found} channels, the skin {needed}")]
+    Channels {
+        /// Channels of the error model.
+        found: usize,
+        /// Channels of the skin.
+        needed: usize,
+    },
+    /// An option is outside its limits.
+    #[error("contact fitter: {field} = {value}: {limit}")]
+    Option {
+        /// Its name.
+        field: &'static str,
+        /// Its value.
+        value: f64,
+        /// What is allowed.
+        limit: &'static str,
+    },
+    /// The model refused a load of the tables.
+    #[error("contact fitter: {0}")]
+    Batch(#[from] BatchError),
+    /// The eigenvalues did not converge.
+    #[error("contact fitter: eigenvalues of the error model did not converge")]
+    Eigenvalues,
+}
+
+/// Why there is no fit.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum FitError {
+    /// The frame has another length than the skin's.
+    #[error("fitting contacts: a frame of {found} voltages, the skin has {needed}")]
+    Length {
+        /// Voltages found.
+        found: usize,
+        /// Voltages needed.
+        needed: usize,
+    },
+    /// A voltage is no number.
+    #[error("fitting contacts: voltage {channel} is not a finite number")]
+    NotFinite {
+        /// Its channel.
+        channel: usize,
+    },
+    /// The number of frames is none.
+    #[error("fitting contacts: frames = {frames} is not a finite number >= 1")]
+    Frames {
+        /// The number.
+        frames: f64,
+    },
+    /// A proposal is not a contact on this skin.
+    #[error("fitting contacts: proposal: {0}")]
+    Contact(#[from] ContactError),
+}
+
+/// What is believed before a frame is seen, and how much is tried.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FitOptions {
+    /// Contacts at most.
+    pub most_contacts: usize,
+    /// Median of a contact's force before the frame is seen, N.
+    pub force_median_n: f64,
+    /// Standard deviation of its logarithm.
+    pub force_ln_sd: f64,
+    /// ln of the odds of a contact more.
+    pub ln_odds: f64,
+    /// Contacts are not closer than this, mm: a tip's diameter.
+    pub least_distance_mm: f64,
+    /// Hypotheses that are finished with the exact model.
+    pub finalists: usize,
+    /// Steps of a descent on the exact model at most.
+    pub iterations: usize,
+    /// Decrease of chi-square that no longer matters.
+    pub tolerance: f64,
+}
+
+impl Default for FitOptions {
+    fn default() -> Self {
+        Self {
+            most_contacts: 6,
+            force_median_n: 10.0,
+            force_ln_sd: 0.8,
+            ln_odds: 0.0,
+            least_distance_mm: 20.0,
+            finalists: 6,
+            iterations: 12,
+            tolerance: 1e-3,
+        }
+    }
+}
+
+/// A measured frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Observation<'a> {
+    /// Voltages, V after gain, offsets taken off.
+    pub frame_v: &'a [f64],
+    /// Frames that it is the mean of, >= 1.
+    pub frames: f64,
+}
+
+/// A contact that somebody proposes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Proposal {
+    /// The contact.
+    pub contact: Contact,
+    /// How sure it is, 0 to 1.
+    pub weight: f64,
+}
+
+/// A contact that a frame shows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FittedContact {
+    /// The contact.
+    pub contact: Contact,
+    /// Standard deviation of x, mm.
+    pub x_sd_mm: f64,
+    /// Standard deviation of y, mm.
+    pub y_sd_mm: f64,
+    /// Standard deviation of the force, N.
+    pub force_sd_n: f64,
+}
+
+/// How a fit came about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Origin {
+    /// By a search of all counts.
+    Search,
+    /// From the contacts before.
+    Tracked,
+}
+
+/// The contacts of a frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fit {
+    /// They, strongest first.
+    pub contacts: Vec<FittedContact>,
+    /// Misfit over the error model, all channels.
+    pub chi2: f64,
+    /// What chi-square is expected to be.
+    pub degrees_of_freedom: f64,
+    /// -2 ln evidence up to a constant of the frame: a difference of 10 is odds of 150 to 1.
+    pub score: f64,
+    /// Score of the best hypothesis with another number of contacts, where one was fitted.
+    pub rival_score: Option<f64>,
+    /// Where it started.
+    pub origin: Origin,
+    /// Runs of the exact model.
+    pub exact_runs: usize,
+}
+
+/// Fits contacts to the frames of one skin. `Send + Sync`; each thread brings its own [`FitWork`].
+#[derive(Debug, Clone)]
+pub struct ContactFitter {
+    model: ForwardModel,
+    options: FitOptions,
+    basis: Basis,
+    shapes: Shapes,
+    prior: Prior,
+    none: Vec<f64>,
+}
+
+/// Memory of a fit.
+#[derive(Debug, Default)]
+pub struct FitWork {
+    search: SearchWork,
+    exact: ExactWork,
+    frame: Projected,
+    scratch: Vec<f64>,
+}
+
+impl ContactFitter {
+    /// Works out the tables of a model: some seconds.
+    pub fn new(
+        model: &ForwardModel,
+        error: &ErrorModel,
+        options: FitOptions,
+    ) -> Result<Self, FitterError> {
+        let needed = model.sensor().channels();
+        if error.channels() != needed {
+            return Err(FitterError::Channels { found: error.channels(), needed });
+        }
+        check(&options)?;
+        let batch = BatchModel::new(model, Kernel::detect());
+        let mut rest = Workspace::default();
+        let rest_v = model.voltages(&[], &mut rest).unwrap_or_default();
+        let basis = Basis::new(&batch, model.sensor(), rest_v, error)?;
+        let shapes = Shapes::new(model, &batch, &basis)?;
+        let prior = Prior {
+            ln_force_mean: options.force_median_n.ln(),
+            ln_force_sd: options.force_ln_sd,
+            ln_odds: options.ln_odds,
+            limits_mm: shapes.limits_mm,
+        };
+        let none = vec![0.0; basis.width()];
+        Ok(Self { model: model.clone(), options, basis, shapes, prior, none })
+    }
+
+    /// The contacts that explain a frame, from scratch. Proposals are tried beside those that the
+    /// search finds.
+    pub fn fit(
+        &self,
+        observation: &Observation<'_>,
+        proposals: &[Proposal],
+        work: &mut FitWork,
+    ) -> Result<Fit, FitError> {
+        for (index, proposal) in proposals.iter().enumerate() {
+            self.model.check(index, &proposal.contact)?;
+        }
+        self.measure(observation, work)?;
+        let starts = starts(proposals);
+        let hypotheses = self.search(&starts, work)?;
+        let mut finished: Vec<(Hypothesis, Optimum)> = Vec::new();
+        let mut exact_runs = 0;
+        for mut hypothesis in hypotheses.into_iter().take(self.options.finalists) {
+            let optimum = self.finish(&mut hypothesis, work)?;
+            exact_runs += optimum.predictions;
+            if closest_mm(&hypothesis.places) >= self.options.least_distance_mm
+                && !finished.iter().any(|(h, _)| same(&h.places, &hypothesis.places))
+            {
+                finished.push((hypothesis, optimum));
+            }
+        }
+        finished.sort_by(|a, b| a.1.score.total_cmp(&b.1.score));
+        let Some((best, _)) = finished.first().cloned() else {
+            return Ok(self.report(Vec::new(), Origin::Search, None, exact_runs, work)?);
+        };
+        let rival = finished.iter().find(|(h, _)| h.places.len() != best.places.len());
+        let rival_score = rival.map(|(_, optimum)| optimum.score);
+        Ok(self.report(best.places, Origin::Search, rival_score, exact_runs, work)?)
+    }
+
+    /// The contacts that explain a frame, from those of the frame before: some steps of the exact
+    /// model where the load only moved, a new search where it changed.
+    pub fn track(
+        &self,
+        observation: &Observation<'_>,
+        before: &Fit,
+        work: &mut FitWork,
+    ) -> Result<Fit, FitError> {
+        self.measure(observation, work)?;
+        let places: Vec<Place> = before.contacts.iter().map(|c| place_of(&c.contact)).collect();
+        let tracked = self.report(places, Origin::Tracked, None, 0, work)?;
+        if tracked.chi2 > limit(tracked.degrees_of_freedom) {
+            return self.fit(observation, &[], work);
+        }
+        Ok(tracked)
+    }
+
+    /// The best fit with as many contacts as these, from where they are.
+    pub fn refine(
+        &self,
+        observation: &Observation<'_>,
+        contacts: &[Contact],
+        work: &mut FitWork,
+    ) -> Result<Fit, FitError> {
+        for (index, contact) in contacts.iter().enumerate() {
+            self.model.check(index, contact)?;
+        }
+        self.measure(observation, work)?;
+        let places = contacts.iter().map(place_of).collect();
+        Ok(self.report(places, Origin::Tracked, None, 0, work)?)
+    }
+
+    /// Directions in which this model's frames differ by more than a part of the noise.
+    pub fn directions(&self) -> usize {
+        self.basis.width()
+    }
+
+    fn measure(&self, observation: &Observation<'_>, work: &mut FitWork) -> Result<(), FitError> {
+        let (frame_v, frames) = (observation.frame_v, observation.frames);
+        let needed = self.model.sensor().channels();
+        if frame_v.len() != needed {
+            return Err(FitError::Length { found: frame_v.len(), needed });
+        }
+        if let Some(channel) = frame_v.iter().position(|v| !v.is_finite()) {
+            return Err(FitError::NotFinite { channel });
+        }
+        if !(frames >= 1.0 && frames.is_finite()) {
+            return Err(FitError::Frames { frames });
+        }
+        self.basis.measure(frame_v, frames, &mut work.scratch, &mut work.frame);
+        Ok(())
+    }
+
+    fn search(
+        &self,
+        starts: &[Vec<Place>],
+        work: &mut FitWork,
+    ) -> Result<Vec<Hypothesis>, ContactError> {
+        let search = Search {
+            model: &self.model,
+            shapes: &self.shapes,
+            frame: &work.frame,
+            prior: &self.prior,
+            options: &self.options,
+            none: &self.none,
+        };
+        search.run(starts, &mut work.search)
+    }
+
+    /// Descends on the exact model.
+    fn finish(
+        &self,
+        hypothesis: &mut Hypothesis,
+        work: &mut FitWork,
+    ) -> Result<Optimum, ContactError> {
+        let (model, descent) = work.exact.model(&self.model, &self.basis);
+        let problem =
+            Problem { z: &work.frame.z, weights: &work.frame.weights, prior: &self.prior };
+        let effort =
+            Effort { iterations: self.options.iterations, tolerance: self.options.tolerance };
+        let mut model: Exact<'_> = model;
+        let optimum = descend(&problem, &mut model, &mut hypothesis.places, effort, descent)?;
+        hypothesis.score = optimum.score;
+        Ok(optimum)
+    }
+
+    /// Finishes places and says what is known of them.
+    fn report(
+        &self,
+        places: Vec<Place>,
+        origin: Origin,
+        rival_score: Option<f64>,
+        exact_runs: usize,
+        work: &mut FitWork,
+    ) -> Result<Fit, ContactError> {
+        let mut best = Hypothesis { places, score: 0.0 };
+        let optimum = self.finish(&mut best, work)?;
+        let variances = work.exact.descent().variances(best.places.len());
+        let mut contacts: Vec<FittedContact> = best
+            .places
+            .iter()
+            .zip(variances)
+            .map(|(&place, variance)| {
+                let contact = shapes::contact(place);
+                let [x_sd_mm, y_sd_mm, ln_sd] = variance.map(f64::sqrt);
+                FittedContact { contact, x_sd_mm, y_sd_mm, force_sd_n: contact.force_n * ln_sd }
+            })
+            .collect();
+        contacts.sort_by(|a, b| b.contact.force_n.total_cmp(&a.contact.force_n));
+        let parameters = EACH * contacts.len();
+        Ok(Fit {
+            contacts,
+            chi2: optimum.misfit + work.frame.outside_chi2,
+            degrees_of_freedom: (self.model.sensor().channels() - parameters) as f64,
+            score: optimum.score,
+            rival_score,
+            origin,
+            exact_runs: exact_runs + optimum.predictions,
+        })
+    }
+}
+
+/// Chi-square beyond which the contacts are not those of the frame: four standard deviations.
+fn limit(degrees_of_freedom: f64) -> f64 {
+    degrees_of_freedom + 4.0 * (2.0 * degrees_of_freedom).sqrt()
+}
+
+fn place_of(contact: &Contact) -> Place {
+    [contact.x_mm, contact.y_mm, contact.force_n.max(1e-3).ln()]
+}
+
+/// The surest proposals: all that are sure enough, and without the least sure ones.
+fn starts(proposals: &[Proposal]) -> Vec<Vec<Place>> {
+    let mut sorted: Vec<&Proposal> =
+        proposals.iter().filter(|p| p.weight >= LEAST_WEIGHT).collect();
+    sorted.sort_by(|a, b| b.weight.total_cmp(&a.weight));
+    let places: Vec<Place> = sorted.iter().map(|p| place_of(&p.contact)).collect();
+    (1..=places.len()).map(|count| places[..count].to_vec()).collect()
+}
+
+fn check(options: &FitOptions) -> Result<(), FitterError> {
+    for (field, value, holds, limit) in [
+        ("most_contacts", options.most_contacts as f64, options.most_contacts <= 12, "up to 12"),
+        ("force_median_n", options.force_median_n, options.force_median_n > 0.0, "above 0"),
+        ("force_ln_sd", options.force_ln_sd, options.force_ln_sd > 0.0, "above 0"),
+        ("ln_odds", options.ln_odds, true, "a number"),
+        ("least_distance_mm", options.least_distance_mm, true, "a number"),
+        ("finalists", options.finalists as f64, options.finalists >= 1, "1 or more"),
+        ("iterations", options.iterations as f64, options.iterations >= 1, "1 or more"),
+        ("tolerance", options.tolerance, options.tolerance > 0.0, "above 0"),
+    ] {
+        if !(holds && value.is_finite()) {
+            return Err(FitterError::Option { field, value, limit });
+        }
+    }
+    Ok(())
+}

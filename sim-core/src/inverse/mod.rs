@@ -1,0 +1,6 @@
+//! From frames back to what made them: contacts, and skins.
+//! Uses: the forward model and its derivative. Never: files, clock, unseeded chance.
+
+pub mod contacts;
+pub mod linear;
+pub mod skin;

@@ -1,0 +1,352 @@
+//! The skin behind measured trials: fields, electrodes, resistances and offsets, fitted by
+//! Gauss-Newton steps with the adjoint Jacobian.
+//! Uses: `forward`, `jacobian`, `skin`, faer. Never: files, a clock, chance.
+//!
+//! `cost = sum over trials of rho(r' W r) + prior`. rho is Huber's on the root of a trial's misfit, so
+//! that a bad frame pulls no harder than a bad one at its edge. Trials are added in their order: the
+//! result does not depend on the number of threads.
+
+mod frame;
+mod parameters;
+mod sweep;
+
+use std::sync::Arc;
+
+use faer::linalg::solvers::Solve;
+use faer::{Mat, Side};
+
+use crate::forward::{Contact, ContactError, ForwardModel, ModelError, Workspace};
+use crate::jacobian::Field;
+use crate::mesh::Mesh;
+use crate::responses::UnitResponses;
+use crate::sensor::Sensor;
+use crate::skin::{FieldPrior, FvuSummary, SkinElectrodes, SkinFields, rounded};
+
+use parameters::Parameters;
+use sweep::Sweep;
+
+/// One measured trial.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeasuredTrial {
+    /// What pressed; none on an untouched skin, which tells the offsets.
+    pub contacts: Vec<Contact>,
+    /// The frame, V after gain.
+    pub frame_v: Vec<f32>,
+}
+
+/// What is expected of a skin before it is measured.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SkinPrior {
+    /// Of ln a.
+    pub ln_a: FieldPrior,
+    /// Of ln b.
+    pub ln_b: FieldPrior,
+    /// Of ln c.
+    pub ln_c: FieldPrior,
+    /// Of ln compliance.
+    pub ln_compliance: FieldPrior,
+    /// Of ln sheet conductance.
+    pub ln_sheet_conductance: FieldPrior,
+    /// Electrodes off their places, mm per axis.
+    pub electrode_sd_mm: f64,
+    /// Median contact resistance, ohm.
+    pub contact_ohm: f64,
+    /// Spread of its logarithm.
+    pub contact_ln_sd: f64,
+    /// Median lead resistance, ohm.
+    pub lead_ohm: f64,
+    /// Spread of its logarithm.
+    pub lead_ln_sd: f64,
+    /// Offset of a channel, V.
+    pub offset_sd_v: f64,
+}
+
+impl Default for SkinPrior {
+    fn default() -> Self {
+        let field = |overall_sd: f64, smooth_sd: f64, local_sd: f64| FieldPrior {
+            overall_sd,
+            smooth_sd,
+            smooth_mm: 60.0,
+            local_sd,
+            local_mm: 20.0,
+        };
+        Self {
+            ln_a: field(1.0, 0.5, 0.25),
+            ln_b: field(0.3, 0.1, 0.0),
+            ln_c: field(0.5, 0.2, 0.0),
+            ln_compliance: field(0.3, 0.1, 0.05),
+            ln_sheet_conductance: field(0.3, 0.1, 0.0),
+            electrode_sd_mm: 4.0,
+            contact_ohm: 30.0,
+            contact_ln_sd: 1.0,
+            lead_ohm: 300.0,
+            lead_ln_sd: 2.0,
+            offset_sd_v: 1e-3,
+        }
+    }
+}
+
+impl SkinPrior {
+    fn fields(&self) -> [FieldPrior; 5] {
+        [self.ln_a, self.ln_b, self.ln_c, self.ln_compliance, self.ln_sheet_conductance]
+    }
+}
+
+/// How far a trial may be from a perfect model: what the weights say.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TrialErrors {
+    /// Standard deviation of a reading, V.
+    pub noise_v: f64,
+    /// Error of the model itself, as a share of a frame's root mean square.
+    pub model_error: f64,
+    /// Where a tip's weight stands, mm per axis: tilt shifts it.
+    pub place_sd_mm: f64,
+    /// Error of a cell, as a share of the force.
+    pub force_sd: f64,
+    /// Drift of the frame's gain.
+    pub gain_sd: f64,
+}
+
+impl Default for TrialErrors {
+    fn default() -> Self {
+        Self { noise_v: 1.2e-3, model_error: 0.05, place_sd_mm: 1.2, force_sd: 0.02, gain_sd: 0.03 }
+    }
+}
+
+impl TrialErrors {
+    fn variance(&self, frame_v: &[f32]) -> f64 {
+        let square = frame_v.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>();
+        self.noise_v.powi(2) + self.model_error.powi(2) * square / frame_v.len() as f64
+    }
+}
+
+/// How to fit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SkinFitOptions {
+    /// What is expected.
+    pub prior: SkinPrior,
+    /// The weights.
+    pub errors: TrialErrors,
+    /// Corners of the finest fields are at most so far apart, mm; see [`spacing_mm`].
+    pub spacing_mm: f64,
+    /// Most Gauss-Newton steps.
+    pub steps: usize,
+    /// Threads; the result does not depend on them.
+    pub threads: usize,
+}
+
+impl SkinFitOptions {
+    /// Defaults for so many trials.
+    pub fn for_trials(trials: usize, threads: usize) -> Self {
+        Self {
+            prior: SkinPrior::default(),
+            errors: TrialErrors::default(),
+            spacing_mm: spacing_mm(trials),
+            steps: 8,
+            threads,
+        }
+    }
+}
+
+/// Spacing of the finest fields for so many trials, mm: finer when there is more to tell them.
+pub fn spacing_mm(trials: usize) -> f64 {
+    match trials {
+        0..500 => 45.0,
+        500..4000 => 30.0,
+        _ => 18.0,
+    }
+}
+
+/// How far a fit is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SkinProgress {
+    /// Steps done.
+    pub step: usize,
+    /// Most steps.
+    pub steps: usize,
+    /// Cost so far; the first is of the prior's mean.
+    pub cost: f64,
+    /// Work done of this step, as trials; a step goes over all of them twice.
+    pub done: usize,
+    /// Work of this step.
+    pub total: usize,
+}
+
+/// Why there is no fit.
+#[derive(Debug, thiserror::Error)]
+pub enum SkinFitError {
+    /// No trials.
+    #[error("fitting a skin: no trials with a contact")]
+    NoTrials,
+    /// A frame has another length than the sensor's, or is not finite.
+    #[error("fitting a skin: trial {trial}: {found} finite voltages, the sensor has {needed}")]
+    Frame {
+        /// Index of the trial.
+        trial: usize,
+        /// Finite voltages found.
+        found: usize,
+        /// Voltages needed.
+        needed: usize,
+    },
+    /// A contact that the model does not take.
+    #[error("fitting a skin: {0}")]
+    Contact(#[from] ContactError),
+    /// A skin on the way could not be built.
+    #[error("fitting a skin: {0}")]
+    Model(#[from] ModelError),
+    /// A field's prior has no inverse: a standard deviation or length is not positive.
+    #[error("fitting a skin: the prior of {0:?} is degenerate")]
+    Prior(Field),
+    /// The normal equations have no solution.
+    #[error("fitting a skin: step {step}: the normal equations are not positive definite")]
+    Normal {
+        /// The step.
+        step: usize,
+    },
+}
+
+/// A fitted skin.
+#[derive(Debug, Clone)]
+pub struct SkinFit {
+    /// The fields.
+    pub fields: SkinFields,
+    /// The electrodes.
+    pub electrodes: SkinElectrodes,
+    /// Offset of each channel, mV.
+    pub offsets_mv: Vec<f64>,
+    /// Parameters fitted.
+    pub parameters: usize,
+    /// Cost before the first step and after each.
+    pub costs: Vec<f64>,
+    /// Trials (by index) that counted for less than half.
+    pub doubted: Vec<usize>,
+}
+
+impl SkinFit {
+    /// The model of the fitted skin, as a calibration file of it gives it.
+    pub fn model(
+        &self,
+        sensor: &Sensor,
+        responses: Arc<UnitResponses>,
+    ) -> Result<ForwardModel, ModelError> {
+        let fields = self.fields.over(sensor, &Mesh::new(sensor)?);
+        ForwardModel::with(sensor, responses, fields, self.electrodes.circuit(sensor))
+    }
+}
+
+/// Fits a skin to trials. `sensor` holds what is known of all such skins (its file, a calibration of
+/// Eq. 1 and moduli); `responses` are its own.
+pub fn fit(
+    sensor: &Sensor,
+    responses: Arc<UnitResponses>,
+    trials: &[MeasuredTrial],
+    options: &SkinFitOptions,
+    progress: &mut dyn FnMut(SkinProgress),
+) -> Result<SkinFit, SkinFitError> {
+    check(sensor, trials)?;
+    let parameters = Parameters::new(sensor, responses, options.prior, options.spacing_mm)?;
+    let mut sweep = Sweep::new(&parameters, trials, options, progress);
+    let mut vector = vec![0.0; parameters.len()];
+    let mut offsets_v = vec![0.0; sensor.channels()];
+    let mut model = parameters.model(&vector)?;
+    let mut here = sweep.misfits(&model, &offsets_v)?;
+    let mut costs = vec![here.cost(here.edge()) + parameters.prior_cost(&vector)];
+    let mut damping = 0.0;
+    for step in 1..=options.steps {
+        sweep.begin(step, costs[costs.len() - 1]);
+        offsets_v = here.offsets_v(&offsets_v, options.prior.offset_sd_v);
+        let edge = here.edge();
+        let (normal, pull) = sweep.normal(&model, &offsets_v, &here.factors(edge))?;
+        let before = here.cost(edge) + parameters.prior_cost(&vector);
+        let mut accepted = None;
+        while accepted.is_none() && damping < 1e3 {
+            let move_by = solve(&parameters, &normal, &pull, &vector, damping)
+                .ok_or(SkinFitError::Normal { step })?;
+            let next: Vec<f64> = vector.iter().zip(&move_by).map(|(v, d)| v + d).collect();
+            let next_model = parameters.model(&next)?;
+            let there = sweep.misfits(&next_model, &offsets_v)?;
+            let after = there.cost(edge) + parameters.prior_cost(&next);
+            if after < before {
+                damping = if damping < 1e-3 { 0.0 } else { 0.1 * damping };
+                accepted = Some((next, next_model, there, after));
+            } else {
+                damping = f64::max(10.0 * damping, 1e-2);
+            }
+        }
+        let Some((next, next_model, there, after)) = accepted else { break };
+        (vector, model, here) = (next, next_model, there);
+        costs.push(after);
+        if before - after < 1e-3 * before {
+            break;
+        }
+    }
+    let factors = here.factors(here.edge());
+    Ok(SkinFit {
+        fields: parameters.skin_fields(&vector),
+        electrodes: parameters.skin_electrodes(&vector),
+        offsets_mv: offsets_v.iter().map(|v| rounded(1e3 * v)).collect(),
+        parameters: parameters.len(),
+        costs,
+        doubted: (0..trials.len()).filter(|&i| factors[i] < 0.5).collect(),
+    })
+}
+
+/// `(J'WJ + P + damping diag) d = J'Wr - P x`.
+fn solve(
+    parameters: &Parameters,
+    normal: &Mat<f64>,
+    pull: &[f64],
+    vector: &[f64],
+    damping: f64,
+) -> Option<Vec<f64>> {
+    let mut whole = normal + &parameters.precision;
+    for i in 0..whole.nrows() {
+        whole[(i, i)] *= 1.0 + damping;
+    }
+    let prior = parameters.prior_pull(vector);
+    let right = Mat::from_fn(pull.len(), 1, |i, _| pull[i] - prior[i]);
+    let factor = whole.llt(Side::Lower).ok()?;
+    let step = factor.solve(&right);
+    Some((0..pull.len()).map(|i| step[(i, 0)]).collect())
+}
+
+fn check(sensor: &Sensor, trials: &[MeasuredTrial]) -> Result<(), SkinFitError> {
+    let needed = sensor.channels();
+    for (trial, t) in trials.iter().enumerate() {
+        let found = t.frame_v.iter().filter(|v| v.is_finite()).count();
+        if found != needed || t.frame_v.len() != needed {
+            return Err(SkinFitError::Frame { trial, found, needed });
+        }
+    }
+    if trials.iter().all(|t| t.contacts.is_empty()) {
+        return Err(SkinFitError::NoTrials);
+    }
+    Ok(())
+}
+
+/// Fraction of variance unexplained of one frame (Eq. 2).
+pub fn fvu(measured_v: &[f32], modelled_v: &[f64]) -> f64 {
+    let mean = measured_v.iter().map(|&v| f64::from(v)).sum::<f64>() / measured_v.len() as f64;
+    let error: f64 =
+        measured_v.iter().zip(modelled_v).map(|(&v, m)| (f64::from(v) - m).powi(2)).sum();
+    error / measured_v.iter().map(|&v| (f64::from(v) - mean).powi(2)).sum::<f64>()
+}
+
+/// FVU of a model on each trial.
+pub fn fvus(model: &ForwardModel, trials: &[MeasuredTrial]) -> Result<Vec<f64>, ContactError> {
+    let mut work = Workspace::default();
+    let of = |t: &MeasuredTrial| Ok(fvu(&t.frame_v, model.voltages(&t.contacts, &mut work)?));
+    trials.iter().map(of).collect()
+}
+
+/// Median and mean; `None` of nothing.
+pub fn summary(fvus: &[f64]) -> Option<FvuSummary> {
+    let mut sorted = fvus.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let count = sorted.len();
+    let middle = [sorted.get(count.checked_sub(1)? / 2)?, sorted.get(count / 2)?];
+    Some(FvuSummary {
+        median: rounded((middle[0] + middle[1]) / 2.0),
+        mean: rounded(sorted.iter().sum::<f64>() / count as f64),
+    })
+}

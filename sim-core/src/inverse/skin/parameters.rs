@@ -1,0 +1,240 @@
+//! The parameters of a skin as one vector: field values at grid corners, electrode moves, logarithms
+//! of resistances; their prior, the model that they make, and the directions in which it changes.
+//! Uses: `skin`, `jacobian` (which names the fields). Never: frames.
+//!
+//! All are zero for what is expected before any trial. The prior is Gaussian: each field's Gaussian
+//! processes on its corners, and independent electrodes.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use faer::linalg::solvers::Solve;
+use faer::{Mat, Side};
+
+use super::{SkinFitError, SkinPrior};
+use crate::circuit::{ElectrodeSite, ReadoutCircuit};
+use crate::fields::NodeFields;
+use crate::forward::ForwardModel;
+use crate::jacobian::{Field, Mode};
+use crate::mesh::Mesh;
+use crate::responses::UnitResponses;
+use crate::sensor::Sensor;
+use crate::skin::{FieldPrior, SkinElectrodes, SkinField, SkinFields, SkinGrid, rounded};
+
+/// Added to a field's prior variance, as a share: neighbouring corners are otherwise so alike that
+/// their covariance has no inverse in f64.
+const NUGGET: f64 = 1e-4;
+
+/// The fields of the foam and the sheet, in the vector's order.
+pub(super) const FIELDS: [Field; 5] =
+    [Field::LnA, Field::LnB, Field::LnC, Field::LnCompliance, Field::LnSheetConductance];
+/// The electrodes' parameters: moves in mm, logarithms of resistances over the expected ones.
+const OF_ELECTRODES: [Field; 4] =
+    [Field::ElectrodeX, Field::ElectrodeY, Field::ContactOhm, Field::LeadOhm];
+
+/// One field on its grid.
+pub(super) struct FieldBlock {
+    pub field: Field,
+    grid: SkinGrid,
+    prior: FieldPrior,
+    /// Where its corners stand in the vector.
+    pub at: Range<usize>,
+    /// For each node or triangle: the corners around it (counted within the field), with weights.
+    pub corners: Vec<[(usize, f64); 4]>,
+}
+
+/// What the vector's numbers mean for one sensor.
+pub(super) struct Parameters {
+    sensor: Sensor,
+    responses: Arc<UnitResponses>,
+    prior: SkinPrior,
+    pub blocks: Vec<FieldBlock>,
+    first_electrode: usize,
+    electrodes: usize,
+    /// Inverse of the prior's covariance.
+    pub precision: Mat<f64>,
+}
+
+impl Parameters {
+    pub fn new(
+        sensor: &Sensor,
+        responses: Arc<UnitResponses>,
+        prior: SkinPrior,
+        spacing_mm: f64,
+    ) -> Result<Self, SkinFitError> {
+        let mesh = Mesh::new(sensor).map_err(crate::forward::ModelError::from)?;
+        let nodes = mesh.nodes_mm.clone();
+        let centres: Vec<_> = mesh.triangles.iter().map(|t| mesh.triangle_centre_mm(t)).collect();
+        let (mut blocks, mut first) = (Vec::new(), 0);
+        for (field, of_field) in FIELDS.into_iter().zip(prior.fields()) {
+            let places = if field == Field::LnSheetConductance { &centres } else { &nodes };
+            let grid = SkinGrid::of_spacing(sensor, of_field.spacing_mm(spacing_mm));
+            let corners = places.iter().map(|&place| grid.weights(sensor, place)).collect();
+            let at = first..first + grid.corners();
+            first = at.end;
+            blocks.push(FieldBlock { field, grid, prior: of_field, at, corners });
+        }
+        let electrodes = sensor.electrodes_mm().len();
+        let mut parameters = Self {
+            sensor: sensor.clone(),
+            responses,
+            prior,
+            blocks,
+            first_electrode: first,
+            electrodes,
+            precision: Mat::zeros(0, 0),
+        };
+        parameters.precision = parameters.prior_precision()?;
+        Ok(parameters)
+    }
+
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.first_electrode + OF_ELECTRODES.len() * self.electrodes
+    }
+
+    /// The prior's share of the cost.
+    pub fn prior_cost(&self, vector: &[f64]) -> f64 {
+        let pull = self.prior_pull(vector);
+        vector.iter().zip(pull).map(|(v, p)| v * p).sum()
+    }
+
+    /// Precision times the vector: half of the gradient of [`Self::prior_cost`].
+    pub fn prior_pull(&self, vector: &[f64]) -> Vec<f64> {
+        let mut out: Vec<f64> = vec![0.0; vector.len()];
+        let starts = self.blocks.iter().map(|block| block.at.clone());
+        for at in starts {
+            for j in at.clone() {
+                for i in at.clone() {
+                    out[i] += self.precision[(i, j)] * vector[j];
+                }
+            }
+        }
+        for i in self.first_electrode..self.len() {
+            out[i] = self.precision[(i, i)] * vector[i];
+        }
+        out
+    }
+
+    fn prior_precision(&self) -> Result<Mat<f64>, SkinFitError> {
+        let mut precision = Mat::zeros(self.len(), self.len());
+        for block in &self.blocks {
+            let count = block.at.len();
+            let places: Vec<[f64; 2]> =
+                (0..count).map(|corner| block.grid.place_mm(&self.sensor, corner)).collect();
+            let nugget = NUGGET * block.prior.covariance(0.0);
+            let covariance = Mat::from_fn(count, count, |i, j| {
+                let [p, q] = [places[i], places[j]];
+                let own = if i == j { nugget } else { 0.0 };
+                block.prior.covariance((p[0] - q[0]).hypot(p[1] - q[1])) + own
+            });
+            let factor =
+                covariance.llt(Side::Lower).map_err(|_| SkinFitError::Prior(block.field))?;
+            let inverse = factor.solve(Mat::<f64>::identity(count, count));
+            let first = block.at.start;
+            precision.as_mut().submatrix_mut(first, first, count, count).copy_from(inverse);
+        }
+        let sds = [
+            self.prior.electrode_sd_mm,
+            self.prior.electrode_sd_mm,
+            self.prior.contact_ln_sd,
+            self.prior.lead_ln_sd,
+        ];
+        for (kind, sd) in sds.into_iter().enumerate() {
+            for k in 0..self.electrodes {
+                let i = self.of_electrode(kind, k);
+                precision[(i, i)] = 1.0 / (sd * sd);
+            }
+        }
+        Ok(precision)
+    }
+
+    fn of_electrode(&self, kind: usize, electrode: usize) -> usize {
+        self.first_electrode + kind * self.electrodes + electrode
+    }
+
+    /// Electrode sites; moves end at the skin's rim.
+    fn sites(&self, vector: &[f64]) -> Vec<ElectrodeSite> {
+        let file = &self.sensor.file;
+        let value = |kind: usize, k: usize| vector[self.of_electrode(kind, k)];
+        let site = |(k, [x, y]): (usize, &[f64; 2])| ElectrodeSite {
+            x_mm: (x + value(0, k)).clamp(0.0, file.width_mm),
+            y_mm: (y + value(1, k)).clamp(0.0, file.height_mm),
+            contact_ohm: self.prior.contact_ohm * value(2, k).exp(),
+            lead_ohm: self.prior.lead_ohm * value(3, k).exp(),
+        };
+        self.sensor.electrodes_mm().iter().enumerate().map(site).collect()
+    }
+
+    /// The model that a vector stands for.
+    pub fn model(&self, vector: &[f64]) -> Result<ForwardModel, SkinFitError> {
+        let over = |block: &FieldBlock| -> Vec<f64> {
+            let values = &vector[block.at.clone()];
+            let at =
+                |corners: &[(usize, f64); 4]| corners.iter().map(|&(c, w)| w * values[c]).sum();
+            block.corners.iter().map(at).collect()
+        };
+        let [ln_a, ln_b, ln_c, ln_compliance, ln_sheet_conductance] =
+            std::array::from_fn(|field| over(&self.blocks[field]));
+        let fields = NodeFields {
+            ln_a,
+            ln_b,
+            ln_c,
+            ln_compliance,
+            ln_sheet_conductance,
+            displacement: None,
+        };
+        let circuit = ReadoutCircuit {
+            electrodes: self.sites(vector),
+            ..ReadoutCircuit::nominal(&self.sensor)
+        };
+        Ok(ForwardModel::with(&self.sensor, Arc::clone(&self.responses), fields, circuit)?)
+    }
+
+    /// The directions of the electrodes' parameters at a model that a vector made.
+    pub fn electrode_modes(&self, model: &ForwardModel) -> Vec<Mode> {
+        let mut modes = Vec::with_capacity(OF_ELECTRODES.len() * self.electrodes);
+        for field in OF_ELECTRODES {
+            for (k, site) in model.circuit().electrodes.iter().enumerate() {
+                let moved = match field {
+                    Field::ContactOhm => site.contact_ohm,
+                    Field::LeadOhm => site.lead_ohm,
+                    _ => 1.0,
+                };
+                modes.push(Mode { field, entries: vec![(k as u32, moved)] });
+            }
+        }
+        modes
+    }
+
+    /// Where [`Self::electrode_modes`] stand in the vector.
+    pub fn electrodes_at(&self) -> Range<usize> {
+        self.first_electrode..self.len()
+    }
+
+    /// The fields as a calibration holds them.
+    pub fn skin_fields(&self, vector: &[f64]) -> SkinFields {
+        let [ln_a, ln_b, ln_c, ln_compliance, ln_sheet_conductance] =
+            std::array::from_fn(|field| {
+                let block = &self.blocks[field];
+                SkinField {
+                    columns: block.grid.columns,
+                    prior: block.prior,
+                    values: vector[block.at.clone()].iter().map(|&v| rounded(v)).collect(),
+                }
+            });
+        SkinFields { ln_a, ln_b, ln_c, ln_compliance, ln_sheet_conductance }
+    }
+
+    /// The electrodes as a calibration holds them.
+    pub fn skin_electrodes(&self, vector: &[f64]) -> SkinElectrodes {
+        let sites = self.sites(vector);
+        let all = |of: fn(&ElectrodeSite) -> f64| sites.iter().map(|s| rounded(of(s))).collect();
+        SkinElectrodes {
+            x_mm: all(|s| s.x_mm),
+            y_mm: all(|s| s.y_mm),
+            contact_ohm: all(|s| s.contact_ohm),
+            lead_ohm: all(|s| s.lead_ohm),
+        }
+    }
+}

@@ -1,0 +1,209 @@
+//! Going over all trials at one model, on some threads, adding up in the trials' order.
+//! Uses: `frame`, std threads. Never: an order that depends on the threads.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
+
+use faer::Mat;
+
+use super::frame::{FrameWork, Pass};
+use super::parameters::Parameters;
+use super::{MeasuredTrial, SkinFitError, SkinFitOptions, SkinProgress};
+use crate::forward::ForwardModel;
+use crate::jacobian::{Field, Mode};
+
+/// Trials whose terms are held at a time (about a megabyte each).
+const BLOCK: usize = 64;
+/// A trial's misfit pulls linearly beyond this many times the median's root.
+const EDGE: f64 = 3.0;
+
+/// All trials of a fit.
+pub(super) struct Sweep<'a> {
+    parameters: &'a Parameters,
+    trials: &'a [MeasuredTrial],
+    options: &'a SkinFitOptions,
+    progress: &'a mut dyn FnMut(SkinProgress),
+    at: SkinProgress,
+    sheet_modes: Vec<Mode>,
+    work: Vec<FrameWork>,
+}
+
+/// Misfits of all trials at a model.
+pub(super) struct Misfits {
+    misfits: Vec<f64>,
+    /// Sums over trials of residual (before the offset) over variance, for each channel, and of one
+    /// over variance.
+    residuals: Vec<f64>,
+    weight: f64,
+    channels: f64,
+}
+
+impl Misfits {
+    /// The misfit beyond which a trial is doubted.
+    pub fn edge(&self) -> f64 {
+        let mut sorted = self.misfits.clone();
+        sorted.sort_by(f64::total_cmp);
+        EDGE * EDGE * sorted[sorted.len() / 2]
+    }
+
+    /// Sum of rho over trials.
+    pub fn cost(&self, edge: f64) -> f64 {
+        let rho = |&m: &f64| if m <= edge { m } else { 2.0 * (m * edge).sqrt() - edge };
+        self.channels * self.misfits.iter().map(rho).sum::<f64>()
+    }
+
+    /// Weight of each trial, up to 1.
+    pub fn factors(&self, edge: f64) -> Vec<f64> {
+        self.misfits.iter().map(|m| if *m <= edge { 1.0 } else { (edge / m).sqrt() }).collect()
+    }
+
+    /// Offsets that these residuals speak for, V.
+    pub fn offsets_v(&self, _before: &[f64], prior_sd_v: f64) -> Vec<f64> {
+        let whole = self.weight + 1.0 / prior_sd_v.powi(2);
+        self.residuals.iter().map(|sum| sum / whole).collect()
+    }
+}
+
+impl<'a> Sweep<'a> {
+    pub fn new(
+        parameters: &'a Parameters,
+        trials: &'a [MeasuredTrial],
+        options: &'a SkinFitOptions,
+        progress: &'a mut dyn FnMut(SkinProgress),
+    ) -> Self {
+        let total = 2 * trials.len();
+        let at = SkinProgress { step: 0, steps: options.steps, cost: f64::NAN, done: 0, total };
+        let mut work = Vec::new();
+        work.resize_with(options.threads.max(1), FrameWork::default);
+        let sheet_modes = sheet_modes(parameters);
+        Self { parameters, trials, options, progress, at, sheet_modes, work }
+    }
+
+    /// Starts a step.
+    pub fn begin(&mut self, step: usize, cost: f64) {
+        (self.at.step, self.at.cost, self.at.done) = (step, cost, 0);
+    }
+
+    /// All trials' misfits.
+    pub fn misfits(
+        &mut self,
+        model: &ForwardModel,
+        offsets_v: &[f64],
+    ) -> Result<Misfits, SkinFitError> {
+        let mut out = Misfits {
+            misfits: Vec::with_capacity(self.trials.len()),
+            residuals: vec![0.0; offsets_v.len()],
+            weight: 0.0,
+            channels: offsets_v.len() as f64,
+        };
+        let trials = self.trials;
+        self.each(
+            model,
+            offsets_v,
+            |pass, i, work| pass.misfit(&trials[i], work),
+            |_, of| {
+                out.misfits.push(of.misfit);
+                let weight = 1.0 / (of.variance * of.misfit.max(1.0));
+                out.weight += weight;
+                for (sum, r) in out.residuals.iter_mut().zip(&of.residual_v) {
+                    *sum += weight * r;
+                }
+            },
+        )?;
+        Ok(out)
+    }
+
+    /// The normal equations: J'WJ (lower triangle) and J'Wr, without the prior.
+    pub fn normal(
+        &mut self,
+        model: &ForwardModel,
+        offsets_v: &[f64],
+        factors: &[f64],
+    ) -> Result<(Mat<f64>, Vec<f64>), SkinFitError> {
+        let count = self.parameters.len();
+        let mut normal = Mat::<f64>::zeros(count, count);
+        let mut pull = vec![0.0; count];
+        let trials = self.trials;
+        self.each(
+            model,
+            offsets_v,
+            |pass, i, work| pass.terms(&trials[i], factors[i], work),
+            |_, terms| {
+                let active = &terms.active;
+                for (j, column) in terms.gram.chunks_exact(active.len()).enumerate() {
+                    let at = active[j] as usize;
+                    pull[at] += terms.pull[j];
+                    for (i, &value) in column.iter().enumerate().skip(j) {
+                        let other = active[i] as usize;
+                        normal[(other.max(at), other.min(at))] += value;
+                    }
+                }
+            },
+        )?;
+        Ok((normal, pull))
+    }
+
+    /// Works on each trial on the threads, and takes the results in the trials' order.
+    fn each<T: Send>(
+        &mut self,
+        model: &ForwardModel,
+        offsets_v: &[f64],
+        of_trial: impl Fn(&Pass<'_>, usize, &mut FrameWork) -> Result<T, SkinFitError> + Sync,
+        mut take: impl FnMut(usize, T),
+    ) -> Result<(), SkinFitError> {
+        let electrode_modes = self.parameters.electrode_modes(model);
+        let pass = Pass {
+            parameters: self.parameters,
+            model,
+            electrode_modes: &electrode_modes,
+            sheet_modes: &self.sheet_modes,
+            offsets_v,
+            errors: &self.options.errors,
+        };
+        for start in (0..self.trials.len()).step_by(BLOCK) {
+            let end = (start + BLOCK).min(self.trials.len());
+            let next = AtomicUsize::new(start);
+            let worker = |work: &mut FrameWork| {
+                let mut results = Vec::new();
+                loop {
+                    let i = next.fetch_add(1, Ordering::Relaxed);
+                    if i >= end {
+                        return results;
+                    }
+                    results.push((i, of_trial(&pass, i, work)));
+                }
+            };
+            let mut results: Vec<_> = thread::scope(|scope| {
+                let handles: Vec<_> =
+                    self.work.iter_mut().map(|work| scope.spawn(|| worker(work))).collect();
+                let join = |h: thread::ScopedJoinHandle<'_, _>| {
+                    h.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+                };
+                handles.into_iter().flat_map(join).collect()
+            });
+            results.sort_by_key(|(i, _)| *i);
+            for (i, result) in results {
+                take(i, result?);
+            }
+            self.at.done = (self.at.done + end - start).min(self.at.total);
+            (self.progress)(self.at);
+        }
+        Ok(())
+    }
+}
+
+/// The modes of the sheet: all of it carries current whatever presses.
+fn sheet_modes(parameters: &Parameters) -> Vec<Mode> {
+    let block = &parameters.blocks[4];
+    let mut modes: Vec<Mode> = block
+        .at
+        .clone()
+        .map(|_| Mode { field: Field::LnSheetConductance, entries: Vec::new() })
+        .collect();
+    for (triangle, corners) in block.corners.iter().enumerate() {
+        for &(corner, weight) in corners.iter().filter(|(_, weight)| *weight != 0.0) {
+            modes[corner].entries.push((triangle as u32, weight));
+        }
+    }
+    modes
+}

@@ -1,0 +1,346 @@
+//! One skin as a calibration found it: fields on grids, electrodes, resistances, readout offsets.
+//! Uses: `mesh`, `fields`, `circuit`, serde. Never: fitting (`inverse::skin` does), files.
+//!
+//! A field is given by its values at the corners of a rectangular grid over the whole skin and is
+//! bilinear between them. All numbers are rounded, see [`rounded`], so that a file stays short and
+//! the model that it describes is the one whose accuracy it states.
+
+use serde::{Deserialize, Serialize};
+
+use crate::circuit::{ElectrodeSite, ReadoutCircuit};
+use crate::fields::NodeFields;
+use crate::mesh::Mesh;
+use crate::sensor::Sensor;
+
+/// Decimals that calibrated values keep (ln of factors, mm, ohm; offsets in mV).
+const DECIMALS: f64 = 1e4;
+/// Largest absolute value of a field: beyond it the logarithm of a factor is no material's.
+const LARGEST_LN: f64 = 20.0;
+
+/// A value as a calibration holds it: four decimals.
+pub fn rounded(value: f64) -> f64 {
+    (value * DECIMALS).round() / DECIMALS
+}
+
+/// Corners of a rectangular grid over the skin, from (0, 0) to its far corner.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SkinGrid {
+    /// Corners along x, at least 2.
+    pub columns: usize,
+    /// Corners along y, at least 2.
+    pub rows: usize,
+}
+
+impl SkinGrid {
+    /// The grid whose corners are at most so far apart, mm.
+    pub fn of_spacing(sensor: &Sensor, spacing_mm: f64) -> Self {
+        let corners = |extent_mm: f64| 1 + (extent_mm / spacing_mm).ceil().max(1.0) as usize;
+        Self { columns: corners(sensor.file.width_mm), rows: corners(sensor.file.height_mm) }
+    }
+
+    /// Number of corners.
+    pub fn corners(&self) -> usize {
+        self.columns * self.rows
+    }
+
+    /// Place of a corner (row by row from y = 0), mm.
+    pub fn place_mm(&self, sensor: &Sensor, corner: usize) -> [f64; 2] {
+        let step = self.step_mm(sensor);
+        [step[0] * (corner % self.columns) as f64, step[1] * (corner / self.columns) as f64]
+    }
+
+    /// The corners around a place, with bilinear weights (sum 1; outside, of the nearest place).
+    pub fn weights(&self, sensor: &Sensor, [x_mm, y_mm]: [f64; 2]) -> [(usize, f64); 4] {
+        let step = self.step_mm(sensor);
+        let along = |mm: f64, step: f64, corners: usize| {
+            let at = (mm / step).clamp(0.0, (corners - 1) as f64);
+            let cell = (at as usize).min(corners - 2);
+            (cell, at - cell as f64)
+        };
+        let (column, u) = along(x_mm, step[0], self.columns);
+        let (row, v) = along(y_mm, step[1], self.rows);
+        let first = row * self.columns + column;
+        [
+            (first, (1.0 - u) * (1.0 - v)),
+            (first + 1, u * (1.0 - v)),
+            (first + self.columns, (1.0 - u) * v),
+            (first + self.columns + 1, u * v),
+        ]
+    }
+
+    fn step_mm(&self, sensor: &Sensor) -> [f64; 2] {
+        let step = |extent_mm: f64, corners: usize| extent_mm / (corners - 1) as f64;
+        [step(sensor.file.width_mm, self.columns), step(sensor.file.height_mm, self.rows)]
+    }
+}
+
+/// What was expected of a field before any trial was seen: standard deviations of the logarithm of
+/// a factor, over skins (its mean) and over places (two Gaussian processes).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FieldPrior {
+    /// Of the whole skin's mean.
+    pub overall_sd: f64,
+    /// Of the smooth part.
+    pub smooth_sd: f64,
+    /// Its correlation length l, mm: `exp(-d^2 / (2 l^2))`.
+    pub smooth_mm: f64,
+    /// Of the local part.
+    pub local_sd: f64,
+    /// Its correlation length, mm.
+    pub local_mm: f64,
+}
+
+impl FieldPrior {
+    /// Spacing of a grid that can show the field, at least `finest_mm`: half of its shortest
+    /// correlation length.
+    pub fn spacing_mm(&self, finest_mm: f64) -> f64 {
+        let shortest_mm = if self.local_sd > 0.0 { self.local_mm } else { self.smooth_mm };
+        finest_mm.max(0.75 * shortest_mm)
+    }
+
+    /// Covariance of the field's values at two places so far apart, mm.
+    pub fn covariance(&self, distance_mm: f64) -> f64 {
+        let part = |sd: f64, length_mm: f64| {
+            let t = distance_mm / length_mm;
+            sd * sd * (-0.5 * t * t).exp()
+        };
+        self.overall_sd.powi(2)
+            + part(self.smooth_sd, self.smooth_mm)
+            + part(self.local_sd, self.local_mm)
+    }
+}
+
+/// A fitted field.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SkinField {
+    /// Corners along x.
+    pub columns: usize,
+    /// What was expected.
+    pub prior: FieldPrior,
+    /// Natural logarithm of a factor on the sensor's value at each corner, row by row from y = 0.
+    pub values: Vec<f64>,
+}
+
+impl SkinField {
+    /// Its grid.
+    pub fn grid(&self) -> SkinGrid {
+        SkinGrid { columns: self.columns, rows: self.values.len() / self.columns.max(1) }
+    }
+
+    /// Its value at a place, mm.
+    pub fn at(&self, sensor: &Sensor, place_mm: [f64; 2]) -> f64 {
+        let corners = self.grid().weights(sensor, place_mm);
+        corners.iter().map(|&(corner, weight)| weight * self.values[corner]).sum()
+    }
+
+    fn over(&self, sensor: &Sensor, places_mm: impl Iterator<Item = [f64; 2]>) -> Vec<f64> {
+        places_mm.map(|place| self.at(sensor, place)).collect()
+    }
+}
+
+/// The fitted fields.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SkinFields {
+    /// On a of Eq. 1.
+    pub ln_a: SkinField,
+    /// On b of Eq. 1.
+    pub ln_b: SkinField,
+    /// On c of Eq. 1.
+    pub ln_c: SkinField,
+    /// On the foam's compression.
+    pub ln_compliance: SkinField,
+    /// On the sheet's conductance.
+    pub ln_sheet_conductance: SkinField,
+}
+
+impl SkinFields {
+    /// The fields, with their names in the file.
+    pub fn named(&self) -> [(&'static str, &SkinField); 5] {
+        [
+            ("ln_a", &self.ln_a),
+            ("ln_b", &self.ln_b),
+            ("ln_c", &self.ln_c),
+            ("ln_compliance", &self.ln_compliance),
+            ("ln_sheet_conductance", &self.ln_sheet_conductance),
+        ]
+    }
+
+    /// The fields at the mesh's nodes and triangles.
+    pub fn over(&self, sensor: &Sensor, mesh: &Mesh) -> NodeFields {
+        let over_nodes = |field: &SkinField| field.over(sensor, mesh.nodes_mm.iter().copied());
+        let centres = mesh.triangles.iter().map(|t| mesh.triangle_centre_mm(t));
+        NodeFields {
+            ln_a: over_nodes(&self.ln_a),
+            ln_b: over_nodes(&self.ln_b),
+            ln_c: over_nodes(&self.ln_c),
+            ln_compliance: over_nodes(&self.ln_compliance),
+            ln_sheet_conductance: self.ln_sheet_conductance.over(sensor, centres),
+            displacement: None,
+        }
+    }
+}
+
+/// The fitted electrodes, in measuring order.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SkinElectrodes {
+    /// x, mm.
+    pub x_mm: Vec<f64>,
+    /// y, mm.
+    pub y_mm: Vec<f64>,
+    /// Contact (spreading) resistance, ohm, > 0.
+    pub contact_ohm: Vec<f64>,
+    /// Lead resistance, ohm.
+    pub lead_ohm: Vec<f64>,
+}
+
+impl SkinElectrodes {
+    /// The readout circuit: source and gain are the sensor file's.
+    pub fn circuit(&self, sensor: &Sensor) -> ReadoutCircuit {
+        let site = |k: usize| ElectrodeSite {
+            x_mm: self.x_mm[k],
+            y_mm: self.y_mm[k],
+            contact_ohm: self.contact_ohm[k],
+            lead_ohm: self.lead_ohm[k],
+        };
+        ReadoutCircuit {
+            electrodes: (0..self.x_mm.len()).map(site).collect(),
+            ..ReadoutCircuit::nominal(sensor)
+        }
+    }
+}
+
+/// Fraction of variance unexplained (Eq. 2) over some trials.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FvuSummary {
+    /// Median.
+    pub median: f64,
+    /// Mean.
+    pub mean: f64,
+}
+
+/// Where a fit came from, and how good it is on trials that it has not seen.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SkinEvidence {
+    /// The run whose trials were used.
+    pub run: String,
+    /// The rig's label: `real`, or what it stands for.
+    pub label: String,
+    /// sha256 over the trials used (contacts, forces, voltages).
+    pub data_sha256: String,
+    /// Hash of the model that the fit started from.
+    pub model: String,
+    /// Trials fitted.
+    pub trials: usize,
+    /// Trials held out, none of a configuration that was fitted.
+    pub held_out: usize,
+    /// Trials that counted for less than half: far from the model beyond what others are.
+    pub doubted: usize,
+    /// Standard deviation of a reading, V.
+    pub noise_v: f64,
+    /// Error of the model itself, as a share of a frame.
+    pub model_error: f64,
+    /// Held-out trials before: the model that the fit started from.
+    pub before: FvuSummary,
+    /// Held-out trials after.
+    pub after: FvuSummary,
+}
+
+/// What is known about one skin, place by place.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SkinCalibration {
+    /// Offset of each channel of the readout, mV: subtracted from measured frames by those who
+    /// compare them; not part of the model's frames. Empty where it was not looked for.
+    pub offsets_mv: Vec<f64>,
+    /// Where it came from.
+    pub evidence: SkinEvidence,
+    /// The electrodes.
+    pub electrodes: SkinElectrodes,
+    /// The fields.
+    pub fields: SkinFields,
+}
+
+/// A value that no skin has.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("skin.{key} = {value}: {limit}")]
+pub struct SkinValueError {
+    /// Dotted key within the calibration's `skin`.
+    pub key: String,
+    /// The value found, as text.
+    pub value: String,
+    /// What is allowed.
+    pub limit: String,
+}
+
+impl SkinCalibration {
+    /// Checks all that does not need the sensor: grids, lengths, ranges.
+    pub fn check(&self) -> Result<(), SkinValueError> {
+        for (name, field) in self.fields.named() {
+            let name = format!("fields.{name}");
+            let grid = field.grid();
+            if grid.columns < 2 || grid.rows < 2 || field.values.len() != grid.corners() {
+                let value = format!("{} values in {} columns", field.values.len(), field.columns);
+                return Err(bad(&name, value, "needs whole rows, 2 or more of 2 columns or more"));
+            }
+            if let Some(wrong) = field.values.iter().find(|v| v.is_nan() || v.abs() > LARGEST_LN) {
+                return Err(bad(&name, wrong, "must be the logarithm of a factor, -20 to 20"));
+            }
+        }
+        let e = &self.electrodes;
+        for (name, values) in [
+            ("electrodes.x_mm", &e.x_mm),
+            ("electrodes.y_mm", &e.y_mm),
+            ("electrodes.contact_ohm", &e.contact_ohm),
+            ("electrodes.lead_ohm", &e.lead_ohm),
+        ] {
+            if values.len() != e.x_mm.len() || values.is_empty() {
+                let value = format!("{} values", values.len());
+                return Err(bad(name, value, "needs one for each electrode"));
+            }
+            if let Some(wrong) = values.iter().find(|v| !(**v >= 0.0 && v.is_finite())) {
+                return Err(bad(name, wrong, "must be a number >= 0"));
+            }
+        }
+        if let Some(wrong) = e.contact_ohm.iter().find(|v| **v == 0.0) {
+            return Err(bad(
+                "electrodes.contact_ohm",
+                wrong,
+                "must be above 0: not every place has a node",
+            ));
+        }
+        let channels = e.x_mm.len() * e.x_mm.len();
+        if !self.offsets_mv.is_empty() && self.offsets_mv.len() != channels {
+            let value = format!("{} values", self.offsets_mv.len());
+            return Err(bad("offsets_mv", value, "needs none, or one for each channel"));
+        }
+        Ok(())
+    }
+
+    /// Checks it against the sensor that it is applied to.
+    pub fn check_for(&self, sensor: &Sensor) -> Result<(), SkinValueError> {
+        let (found, needed) = (self.electrodes.x_mm.len(), sensor.electrodes_mm().len());
+        if found != needed {
+            let limit = format!("the sensor has {needed} electrodes");
+            return Err(bad("electrodes.x_mm", format!("{found} values"), &limit));
+        }
+        for (name, values, most_mm) in [
+            ("electrodes.x_mm", &self.electrodes.x_mm, sensor.file.width_mm),
+            ("electrodes.y_mm", &self.electrodes.y_mm, sensor.file.height_mm),
+        ] {
+            if let Some(wrong) = values.iter().find(|v| **v > most_mm) {
+                return Err(bad(name, wrong, &format!("must lie on the skin, up to {most_mm} mm")));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn bad(key: &str, value: impl ToString, limit: &str) -> SkinValueError {
+    SkinValueError { key: key.into(), value: value.to_string(), limit: limit.into() }
+}

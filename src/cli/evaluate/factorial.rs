@@ -1,0 +1,114 @@
+//! Fig. 11: pixel size x diameter x noise on the held-out part of *real*, with an analysis of
+//! variance in which each contact is a sample (paper V-C2).
+//! Uses: `lab`, `evaluate::{anova, table, charts, published}`. Never: training here.
+
+use serde_json::json;
+
+use super::lab::{Lab, Sheet};
+use super::noise::LEVELS;
+use crate::cli::error::CliError;
+use crate::evaluate::anova::{Anova, Factor, Factorial, Moments};
+use crate::evaluate::charts::{Bar, bars};
+use crate::evaluate::request::Scored;
+use crate::evaluate::table;
+
+const PIXELS_MM: [u32; 2] = [4, 20];
+const DIAMETERS_MM: [u32; 2] = [20, 60];
+/// The paper's four criteria, as reports name them.
+const CRITERIA: [(&str, &str); 4] = [
+    ("number_percent", "number error (%)"),
+    ("location_mm", "location error (mm)"),
+    ("force_percent", "force error (%)"),
+    ("diameter_percent", "diameter error (%)"),
+];
+
+/// Trains and scores the twelve conditions.
+pub async fn factorial(lab: Lab) -> Result<Sheet, CliError> {
+    let transfer = lab.transfer("transfer-to-6", &["contact_count__lte=6".into()]).await?;
+    let factor = |name: &str, levels: Vec<String>| Factor { name: name.into(), levels };
+    let mm = |values: [u32; 2]| values.map(|mm| format!("{mm} mm")).to_vec();
+    let percent = LEVELS.map(|level| format!("{:.0} %", 100.0 * level)).to_vec();
+    let factors = vec![
+        factor("pixel", mm(PIXELS_MM)),
+        factor("diameter", mm(DIAMETERS_MM)),
+        factor("noise", percent.clone()),
+    ];
+    let design = Factorial::new(factors).map_err(odd)?;
+    let mut designs = CRITERIA.map(|_| design.clone());
+    let (mut reports, mut shown) = (Vec::new(), Vec::new());
+    let mut label = String::new();
+    for (p, pixel_mm) in PIXELS_MM.into_iter().enumerate() {
+        for (d, diameter_mm) in DIAMETERS_MM.into_iter().enumerate() {
+            for (n, level) in LEVELS.into_iter().enumerate() {
+                let map = format!("{pixel_mm}x{diameter_mm}");
+                let net = lab.maps("recon-net", &map, Some((level, &transfer.id))).await?;
+                let mut wish = lab.wish(Scored::Paper, "real", Some("test"));
+                wish.transfer = Some(transfer.id.clone());
+                wish.map = Some(net.id.clone());
+                let report = lab.scored(&wish).await?;
+                let cells = report.cells.clone().unwrap_or_default();
+                let name = format!("{map}, {}", percent[n]);
+                for (design, (key, _)) in designs.iter_mut().zip(CRITERIA) {
+                    let moments = cells.get(key).copied().unwrap_or_default();
+                    design.join(&[p, d, n], moments).map_err(odd)?;
+                }
+                shown.push((name, cells));
+                label = report.label.clone();
+                reports.push(json!({ "map": map, "noise": level, "model": net.id,
+                    "report": report }));
+            }
+        }
+    }
+    let mut text = String::from(
+        "# Fig. 11: the whole pipeline on the held-out part of real, each contact a sample\n",
+    );
+    let (mut analyses, mut pictures) = (Vec::new(), Vec::new());
+    for (design, (key, words)) in designs.iter().zip(CRITERIA) {
+        let bars_of = shown.iter().filter_map(|(name, cells)| bar(name, cells.get(key)?));
+        pictures.push((format!("fig-11-{key}.svg"), bars(words, &bars_of.collect::<Vec<_>>())?));
+        match design.analyse() {
+            Ok(anova) => {
+                text += &format!("\n## {words}\n\n{}\n{}", means(&anova), table::anova(&anova));
+                analyses.push(json!({ "criterion": key, "anova": anova }));
+            }
+            // A condition in which nothing was found has no pairs.
+            Err(why) => text += &format!("\n## {words}\n\nnot analysed: {why}\n"),
+        }
+    }
+    text += &format!("\n{}\n", lab.scale_words(&label));
+    Ok(Sheet {
+        name: "fig-11",
+        text,
+        numbers: json!({ "figure": "11", "scale": lab.args.scale.name(), "label": label,
+            "transfer": transfer.id, "conditions": reports, "analyses": analyses }),
+        pictures,
+    })
+}
+
+fn bar(name: &str, moments: &Moments) -> Option<Bar> {
+    Some(Bar { name: name.into(), mean: moments.mean()?, sd: moments.sd().unwrap_or(0.0) })
+}
+
+/// Estimated marginal means of the main effects.
+fn means(anova: &Anova) -> String {
+    let main = anova.means.iter().filter(|mean| mean.levels.iter().flatten().count() == 1);
+    let row = |mean: &crate::evaluate::anova::MarginalMean| {
+        let held = mean.levels.iter().enumerate().find_map(|(f, level)| Some((f, (*level)?)));
+        let (factor, level) = held.unwrap_or_default();
+        let factor = &anova.factors[factor];
+        let sd = mean.sd.map_or("-".into(), |sd| format!("{sd:.1}"));
+        vec![
+            format!("{} {}", factor.name, factor.levels[level]),
+            mean.n.to_string(),
+            format!("{:.2}", mean.mean),
+            format!("{:.2}", mean.standard_error),
+            sd,
+        ]
+    };
+    let head = ["averaged over the others", "contacts", "estimated mean", "standard error", "sd"];
+    table::markdown(&head, &main.map(row).collect::<Vec<_>>())
+}
+
+fn odd(error: crate::evaluate::anova::AnovaError) -> CliError {
+    CliError::argument("factorial", "the design", error.to_string())
+}

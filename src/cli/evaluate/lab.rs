@@ -1,0 +1,281 @@
+//! What the tables have in common: nets trained once for a recipe, methods scored, files left.
+//! Uses: `client`, `cli::train`. Never: a net trained twice by one recipe on one dataset.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+
+use crate::api::{JobOut, ModelOut};
+use crate::cli::client::Client;
+use crate::cli::error::CliError;
+use crate::cli::files::write;
+use crate::cli::output::{say, say_json};
+use crate::cli::train::{Changes, follow, recipe_text};
+use crate::cli::{At, embed};
+use crate::dataset::file::hex;
+use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Scored};
+
+/// How much is trained and scored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Scale {
+    /// Minutes on two processors: few epochs, few rows. The numbers show that it works.
+    Small,
+    /// Hours on two processors.
+    Medium,
+    /// As published: all rows, all epochs, every map. For a GPU.
+    Full,
+}
+
+impl Scale {
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Small => "small",
+            Self::Medium => "medium",
+            Self::Full => "full",
+        }
+    }
+
+    /// Epochs and rows of a Transfer-Net; no rows: all.
+    pub fn transfer(self) -> (i64, Option<i64>) {
+        match self {
+            Self::Small => (12, Some(20_000)),
+            Self::Medium => (60, None),
+            Self::Full => (1024, None),
+        }
+    }
+
+    /// Epochs and rows of a net that gives maps.
+    pub fn maps(self) -> (i64, Option<i64>) {
+        match self {
+            Self::Small => (2, Some(4_000)),
+            Self::Medium => (10, Some(40_000)),
+            Self::Full => (1024, None),
+        }
+    }
+
+    /// Rows that are scored.
+    pub fn scored(self) -> Option<u64> {
+        match self {
+            Self::Small => Some(2_000),
+            Self::Medium => Some(10_000),
+            Self::Full => None,
+        }
+    }
+}
+
+/// Options of a table.
+#[derive(Debug, Clone, Args)]
+pub struct LabArgs {
+    /// How much is trained and scored.
+    #[arg(long, value_enum, default_value = "small")]
+    pub scale: Scale,
+    /// Epochs, in place of the scale's.
+    #[arg(long, value_name = "N")]
+    pub epochs: Option<i64>,
+    /// Rows that are learned from, in place of the scale's.
+    #[arg(long, value_name = "N")]
+    pub rows: Option<i64>,
+    /// Rows that are scored, in place of the scale's.
+    #[arg(long, value_name = "N")]
+    pub scored: Option<u64>,
+    /// Seed of every training.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: i64,
+    /// The Transfer-Net's recipe: transfer-net (residual form), transfer-net-published, or a file.
+    #[arg(long, value_name = "RECIPE", default_value = "transfer-net")]
+    pub transfer: String,
+    /// Folder for numbers, tables and figures.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    #[command(flatten)]
+    pub at: At,
+}
+
+/// A service, and what is asked of it.
+pub struct Lab {
+    client: Client,
+    /// The options.
+    pub args: LabArgs,
+}
+
+/// A table that is done: words for people, numbers for scripts, pictures.
+pub struct Sheet {
+    /// Name of its files.
+    pub name: &'static str,
+    /// Text, Markdown.
+    pub text: String,
+    /// Numbers.
+    pub numbers: Value,
+    /// SVG pictures by their names.
+    pub pictures: Vec<(String, String)>,
+}
+
+/// Does `work` with a lab and shows what came of it.
+pub async fn with_lab<F>(
+    args: LabArgs,
+    work: impl FnOnce(Lab) -> F + Send + 'static,
+) -> Result<(), CliError>
+where
+    F: Future<Output = Result<Sheet, CliError>> + Send + 'static,
+{
+    let at = args.at.clone();
+    embed::with_server(&at, move |client| async move {
+        let (json, out) = (args.at.json, args.out.clone());
+        let sheet = work(Lab { client, args }).await?;
+        if let Some(folder) = &out {
+            write(&folder.join(format!("{}.md", sheet.name)), &sheet.text)?;
+            let numbers = format!("{:#}\n", sheet.numbers);
+            write(&folder.join(format!("{}.json", sheet.name)), &numbers)?;
+            for (name, svg) in &sheet.pictures {
+                write(&folder.join(name), svg)?;
+            }
+        }
+        if json {
+            say_json(&sheet.numbers);
+        } else {
+            say(sheet.text.trim_end());
+            if let Some(folder) = &out {
+                say(format_args!("\nnumbers, table and figures in {}", folder.display()));
+            }
+        }
+        Ok(())
+    })
+    .await
+}
+
+impl Lab {
+    /// The model of a recipe with changes: trained now, or before.
+    pub async fn trained(&self, recipe: &str, changes: Changes) -> Result<ModelOut, CliError> {
+        let named = Changes { seed: Some(self.args.seed), ..changes };
+        let text = recipe_text(recipe, &named)?;
+        let dataset = toml::from_str::<toml::Table>(&text).ok();
+        let dataset = dataset.and_then(|recipe| recipe.get("dataset")?.as_str().map(str::to_owned));
+        let dataset = match dataset {
+            Some(name) => self.dataset(&name).await?,
+            None => String::new(),
+        };
+        // The name says what it was trained by and on: an equal wish finds it.
+        let digest = hex(&Sha256::digest(format!("{text}{dataset}")));
+        let stem = named.name.clone().unwrap_or_else(|| "model".into());
+        let name = format!("{stem}-{}", &digest[..8]);
+        let models: Vec<ModelOut> = self.client.get("/api/v1/models").await?;
+        if let Some(model) = models.into_iter().find(|model| model.name == name) {
+            return Ok(model);
+        }
+        let recipe = recipe_text(recipe, &Changes { name: Some(name), ..named })?;
+        self.say(&format!("training {stem}"));
+        let asked: JobOut =
+            self.client.post("/api/v1/trainings", &json!({ "recipe": recipe })).await?;
+        let done = follow(&self.client, asked).await?;
+        let id = done.result.as_ref().and_then(|r| r["model"].as_str()).unwrap_or_default();
+        self.client.get(&format!("/api/v1/models/{id}")).await
+    }
+
+    /// The Transfer-Net of the options, trained on these rows.
+    pub async fn transfer(&self, stem: &str, conditions: &[String]) -> Result<ModelOut, CliError> {
+        let (epochs, rows) = self.args.scale.transfer();
+        let changes = Changes {
+            name: Some(format!("{stem}-{}", self.args.scale.name())),
+            conditions: conditions.to_vec(),
+            epochs: Some(self.args.epochs.unwrap_or(epochs)),
+            rows: self.args.rows.or(rows),
+            ..Changes::default()
+        };
+        self.trained(&self.args.transfer, changes).await
+    }
+
+    /// A net that gives maps: `recon-net` or `end-to-end`, of this map, with this noise.
+    pub async fn maps(
+        &self,
+        recipe: &str,
+        map: &str,
+        noise: Option<(f64, &str)>,
+    ) -> Result<ModelOut, CliError> {
+        let (epochs, rows) = self.args.scale.maps();
+        let level = noise.map_or(0.0, |(level, _)| level);
+        let changes = Changes {
+            name: Some(format!("{recipe}-{map}-{:.0}-{}", 100.0 * level, self.args.scale.name())),
+            map: Some(map.into()),
+            epochs: Some(self.args.epochs.unwrap_or(epochs)),
+            rows: self.args.rows.or(rows),
+            noise: noise.map(|(level, _)| level).filter(|level| *level > 0.0),
+            noise_of: noise.filter(|(level, _)| *level > 0.0).map(|(_, of)| of.to_owned()),
+            ..Changes::default()
+        };
+        self.trained(recipe, changes).await
+    }
+
+    /// What came of an evaluation.
+    pub async fn scored(&self, request: &EvaluationRequest) -> Result<EvaluationReport, CliError> {
+        let asked: JobOut = self.client.post("/api/v1/evaluations", request).await?;
+        let id = asked.id.clone();
+        let done = follow(&self.client, asked).await?;
+        let report = serde_json::from_value(done.result.unwrap_or_default());
+        report.map_err(|error| CliError::Refused {
+            operation: id,
+            status: 500,
+            detail: format!("its report cannot be read: {error}"),
+        })
+    }
+
+    /// A wish with this lab's rows and seed.
+    pub fn wish(&self, scored: Scored, dataset: &str, part: Option<&str>) -> EvaluationRequest {
+        EvaluationRequest {
+            scored,
+            dataset: dataset.into(),
+            part: part.map(str::to_owned),
+            conditions: Vec::new(),
+            transfer: None,
+            map: None,
+            points: None,
+            skin: None,
+            frames: Default::default(),
+            threshold_n: crate::dataset::force_map::peaks::THRESHOLD_N,
+            limit: self.args.scored.or(self.args.scale.scored()),
+            seed: self.args.seed.unsigned_abs(),
+        }
+    }
+
+    /// A dataset's id, made if need be.
+    pub async fn dataset(&self, name: &str) -> Result<String, CliError> {
+        let row: Value =
+            self.client.patient(MAKING).get(&format!("/api/v1/datasets/{name}")).await?;
+        Ok(row["id"].as_str().unwrap_or_default().to_owned())
+    }
+
+    /// The service.
+    pub fn client(&self) -> &Client {
+        &self.client
+    }
+
+    /// Says what goes on, to people alone.
+    pub fn say(&self, words: &str) {
+        if !self.args.at.json {
+            eprintln!("{words}");
+        }
+    }
+
+    /// Under every table: at which scale, on what.
+    pub fn scale_words(&self, label: &str) -> String {
+        let (transfer, maps) = (self.args.scale.transfer(), self.args.scale.maps());
+        let rows =
+            |rows: Option<i64>| rows.map_or("all rows".into(), |rows| format!("{rows} rows"));
+        let epochs = |epochs| self.args.epochs.unwrap_or(epochs);
+        format!(
+            "Scale {}: Transfer-Net {} epochs of {}, nets of maps {} epochs of {}; seed {}. Data: \
+             {label}. The paper's: 1024 epochs of all rows, measured.",
+            self.args.scale.name(),
+            epochs(transfer.0),
+            rows(self.args.rows.or(transfer.1)),
+            epochs(maps.0),
+            rows(self.args.rows.or(maps.1)),
+            self.args.seed,
+        )
+    }
+}
+
+/// Longest wait for a dataset to be made.
+const MAKING: std::time::Duration = std::time::Duration::from_secs(3600);

@@ -1,0 +1,107 @@
+//! A method scored on a dataset, with its confidence intervals.
+//! Uses: `lab`. Never: numbers of its own.
+
+use clap::Args;
+use serde_json::json;
+
+use super::lab::{Lab, LabArgs, Sheet, with_lab};
+use crate::cli::error::CliError;
+use crate::evaluate::request::{EvaluationReport, FramesRead, Scored};
+use crate::evaluate::table::{Beside, COLUMNS, markdown, score_row};
+
+/// Options of `evaluate method`.
+#[derive(Debug, Clone, Args)]
+pub struct MethodArgs {
+    /// paper, fast, exact, tikhonov or noser.
+    #[arg(value_parser = scored)]
+    scored: Scored,
+    /// A dataset's name or id.
+    #[arg(long, value_name = "NAME", default_value = "real-unseen")]
+    dataset: String,
+    /// train, validation or test; all rows without.
+    #[arg(long, value_name = "PART")]
+    part: Option<String>,
+    /// A condition on its rows; may come more than once.
+    #[arg(long = "where", value_name = "CONDITION")]
+    conditions: Vec<String>,
+    /// A Transfer-Net.
+    #[arg(long, value_name = "MODEL")]
+    with_transfer: Option<String>,
+    /// A net that gives maps.
+    #[arg(long, value_name = "MODEL")]
+    map: Option<String>,
+    /// A Point-Net.
+    #[arg(long, value_name = "MODEL")]
+    points: Option<String>,
+    /// A calibration that the service keeps.
+    #[arg(long, value_name = "CAL")]
+    skin: Option<String>,
+    /// Read the first frame of each trial alone, not the mean of all.
+    #[arg(long)]
+    first_frame: bool,
+    /// Least force of a peak, N.
+    #[arg(long, value_name = "N", default_value_t = 5.0)]
+    threshold_n: f64,
+    #[command(flatten)]
+    lab: LabArgs,
+}
+
+fn scored(name: &str) -> Result<Scored, String> {
+    let words = "must be paper, fast, exact, tikhonov or noser";
+    let scored = serde_json::from_value(name.into()).ok();
+    scored.filter(|scored| *scored != Scored::Voltages).ok_or_else(|| words.into())
+}
+
+/// Scores a method.
+pub async fn method(args: MethodArgs) -> Result<(), CliError> {
+    with_lab(args.lab.clone(), move |lab| score(lab, args)).await
+}
+
+async fn score(lab: Lab, args: MethodArgs) -> Result<Sheet, CliError> {
+    let mut wish = lab.wish(args.scored, &args.dataset, args.part.as_deref());
+    wish.limit = lab.args.scored;
+    wish.conditions = args.conditions;
+    wish.transfer = args.with_transfer;
+    wish.map = args.map;
+    wish.points = args.points;
+    wish.skin = args.skin;
+    wish.threshold_n = args.threshold_n;
+    wish.frames = if args.first_frame { FramesRead::First } else { FramesRead::Mean };
+    let report = lab.scored(&wish).await?;
+    let name = serde_json::to_value(args.scored).unwrap_or_default();
+    let name = name.as_str().unwrap_or_default();
+    let mut rows = rows(name, &report);
+    rows.extend(perfect(&report));
+    let text = format!(
+        "# {name} on {} ({}), mean [95 % interval]\n\n{}\n{}",
+        args.dataset,
+        report.label,
+        markdown(&COLUMNS, &rows),
+        latency(&report)
+    );
+    let numbers = json!({ "method": name, "report": report });
+    Ok(Sheet { name: "method", text, numbers, pictures: Vec::new() })
+}
+
+/// A method's rows: over all, and by the number of contacts.
+pub fn rows(name: &str, report: &EvaluationReport) -> Vec<Vec<String>> {
+    let Some(scores) = &report.contacts else { return Vec::new() };
+    let mut rows = vec![score_row(name, &scores.all, Beside::Interval)];
+    for count in &scores.by_contacts {
+        rows.push(score_row(&format!("  of {}", count.contacts), &count.score, Beside::Interval));
+    }
+    rows
+}
+
+/// The row of a perfect map under the same rule.
+pub fn perfect(report: &EvaluationReport) -> Option<Vec<String>> {
+    let scores = report.perfect.as_ref()?;
+    let map = report.map.as_deref().unwrap_or_default();
+    let name = format!("perfect map {map}, {} N rule", report.threshold_n);
+    Some(score_row(&name, &scores.all, Beside::Interval))
+}
+
+fn latency(report: &EvaluationReport) -> String {
+    let Some([p50, p99]) = report.latency_ms else { return String::new() };
+    format!("Time to an answer: {p50:.2} ms (median), {p99:.2} ms (99th percentile).\n")
+}

@@ -1,0 +1,59 @@
+//! `palpate evaluate`: how good simulation, nets and methods are, beside the paper's numbers.
+//! Uses: `client`, `evaluate`. Never: numbers of its own (the service trains and scores, this shows).
+
+use clap::{Args, Subcommand};
+
+use super::error::CliError;
+
+mod factorial;
+mod lab;
+mod maps;
+mod method;
+mod noise;
+mod simulation;
+mod transfer;
+mod unseen;
+
+pub use simulation::wait_for_twins;
+
+/// Options of `evaluate`.
+#[derive(Debug, Args)]
+pub struct EvaluateArgs {
+    /// What to evaluate.
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// How well simulated twins fit a run's trials: RMSE, FVU, deadband, as in the paper's Fig. 7.
+    ///
+    /// Waits until every trial has its twin. With --out it leaves simulation.json, a CSV for each
+    /// table and an SVG for each figure there.
+    Simulation(simulation::SimulationArgs),
+    /// Score a method on a dataset: contacts found beside true ones, by their number.
+    Method(method::MethodArgs),
+    /// Table III: Transfer-Nets trained on 1, 1 to 2, .. 1 to 6 contacts, tested on each number.
+    Transfer(lab::LabArgs),
+    /// Table IV and Fig. 9: Recon-Nets of twelve force maps, on simulated voltages.
+    Maps(lab::LabArgs),
+    /// Fig. 10: what the Transfer-Net leaves over, and one trial's maps at three levels of noise.
+    Noise(lab::LabArgs),
+    /// Fig. 11: pixel size x diameter x noise, with a three-factor analysis of variance.
+    Factorial(lab::LabArgs),
+    /// Fig. 12 and V-D: the paper's pipeline, both baselines and our methods on Real-Unseen.
+    Unseen(unseen::UnseenArgs),
+}
+
+/// Runs the command.
+pub async fn evaluate(args: EvaluateArgs) -> Result<(), CliError> {
+    match args.what {
+        What::Simulation(args) => simulation::simulation(args).await,
+        What::Method(args) => method::method(args).await,
+        What::Transfer(args) => lab::with_lab(args, transfer::transfer).await,
+        What::Maps(args) => lab::with_lab(args, maps::maps).await,
+        What::Noise(args) => lab::with_lab(args, noise::noise).await,
+        What::Factorial(args) => lab::with_lab(args, factorial::factorial).await,
+        What::Unseen(args) => unseen::unseen(args).await,
+    }
+}

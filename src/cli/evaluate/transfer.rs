@@ -1,0 +1,74 @@
+//! Table III: Transfer-Nets by the numbers of contacts that they learned from.
+//! Uses: `lab`, `evaluate::{published, table, charts}`. Never: training here.
+
+use serde_json::json;
+
+use super::lab::{Lab, Sheet};
+use crate::cli::error::CliError;
+use crate::evaluate::charts::{Line, lines};
+use crate::evaluate::published::TABLE_III;
+use crate::evaluate::request::Scored;
+use crate::evaluate::table::markdown;
+use crate::evaluate::voltages::VoltageScores;
+
+const HEAD: [&str; 8] = ["trained on", "train", "I", "II", "III", "IV", "V", "VI"];
+
+/// Trains and scores the ladder.
+pub async fn transfer(lab: Lab) -> Result<Sheet, CliError> {
+    let mut rows = Vec::new();
+    let (mut numbers, mut curves) = (Vec::new(), Vec::new());
+    let plain = lab.scored(&lab.wish(Scored::Voltages, "r2s-transfer", Some("test"))).await?;
+    if let Some(scores) = &plain.voltages {
+        rows.push(row("no net", None, scores));
+    }
+    for published in &TABLE_III {
+        let most = published.trained_to;
+        let conditions = vec![format!("contact_count__lte={most}")];
+        let model = lab.transfer(&format!("transfer-to-{most}"), &conditions).await?;
+        let mut wish = lab.wish(Scored::Voltages, "r2s-transfer", Some("test"));
+        wish.transfer = Some(model.id.clone());
+        let test = lab.scored(&wish).await?;
+        wish.part = Some("train".into());
+        wish.conditions = conditions;
+        let train = lab.scored(&wish).await?;
+        if let (Some(test), Some(train)) = (&test.voltages, &train.voltages) {
+            rows.push(row(&format!("1 to {most}"), Some(train), test));
+            let places = test
+                .by_contacts
+                .iter()
+                .filter_map(|score| Some((f64::from(score.contacts?), 100.0 * score.fvu)));
+            curves.push(Line { name: format!("trained to {most}"), places: places.collect() });
+        }
+        let cell = |cell: &crate::evaluate::published::Transfer| {
+            format!("{} / {}", cell.rmse_v, cell.fvu_percent)
+        };
+        let mut paper = vec![format!("  paper, 1 to {most}"), cell(&published.train)];
+        paper.extend(published.test.iter().map(cell));
+        rows.push(paper);
+        numbers.push(json!({ "trained_to": most, "model": model.id, "test": test.voltages,
+            "train": train.voltages }));
+    }
+    let text = format!(
+        "# Table III: mean RMSE (V) / mean FVU (%) by the number of contacts\n\n{}\n{}\n",
+        markdown(&HEAD, &rows),
+        lab.scale_words(&plain.label)
+    );
+    let picture = lines("Table III", "contacts of the test trials", "mean FVU (%)", &curves)?;
+    Ok(Sheet {
+        name: "table-iii",
+        text,
+        numbers: json!({ "table": "III", "scale": lab.args.scale.name(), "label": plain.label,
+            "dataset": plain.dataset, "no_net": plain.voltages, "rungs": numbers }),
+        pictures: vec![("table-iii.svg".into(), picture)],
+    })
+}
+
+fn row(name: &str, train: Option<&VoltageScores>, test: &VoltageScores) -> Vec<String> {
+    let cell = |rmse_v: f64, fvu: f64| format!("{rmse_v:.4} / {:.1}", 100.0 * fvu);
+    let train = train.map_or("-".into(), |s| cell(s.all.rmse_v, s.all.fvu));
+    let of_count = |count: u32| {
+        let found = test.by_contacts.iter().find(|score| score.contacts == Some(count));
+        found.map_or("-".into(), |score| cell(score.rmse_v, score.fvu))
+    };
+    [name.to_owned(), train].into_iter().chain((1..=6).map(of_count)).collect()
+}

@@ -1,0 +1,189 @@
+//! Fig. 12 and V-D: contacts that no net has seen, by the paper's pipeline, both baselines and ours.
+//! Uses: `lab`, `evaluate::{published, table, charts}`. Never: training here.
+
+use clap::Args;
+use serde_json::json;
+
+use super::lab::{Lab, LabArgs, Scale, Sheet, with_lab};
+use super::method::{perfect, rows};
+use super::noise::LEVELS;
+use crate::cli::error::CliError;
+use crate::dataset::force_map::TABLE_IV;
+use crate::evaluate::charts::{Bar, bars};
+use crate::evaluate::published::REAL_UNSEEN;
+use crate::evaluate::request::{EvaluationReport, EvaluationRequest, FramesRead, Scored};
+use crate::evaluate::score::Mean;
+use crate::evaluate::table::{COLUMNS, markdown, published_row};
+
+/// Maps 1, 6, 11 and 12: the paper's factorial design, and what smaller scales train.
+const FEW: [usize; 4] = [0, 5, 10, 11];
+
+/// Options of `evaluate unseen`.
+#[derive(Debug, Clone, Args)]
+pub struct UnseenArgs {
+    /// A Point-Net, scored as `fast`; also proposes to `exact`.
+    #[arg(long, value_name = "MODEL")]
+    points: Option<String>,
+    /// A calibration that the service keeps, scored as `exact`.
+    #[arg(long, value_name = "CAL")]
+    skin: Option<String>,
+    /// Leave the paper's nets out: score our methods alone.
+    #[arg(long)]
+    ours: bool,
+    /// The dataset.
+    #[arg(long, value_name = "NAME", default_value = "real-unseen")]
+    dataset: String,
+    #[command(flatten)]
+    lab: LabArgs,
+}
+
+/// Scores them all.
+pub async fn unseen(args: UnseenArgs) -> Result<(), CliError> {
+    with_lab(args.lab.clone(), move |lab| score(lab, args)).await
+}
+
+/// A method's name and report.
+type Scores = Vec<(String, EvaluationReport)>;
+
+async fn score(lab: Lab, args: UnseenArgs) -> Result<Sheet, CliError> {
+    let ours = ours(&lab, &args).await?;
+    let (pipeline, end_to_end) = if args.ours {
+        (Scores::new(), Scores::new())
+    } else {
+        (pipeline(&lab, &args).await?, end_to_end(&lab, &args).await?)
+    };
+    let mut table = Vec::new();
+    let best = best(&pipeline);
+    if let Some((name, report)) = best {
+        table.extend(rows(&format!("real-to-sim, best: {name}"), report));
+    }
+    if let Some((name, report)) = self::best(&end_to_end) {
+        table.extend(rows(&format!("end-to-end, best: {name}"), report));
+    }
+    table.push(published_row("paper, its best of 36", &REAL_UNSEEN));
+    for (name, report) in &ours {
+        table.extend(rows(name, report));
+    }
+    let any = ours.iter().chain(&pipeline).map(|(_, report)| report).next();
+    table.extend(any.and_then(perfect));
+    let label = any.map(|report| report.label.clone()).unwrap_or_default();
+    let text = format!(
+        "# Fig. 12: contacts that no net has seen, mean [95 % interval]\n\n{}\n{}\n",
+        markdown(&COLUMNS, &table),
+        lab.scale_words(&label)
+    );
+    let listed = |scores: &Scores| -> Vec<_> {
+        scores.iter().map(|(name, report)| json!({ "name": name, "report": report })).collect()
+    };
+    let pictures =
+        figures(&[("real-to-sim", &pipeline), ("end-to-end", &end_to_end), ("", &ours)])?;
+    Ok(Sheet {
+        name: "fig-12",
+        text,
+        numbers: json!({ "figure": "12", "scale": lab.args.scale.name(), "label": label,
+            "real_to_sim": listed(&pipeline), "end_to_end": listed(&end_to_end),
+            "ours": listed(&ours), "best": best.map(|(name, _)| name) }),
+        pictures,
+    })
+}
+
+fn wish(lab: &Lab, args: &UnseenArgs, scored: Scored) -> EvaluationRequest {
+    let mut wish = lab.wish(scored, &args.dataset, None);
+    wish.limit = lab.args.scored;
+    wish
+}
+
+/// The physics in one step, Point-Net, and the fit through the exact model.
+async fn ours(lab: &Lab, args: &UnseenArgs) -> Result<Scores, CliError> {
+    let mut scores = Scores::new();
+    for (name, scored) in
+        [("one step, Tikhonov", Scored::Tikhonov), ("one step, NOSER", Scored::Noser)]
+    {
+        let mut wish = wish(lab, args, scored);
+        wish.skin = args.skin.clone();
+        scores.push((name.into(), lab.scored(&wish).await?));
+    }
+    for (read, frames) in [("1 frame", FramesRead::First), ("mean", FramesRead::Mean)] {
+        if args.points.is_some() {
+            let mut wish = wish(lab, args, Scored::Fast);
+            (wish.points, wish.frames) = (args.points.clone(), frames);
+            scores.push((format!("fast, {read}"), lab.scored(&wish).await?));
+        }
+        let mut wish = wish(lab, args, Scored::Exact);
+        (wish.points, wish.skin, wish.frames) = (args.points.clone(), args.skin.clone(), frames);
+        scores.push((format!("exact, {read}"), lab.scored(&wish).await?));
+    }
+    Ok(scores)
+}
+
+fn maps(scale: Scale) -> Vec<String> {
+    let all = 0..TABLE_IV.len();
+    let chosen: Vec<usize> = if scale == Scale::Full { all.collect() } else { FEW.to_vec() };
+    chosen.into_iter().map(|map| TABLE_IV[map].to_string()).collect()
+}
+
+/// The paper's pipeline: every map at every level of noise.
+async fn pipeline(lab: &Lab, args: &UnseenArgs) -> Result<Scores, CliError> {
+    let transfer = lab.transfer("transfer-to-6", &["contact_count__lte=6".into()]).await?;
+    let mut scores = Scores::new();
+    for map in maps(lab.args.scale) {
+        for level in LEVELS {
+            let net = lab.maps("recon-net", &map, Some((level, &transfer.id))).await?;
+            let mut wish = wish(lab, args, Scored::Paper);
+            wish.transfer = Some(transfer.id.clone());
+            wish.map = Some(net.id);
+            let name = format!("{map}, {:.0} %", 100.0 * level);
+            scores.push((name, lab.scored(&wish).await?));
+        }
+    }
+    Ok(scores)
+}
+
+/// The baseline that learned from measured trials alone.
+async fn end_to_end(lab: &Lab, args: &UnseenArgs) -> Result<Scores, CliError> {
+    let mut scores = Scores::new();
+    for map in maps(lab.args.scale) {
+        let net = lab.maps("end-to-end", &map, None).await?;
+        let mut wish = wish(lab, args, Scored::Paper);
+        wish.map = Some(net.id);
+        scores.push((map, lab.scored(&wish).await?));
+    }
+    Ok(scores)
+}
+
+/// The paper's rule (V-D): the least mean location error, and force and diameter close to zero. Each
+/// is taken in units of what it is when nothing is known: 100 mm, 100 %.
+fn best(scores: &Scores) -> Option<&(String, EvaluationReport)> {
+    let cost = |report: &EvaluationReport| {
+        let all = &report.contacts.as_ref()?.all;
+        let size = |mean: &Option<Mean>| mean.as_ref().map(|mean| mean.mean.abs());
+        let location = size(&all.location_mm)?;
+        Some(location + size(&all.force_percent)? + size(&all.diameter_percent).unwrap_or(0.0))
+    };
+    let costs = scores.iter().filter_map(|named| Some((cost(&named.1)?, named)));
+    costs.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, named)| named)
+}
+
+fn figures(groups: &[(&str, &Scores)]) -> Result<Vec<(String, String)>, CliError> {
+    type Pick = fn(&crate::evaluate::score::Score) -> Option<Mean>;
+    let quantities: [(&str, &str, Pick); 3] = [
+        ("location", "contact location error (mm)", |score| score.location_mm),
+        ("force", "contact force error (%)", |score| score.force_percent),
+        ("diameter", "contact diameter error (%)", |score| score.diameter_percent),
+    ];
+    let mut pictures = Vec::new();
+    for (key, words, pick) in quantities {
+        let mut all = Vec::new();
+        for (group, scores) in groups {
+            all.extend(scores.iter().filter_map(|(name, report)| {
+                let mean = pick(&report.contacts.as_ref()?.all)?;
+                let name = format!("{group} {name}").trim().to_owned();
+                Some(Bar { name, mean: mean.mean, sd: mean.sd.unwrap_or(0.0) })
+            }));
+        }
+        if !all.is_empty() {
+            pictures.push((format!("fig-12-{key}.svg"), bars(words, &all)?));
+        }
+    }
+    Ok(pictures)
+}

@@ -1,0 +1,171 @@
+//! `palpate infer`: contacts of frames in a file; `palpate live`: of the rig's frames as they come.
+//! Uses: `client`. Never: models (the service answers).
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde_json::Value;
+
+use super::client::Client;
+use super::error::CliError;
+use super::files::read_input;
+use super::output::{say, say_json};
+use super::{At, embed};
+use crate::api::{FrameAnswer, InferRequest, LiveAnswer, Wish};
+use crate::infer::answer::{FoundContact, Method};
+use crate::problem::Problem;
+
+/// Frames of a request.
+const FRAMES_AT_ONCE: usize = 64;
+
+/// Options of `infer`.
+#[derive(Debug, Args)]
+pub struct InferArgs {
+    /// JSON lines: each an array of voltages, or an object with voltages_v; - for standard input.
+    #[arg(value_name = "FILE|-")]
+    file: PathBuf,
+    /// paper, fast or exact.
+    #[arg(long, value_parser = method)]
+    method: Method,
+    /// A model's id or name, in place of the one that serves.
+    #[arg(long, value_name = "MODEL")]
+    model: Option<String>,
+    /// A Transfer-Net's id or name before it, in place of the one that serves.
+    #[arg(long, value_name = "MODEL")]
+    transfer: Option<String>,
+    /// With the force map, where the method makes one.
+    #[arg(long)]
+    map: bool,
+    /// Each frame is the mean of so many.
+    #[arg(long, value_name = "N", default_value_t = 1.0)]
+    averaged: f64,
+    #[command(flatten)]
+    at: At,
+}
+
+/// Options of `live`.
+#[derive(Debug, Args)]
+pub struct LiveArgs {
+    /// paper, fast or exact [default: the best that something serves for].
+    #[arg(long, value_parser = method)]
+    method: Option<Method>,
+    /// End after so many frames.
+    #[arg(long, value_name = "N")]
+    frames: Option<u64>,
+    #[command(flatten)]
+    at: At,
+}
+
+fn method(name: &str) -> Result<Method, String> {
+    let found = Method::ALL.into_iter().find(|method| method.name() == name);
+    found.ok_or_else(|| format!("must be {}", Method::ALL.map(Method::name).join(", ")))
+}
+
+/// Runs `palpate infer`.
+pub async fn infer(args: InferArgs) -> Result<(), CliError> {
+    let frames = frames(&args.file)?;
+    let at = args.at.clone();
+    embed::with_server(&at, move |client| async move {
+        wait_for_models(&client).await?;
+        for frames in frames.chunks(FRAMES_AT_ONCE) {
+            let wish = Wish {
+                method: args.method,
+                model: args.model.clone(),
+                transfer: args.transfer.clone(),
+                map: args.map,
+                averaged: args.averaged,
+            };
+            let request = InferRequest { wish, frames: frames.to_vec() };
+            let answers: Vec<FrameAnswer> = client.post("/api/v1/infer", &request).await?;
+            for answer in answers {
+                if args.at.json {
+                    say_json(&answer);
+                } else {
+                    say(words(&answer));
+                }
+            }
+        }
+        Ok(())
+    })
+    .await
+}
+
+/// A service that has just started takes its models up first.
+async fn wait_for_models(client: &Client) -> Result<(), CliError> {
+    client.get::<Value>("/api/v1/serving").await.map(|_| ())
+}
+
+/// Frames of a file, V.
+fn frames(path: &Path) -> Result<Vec<Vec<f32>>, CliError> {
+    let file = path.display().to_string();
+    let text = read_input(path)?;
+    let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+    let frame = |(number, line): (usize, &str)| {
+        let wrong = || {
+            let key = format!("line {}", number + 1);
+            let limit = "must be an array of voltages, or an object with voltages_v";
+            let start: String = line.chars().take(40).collect();
+            CliError::Problems(vec![Problem::new(&file, &key, start, limit)])
+        };
+        let value: Value = serde_json::from_str(line).map_err(|_| wrong())?;
+        let frame = value.get("voltages_v").unwrap_or(&value);
+        serde_json::from_value(frame.clone()).map_err(|_| wrong())
+    };
+    lines.map(frame).collect()
+}
+
+/// An answer for people.
+fn words(answer: &FrameAnswer) -> String {
+    let FrameAnswer { reading, model, method, latency_us } = answer;
+    let mut words = format!(
+        "{} by {} ({model}), {:.1} ms",
+        super::output::counted(reading.contacts.len() as u64, "contact", "contacts"),
+        method.name(),
+        *latency_us as f64 / 1e3
+    );
+    for contact in &reading.contacts {
+        words += &format!("\n  {}", contact_words(contact));
+    }
+    for outside in &reading.outside {
+        words += &format!("\n  outside of what it was trained on: {outside}");
+    }
+    words
+}
+
+fn contact_words(contact: &FoundContact) -> String {
+    let sd = |sd: Option<f64>| sd.map_or(String::new(), |sd| format!(" ± {sd:.1}"));
+    let mut words = format!(
+        "x {:.1}{} mm, y {:.1}{} mm",
+        contact.x_mm,
+        sd(contact.x_sd_mm),
+        contact.y_mm,
+        sd(contact.y_sd_mm)
+    );
+    if let Some(force_n) = contact.force_n {
+        words += &format!(", {force_n:.1}{} N", sd(contact.force_sd_n));
+    }
+    words
+}
+
+/// Runs `palpate live`.
+pub async fn live(args: LiveArgs) -> Result<(), CliError> {
+    let client = embed::server(&args.at).await?;
+    let path = match args.method {
+        Some(method) => format!("/api/v1/live?method={}", method.name()),
+        None => "/api/v1/live".into(),
+    };
+    let mut seen = 0;
+    client
+        .messages(&path, |text| {
+            if args.at.json {
+                say(text);
+            } else if let Ok(live) = serde_json::from_str::<LiveAnswer>(text) {
+                say(format_args!("frame {}: {}", live.sequence, words(&live.answer)));
+            } else {
+                say(text);
+            }
+            seen += 1;
+            args.frames.is_none_or(|frames| seen < frames)
+        })
+        .await
+}

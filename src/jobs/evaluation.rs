@@ -1,0 +1,381 @@
+//! An evaluation as a job: rows gathered, read by a method, scored.
+//! Uses: `evaluate`, `infer`, `learn::examples`, `dataset`. Never: HTTP, a number without its rows.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use serde_json::Value;
+use sim_core::inverse::linear::Regularisation;
+
+use super::error::JobError;
+use super::{Jobs, Watch};
+use crate::clock::Clock;
+use crate::dataset::background::background;
+use crate::dataset::build::data_file;
+use crate::dataset::force_map::{ForceMap, ForceMapSpec};
+use crate::dataset::import::sensor::ImportedSensor;
+use crate::dataset::read::sensor_text;
+use crate::evaluate::perfect::perfect;
+use crate::evaluate::quantile::quantile;
+use crate::evaluate::request::{EvaluationReport, EvaluationRequest, FramesRead, Scored};
+use crate::evaluate::score::Scores;
+use crate::evaluate::touch::{Metric, Touch};
+use crate::evaluate::voltages::VoltageScores;
+use crate::ids::TrialId;
+use crate::infer::answer::{FoundContact, Reading};
+use crate::infer::error::InferError;
+use crate::infer::exact::ExactPipeline;
+use crate::infer::maps::MapPipeline;
+use crate::infer::one_step::OneStepPipeline;
+use crate::infer::points::PointPipeline;
+use crate::infer::registry::{self, Model};
+use crate::learn::error::LearnError;
+use crate::learn::examples::{Examples, MEASURED, SIMULATED};
+use crate::learn::model_file::NetTask;
+use crate::simulate::compare::difference;
+use crate::store::{Contact, DatasetRow, JobRow, Store};
+
+/// Frames that are read at a time.
+const FRAMES_AT_ONCE: usize = 8;
+/// The map that a perfect score is of, where the method has none of its own (paper, Map 1).
+const MAP_1: ForceMapSpec = crate::dataset::force_map::TABLE_IV[0];
+
+/// What reads frames.
+enum Reader {
+    Voltages(Option<Arc<Model>>),
+    Maps(MapPipeline),
+    Points(PointPipeline),
+    Exact(ExactPipeline),
+    OneStep(OneStepPipeline, Option<String>),
+}
+
+/// Scores; none when it was stopped.
+pub(super) async fn run(
+    jobs: &Jobs,
+    job: &JobRow,
+    watch: &Arc<Watch>,
+) -> Result<Option<Value>, JobError> {
+    let request: EvaluationRequest =
+        serde_json::from_value(job.request.clone()).map_err(JobError::Json)?;
+    request.check()?;
+    let reader = reader(jobs, &request).await?;
+    watch.phase("making the dataset", 0);
+    let name = job.dataset.as_ref().unwrap_or(&request.dataset);
+    let dataset = jobs.inner.datasets.resolve(name).await?;
+    jobs.inner.store.begin_job(&job.id, Some(&dataset.id)).await?;
+    let file = data_file(&jobs.inner.datasets.datasets(), &dataset.id);
+    watch.phase("gathering frames", dataset.rows);
+    let scratch = jobs.inner.data.join("cache");
+    let columns = columns(&reader, &request);
+    let wish = request.clone();
+    let at = file.clone();
+    let gathered = background(move || Gathered::new(&at, &wish, columns, &scratch)).await??;
+    let raw = match request.frames {
+        FramesRead::Mean => None,
+        FramesRead::First => Some(first_frames(&jobs.inner.store, &gathered).await?),
+    };
+    let (watch, clock) = (watch.clone(), jobs.inner.clock.clone());
+    let scoring = Scoring { request, dataset, gathered, raw, reader, watch, clock };
+    let report = background(move || scoring.run()).await??;
+    report.map(|report| serde_json::to_value(report).map_err(JobError::Json)).transpose()
+}
+
+async fn reader(jobs: &Jobs, request: &EvaluationRequest) -> Result<Reader, JobError> {
+    let models = &jobs.inner.models;
+    let load = async |name: &Option<String>| match name {
+        Some(name) => models.load(name).await.map(Some),
+        None => Ok(None),
+    };
+    let transfer = load(&request.transfer).await?;
+    let points = load(&request.points).await?.map(PointPipeline::new).transpose()?;
+    Ok(match request.scored {
+        Scored::Voltages => Reader::Voltages(transfer),
+        Scored::Paper => {
+            let map = load(&request.map).await?;
+            let map = map.ok_or_else(|| InferError::NoModel("none".into()))?;
+            Reader::Maps(MapPipeline::new(transfer, map, request.threshold_n)?)
+        }
+        Scored::Fast => Reader::Points(points.ok_or_else(|| InferError::NoModel("none".into()))?),
+        Scored::Exact => {
+            let skin = jobs.inner.serving.skin(request.skin.as_deref()).await?;
+            Reader::Exact(ExactPipeline { skin, points })
+        }
+        Scored::Tikhonov | Scored::Noser => {
+            let model = jobs.inner.serving.model(request.skin.as_deref()).await?;
+            let kind = match request.scored {
+                Scored::Noser => Regularisation::Noser,
+                _ => Regularisation::Tikhonov,
+            };
+            let threshold_n = request.threshold_n;
+            let calibration = model.sensor().calibration().map(str::to_owned);
+            let ready = move || OneStepPipeline::new(&model, kind, MAP_1, threshold_n);
+            Reader::OneStep(background(ready).await??, calibration)
+        }
+    })
+}
+
+/// Columns of frames that a reader needs.
+fn columns(reader: &Reader, request: &EvaluationRequest) -> &'static [&'static str] {
+    match reader {
+        Reader::Voltages(_) => &[MEASURED, SIMULATED],
+        Reader::Maps(maps) if request.transfer.is_none() && maps.task() == NetTask::Recon => {
+            &[SIMULATED]
+        }
+        _ => &[MEASURED],
+    }
+}
+
+/// Rows to score.
+struct Gathered {
+    examples: Examples,
+    rows: Vec<u32>,
+    skin: ImportedSensor,
+}
+
+impl Gathered {
+    fn new(
+        file: &Path,
+        request: &EvaluationRequest,
+        columns: &'static [&'static str],
+        scratch: &Path,
+    ) -> Result<Self, JobError> {
+        let (skin, _) = registry::facts("sensor", &sensor_text(file)?)?;
+        let examples = Examples::gather(file, &request.conditions, columns, scratch)?;
+        let part = |name: &str| {
+            crate::dataset::split::Part::ALL.into_iter().find(|part| part.name() == name)
+        };
+        let mut rows = match &request.part {
+            Some(name) => part(name).map_or_else(Vec::new, |part| examples.part(part)),
+            None => (0..examples.len() as u32).collect(),
+        };
+        if rows.is_empty() {
+            let part = request.part.as_deref().unwrap_or("any part");
+            let limit = format!("has no rows in {part}: nothing to score");
+            return Err(LearnError::value("dataset", &request.dataset, &limit).into());
+        }
+        if let Some(limit) = request.limit
+            && (limit as usize) < rows.len()
+        {
+            let all = rows.len();
+            rows = (0..limit as usize).map(|i| rows[i * all / limit as usize]).collect();
+        }
+        Ok(Self { examples, rows, skin })
+    }
+}
+
+/// The first raw frame of each row's trial, V.
+async fn first_frames(store: &Store, gathered: &Gathered) -> Result<Vec<Vec<f32>>, JobError> {
+    let mut firsts = Vec::with_capacity(gathered.rows.len());
+    for &row in &gathered.rows {
+        let id = gathered.examples.trial_id(row);
+        let frames = match id {
+            Some(id) => store.frames(TrialId(id)).await?,
+            None => Vec::new(),
+        };
+        let Some(first) = frames.first() else {
+            let limit = "first: row has no raw frames in the store; use mean";
+            return Err(LearnError::value("frames", row, limit).into());
+        };
+        let volts = first.volts_per_count;
+        firsts.push(first.counts.iter().map(|&count| f32::from(count) * volts).collect());
+    }
+    Ok(firsts)
+}
+
+/// Everything that scoring needs.
+struct Scoring {
+    request: EvaluationRequest,
+    dataset: DatasetRow,
+    gathered: Gathered,
+    raw: Option<Vec<Vec<f32>>>,
+    reader: Reader,
+    watch: Arc<Watch>,
+    clock: Clock,
+}
+
+impl Scoring {
+    fn run(self) -> Result<Option<EvaluationReport>, JobError> {
+        let mut report = self.blank();
+        self.watch.phase("scoring", self.gathered.rows.len() as u64);
+        let done = match &self.reader {
+            Reader::Voltages(transfer) => self.voltages(transfer.as_deref(), &mut report)?,
+            _ => self.contacts(&mut report)?,
+        };
+        Ok(done.then_some(report))
+    }
+
+    fn blank(&self) -> EvaluationReport {
+        let (models, calibration) = match &self.reader {
+            Reader::Voltages(transfer) => {
+                (transfer.iter().map(|model| model.manifest.id.clone()).collect(), None)
+            }
+            Reader::Maps(maps) => (maps.models(), None),
+            Reader::Points(points) => (vec![points.model().to_owned()], None),
+            Reader::Exact(exact) => {
+                let points = exact.points.iter().map(|points| points.model().to_owned());
+                (points.collect(), exact.skin.calibration().map(str::to_owned))
+            }
+            Reader::OneStep(_, calibration) => (Vec::new(), calibration.clone()),
+        };
+        let label = self.dataset.lineage["runs"][0]["label"].as_str();
+        EvaluationReport {
+            scored: self.request.scored,
+            dataset: self.dataset.id.clone(),
+            label: label.unwrap_or("simulated").into(),
+            models,
+            calibration,
+            rows: self.gathered.rows.len() as u64,
+            threshold_n: self.request.threshold_n,
+            contacts: None,
+            perfect: None,
+            map: None,
+            voltages: None,
+            cells: None,
+            latency_ms: None,
+        }
+    }
+
+    /// Shows how far it is; `false` when it shall end.
+    fn goes_on(&self, done: usize, began_s: f64) -> bool {
+        let elapsed = Duration::from_secs_f64((self.clock.process_s() - began_s).max(1e-3));
+        self.watch.done(done as u64, done as u64, elapsed);
+        !self.watch.is_stopped()
+    }
+
+    /// Scores voltages; `false` when it was stopped.
+    fn voltages(
+        &self,
+        transfer: Option<&Model>,
+        report: &mut EvaluationReport,
+    ) -> Result<bool, JobError> {
+        let examples = &self.gathered.examples;
+        let channels = examples.channels;
+        let began_s = self.clock.process_s();
+        let (mut fits, mut target) = (Vec::new(), vec![0.0; channels]);
+        for (at, rows) in self.gathered.rows.chunks(FRAMES_AT_ONCE).enumerate() {
+            let frames = self.frames(at * FRAMES_AT_ONCE, rows)?;
+            let mut answers = Vec::new();
+            match transfer {
+                Some(model) => {
+                    model.plan.answer(&frames, &mut answers).map_err(InferError::from)?
+                }
+                None => answers = frames,
+            }
+            for (&row, answer) in rows.iter().zip(answers.chunks_exact(channels)) {
+                examples.frame(row, 1, &mut target)?;
+                let fit = difference(&target, answer);
+                fits.push((examples.contacts(row).len() as u32, fit.rmse_v, fit.fvu));
+            }
+            if !self.goes_on(fits.len(), began_s) {
+                return Ok(false);
+            }
+        }
+        report.voltages = VoltageScores::of(&fits);
+        Ok(true)
+    }
+
+    /// Scores contacts; `false` when it was stopped.
+    fn contacts(&self, report: &mut EvaluationReport) -> Result<bool, JobError> {
+        let began_s = self.clock.process_s();
+        let (mut touches, mut latencies) = (Vec::new(), Vec::new());
+        // One frame at a time for what fits, so that progress shows.
+        let at_once = if matches!(self.reader, Reader::Exact(_)) { 1 } else { FRAMES_AT_ONCE };
+        for (at, rows) in self.gathered.rows.chunks(at_once).enumerate() {
+            let frames = self.frames(at * at_once, rows)?;
+            let before_s = self.clock.process_s();
+            let readings = self.read(&frames, rows[0])?;
+            let each_ms = 1e3 * (self.clock.process_s() - before_s) / rows.len() as f64;
+            latencies.push(each_ms);
+            for (&row, reading) in rows.iter().zip(&readings) {
+                let found: Vec<Contact> = reading.contacts.iter().map(estimate).collect();
+                let touch = Touch::of(&self.truths(row), &found);
+                touches.push(touch.map_err(|e| LearnError::value("row", row, &e.to_string()))?);
+            }
+            if !self.goes_on(touches.len(), began_s) {
+                return Ok(false);
+            }
+        }
+        latencies.sort_by(f64::total_cmp);
+        report.latency_ms =
+            quantile(&latencies, 0.5).zip(quantile(&latencies, 0.99)).map(Into::into);
+        report.contacts = Some(Scores::of(&touches, self.request.seed));
+        report.cells = Some(cells(&touches));
+        let spec = match &self.reader {
+            Reader::Maps(maps) => maps.spec(),
+            _ => MAP_1,
+        };
+        let draws = ForceMap::new(spec, self.gathered.skin.width_mm, self.gathered.skin.height_mm);
+        let draws = draws.map_err(InferError::from)?;
+        let truths: Vec<Vec<Contact>> =
+            self.gathered.rows.iter().map(|&row| self.truths(row)).collect();
+        let truths = truths.iter().map(Vec::as_slice);
+        let perfect = perfect(&draws, truths, self.request.threshold_n)
+            .map_err(|error| LearnError::value("dataset", &self.dataset.id, &error.to_string()))?;
+        if !perfect.is_empty() {
+            report.perfect = Some(Scores::of(&perfect, self.request.seed));
+            report.map = Some(spec.to_string());
+        }
+        Ok(true)
+    }
+
+    /// A row's true contacts; their diameter is the tip's where nothing else is said.
+    fn truths(&self, row: u32) -> Vec<Contact> {
+        let tip_mm = self.gathered.skin.tip_diameter_mm;
+        let known = |c: &Contact| Contact { diameter_mm: c.diameter_mm.or(tip_mm), ..*c };
+        self.gathered.examples.contacts(row).iter().map(known).collect()
+    }
+
+    /// Frames of rows, V, one after the other.
+    fn frames(&self, first: usize, rows: &[u32]) -> Result<Vec<f32>, JobError> {
+        if let Some(raw) = &self.raw {
+            return Ok(raw[first..first + rows.len()].concat());
+        }
+        let channels = self.gathered.examples.channels;
+        let mut frames = vec![0.0; channels * rows.len()];
+        for (&row, frame) in rows.iter().zip(frames.chunks_exact_mut(channels)) {
+            self.gathered.examples.frame(row, 0, frame)?;
+        }
+        Ok(frames)
+    }
+
+    fn read(&self, frames: &[f32], first: u32) -> Result<Vec<Reading>, InferError> {
+        match &self.reader {
+            Reader::Maps(maps) => maps.read(frames, false),
+            Reader::Points(points) => points.read(frames),
+            Reader::Exact(exact) => {
+                let count = self.gathered.examples.frame_count(first);
+                let single = self.raw.is_some() || count == 0;
+                exact.read(frames, if single { 1.0 } else { f64::from(count) })
+            }
+            Reader::OneStep(step, _) => step.read(frames, false),
+            Reader::Voltages(_) => Ok(Vec::new()),
+        }
+    }
+}
+
+fn estimate(found: &FoundContact) -> Contact {
+    Contact {
+        x_mm: Some(found.x_mm),
+        y_mm: Some(found.y_mm),
+        force_n: found.force_n,
+        diameter_mm: found.diameter_mm,
+    }
+}
+
+/// Moments of the paper's four criteria, each contact a sample (V-C2).
+fn cells(touches: &[Touch]) -> BTreeMap<String, crate::evaluate::anova::Moments> {
+    [
+        ("number_percent", Metric::Number),
+        ("location_mm", Metric::Location),
+        ("force_percent", Metric::Force),
+        ("diameter_percent", Metric::Diameter),
+    ]
+    .into_iter()
+    .map(|(name, metric)| {
+        let values = touches.iter().flat_map(|touch| touch.values_by_contact(metric));
+        (name.to_owned(), values.collect())
+    })
+    .collect()
+}

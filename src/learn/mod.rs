@@ -1,0 +1,17 @@
+//! From a dataset and a recipe to a model: a net as an ONNX file, and the manifest beside it.
+//! Uses: dataset, store (a label), and `nets` where training is built in. Never: HTTP, answers.
+//!
+//! ```text
+//! recipe, dataset -> examples (frames in a flat file) -> samples -> train -> onnx, model_file
+//! ```
+
+pub mod error;
+pub mod model_file;
+pub mod onnx;
+pub mod examples;
+#[cfg(feature = "train")]
+pub mod recipe;
+#[cfg(feature = "train")]
+pub mod samples;
+#[cfg(feature = "train")]
+pub mod train;

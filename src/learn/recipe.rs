@@ -1,0 +1,84 @@
+//! A recipe: which dataset, which net, how it is trained. One TOML file.
+//! PURE. Uses: nets (its own part of the file), `dataset::force_map`. Never: data.
+
+use nets::recipe::Net;
+use serde::{Deserialize, Serialize};
+
+use super::model_file::NetTask;
+use crate::dataset::force_map::ForceMapSpec;
+use crate::problem::{Checks, Problem};
+use crate::syntax::syntax_problem;
+
+/// Longest name.
+const NAME_MAX: usize = 80;
+
+/// A recipe.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Recipe {
+    /// What its models are called.
+    pub name: String,
+    /// A dataset's name or id. Point-Net without one learns from simulations made as it trains.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dataset: Option<String>,
+    /// Conditions on its rows that all hold, each `COLUMN__lte=VALUE`: what is trained on, validated
+    /// with and tested on.
+    #[serde(default, rename = "where", skip_serializing_if = "Vec::is_empty")]
+    pub conditions: Vec<String>,
+    /// Most rows that are learned from, evenly taken.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rows: Option<u64>,
+    /// Pixel and diameter of the force maps, mm: `4x20`. For nets that give maps, and only for them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub map: Option<ForceMapSpec>,
+    /// Id or name of the Transfer-Net whose residuals are the noise that `training.noise` scales.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub noise_of: Option<String>,
+    /// Net, optimiser, noise, when it ends.
+    pub training: nets::recipe::Recipe,
+}
+
+impl Recipe {
+    /// Reads and checks a recipe.
+    pub fn from_toml(file: &str, text: &str) -> Result<Self, Vec<Problem>> {
+        let recipe: Self =
+            toml::from_str(text).map_err(|error| vec![syntax_problem(file, text, &error)])?;
+        recipe.check(file)?;
+        Ok(recipe)
+    }
+
+    /// What its net does.
+    pub fn task(&self) -> NetTask {
+        match self.training.net {
+            Net::TransferNet(_) => NetTask::Transfer,
+            Net::ReconNet(_) => NetTask::Recon,
+            Net::EndToEnd(_) => NetTask::EndToEnd,
+            Net::PointNet(_) => NetTask::Points,
+        }
+    }
+
+    fn check(&self, file: &str) -> Result<(), Vec<Problem>> {
+        let task = self.task();
+        let mut checks = Checks::of(file);
+        let word = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+        let named = (1..=NAME_MAX).contains(&self.name.len()) && self.name.chars().all(word);
+        let own = !self.name.starts_with("mdl-");
+        checks.require(named && own, "name", &self.name, "must be letters, digits, - _ . only");
+        let map = self.map.map_or("none".into(), |map| map.to_string());
+        let limit = "must be there for recon-net and end-to-end, and for these alone";
+        checks.require(task.gives_map() == self.map.is_some(), "map", map, limit);
+        let dataset = self.dataset.as_deref().unwrap_or("none");
+        let has_data = self.dataset.is_some() || task == NetTask::Points;
+        checks.require(has_data, "dataset", dataset, "must be a dataset's name or id");
+        checks.require(self.rows != Some(0), "rows", 0, "must be at least 1, or absent");
+        let level = self.training.noise.level;
+        let limit = "must name the Transfer-Net whose residuals training.noise.level scales";
+        let noise_of = self.noise_of.as_deref().unwrap_or("none");
+        checks.require(level == 0.0 || self.noise_of.is_some(), "noise_of", noise_of, limit);
+        let mut problems = checks.done().err().unwrap_or_default();
+        if let Err(error) = self.training.check() {
+            problems.push(Problem::whole(file, format!("training: {error}")));
+        }
+        if problems.is_empty() { Ok(()) } else { Err(problems) }
+    }
+}
