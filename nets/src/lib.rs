@@ -22,3 +22,6 @@ pub mod checkpoint;
 pub mod device;
 pub mod train;
 pub mod streamed;
+
+#[cfg(test)]
+mod against_torch;

@@ -25,10 +25,22 @@ pub struct ReconNet {
     /// Channels of the first image and of each that follows, the map itself left out. Its sides are
     /// the map's over two to the power of their number.
     pub channels: Vec<usize>,
-    /// Side of the transposed convolutions' kernels: 2 (pixels do not overlap) or 4.
-    pub kernel: usize,
+    /// How an image's sides are doubled.
+    pub upsampling: Upsampling,
     /// Whether channels are normalised over the batch after each layer.
     pub batch_norm: bool,
+}
+
+/// Layers that double the sides of an image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Upsampling {
+    /// Transposed convolution, kernel 2: a pixel becomes four, which share nothing with others'.
+    Apart,
+    /// Transposed convolution, kernel 4: what neighbouring pixels become overlaps.
+    Overlapping,
+    /// Convolution, kernel 3, to four times the channels, which become four pixels.
+    Shuffled,
 }
 
 impl Default for ReconNet {
@@ -38,7 +50,7 @@ impl Default for ReconNet {
             input: Input::Whitened { components: 100 },
             hidden: 0,
             channels: vec![128, 64, 32, 16],
-            kernel: 4,
+            upsampling: Upsampling::Overlapping,
             batch_norm: false,
         }
     }
@@ -59,8 +71,7 @@ impl ReconNet {
             && self.first_side() << self.channels.len() == self.side;
         let limit = "1..1024 and a multiple of two to the power of the number of channels";
         require(whole, "net.side", self.side, limit)?;
-        require(self.hidden <= 1 << 14, "net.hidden", self.hidden, "at most 16384")?;
-        require([2, 4].contains(&self.kernel), "net.kernel", self.kernel, "2 or 4")
+        require(self.hidden <= 1 << 14, "net.hidden", self.hidden, "at most 16384")
     }
 
     /// A net that knows nothing yet.
@@ -88,14 +99,27 @@ impl ReconNet {
         for &next in &self.channels[1..] {
             layers.extend(normalise(channels));
             layers.push(Layer::Relu);
-            layers.push(initial.twice(channels, next, self.kernel, RECTIFIED));
+            layers.extend(self.upsampling.layers(channels, next, RECTIFIED, initial));
             channels = next;
         }
         layers.extend(normalise(channels));
         layers.push(Layer::Relu);
-        layers.push(initial.twice(channels, 1, self.kernel, LINEAR));
+        layers.extend(self.upsampling.layers(channels, 1, LINEAR, initial));
         layers.push(Layer::Scale { scale: statistics.target_size, shift: 0.0 });
         layers.push(Layer::Relu);
         Network { inputs, output: vec![self.side, self.side], layers, form: Form::Plain }
+    }
+}
+
+impl Upsampling {
+    fn layers(self, inputs: usize, outputs: usize, gain: f32, initial: &mut Initial) -> Vec<Layer> {
+        match self {
+            Self::Apart => vec![initial.twice(inputs, outputs, 2, gain)],
+            Self::Overlapping => vec![initial.twice(inputs, outputs, 4, gain)],
+            Self::Shuffled => {
+                let conv = initial.conv(inputs, 4 * outputs, 3, gain);
+                vec![conv, Layer::PixelShuffle { factor: 2 }]
+            }
+        }
     }
 }

@@ -190,9 +190,9 @@ fn check(plan: &Plan, train: &dyn Samples, validation: &dyn Samples) -> Result<(
 }
 
 /// The net as it is before the first step.
-fn first(plan: &Plan, statistics: &Statistics, target: usize) -> Network {
-    let mut initial = Initial::new(plan.recipe.seed);
-    match &plan.recipe.net {
+pub(crate) fn first(recipe: &Recipe, statistics: &Statistics, target: usize) -> Network {
+    let mut initial = Initial::new(recipe.seed);
+    match &recipe.net {
         Net::TransferNet(net) => net.first(statistics, &mut initial),
         Net::ReconNet(net) | Net::EndToEnd(net) => net.first(statistics, &mut initial),
         Net::PointNet(net) => net.first(statistics, target, &mut initial),
@@ -238,12 +238,12 @@ impl<'a> Training<'a> {
         let mut network = match (&state, &plan.start) {
             (None, None) => {
                 let statistics = Statistics::measure(train, input, &noise, recipe.seed)?;
-                first(plan, &statistics, target)
+                first(recipe, &statistics, target)
             }
             (_, Some(start)) => start.clone(),
-            (Some(_), None) => first(plan, &Statistics::unknown(input, channels), target),
+            (Some(_), None) => first(recipe, &Statistics::unknown(input, channels), target),
         };
-        let described = first(plan, &Statistics::unknown(input, channels), target);
+        let described = first(recipe, &Statistics::unknown(input, channels), target);
         if network.shape() != described.shape() {
             return Err(TrainError::Start("its layers are not those of the recipe"));
         }

@@ -77,8 +77,8 @@ const TRANSFER: &str = "seed = 1\nepochs = 300\nbatch = 5\n[net]\nkind = 'transf
                         width = 64\nform = 'residual'\n";
 const PLAIN: &str = "seed = 1\nepochs = 300\nbatch = 5\n[net]\nkind = 'transfer-net'\nhidden = 2\n\
                      width = 64\n";
-const RECON: &str = "seed = 2\nepochs = 300\nbatch = 5\n[net]\nkind = 'recon-net'\nside = 8\n\
-                     channels = [16, 8]\ninput.whitened.components = 6\n";
+const RECON: &str = "seed = 2\nepochs = 600\nbatch = 5\n[net]\nkind = 'recon-net'\nside = 8\n\
+                     channels = [16, 8]\nhidden = 64\ninput.whitened.components = 6\n";
 const POINTS: &str = "seed = 3\nepochs = 300\nbatch = 5\n[net]\nkind = 'point-net'\nhidden = 2\n\
                       width = 64\ncomponents = 6\n";
 
