@@ -88,7 +88,7 @@ def main():
     parser.add_argument("--seconds", type=float, default=3)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--cpu", action="store_true")
-    a = parser.parse_args()
+    a = parser.parse_intermixed_args()
     a.threads = 1 if a.cpu else a.threads
     torch.set_num_threads(a.threads)
     print(f"torch {torch.__version__}, {a.threads} threads, medians of {a.rounds} rounds of {a.seconds} s"
