@@ -2,8 +2,8 @@
 //! Uses: ONNX files that were looked through. Never: files, threads of its own, a guess at a shape.
 //!
 //! tract is fast where every shape is known, and slow with an open batch (22 ms against 4 ms for a
-//! frame through Transfer-Net and Recon-Net; stack.md part 3). So a file becomes one plan for each
-//! of [`BATCHES`], and frames go through them in pieces. Plans are only read while they run: any
+//! frame through Transfer-Net and Recon-Net). So a file becomes one plan for each of a few batches,
+//! and frames go through them in pieces. Plans are only read while they run: any
 //! number of callers share one [`Plan`].
 //!
 //! tract gives up on some malformed graphs by a panic. Panics are caught here and become
@@ -18,8 +18,13 @@ use tract_onnx::tract_core::model::TypedSimplePlan;
 
 use crate::learn::onnx::{OnnxError, OnnxFile};
 
-/// Frames that are answered at once, the larger first.
-pub const BATCHES: [usize; 2] = [8, 1];
+/// Frames that are answered at once, the larger first, by nets of dense layers: a larger batch reads
+/// the weights less often.
+pub const BATCHES: [usize; 3] = [64, 8, 1];
+/// The same for nets with convolutions, whose images would leave the cache.
+pub const IMAGE_BATCHES: [usize; 2] = [8, 1];
+/// What makes a net one of images.
+const IMAGE_OPERATORS: [&str; 2] = ["Conv", "ConvTranspose"];
 /// Most numbers of a tensor between two operations: 256 MiB.
 const TENSOR_NUMBERS_MAX: usize = 1 << 26;
 
@@ -124,9 +129,12 @@ impl Plan {
     /// of `output_shape`.
     pub fn load(file: &[u8], channels: usize, output_shape: &[usize]) -> Result<Self, PlanError> {
         let onnx = OnnxFile::read(file)?;
+        let images = onnx.operators().iter().any(|kind| IMAGE_OPERATORS.contains(kind));
+        let fits = |found: Option<usize>| found.is_none_or(|found| found == channels);
         let batches = match onnx.input().dimensions[..] {
-            [None, found] if found.is_none_or(|found| found == channels) => &BATCHES[..],
-            [Some(1), found] if found.is_none_or(|found| found == channels) => &BATCHES[1..],
+            [Some(1), found] if fits(found) => &[1][..],
+            [None, found] if fits(found) && images => &IMAGE_BATCHES,
+            [None, found] if fits(found) => &BATCHES,
             ref found => {
                 let (name, found) = (onnx.input().name.clone(), found.to_vec());
                 return Err(PlanError::Input { name, found, channels });

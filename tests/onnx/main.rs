@@ -2,6 +2,7 @@
 //! files that are damaged.
 #![cfg(feature = "train")]
 
+mod kinds;
 mod random_nets;
 
 use std::collections::BTreeMap;
@@ -9,15 +10,16 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use nets::network::Network;
+use nets::network::{Form, Layer, Network};
 use palpate::infer::plan::{Plan, PlanError};
 use palpate::learn::onnx::write::{Description, to_onnx};
 use palpate::learn::onnx::{OnnxFile, sealed};
 
-use random_nets::{CHANNELS, Draw, KINDS, architectures, kind_index, kinds};
+use kinds::{KINDS, conv, kind_index, kinds};
+use random_nets::{CHANNELS, Draw, architectures, net};
 
-/// Frames for each net: a batch of eight, and three alone.
-const FRAMES: usize = 11;
+/// Frames for each net: batches of 64 and of eight, and three alone.
+const FRAMES: usize = 75;
 
 fn file_of(network: &Network) -> Vec<u8> {
     let says = Description {
@@ -161,6 +163,36 @@ fn callers_share_a_plan_and_pieces_do_not_change_an_answer() {
             });
         }
     });
+}
+
+/// A step that does nothing keeps a batch norm from becoming part of the layer before it.
+#[test]
+fn a_batch_norm_in_the_layer_before_it_gives_the_same_answers() {
+    let mut draw = Draw::new(5);
+    let image = Layer::Image { channels: 3, height: 2, width: 2 };
+    let befores = [
+        (vec![draw.dense(12, 6)], 6, vec![6]),
+        (vec![draw.dense(12, 12), image.clone()], 3, vec![3, 2, 2]),
+        (vec![image.clone(), conv(&mut draw, 3, 5, 3, true)], 5, vec![5, 2, 2]),
+        (vec![image.clone(), conv(&mut draw, 3, 5, 3, false)], 5, vec![5, 2, 2]),
+        (vec![image, draw.up(3, 4)], 4, vec![4, 4, 4]),
+    ];
+    let nothing = Layer::Scale { scale: 1.0, shift: 0.0 };
+    for (before, channels, output) in befores {
+        let norm = draw.batch_norm(channels);
+        let frames = draw.frames(3, 12);
+        let [inside, outside] = [vec![], vec![nothing.clone()]].map(|between| {
+            let layers = [before.clone(), between, vec![norm.clone()]].concat();
+            let file = file_of(&net(12, &output, layers, Form::Plain));
+            let norms = OnnxFile::read(&file).unwrap().operators().contains(&"BatchNormalization");
+            let mut answers = Vec::new();
+            let plan = Plan::load(&file, 12, &output).unwrap();
+            plan.answer(&frames, &mut answers).unwrap();
+            (norms, answers)
+        });
+        assert!(!inside.0 && outside.0);
+        assert!(apart(&inside.1, &outside.1) < 1e-6, "{}", apart(&inside.1, &outside.1));
+    }
 }
 
 /// Cuts and changes must be refused by name, or (a changed weight) answered; never a panic, and what

@@ -4,6 +4,9 @@
 //! An engine may trust what passes here: names lead somewhere, weights are all in the file and as
 //! many as their shapes say, there are no loops, and sizes are bounded.
 
+#[cfg(feature = "train")]
+mod fold;
+#[cfg(feature = "train")]
 mod graph;
 #[cfg(all(test, feature = "train"))]
 mod tests;

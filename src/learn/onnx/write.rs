@@ -1,13 +1,14 @@
 //! A net as an ONNX file: operator set 17, normalisation inside, the batch left open.
 //! PURE. Uses: a net as plain numbers, the ONNX messages of tract, prost. Never: burn, files.
 //!
-//! Weights stay as training left them: nothing is folded or rewritten, so that a reader finds the
-//! net's own layers under their own names (`dense_3`, `dense_3.weight`).
+//! A reader finds the net's own layers under their own names (`dense_3`, `dense_3.weight`), but for
+//! batch norms, which become part of the layer before where they can.
 
 use nets::network::{Form, Layer, Network};
 use prost::Message;
 use tract_onnx::pb::{AttributeProto, ModelProto, OperatorSetIdProto, StringStringEntryProto};
 
+use super::fold::folded;
 use super::graph::{Graph, float, int, ints, text, value};
 
 /// Version of ONNX's file format (1.12) and of its operators.
@@ -112,7 +113,7 @@ pub fn to_onnx(network: &Network, says: &Description<'_>) -> Result<Vec<u8>, Wri
         shape: Shape::Vector(network.inputs),
         name: String::new(),
     };
-    for (place, layer) in network.layers.iter().enumerate() {
+    for (place, layer) in folded(&network.layers).iter().enumerate() {
         writer.layer(place, layer)?;
     }
     writer.answer(network, says)?;

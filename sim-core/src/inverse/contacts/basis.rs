@@ -19,12 +19,12 @@ const SAMPLES: usize = 640;
 /// Contacts in a sample load: 1 to this.
 const MOST_CONTACTS: usize = 6;
 /// Forces of a sample load, N.
-const FORCES_N: [f64; 2] = [4.0, 60.0];
+const FORCES_N: [f64; 2] = [4.0, 40.0];
 /// What sample frames may keep outside the basis, in standard deviations of one channel's noise
 /// over the whole frame.
 const OUTSIDE: f64 = 0.5;
 /// Directions at most: the heaviest frames' last ones are far below any model error.
-const MOST_DIRECTIONS: usize = 96;
+const MOST_DIRECTIONS: usize = 64;
 /// Rows are padded to a multiple of this.
 pub(super) const PAD: usize = 8;
 
@@ -32,6 +32,7 @@ pub(super) const PAD: usize = 8;
 #[derive(Debug, Clone)]
 pub(super) struct Basis {
     channels: usize,
+    directions: usize,
     /// Numbers of a projected frame, with padding.
     width: usize,
     /// Row-major: `width` rows of `channels`, per volt.
@@ -83,6 +84,7 @@ impl Basis {
         let mean_precision = inverse_sd.iter().map(|s| s * s).sum::<f64>() / channels as f64;
         let mut basis = Self {
             channels,
+            directions: rows.len(),
             width,
             rows: flat,
             rest_v: rest_v.to_vec(),
@@ -92,6 +94,11 @@ impl Basis {
         };
         basis.relative.resize(width, 0.0);
         Ok(basis)
+    }
+
+    /// Directions, without padding.
+    pub fn directions(&self) -> usize {
+        self.directions
     }
 
     /// Numbers of a projected frame, a multiple of [`PAD`].

@@ -10,6 +10,9 @@ use faer::{Mat, Side};
 /// Smallest signal of a pair that says anything about the model, in standard deviations of the noise.
 const LEAST_SIGNAL: f64 = 3.0;
 
+/// Relative error of a usual model: pairs whose noise is above it count little.
+const USUAL_ERROR: f64 = 0.1;
+
 /// What is wrong with an error model.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ErrorModelError {
@@ -99,6 +102,11 @@ impl ErrorModel {
     /// The same with a relative error learnt from pairs that the model was not fitted to: the
     /// `rank` strongest directions of `(measured - modelled) / |modelled|`, and one share for the
     /// rest; the noise's part is taken off. Needs more pairs than directions.
+    ///
+    /// Two readings: with frames modelled at the true contacts the covariance holds all errors, and
+    /// standard deviations of contacts follow. With frames modelled at contacts that were refined
+    /// ([`super::ContactFitter::refine`]) it holds only what no contact imitates, which is what tells
+    /// one contact from two: counts are better, standard deviations too small.
     pub fn with_pairs(
         mut self,
         pairs: &[FramePair<'_>],
@@ -107,7 +115,7 @@ impl ErrorModel {
         let channels = self.channel_sd_v.len();
         let noise_v2: f64 = self.channel_sd_v.iter().map(|sd| sd * sd).sum();
         let mut errors: Vec<Vec<f64>> = Vec::with_capacity(pairs.len());
-        let mut noise_share = 0.0;
+        let (mut noise_share, mut weights) = (0.0, 0.0);
         for (index, pair) in pairs.iter().enumerate() {
             let sound =
                 |frame: &[f64]| frame.len() == channels && frame.iter().all(|v| v.is_finite());
@@ -118,16 +126,22 @@ impl ErrorModel {
             if signal_v2 * pair.frames < LEAST_SIGNAL.powi(2) * noise_v2 / channels as f64 {
                 continue;
             }
-            let scale = 1.0 / signal_v2.sqrt();
+            let noise = noise_v2 / pair.frames / signal_v2;
+            // A pair tells the more the less noise it has.
+            let weight = (1.0 + noise / USUAL_ERROR.powi(2)).powi(-2);
+            let scale = (weight / signal_v2).sqrt();
             let both = pair.measured_v.iter().zip(pair.modelled_v);
             errors.push(both.map(|(measured, modelled)| scale * (measured - modelled)).collect());
-            noise_share += noise_v2 / pair.frames / signal_v2;
+            noise_share += weight * noise;
+            weights += weight;
         }
         let found = errors.len();
         if found <= rank {
             return Err(ErrorModelError::FewPairs { found, given: pairs.len(), needed: rank + 1 });
         }
-        self.decompose(&errors, noise_share / found as f64, rank)?;
+        let root = (found as f64 / weights).sqrt();
+        errors.iter_mut().flatten().for_each(|e| *e *= root);
+        self.decompose(&errors, noise_share / weights, rank)?;
         Ok(self)
     }
 

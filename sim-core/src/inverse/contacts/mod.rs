@@ -14,18 +14,27 @@ mod search;
 mod shapes;
 pub mod steady;
 
-use crate::batch::{BatchError, BatchModel, Kernel};
+use crate::batch::{BatchError, BatchModel, BatchWork, Kernel};
 use crate::forward::{Contact, ContactError, ForwardModel, Workspace};
 use basis::{Basis, Projected};
-use descent::{EACH, Effort, Optimum, Prior, Problem, descend};
+use descent::{EACH, Effort, Optimum, Predict, Prior, Problem, descend};
 pub use error::{ErrorModel, ErrorModelError, FramePair};
-use exact::{Exact, ExactWork};
-use search::{Hypothesis, Search, SearchWork, closest_mm, same};
+use exact::ExactWork;
+use search::{Hypothesis, Search, SearchWork, Sum, closest_mm, same};
 use shapes::{Place, Shapes};
 pub use steady::{Steady, SteadyError, SteadyMean, SteadySettings};
 
 /// Weight below which a proposal is left out.
 const LEAST_WEIGHT: f64 = 0.15;
+
+/// Steps of a descent when a load is followed: a frame and its slopes each.
+const TRACKING: Effort = Effort { iterations: 4, tolerance: 0.1 };
+/// Growth of the misfit, in standard deviations of chi-square, that shows a new load.
+const CHANGE_SD: f64 = 4.0;
+/// A contact whose force is known no better than this, as a share of it, may be gone.
+const FADED_SHARE: f64 = 0.5;
+/// How often hypotheses are compared with exact frames.
+const ROUNDS: usize = 3;
 
 /// Why there is no fitter.
 #[derive(Debug, thiserror::Error)]
@@ -97,7 +106,7 @@ pub struct FitOptions {
     pub ln_odds: f64,
     /// Contacts are not closer than this, mm: a tip's diameter.
     pub least_distance_mm: f64,
-    /// Hypotheses that are finished with the exact model.
+    /// Hypotheses that are brought to the exact model's frames.
     pub finalists: usize,
     /// Steps of a descent on the exact model at most.
     pub iterations: usize,
@@ -113,9 +122,9 @@ impl Default for FitOptions {
             force_ln_sd: 0.8,
             ln_odds: 0.0,
             least_distance_mm: 20.0,
-            finalists: 6,
+            finalists: 16,
             iterations: 12,
-            tolerance: 1e-3,
+            tolerance: 0.01,
         }
     }
 }
@@ -169,20 +178,22 @@ pub struct Fit {
     pub chi2: f64,
     /// What chi-square is expected to be.
     pub degrees_of_freedom: f64,
+    /// The part of it in the directions in which frames differ.
+    pub inside_chi2: f64,
     /// -2 ln evidence up to a constant of the frame: a difference of 10 is odds of 150 to 1.
     pub score: f64,
     /// Score of the best hypothesis with another number of contacts, where one was fitted.
     pub rival_score: Option<f64>,
     /// Where it started.
     pub origin: Origin,
-    /// Runs of the exact model.
+    /// Runs of the exact model with its slopes, after the search.
     pub exact_runs: usize,
 }
 
 /// Fits contacts to the frames of one skin. `Send + Sync`; each thread brings its own [`FitWork`].
-#[derive(Debug, Clone)]
 pub struct ContactFitter {
     model: ForwardModel,
+    batch: BatchModel,
     options: FitOptions,
     basis: Basis,
     shapes: Shapes,
@@ -191,11 +202,14 @@ pub struct ContactFitter {
 }
 
 /// Memory of a fit.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub struct FitWork {
     search: SearchWork,
     exact: ExactWork,
+    batch: BatchWork,
+    frames_v: Vec<f32>,
     frame: Projected,
+    frame_v: Vec<f64>,
     scratch: Vec<f64>,
 }
 
@@ -223,7 +237,7 @@ impl ContactFitter {
             limits_mm: shapes.limits_mm,
         };
         let none = vec![0.0; basis.width()];
-        Ok(Self { model: model.clone(), options, basis, shapes, prior, none })
+        Ok(Self { model: model.clone(), batch, options, basis, shapes, prior, none })
     }
 
     /// The contacts that explain a frame, from scratch. Proposals are tried beside those that the
@@ -239,25 +253,16 @@ impl ContactFitter {
         }
         self.measure(observation, work)?;
         let starts = starts(proposals);
-        let hypotheses = self.search(&starts, work)?;
-        let mut finished: Vec<(Hypothesis, Optimum)> = Vec::new();
-        let mut exact_runs = 0;
-        for mut hypothesis in hypotheses.into_iter().take(self.options.finalists) {
-            let optimum = self.finish(&mut hypothesis, work)?;
-            exact_runs += optimum.predictions;
-            if closest_mm(&hypothesis.places) >= self.options.least_distance_mm
-                && !finished.iter().any(|(h, _)| same(&h.places, &hypothesis.places))
-            {
-                finished.push((hypothesis, optimum));
-            }
-        }
-        finished.sort_by(|a, b| a.1.score.total_cmp(&b.1.score));
-        let Some((best, _)) = finished.first().cloned() else {
-            return Ok(self.report(Vec::new(), Origin::Search, None, exact_runs, work)?);
+        let effort = self.effort();
+        let mut hypotheses = self.search(&starts, work)?;
+        hypotheses.truncate(self.options.finalists);
+        self.approach(&mut hypotheses, work)?;
+        let Some(best) = hypotheses.first().cloned() else {
+            return Ok(self.report(Vec::new(), Origin::Search, None, effort, work)?);
         };
-        let rival = finished.iter().find(|(h, _)| h.places.len() != best.places.len());
-        let rival_score = rival.map(|(_, optimum)| optimum.score);
-        Ok(self.report(best.places, Origin::Search, rival_score, exact_runs, work)?)
+        let rival = hypotheses.iter().find(|h| h.places.len() != best.places.len());
+        let rival_score = rival.map(|h| h.score);
+        Ok(self.report(best.places, Origin::Search, rival_score, effort, work)?)
     }
 
     /// The contacts that explain a frame, from those of the frame before: some steps of the exact
@@ -270,11 +275,21 @@ impl ContactFitter {
     ) -> Result<Fit, FitError> {
         self.measure(observation, work)?;
         let places: Vec<Place> = before.contacts.iter().map(|c| place_of(&c.contact)).collect();
-        let tracked = self.report(places, Origin::Tracked, None, 0, work)?;
-        if tracked.chi2 > limit(tracked.degrees_of_freedom) {
+        let tracked = self.report(places, Origin::Tracked, None, TRACKING, work)?;
+        if self.changed(before, &tracked) {
             return self.fit(observation, &[], work);
         }
         Ok(tracked)
+    }
+
+    /// Whether the same contacts no longer explain a frame: what is left of it grew by more than
+    /// chance, or a contact faded.
+    fn changed(&self, before: &Fit, tracked: &Fit) -> bool {
+        let free = (self.basis.directions() - EACH * tracked.contacts.len()) as f64;
+        let usual = before.inside_chi2.max(free);
+        let fades = |c: &FittedContact| c.force_sd_n > FADED_SHARE * c.contact.force_n;
+        tracked.inside_chi2 > usual + CHANGE_SD * (2.0 * usual).sqrt()
+            || tracked.contacts.iter().any(fades)
     }
 
     /// The best fit with as many contacts as these, from where they are.
@@ -289,12 +304,16 @@ impl ContactFitter {
         }
         self.measure(observation, work)?;
         let places = contacts.iter().map(place_of).collect();
-        Ok(self.report(places, Origin::Tracked, None, 0, work)?)
+        Ok(self.report(places, Origin::Tracked, None, self.effort(), work)?)
+    }
+
+    fn effort(&self) -> Effort {
+        Effort { iterations: self.options.iterations, tolerance: self.options.tolerance }
     }
 
     /// Directions in which this model's frames differ by more than a part of the noise.
     pub fn directions(&self) -> usize {
-        self.basis.width()
+        self.basis.directions()
     }
 
     fn measure(&self, observation: &Observation<'_>, work: &mut FitWork) -> Result<(), FitError> {
@@ -329,37 +348,81 @@ impl ContactFitter {
         search.run(starts, &mut work.search)
     }
 
+    /// Brings hypotheses to the exact model: their frames say what the table's sums lack, and with
+    /// that they are fitted again. Best first in the end, without those that became another.
+    fn approach(
+        &self,
+        hypotheses: &mut Vec<Hypothesis>,
+        work: &mut FitWork,
+    ) -> Result<(), ContactError> {
+        let channels = self.batch.frame_len();
+        let (mut lacks, mut sum, mut slopes) = (Vec::new(), Vec::new(), Vec::new());
+        for _ in 0..ROUNDS {
+            let loads: Vec<Vec<Contact>> = hypotheses
+                .iter()
+                .map(|h| h.places.iter().map(|&place| shapes::contact(place)).collect())
+                .collect();
+            let trials: Vec<&[Contact]> = loads.iter().map(Vec::as_slice).collect();
+            work.frames_v.resize(trials.len() * channels, 0.0);
+            match self.batch.voltages(&trials, &mut work.frames_v, &mut work.batch) {
+                Err(BatchError::Trial { source, .. }) => return Err(source),
+                other => other.expect("the frames have the batch's length"),
+            }
+            let frames = work.frames_v.chunks_exact(channels);
+            for (hypothesis, frame) in hypotheses.iter_mut().zip(frames) {
+                work.frame_v.clear();
+                work.frame_v.extend(frame.iter().map(|&v| f64::from(v)));
+                self.basis.project_frame(&work.frame_v, &mut work.scratch, &mut lacks);
+                let mut table = Sum { model: &self.model, shapes: &self.shapes, lacks: &self.none };
+                table.predict(&hypothesis.places, &mut sum, &mut slopes)?;
+                lacks.iter_mut().zip(&sum).for_each(|(lacks, sum)| *lacks -= sum);
+                table.lacks = &lacks;
+                let problem =
+                    Problem { z: &work.frame.z, weights: &work.frame.weights, prior: &self.prior };
+                let places = &mut hypothesis.places;
+                let descent = work.exact.descent();
+                hypothesis.score =
+                    descend(&problem, &mut table, places, search::EFFORT, descent)?.score;
+            }
+        }
+        hypotheses.sort_by(|a, b| a.score.total_cmp(&b.score));
+        let mut kept: Vec<Hypothesis> = Vec::with_capacity(hypotheses.len());
+        for hypothesis in hypotheses.drain(..) {
+            if closest_mm(&hypothesis.places) >= self.options.least_distance_mm
+                && !kept.iter().any(|h| same(&h.places, &hypothesis.places))
+            {
+                kept.push(hypothesis);
+            }
+        }
+        *hypotheses = kept;
+        Ok(())
+    }
+
     /// Descends on the exact model.
     fn finish(
         &self,
-        hypothesis: &mut Hypothesis,
+        places: &mut [Place],
+        effort: Effort,
         work: &mut FitWork,
     ) -> Result<Optimum, ContactError> {
-        let (model, descent) = work.exact.model(&self.model, &self.basis);
+        let (mut model, descent) = work.exact.model(&self.model, &self.basis);
         let problem =
             Problem { z: &work.frame.z, weights: &work.frame.weights, prior: &self.prior };
-        let effort =
-            Effort { iterations: self.options.iterations, tolerance: self.options.tolerance };
-        let mut model: Exact<'_> = model;
-        let optimum = descend(&problem, &mut model, &mut hypothesis.places, effort, descent)?;
-        hypothesis.score = optimum.score;
-        Ok(optimum)
+        descend(&problem, &mut model, places, effort, descent)
     }
 
     /// Finishes places and says what is known of them.
     fn report(
         &self,
-        places: Vec<Place>,
+        mut places: Vec<Place>,
         origin: Origin,
         rival_score: Option<f64>,
-        exact_runs: usize,
+        effort: Effort,
         work: &mut FitWork,
     ) -> Result<Fit, ContactError> {
-        let mut best = Hypothesis { places, score: 0.0 };
-        let optimum = self.finish(&mut best, work)?;
-        let variances = work.exact.descent().variances(best.places.len());
-        let mut contacts: Vec<FittedContact> = best
-            .places
+        let optimum = self.finish(&mut places, effort, work)?;
+        let variances = work.exact.descent().variances(places.len());
+        let mut contacts: Vec<FittedContact> = places
             .iter()
             .zip(variances)
             .map(|(&place, variance)| {
@@ -373,18 +436,14 @@ impl ContactFitter {
         Ok(Fit {
             contacts,
             chi2: optimum.misfit + work.frame.outside_chi2,
+            inside_chi2: optimum.misfit,
             degrees_of_freedom: (self.model.sensor().channels() - parameters) as f64,
             score: optimum.score,
             rival_score,
             origin,
-            exact_runs: exact_runs + optimum.predictions,
+            exact_runs: optimum.predictions,
         })
     }
-}
-
-/// Chi-square beyond which the contacts are not those of the frame: four standard deviations.
-fn limit(degrees_of_freedom: f64) -> f64 {
-    degrees_of_freedom + 4.0 * (2.0 * degrees_of_freedom).sqrt()
 }
 
 fn place_of(contact: &Contact) -> Place {

@@ -25,7 +25,7 @@ const FIRST_LN_FORCE: [f64; 2] = [0.7, 4.1];
 const HOPELESS: f64 = 16.0;
 /// Hypotheses whose contacts all lie this close are one, mm.
 const SAME_MM: f64 = 8.0;
-const EFFORT: Effort = Effort { iterations: 12, tolerance: 0.05 };
+pub(super) const EFFORT: Effort = Effort { iterations: 12, tolerance: 0.05 };
 
 /// A load that may be.
 #[derive(Debug, Clone, PartialEq)]

@@ -62,6 +62,7 @@ const RECENT: usize = 4;
 pub struct Steady {
     settings: SteadySettings,
     mean_v: Vec<f64>,
+    /// Frames whose mean would have the noise of `mean_v`.
     frames: f64,
     /// The newest frames, not yet in `mean_v`, oldest first.
     recent_v: Vec<Vec<f64>>,
@@ -73,7 +74,8 @@ pub struct Steady {
 pub struct SteadyMean<'a> {
     /// Mean of the frames of this load, V.
     pub mean_v: &'a [f64],
-    /// Frames in it: its noise is that of one over their square root.
+    /// Its noise is that of one frame over the square root of this; so many are in it, or more where
+    /// old ones fade.
     pub frames: f64,
     /// Whether this frame showed a new load.
     pub changed: bool,
@@ -125,12 +127,12 @@ impl Steady {
                 self.reset();
             }
         }
-        self.recent_v.push(frame_v.to_vec());
-        changed |= self.drop_if_recent_differ();
-        if self.recent_v.len() > RECENT {
+        if self.recent_v.len() == RECENT {
             let oldest = self.recent_v.remove(0);
             self.absorb(&oldest);
         }
+        self.recent_v.push(frame_v.to_vec());
+        changed |= self.drop_if_recent_differ();
         self.mix();
         let frames = self.frames + self.recent_v.len() as f64;
         Ok(SteadyMean { mean_v: &self.all_v, frames, changed })
@@ -160,10 +162,13 @@ impl Steady {
         distance > limit * noise_v2 + drift_v2
     }
 
+    /// Takes a frame into the mean; a full one forgets so fast that its noise stays that of as many
+    /// frames.
     fn absorb(&mut self, frame_v: &[f64]) {
         let most = self.settings.most_frames.saturating_sub(RECENT).max(1) as f64;
-        self.frames = (self.frames + 1.0).min(most);
-        let share = 1.0 / self.frames;
+        let share = (1.0 / (self.frames + 1.0)).max(2.0 / (most + 1.0));
+        let old = if self.frames > 0.0 { (1.0 - share).powi(2) / self.frames } else { 0.0 };
+        self.frames = 1.0 / (old + share * share);
         self.mean_v.iter_mut().zip(frame_v).for_each(|(m, v)| *m += share * (v - *m));
     }
 
