@@ -3,7 +3,8 @@
     python nets/examples/rate.py RATE_BINARY [--rounds N] [--seconds S] [--threads T] [NET ..]
 
 The three take turns, round after round, so that whatever else the machine does strikes all alike;
-the medians over rounds are printed, and the ratios of the medians. Inputs are in memory, the nets'
+the medians over rounds are printed, and the ratios of the medians. On a machine that others use,
+--cpu counts seconds of the processor instead of the clock's, with one thread each. Inputs are in memory, the nets'
 layers, losses and batches the same. Needs torch.
 """
 import argparse, json, statistics, subprocess, sys, time
@@ -17,7 +18,7 @@ NETS = {
     "recon-net-32": ('{kind="recon-net",side=32,channels=[128,64,32]}', 64),
     "recon-net-64": ('{kind="recon-net",side=64,channels=[128,64,32]}', 64),
     "recon-net-160": ('{kind="recon-net",side=160}', 64),
-    "recon-net-160-k2": ('{kind="recon-net",side=160,kernel=2}', 64),
+    "recon-net-160-k2": ('{kind="recon-net",side=160,upsampling="apart"}', 64),
 }
 
 
@@ -54,7 +55,7 @@ def build(name):
     return recon(side, kernel, [128, 64, 32] if side < 160 else [128, 64, 32, 16]), 101, side * side, mse
 
 
-def torch_rate(name, batch, seconds, fused):
+def torch_rate(name, batch, seconds, fused, cpu):
     net, inputs, targets, loss = build(name)
     adam = torch.optim.Adam(net.parameters(), lr=1e-3, betas=(0.7, 0.999), fused=fused)
     x = torch.randn(batch, inputs)
@@ -67,16 +68,16 @@ def torch_rate(name, batch, seconds, fused):
 
     for _ in range(4):
         step()
-    done, begun = 0, time.perf_counter()
+    done, begun, used = 0, time.perf_counter(), time.process_time()
     while time.perf_counter() - begun < seconds:
         step()
         done += batch
-    return done / (time.perf_counter() - begun)
+    return done / (time.process_time() - used if cpu else time.perf_counter() - begun)
 
 
-def ours(binary, net, batch, seconds, threads):
+def ours(binary, net, batch, seconds, threads, cpu):
     out = subprocess.run([binary, net, str(batch), str(seconds), str(threads)], capture_output=True, text=True, check=True)
-    return json.loads(out.stdout)["samples_per_s"]
+    return json.loads(out.stdout)["samples_per_processor_s" if cpu else "samples_per_s"]
 
 
 def main():
@@ -86,16 +87,19 @@ def main():
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=3)
     parser.add_argument("--threads", type=int, default=2)
-    a = parser.parse_args()
+    parser.add_argument("--cpu", action="store_true")
+    a = parser.parse_intermixed_args()
+    a.threads = 1 if a.cpu else a.threads
     torch.set_num_threads(a.threads)
-    print(f"torch {torch.__version__}, {a.threads} threads, medians of {a.rounds} rounds of {a.seconds} s")
+    print(f"torch {torch.__version__}, {a.threads} threads, medians of {a.rounds} rounds of {a.seconds} s"
+          + (", per second of the processor" if a.cpu else ""))
     for name in a.nets or NETS:
         net, batch = NETS[name]
         rates = {"ours": [], "torch": [], "fused": []}
         for _ in range(a.rounds):
-            rates["ours"].append(ours(a.binary, net, batch, a.seconds, a.threads))
-            rates["torch"].append(torch_rate(name, batch, a.seconds, False))
-            rates["fused"].append(torch_rate(name, batch, a.seconds, True))
+            rates["ours"].append(ours(a.binary, net, batch, a.seconds, a.threads, a.cpu))
+            rates["torch"].append(torch_rate(name, batch, a.seconds, False, a.cpu))
+            rates["fused"].append(torch_rate(name, batch, a.seconds, True, a.cpu))
         m = {k: statistics.median(v) for k, v in rates.items()}
         print(f"{name:18} batch {batch:4}  ours {m['ours']:7.0f}/s  torch {m['torch']:7.0f}/s  fused {m['fused']:7.0f}/s"
               f"  ours/torch {m['ours'] / m['torch']:.2f}  ours/fused {m['ours'] / m['fused']:.2f}", flush=True)

@@ -1,5 +1,6 @@
 //! How many samples a second each net learns, beside PyTorch: `rate NET BATCH SECONDS [THREADS]`
-//! prints one JSON line. `rate.py` beside it runs this and PyTorch in turn.
+//! prints one JSON line, by the clock and by the processor's time (Linux). `rate.py` beside it runs
+//! this and PyTorch in turn.
 //! Uses: the clock, which the crate itself does not.
 
 use std::time::{Duration, Instant};
@@ -42,22 +43,35 @@ impl Samples for Repeated {
 
 /// Counts samples over a time that begins after some batches.
 struct Count {
-    begun: Option<(Instant, u64)>,
+    begun: Option<(Instant, f64, u64)>,
     lasts: Duration,
-    rate: f64,
+    /// Samples a second: of the clock, of the processor.
+    rates: [f64; 2],
 }
 
 impl Observer for Count {
     fn see(&mut self, progress: &Progress) -> Flow {
-        let (now, done) = (Instant::now(), progress.samples[0]);
+        let (now, used_s, done) = (Instant::now(), processor_s(), progress.samples[0]);
         if progress.batches[0] < 4 {
             return Flow::Continue;
         }
-        let (begun, first) = *self.begun.get_or_insert((now, done));
-        self.rate = (done - first) as f64 / (now - begun).as_secs_f64();
-        if now - begun < self.lasts { Flow::Continue } else { Flow::Stop }
+        let (begun, used_before_s, first) = *self.begun.get_or_insert((now, used_s, done));
+        let learned = (done - first) as f64;
+        let elapsed = now - begun;
+        self.rates = [learned / elapsed.as_secs_f64(), learned / (used_s - used_before_s)];
+        if elapsed < self.lasts { Flow::Continue } else { Flow::Stop }
     }
     fn keep(&mut self, _: Vec<u8>) {}
+}
+
+/// Time that the processor gave to all threads of this process; 0 where that is not known.
+fn processor_s() -> f64 {
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    // User and system time, in hundredths of a second, are fields 14 and 15; the second field, the
+    // name in brackets, may hold spaces.
+    let after_name = stat.rsplit(')').next().unwrap_or_default();
+    let ticks = after_name.split_whitespace().skip(11).take(2).map(|t| t.parse().unwrap_or(0.0));
+    ticks.sum::<f64>() / 100.0
 }
 
 fn main() {
@@ -87,7 +101,8 @@ fn main() {
         compute: Compute::Cpu { threads },
     };
     let lasts = Duration::from_secs_f64(seconds.parse().expect("SECONDS is a number"));
-    let mut count = Count { begun: None, lasts, rate: 0.0 };
+    let mut count = Count { begun: None, lasts, rates: [0.0; 2] };
     train(&plan, &samples, &samples, None, &mut count).expect("training");
-    println!("{{\"samples_per_s\":{:.1}}}", count.rate);
+    let [clock, processor] = count.rates;
+    println!("{{\"samples_per_s\":{clock:.1},\"samples_per_processor_s\":{processor:.1}}}");
 }

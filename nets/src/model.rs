@@ -162,7 +162,7 @@ impl Model {
         let Rows { x, image } = rows;
         let c = &self.constants[nth];
         let x = match &self.network.layers[nth] {
-            Layer::Dense { .. } => x.matmul(p[0].clone()) + p[1].clone(),
+            Layer::Dense { .. } => biased(x.matmul(p[0].clone()), p),
             Layer::Relu => activation::relu(x),
             Layer::Gelu => activation::gelu(x),
             Layer::Standardise { .. } => (x - c[0].clone()) / c[1].clone(),
@@ -194,12 +194,12 @@ impl Model {
                     padding: *padding,
                 };
                 let (x, image) = upsample::conv_transpose(x, p[0].clone(), shape);
-                return Rows { x: x + p[1].clone(), image: Some(image) };
+                return Rows { x: biased(x, p), image: Some(image) };
             }
             Layer::Conv { kernel, .. } => {
                 let [height, width] = image.expect("an image comes before a convolution");
                 let shape = [x.dims()[0] / (height * width), height, width];
-                upsample::conv(x, p[0].clone(), shape, *kernel) + p[1].clone()
+                biased(upsample::conv(x, p[0].clone(), shape, *kernel), p)
             }
             Layer::PixelShuffle { factor } => {
                 let [height, width] = image.expect("an image comes before a shuffle");
@@ -250,6 +250,14 @@ impl Model {
     }
 }
 
+/// With its layer's bias, where it has one.
+fn biased(x: Tensor<2>, p: &[Tensor<2>]) -> Tensor<2> {
+    match p.get(1) {
+        Some(bias) => x + bias.clone(),
+        None => x,
+    }
+}
+
 /// Marks matrices as parameters that gradients are wanted of.
 pub(crate) fn learn(matrices: Vec<Tensor<2>>) -> Vec<Tensor<2>> {
     matrices.into_iter().map(|m| m.autodiff().require_grad()).collect()
@@ -277,6 +285,12 @@ fn row(numbers: &[f32]) -> Matrix {
     (numbers.to_vec(), [1, numbers.len()])
 }
 
+/// A weight, and its bias where there is one.
+fn weights(weight: Vec<f32>, shape: [usize; 2], bias: &[f32]) -> Vec<Matrix> {
+    let bias = (!bias.is_empty()).then(|| row(bias));
+    [(weight, shape)].into_iter().chain(bias).collect()
+}
+
 fn transposed(numbers: &[f32], [rows, columns]: [usize; 2]) -> Vec<f32> {
     let mut out = Vec::with_capacity(numbers.len());
     for column in 0..columns {
@@ -290,14 +304,14 @@ fn matrices(layer: &Layer) -> [Vec<Matrix>; 2] {
     match layer {
         Layer::Dense { inputs, outputs, weight, bias } => {
             let weight = transposed(weight, [*outputs, *inputs]);
-            [vec![(weight, [*inputs, *outputs]), row(bias)], vec![]]
+            [weights(weight, [*inputs, *outputs], bias), vec![]]
         }
         Layer::ConvTranspose { inputs, outputs, kernel, stride, weight, bias, .. } => {
             let order = upsample::order(*outputs, *kernel, *stride);
             let columns = order.len();
             let rows = weight.chunks_exact(columns);
             let weight = rows.flat_map(|row| order.iter().map(|&at| row[at])).collect();
-            [vec![(weight, [*inputs, columns]), row(bias)], vec![]]
+            [weights(weight, [*inputs, columns], bias), vec![]]
         }
         Layer::BatchNorm { scale, shift, mean, variance, .. } => {
             [vec![row(scale), row(shift)], vec![row(mean), row(variance)]]
@@ -305,7 +319,7 @@ fn matrices(layer: &Layer) -> [Vec<Matrix>; 2] {
         Layer::Conv { inputs, outputs, kernel, weight, bias } => {
             let taps = inputs * kernel * kernel;
             let weight = transposed(weight, [*outputs, taps]);
-            [vec![(weight, [taps, *outputs]), row(bias)], vec![]]
+            [weights(weight, [taps, *outputs], bias), vec![]]
         }
         Layer::Standardise { mean, sd } => [vec![], vec![row(mean), row(sd)]],
         Layer::Relu
@@ -317,12 +331,18 @@ fn matrices(layer: &Layer) -> [Vec<Matrix>; 2] {
     }
 }
 
+fn set_bias(bias: &mut Vec<f32>, trained: &[Vec<f32>]) {
+    if let Some(trained) = trained.get(1) {
+        bias.clone_from(trained);
+    }
+}
+
 /// Sets a layer's numbers from its matrices.
 fn set_matrices(layer: &mut Layer, trained: &[Vec<f32>], kept: &[Vec<f32>]) {
     match layer {
         Layer::Dense { inputs, outputs, weight, bias } => {
             *weight = transposed(&trained[0], [*inputs, *outputs]);
-            bias.clone_from(&trained[1]);
+            set_bias(bias, trained);
         }
         Layer::ConvTranspose { outputs, kernel, stride, weight, bias, .. } => {
             let order = upsample::order(*outputs, *kernel, *stride);
@@ -332,11 +352,11 @@ fn set_matrices(layer: &mut Layer, trained: &[Vec<f32>], kept: &[Vec<f32>]) {
                     row[at] = x;
                 }
             }
-            bias.clone_from(&trained[1]);
+            set_bias(bias, trained);
         }
         Layer::Conv { inputs, outputs, kernel, weight, bias } => {
             *weight = transposed(&trained[0], [*inputs * *kernel * *kernel, *outputs]);
-            bias.clone_from(&trained[1]);
+            set_bias(bias, trained);
         }
         Layer::BatchNorm { scale, shift, mean, variance, .. } => {
             scale.clone_from(&trained[0]);

@@ -99,7 +99,11 @@ impl ReconNet {
         for &next in &self.channels[1..] {
             layers.extend(normalise(channels));
             layers.push(Layer::Relu);
-            layers.extend(self.upsampling.layers(channels, next, RECTIFIED, initial));
+            let mut up = self.upsampling.layers(channels, next, RECTIFIED, initial);
+            if self.batch_norm {
+                forget_bias(&mut up[0]);
+            }
+            layers.extend(up);
             channels = next;
         }
         layers.extend(normalise(channels));
@@ -108,6 +112,13 @@ impl ReconNet {
         layers.push(Layer::Scale { scale: statistics.target_size, shift: 0.0 });
         layers.push(Layer::Relu);
         Network { inputs, output: vec![self.side, self.side], layers, form: Form::Plain }
+    }
+}
+
+/// Takes away a bias that a batch normalisation would cancel.
+fn forget_bias(layer: &mut Layer) {
+    if let Layer::ConvTranspose { bias, .. } | Layer::Conv { bias, .. } = layer {
+        bias.clear();
     }
 }
 
