@@ -13,8 +13,8 @@ use crate::evaluate::table::{Beside, COLUMNS, markdown, score_row};
 #[derive(Debug, Clone, Args)]
 pub struct MethodArgs {
     /// paper, fast, exact, tikhonov or noser.
-    #[arg(value_parser = scored)]
-    scored: Scored,
+    #[arg(value_name = "METHOD", value_parser = scored)]
+    method: Scored,
     /// A dataset's name or id.
     #[arg(long, value_name = "NAME", default_value = "real-unseen")]
     dataset: String,
@@ -58,8 +58,8 @@ pub async fn method(args: MethodArgs) -> Result<(), CliError> {
 }
 
 async fn score(lab: Lab, args: MethodArgs) -> Result<Sheet, CliError> {
-    let mut wish = lab.wish(args.scored, &args.dataset, args.part.as_deref());
-    wish.limit = lab.args.scored;
+    let mut wish = lab.wish(args.method, &args.dataset, args.part.as_deref());
+    wish.limit = lab.args.method;
     wish.conditions = args.conditions;
     wish.transfer = args.with_transfer;
     wish.map = args.map;
@@ -68,7 +68,7 @@ async fn score(lab: Lab, args: MethodArgs) -> Result<Sheet, CliError> {
     wish.threshold_n = args.threshold_n;
     wish.frames = if args.first_frame { FramesRead::First } else { FramesRead::Mean };
     let report = lab.scored(&wish).await?;
-    let name = serde_json::to_value(args.scored).unwrap_or_default();
+    let name = serde_json::to_value(args.method).unwrap_or_default();
     let name = name.as_str().unwrap_or_default();
     let mut rows = rows(name, &report);
     rows.extend(perfect(&report));
