@@ -295,6 +295,10 @@ fn fitted(key: &str, f: &Fitted) -> Result<(), CalibrationError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::inverse::skin::SkinPrior;
+    use crate::skin::{
+        FvuSummary, SkinElectrodes, SkinEvidence, SkinField, SkinFields, SkinFoam,
+    };
 
     fn sensor() -> Sensor {
         Sensor::from_toml(include_str!("../../experiments/sensors/ert-28.toml")).unwrap()
@@ -337,11 +341,88 @@ mod tests {
         Calibration { sensor: "ert-28".into(), foam: Some(foam), ..Calibration::default() }
     }
 
+    fn skin() -> Calibration {
+        let field = |value: f64| SkinField {
+            columns: 2,
+            values: vec![value, 0.25, -0.125, 0.0],
+            prior: SkinPrior::default().ln_a,
+        };
+        let sensor = sensor();
+        let places = |axis: usize| sensor.electrodes_mm().iter().map(|e| e[axis] + 1.5).collect();
+        let fvu = |median: f64| FvuSummary { median, mean: 2.0 * median };
+        let skin = SkinCalibration {
+            offsets_mv: vec![0.1; sensor.channels()],
+            evidence: SkinEvidence {
+                run: "0199".into(),
+                label: "virtual".into(),
+                data_sha256: "22".into(),
+                model: "sim-0".into(),
+                trials: 1200,
+                held_out: 300,
+                doubted: 3,
+                noise_v: 1.2e-3,
+                model_error: 0.05,
+                before: fvu(0.126),
+                after: fvu(0.019),
+            },
+            electrodes: SkinElectrodes {
+                x_mm: places(0),
+                y_mm: places(1),
+                contact_ohm: vec![30.0; 28],
+                lead_ohm: vec![500.0; 28],
+            },
+            fields: SkinFields {
+                foam: SkinFoam { step_mm: 0.5, ln_slopes: vec![0.1, 0.0, -0.1] },
+                ln_a: field(0.5),
+                ln_b: field(0.1),
+                ln_c: field(0.0),
+                ln_compliance: field(0.05),
+                ln_sheet_conductance: field(0.2),
+            },
+        };
+        Calibration { sensor: "ert-28".into(), skin: Some(skin), ..Calibration::default() }
+    }
+
     #[test]
     fn a_file_is_read_back_as_the_same() {
-        let both = foam().over(&piezo()).unwrap();
-        let text = both.to_toml().unwrap();
-        assert_eq!(Calibration::from_toml(&text).unwrap(), both);
+        let all = skin().over(&foam().over(&piezo()).unwrap()).unwrap();
+        let text = all.to_toml().unwrap();
+        assert_eq!(Calibration::from_toml(&text).unwrap(), all);
+    }
+
+    #[test]
+    fn a_skin_rides_on_the_sensor_and_does_not_outlive_its_values() {
+        let applied = skin().over(&piezo()).unwrap().apply(&sensor()).unwrap();
+        assert_eq!(applied.skin(), skin().skin.as_ref());
+        assert_eq!(applied.file.piezo.b_per_mm, 1.5);
+        assert_eq!(sensor().skin(), None);
+        assert_eq!(piezo().over(&skin()).unwrap().skin, None);
+    }
+
+    /// What is said of a skin with something wrong in it.
+    fn refused(change: impl Fn(&mut SkinCalibration)) -> String {
+        let mut wrong = skin();
+        change(wrong.skin.as_mut().unwrap());
+        let read = Calibration::from_toml(&wrong.to_toml().unwrap());
+        let found = read.and_then(|calibration| calibration.apply(&sensor()).map(|_| ()));
+        found.unwrap_err().to_string()
+    }
+
+    #[test]
+    fn wrong_values_of_a_skin_are_named() {
+        let said = |change: &dyn Fn(&mut SkinCalibration), start: &str| {
+            let words = refused(change);
+            assert!(words.starts_with(start), "{words}");
+        };
+        said(&|s| s.fields.ln_a.columns = 3, "skin.fields.ln_a = 4 values in 3 columns: ");
+        said(&|s| s.fields.ln_b.values[1] = f64::NAN, "skin.fields.ln_b = NaN: ");
+        said(&|s| s.fields.foam.step_mm = 0.0, "skin.fields.foam.step_mm = 0: ");
+        said(&|s| s.fields.foam.ln_slopes[2] = 50.0, "skin.fields.foam.ln_slopes = 50: ");
+        said(&|s| s.electrodes.lead_ohm[4] = -1.0, "skin.electrodes.lead_ohm = -1: ");
+        said(&|s| s.electrodes.contact_ohm[4] = 0.0, "skin.electrodes.contact_ohm = 0: ");
+        said(&|s| drop(s.electrodes.y_mm.pop()), "skin.electrodes.y_mm = 27 values: ");
+        said(&|s| s.electrodes.x_mm[2] = 541.0, "skin.electrodes.x_mm = 541: ");
+        said(&|s| drop(s.offsets_mv.pop()), "skin.offsets_mv = 783 values: ");
     }
 
     #[test]

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use crate::circuit::ReadoutCircuit;
 use crate::deformation::NodeForce;
 use crate::digest::{Digest, hex};
-use crate::fields::{FieldLength, NodeFields};
+use crate::fields::{FieldLength, LutError, NodeFields};
 use crate::mesh::{Mesh, MeshError};
 use crate::network::kron::{KronReduction, KronWork};
 use crate::network::readout::ReadoutWork;
@@ -52,6 +52,9 @@ pub enum ModelError {
     /// The unit responses are another sensor's.
     #[error("forward model: the unit responses belong to another sensor")]
     OtherResponses,
+    /// The foam's law of a calibrated skin falls.
+    #[error(transparent)]
+    Foam(#[from] LutError),
     /// A field's length does not fit.
     #[error(transparent)]
     Fields(#[from] FieldLength),
@@ -154,7 +157,7 @@ impl ForwardModel {
     pub fn new(sensor: &Sensor, responses: Arc<UnitResponses>) -> Result<Self, ModelError> {
         let mesh = Mesh::new(sensor)?;
         let (fields, circuit) = match sensor.skin() {
-            Some(skin) => (skin.fields.over(sensor, &mesh), skin.electrodes.circuit(sensor)),
+            Some(skin) => (skin.fields.over(sensor, &mesh)?, skin.electrodes.circuit(sensor)),
             None => (NodeFields::nominal(&mesh), ReadoutCircuit::nominal(sensor)),
         };
         Self::with(sensor, responses, fields, circuit)

@@ -210,6 +210,11 @@ impl Linearised<'_> {
         self.work.forward.readout.frame_v()
     }
 
+    /// Foam compression at every node, mm, after fields and clamp.
+    pub fn compression_mm(&self) -> &[f64] {
+        self.work.forward.compression_mm()
+    }
+
     /// Conductance of the foam at every node, S.
     pub fn to_top_s(&self) -> &[f64] {
         self.work.forward.to_top_s()
@@ -303,6 +308,23 @@ impl Linearised<'_> {
         columns
     }
 
+    /// Derivative along changes of resistors of the network, as [`circuit_resistors`] lists them: each
+    /// with the change of its conductance. Layout as in [`Self::modes`].
+    pub(crate) fn resistors(&mut self, changes: &[Vec<Resistor>]) -> &[f64] {
+        let JacobianWork { forward, potentials, direction, columns, .. } = &mut *self.work;
+        let channels = forward.readout.frame_v().len();
+        columns.clear();
+        columns.resize(channels * changes.len(), 0.0);
+        for (change, column) in changes.iter().zip(columns.chunks_exact_mut(channels)) {
+            direction.clear(potentials);
+            for r in change {
+                direction.between(potentials, r.a as usize, r.b as usize, r.conductance_s);
+            }
+            direction.frame(potentials, &forward.readout, self.model.circuit(), column);
+        }
+        columns
+    }
+
     /// Gradient of `sum(residual * frame)` by every parameter of every field (J' r).
     ///
     /// # Panics
@@ -329,6 +351,29 @@ impl Linearised<'_> {
             }
         }
     }
+}
+
+/// The resistors that change along a mode of the circuit, each once: the same at every load. Leads
+/// are not resistors of the network.
+pub(crate) fn circuit_resistors(model: &ForwardModel, mode: &Mode) -> Vec<Resistor> {
+    let mut resistors: Vec<Resistor> = Vec::new();
+    for &(index, moved) in &mode.entries {
+        let parts = circuit_parts(model, mode.field, index as usize).resistors;
+        resistors.extend(parts.into_iter().flatten().map(|r| Resistor {
+            a: r.a.min(r.b),
+            b: r.a.max(r.b),
+            conductance_s: moved * r.conductance_s,
+        }));
+    }
+    resistors.sort_by_key(|r| (r.a, r.b));
+    resistors.dedup_by(|from, into| {
+        let same = (from.a, from.b) == (into.a, into.b);
+        if same {
+            into.conductance_s += from.conductance_s;
+        }
+        same
+    });
+    resistors
 }
 
 /// What moves with one value of a field that is not the foam's, per unit of it.

@@ -8,7 +8,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::circuit::{ElectrodeSite, ReadoutCircuit};
-use crate::fields::NodeFields;
+use crate::fields::{DisplacementLut, LutError, NodeFields};
 use crate::mesh::Mesh;
 use crate::sensor::Sensor;
 
@@ -92,11 +92,11 @@ pub struct FieldPrior {
 }
 
 impl FieldPrior {
-    /// Spacing of a grid that can show the field, at least `finest_mm`: half of its shortest
-    /// correlation length.
+    /// Spacing of a grid that can show the field, at least `finest_mm`: its shortest correlation
+    /// length.
     pub fn spacing_mm(&self, finest_mm: f64) -> f64 {
         let shortest_mm = if self.local_sd > 0.0 { self.local_mm } else { self.smooth_mm };
-        finest_mm.max(0.75 * shortest_mm)
+        finest_mm.max(shortest_mm)
     }
 
     /// Covariance of the field's values at two places so far apart, mm.
@@ -144,6 +144,8 @@ impl SkinField {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SkinFields {
+    /// The foam's law, the same everywhere.
+    pub foam: SkinFoam,
     /// On a of Eq. 1.
     pub ln_a: SkinField,
     /// On b of Eq. 1.
@@ -169,17 +171,38 @@ impl SkinFields {
     }
 
     /// The fields at the mesh's nodes and triangles.
-    pub fn over(&self, sensor: &Sensor, mesh: &Mesh) -> NodeFields {
+    pub fn over(&self, sensor: &Sensor, mesh: &Mesh) -> Result<NodeFields, LutError> {
         let over_nodes = |field: &SkinField| field.over(sensor, mesh.nodes_mm.iter().copied());
         let centres = mesh.triangles.iter().map(|t| mesh.triangle_centre_mm(t));
-        NodeFields {
+        Ok(NodeFields {
             ln_a: over_nodes(&self.ln_a),
             ln_b: over_nodes(&self.ln_b),
             ln_c: over_nodes(&self.ln_c),
             ln_compliance: over_nodes(&self.ln_compliance),
             ln_sheet_conductance: self.ln_sheet_conductance.over(sensor, centres),
-            displacement: None,
+            displacement: Some(self.foam.law()?),
+        })
+    }
+}
+
+/// The foam's law: its real compression against the linear one, by straight pieces.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SkinFoam {
+    /// Length of a piece, mm of linear compression.
+    pub step_mm: f64,
+    /// Natural logarithm of each piece's slope; beyond the last it goes on with that.
+    pub ln_slopes: Vec<f64>,
+}
+
+impl SkinFoam {
+    /// The law as the model takes it.
+    pub fn law(&self) -> Result<DisplacementLut, LutError> {
+        let mut samples_mm = vec![0.0];
+        for ln in &self.ln_slopes {
+            samples_mm.push(samples_mm[samples_mm.len() - 1] + self.step_mm * ln.exp());
         }
+        DisplacementLut::new(self.step_mm, samples_mm)
     }
 }
 
@@ -291,6 +314,13 @@ impl SkinCalibration {
             if let Some(wrong) = field.values.iter().find(|v| v.is_nan() || v.abs() > LARGEST_LN) {
                 return Err(bad(&name, wrong, "must be the logarithm of a factor, -20 to 20"));
             }
+        }
+        let foam = &self.fields.foam;
+        if let Some(wrong) = foam.ln_slopes.iter().find(|v| v.is_nan() || v.abs() > LARGEST_LN) {
+            return Err(bad("fields.foam.ln_slopes", wrong, "must be a logarithm, -20 to 20"));
+        }
+        if let Err(error) = foam.law() {
+            return Err(bad("fields.foam.step_mm", foam.step_mm, &error.to_string()));
         }
         let e = &self.electrodes;
         for (name, values) in [

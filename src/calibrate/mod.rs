@@ -2,7 +2,8 @@
 //! far voltages of single contacts are off. The results are sim-core's `calibration::Calibration`.
 //! PURE. Uses: sim-core, `problem`. Never: files (text in, text out), simulating in bulk.
 //!
-//! `text -> table -> (piezo | foam, by regression) -> Calibration`, `frames -> accuracy`, `plot`.
+//! `text -> table -> (piezo | foam, by regression) -> Calibration`, `frames -> accuracy`, `plot`;
+//! `trials -> skin -> Calibration`, `skin_plot`.
 
 use sha2::{Digest, Sha256};
 use sim_core::calibration::Accuracy;
@@ -17,6 +18,8 @@ pub mod piezo;
 pub mod foam;
 pub mod frames;
 pub mod plot;
+pub mod skin;
+pub mod skin_plot;
 
 /// Why measurements give no calibration.
 #[derive(Debug, thiserror::Error)]

@@ -9,6 +9,7 @@ use sim_core::calibration::CalibrationError;
 
 use crate::api::ServeError;
 use crate::calibrate::CalibrateError;
+use crate::calibrate::skin::SkinError;
 use crate::evaluate::figures::FigureError;
 use crate::problem::Problem;
 use crate::rig::error::RigError;
@@ -128,6 +129,9 @@ pub enum CliError {
     /// The model cannot be fitted, for another reason than its input.
     #[error(transparent)]
     Calibrate(CalibrateError),
+    /// A run gives no calibrated skin.
+    #[error(transparent)]
+    Skin(#[from] SkinError),
     /// A calibration does not fit what it is used with.
     #[error("calibration: {0}")]
     Calibration(#[from] CalibrationError),

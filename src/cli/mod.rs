@@ -153,7 +153,6 @@ pub enum Command {
 pub fn main(command: Command) -> ExitCode {
     let outcome = match command {
         Command::Plan(args) => plan::plan(&args),
-        Command::Calibrate(args) => calibrate::calibrate(&args),
         command => on_runtime(command),
     };
     outcome.unwrap_or_else(|error| {
@@ -177,7 +176,7 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
     let none = || json!({});
     match command {
         Command::Plan(args) => return plan::plan(&args),
-        Command::Calibrate(args) => return calibrate::calibrate(&args),
+        Command::Calibrate(args) => return calibrate::calibrate(args).await,
         Command::Run(args) => return run::run(args).await,
         Command::Simulate(args) => return simulate::simulate(args).await,
         Command::Rig(args) => return rig::rig(args).await,

@@ -84,7 +84,7 @@ pub struct ExactPipeline {
 }
 
 /// Memory of fits, and the last of them; one for each stream of frames.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub struct Tracked {
     work: FitWork,
     frame_v: Vec<f64>,

@@ -21,7 +21,8 @@ pub enum ModelUnavailable {
     Model(#[from] ModelError),
 }
 
-/// The nominal skin of a sensor. Takes seconds and both cores where the cache in `cache_dir` does
+/// The skin of a sensor: the calibrated one where a calibration of the skin is applied, else the
+/// nominal one. Takes seconds and both cores where the cache in `cache_dir` does
 /// not hold this sensor's unit responses yet; then leaves them there.
 pub fn load_or_build(sensor: &Sensor, cache_dir: &Path) -> Result<ForwardModel, ModelUnavailable> {
     let responses = unit_responses(sensor, cache_dir)?;
@@ -30,7 +31,10 @@ pub fn load_or_build(sensor: &Sensor, cache_dir: &Path) -> Result<ForwardModel, 
 
 /// The unit responses of a sensor, from the cache or solved. A cache that cannot be read or written
 /// costs seconds, nothing else: it is logged.
-fn unit_responses(sensor: &Sensor, cache_dir: &Path) -> Result<UnitResponses, ResponsesError> {
+pub fn unit_responses(
+    sensor: &Sensor,
+    cache_dir: &Path,
+) -> Result<UnitResponses, ResponsesError> {
     let path = cache_file(sensor, cache_dir);
     match fs::read(&path) {
         Ok(bytes) => match UnitResponses::from_bytes(&bytes, sensor) {

@@ -12,6 +12,9 @@
 
 use super::back::KronFactor;
 use super::kron::KronReduction;
+use super::lane::{Lane32, LaneJob, Portable};
+#[cfg(target_arch = "x86_64")]
+use super::lane_x86;
 use super::readout::ReadoutWork;
 use crate::circuit::ReadoutCircuit;
 
@@ -165,26 +168,49 @@ impl Direction {
     }
 }
 
-/// `out[width * j + k] = sum_i weights_i rows_ij rows_ik` for whole tiles with j <= k.
+/// `out[width * j + k] = sum_i weights_i rows_ij rows_ik` for whole tiles with j <= k. The same bits on
+/// every processor: vectors change neither a term nor the order of a sum.
 fn weighted_products(rows: &[f64], weights: &[f64], width: usize, out: &mut Vec<f64>) {
     out.clear();
     out.resize(width * width, 0.0);
-    for (rows, weights) in rows.chunks(BLOCK * width).zip(weights.chunks(BLOCK)) {
-        for j in (0..width).step_by(TILE) {
-            for k in (j..width).step_by(TILE) {
-                let mut sums = [[0.0; TILE]; TILE];
-                for (row, &weight) in rows.chunks_exact(width).zip(weights) {
-                    let (left, right) = (tile(row, j), tile(row, k));
-                    for (sums, left) in sums.iter_mut().zip(left) {
-                        let factor = weight * left;
-                        for (sum, right) in sums.iter_mut().zip(right) {
-                            *sum += factor * right;
+    let job = Products { rows, weights, width, out };
+    #[cfg(target_arch = "x86_64")]
+    if lane_x86::has_avx2() {
+        return lane_x86::on_avx2(job);
+    }
+    job.run::<Portable>();
+}
+
+struct Products<'a> {
+    rows: &'a [f64],
+    weights: &'a [f64],
+    width: usize,
+    out: &'a mut [f64],
+}
+
+impl LaneJob for Products<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<L: Lane32>(self) {
+        let Self { rows, weights, width, out } = self;
+        for (rows, weights) in rows.chunks(BLOCK * width).zip(weights.chunks(BLOCK)) {
+            for j in (0..width).step_by(TILE) {
+                for k in (j..width).step_by(TILE) {
+                    let mut sums = [[0.0; TILE]; TILE];
+                    for (row, &weight) in rows.chunks_exact(width).zip(weights) {
+                        let (left, right) = (tile(row, j), tile(row, k));
+                        for (sums, left) in sums.iter_mut().zip(left) {
+                            let factor = weight * left;
+                            for (sum, right) in sums.iter_mut().zip(right) {
+                                *sum += factor * right;
+                            }
                         }
                     }
-                }
-                for (r, sums) in sums.iter().enumerate() {
-                    for (c, sum) in sums.iter().enumerate() {
-                        out[width * (j + r) + k + c] += sum;
+                    for (r, sums) in sums.iter().enumerate() {
+                        for (c, sum) in sums.iter().enumerate() {
+                            out[width * (j + r) + k + c] += sum;
+                        }
                     }
                 }
             }

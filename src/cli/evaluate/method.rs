@@ -59,7 +59,7 @@ pub async fn method(args: MethodArgs) -> Result<(), CliError> {
 
 async fn score(lab: Lab, args: MethodArgs) -> Result<Sheet, CliError> {
     let mut wish = lab.wish(args.method, &args.dataset, args.part.as_deref());
-    wish.limit = lab.args.method;
+    wish.limit = lab.args.scored;
     wish.conditions = args.conditions;
     wish.transfer = args.with_transfer;
     wish.map = args.map;

@@ -10,17 +10,18 @@
 use faer::linalg::matmul::triangular::{BlockStructure, matmul};
 use faer::{Accum, MatMut, MatRef, Par};
 
-use super::parameters::Parameters;
+use super::parameters::{CircuitChanges, LAW_PIECES, Parameters};
 use super::{MeasuredTrial, SkinFitError, TrialErrors};
-use crate::forward::ForwardModel;
+use crate::forward::{ForwardModel, Workspace};
 use crate::jacobian::{CONTACT_PARAMETERS, Field, JacobianWork, Linearised, Mode};
 
 /// A node counts where it carries at least this share of all conductance to the top.
-const LEAST_SHARE: f64 = 1e-7;
+const LEAST_SHARE: f64 = 3e-6;
 
 /// Memory of one thread.
 #[derive(Default)]
 pub(super) struct FrameWork {
+    forward: Workspace,
     jacobian: JacobianWork,
     modes: Vec<Mode>,
     /// For each corner of a field: its mode, plus one; 0 for none.
@@ -49,61 +50,100 @@ pub(super) struct FrameMisfit {
     pub variance: f64,
 }
 
+/// The directions C of a trial, column by column, V. They are kept while a step is looked for: a cost
+/// whose weights moved with the model could fall without a better fit.
+pub(super) type OpenDirections = Vec<f32>;
+
 /// What is the same for all trials of a pass.
 pub(super) struct Pass<'a> {
     pub parameters: &'a Parameters,
     pub model: &'a ForwardModel,
-    pub electrode_modes: &'a [Mode],
-    pub sheet_modes: &'a [Mode],
+    pub circuit: &'a CircuitChanges,
+    pub law_slopes: &'a [f64; LAW_PIECES],
     pub offsets_v: &'a [f64],
     pub errors: &'a TrialErrors,
 }
 
 impl Pass<'_> {
-    /// The misfit at this model.
-    pub fn misfit(
+    /// The directions that a trial leaves open at this model, and its misfit.
+    pub fn open(
         &self,
         trial: &MeasuredTrial,
         work: &mut FrameWork,
+    ) -> Result<(OpenDirections, FrameMisfit), SkinFitError> {
+        let mut linear = self.model.linearise(&trial.contacts, &mut work.jacobian)?;
+        let residual_v = residual(trial, linear.frame_v());
+        // A model that overshoots has slopes to match: they count as those of the measured frame.
+        let size = |frame: &mut dyn Iterator<Item = f64>| frame.map(|v| v * v).sum::<f64>().sqrt();
+        let measured = size(&mut trial.frame_v.iter().map(|&v| f64::from(v)));
+        let modelled = size(&mut linear.frame_v().iter().copied());
+        let scale = if modelled > measured { measured / modelled } else { 1.0 };
+        let gain = self.errors.gain_sd as f32;
+        let mut open: OpenDirections = trial.frame_v.iter().map(|v| gain * v).collect();
+        for (i, column) in linear.contacts().chunks_exact(trial.frame_v.len()).enumerate() {
+            let sd = match i % CONTACT_PARAMETERS {
+                2 => self.errors.force_sd * trial.contacts[i / CONTACT_PARAMETERS].force_n,
+                _ => self.errors.place_sd_mm,
+            };
+            open.extend(column.iter().map(|slope| (scale * sd * slope) as f32));
+        }
+        let misfit = self.weighted(trial, residual_v, &open, work);
+        Ok((open, misfit))
+    }
+
+    /// The misfit at this model, with directions that were found at another.
+    pub fn misfit(
+        &self,
+        trial: &MeasuredTrial,
+        open: &OpenDirections,
+        work: &mut FrameWork,
     ) -> Result<FrameMisfit, SkinFitError> {
-        let FrameWork { jacobian, columns, gram, .. } = work;
-        let mut linear = self.model.linearise(&trial.contacts, jacobian)?;
-        let residual_v: Vec<f64> =
-            trial.frame_v.iter().zip(linear.frame_v()).map(|(v, m)| f64::from(*v) - m).collect();
-        let variance = self.errors.variance(&trial.frame_v);
+        let residual_v = residual(trial, self.model.voltages(&trial.contacts, &mut work.forward)?);
+        Ok(self.weighted(trial, residual_v, open, work))
+    }
+
+    fn weighted(
+        &self,
+        trial: &MeasuredTrial,
+        residual_v: Vec<f64>,
+        open: &OpenDirections,
+        work: &mut FrameWork,
+    ) -> FrameMisfit {
+        let FrameWork { columns, gram, .. } = work;
+        let (channels, variance) = (trial.frame_v.len(), self.errors.variance(&trial.frame_v));
         columns.clear();
-        let nuisances = self.nuisances(trial, &mut linear, columns);
+        columns.extend(open.iter().map(|&v| f64::from(v)));
         columns.extend(residual_v.iter().zip(self.offsets_v).map(|(r, o)| r - o));
-        let count = nuisances + 1;
+        let count = columns.len() / channels;
         weighted_gram(columns, count, variance, gram);
-        eliminate(gram, count, nuisances);
-        let misfit = gram[count * count - 1] / trial.frame_v.len() as f64;
-        Ok(FrameMisfit { misfit, residual_v, variance })
+        eliminate(gram, count, count - 1);
+        let misfit = gram[count * count - 1] / channels as f64;
+        FrameMisfit { misfit, residual_v, variance }
     }
 
     /// The share of the normal equations, weighted by a factor.
     pub fn terms(
         &self,
         trial: &MeasuredTrial,
+        open: &OpenDirections,
         factor: f64,
         work: &mut FrameWork,
     ) -> Result<FrameTerms, SkinFitError> {
-        let FrameWork { jacobian, modes, mode_of, columns, gram } = work;
+        let FrameWork { jacobian, modes, mode_of, columns, gram, .. } = work;
         let mut linear = self.model.linearise(&trial.contacts, jacobian)?;
         columns.clear();
-        let nuisances = self.nuisances(trial, &mut linear, columns);
+        columns.extend(open.iter().map(|&v| f64::from(v)));
+        let nuisances = open.len() / trial.frame_v.len();
         let mut active = Vec::new();
+        modes.clear();
+        self.law_modes(&linear, modes, &mut active);
         self.foam_modes(linear.to_top_s(), modes, mode_of, &mut active);
         columns.extend_from_slice(linear.modes(modes));
-        for (fixed, at) in [
-            (self.sheet_modes, self.parameters.blocks[4].at.clone()),
-            (self.electrode_modes, self.parameters.electrodes_at()),
-        ] {
-            columns.extend_from_slice(linear.modes(fixed));
-            active.extend(at.map(|i| i as u32));
-        }
-        let modelled = linear.frame_v().iter().zip(self.offsets_v);
-        columns.extend(trial.frame_v.iter().zip(modelled).map(|(v, (m, o))| f64::from(*v) - m - o));
+        columns.extend_from_slice(linear.resistors(&self.circuit.resistors));
+        columns.extend_from_slice(linear.modes(&self.circuit.leads));
+        active.extend(self.circuit.first as u32..self.parameters.len() as u32);
+        let residual_v = residual(trial, linear.frame_v());
+        columns.extend(residual_v.iter().zip(self.offsets_v).map(|(r, o)| r - o));
         let count = nuisances + active.len() + 1;
         weighted_gram(columns, count, self.errors.variance(&trial.frame_v) / factor, gram);
         eliminate(gram, count, nuisances);
@@ -114,26 +154,25 @@ impl Pass<'_> {
         Ok(FrameTerms { active, gram, pull })
     }
 
-    /// Appends the directions that a trial leaves open, scaled by their standard deviations; returns
-    /// how many.
-    fn nuisances(
-        &self,
-        trial: &MeasuredTrial,
-        linear: &mut Linearised<'_>,
-        columns: &mut Vec<f64>,
-    ) -> usize {
-        let gain = self.errors.gain_sd;
-        columns.extend(linear.frame_v().iter().map(|v| gain * v));
-        let channels = trial.frame_v.len();
-        let by_contacts = linear.contacts().chunks_exact(channels);
-        for (i, column) in by_contacts.enumerate() {
-            let sd = match i % CONTACT_PARAMETERS {
-                2 => self.errors.force_sd * trial.contacts[i / CONTACT_PARAMETERS].force_n,
-                _ => self.errors.place_sd_mm,
-            };
-            columns.extend(column.iter().map(|slope| sd * slope));
+    /// The modes of the foam's law: they move compressions, as the compliance does.
+    fn law_modes(&self, linear: &Linearised<'_>, modes: &mut Vec<Mode>, active: &mut Vec<u32>) {
+        let first = modes.len();
+        let piece = |_| Mode { field: Field::LnCompliance, entries: Vec::new() };
+        modes.extend((0..LAW_PIECES).map(piece));
+        active.extend(0..LAW_PIECES as u32);
+        let (to_top_s, compression_mm) = (linear.to_top_s(), linear.compression_mm());
+        let least_s = least_s(to_top_s);
+        for (node, &compression_mm) in compression_mm.iter().enumerate() {
+            if to_top_s[node] < least_s {
+                continue;
+            }
+            let shares = Parameters::law_shares(self.law_slopes, compression_mm);
+            for (mode, share) in modes[first..].iter_mut().zip(shares) {
+                if share > 0.0 {
+                    mode.entries.push((node as u32, share));
+                }
+            }
         }
-        1 + CONTACT_PARAMETERS * trial.contacts.len()
     }
 
     /// The modes of the foam's fields that this load reaches, restricted to the nodes it presses.
@@ -144,8 +183,7 @@ impl Pass<'_> {
         mode_of: &mut Vec<u32>,
         active: &mut Vec<u32>,
     ) {
-        modes.clear();
-        let least_s = LEAST_SHARE * to_top_s.iter().sum::<f64>();
+        let least_s = least_s(to_top_s);
         for block in self.parameters.blocks.iter().filter(|b| b.field != Field::LnSheetConductance)
         {
             mode_of.clear();
@@ -165,6 +203,16 @@ impl Pass<'_> {
             }
         }
     }
+}
+
+/// Measured minus modelled, V.
+fn residual(trial: &MeasuredTrial, modelled_v: &[f64]) -> Vec<f64> {
+    trial.frame_v.iter().zip(modelled_v).map(|(v, m)| f64::from(*v) - m).collect()
+}
+
+/// Conductance below which a node is left out, S.
+fn least_s(to_top_s: &[f64]) -> f64 {
+    LEAST_SHARE * to_top_s.iter().sum::<f64>()
 }
 
 /// The lower triangle of `A' A / variance`, column-major, for a column-major A.

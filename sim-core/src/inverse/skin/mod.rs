@@ -9,6 +9,8 @@
 mod frame;
 mod parameters;
 mod sweep;
+#[cfg(test)]
+mod tests;
 
 use std::sync::Arc;
 
@@ -24,6 +26,13 @@ use crate::skin::{FieldPrior, FvuSummary, SkinElectrodes, SkinFields, rounded};
 
 use parameters::Parameters;
 use sweep::Sweep;
+
+/// A step that lowers the cost by less than this share is the last.
+const ENOUGH: f64 = 2e-3;
+/// With more damping than this no step would be worth its pass.
+const MOST_DAMPING: f64 = 1e3;
+/// Noise is taken to be at least this, V: a converter's step.
+const LEAST_NOISE_V: f64 = 1e-5;
 
 /// One measured trial.
 #[derive(Debug, Clone, PartialEq)]
@@ -47,6 +56,10 @@ pub struct SkinPrior {
     pub ln_compliance: FieldPrior,
     /// Of ln sheet conductance.
     pub ln_sheet_conductance: FieldPrior,
+    /// Of the logarithm of the foam law's slope.
+    pub foam_sd: f64,
+    /// Over which compression that forgets, mm.
+    pub foam_mm: f64,
     /// Electrodes off their places, mm per axis.
     pub electrode_sd_mm: f64,
     /// Median contact resistance, ohm.
@@ -76,6 +89,8 @@ impl Default for SkinPrior {
             ln_c: field(0.5, 0.2, 0.0),
             ln_compliance: field(0.3, 0.1, 0.05),
             ln_sheet_conductance: field(0.3, 0.1, 0.0),
+            foam_sd: 0.2,
+            foam_mm: 1.0,
             electrode_sd_mm: 4.0,
             contact_ohm: 30.0,
             contact_ln_sd: 1.0,
@@ -164,9 +179,9 @@ pub struct SkinProgress {
     pub step: usize,
     /// Most steps.
     pub steps: usize,
-    /// Cost so far; the first is of the prior's mean.
-    pub cost: f64,
-    /// Work done of this step, as trials; a step goes over all of them twice.
+    /// Cost so far; `None` in the first step.
+    pub cost: Option<f64>,
+    /// Work done of this step, as trials; a step goes over all of them three times.
     pub done: usize,
     /// Work of this step.
     pub total: usize,
@@ -197,6 +212,9 @@ pub enum SkinFitError {
     /// A field's prior has no inverse: a standard deviation or length is not positive.
     #[error("fitting a skin: the prior of {0:?} is degenerate")]
     Prior(Field),
+    /// The prior of the foam's law has no inverse.
+    #[error("fitting a skin: the prior of the foam's law is degenerate")]
+    FoamPrior,
     /// The normal equations have no solution.
     #[error("fitting a skin: step {step}: the normal equations are not positive definite")]
     Normal {
@@ -229,7 +247,7 @@ impl SkinFit {
         sensor: &Sensor,
         responses: Arc<UnitResponses>,
     ) -> Result<ForwardModel, ModelError> {
-        let fields = self.fields.over(sensor, &Mesh::new(sensor)?);
+        let fields = self.fields.over(sensor, &Mesh::new(sensor)?)?;
         ForwardModel::with(sensor, responses, fields, self.electrodes.circuit(sensor))
     }
 }
@@ -249,22 +267,24 @@ pub fn fit(
     let mut vector = vec![0.0; parameters.len()];
     let mut offsets_v = vec![0.0; sensor.channels()];
     let mut model = parameters.model(&vector)?;
-    let mut here = sweep.misfits(&model, &offsets_v)?;
-    let mut costs = vec![here.cost(here.edge()) + parameters.prior_cost(&vector)];
-    let mut damping = 0.0;
+    let (mut costs, mut factors, mut damping) = (Vec::new(), vec![1.0; trials.len()], 0.0);
     for step in 1..=options.steps {
-        sweep.begin(step, costs[costs.len() - 1]);
-        offsets_v = here.offsets_v(&offsets_v, options.prior.offset_sd_v);
+        sweep.begin(step, costs.last().copied());
+        let (open, here) = sweep.open(&model, &offsets_v)?;
         let edge = here.edge();
-        let (normal, pull) = sweep.normal(&model, &offsets_v, &here.factors(edge))?;
+        factors = here.factors(edge);
         let before = here.cost(edge) + parameters.prior_cost(&vector);
+        if costs.is_empty() {
+            costs.push(before);
+        }
+        let (normal, pull) = sweep.normal(&model, &offsets_v, &open, &factors)?;
         let mut accepted = None;
-        while accepted.is_none() && damping < 1e3 {
+        while accepted.is_none() && damping < MOST_DAMPING {
             let move_by = solve(&parameters, &normal, &pull, &vector, damping)
                 .ok_or(SkinFitError::Normal { step })?;
             let next: Vec<f64> = vector.iter().zip(&move_by).map(|(v, d)| v + d).collect();
             let next_model = parameters.model(&next)?;
-            let there = sweep.misfits(&next_model, &offsets_v)?;
+            let there = sweep.misfits(&next_model, &offsets_v, &open)?;
             let after = there.cost(edge) + parameters.prior_cost(&next);
             if after < before {
                 damping = if damping < 1e-3 { 0.0 } else { 0.1 * damping };
@@ -274,13 +294,13 @@ pub fn fit(
             }
         }
         let Some((next, next_model, there, after)) = accepted else { break };
-        (vector, model, here) = (next, next_model, there);
+        (vector, model) = (next, next_model);
+        offsets_v = there.offsets_v(options.prior.offset_sd_v);
         costs.push(after);
-        if before - after < 1e-3 * before {
+        if before - after < ENOUGH * before {
             break;
         }
     }
-    let factors = here.factors(here.edge());
     Ok(SkinFit {
         fields: parameters.skin_fields(&vector),
         electrodes: parameters.skin_electrodes(&vector),
@@ -322,6 +342,22 @@ fn check(sensor: &Sensor, trials: &[MeasuredTrial]) -> Result<(), SkinFitError> 
         return Err(SkinFitError::NoTrials);
     }
     Ok(())
+}
+
+/// Standard deviation of a reading, V, as frames show it themselves: the differences around each
+/// injection's ring sum to zero but for noise. `None` without frames.
+pub fn noise_v(trials: &[MeasuredTrial]) -> Option<f64> {
+    let ring = |frame: &[f32]| frame.iter().map(|&v| f64::from(v)).sum::<f64>().abs();
+    let mut sums = Vec::new();
+    for trial in trials {
+        let electrodes = (trial.frame_v.len() as f64).sqrt() as usize;
+        let rings = trial.frame_v.chunks_exact(electrodes.max(1));
+        sums.extend(rings.map(|r| ring(r) / (electrodes as f64).sqrt()));
+    }
+    sums.sort_by(f64::total_cmp);
+    // The median of |x| of a normal x, over its standard deviation.
+    let median = sums.get(sums.len() / 2)? / 0.6745;
+    Some(median.max(LEAST_NOISE_V))
 }
 
 /// Fraction of variance unexplained of one frame (Eq. 2).

@@ -14,23 +14,29 @@ use faer::{Mat, Side};
 use super::{SkinFitError, SkinPrior};
 use crate::circuit::{ElectrodeSite, ReadoutCircuit};
 use crate::fields::NodeFields;
-use crate::forward::ForwardModel;
-use crate::jacobian::{Field, Mode};
+use crate::forward::{ForwardModel, ModelError};
+use crate::jacobian::{Field, Mode, circuit_resistors};
 use crate::mesh::Mesh;
+use crate::network::Resistor;
 use crate::responses::UnitResponses;
 use crate::sensor::Sensor;
-use crate::skin::{FieldPrior, SkinElectrodes, SkinField, SkinFields, SkinGrid, rounded};
+use crate::skin::{FieldPrior, SkinElectrodes, SkinField, SkinFields, SkinFoam, SkinGrid, rounded};
 
 /// Added to a field's prior variance, as a share: neighbouring corners are otherwise so alike that
 /// their covariance has no inverse in f64.
 const NUGGET: f64 = 1e-4;
 
+/// Pieces of the foam's law, first in the vector: ln slopes over equal steps of linear compression.
+pub(super) const LAW_PIECES: usize = 10;
+/// Length of a piece, mm: all pieces together are more than a foam of 4 mm and its law can take.
+pub(super) const LAW_STEP_MM: f64 = 0.5;
+
 /// The fields of the foam and the sheet, in the vector's order.
 pub(super) const FIELDS: [Field; 5] =
     [Field::LnA, Field::LnB, Field::LnC, Field::LnCompliance, Field::LnSheetConductance];
-/// The electrodes' parameters: moves in mm, logarithms of resistances over the expected ones.
-const OF_ELECTRODES: [Field; 4] =
-    [Field::ElectrodeX, Field::ElectrodeY, Field::ContactOhm, Field::LeadOhm];
+/// Parameters of an electrode: moves in x and y, mm; logarithms of contact and lead over the expected
+/// ones.
+const OF_ELECTRODES: usize = 4;
 
 /// One field on its grid.
 pub(super) struct FieldBlock {
@@ -41,6 +47,23 @@ pub(super) struct FieldBlock {
     pub at: Range<usize>,
     /// For each node or triangle: the corners around it (counted within the field), with weights.
     pub corners: Vec<[(usize, f64); 4]>,
+}
+
+impl FieldBlock {
+    /// Place of a corner, mm.
+    pub fn place_mm(&self, sensor: &Sensor, corner: usize) -> [f64; 2] {
+        self.grid.place_mm(sensor, corner)
+    }
+}
+
+/// How the circuit changes with the sheet's and the electrodes' parameters, one after the other.
+pub(super) struct CircuitChanges {
+    /// Of the sheet's corners, the electrodes' x, y and contacts.
+    pub resistors: Vec<Vec<Resistor>>,
+    /// Of the leads.
+    pub leads: Vec<Mode>,
+    /// The first one's place in the vector; the others follow.
+    pub first: usize,
 }
 
 /// What the vector's numbers mean for one sensor.
@@ -62,10 +85,10 @@ impl Parameters {
         prior: SkinPrior,
         spacing_mm: f64,
     ) -> Result<Self, SkinFitError> {
-        let mesh = Mesh::new(sensor).map_err(crate::forward::ModelError::from)?;
+        let mesh = Mesh::new(sensor).map_err(ModelError::from)?;
         let nodes = mesh.nodes_mm.clone();
         let centres: Vec<_> = mesh.triangles.iter().map(|t| mesh.triangle_centre_mm(t)).collect();
-        let (mut blocks, mut first) = (Vec::new(), 0);
+        let (mut blocks, mut first) = (Vec::new(), LAW_PIECES);
         for (field, of_field) in FIELDS.into_iter().zip(prior.fields()) {
             let places = if field == Field::LnSheetConductance { &centres } else { &nodes };
             let grid = SkinGrid::of_spacing(sensor, of_field.spacing_mm(spacing_mm));
@@ -90,7 +113,7 @@ impl Parameters {
 
     /// How many there are.
     pub fn len(&self) -> usize {
-        self.first_electrode + OF_ELECTRODES.len() * self.electrodes
+        self.first_electrode + OF_ELECTRODES * self.electrodes
     }
 
     /// The prior's share of the cost.
@@ -102,8 +125,8 @@ impl Parameters {
     /// Precision times the vector: half of the gradient of [`Self::prior_cost`].
     pub fn prior_pull(&self, vector: &[f64]) -> Vec<f64> {
         let mut out: Vec<f64> = vec![0.0; vector.len()];
-        let starts = self.blocks.iter().map(|block| block.at.clone());
-        for at in starts {
+        let law = 0..LAW_PIECES;
+        for at in self.blocks.iter().map(|block| block.at.clone()).chain([law]) {
             for j in at.clone() {
                 for i in at.clone() {
                     out[i] += self.precision[(i, j)] * vector[j];
@@ -121,19 +144,22 @@ impl Parameters {
         for block in &self.blocks {
             let count = block.at.len();
             let places: Vec<[f64; 2]> =
-                (0..count).map(|corner| block.grid.place_mm(&self.sensor, corner)).collect();
+                (0..count).map(|corner| block.place_mm(&self.sensor, corner)).collect();
             let nugget = NUGGET * block.prior.covariance(0.0);
             let covariance = Mat::from_fn(count, count, |i, j| {
                 let [p, q] = [places[i], places[j]];
                 let own = if i == j { nugget } else { 0.0 };
                 block.prior.covariance((p[0] - q[0]).hypot(p[1] - q[1])) + own
             });
-            let factor =
-                covariance.llt(Side::Lower).map_err(|_| SkinFitError::Prior(block.field))?;
-            let inverse = factor.solve(Mat::<f64>::identity(count, count));
-            let first = block.at.start;
-            precision.as_mut().submatrix_mut(first, first, count, count).copy_from(inverse);
+            set_inverse(&mut precision, block.at.start, &covariance)
+                .ok_or(SkinFitError::Prior(block.field))?;
         }
+        let law = Mat::from_fn(LAW_PIECES, LAW_PIECES, |i, j| {
+            let t = LAW_STEP_MM * i.abs_diff(j) as f64 / self.prior.foam_mm;
+            let own = if i == j { NUGGET } else { 0.0 };
+            self.prior.foam_sd.powi(2) * ((-0.5 * t * t).exp() + own)
+        });
+        set_inverse(&mut precision, 0, &law).ok_or(SkinFitError::FoamPrior)?;
         let sds = [
             self.prior.electrode_sd_mm,
             self.prior.electrode_sd_mm,
@@ -170,8 +196,7 @@ impl Parameters {
     pub fn model(&self, vector: &[f64]) -> Result<ForwardModel, SkinFitError> {
         let over = |block: &FieldBlock| -> Vec<f64> {
             let values = &vector[block.at.clone()];
-            let at =
-                |corners: &[(usize, f64); 4]| corners.iter().map(|&(c, w)| w * values[c]).sum();
+            let at = |corners: &[(usize, f64); 4]| corners.iter().map(|&(c, w)| w * values[c]).sum();
             block.corners.iter().map(at).collect()
         };
         let [ln_a, ln_b, ln_c, ln_compliance, ln_sheet_conductance] =
@@ -182,7 +207,7 @@ impl Parameters {
             ln_c,
             ln_compliance,
             ln_sheet_conductance,
-            displacement: None,
+            displacement: Some(self.foam(vector).law().map_err(ModelError::from)?),
         };
         let circuit = ReadoutCircuit {
             electrodes: self.sites(vector),
@@ -191,39 +216,68 @@ impl Parameters {
         Ok(ForwardModel::with(&self.sensor, Arc::clone(&self.responses), fields, circuit)?)
     }
 
-    /// The directions of the electrodes' parameters at a model that a vector made.
-    pub fn electrode_modes(&self, model: &ForwardModel) -> Vec<Mode> {
-        let mut modes = Vec::with_capacity(OF_ELECTRODES.len() * self.electrodes);
-        for field in OF_ELECTRODES {
-            for (k, site) in model.circuit().electrodes.iter().enumerate() {
-                let moved = match field {
-                    Field::ContactOhm => site.contact_ohm,
-                    Field::LeadOhm => site.lead_ohm,
-                    _ => 1.0,
-                };
-                modes.push(Mode { field, entries: vec![(k as u32, moved)] });
+    /// The directions that are the same at every load, at a model that a vector made.
+    pub fn circuit_changes(&self, model: &ForwardModel) -> CircuitChanges {
+        let sheet = &self.blocks[FIELDS.len() - 1];
+        let mut modes: Vec<Mode> =
+            sheet.at.clone().map(|_| Mode { field: sheet.field, entries: Vec::new() }).collect();
+        for (triangle, corners) in sheet.corners.iter().enumerate() {
+            for &(corner, weight) in corners.iter().filter(|(_, weight)| *weight != 0.0) {
+                modes[corner].entries.push((triangle as u32, weight));
             }
         }
-        modes
+        let sites = &model.circuit().electrodes;
+        let of_electrodes = |field: Field, moved: fn(&ElectrodeSite) -> f64| {
+            let each = move |(k, site)| Mode { field, entries: vec![(k as u32, moved(site))] };
+            sites.iter().enumerate().map(each)
+        };
+        modes.extend(of_electrodes(Field::ElectrodeX, |_| 1.0));
+        modes.extend(of_electrodes(Field::ElectrodeY, |_| 1.0));
+        modes.extend(of_electrodes(Field::ContactOhm, |site| site.contact_ohm));
+        CircuitChanges {
+            resistors: modes.iter().map(|mode| circuit_resistors(model, mode)).collect(),
+            leads: of_electrodes(Field::LeadOhm, |site| site.lead_ohm).collect(),
+            first: sheet.at.start,
+        }
     }
 
-    /// Where [`Self::electrode_modes`] stand in the vector.
-    pub fn electrodes_at(&self) -> Range<usize> {
-        self.first_electrode..self.len()
+    fn foam(&self, vector: &[f64]) -> SkinFoam {
+        SkinFoam { step_mm: LAW_STEP_MM, ln_slopes: vector[..LAW_PIECES].to_vec() }
+    }
+
+    /// Shares of the law's pieces in a node's compression, mm after the law: how it moves with the
+    /// logarithm of each slope, over how it moves with ln compliance.
+    pub fn law_shares(slopes: &[f64; LAW_PIECES], compression_mm: f64) -> [f64; LAW_PIECES] {
+        let (mut shares, mut left_mm, mut linear_mm) = ([0.0; LAW_PIECES], compression_mm, 0.0);
+        let mut last = slopes[0];
+        for (piece, (share, &slope)) in shares.iter_mut().zip(slopes).enumerate() {
+            let whole = slope * LAW_STEP_MM;
+            let inside = if piece + 1 == LAW_PIECES { left_mm } else { left_mm.min(whole) };
+            if inside <= 0.0 {
+                break;
+            }
+            *share = inside;
+            linear_mm += inside / slope;
+            left_mm -= inside;
+            last = slope;
+        }
+        let by_compliance = last * linear_mm;
+        if by_compliance > 0.0 { shares.map(|share| share / by_compliance) } else { shares }
     }
 
     /// The fields as a calibration holds them.
     pub fn skin_fields(&self, vector: &[f64]) -> SkinFields {
-        let [ln_a, ln_b, ln_c, ln_compliance, ln_sheet_conductance] =
-            std::array::from_fn(|field| {
-                let block = &self.blocks[field];
-                SkinField {
-                    columns: block.grid.columns,
-                    prior: block.prior,
-                    values: vector[block.at.clone()].iter().map(|&v| rounded(v)).collect(),
-                }
-            });
-        SkinFields { ln_a, ln_b, ln_c, ln_compliance, ln_sheet_conductance }
+        let mut foam = self.foam(vector);
+        foam.ln_slopes.iter_mut().for_each(|ln| *ln = rounded(*ln));
+        let [ln_a, ln_b, ln_c, ln_compliance, ln_sheet_conductance] = std::array::from_fn(|field| {
+            let block = &self.blocks[field];
+            SkinField {
+                columns: block.grid.columns,
+                prior: block.prior,
+                values: vector[block.at.clone()].iter().map(|&v| rounded(v)).collect(),
+            }
+        });
+        SkinFields { foam, ln_a, ln_b, ln_c, ln_compliance, ln_sheet_conductance }
     }
 
     /// The electrodes as a calibration holds them.
@@ -237,4 +291,12 @@ impl Parameters {
             lead_ohm: all(|s| s.lead_ohm),
         }
     }
+}
+
+/// Writes the inverse of a covariance into the diagonal of a matrix; `None` where it has none.
+fn set_inverse(into: &mut Mat<f64>, first: usize, covariance: &Mat<f64>) -> Option<()> {
+    let count = covariance.nrows();
+    let inverse = covariance.llt(Side::Lower).ok()?.solve(Mat::<f64>::identity(count, count));
+    into.as_mut().submatrix_mut(first, first, count, count).copy_from(inverse);
+    Some(())
 }

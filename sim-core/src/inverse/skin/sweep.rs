@@ -6,11 +6,10 @@ use std::thread;
 
 use faer::Mat;
 
-use super::frame::{FrameWork, Pass};
-use super::parameters::Parameters;
+use super::frame::{FrameMisfit, FrameWork, OpenDirections, Pass};
+use super::parameters::{LAW_PIECES, LAW_STEP_MM, Parameters};
 use super::{MeasuredTrial, SkinFitError, SkinFitOptions, SkinProgress};
 use crate::forward::ForwardModel;
-use crate::jacobian::{Field, Mode};
 
 /// Trials whose terms are held at a time (about a megabyte each).
 const BLOCK: usize = 64;
@@ -24,7 +23,6 @@ pub(super) struct Sweep<'a> {
     options: &'a SkinFitOptions,
     progress: &'a mut dyn FnMut(SkinProgress),
     at: SkinProgress,
-    sheet_modes: Vec<Mode>,
     work: Vec<FrameWork>,
 }
 
@@ -39,6 +37,22 @@ pub(super) struct Misfits {
 }
 
 impl Misfits {
+    fn new(channels: usize) -> Self {
+        let residuals = vec![0.0; channels];
+        Self { misfits: Vec::new(), residuals, weight: 0.0, channels: channels as f64 }
+    }
+
+    fn push(&mut self, of: &FrameMisfit) {
+        self.misfits.push(of.misfit);
+        // A frame that the model does not explain says little about the offsets.
+        let square = of.residual_v.iter().map(|r| r * r).sum::<f64>() / self.channels;
+        let weight = 1.0 / (of.variance + square);
+        self.weight += weight;
+        for (sum, r) in self.residuals.iter_mut().zip(&of.residual_v) {
+            *sum += weight * r;
+        }
+    }
+
     /// The misfit beyond which a trial is doubted.
     pub fn edge(&self) -> f64 {
         let mut sorted = self.misfits.clone();
@@ -58,7 +72,7 @@ impl Misfits {
     }
 
     /// Offsets that these residuals speak for, V.
-    pub fn offsets_v(&self, _before: &[f64], prior_sd_v: f64) -> Vec<f64> {
+    pub fn offsets_v(&self, prior_sd_v: f64) -> Vec<f64> {
         let whole = self.weight + 1.0 / prior_sd_v.powi(2);
         self.residuals.iter().map(|sum| sum / whole).collect()
     }
@@ -71,17 +85,36 @@ impl<'a> Sweep<'a> {
         options: &'a SkinFitOptions,
         progress: &'a mut dyn FnMut(SkinProgress),
     ) -> Self {
-        let total = 2 * trials.len();
-        let at = SkinProgress { step: 0, steps: options.steps, cost: f64::NAN, done: 0, total };
+        let total = 3 * trials.len();
+        let at = SkinProgress { step: 0, steps: options.steps, cost: None, done: 0, total };
         let mut work = Vec::new();
         work.resize_with(options.threads.max(1), FrameWork::default);
-        let sheet_modes = sheet_modes(parameters);
-        Self { parameters, trials, options, progress, at, sheet_modes, work }
+        Self { parameters, trials, options, progress, at, work }
     }
 
     /// Starts a step.
-    pub fn begin(&mut self, step: usize, cost: f64) {
+    pub fn begin(&mut self, step: usize, cost: Option<f64>) {
         (self.at.step, self.at.cost, self.at.done) = (step, cost, 0);
+    }
+
+    /// The directions that all trials leave open at a model, and their misfits.
+    pub fn open(
+        &mut self,
+        model: &ForwardModel,
+        offsets_v: &[f64],
+    ) -> Result<(Vec<OpenDirections>, Misfits), SkinFitError> {
+        let (mut open, mut misfits) = (Vec::new(), Misfits::new(offsets_v.len()));
+        let trials = self.trials;
+        self.each(
+            model,
+            offsets_v,
+            |pass, i, work| pass.open(&trials[i], work),
+            |(directions, of)| {
+                open.push(directions);
+                misfits.push(&of);
+            },
+        )?;
+        Ok((open, misfits))
     }
 
     /// All trials' misfits.
@@ -89,28 +122,17 @@ impl<'a> Sweep<'a> {
         &mut self,
         model: &ForwardModel,
         offsets_v: &[f64],
+        open: &[OpenDirections],
     ) -> Result<Misfits, SkinFitError> {
-        let mut out = Misfits {
-            misfits: Vec::with_capacity(self.trials.len()),
-            residuals: vec![0.0; offsets_v.len()],
-            weight: 0.0,
-            channels: offsets_v.len() as f64,
-        };
+        let mut misfits = Misfits::new(offsets_v.len());
         let trials = self.trials;
         self.each(
             model,
             offsets_v,
-            |pass, i, work| pass.misfit(&trials[i], work),
-            |_, of| {
-                out.misfits.push(of.misfit);
-                let weight = 1.0 / (of.variance * of.misfit.max(1.0));
-                out.weight += weight;
-                for (sum, r) in out.residuals.iter_mut().zip(&of.residual_v) {
-                    *sum += weight * r;
-                }
-            },
+            |pass, i, work| pass.misfit(&trials[i], &open[i], work),
+            |of| misfits.push(&of),
         )?;
-        Ok(out)
+        Ok(misfits)
     }
 
     /// The normal equations: J'WJ (lower triangle) and J'Wr, without the prior.
@@ -118,6 +140,7 @@ impl<'a> Sweep<'a> {
         &mut self,
         model: &ForwardModel,
         offsets_v: &[f64],
+        open: &[OpenDirections],
         factors: &[f64],
     ) -> Result<(Mat<f64>, Vec<f64>), SkinFitError> {
         let count = self.parameters.len();
@@ -127,8 +150,8 @@ impl<'a> Sweep<'a> {
         self.each(
             model,
             offsets_v,
-            |pass, i, work| pass.terms(&trials[i], factors[i], work),
-            |_, terms| {
+            |pass, i, work| pass.terms(&trials[i], &open[i], factors[i], work),
+            |terms| {
                 let active = &terms.active;
                 for (j, column) in terms.gram.chunks_exact(active.len()).enumerate() {
                     let at = active[j] as usize;
@@ -149,14 +172,15 @@ impl<'a> Sweep<'a> {
         model: &ForwardModel,
         offsets_v: &[f64],
         of_trial: impl Fn(&Pass<'_>, usize, &mut FrameWork) -> Result<T, SkinFitError> + Sync,
-        mut take: impl FnMut(usize, T),
+        mut take: impl FnMut(T),
     ) -> Result<(), SkinFitError> {
-        let electrode_modes = self.parameters.electrode_modes(model);
+        let circuit = self.parameters.circuit_changes(model);
+        let law_slopes = law_slopes(model);
         let pass = Pass {
             parameters: self.parameters,
             model,
-            electrode_modes: &electrode_modes,
-            sheet_modes: &self.sheet_modes,
+            circuit: &circuit,
+            law_slopes: &law_slopes,
             offsets_v,
             errors: &self.options.errors,
         };
@@ -182,8 +206,8 @@ impl<'a> Sweep<'a> {
                 handles.into_iter().flat_map(join).collect()
             });
             results.sort_by_key(|(i, _)| *i);
-            for (i, result) in results {
-                take(i, result?);
+            for (_, result) in results {
+                take(result?);
             }
             self.at.done = (self.at.done + end - start).min(self.at.total);
             (self.progress)(self.at);
@@ -192,18 +216,9 @@ impl<'a> Sweep<'a> {
     }
 }
 
-/// The modes of the sheet: all of it carries current whatever presses.
-fn sheet_modes(parameters: &Parameters) -> Vec<Mode> {
-    let block = &parameters.blocks[4];
-    let mut modes: Vec<Mode> = block
-        .at
-        .clone()
-        .map(|_| Mode { field: Field::LnSheetConductance, entries: Vec::new() })
-        .collect();
-    for (triangle, corners) in block.corners.iter().enumerate() {
-        for &(corner, weight) in corners.iter().filter(|(_, weight)| *weight != 0.0) {
-            modes[corner].entries.push((triangle as u32, weight));
-        }
-    }
-    modes
+/// Slopes of the foam law's pieces.
+fn law_slopes(model: &ForwardModel) -> [f64; LAW_PIECES] {
+    let law = model.fields().displacement.as_ref();
+    let middle = |piece: usize| (piece as f64 + 0.5) * LAW_STEP_MM;
+    std::array::from_fn(|piece| law.map_or(1.0, |law| law.slope(middle(piece))))
 }

@@ -1,6 +1,6 @@
 //! `palpate calibrate`: fits the model to a lab's measurements and writes a calibration file.
-//! Uses: `calibrate`, `simulate` (the model that voltages are compared with), files. Never: the
-//! network, the rig.
+//! Uses: `calibrate`, `simulate` (the model that voltages are compared with), files; `skin` also the
+//! service, for a run's trials. Never: the rig.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -9,6 +9,8 @@ use clap::{Args, Subcommand};
 use serde_json::json;
 use sim_core::calibration::{Accuracy, Calibration, CalibrationError, Fitted};
 use sim_core::sensor::Sensor;
+
+mod skin;
 
 use super::data_or_default;
 use super::error::CliError;
@@ -36,6 +38,11 @@ enum What {
     /// The table has the columns point, or x_mm and y_mm; force_n; displacement_mm; and, where the
     /// displacement is not the tip's own, gauge_x_mm and gauge_y_mm.
     Foam(Common),
+    /// Fit one skin, place by place, to the trials of a run.
+    ///
+    /// Fields of a, b, c, compliance and sheet, the electrodes' places and resistances, and the
+    /// readout's offsets. Says how far held-out trials are from the model before and after.
+    Skin(skin::SkinArgs),
 }
 
 #[derive(Debug, Clone, Args)]
@@ -68,20 +75,35 @@ struct Common {
 }
 
 /// Runs the command.
-pub fn calibrate(args: &CalibrateArgs) -> Result<ExitCode, CliError> {
-    let (What::Piezo(common) | What::Foam(common)) = &args.what;
+pub async fn calibrate(args: CalibrateArgs) -> Result<ExitCode, CliError> {
+    match &args.what {
+        What::Skin(args) => skin::skin(args.clone()).await,
+        What::Piezo(common) => of_table(Law::Piezo, common),
+        What::Foam(common) => of_table(Law::Foam, common),
+    }
+}
+
+/// What a table of measurements is fitted with.
+#[derive(Debug, Clone, Copy)]
+enum Law {
+    Piezo,
+    Foam,
+}
+
+/// Fits to a table of measurements.
+fn of_table(law: Law, common: &Common) -> Result<ExitCode, CliError> {
     let sensor = read_sensor(common.sensor.as_deref())?;
     let earlier = common.from.as_deref().map(|path| read_calibration(path, &sensor)).transpose()?;
     let file = common.measurements.display().to_string();
     let text = read_input(&common.measurements)?;
     let alone = Calibration { sensor: sensor.file.name.clone(), ..Calibration::default() };
-    let (alone, picture) = match &args.what {
-        What::Piezo(_) => {
+    let (alone, picture) = match law {
+        Law::Piezo => {
             let fit = piezo::calibrate(&file, &text, &sensor.file.piezo)?;
             let picture = common.plot.as_ref().map(|_| plot::piezo(&fit)).transpose()?;
             (Calibration { piezo: Some(fit.calibration), ..alone }, picture)
         }
-        What::Foam(_) => {
+        Law::Foam => {
             let fit = foam::calibrate(&file, &text, &sensor)?;
             let picture = common.plot.as_ref().map(|_| plot::foam(&fit)).transpose()?;
             (Calibration { foam: Some(fit.calibration), ..alone }, picture)

@@ -1,0 +1,185 @@
+//! The fit against differences of its cost, against skins of its own family, and against bad input.
+
+use std::sync::OnceLock;
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+
+fn sensor() -> &'static Sensor {
+    static SENSOR: OnceLock<Sensor> = OnceLock::new();
+    let text = include_str!("../../../../experiments/sensors/ert-28.toml");
+    SENSOR.get_or_init(|| Sensor::from_toml(text).unwrap())
+}
+
+fn responses() -> Arc<UnitResponses> {
+    static RESPONSES: OnceLock<Arc<UnitResponses>> = OnceLock::new();
+    Arc::clone(RESPONSES.get_or_init(|| Arc::new(UnitResponses::solve(sensor()).unwrap())))
+}
+
+fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    (0..12).map(|_| rng.random_range(0.0..1.0)).sum::<f64>() - 6.0
+}
+
+fn options(spacing_mm: f64, threads: usize) -> SkinFitOptions {
+    SkinFitOptions { spacing_mm, ..SkinFitOptions::for_trials(0, threads) }
+}
+
+fn parameters(options: &SkinFitOptions) -> Parameters {
+    Parameters::new(sensor(), responses(), options.prior, options.spacing_mm).unwrap()
+}
+
+/// A skin drawn from the prior's family: smooth waves on every field, electrodes moved.
+fn some_skin(parameters: &Parameters, seed: u64) -> ForwardModel {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut vector = vec![0.0; parameters.len()];
+    for (block, sd) in parameters.blocks.iter().zip([0.5, 0.08, 0.2, 0.06, 0.1]) {
+        let wave: [f64; 3] = std::array::from_fn(|_| rng.random_range(-0.03..0.03));
+        for corner in block.at.clone() {
+            let [x, y] = block.place_mm(sensor(), corner - block.at.start);
+            vector[corner] = 1.4 * sd * (wave[0] * x + wave[1] * y + 100.0 * wave[2]).sin();
+        }
+    }
+    let electrodes = parameters.blocks[4].at.end..parameters.len();
+    let count = sensor().electrodes_mm().len();
+    for (n, i) in electrodes.enumerate() {
+        vector[i] = [2.5, 2.5, 0.1, 0.5][n / count] * normal(&mut rng);
+    }
+    parameters.model(&vector).unwrap()
+}
+
+/// Trials of one to three contacts on points, with white noise.
+fn measured(skin: &ForwardModel, count: usize, seed: u64) -> Vec<MeasuredTrial> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut work = Workspace::default();
+    (0..count)
+        .map(|_| {
+            let contacts: Vec<Contact> = (0..rng.random_range(1..=3))
+                .map(|_| {
+                    let p = sensor().points()[rng.random_range(0..804)];
+                    let force_n = rng.random_range(7.0..45.0);
+                    Contact { x_mm: p.x_mm, y_mm: p.y_mm, force_n }
+                })
+                .collect();
+            let clean_v = skin.voltages(&contacts, &mut work).unwrap();
+            let frame_v = clean_v.iter().map(|v| (v + 1.2e-3 * normal(&mut rng)) as f32).collect();
+            MeasuredTrial { contacts, frame_v }
+        })
+        .collect()
+}
+
+fn median(model: &ForwardModel, trials: &[MeasuredTrial]) -> f64 {
+    summary(&fvus(model, trials).unwrap()).unwrap().median
+}
+
+/// Held-out medians before and after a fit of so many trials, and ln a's correlation with the truth.
+fn recovered(trials: usize, spacing_mm: f64) -> ([f64; 2], f64) {
+    let options = SkinFitOptions { steps: 4, ..options(spacing_mm, 2) };
+    let skin = some_skin(&parameters(&options), 3);
+    let (fitted, held_out) = (measured(&skin, trials, 4), measured(&skin, 60, 5));
+    let fit = fit(sensor(), responses(), &fitted, &options, &mut |_| {}).unwrap();
+    let model = fit.model(sensor(), responses()).unwrap();
+    let nominal = ForwardModel::new(sensor(), responses()).unwrap();
+    let (found, truth) = (&model.fields().ln_a, &skin.fields().ln_a);
+    let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let alike = product(found, truth) / (product(found, found) * product(truth, truth)).sqrt();
+    let medians = [median(&nominal, &held_out), median(&model, &held_out)];
+    println!("{trials} trials: FVU {medians:.4?}, ln a {alike:.3}, costs {:?}", fit.costs);
+    (medians, alike)
+}
+
+#[test]
+fn the_step_goes_along_the_costs_gradient() {
+    let mut options = options(90.0, 1);
+    // Exact only where no weight depends on the model.
+    options.errors = TrialErrors { place_sd_mm: 0.0, force_sd: 0.0, gain_sd: 0.0, ..options.errors };
+    let parameters = parameters(&options);
+    let trials = measured(&some_skin(&parameters, 1), 3, 2);
+    let mut rng = ChaCha8Rng::seed_from_u64(6);
+    let point: Vec<f64> = (0..parameters.len()).map(|_| 0.05 * normal(&mut rng)).collect();
+    let offsets_v: Vec<f64> = (0..784).map(|_| 1e-4 * normal(&mut rng)).collect();
+    let mut ignore = |_: SkinProgress| {};
+    let mut sweep = Sweep::new(&parameters, &trials, &options, &mut ignore);
+    let model = parameters.model(&point).unwrap();
+    let (open, _) = sweep.open(&model, &offsets_v).unwrap();
+    let (_, pull) = sweep.normal(&model, &offsets_v, &open, &[1.0; 3]).unwrap();
+    let mut cost = |vector: &[f64]| {
+        let model = parameters.model(vector).unwrap();
+        sweep.misfits(&model, &offsets_v, &open).unwrap().cost(f64::INFINITY)
+    };
+    let mut kinds: Vec<_> = parameters.blocks.iter().map(|block| block.at.clone()).collect();
+    kinds.push(0..parameters.blocks[0].at.start);
+    kinds.push(parameters.blocks[4].at.end..parameters.len());
+    for at in kinds {
+        let direction: Vec<f64> = (0..parameters.len())
+            .map(|i| if at.contains(&i) { normal(&mut rng) } else { 0.0 })
+            .collect();
+        let step = 1e-4;
+        let moved = |by: f64| -> Vec<f64> {
+            point.iter().zip(&direction).map(|(p, d)| p + by * d).collect()
+        };
+        let numbers = (cost(&moved(step)) - cost(&moved(-step))) / (2.0 * step);
+        let slope: f64 = -2.0 * direction.iter().zip(&pull).map(|(d, p)| d * p).sum::<f64>();
+        let error = ((numbers - slope) / numbers).abs();
+        println!("{at:?}: {slope:.6e} against {numbers:.6e}");
+        // Nodes that hardly conduct are left out of the step, not of the cost.
+        assert!(error < 2e-3, "{at:?}: {error:e}");
+    }
+}
+
+#[test]
+fn a_skin_of_the_family_is_found() {
+    let ([before, after], alike) = recovered(120, 60.0);
+    assert!(after < 0.1 * before, "{before} -> {after}");
+    assert!(alike > 0.95, "ln a: {alike}");
+}
+
+#[test]
+fn few_trials_help_and_do_not_overfit() {
+    let ([before, after], _) = recovered(15, 60.0);
+    assert!(after < 0.8 * before, "{before} -> {after}");
+}
+
+#[test]
+fn threads_change_no_bit_and_a_wild_frame_is_doubted() {
+    let one = SkinFitOptions { steps: 2, ..options(90.0, 1) };
+    let skin = some_skin(&parameters(&one), 7);
+    let mut trials = measured(&skin, 24, 8);
+    trials[5].frame_v.iter_mut().for_each(|v| *v = -*v);
+    // An untouched skin with a readout offset.
+    trials.push(MeasuredTrial { contacts: Vec::new(), frame_v: vec![2e-4; 784] });
+    let three = SkinFitOptions { threads: 3, ..one };
+    let [a, b] =
+        [one, three].map(|o| fit(sensor(), responses(), &trials, &o, &mut |_| {}).unwrap());
+    assert_eq!((&a.fields, &a.electrodes, &a.offsets_mv), (&b.fields, &b.electrodes, &b.offsets_mv));
+    assert_eq!(a.costs, b.costs);
+    assert!(a.doubted.contains(&5), "{:?}", a.doubted);
+    assert!(a.doubted.len() < 6, "{:?}", a.doubted);
+}
+
+#[test]
+fn noise_is_seen_in_the_rings() {
+    let skin = ForwardModel::new(sensor(), responses()).unwrap();
+    let noise = noise_v(&measured(&skin, 12, 9)).unwrap();
+    assert!((noise / 1.2e-3 - 1.0).abs() < 0.15, "{noise}");
+    assert_eq!(noise_v(&[]), None);
+}
+
+#[test]
+fn bad_input_is_named() {
+    let options = options(90.0, 1);
+    let of = |trials: &[MeasuredTrial], options: &SkinFitOptions| {
+        fit(sensor(), responses(), trials, options, &mut |_| {}).unwrap_err().to_string()
+    };
+    assert_eq!(of(&[], &options), "fitting a skin: no trials with a contact");
+    let mut trials = measured(&ForwardModel::new(sensor(), responses()).unwrap(), 2, 1);
+    trials[1].frame_v[3] = f32::NAN;
+    assert!(of(&trials, &options).contains("trial 1: 783 finite voltages, the sensor has 784"));
+    trials[1].frame_v[3] = 0.0;
+    trials[0].contacts[0].x_mm = -5.0;
+    assert!(of(&trials, &options).contains("x_mm = -5"));
+    let mut wrong = options;
+    wrong.prior.ln_b.smooth_sd = f64::NAN;
+    assert!(of(&trials, &wrong).contains("prior of LnB"));
+}

@@ -1,0 +1,291 @@
+//! From a run's trials to a calibrated skin: which trials, the fit, and how good it is on trials
+//! that it has not seen.
+//! PURE. Uses: sim-core's `inverse::skin`, sha2. Never: files, asking for trials.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use sha2::{Digest, Sha256};
+use sim_core::forward::{Contact, ForwardModel};
+use sim_core::inverse::skin::{
+    self, MeasuredTrial, SkinFit, SkinFitError, SkinFitOptions, SkinProgress,
+};
+use sim_core::responses::UnitResponses;
+use sim_core::sensor::Sensor;
+use sim_core::skin::{SkinCalibration, SkinEvidence, rounded};
+
+/// One configuration in this many is held out.
+const HELD_OUT_IN: u64 = 5;
+/// Beside the trials that are fitted, at most one untouched skin for so many of them.
+const UNTOUCHED_IN: usize = 8;
+/// Fewest trials that a skin is fitted to.
+pub const LEAST_TRIALS: usize = 50;
+/// Sides of a stratum: place, mm, and force, N.
+const STRATUM_MM: f64 = 90.0;
+const STRATUM_N: f64 = 10.0;
+/// Places this close are the same, mm: repeats of a configuration.
+const SAME_PLACE_MM: f64 = 1.0;
+
+/// A trial that could be used: its contacts, without its frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Candidate {
+    /// Number of the trial.
+    pub trial: i64,
+    /// Where its tips stand, mm, whether they press or not: repeats of a configuration are alike.
+    pub tips_mm: Vec<[f64; 2]>,
+    /// What pressed.
+    pub contacts: Vec<Contact>,
+}
+
+/// Trials to fit and to judge by, as indices.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Choice {
+    /// To fit; untouched skins among them tell the readout's offsets.
+    pub fitted: Vec<usize>,
+    /// To judge by, none of a configuration that is fitted.
+    pub held_out: Vec<usize>,
+}
+
+/// Chooses up to `wanted` trials to fit and a quarter as many to judge by, spread evenly over number
+/// of contacts, place and force of the strongest; and some untouched skins. A contact is one of at
+/// least `least_n`; trials of weaker ones alone are left out. The same candidates give the same choice, in any order.
+pub fn choose(candidates: &[Candidate], wanted: usize, least_n: f64) -> Choice {
+    let mut sides = [BTreeMap::new(), BTreeMap::new()];
+    let mut order: Vec<usize> = (0..candidates.len()).collect();
+    order.sort_by_key(|&i| scrambled(candidates[i].trial.to_le_bytes()));
+    for &i in &order {
+        let candidate = &candidates[i];
+        let Some(stratum) = stratum(&candidate.contacts, least_n) else { continue };
+        let held_out = configuration(&candidate.tips_mm) % HELD_OUT_IN == 0;
+        sides[usize::from(held_out)].entry(stratum).or_insert_with(Vec::new).push(i);
+    }
+    let [fitted, held_out] = sides;
+    let (mut fitted, held_out) = (dealt(fitted, wanted), dealt(held_out, wanted.div_ceil(4)));
+    let untouched = fitted.len() / UNTOUCHED_IN;
+    fitted.extend(order.into_iter().filter(|&i| candidates[i].contacts.is_empty()).take(untouched));
+    fitted.sort_unstable();
+    Choice { fitted, held_out }
+}
+
+/// One of each stratum in turn, then the second of each, up to so many.
+fn dealt(strata: BTreeMap<Stratum, Vec<usize>>, wanted: usize) -> Vec<usize> {
+    let deepest = strata.values().map(Vec::len).max().unwrap_or(0);
+    let rounds = (0..deepest).flat_map(|round| strata.values().filter_map(move |s| s.get(round)));
+    let mut chosen: Vec<usize> = rounds.take(wanted).copied().collect();
+    chosen.sort_unstable();
+    chosen
+}
+
+/// Contacts; cell of place and force of the strongest one.
+type Stratum = [usize; 4];
+
+fn stratum(contacts: &[Contact], least_n: f64) -> Option<Stratum> {
+    let pressing = || contacts.iter().filter(|c| c.force_n >= least_n);
+    let strongest = pressing().max_by(|a, b| a.force_n.total_cmp(&b.force_n))?;
+    let cell = |value: f64, side: f64| (value / side) as usize;
+    Some([
+        pressing().count(),
+        cell(strongest.x_mm, STRATUM_MM),
+        cell(strongest.y_mm, STRATUM_MM),
+        cell(strongest.force_n, STRATUM_N),
+    ])
+}
+
+/// A number for where the tips stand.
+fn configuration(tips_mm: &[[f64; 2]]) -> u64 {
+    let step = |mm: f64| (mm / SAME_PLACE_MM).round() as i64;
+    let mut places: Vec<[i64; 2]> = tips_mm.iter().map(|&[x, y]| [step(x), step(y)]).collect();
+    places.sort_unstable();
+    scrambled(places.iter().flatten().flat_map(|n| n.to_le_bytes()))
+}
+
+/// A number that looks drawn, from bytes.
+fn scrambled(bytes: impl IntoIterator<Item = u8>) -> u64 {
+    let bytes: Vec<u8> = bytes.into_iter().collect();
+    let digest = Sha256::digest(&bytes);
+    u64::from_le_bytes(std::array::from_fn(|i| digest[i]))
+}
+
+/// Where trials come from.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Source {
+    /// The run's uid.
+    pub run: String,
+    /// The rig's label.
+    pub label: String,
+}
+
+/// A fitted skin, and the numbers behind what it says of itself.
+#[derive(Debug, Clone)]
+pub struct CalibratedSkin {
+    /// What goes into the calibration file.
+    pub skin: SkinCalibration,
+    /// FVU of each held-out trial before.
+    pub before: Vec<f64>,
+    /// FVU of each held-out trial after.
+    pub after: Vec<f64>,
+    /// Parameters fitted.
+    pub parameters: usize,
+    /// Cost before the first step and after each.
+    pub costs: Vec<f64>,
+}
+
+/// Why a run gives no calibrated skin.
+#[derive(Debug, thiserror::Error)]
+pub enum SkinError {
+    /// Too few trials of contacts.
+    #[error(
+        "run {run}: {fitted} trials to fit and {held_out} of other configurations to judge by; a \
+         skin needs at least {LEAST_TRIALS} and 1"
+    )]
+    TooFew {
+        /// The run.
+        run: String,
+        /// Trials to fit.
+        fitted: usize,
+        /// Trials to judge by.
+        held_out: usize,
+    },
+    /// The fit failed.
+    #[error(transparent)]
+    Fit(#[from] SkinFitError),
+}
+
+/// Fits a skin to trials and judges it by others. `sensor` holds what is known of all such skins (its
+/// file, and an earlier calibration of Eq. 1 and moduli); `responses` are its own.
+pub fn calibrate(
+    sensor: &Sensor,
+    responses: &Arc<UnitResponses>,
+    [fitted, held_out]: [&[MeasuredTrial]; 2],
+    source: Source,
+    options: &SkinFitOptions,
+    progress: &mut dyn FnMut(SkinProgress),
+) -> Result<CalibratedSkin, SkinError> {
+    if fitted.len() < LEAST_TRIALS || held_out.is_empty() {
+        let (fitted, held_out) = (fitted.len(), held_out.len());
+        return Err(SkinError::TooFew { run: source.run, fitted, held_out });
+    }
+    let start = ForwardModel::new(sensor, Arc::clone(responses)).map_err(SkinFitError::from)?;
+    let fit = skin::fit(sensor, Arc::clone(responses), fitted, options, progress)?;
+    let model = fit.model(sensor, Arc::clone(responses)).map_err(SkinFitError::from)?;
+    let before = skin::fvus(&start, held_out).map_err(SkinFitError::from)?;
+    let after = skin::fvus(&model, held_out).map_err(SkinFitError::from)?;
+    let SkinFit { fields, electrodes, offsets_mv, parameters, costs, doubted } = fit;
+    let of = |fvus: &[f64]| skin::summary(fvus).expect("there are held-out trials");
+    let evidence = SkinEvidence {
+        run: source.run,
+        label: source.label,
+        data_sha256: data_sha256(fitted.iter().chain(held_out)),
+        model: start.model_hash().into(),
+        trials: fitted.len(),
+        held_out: held_out.len(),
+        doubted: doubted.len(),
+        noise_v: rounded(options.errors.noise_v),
+        model_error: rounded(options.errors.model_error),
+        before: of(&before),
+        after: of(&after),
+    };
+    let skin = SkinCalibration { offsets_mv, evidence, electrodes, fields };
+    Ok(CalibratedSkin { skin, before, after, parameters, costs })
+}
+
+/// sha256 over contacts and frames, in order.
+fn data_sha256<'a>(trials: impl Iterator<Item = &'a MeasuredTrial>) -> String {
+    let mut digest = Sha256::new();
+    for trial in trials {
+        digest.update((trial.contacts.len() as u64).to_le_bytes());
+        for contact in &trial.contacts {
+            for value in [contact.x_mm, contact.y_mm, contact.force_n] {
+                digest.update(value.to_le_bytes());
+            }
+        }
+        trial.frame_v.iter().for_each(|v| digest.update(v.to_le_bytes()));
+    }
+    digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Tips at random places of a small lattice, some of them barely touching.
+    fn candidates(count: i64) -> Vec<Candidate> {
+        (0..count)
+            .map(|trial| {
+                let draw = |k: u64| scrambled([trial as u64, k].iter().flat_map(|n| n.to_le_bytes()));
+                let tips: Vec<Contact> = (0..1 + draw(0) % 3)
+                    .map(|tip| Contact {
+                        x_mm: 60.0 + 60.0 * (draw(1) % 4) as f64 + 80.0 * tip as f64,
+                        y_mm: 60.0 + 60.0 * (draw(2) % 4) as f64,
+                        force_n: 0.5 * (draw(3 + tip) % 90) as f64,
+                    })
+                    .collect();
+                Candidate {
+                    trial,
+                    tips_mm: tips.iter().map(|t| [t.x_mm, t.y_mm]).collect(),
+                    contacts: tips.into_iter().filter(|t| t.force_n > 0.1).collect(),
+                }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn no_configuration_is_on_both_sides_and_every_trial_has_a_contact() {
+        let candidates = candidates(3000);
+        let choice = choose(&candidates, 400, 5.0);
+        assert!((405..=450).contains(&choice.fitted.len()) && choice.held_out.len() == 100);
+        let stands = |side: &[usize]| -> Vec<u64> {
+            side.iter().map(|&i| configuration(&candidates[i].tips_mm)).collect()
+        };
+        let fitted = stands(&choice.fitted);
+        assert!(stands(&choice.held_out).iter().all(|c| !fitted.contains(c)));
+        for &i in choice.fitted.iter().chain(&choice.held_out) {
+            let contacts = &candidates[i].contacts;
+            assert!(contacts.is_empty() || contacts.iter().any(|c| c.force_n >= 5.0));
+        }
+        let untouched = |side: &[usize]| {
+            side.iter().filter(|&&i| candidates[i].contacts.is_empty()).count()
+        };
+        assert!(untouched(&choice.fitted) > 5 && untouched(&choice.held_out) == 0);
+    }
+
+    #[test]
+    fn strata_are_filled_evenly_and_the_order_of_trials_does_not_matter() {
+        let mut candidates = candidates(3000);
+        let choice = choose(&candidates, 400, 5.0);
+        let mut counts = BTreeMap::new();
+        for &i in &choice.fitted {
+            *counts.entry(stratum(&candidates[i].contacts, 5.0)).or_insert(0) += 1;
+        }
+        let most = counts.values().max().copied().unwrap_or(0);
+        let mut there = BTreeMap::new();
+        for c in candidates.iter().filter(|c| configuration(&c.tips_mm) % HELD_OUT_IN != 0) {
+            *there.entry(stratum(&c.contacts, 5.0)).or_insert(0) += 1;
+        }
+        // A stratum that has fewer than the fullest one was emptied.
+        for (stratum, count) in &counts {
+            assert!(*count + 1 >= most || *count == there[stratum], "{stratum:?}: {count}");
+        }
+        let numbers = |candidates: &[Candidate], side: &[usize]| {
+            let mut numbers: Vec<i64> = side.iter().map(|&i| candidates[i].trial).collect();
+            numbers.sort_unstable();
+            numbers
+        };
+        let before = numbers(&candidates, &choice.fitted);
+        candidates.reverse();
+        let turned = choose(&candidates, 400, 5.0);
+        assert_eq!(numbers(&candidates, &turned.fitted), before);
+    }
+
+    #[test]
+    fn too_few_trials_are_refused_in_words() {
+        let sensor =
+            Sensor::from_toml(include_str!("../../experiments/sensors/ert-28.toml")).unwrap();
+        let responses = Arc::new(UnitResponses::solve(&sensor).unwrap());
+        let source = Source { run: "7".into(), label: "virtual".into() };
+        let options = SkinFitOptions::for_trials(0, 1);
+        let error = calibrate(&sensor, &responses, [&[], &[]], source, &options, &mut |_| {});
+        let words = error.unwrap_err().to_string();
+        assert!(words.starts_with("run 7: 0 trials to fit and 0 of other configurations"), "{words}");
+    }
+}

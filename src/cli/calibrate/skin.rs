@@ -1,0 +1,254 @@
+//! `palpate calibrate skin`: one skin, place by place, from the trials of a run.
+//! Uses: `client`, `calibrate::skin`, `simulate` (what pressed in a trial, the elastic solve). Never:
+//! trials but through the API, a fit on the threads that answer.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::thread;
+
+use clap::Args;
+use serde::Deserialize;
+use serde_json::json;
+use sim_core::calibration::Calibration;
+use sim_core::inverse::skin::{MeasuredTrial, SkinFitOptions, noise_v};
+use sim_core::responses::UnitResponses;
+use sim_core::sensor::Sensor;
+
+use super::super::client::Client;
+use super::super::error::CliError;
+use super::super::files::write;
+use super::super::output::{counted, say, say_json};
+use super::super::progress::progress_bar;
+use super::super::{At, embed};
+use super::{calibration_problem, parse_calibration};
+use crate::calibrate::skin::{CalibratedSkin, Candidate, Choice, Source, calibrate, choose};
+use crate::calibrate::skin_plot;
+use crate::problem::Problem;
+use crate::rig::config::RigConfig;
+use crate::simulate::model::{ModelUnavailable, unit_responses};
+use crate::simulate::twins::contacts;
+use crate::store::{RunKind, RunRow, TrialRow};
+
+/// Trials of a page without frames.
+const PAGE: usize = 5000;
+/// Trials of a page with frames, named by their ids.
+const FRAMES: usize = 200;
+/// Most threads of a fit, unless said otherwise: a campaign may be under way.
+const THREADS: usize = 8;
+
+/// Options of `calibrate skin`.
+#[derive(Debug, Clone, Args)]
+pub struct SkinArgs {
+    /// uid or scan_id.
+    #[arg(long, value_name = "RUN")]
+    run: String,
+    /// Most trials to fit; a quarter as many more are held out.
+    #[arg(long, value_name = "N", default_value_t = 1200)]
+    trials: usize,
+    /// Earlier calibration of Eq. 1 and moduli, on top of which the skin is fitted.
+    #[arg(long, value_name = "FILE")]
+    from: Option<PathBuf>,
+    /// Write the calibration file.
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Draw the fitted fields, and held-out trials before and after.
+    #[arg(long, value_name = "FILE.svg")]
+    plot: Option<PathBuf>,
+    /// Threads; the result does not depend on them [default: the processors, 8 at most].
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    #[command(flatten)]
+    at: At,
+}
+
+/// Runs the command.
+pub async fn skin(args: SkinArgs) -> Result<ExitCode, CliError> {
+    let at = args.at.clone();
+    embed::with_server(&at, move |client| fit_run(client, args)).await?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// A page of trials.
+#[derive(Deserialize)]
+struct Page {
+    trials: Vec<TrialRow>,
+    next: Option<i64>,
+}
+
+async fn fit_run(client: Client, args: SkinArgs) -> Result<(), CliError> {
+    let run = client.run(&args.run).await?;
+    let (sensor, earlier) = start(&run, &args)?;
+    let candidates = candidates(&client, &run).await?;
+    let least_n = if run.kind == RunKind::RealHex { run.deadband_n } else { 0.0 };
+    let choice = choose(&candidates, args.trials, least_n);
+    let trials = frames(&client, &run, &candidates, &choice, sensor.channels()).await?;
+    let cache = args.at.data().join("cache");
+    let source = Source { run: run.uid.to_string(), label: run.label.as_str().into() };
+    let (threads, on) = (threads(args.threads), sensor.clone());
+    let work = move || fit(&on, &cache, trials, source, threads);
+    let fitted = tokio::task::spawn_blocking(work)
+        .await
+        .unwrap_or_else(|failed| std::panic::resume_unwind(failed.into_panic()))?;
+    let alone = Calibration {
+        sensor: sensor.file.name.clone(),
+        skin: Some(fitted.skin.clone()),
+        ..Calibration::default()
+    };
+    let whole = match &earlier {
+        Some(earlier) => alone.over(earlier)?,
+        None => alone,
+    };
+    if let Some(path) = &args.out {
+        write(path, &whole.to_toml()?)?;
+    }
+    if let Some(path) = &args.plot {
+        write(path, &skin_plot::skin(&sensor, &fitted)?)?;
+    }
+    answer(&args, &run, &whole, &fitted)
+}
+
+/// The sensor that the fit starts from: the run's own file with what an earlier calibration says of
+/// Eq. 1 and moduli; and that calibration without its skin.
+fn start(run: &RunRow, args: &SkinArgs) -> Result<(Sensor, Option<Calibration>), CliError> {
+    let sensor = Sensor::from_toml(&run.sensor).map_err(|e| {
+        let file = format!("sensor file of run {}", run.scan_id);
+        CliError::Problems(vec![Problem::whole(&file, e.to_string())])
+    })?;
+    let Some(path) = &args.from else { return Ok((sensor, None)) };
+    let earlier = Calibration { skin: None, ..parse_calibration(path)? };
+    if earlier.piezo.is_none() && earlier.foam.is_none() {
+        return Ok((sensor, None));
+    }
+    let applied = earlier.apply(&sensor).map_err(|e| calibration_problem(path, e))?;
+    Ok((applied, Some(earlier)))
+}
+
+/// All sound trials of a run: where its tips stood, what pressed.
+async fn candidates(client: &Client, run: &RunRow) -> Result<Vec<Candidate>, CliError> {
+    let force_noise_n = match &run.rig {
+        Some(rig) => RigConfig::from_toml("rig", rig).map_err(CliError::Problems)?.cells.force_noise_n,
+        None => 0.0,
+    };
+    let path = format!("/api/v1/runs/{}/trials?flagged=false&limit={PAGE}", run.uid);
+    let (mut candidates, mut cursor) = (Vec::new(), String::new());
+    loop {
+        let page: Page = client.get(&format!("{path}{cursor}")).await?;
+        for trial in &page.trials {
+            let Some(contacts) = contacts(trial, run.kind, force_noise_n) else { continue };
+            let arms = trial.arms.iter().map(|arm| [arm.x_mm, arm.y_mm]);
+            let tips_mm = match run.kind {
+                RunKind::RealHex => arms.collect(),
+                _ => contacts.iter().map(|c| [c.x_mm, c.y_mm]).collect(),
+            };
+            candidates.push(Candidate { trial: trial.trial_id.0, tips_mm, contacts });
+        }
+        let Some(next) = page.next else { return Ok(candidates) };
+        cursor = format!("&cursor={next}");
+    }
+}
+
+/// The chosen trials with their frames: to fit, to judge by.
+async fn frames(
+    client: &Client,
+    run: &RunRow,
+    candidates: &[Candidate],
+    choice: &Choice,
+    channels: usize,
+) -> Result<[Vec<MeasuredTrial>; 2], CliError> {
+    let bar = progress_bar("trials");
+    bar.set_length((choice.fitted.len() + choice.held_out.len()) as u64);
+    let mut sides = [Vec::new(), Vec::new()];
+    for (side, chosen) in sides.iter_mut().zip([&choice.fitted, &choice.held_out]) {
+        for some in chosen.chunks(FRAMES) {
+            let ids: Vec<String> = some.iter().map(|&i| candidates[i].trial.to_string()).collect();
+            let path = format!(
+                "/api/v1/runs/{}/trials?voltages=true&limit={FRAMES}&trial_id__in={}",
+                run.uid,
+                ids.join(",")
+            );
+            let page: Page = client.get(&path).await?;
+            for &i in some {
+                let candidate = &candidates[i];
+                let row = page.trials.iter().find(|row| row.trial_id.0 == candidate.trial);
+                let frame_v = row.and_then(|row| row.voltages_v.clone()).unwrap_or_default();
+                // A frame of another length is not of this skin.
+                if frame_v.len() == channels && frame_v.iter().all(|v| v.is_finite()) {
+                    let contacts = candidate.contacts.clone();
+                    side.push(MeasuredTrial { contacts, frame_v });
+                }
+            }
+            bar.inc(some.len() as u64);
+        }
+    }
+    bar.finish_and_clear();
+    Ok(sides)
+}
+
+fn threads(asked: Option<usize>) -> usize {
+    let here = || thread::available_parallelism().map_or(1, |n| n.get().min(THREADS));
+    asked.unwrap_or_else(here).max(1)
+}
+
+/// Fits, with a bar where somebody watches.
+fn fit(
+    sensor: &Sensor,
+    cache: &std::path::Path,
+    [fitted, held_out]: [Vec<MeasuredTrial>; 2],
+    source: Source,
+    threads: usize,
+) -> Result<CalibratedSkin, CliError> {
+    let responses: Arc<UnitResponses> = 
+        Arc::new(unit_responses(sensor, cache).map_err(ModelUnavailable::from)?);
+    let mut options = SkinFitOptions::for_trials(fitted.len(), threads);
+    options.errors.noise_v = noise_v(&fitted).unwrap_or(options.errors.noise_v);
+    let bar = progress_bar("trials");
+    let both = [fitted.as_slice(), held_out.as_slice()];
+    let outcome = calibrate(sensor, &responses, both, source, &options, &mut |p| {
+        bar.set_length((p.total * p.steps) as u64);
+        bar.set_position((p.total * p.step.saturating_sub(1) + p.done) as u64);
+        let cost = p.cost.map_or(String::new(), |cost| format!(", cost {cost:.4e}"));
+        bar.set_message(format!("step {} of at most {}{cost}", p.step, p.steps));
+    });
+    bar.finish_and_clear();
+    Ok(outcome?)
+}
+
+fn answer(
+    args: &SkinArgs,
+    run: &RunRow,
+    whole: &Calibration,
+    fitted: &CalibratedSkin,
+) -> Result<(), CliError> {
+    let id = whole.id()?;
+    let CalibratedSkin { skin, parameters, costs, .. } = fitted;
+    let evidence = &skin.evidence;
+    if args.at.json {
+        say_json(&json!({
+            "id": id, "run": run.uid, "label": run.label, "parameters": parameters,
+            "costs": costs, "evidence": evidence,
+        }));
+        return Ok(());
+    }
+    say(&id);
+    let [trials, held_out] = [evidence.trials, evidence.held_out].map(|n| n as u64);
+    say(format_args!(
+        "skin of run {} ({}): {parameters} parameters from {}; {} of other configurations held out",
+        run.scan_id,
+        evidence.label,
+        counted(trials, "trial", "trials"),
+        counted(held_out, "trial", "trials"),
+    ));
+    let (before, after) = (&evidence.before, &evidence.after);
+    say(format_args!("  FVU held out, median: {:.4} -> {:.4}", before.median, after.median));
+    say(format_args!("  FVU held out, mean:   {:.4} -> {:.4}", before.mean, after.mean));
+    if evidence.doubted > 0 {
+        let doubted = counted(evidence.doubted as u64, "trial", "trials");
+        say(format_args!("  {doubted} counted for less than half: far off, beyond what others are"));
+    }
+    match &args.out {
+        Some(path) => say(format_args!("written to {}", path.display())),
+        None => say("not written: name a file with --out"),
+    }
+    Ok(())
+}
