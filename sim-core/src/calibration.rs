@@ -296,9 +296,7 @@ fn fitted(key: &str, f: &Fitted) -> Result<(), CalibrationError> {
 mod tests {
     use super::*;
     use crate::inverse::skin::SkinPrior;
-    use crate::skin::{
-        FvuSummary, SkinElectrodes, SkinEvidence, SkinField, SkinFields, SkinFoam,
-    };
+    use crate::skin::{FvuSummary, SkinElectrodes, SkinEvidence, SkinField, SkinFields, SkinFoam};
 
     fn sensor() -> Sensor {
         Sensor::from_toml(include_str!("../../experiments/sensors/ert-28.toml")).unwrap()
@@ -420,9 +418,9 @@ mod tests {
         said(&|s| s.fields.foam.ln_slopes[2] = 50.0, "skin.fields.foam.ln_slopes = 50: ");
         said(&|s| s.electrodes.lead_ohm[4] = -1.0, "skin.electrodes.lead_ohm = -1: ");
         said(&|s| s.electrodes.contact_ohm[4] = 0.0, "skin.electrodes.contact_ohm = 0: ");
-        said(&|s| drop(s.electrodes.y_mm.pop()), "skin.electrodes.y_mm = 27 values: ");
+        said(&|s| s.electrodes.y_mm.truncate(27), "skin.electrodes.y_mm = 27 values: ");
         said(&|s| s.electrodes.x_mm[2] = 541.0, "skin.electrodes.x_mm = 541: ");
-        said(&|s| drop(s.offsets_mv.pop()), "skin.offsets_mv = 783 values: ");
+        said(&|s| s.offsets_mv.truncate(783), "skin.offsets_mv = 783 values: ");
     }
 
     #[test]

@@ -212,7 +212,8 @@ mod tests {
     fn candidates(count: i64) -> Vec<Candidate> {
         (0..count)
             .map(|trial| {
-                let draw = |k: u64| scrambled([trial as u64, k].iter().flat_map(|n| n.to_le_bytes()));
+                let draw =
+                    |k: u64| scrambled([trial as u64, k].iter().flat_map(|n| n.to_le_bytes()));
                 let tips: Vec<Contact> = (0..1 + draw(0) % 3)
                     .map(|tip| Contact {
                         x_mm: 60.0 + 60.0 * (draw(1) % 4) as f64 + 80.0 * tip as f64,
@@ -243,9 +244,8 @@ mod tests {
             let contacts = &candidates[i].contacts;
             assert!(contacts.is_empty() || contacts.iter().any(|c| c.force_n >= 5.0));
         }
-        let untouched = |side: &[usize]| {
-            side.iter().filter(|&&i| candidates[i].contacts.is_empty()).count()
-        };
+        let untouched =
+            |side: &[usize]| side.iter().filter(|&&i| candidates[i].contacts.is_empty()).count();
         assert!(untouched(&choice.fitted) > 5 && untouched(&choice.held_out) == 0);
     }
 
@@ -286,6 +286,9 @@ mod tests {
         let options = SkinFitOptions::for_trials(0, 1);
         let error = calibrate(&sensor, &responses, [&[], &[]], source, &options, &mut |_| {});
         let words = error.unwrap_err().to_string();
-        assert!(words.starts_with("run 7: 0 trials to fit and 0 of other configurations"), "{words}");
+        assert!(
+            words.starts_with("run 7: 0 trials to fit and 0 of other configurations"),
+            "{words}"
+        );
     }
 }

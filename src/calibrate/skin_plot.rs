@@ -118,9 +118,8 @@ fn distributions(area: &Area<'_>, fitted: &CalibratedSkin) -> Result<(), Calibra
         sorted
     };
     let (before, after) = (sorted(&fitted.before), sorted(&fitted.after));
-    let ends = |of: fn(f64, f64) -> f64, start: f64| {
-        before.iter().chain(&after).copied().fold(start, of)
-    };
+    let ends =
+        |of: fn(f64, f64) -> f64, start: f64| before.iter().chain(&after).copied().fold(start, of);
     let (low, high) = (ends(f64::min, 0.1), ends(f64::max, 1.0));
     let mut chart = ChartBuilder::on(area)
         .caption("held-out trials", TITLE)
@@ -147,9 +146,7 @@ fn distributions(area: &Area<'_>, fitted: &CalibratedSkin) -> Result<(), Calibra
             .draw_series(LineSeries::new(line, colour.stroke_width(2)))
             .map_err(failed)?
             .label(name)
-            .legend(move |(x, y)| {
-                PathElement::new([(x, y), (x + 20, y)], colour.stroke_width(3))
-            });
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], colour.stroke_width(3)));
     }
     chart
         .configure_series_labels()

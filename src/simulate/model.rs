@@ -31,10 +31,7 @@ pub fn load_or_build(sensor: &Sensor, cache_dir: &Path) -> Result<ForwardModel, 
 
 /// The unit responses of a sensor, from the cache or solved. A cache that cannot be read or written
 /// costs seconds, nothing else: it is logged.
-pub fn unit_responses(
-    sensor: &Sensor,
-    cache_dir: &Path,
-) -> Result<UnitResponses, ResponsesError> {
+pub fn unit_responses(sensor: &Sensor, cache_dir: &Path) -> Result<UnitResponses, ResponsesError> {
     let path = cache_file(sensor, cache_dir);
     match fs::read(&path) {
         Ok(bytes) => match UnitResponses::from_bytes(&bytes, sensor) {

@@ -68,10 +68,14 @@ async fn nets_are_trained_scored_promoted_and_asked() {
     assert_eq!((&model["id"], &model["task"]), (&json!(transfer), &json!("transfer")));
     let manifest = &model["manifest"];
     assert_eq!(manifest["label"], "virtual");
-    assert_eq!((&manifest["calibration"], &manifest["simulation"]), (&json!("cal-1"), &json!("sim-0000000000000001")));
+    assert_eq!(
+        (&manifest["calibration"], &manifest["simulation"]),
+        (&json!("cal-1"), &json!("sim-0000000000000001"))
+    );
     assert!(manifest["datasets"][0].as_str().unwrap().starts_with("ds-"));
     assert!(manifest["trained_on"]["max_force_n"].as_f64().unwrap() > 5.0);
-    let losses = lab.answer(&format!("/api/v1/models/{transfer}/losses")).await.text().await.unwrap();
+    let losses =
+        lab.answer(&format!("/api/v1/models/{transfer}/losses")).await.text().await.unwrap();
     assert_eq!(losses.lines().count(), 2, "{losses}");
     let left = lab.get(&format!("/api/v1/models/{transfer}/residuals")).await;
     assert_eq!(left["sd_v"].as_array().unwrap().len(), 784);
@@ -149,8 +153,9 @@ async fn a_training_goes_on_after_a_restart_and_stops_when_it_is_told() {
     let done = lab.job(&job).await;
     assert_eq!(done["result"]["model"], json!(undisturbed), "{done}");
 
-    let (_, endless) =
-        lab.post("/api/v1/trainings", json!({ "recipe": transfer_net("endless", 1_000_000) })).await;
+    let (_, endless) = lab
+        .post("/api/v1/trainings", json!({ "recipe": transfer_net("endless", 1_000_000) }))
+        .await;
     let path = format!("/api/v1/jobs/{}", endless["id"].as_str().unwrap());
     while lab.get(&path).await["state"] != "running" {
         tokio::time::sleep(Duration::from_millis(5)).await;
@@ -164,7 +169,8 @@ async fn a_training_goes_on_after_a_restart_and_stops_when_it_is_told() {
 #[tokio::test]
 async fn what_cannot_be_is_named_and_changes_nothing() {
     let lab = Filled::open("models-refused").await;
-    let ask = async |recipe: String| lab.post("/api/v1/trainings", json!({ "recipe": recipe })).await;
+    let ask =
+        async |recipe: String| lab.post("/api/v1/trainings", json!({ "recipe": recipe })).await;
     let net = transfer_net("a", 1);
     for (recipe, words) in [
         (net.replace("epochs = 1", "epochs = 0"), "epochs"),
@@ -189,7 +195,10 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
         assert!(failed["error"].as_str().unwrap().contains(words), "{words}: {failed}");
     }
     let (status, body) = lab
-        .post("/api/v1/evaluations", json!({ "scored": "paper", "dataset": "real", "part": "some" }))
+        .post(
+            "/api/v1/evaluations",
+            json!({ "scored": "paper", "dataset": "real", "part": "some" }),
+        )
         .await;
     assert_eq!(status, 422);
     assert!(body["detail"].as_str().unwrap().contains("part = some"), "{body}");

@@ -127,7 +127,9 @@ fn start(run: &RunRow, args: &SkinArgs) -> Result<(Sensor, Option<Calibration>),
 /// All sound trials of a run: where its tips stood, what pressed.
 async fn candidates(client: &Client, run: &RunRow) -> Result<Vec<Candidate>, CliError> {
     let force_noise_n = match &run.rig {
-        Some(rig) => RigConfig::from_toml("rig", rig).map_err(CliError::Problems)?.cells.force_noise_n,
+        Some(rig) => {
+            RigConfig::from_toml("rig", rig).map_err(CliError::Problems)?.cells.force_noise_n
+        }
         None => 0.0,
     };
     let path = format!("/api/v1/runs/{}/trials?flagged=false&limit={PAGE}", run.uid);
@@ -198,7 +200,7 @@ fn fit(
     source: Source,
     threads: usize,
 ) -> Result<CalibratedSkin, CliError> {
-    let responses: Arc<UnitResponses> = 
+    let responses: Arc<UnitResponses> =
         Arc::new(unit_responses(sensor, cache).map_err(ModelUnavailable::from)?);
     let mut options = SkinFitOptions::for_trials(fitted.len(), threads);
     options.errors.noise_v = noise_v(&fitted).unwrap_or(options.errors.noise_v);
@@ -244,7 +246,9 @@ fn answer(
     say(format_args!("  FVU held out, mean:   {:.4} -> {:.4}", before.mean, after.mean));
     if evidence.doubted > 0 {
         let doubted = counted(evidence.doubted as u64, "trial", "trials");
-        say(format_args!("  {doubted} counted for less than half: far off, beyond what others are"));
+        say(format_args!(
+            "  {doubted} counted for less than half: far off, beyond what others are"
+        ));
     }
     match &args.out {
         Some(path) => say(format_args!("written to {}", path.display())),

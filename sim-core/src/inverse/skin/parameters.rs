@@ -196,7 +196,8 @@ impl Parameters {
     pub fn model(&self, vector: &[f64]) -> Result<ForwardModel, SkinFitError> {
         let over = |block: &FieldBlock| -> Vec<f64> {
             let values = &vector[block.at.clone()];
-            let at = |corners: &[(usize, f64); 4]| corners.iter().map(|&(c, w)| w * values[c]).sum();
+            let at =
+                |corners: &[(usize, f64); 4]| corners.iter().map(|&(c, w)| w * values[c]).sum();
             block.corners.iter().map(at).collect()
         };
         let [ln_a, ln_b, ln_c, ln_compliance, ln_sheet_conductance] =
@@ -269,14 +270,15 @@ impl Parameters {
     pub fn skin_fields(&self, vector: &[f64]) -> SkinFields {
         let mut foam = self.foam(vector);
         foam.ln_slopes.iter_mut().for_each(|ln| *ln = rounded(*ln));
-        let [ln_a, ln_b, ln_c, ln_compliance, ln_sheet_conductance] = std::array::from_fn(|field| {
-            let block = &self.blocks[field];
-            SkinField {
-                columns: block.grid.columns,
-                prior: block.prior,
-                values: vector[block.at.clone()].iter().map(|&v| rounded(v)).collect(),
-            }
-        });
+        let [ln_a, ln_b, ln_c, ln_compliance, ln_sheet_conductance] =
+            std::array::from_fn(|field| {
+                let block = &self.blocks[field];
+                SkinField {
+                    columns: block.grid.columns,
+                    prior: block.prior,
+                    values: vector[block.at.clone()].iter().map(|&v| rounded(v)).collect(),
+                }
+            });
         SkinFields { foam, ln_a, ln_b, ln_c, ln_compliance, ln_sheet_conductance }
     }
 

@@ -93,7 +93,8 @@ fn recovered(trials: usize, spacing_mm: f64) -> ([f64; 2], f64) {
 fn the_step_goes_along_the_costs_gradient() {
     let mut options = options(90.0, 1);
     // Exact only where no weight depends on the model.
-    options.errors = TrialErrors { place_sd_mm: 0.0, force_sd: 0.0, gain_sd: 0.0, ..options.errors };
+    options.errors =
+        TrialErrors { place_sd_mm: 0.0, force_sd: 0.0, gain_sd: 0.0, ..options.errors };
     let parameters = parameters(&options);
     let trials = measured(&some_skin(&parameters, 1), 3, 2);
     let mut rng = ChaCha8Rng::seed_from_u64(6);
@@ -152,7 +153,10 @@ fn threads_change_no_bit_and_a_wild_frame_is_doubted() {
     let three = SkinFitOptions { threads: 3, ..one };
     let [a, b] =
         [one, three].map(|o| fit(sensor(), responses(), &trials, &o, &mut |_| {}).unwrap());
-    assert_eq!((&a.fields, &a.electrodes, &a.offsets_mv), (&b.fields, &b.electrodes, &b.offsets_mv));
+    assert_eq!(
+        (&a.fields, &a.electrodes, &a.offsets_mv),
+        (&b.fields, &b.electrodes, &b.offsets_mv)
+    );
     assert_eq!(a.costs, b.costs);
     assert!(a.doubted.contains(&5), "{:?}", a.doubted);
     assert!(a.doubted.len() < 6, "{:?}", a.doubted);
