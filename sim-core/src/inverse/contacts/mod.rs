@@ -28,7 +28,7 @@ pub use steady::{Steady, SteadyError, SteadyMean, SteadySettings};
 const LEAST_WEIGHT: f64 = 0.15;
 
 /// Steps of a descent when a load is followed: a frame and its slopes each.
-const TRACKING: Effort = Effort { iterations: 4, tolerance: 0.1 };
+const TRACKING: Effort = Effort { iterations: 8, tolerance: 0.1 };
 /// Growth of the misfit, in standard deviations of chi-square, that shows a new load.
 const CHANGE_SD: f64 = 4.0;
 /// A contact whose force is known no better than this, as a share of it, may be gone.
