@@ -131,7 +131,7 @@ impl Model {
     ) -> Tensor<2> {
         let [batch, _] = frames.dims();
         let mut rows = Rows { x: frames.clone(), image: None };
-        for nth in 0..self.network.layers.len() {
+        for (nth, own) in parameters.iter().enumerate() {
             if nth == self.fixed && pass == Pass::Learn {
                 rows.x = rows.x.autodiff();
             }
@@ -139,7 +139,7 @@ impl Model {
             if last && pass != Pass::Answer && self.network.layers[nth] == Layer::Relu {
                 break; // A rectifier at the end would stop the gradients of what it hides.
             }
-            rows = self.layer(nth, rows, &parameters[nth], pass);
+            rows = self.layer(nth, rows, own, pass);
         }
         let answer = match rows.image {
             None => rows.x,

@@ -56,7 +56,7 @@ pub fn choose(candidates: &[Candidate], wanted: usize, least_n: f64) -> Choice {
     for &i in &order {
         let candidate = &candidates[i];
         let Some(stratum) = stratum(&candidate.contacts, least_n) else { continue };
-        let held_out = configuration(&candidate.tips_mm) % HELD_OUT_IN == 0;
+        let held_out = configuration(&candidate.tips_mm).is_multiple_of(HELD_OUT_IN);
         sides[usize::from(held_out)].entry(stratum).or_insert_with(Vec::new).push(i);
     }
     let [fitted, held_out] = sides;
@@ -259,7 +259,7 @@ mod tests {
         }
         let most = counts.values().max().copied().unwrap_or(0);
         let mut there = BTreeMap::new();
-        for c in candidates.iter().filter(|c| configuration(&c.tips_mm) % HELD_OUT_IN != 0) {
+        for c in candidates.iter().filter(|c| !configuration(&c.tips_mm).is_multiple_of(HELD_OUT_IN)) {
             *there.entry(stratum(&c.contacts, 5.0)).or_insert(0) += 1;
         }
         // A stratum that has fewer than the fullest one was emptied.

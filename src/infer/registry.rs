@@ -66,7 +66,7 @@ impl NewModel {
         let trying = tokio::task::spawn_blocking(move || {
             Plan::load(&onnx, facts.channels, &facts.output_shape).map(|_| ())
         });
-        Ok(trying.await.map_err(|_| InferError::Worker)??)
+        trying.await.map_err(|_| InferError::Worker)?.map_err(InferError::from)
     }
 }
 
@@ -142,7 +142,7 @@ impl Registry {
         let writing = tokio::task::spawn_blocking(move || write(&folder, &new));
         writing.await.map_err(|_| InferError::Worker)??;
         self.inner.store.insert_model(row.clone()).await?;
-        Ok(self.find(&row.id).await?)
+        self.find(&row.id).await
     }
 
     /// The model of an id, or the newest of a name.

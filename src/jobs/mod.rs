@@ -20,6 +20,10 @@ use crate::store::{JobEnd, JobKind, JobRow, Store};
 
 mod error;
 mod evaluation;
+#[cfg(not(feature = "train"))]
+#[path = "lean.rs"]
+mod training;
+#[cfg(feature = "train")]
 mod training;
 mod watch_job;
 
@@ -28,6 +32,8 @@ pub use watch_job::{Progress, Watch};
 
 /// Most jobs that may wait.
 const WAITING_MAX: u32 = 1000;
+/// File of a training's losses.
+const LOSSES: &str = "losses.ndjson";
 /// Pause of the worker when nothing waits.
 const IDLE: Duration = Duration::from_millis(500);
 
@@ -108,7 +114,7 @@ impl Jobs {
 
     /// The losses of a training so far: a JSON object on each line. Empty for other jobs.
     pub fn losses(&self, id: &str) -> String {
-        std::fs::read_to_string(self.folder(id).join(training::LOSSES)).unwrap_or_default()
+        std::fs::read_to_string(self.folder(id).join(LOSSES)).unwrap_or_default()
     }
 
     /// Folder of what a job keeps while it runs.
@@ -142,6 +148,8 @@ impl Jobs {
 
     async fn carry_out(&self, job: JobRow) {
         let watch = Arc::new(Watch::default());
+        // When the service ends this is dropped, and the thread at work leaves a checkpoint.
+        let _stops = StopOnDrop(watch.clone());
         self.set_running(Some((job.id.clone(), watch.clone())));
         let outcome = match self.inner.store.begin_job(&job.id, None).await {
             Ok(()) if job.kind == JobKind::Training => training::run(self, &job, &watch).await,
@@ -163,5 +171,14 @@ impl Jobs {
 
     fn set_running(&self, job: Option<(String, Arc<Watch>)>) {
         *self.inner.running.lock().unwrap_or_else(PoisonError::into_inner) = job;
+    }
+}
+
+/// Ends a job whose worker is gone.
+struct StopOnDrop(Arc<Watch>);
+
+impl Drop for StopOnDrop {
+    fn drop(&mut self) {
+        self.0.stop();
     }
 }

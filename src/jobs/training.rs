@@ -4,332 +4,292 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use nets::device::Compute;
+use nets::train::{End, Flow, Observer, Progress};
 use serde_json::{Value, json};
+use sim_core::batch::{BatchModel, Kernel};
+use sim_core::forward::ForwardModel;
 
 use super::error::JobError;
-use super::{Jobs, Watch};
+use super::{Jobs, LOSSES, Watch};
 use crate::clock::Clock;
-use crate::store::JobRow;
+use crate::dataset::background::background;
+use crate::dataset::build::data_file;
+use crate::infer::registry::{self, NewModel, Residuals};
+use crate::learn::error::LearnError;
+use crate::learn::examples::Examples;
+use crate::learn::model_file::{ModelFacts, model_of};
+use crate::learn::recipe::Recipe;
+use crate::learn::train::{self, Given, Learned};
+use crate::store::{DatasetRow, JobRow, Label};
 
-/// File of a training's losses.
-pub(super) const LOSSES: &str = "losses.ndjson";
+/// File of a training's last checkpoint.
+const CHECKPOINT: &str = "checkpoint.bin";
+/// Seconds between two checkpoints.
+const CHECKPOINT_EVERY_S: f64 = 30.0;
 
-#[cfg(not(feature = "train"))]
-pub(super) fn check(_recipe: &str) -> Result<(), JobError> {
-    Err(JobError::Lean)
+/// What is wrong with a recipe.
+pub fn check(recipe: &str) -> Result<(), JobError> {
+    Recipe::from_toml("recipe", recipe)?;
+    Ok(())
 }
 
-#[cfg(not(feature = "train"))]
-pub(super) async fn run(
-    _jobs: &Jobs,
-    _job: &JobRow,
-    _watch: &Arc<Watch>,
-) -> Result<Option<Value>, JobError> {
-    Err(JobError::Lean)
-}
-
-#[cfg(feature = "train")]
-pub(super) use with_nets::{check, run};
-
-#[cfg(feature = "train")]
-mod with_nets {
-    use nets::device::Compute;
-    use nets::train::{End, Flow, Observer, Progress};
-    use sim_core::batch::{BatchModel, Kernel};
-    use sim_core::forward::ForwardModel;
-
-    use super::*;
-    use crate::dataset::background::background;
-    use crate::dataset::build::data_file;
-    use crate::infer::registry::{self, NewModel, Residuals};
-    use crate::learn::error::LearnError;
-    use crate::learn::examples::Examples;
-    use crate::learn::model_file::{ModelFacts, model_of};
-    use crate::learn::recipe::Recipe;
-    use crate::learn::train::{self, Given, Learned};
-    use crate::store::{DatasetRow, Label};
-
-    /// File of a training's last checkpoint.
-    const CHECKPOINT: &str = "checkpoint.bin";
-    /// Seconds between two checkpoints.
-    const CHECKPOINT_EVERY_S: f64 = 30.0;
-
-    /// What is wrong with a recipe.
-    pub fn check(recipe: &str) -> Result<(), JobError> {
-        Recipe::from_toml("recipe", recipe)?;
-        Ok(())
-    }
-
-    /// Trains; none when it was stopped.
-    pub async fn run(
-        jobs: &Jobs,
-        job: &JobRow,
-        watch: &Arc<Watch>,
-    ) -> Result<Option<Value>, JobError> {
-        let text = job.request["recipe"].as_str().unwrap_or_default();
-        let recipe = Recipe::from_toml("recipe", text)?;
-        let noise_sd_v = match &recipe.noise_of {
-            Some(model) => Some(jobs.inner.models.residuals(model).await?.sd_v),
-            None => None,
-        };
-        let folder = jobs.folder(&job.id);
-        let work = Work {
-            recipe,
-            folder: folder.clone(),
-            scratch: jobs.inner.data.join("cache"),
-            noise_sd_v,
-            watch: watch.clone(),
-            clock: jobs.inner.clock.clone(),
-        };
-        let made = match &work.recipe.dataset {
-            Some(name) => {
-                watch.phase("making the dataset", 0);
-                // After a restart the dataset that it had begun on, not what the name means by now.
-                let name = job.dataset.as_ref().unwrap_or(name);
-                let dataset = jobs.inner.datasets.resolve(name).await?;
-                jobs.inner.store.begin_job(&job.id, Some(&dataset.id)).await?;
-                let file = data_file(&jobs.inner.datasets.datasets(), &dataset.id);
-                background(move || work.on_dataset(&dataset, &file)).await??
-            }
-            None => {
-                let (sensor, model) = jobs.inner.serving.simulation().await?;
-                background(move || work.on_stream(sensor, &model)).await??
-            }
-        };
-        let Some(new) = made else {
-            std::fs::remove_dir_all(&folder).ok();
-            return Ok(None);
-        };
-        watch.phase("keeping the model", 0);
-        let model = jobs.inner.models.add(new).await?;
+/// Trains; none when it was stopped.
+pub async fn run(jobs: &Jobs, job: &JobRow, watch: &Arc<Watch>) -> Result<Option<Value>, JobError> {
+    let text = job.request["recipe"].as_str().unwrap_or_default();
+    let recipe = Recipe::from_toml("recipe", text)?;
+    let noise_sd_v = match &recipe.noise_of {
+        Some(model) => Some(jobs.inner.models.residuals(model).await?.sd_v),
+        None => None,
+    };
+    let folder = jobs.folder(&job.id);
+    let work = Work {
+        recipe,
+        folder: folder.clone(),
+        scratch: jobs.inner.data.join("cache"),
+        noise_sd_v,
+        watch: watch.clone(),
+        clock: jobs.inner.clock.clone(),
+    };
+    let made = match &work.recipe.dataset {
+        Some(name) => {
+            watch.phase("making the dataset", 0);
+            // After a restart the dataset that it had begun on, not what the name means by now.
+            let name = job.dataset.as_ref().unwrap_or(name);
+            let dataset = jobs.inner.datasets.resolve(name).await?;
+            jobs.inner.store.begin_job(&job.id, Some(&dataset.id)).await?;
+            let file = data_file(&jobs.inner.datasets.datasets(), &dataset.id);
+            background(move || work.on_dataset(&dataset, &file)).await??
+        }
+        None => {
+            let (sensor, model) = jobs.inner.serving.simulation().await?;
+            background(move || work.on_stream(sensor, &model)).await??
+        }
+    };
+    let Some(new) = made else {
         std::fs::remove_dir_all(&folder).ok();
-        Ok(Some(json!({ "model": model.id, "name": model.name })))
+        return Ok(None);
+    };
+    watch.phase("keeping the model", 0);
+    let model = jobs.inner.models.add(new).await?;
+    std::fs::remove_dir_all(&folder).ok();
+    Ok(Some(json!({ "model": model.id, "name": model.name })))
+}
+
+/// What a training needs while it runs.
+struct Work {
+    recipe: Recipe,
+    folder: PathBuf,
+    scratch: PathBuf,
+    noise_sd_v: Option<Vec<f32>>,
+    watch: Arc<Watch>,
+    clock: Clock,
+}
+
+impl Work {
+    fn on_dataset(self, dataset: &DatasetRow, file: &Path) -> Result<Option<NewModel>, JobError> {
+        self.watch.phase("gathering frames", dataset.rows);
+        let columns = train::columns(self.recipe.task());
+        let sensor = crate::dataset::read::sensor_text(file)?;
+        let (skin, _) = registry::facts("sensor", &sensor)?;
+        let conditions = &self.recipe.conditions;
+        let examples = Examples::gather(file, conditions, columns, &self.scratch)?;
+        let given = Given {
+            data: std::iter::once(&dataset.id)
+                .chain(conditions)
+                .cloned()
+                .collect::<Vec<_>>()
+                .join(" "),
+            examples: &examples,
+            skin: &skin,
+            noise_sd_v: self.noise_sd_v.clone(),
+            compute: compute(),
+        };
+        let mut observer = self.observer("training")?;
+        let checkpoint = std::fs::read(self.folder.join(CHECKPOINT)).ok();
+        let learned = train::train(&self.recipe, &given, checkpoint.as_deref(), &mut observer)?;
+        self.new_model(learned, Lineage::of(dataset), sensor)
     }
 
-    /// What a training needs while it runs.
-    struct Work {
-        recipe: Recipe,
-        folder: PathBuf,
-        scratch: PathBuf,
-        noise_sd_v: Option<Vec<f32>>,
-        watch: Arc<Watch>,
-        clock: Clock,
+    fn on_stream(self, sensor: String, model: &ForwardModel) -> Result<Option<NewModel>, JobError> {
+        let batch = Arc::new(BatchModel::new(model, Kernel::detect()));
+        let mut observer = self.observer("training on fresh simulations")?;
+        let checkpoint = std::fs::read(self.folder.join(CHECKPOINT)).ok();
+        let learned = train::train_on_stream(
+            &self.recipe,
+            (batch, model),
+            compute(),
+            checkpoint.as_deref(),
+            &mut observer,
+        )?;
+        let lineage = Lineage {
+            label: Label::Simulated,
+            dataset: None,
+            calibration: model.sensor().calibration().map(Into::into),
+            simulation: Some(model.model_hash().into()),
+        };
+        self.new_model(learned, lineage, sensor)
     }
 
-    impl Work {
-        fn on_dataset(
-            self,
-            dataset: &DatasetRow,
-            file: &Path,
-        ) -> Result<Option<NewModel>, JobError> {
-            self.watch.phase("gathering frames", dataset.rows);
-            let columns = train::columns(self.recipe.task());
-            let sensor = crate::dataset::read::sensor_text(file)?;
-            let (skin, _) = registry::facts("sensor", &sensor)?;
-            let conditions = &self.recipe.conditions;
-            let examples = Examples::gather(file, conditions, columns, &self.scratch)?;
-            let given = Given {
-                data: std::iter::once(&dataset.id)
-                    .chain(conditions)
-                    .cloned()
-                    .collect::<Vec<_>>()
-                    .join(" "),
-                examples: &examples,
-                skin: &skin,
-                noise_sd_v: self.noise_sd_v.clone(),
-                compute: compute(),
-            };
-            let mut observer = self.observer("training")?;
-            let checkpoint = std::fs::read(self.folder.join(CHECKPOINT)).ok();
-            let learned = train::train(&self.recipe, &given, checkpoint.as_deref(), &mut observer)?;
-            self.new_model(learned, Lineage::of(dataset), sensor)
+    /// What was learned as a model; none when it was stopped.
+    fn new_model(
+        &self,
+        learned: Learned,
+        from: Lineage,
+        sensor: String,
+    ) -> Result<Option<NewModel>, JobError> {
+        if learned.trained.end == End::Stopped {
+            return Ok(None);
         }
-
-        fn on_stream(
-            self,
-            sensor: String,
-            model: &ForwardModel,
-        ) -> Result<Option<NewModel>, JobError> {
-            let batch = Arc::new(BatchModel::new(model, Kernel::detect()));
-            let mut observer = self.observer("training on fresh simulations")?;
-            let checkpoint = std::fs::read(self.folder.join(CHECKPOINT)).ok();
-            let learned = train::train_on_stream(
-                &self.recipe,
-                (batch, model),
-                compute(),
-                checkpoint.as_deref(),
-                &mut observer,
-            )?;
-            let lineage = Lineage {
-                label: Label::Simulated,
-                dataset: None,
-                calibration: model.sensor().calibration().map(Into::into),
-                simulation: Some(model.model_hash().into()),
-            };
-            self.new_model(learned, lineage, sensor)
-        }
-
-        /// What was learned as a model; none when it was stopped.
-        fn new_model(
-            &self,
-            learned: Learned,
-            from: Lineage,
-            sensor: String,
-        ) -> Result<Option<NewModel>, JobError> {
-            if learned.trained.end == End::Stopped {
-                return Ok(None);
-            }
-            let (_, facts) = registry::facts("sensor", &sensor)?;
-            let model = ModelFacts {
-                task: self.recipe.task(),
-                label: from.label,
-                sensor: facts.name.clone(),
-                channels: facts.channels,
-                output_shape: learned.trained.network.output.clone(),
-                force_map: self.recipe.map,
-                datasets: from.dataset.into_iter().collect(),
-                calibration: from.calibration,
-                simulation: from.simulation,
-                code: code(),
-                recipe: Some(self.recipe_text()),
-                trained_on: learned.range,
-            };
-            let made = model_of(&learned.trained.network, model, &facts);
-            let (manifest, onnx) = made.map_err(LearnError::from)?;
-            let residuals = learned.left_over.map(|left| Residuals {
-                mean_v: left.mean_v,
-                sd_v: left.sd_v,
-                trials: left.rows,
-            });
-            let losses = std::fs::read_to_string(self.folder.join(LOSSES)).ok();
-            let name = self.recipe.name.clone();
-            Ok(Some(NewModel { name, manifest, onnx, sensor, losses, residuals }))
-        }
-
-        fn recipe_text(&self) -> String {
-            // A recipe was read from TOML and is of numbers, names and lists.
-            toml::to_string(&self.recipe).unwrap_or_default()
-        }
-
-        fn observer(&self, phase: &str) -> Result<JobObserver<'_>, JobError> {
-            std::fs::create_dir_all(&self.folder)
-                .map_err(LearnError::file("making", &self.folder))?;
-            self.watch.phase(phase, 0);
-            let began_s = self.clock.process_s();
-            Ok(JobObserver { work: self, began_s, first: None, kept_s: began_s })
-        }
+        let (_, facts) = registry::facts("sensor", &sensor)?;
+        let model = ModelFacts {
+            task: self.recipe.task(),
+            label: from.label,
+            sensor: facts.name.clone(),
+            channels: facts.channels,
+            output_shape: learned.trained.network.output.clone(),
+            force_map: self.recipe.map,
+            datasets: from.dataset.into_iter().collect(),
+            calibration: from.calibration,
+            simulation: from.simulation,
+            code: code(),
+            recipe: Some(self.recipe_text()),
+            trained_on: learned.range,
+        };
+        let made = model_of(&learned.trained.network, model, &facts);
+        let (manifest, onnx) = made.map_err(LearnError::from)?;
+        let residuals = learned.left_over.map(|left| Residuals {
+            mean_v: left.mean_v,
+            sd_v: left.sd_v,
+            trials: left.rows,
+        });
+        let losses = std::fs::read_to_string(self.folder.join(LOSSES)).ok();
+        let name = self.recipe.name.clone();
+        Ok(Some(NewModel { name, manifest, onnx, sensor, losses, residuals }))
     }
 
-    /// Shows how far a training is, and keeps its checkpoints and losses.
-    struct JobObserver<'a> {
-        work: &'a Work,
-        began_s: f64,
-        /// Samples that were learned before this start.
-        first: Option<u64>,
-        kept_s: f64,
+    fn recipe_text(&self) -> String {
+        // A recipe was read from TOML and is of numbers, names and lists.
+        toml::to_string(&self.recipe).unwrap_or_default()
     }
 
-    impl Observer for JobObserver<'_> {
-        fn see(&mut self, progress: &Progress) -> Flow {
-            let now_s = self.work.clock.process_s();
-            let [done, total] = progress.samples;
-            let first = *self.first.get_or_insert(done);
-            let elapsed = std::time::Duration::from_secs_f64((now_s - self.began_s).max(1e-3));
-            self.work.watch.change(|shown| {
-                shown.total = total;
-                shown.epoch = Some(u64::from(progress.epoch) + 1);
-                shown.train_loss = Some(progress.train_loss);
-                shown.validation_loss = progress.validation_loss.or(shown.validation_loss);
-            });
-            self.work.watch.done(done, done - first, elapsed);
-            if let Some(validation) = progress.validation_loss {
-                self.write_loss(progress, validation, now_s - self.began_s);
-            }
-            if self.work.watch.is_stopped() {
-                Flow::Stop
-            } else if now_s - self.kept_s >= CHECKPOINT_EVERY_S {
-                self.kept_s = now_s;
-                Flow::Checkpoint
-            } else {
-                Flow::Continue
-            }
-        }
+    fn observer(&self, phase: &str) -> Result<JobObserver<'_>, JobError> {
+        std::fs::create_dir_all(&self.folder).map_err(LearnError::file("making", &self.folder))?;
+        self.watch.phase(phase, 0);
+        let began_s = self.clock.process_s();
+        Ok(JobObserver { work: self, began_s, first: None, kept_s: began_s })
+    }
+}
 
-        fn keep(&mut self, checkpoint: Vec<u8>) {
-            let folder = &self.work.folder;
-            if let Err(error) = write_whole(folder, CHECKPOINT, &checkpoint) {
-                // The training goes on; a restart goes back further.
-                tracing::warn!(%error, folder = %folder.display(), "a checkpoint was not kept");
-            }
+/// Shows how far a training is, and keeps its checkpoints and losses.
+struct JobObserver<'a> {
+    work: &'a Work,
+    began_s: f64,
+    /// Samples that were learned before this start.
+    first: Option<u64>,
+    kept_s: f64,
+}
+
+impl Observer for JobObserver<'_> {
+    fn see(&mut self, progress: &Progress) -> Flow {
+        let now_s = self.work.clock.process_s();
+        let [done, total] = progress.samples;
+        let first = *self.first.get_or_insert(done);
+        let elapsed = std::time::Duration::from_secs_f64((now_s - self.began_s).max(1e-3));
+        self.work.watch.change(|shown| {
+            shown.total = total;
+            shown.epoch = Some(u64::from(progress.epoch) + 1);
+            shown.train_loss = Some(progress.train_loss);
+            shown.validation_loss = progress.validation_loss.or(shown.validation_loss);
+        });
+        self.work.watch.done(done, done - first, elapsed);
+        if let Some(validation) = progress.validation_loss {
+            self.write_loss(progress, validation, now_s - self.began_s);
+        }
+        if self.work.watch.is_stopped() {
+            Flow::Stop
+        } else if now_s - self.kept_s >= CHECKPOINT_EVERY_S {
+            self.kept_s = now_s;
+            Flow::Checkpoint
+        } else {
+            Flow::Continue
         }
     }
 
-    impl JobObserver<'_> {
-        fn write_loss(&self, progress: &Progress, validation: f64, elapsed_s: f64) {
-            let line = json!({
-                "epoch": progress.epoch + 1, "samples": progress.samples[0],
-                "train_loss": progress.train_loss, "validation_loss": validation,
-                "elapsed_s": elapsed_s,
-            });
-            let path = self.work.folder.join(LOSSES);
-            let known = std::fs::read_to_string(&path).unwrap_or_default();
-            // After a restart epochs since the last checkpoint come again: the later line counts.
-            let before = |line: &&str| {
-                let known: Option<Value> = serde_json::from_str(line).ok();
-                known.is_some_and(|k| k["epoch"].as_u64() < Some(u64::from(progress.epoch) + 1))
-            };
-            let mut text: String = known.lines().filter(before).map(|l| format!("{l}\n")).collect();
-            text += &format!("{line}\n");
-            if let Err(error) = write_whole(&self.work.folder, LOSSES, text.as_bytes()) {
-                tracing::warn!(%error, "losses were not kept");
-            }
+    fn keep(&mut self, checkpoint: Vec<u8>) {
+        let folder = &self.work.folder;
+        if let Err(error) = write_whole(folder, CHECKPOINT, &checkpoint) {
+            // The training goes on; a restart goes back further.
+            tracing::warn!(%error, folder = %folder.display(), "a checkpoint was not kept");
         }
     }
+}
 
-    fn write_whole(folder: &Path, name: &str, bytes: &[u8]) -> std::io::Result<()> {
-        let mut file = crate::dataset::file::NewFile::create(folder)?;
-        std::io::Write::write_all(&mut file, bytes)?;
-        file.finish(name).map(|_| ())
-    }
-
-    /// What a model carries on from its dataset.
-    struct Lineage {
-        label: Label,
-        dataset: Option<String>,
-        calibration: Option<String>,
-        simulation: Option<String>,
-    }
-
-    impl Lineage {
-        fn of(dataset: &DatasetRow) -> Self {
-            let lineage = &dataset.lineage;
-            let labels = lineage["runs"].as_array().into_iter().flatten();
-            let label = labels.map(|run| run["label"].clone()).next();
-            let label = label.and_then(|label| serde_json::from_value(label).ok());
-            let model = &lineage["models"][0];
-            let text = |value: &Value| value.as_str().map(str::to_owned);
-            Self {
-                label: label.unwrap_or(Label::Simulated),
-                dataset: Some(dataset.id.clone()),
-                calibration: text(&model["calibration"]),
-                simulation: text(&model["model"]),
-            }
+impl JobObserver<'_> {
+    fn write_loss(&self, progress: &Progress, validation: f64, elapsed_s: f64) {
+        let line = json!({
+            "epoch": progress.epoch + 1, "samples": progress.samples[0],
+            "train_loss": progress.train_loss, "validation_loss": validation,
+            "elapsed_s": elapsed_s,
+        });
+        let path = self.work.folder.join(LOSSES);
+        let known = std::fs::read_to_string(&path).unwrap_or_default();
+        // After a restart epochs since the last checkpoint come again: the later line counts.
+        let before = |line: &&str| {
+            let known: Option<Value> = serde_json::from_str(line).ok();
+            known.is_some_and(|k| k["epoch"].as_u64() < Some(u64::from(progress.epoch) + 1))
+        };
+        let mut text: String = known.lines().filter(before).map(|l| format!("{l}\n")).collect();
+        text += &format!("{line}\n");
+        if let Err(error) = write_whole(&self.work.folder, LOSSES, text.as_bytes()) {
+            tracing::warn!(%error, "losses were not kept");
         }
     }
+}
 
-    /// Where trainings compute: on what this build was made for.
-    fn compute() -> Compute {
-        #[cfg(feature = "cuda")]
-        return Compute::Cuda(0);
-        #[cfg(all(feature = "wgpu", not(feature = "cuda")))]
-        return Compute::Wgpu;
-        #[cfg(not(any(feature = "cuda", feature = "wgpu")))]
-        Compute::Cpu { threads: 0 }
-    }
+fn write_whole(folder: &Path, name: &str, bytes: &[u8]) -> std::io::Result<()> {
+    let mut file = crate::dataset::file::NewFile::create(folder)?;
+    std::io::Write::write_all(&mut file, bytes)?;
+    file.finish(name).map(|_| ())
+}
 
-    /// What trained a model.
-    fn code() -> String {
-        let commit = option_env!("PALPATE_COMMIT").unwrap_or("unknown");
-        format!("palpate {} {commit}", env!("CARGO_PKG_VERSION"))
+/// What a model carries on from its dataset.
+struct Lineage {
+    label: Label,
+    dataset: Option<String>,
+    calibration: Option<String>,
+    simulation: Option<String>,
+}
+
+impl Lineage {
+    fn of(dataset: &DatasetRow) -> Self {
+        let lineage = &dataset.lineage;
+        let labels = lineage["runs"].as_array().into_iter().flatten();
+        let label = labels.map(|run| run["label"].clone()).next();
+        let label = label.and_then(|label| serde_json::from_value(label).ok());
+        let model = &lineage["models"][0];
+        let text = |value: &Value| value.as_str().map(str::to_owned);
+        Self {
+            label: label.unwrap_or(Label::Simulated),
+            dataset: Some(dataset.id.clone()),
+            calibration: text(&model["calibration"]),
+            simulation: text(&model["model"]),
+        }
     }
+}
+
+/// Where trainings compute: on what this build was made for.
+fn compute() -> Compute {
+    #[cfg(feature = "cuda")]
+    return Compute::Cuda(0);
+    #[cfg(all(feature = "wgpu", not(feature = "cuda")))]
+    return Compute::Wgpu;
+    #[cfg(not(any(feature = "cuda", feature = "wgpu")))]
+    Compute::Cpu { threads: 0 }
+}
+
+/// What trained a model.
+fn code() -> String {
+    let commit = option_env!("PALPATE_COMMIT").unwrap_or("unknown");
+    format!("palpate {} {commit}", env!("CARGO_PKG_VERSION"))
 }
