@@ -209,7 +209,7 @@ fn a_checkpoint_of_another_training_is_refused_by_the_fields_that_differ() {
 fn training_ends_when_nothing_gets_better_and_keeps_the_best() {
     let mut plan = plan(&TRANSFER.replace("epochs = 300", "epochs = 300\npatience = 4"));
     plan.recipe.optimiser.learning_rate = 0.3;
-    let (rows, other) = (rows(10, bent), rows(10, |x, row| bent(x, row)));
+    let (rows, other) = (rows(10, bent), rows(10, bent));
     let mut watch = Watch::default();
     let trained = train(&plan, &rows, &other, None, &mut watch).unwrap();
     assert_eq!(trained.end, End::Patience);

@@ -259,7 +259,9 @@ mod tests {
         }
         let most = counts.values().max().copied().unwrap_or(0);
         let mut there = BTreeMap::new();
-        for c in candidates.iter().filter(|c| !configuration(&c.tips_mm).is_multiple_of(HELD_OUT_IN)) {
+        for c in
+            candidates.iter().filter(|c| !configuration(&c.tips_mm).is_multiple_of(HELD_OUT_IN))
+        {
             *there.entry(stratum(&c.contacts, 5.0)).or_insert(0) += 1;
         }
         // A stratum that has fewer than the fullest one was emptied.
