@@ -33,6 +33,17 @@ pub enum CalibrateError {
     /// Moduli that a sensor cannot have.
     #[error("fitting moduli: {0}")]
     Sensor(#[from] SensorError),
+    /// The fit explains trials that it has not seen no better than what it began with.
+    #[error(
+        "the fit does not help and is not kept: median FVU of held-out trials {before:.3} before, \
+         {after:.3} after; give it more trials (--trials), of more places"
+    )]
+    NoBetter {
+        /// Median FVU of the model that it began with.
+        before: f64,
+        /// Median FVU of the fitted one.
+        after: f64,
+    },
     /// The plot could not be drawn.
     #[error("drawing the plot: {0}")]
     Plot(String),

@@ -22,6 +22,7 @@ use super::super::output::{counted, say, say_json};
 use super::super::progress::progress_bar;
 use super::super::{At, embed};
 use super::{calibration_problem, parse_calibration};
+use crate::calibrate::CalibrateError;
 use crate::calibrate::skin::{CalibratedSkin, Candidate, Choice, Source, calibrate, choose};
 use crate::calibrate::skin_plot;
 use crate::problem::Problem;
@@ -99,11 +100,15 @@ async fn fit_run(client: Client, args: SkinArgs) -> Result<(), CliError> {
         Some(earlier) => alone.over(earlier)?,
         None => alone,
     };
-    if let Some(path) = &args.out {
-        write(path, &whole.to_toml()?)?;
-    }
     if let Some(path) = &args.plot {
         write(path, &skin_plot::skin(&sensor, &fitted)?)?;
+    }
+    let (before, after) = (fitted.skin.evidence.before.median, fitted.skin.evidence.after.median);
+    if after >= before {
+        return Err(CalibrateError::NoBetter { before, after }.into());
+    }
+    if let Some(path) = &args.out {
+        write(path, &whole.to_toml()?)?;
     }
     answer(&args, &run, &whole, &fitted)
 }
