@@ -336,5 +336,5 @@ fn no_more_than_a_few_batches_are_read_ahead() {
     let samples = Counted { rows: &rows, len: 1 << 20, read: AtomicU64::new(0) };
     let mut slow = Slow(&samples.read, 0);
     train(&plan(TRANSFER), &samples, &rows, None, &mut slow).unwrap();
-    assert!((1..=4 * 5).contains(&slow.1), "{} samples of 1,048,576", slow.1);
+    assert!(slow.1 <= 4 * 5, "{} samples of 1,048,576", slow.1);
 }

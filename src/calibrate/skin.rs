@@ -254,15 +254,18 @@ mod tests {
         let mut candidates = candidates(3000);
         let choice = choose(&candidates, 400, 5.0);
         let mut counts = BTreeMap::new();
-        for &i in &choice.fitted {
-            *counts.entry(stratum(&candidates[i].contacts, 5.0)).or_insert(0) += 1;
+        // Untouched skins are of no stratum.
+        for stratum in choice.fitted.iter().filter_map(|&i| stratum(&candidates[i].contacts, 5.0)) {
+            *counts.entry(stratum).or_insert(0) += 1;
         }
         let most = counts.values().max().copied().unwrap_or(0);
         let mut there = BTreeMap::new();
         for c in
             candidates.iter().filter(|c| !configuration(&c.tips_mm).is_multiple_of(HELD_OUT_IN))
         {
-            *there.entry(stratum(&c.contacts, 5.0)).or_insert(0) += 1;
+            if let Some(stratum) = stratum(&c.contacts, 5.0) {
+                *there.entry(stratum).or_insert(0) += 1;
+            }
         }
         // A stratum that has fewer than the fullest one was emptied.
         for (stratum, count) in &counts {

@@ -3,10 +3,10 @@
 
 use std::sync::Arc;
 
-use sim_core::forward::ForwardModel;
+use sim_core::forward::{Contact, ForwardModel, Workspace};
 use sim_core::inverse::contacts::{
-    ContactFitter, ErrorModel, Fit, FitOptions, FitWork, Observation, Proposal, Steady,
-    SteadySettings,
+    ContactFitter, ErrorModel, Fit, FitError, FitOptions, FitWork, FramePair, Observation,
+    Proposal, Steady, SteadySettings,
 };
 
 use super::answer::{FoundContact, Reading};
@@ -15,6 +15,22 @@ use super::points::{PROPOSED, PointPipeline};
 
 /// Standard deviation of a voltage's noise where a calibration says nothing else, V.
 const NOISE_SD_V: f64 = 1.2e-3;
+
+/// Directions of the model's error that are learnt from known trials.
+const ERROR_DIRECTIONS: usize = 24;
+/// Fewer known trials than this say nothing of the model's error.
+const LEAST_KNOWN: usize = 60;
+
+/// A measured trial whose contacts are known.
+#[derive(Debug, Clone)]
+pub struct KnownTrial {
+    /// What pressed.
+    pub contacts: Vec<Contact>,
+    /// Its measured frame, V.
+    pub frame_v: Vec<f32>,
+    /// Frames that it is the mean of.
+    pub frames: f64,
+}
 
 /// A skin that frames are fitted on. Building one takes seconds.
 pub struct ExactSkin {
@@ -34,8 +50,9 @@ impl std::fmt::Debug for ExactSkin {
 }
 
 impl ExactSkin {
-    /// Of a model, calibrated or not.
-    pub fn new(model: &ForwardModel) -> Result<Self, InferError> {
+    /// Of a model, calibrated or not. How far it is from this skin is learnt from known trials, where
+    /// there are enough; otherwise every misfit is taken for noise.
+    pub fn new(model: &ForwardModel, known: &[KnownTrial]) -> Result<Self, InferError> {
         let channels = model.sensor().channels();
         let offsets_mv = model.sensor().skin().map(|skin| skin.offsets_mv.as_slice());
         let offset_v = match offsets_mv {
@@ -43,12 +60,48 @@ impl ExactSkin {
             _ => vec![0.0; channels],
         };
         let errors = ErrorModel::white(channels, NOISE_SD_V)?;
-        Ok(Self {
+        let fitter = ContactFitter::new(model, &errors, FitOptions::default())?;
+        let mut skin = Self {
             calibration: model.sensor().calibration().map(Into::into),
             simulation: model.model_hash().into(),
             offset_v,
-            fitter: ContactFitter::new(model, &errors, FitOptions::default())?,
-        })
+            fitter,
+        };
+        if known.len() >= LEAST_KNOWN {
+            let errors = skin.errors(model, known, errors)?;
+            skin.fitter = ContactFitter::new(model, &errors, FitOptions::default())?;
+        }
+        Ok(skin)
+    }
+
+    /// What of known trials no contact explains: frames modelled at contacts that were refined from
+    /// the true ones (sim-core's [`ErrorModel::with_pairs`] says why).
+    fn errors(
+        &self,
+        model: &ForwardModel,
+        known: &[KnownTrial],
+        white: ErrorModel,
+    ) -> Result<ErrorModel, InferError> {
+        let (mut work, mut forward) = (FitWork::default(), Workspace::default());
+        let mut frames = Vec::with_capacity(known.len());
+        for trial in known {
+            let mut measured_v = Vec::new();
+            self.take_offsets(&trial.frame_v, &mut measured_v);
+            let observation = Observation { frame_v: &measured_v, frames: trial.frames };
+            let fit = self.fitter.refine(&observation, &trial.contacts, &mut work)?;
+            let refined: Vec<Contact> = fit.contacts.iter().map(|found| found.contact).collect();
+            let modelled_v = model.voltages(&refined, &mut forward).map_err(FitError::from)?;
+            frames.push((measured_v, modelled_v.to_vec(), trial.frames));
+        }
+        let pairs: Vec<FramePair<'_>> = frames
+            .iter()
+            .map(|(measured_v, modelled_v, frames)| FramePair {
+                measured_v,
+                modelled_v,
+                frames: *frames,
+            })
+            .collect();
+        Ok(white.with_pairs(&pairs, ERROR_DIRECTIONS)?)
     }
 
     /// Id of its calibration.

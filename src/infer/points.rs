@@ -140,8 +140,8 @@ mod tests {
         let answer = answer(&[(2, 0.0, 2.0), (3, 0.0, 2.0), (8, 5.0, 3.0)]);
         let found = pool(&row(), &answer, 0.15);
         assert_eq!(found.len(), 2);
-        assert!((found[0].force_n.unwrap() - 3f64.exp()).abs() < 0.1, "{found:?}");
-        assert!((found[1].x_mm - 150.0).abs() < 0.1 && found[1].presence.unwrap() > 0.99);
+        assert!((found[1].force_n.unwrap() - 3f64.exp()).abs() < 0.1, "{found:?}");
+        assert!((found[0].x_mm - 150.0).abs() < 0.1 && found[0].presence.unwrap() > 0.99);
     }
 
     #[test]

@@ -15,14 +15,24 @@ use utoipa::ToSchema;
 
 use super::answer::{Method, Reading};
 use super::error::InferError;
-use super::exact::{ExactPipeline, ExactSkin, Tracked};
+use super::exact::{ExactPipeline, ExactSkin, KnownTrial, Tracked};
 use super::maps::MapPipeline;
 use super::points::PointPipeline;
 use super::registry::{Model, Registry};
 use crate::dataset::force_map::peaks::THRESHOLD_N;
 use crate::learn::model_file::NetTask;
+use crate::rig::config::RigConfig;
 use crate::simulate::model::load_or_build;
-use crate::store::{PromotionRow, Store};
+use crate::simulate::twins::contacts;
+use crate::store::{
+    Comparison, Filter, FilterValue, MAX_PAGE, PromotionRow, RunKind, RunRow, Store, TrialColumn,
+    TrialQuery, TrialRow,
+};
+
+/// Runs among which the one is looked for that tells how far a model is off.
+const RUNS_LOOKED_AT: u32 = 1000;
+/// Trials that tell it.
+const KNOWN_TRIALS: usize = 200;
 
 /// A place that something is promoted to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -327,8 +337,47 @@ impl Serving {
     /// The skin of a calibration that is kept here, or the nominal one.
     pub async fn skin(&self, calibration: Option<&str>) -> Result<Arc<ExactSkin>, InferError> {
         let model = self.model(calibration).await?;
-        let building = tokio::task::spawn_blocking(move || ExactSkin::new(&model).map(Arc::new));
-        building.await.map_err(|_| InferError::Worker)?
+        let known = self.known_trials(model.sensor()).await?;
+        let building = move || ExactSkin::new(&model, &known).map(Arc::new);
+        tokio::task::spawn_blocking(building).await.map_err(|_| InferError::Worker)?
+    }
+
+    /// Trials of the run that a skin was calibrated to, or else of the newest Real-Hex run on this
+    /// sensor: evenly taken, pressed above its deadband. None where that run is not here.
+    async fn known_trials(&self, sensor: &Sensor) -> Result<Vec<KnownTrial>, InferError> {
+        let of_skin = sensor.skin().map(|skin| skin.evidence.run.clone());
+        let runs = self.inner.store.runs(RUNS_LOOKED_AT, None).await?.runs;
+        let fits = |run: &&RunRow| match &of_skin {
+            Some(uid) => run.uid.to_string() == *uid,
+            None => {
+                let same = Sensor::from_toml(&run.sensor).is_ok_and(|s| s.file == sensor.file);
+                run.kind == RunKind::RealHex && run.state == "ended" && same
+            }
+        };
+        let Some(run) = runs.iter().find(fits) else { return Ok(Vec::new()) };
+        let rig = run.rig.as_deref().and_then(|text| RigConfig::from_toml("rig", text).ok());
+        let force_noise_n = rig.map_or(0.0, |rig| rig.cells.force_noise_n);
+        let at_least = FilterValue::Number(run.deadband_n);
+        let pressed = Filter::Compare(TrialColumn::MaxForceN, Comparison::GreaterOrEqual, at_least);
+        let query = TrialQuery {
+            run: Some(run.uid),
+            flagged: Some(false),
+            limit: MAX_PAGE,
+            filters: vec![pressed],
+            ..TrialQuery::default()
+        };
+        let ids = self.inner.store.trial_ids(&query).await?;
+        let count = ids.len().min(KNOWN_TRIALS);
+        let chosen: Vec<_> = (0..count).map(|i| ids[i * ids.len() / count]).collect();
+        let trials = self.inner.store.trials_with_voltages(&chosen).await?;
+        let known = |trial: &TrialRow| {
+            Some(KnownTrial {
+                contacts: contacts(trial, run.kind, force_noise_n)?,
+                frame_v: trial.voltages_v.clone()?,
+                frames: f64::from(trial.frame_count.max(1)),
+            })
+        };
+        Ok(trials.iter().filter_map(known).collect())
     }
 
     /// The model of a calibration that is kept here, or the nominal one.

@@ -194,5 +194,5 @@ async fn tables_made_anew_lose_nothing() {
     let mut next = random_trial(1, 1);
     next.key = TrialKey { configuration: 1, depth_index: 0 };
     assert_eq!(store.trial(run.uid, &next).await.unwrap().0, 7);
-    assert_eq!(MIGRATIONS.iter().count(), 3);
+    assert_eq!(MIGRATIONS.iter().count(), 4);
 }
