@@ -1,11 +1,8 @@
 //! What one trial says about the parameters: its share of the normal equations, or of the cost.
 //! Uses: `jacobian`, faer's dense product. Never: other trials, threads.
 //!
-//! `r = v - offset - model`, each reading with variance `s^2 = noise^2 + (error |v|)^2 / channels`.
-//! What a trial does not tell (where a tilted tip's weight really stands, how hard it presses within
-//! the cell's error, the frame's gain) are directions `C` of its own, scaled by their standard
-//! deviations and integrated out: `W = (s^2 + C C')^-1`. With the Gram matrix of `[C J r] / s` that
-//! is the elimination of C's columns.
+//! `r = v - offset - model`, each reading with variance `noise^2 + (error |v|)^2 / directions`: what
+//! no model of the skin can know (tilted tips, cells, drift) is a share of the frame, in few directions.
 
 use faer::linalg::matmul::triangular::{BlockStructure, matmul};
 use faer::{Accum, MatMut, MatRef, Par};
@@ -13,7 +10,7 @@ use faer::{Accum, MatMut, MatRef, Par};
 use super::parameters::{CircuitChanges, LAW_PIECES, Parameters};
 use super::{MeasuredTrial, SkinFitError, TrialErrors};
 use crate::forward::{ForwardModel, Workspace};
-use crate::jacobian::{CONTACT_PARAMETERS, Field, JacobianWork, Linearised, Mode};
+use crate::jacobian::{Field, JacobianWork, Linearised, Mode};
 
 /// A node counts where it carries at least this share of all conductance to the top.
 const LEAST_SHARE: f64 = 3e-6;
@@ -42,17 +39,13 @@ pub(super) struct FrameTerms {
 
 /// A trial's residual and misfit.
 pub(super) struct FrameMisfit {
-    /// `r' W r` by channel: about 1 where model and errors are as stated.
+    /// Mean of `r^2 / variance` over channels: about 1 where model and errors are as stated.
     pub misfit: f64,
     /// Measured minus modelled, before the offset, V.
     pub residual_v: Vec<f64>,
     /// Variance of a reading, V^2.
     pub variance: f64,
 }
-
-/// The directions C of a trial, column by column, V. They are kept while a step is looked for: a cost
-/// whose weights moved with the model could fall without a better fit.
-pub(super) type OpenDirections = Vec<f32>;
 
 /// What is the same for all trials of a pass.
 pub(super) struct Pass<'a> {
@@ -65,92 +58,73 @@ pub(super) struct Pass<'a> {
 }
 
 impl Pass<'_> {
-    /// The directions that a trial leaves open at this model, and its misfit.
-    pub fn open(
-        &self,
-        trial: &MeasuredTrial,
-        work: &mut FrameWork,
-    ) -> Result<(OpenDirections, FrameMisfit), SkinFitError> {
-        let mut linear = self.model.linearise(&trial.contacts, &mut work.jacobian)?;
-        let residual_v = residual(trial, linear.frame_v());
-        // A model that overshoots has slopes to match: they count as those of the measured frame.
-        let size = |frame: &mut dyn Iterator<Item = f64>| frame.map(|v| v * v).sum::<f64>().sqrt();
-        let measured = size(&mut trial.frame_v.iter().map(|&v| f64::from(v)));
-        let modelled = size(&mut linear.frame_v().iter().copied());
-        let scale = if modelled > measured { measured / modelled } else { 1.0 };
-        let gain = self.errors.gain_sd as f32;
-        let mut open: OpenDirections = trial.frame_v.iter().map(|v| gain * v).collect();
-        for (i, column) in linear.contacts().chunks_exact(trial.frame_v.len()).enumerate() {
-            let sd = match i % CONTACT_PARAMETERS {
-                2 => self.errors.force_sd * trial.contacts[i / CONTACT_PARAMETERS].force_n,
-                _ => self.errors.place_sd_mm,
-            };
-            open.extend(column.iter().map(|slope| (scale * sd * slope) as f32));
-        }
-        let misfit = self.weighted(trial, residual_v, &open, work);
-        Ok((open, misfit))
-    }
-
-    /// The misfit at this model, with directions that were found at another.
+    /// The misfit at this model.
     pub fn misfit(
         &self,
         trial: &MeasuredTrial,
-        open: &OpenDirections,
         work: &mut FrameWork,
     ) -> Result<FrameMisfit, SkinFitError> {
-        let residual_v = residual(trial, self.model.voltages(&trial.contacts, &mut work.forward)?);
-        Ok(self.weighted(trial, residual_v, open, work))
+        let modelled_v = self.model.voltages(&trial.contacts, &mut work.forward)?;
+        let residual_v = residual(trial, modelled_v);
+        let variance = self.errors.variance(&trial.frame_v);
+        let apart = residual_v.iter().zip(self.offsets_v).map(|(r, o)| (r - o).powi(2));
+        let misfit = apart.sum::<f64>() / (variance * residual_v.len() as f64);
+        Ok(FrameMisfit { misfit, residual_v, variance })
     }
 
-    fn weighted(
+    /// The cost of each electrode's own readings: those while it is the sink, and those that its
+    /// voltage is in.
+    pub fn of_electrodes(
         &self,
         trial: &MeasuredTrial,
-        residual_v: Vec<f64>,
-        open: &OpenDirections,
+        factor: f64,
         work: &mut FrameWork,
-    ) -> FrameMisfit {
-        let FrameWork { columns, gram, .. } = work;
-        let (channels, variance) = (trial.frame_v.len(), self.errors.variance(&trial.frame_v));
-        columns.clear();
-        columns.extend(open.iter().map(|&v| f64::from(v)));
-        columns.extend(residual_v.iter().zip(self.offsets_v).map(|(r, o)| r - o));
-        let count = columns.len() / channels;
-        weighted_gram(columns, count, variance, gram);
-        eliminate(gram, count, count - 1);
-        let misfit = gram[count * count - 1] / channels as f64;
-        FrameMisfit { misfit, residual_v, variance }
+    ) -> Result<Vec<f64>, SkinFitError> {
+        let modelled_v = self.model.voltages(&trial.contacts, &mut work.forward)?;
+        let residual_v = residual(trial, modelled_v);
+        let weight = factor / self.errors.variance(&trial.frame_v);
+        let count = self.model.circuit().electrodes.len();
+        let mut costs = vec![0.0; count];
+        for (channel, (r, o)) in residual_v.iter().zip(self.offsets_v).enumerate() {
+            let cost = weight * (r - o).powi(2);
+            let (sink, first) = (channel / count, channel % count);
+            let second = (first + 1) % count;
+            costs[sink] += cost;
+            for k in [first, second].into_iter().filter(|&k| k != sink) {
+                costs[k] += cost;
+            }
+        }
+        Ok(costs)
     }
 
     /// The share of the normal equations, weighted by a factor.
     pub fn terms(
         &self,
         trial: &MeasuredTrial,
-        open: &OpenDirections,
         factor: f64,
         work: &mut FrameWork,
     ) -> Result<FrameTerms, SkinFitError> {
         let FrameWork { jacobian, modes, mode_of, columns, gram, .. } = work;
         let mut linear = self.model.linearise(&trial.contacts, jacobian)?;
-        columns.clear();
-        columns.extend(open.iter().map(|&v| f64::from(v)));
-        let nuisances = open.len() / trial.frame_v.len();
         let mut active = Vec::new();
         modes.clear();
         self.law_modes(&linear, modes, &mut active);
         self.foam_modes(linear.to_top_s(), modes, mode_of, &mut active);
+        columns.clear();
         columns.extend_from_slice(linear.modes(modes));
         columns.extend_from_slice(linear.resistors(&self.circuit.resistors));
         columns.extend_from_slice(linear.modes(&self.circuit.leads));
-        active.extend(self.circuit.first as u32..self.parameters.len() as u32);
+        active.extend(self.circuit.at.iter().map(|&i| i as u32));
         let residual_v = residual(trial, linear.frame_v());
         columns.extend(residual_v.iter().zip(self.offsets_v).map(|(r, o)| r - o));
-        let count = nuisances + active.len() + 1;
-        weighted_gram(columns, count, self.errors.variance(&trial.frame_v) / factor, gram);
-        eliminate(gram, count, nuisances);
-        let column = |i: usize| &gram[(nuisances + i) * count + nuisances..][..active.len() + 1];
-        let pull = (0..active.len()).map(|i| column(i)[active.len()]).collect();
-        let gram =
-            (0..active.len()).flat_map(|i| column(i)[..active.len()].iter().copied()).collect();
+        let (count, with_residual) = (active.len(), active.len() + 1);
+        let variance = self.errors.variance(&trial.frame_v) / factor;
+        weighted_gram(columns, with_residual, variance, gram);
+        let column = |i: usize| &gram[i * with_residual..][..with_residual];
+        let pull = (0..count).map(|i| column(i)[count]).collect();
+        let mut products = Vec::with_capacity(count * count);
+        (0..count).for_each(|i| products.extend_from_slice(&column(i)[..count]));
+        let gram = products;
         Ok(FrameTerms { active, gram, pull })
     }
 
@@ -234,22 +208,4 @@ fn weighted_gram(columns: &mut [f64], count: usize, variance: f64, gram: &mut Ve
         1.0,
         Par::Seq,
     );
-}
-
-/// Integrates out the first parameters, whose priors have variance 1: what is left below and beside
-/// them is the Schur complement.
-fn eliminate(gram: &mut [f64], count: usize, first: usize) {
-    let mut column = vec![0.0; count];
-    for k in 0..first {
-        let scale = 1.0 / (1.0 + gram[k * count + k]).sqrt();
-        for i in k + 1..count {
-            column[i] = scale * gram[k * count + i];
-        }
-        for j in k + 1..count {
-            let (by, target) = (column[j], &mut gram[j * count + j..(j + 1) * count]);
-            for (value, of_row) in target.iter_mut().zip(&column[j..]) {
-                *value -= by * of_row;
-            }
-        }
-    }
 }

@@ -2,7 +2,7 @@
 //! Gauss-Newton steps with the adjoint Jacobian.
 //! Uses: `forward`, `jacobian`, `skin`, faer. Never: files, a clock, chance.
 //!
-//! `cost = sum over trials of rho(r' W r) + prior`. rho is Huber's on the root of a trial's misfit, so
+//! `cost = sum over trials of rho(r^2 / variance) + prior`. rho is Huber's on the root of a trial's misfit, so
 //! that a bad frame pulls no harder than a bad one at its edge. Trials are added in their order: the
 //! result does not depend on the number of threads.
 
@@ -112,26 +112,22 @@ impl SkinPrior {
 pub struct TrialErrors {
     /// Standard deviation of a reading, V.
     pub noise_v: f64,
-    /// Error of the model itself, as a share of a frame's root mean square.
+    /// What no model of the skin knows (tilted tips, cells, drift), as a share of a frame's norm.
     pub model_error: f64,
-    /// Where a tip's weight stands, mm per axis: tilt shifts it.
-    pub place_sd_mm: f64,
-    /// Error of a cell, as a share of the force.
-    pub force_sd: f64,
-    /// Drift of the frame's gain.
-    pub gain_sd: f64,
+    /// In how many independent directions of the frame that is: far fewer than it has channels.
+    pub directions: f64,
 }
 
 impl Default for TrialErrors {
     fn default() -> Self {
-        Self { noise_v: 1.2e-3, model_error: 0.05, place_sd_mm: 1.2, force_sd: 0.02, gain_sd: 0.03 }
+        Self { noise_v: 1.2e-3, model_error: 0.1, directions: 30.0 }
     }
 }
 
 impl TrialErrors {
     fn variance(&self, frame_v: &[f32]) -> f64 {
         let square = frame_v.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>();
-        self.noise_v.powi(2) + self.model_error.powi(2) * square / frame_v.len() as f64
+        self.noise_v.powi(2) + self.model_error.powi(2) * square / self.directions
     }
 }
 
@@ -270,21 +266,23 @@ pub fn fit(
     let (mut costs, mut factors, mut damping) = (Vec::new(), vec![1.0; trials.len()], 0.0);
     for step in 1..=options.steps {
         sweep.begin(step, costs.last().copied());
-        let (open, here) = sweep.open(&model, &offsets_v)?;
+        let weights = factors.clone();
+        (vector, model) = place_electrodes(&mut sweep, &offsets_v, &weights, vector, model)?;
+        let here = sweep.misfits(&model, &offsets_v)?;
         let edge = here.edge();
         factors = here.factors(edge);
         let before = here.cost(edge) + parameters.prior_cost(&vector);
         if costs.is_empty() {
             costs.push(before);
         }
-        let (normal, pull) = sweep.normal(&model, &offsets_v, &open, &factors)?;
+        let (normal, pull) = sweep.normal(&model, &offsets_v, &factors)?;
         let mut accepted = None;
         while accepted.is_none() && damping < MOST_DAMPING {
             let move_by = solve(&parameters, &normal, &pull, &vector, damping)
                 .ok_or(SkinFitError::Normal { step })?;
             let next: Vec<f64> = vector.iter().zip(&move_by).map(|(v, d)| v + d).collect();
             let next_model = parameters.model(&next)?;
-            let there = sweep.misfits(&next_model, &offsets_v, &open)?;
+            let there = sweep.misfits(&next_model, &offsets_v)?;
             let after = there.cost(edge) + parameters.prior_cost(&next);
             if after < before {
                 damping = if damping < 1e-3 { 0.0 } else { 0.1 * damping };
@@ -311,6 +309,39 @@ pub fn fit(
     })
 }
 
+/// Moves each electrode to the triangle around its place in which its own readings fit best. All are
+/// tried side by side: they are far from each other, and hardly change each other's readings.
+fn place_electrodes(
+    sweep: &mut Sweep<'_>,
+    offsets_v: &[f64],
+    factors: &[f64],
+    vector: Vec<f64>,
+    model: ForwardModel,
+) -> Result<(Vec<f64>, ForwardModel), SkinFitError> {
+    let parameters = sweep.parameters();
+    let mut costs = |vector: &[f64], model: &ForwardModel| -> Result<Vec<f64>, SkinFitError> {
+        let mut costs = sweep.of_electrodes(model, offsets_v, factors)?;
+        let prior = |k| parameters.move_cost(vector, k);
+        costs.iter_mut().enumerate().for_each(|(k, cost)| *cost += prior(k));
+        Ok(costs)
+    };
+    let here = costs(&vector, &model)?;
+    let (mut best, mut moves) = (here.clone(), vec![None; here.len()]);
+    for round in parameters.places()? {
+        let there = parameters.with_moves(&vector, &round);
+        let of_round = costs(&there, &parameters.model(&there)?)?;
+        for (k, cost) in of_round.into_iter().enumerate() {
+            if round[k].is_some() && cost < best[k] {
+                (best[k], moves[k]) = (cost, round[k]);
+            }
+        }
+    }
+    let moved = parameters.with_moves(&vector, &moves);
+    let moved_model = parameters.model(&moved)?;
+    let better = costs(&moved, &moved_model)?.iter().sum::<f64>() < here.iter().sum();
+    Ok(if better { (moved, moved_model) } else { (vector, model) })
+}
+
 /// `(J'WJ + P + damping diag) d = J'Wr - P x`.
 fn solve(
     parameters: &Parameters,
@@ -323,7 +354,9 @@ fn solve(
     for i in 0..whole.nrows() {
         whole[(i, i)] *= 1.0 + damping;
     }
-    let prior = parameters.prior_pull(vector);
+    let mut prior = parameters.prior_pull(vector);
+    // Places are looked for, not stepped to.
+    prior[parameters.places_at()].fill(0.0);
     let right = Mat::from_fn(pull.len(), 1, |i, _| pull[i] - prior[i]);
     let factor = whole.llt(Side::Lower).ok()?;
     let step = factor.solve(&right);

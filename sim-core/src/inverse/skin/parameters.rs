@@ -2,6 +2,10 @@
 //! of resistances; their prior, the model that they make, and the directions in which it changes.
 //! Uses: `skin`, `jacobian` (which names the fields). Never: frames.
 //!
+//! Electrodes' places are not among the directions. With a contact much better than the sheet an
+//! electrode shorts the triangle that it stands in: a frame hardly depends on where in the triangle,
+//! and jumps from one to the next. They are looked for among triangles instead.
+//!
 //! All are zero for what is expected before any trial. The prior is Gaussian: each field's Gaussian
 //! processes on its corners, and independent electrodes.
 
@@ -31,6 +35,9 @@ pub(super) const LAW_PIECES: usize = 10;
 /// Length of a piece, mm: all pieces together are more than a foam of 4 mm and its law can take.
 pub(super) const LAW_STEP_MM: f64 = 0.5;
 
+/// Electrodes are looked for within this many standard deviations of their places.
+const REACH_SD: f64 = 3.2;
+
 /// The fields of the foam and the sheet, in the vector's order.
 pub(super) const FIELDS: [Field; 5] =
     [Field::LnA, Field::LnB, Field::LnC, Field::LnCompliance, Field::LnSheetConductance];
@@ -58,12 +65,12 @@ impl FieldBlock {
 
 /// How the circuit changes with the sheet's and the electrodes' parameters, one after the other.
 pub(super) struct CircuitChanges {
-    /// Of the sheet's corners, the electrodes' x, y and contacts.
+    /// Of the sheet's corners and the electrodes' contacts.
     pub resistors: Vec<Vec<Resistor>>,
     /// Of the leads.
     pub leads: Vec<Mode>,
-    /// The first one's place in the vector; the others follow.
-    pub first: usize,
+    /// Their places in the vector.
+    pub at: Vec<usize>,
 }
 
 /// What the vector's numbers mean for one sensor.
@@ -179,6 +186,49 @@ impl Parameters {
         self.first_electrode + kind * self.electrodes + electrode
     }
 
+    /// A vector with all electrodes moved by so much from where the sensor file has them, mm: `None`
+    /// leaves one where it is.
+    pub fn with_moves(&self, vector: &[f64], moves: &[Option<[f64; 2]>]) -> Vec<f64> {
+        let mut moved = vector.to_vec();
+        for (k, by) in moves.iter().enumerate() {
+            if let Some(by) = by {
+                for axis in 0..2 {
+                    moved[self.of_electrode(axis, k)] = by[axis];
+                }
+            }
+        }
+        moved
+    }
+
+    /// Where the electrodes' places stand in the vector.
+    pub fn places_at(&self) -> Range<usize> {
+        self.first_electrode..self.of_electrode(2, 0)
+    }
+
+    /// What an electrode's place costs by the prior.
+    pub fn move_cost(&self, vector: &[f64], electrode: usize) -> f64 {
+        let by = [0, 1].map(|axis| vector[self.of_electrode(axis, electrode)]);
+        (by[0].powi(2) + by[1].powi(2)) / self.prior.electrode_sd_mm.powi(2)
+    }
+
+    /// For each electrode, moves (mm) to the triangles around it, the nearest first: the same number
+    /// for all, `None` at the skin's rim where there are fewer.
+    pub fn places(&self) -> Result<Vec<Vec<Option<[f64; 2]>>>, ModelError> {
+        let mesh = Mesh::new(&self.sensor)?;
+        let centres: Vec<_> = mesh.triangles.iter().map(|t| mesh.triangle_centre_mm(t)).collect();
+        let reach_mm = REACH_SD * self.prior.electrode_sd_mm;
+        let around = |&[x, y]: &[f64; 2]| {
+            let moves = centres.iter().map(|c| [c[0] - x, c[1] - y]);
+            let mut near: Vec<[f64; 2]> = moves.filter(|m| m[0].hypot(m[1]) < reach_mm).collect();
+            near.sort_by(|a, b| a[0].hypot(a[1]).total_cmp(&b[0].hypot(b[1])));
+            near
+        };
+        let near: Vec<Vec<[f64; 2]>> = self.sensor.electrodes_mm().iter().map(around).collect();
+        let most = near.iter().map(Vec::len).max().unwrap_or(0);
+        let round = |n: usize| near.iter().map(|moves| moves.get(n).copied()).collect();
+        Ok((0..most).map(round).collect())
+    }
+
     /// Electrode sites; moves end at the skin's rim.
     fn sites(&self, vector: &[f64]) -> Vec<ElectrodeSite> {
         let file = &self.sensor.file;
@@ -232,13 +282,11 @@ impl Parameters {
             let each = move |(k, site)| Mode { field, entries: vec![(k as u32, moved(site))] };
             sites.iter().enumerate().map(each)
         };
-        modes.extend(of_electrodes(Field::ElectrodeX, |_| 1.0));
-        modes.extend(of_electrodes(Field::ElectrodeY, |_| 1.0));
         modes.extend(of_electrodes(Field::ContactOhm, |site| site.contact_ohm));
         CircuitChanges {
             resistors: modes.iter().map(|mode| circuit_resistors(model, mode)).collect(),
             leads: of_electrodes(Field::LeadOhm, |site| site.lead_ohm).collect(),
-            first: sheet.at.start,
+            at: sheet.at.clone().chain(self.of_electrode(2, 0)..self.len()).collect(),
         }
     }
 

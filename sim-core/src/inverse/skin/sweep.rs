@@ -6,7 +6,7 @@ use std::thread;
 
 use faer::Mat;
 
-use super::frame::{FrameMisfit, FrameWork, OpenDirections, Pass};
+use super::frame::{FrameMisfit, FrameWork, Pass};
 use super::parameters::{LAW_PIECES, LAW_STEP_MM, Parameters};
 use super::{MeasuredTrial, SkinFitError, SkinFitOptions, SkinProgress};
 use crate::forward::ForwardModel;
@@ -92,29 +92,14 @@ impl<'a> Sweep<'a> {
         Self { parameters, trials, options, progress, at, work }
     }
 
+    /// What is fitted.
+    pub fn parameters(&self) -> &'a Parameters {
+        self.parameters
+    }
+
     /// Starts a step.
     pub fn begin(&mut self, step: usize, cost: Option<f64>) {
         (self.at.step, self.at.cost, self.at.done) = (step, cost, 0);
-    }
-
-    /// The directions that all trials leave open at a model, and their misfits.
-    pub fn open(
-        &mut self,
-        model: &ForwardModel,
-        offsets_v: &[f64],
-    ) -> Result<(Vec<OpenDirections>, Misfits), SkinFitError> {
-        let (mut open, mut misfits) = (Vec::new(), Misfits::new(offsets_v.len()));
-        let trials = self.trials;
-        self.each(
-            model,
-            offsets_v,
-            |pass, i, work| pass.open(&trials[i], work),
-            |(directions, of)| {
-                open.push(directions);
-                misfits.push(&of);
-            },
-        )?;
-        Ok((open, misfits))
     }
 
     /// All trials' misfits.
@@ -122,17 +107,34 @@ impl<'a> Sweep<'a> {
         &mut self,
         model: &ForwardModel,
         offsets_v: &[f64],
-        open: &[OpenDirections],
     ) -> Result<Misfits, SkinFitError> {
         let mut misfits = Misfits::new(offsets_v.len());
         let trials = self.trials;
         self.each(
             model,
             offsets_v,
-            |pass, i, work| pass.misfit(&trials[i], &open[i], work),
+            |pass, i, work| pass.misfit(&trials[i], work),
             |of| misfits.push(&of),
         )?;
         Ok(misfits)
+    }
+
+    /// Cost of each electrode's own readings over all trials.
+    pub fn of_electrodes(
+        &mut self,
+        model: &ForwardModel,
+        offsets_v: &[f64],
+        factors: &[f64],
+    ) -> Result<Vec<f64>, SkinFitError> {
+        let mut sums = vec![0.0; model.circuit().electrodes.len()];
+        let trials = self.trials;
+        self.each(
+            model,
+            offsets_v,
+            |pass, i, work| pass.of_electrodes(&trials[i], factors[i], work),
+            |costs| sums.iter_mut().zip(costs).for_each(|(sum, cost)| *sum += cost),
+        )?;
+        Ok(sums)
     }
 
     /// The normal equations: J'WJ (lower triangle) and J'Wr, without the prior.
@@ -140,7 +142,6 @@ impl<'a> Sweep<'a> {
         &mut self,
         model: &ForwardModel,
         offsets_v: &[f64],
-        open: &[OpenDirections],
         factors: &[f64],
     ) -> Result<(Mat<f64>, Vec<f64>), SkinFitError> {
         let count = self.parameters.len();
@@ -150,7 +151,7 @@ impl<'a> Sweep<'a> {
         self.each(
             model,
             offsets_v,
-            |pass, i, work| pass.terms(&trials[i], &open[i], factors[i], work),
+            |pass, i, work| pass.terms(&trials[i], factors[i], work),
             |terms| {
                 let active = &terms.active;
                 for (j, column) in terms.gram.chunks_exact(active.len()).enumerate() {
