@@ -149,7 +149,10 @@ fn threads_change_no_bit_and_a_wild_frame_is_doubted() {
     let three = SkinFitOptions { threads: 3, ..one };
     let [a, b] =
         [one, three].map(|o| fit(sensor(), responses(), &trials, &o, &mut |_| {}).unwrap());
-    assert_eq!((&a.fields, &a.electrodes, &a.offsets_mv), (&b.fields, &b.electrodes, &b.offsets_mv));
+    assert_eq!(
+        (&a.fields, &a.electrodes, &a.offsets_mv),
+        (&b.fields, &b.electrodes, &b.offsets_mv)
+    );
     assert_eq!(a.costs, b.costs);
     assert!(a.doubted.contains(&5), "{:?}", a.doubted);
     assert!(a.doubted.len() < 6, "{:?}", a.doubted);
