@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde_json::Value;
 
-use super::client::Client;
 use super::error::CliError;
 use super::files::read_input;
 use super::output::{say, say_json};
@@ -66,7 +65,6 @@ pub async fn infer(args: InferArgs) -> Result<(), CliError> {
     let frames = frames(&args.file)?;
     let at = args.at.clone();
     embed::with_server(&at, move |client| async move {
-        wait_for_models(&client).await?;
         for frames in frames.chunks(FRAMES_AT_ONCE) {
             let wish = Wish {
                 method: args.method,
@@ -88,11 +86,6 @@ pub async fn infer(args: InferArgs) -> Result<(), CliError> {
         Ok(())
     })
     .await
-}
-
-/// A service that has just started takes its models up first.
-async fn wait_for_models(client: &Client) -> Result<(), CliError> {
-    client.get::<Value>("/api/v1/serving").await.map(|_| ())
 }
 
 /// Frames of a file, V.

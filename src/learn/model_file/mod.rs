@@ -193,7 +193,8 @@ pub struct Manifest {
     pub id: String,
     /// What is known of it.
     pub model: ModelFacts,
-    /// How well it did, by what it was scored on. Grows with each evaluation.
+    /// How well it did, as whoever wrote the manifest says. The service's own scores are the results of
+    /// its evaluations.
     #[serde(default, skip_serializing_if = "toml::Table::is_empty")]
     pub scores: toml::Table,
 }
