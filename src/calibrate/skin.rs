@@ -67,10 +67,14 @@ pub fn choose(candidates: &[Candidate], wanted: usize, least_n: f64) -> Choice {
     Choice { fitted, held_out }
 }
 
-/// One of each stratum in turn, then the second of each, up to so many.
+/// One of each stratum in turn, then the second of each, up to so many. The turn is a drawn one: where
+/// there are more strata than trials are wanted, all counts, places and forces still have their share.
 fn dealt(strata: BTreeMap<Stratum, Vec<usize>>, wanted: usize) -> Vec<usize> {
-    let deepest = strata.values().map(Vec::len).max().unwrap_or(0);
-    let rounds = (0..deepest).flat_map(|round| strata.values().filter_map(move |s| s.get(round)));
+    let mut strata: Vec<(Stratum, Vec<usize>)> = strata.into_iter().collect();
+    strata.sort_by_key(|(stratum, _)| scrambled(stratum.iter().flat_map(|n| n.to_le_bytes())));
+    let deepest = strata.iter().map(|(_, of)| of.len()).max().unwrap_or(0);
+    let rounds =
+        (0..deepest).flat_map(|round| strata.iter().filter_map(move |(_, of)| of.get(round)));
     let mut chosen: Vec<usize> = rounds.take(wanted).copied().collect();
     chosen.sort_unstable();
     chosen
@@ -280,6 +284,23 @@ mod tests {
         candidates.reverse();
         let turned = choose(&candidates, 400, 5.0);
         assert_eq!(numbers(&candidates, &turned.fitted), before);
+    }
+
+    #[test]
+    fn fewer_trials_than_strata_are_of_all_counts_and_places() {
+        let candidates = candidates(3000);
+        let choice = choose(&candidates, 60, 5.0);
+        let strata: Vec<Stratum> = choice
+            .fitted
+            .iter()
+            .filter_map(|&i| stratum(&candidates[i].contacts, 5.0))
+            .collect();
+        for (axis, values) in [(0, 1..=3), (1, 0..=3), (2, 0..=2)] {
+            for value in values {
+                let there = strata.iter().filter(|s| s[axis] == value).count();
+                assert!(there >= 6, "{there} of {} with {value} on axis {axis}", strata.len());
+            }
+        }
     }
 
     #[test]
