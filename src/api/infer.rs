@@ -109,7 +109,7 @@ pub async fn infer(
 }
 
 async fn pipeline(app: &App, wish: &Wish) -> Result<Pipeline, ApiError> {
-    let mut pipeline = app.serving.current().as_ref().clone();
+    let mut pipeline = app.serving.once_restored().await.as_ref().clone();
     for name in wish.transfer.iter().chain(&wish.model) {
         pipeline = pipeline.with(app.models.load(name).await?)?;
     }
@@ -194,15 +194,16 @@ pub async fn live(
     Params(wish): Params<LiveWish>,
     upgrade: WebSocketUpgrade,
 ) -> Result<Response, ApiError> {
+    let serving = app.serving.once_restored().await;
     let method = match wish.method {
         Some(method) => method,
-        None => best(&app.serving.current()).ok_or_else(|| {
+        None => best(&serving).ok_or_else(|| {
             let words = "nothing serves yet: train or add a model, and promote it";
             ApiError::new(StatusCode::CONFLICT, words)
         })?,
     };
     // Said now, with a status, what every frame would say otherwise.
-    serves(&app.serving.current(), method)?;
+    serves(&serving, method)?;
     Ok(upgrade.on_upgrade(move |socket| follow(app, socket, method, wish.map)))
 }
 

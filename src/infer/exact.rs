@@ -16,8 +16,11 @@ use super::points::{PROPOSED, PointPipeline};
 /// Standard deviation of a voltage's noise where a calibration says nothing else, V.
 const NOISE_SD_V: f64 = 1.2e-3;
 
-/// Directions of the model's error that are learnt from known trials.
-const ERROR_DIRECTIONS: usize = 24;
+/// Directions of the model's error that are learnt from known trials, at most: with fewer, what is left
+/// of it looks like one contact more (measured: 24 or 96 of them, exact count 71 or 77 %).
+const ERROR_DIRECTIONS: usize = 96;
+/// Known trials that a direction needs.
+const KNOWN_FOR_EACH: usize = 4;
 /// Fewer known trials than this say nothing of the model's error.
 const LEAST_KNOWN: usize = 60;
 
@@ -101,7 +104,7 @@ impl ExactSkin {
                 frames: *frames,
             })
             .collect();
-        Ok(white.with_pairs(&pairs, ERROR_DIRECTIONS)?)
+        Ok(white.with_pairs(&pairs, ERROR_DIRECTIONS.min(pairs.len() / KNOWN_FOR_EACH))?)
     }
 
     /// Id of its calibration.

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use sim_core::calibration::Calibration;
 use sim_core::forward::ForwardModel;
 use sim_core::sensor::Sensor;
+use tokio::sync::watch;
 use utoipa::ToSchema;
 
 use super::answer::{Method, Reading};
@@ -19,6 +20,7 @@ use super::exact::{ExactPipeline, ExactSkin, KnownTrial, Tracked};
 use super::maps::MapPipeline;
 use super::points::PointPipeline;
 use super::registry::{Model, Registry};
+use crate::calibrate::skin;
 use crate::dataset::force_map::peaks::THRESHOLD_N;
 use crate::learn::model_file::NetTask;
 use crate::rig::config::RigConfig;
@@ -31,8 +33,12 @@ use crate::store::{
 
 /// Runs among which the one is looked for that tells how far a model is off.
 const RUNS_LOOKED_AT: u32 = 1000;
-/// Trials that tell it.
-const KNOWN_TRIALS: usize = 200;
+/// Trials that tell it, at most.
+const KNOWN_TRIALS: usize = 1000;
+/// Of no more contacts and no more force than this, N: heavier frames have other errors, and touches
+/// hard to tell apart are light.
+const KNOWN_CONTACTS: f64 = 3.0;
+const KNOWN_FORCE_N: f64 = 40.0;
 
 /// A place that something is promoted to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -203,6 +209,8 @@ struct Inner {
     sensor_text: String,
     data: PathBuf,
     current: RwLock<Arc<Pipeline>>,
+    /// Whether what was promoted before a restart was taken up.
+    restored: watch::Sender<bool>,
     /// One change at a time.
     changing: tokio::sync::Mutex<()>,
 }
@@ -217,7 +225,8 @@ impl Serving {
     ) -> Self {
         let (current, changing) = (RwLock::default(), tokio::sync::Mutex::default());
         let data = data.to_owned();
-        let inner = Inner { store, models, sensor, sensor_text, data, current, changing };
+        let restored = watch::Sender::new(false);
+        let inner = Inner { store, models, sensor, sensor_text, data, current, restored, changing };
         Self { inner: Arc::new(inner) }
     }
 
@@ -240,8 +249,21 @@ impl Serving {
         self.inner.current.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
+    /// What serves once all that was promoted before a restart does: seconds after it.
+    pub async fn once_restored(&self) -> Arc<Pipeline> {
+        let mut restored = self.inner.restored.subscribe();
+        // The sender lives as long as this.
+        let _ = restored.wait_for(|restored| *restored).await;
+        self.current()
+    }
+
     /// Takes up what was promoted before a restart. What cannot be loaded is left out and said.
     pub async fn restore(&self) {
+        self.take_up().await;
+        self.inner.restored.send_replace(true);
+    }
+
+    async fn take_up(&self) {
         let _one_at_a_time = self.inner.changing.lock().await;
         let promoted = match self.promoted().await {
             Ok(promoted) => promoted,
@@ -343,7 +365,8 @@ impl Serving {
     }
 
     /// Trials of the run that a skin was calibrated to, or else of the newest Real-Hex run on this
-    /// sensor: evenly taken, pressed above its deadband. None where that run is not here.
+    /// sensor: evenly taken of those with few contacts above its deadband, of configurations that no skin
+    /// is fitted to. None where that run is not here.
     async fn known_trials(&self, sensor: &Sensor) -> Result<Vec<KnownTrial>, InferError> {
         let of_skin = sensor.skin().map(|skin| skin.evidence.run.clone());
         let runs = self.inner.store.runs(RUNS_LOOKED_AT, None).await?.runs;
@@ -357,27 +380,39 @@ impl Serving {
         let Some(run) = runs.iter().find(fits) else { return Ok(Vec::new()) };
         let rig = run.rig.as_deref().and_then(|text| RigConfig::from_toml("rig", text).ok());
         let force_noise_n = rig.map_or(0.0, |rig| rig.cells.force_noise_n);
-        let at_least = FilterValue::Number(run.deadband_n);
-        let pressed = Filter::Compare(TrialColumn::MaxForceN, Comparison::GreaterOrEqual, at_least);
+        let compare = |column, comparison, value| {
+            Filter::Compare(column, comparison, FilterValue::Number(value))
+        };
+        let known = [
+            compare(TrialColumn::MaxForceN, Comparison::GreaterOrEqual, run.deadband_n),
+            compare(TrialColumn::MaxForceN, Comparison::Less, KNOWN_FORCE_N),
+            compare(TrialColumn::ContactCount, Comparison::LessOrEqual, KNOWN_CONTACTS),
+        ];
         let query = TrialQuery {
             run: Some(run.uid),
             flagged: Some(false),
             limit: MAX_PAGE,
-            filters: vec![pressed],
+            filters: known.to_vec(),
             ..TrialQuery::default()
         };
         let ids = self.inner.store.trial_ids(&query).await?;
-        let count = ids.len().min(KNOWN_TRIALS);
+        let count = ids.len().min(KNOWN_TRIALS * skin::HELD_OUT_IN as usize);
         let chosen: Vec<_> = (0..count).map(|i| ids[i * ids.len() / count]).collect();
         let trials = self.inner.store.trials_with_voltages(&chosen).await?;
         let known = |trial: &TrialRow| {
+            let contacts = contacts(trial, run.kind, force_noise_n)?;
+            let tips_mm: Vec<[f64; 2]> = match run.kind {
+                RunKind::RealHex => trial.arms.iter().map(|arm| [arm.x_mm, arm.y_mm]).collect(),
+                _ => contacts.iter().map(|c| [c.x_mm, c.y_mm]).collect(),
+            };
+            skin::is_held_out(&tips_mm).then_some(())?;
             Some(KnownTrial {
-                contacts: contacts(trial, run.kind, force_noise_n)?,
+                contacts,
                 frame_v: trial.voltages_v.clone()?,
                 frames: f64::from(trial.frame_count.max(1)),
             })
         };
-        Ok(trials.iter().filter_map(known).collect())
+        Ok(trials.iter().filter_map(known).take(KNOWN_TRIALS).collect())
     }
 
     /// The model of a calibration that is kept here, or the nominal one.

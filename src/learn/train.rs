@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use nets::network::Network;
+use nets::network::{Layer, Network};
 use nets::recipe::Net;
 use nets::samples::Samples;
 use nets::streamed::Streamed;
@@ -115,7 +115,7 @@ pub fn train(
 }
 
 /// Trains a Point-Net on simulations of this model that are made as it goes; they carry the model's
-/// hash as their name.
+/// hash as their name. Simulations have no offsets: the net takes those of a calibrated skin off first.
 pub fn train_on_stream(
     recipe: &Recipe,
     (batch, model): (Arc<BatchModel>, &ForwardModel),
@@ -139,7 +139,12 @@ pub fn train_on_stream(
         start: None,
         compute,
     };
-    let trained = training::train(&plan, &learn, &choose, checkpoint, observer)?;
+    let mut trained = training::train(&plan, &learn, &choose, checkpoint, observer)?;
+    if let Some(skin) = model.sensor().skin() {
+        let mean: Vec<f32> = skin.offsets_mv.iter().map(|mv| (1e-3 * mv) as f32).collect();
+        let sd = vec![1.0; mean.len()];
+        trained.network.layers.insert(0, Layer::Standardise { mean, sd });
+    }
     let [fewest, most] = net.draws.contacts;
     let range = TrainedRange {
         contact_counts: (fewest as u32..=most as u32).collect(),

@@ -9,17 +9,19 @@ use super::noise::LEVELS;
 use crate::cli::error::CliError;
 use crate::evaluate::anova::{Anova, Factor, Factorial, Moments};
 use crate::evaluate::charts::{Bar, bars};
+use crate::evaluate::published::{FIG_11, Held, Marginal};
 use crate::evaluate::request::Scored;
 use crate::evaluate::table;
+use crate::evaluate::touch::Metric;
 
 const PIXELS_MM: [u32; 2] = [4, 20];
 const DIAMETERS_MM: [u32; 2] = [20, 60];
 /// The paper's four criteria, as reports name them.
-const CRITERIA: [(&str, &str); 4] = [
-    ("number_percent", "number error (%)"),
-    ("location_mm", "location error (mm)"),
-    ("force_percent", "force error (%)"),
-    ("diameter_percent", "diameter error (%)"),
+const CRITERIA: [(&str, &str, Metric); 4] = [
+    ("number_percent", "number error (%)", Metric::Number),
+    ("location_mm", "location error (mm)", Metric::Location),
+    ("force_percent", "force error (%)", Metric::Force),
+    ("diameter_percent", "diameter error (%)", Metric::Diameter),
 ];
 
 /// Trains and scores the twelve conditions.
@@ -48,7 +50,7 @@ pub async fn factorial(lab: Lab) -> Result<Sheet, CliError> {
                 let report = lab.scored(&wish).await?;
                 let cells = report.cells.clone().unwrap_or_default();
                 let name = format!("{map}, {}", percent[n]);
-                for (design, (key, _)) in designs.iter_mut().zip(CRITERIA) {
+                for (design, (key, ..)) in designs.iter_mut().zip(CRITERIA) {
                     let moments = cells.get(key).copied().unwrap_or_default();
                     design.join(&[p, d, n], moments).map_err(odd)?;
                 }
@@ -63,12 +65,17 @@ pub async fn factorial(lab: Lab) -> Result<Sheet, CliError> {
         "# Fig. 11: the whole pipeline on the held-out part of real, each contact a sample\n",
     );
     let (mut analyses, mut pictures) = (Vec::new(), Vec::new());
-    for (design, (key, words)) in designs.iter().zip(CRITERIA) {
+    for (design, (key, words, metric)) in designs.iter().zip(CRITERIA) {
         let bars_of = shown.iter().filter_map(|(name, cells)| bar(name, cells.get(key)?));
         pictures.push((format!("fig-11-{key}.svg"), bars(words, &bars_of.collect::<Vec<_>>())?));
         match design.analyse() {
             Ok(anova) => {
-                text += &format!("\n## {words}\n\n{}\n{}", means(&anova), table::anova(&anova));
+                text += &format!(
+                    "\n## {words}\n\n{}\n{}\n{}",
+                    means(&anova),
+                    beside_published(&anova, metric),
+                    table::anova(&anova)
+                );
                 analyses.push(json!({ "criterion": key, "anova": anova }));
             }
             // A condition in which nothing was found has no pairs.
@@ -107,6 +114,32 @@ fn means(anova: &Anova) -> String {
     };
     let head = ["averaged over the others", "contacts", "estimated mean", "standard error", "sd"];
     table::markdown(&head, &main.map(row).collect::<Vec<_>>())
+}
+
+/// The marginal means that the paper's text quotes, and ours at the same levels.
+fn beside_published(anova: &Anova, metric: Metric) -> String {
+    let row = |published: &Marginal| {
+        let Held { pixel_mm, diameter_mm, noise_percent } = published.held;
+        let held = [(pixel_mm, "mm"), (diameter_mm, "mm"), (noise_percent, "%")];
+        let words = held.map(|(value, unit)| value.map(|value| format!("{value} {unit}")));
+        let level = |(factor, word): (&Factor, &Option<String>)| {
+            word.as_ref().and_then(|word| factor.levels.iter().position(|level| level == word))
+        };
+        let levels: Vec<_> = anova.factors.iter().zip(&words).map(level).collect();
+        let ours = anova.means.iter().find(|mean| mean.levels == levels);
+        let named = anova.factors.iter().zip(&words);
+        let named = named.filter_map(|(f, word)| Some(format!("{} {}", f.name, word.as_ref()?)));
+        vec![
+            named.collect::<Vec<_>>().join(", "),
+            format!("{:.1}", published.mean),
+            ours.map_or("-".into(), |mean| format!("{:.1}", mean.mean)),
+        ]
+    };
+    let quoted = FIG_11.iter().filter(|published| published.metric == metric);
+    table::markdown(
+        &["the paper's text", "published", "here"],
+        &quoted.map(row).collect::<Vec<_>>(),
+    )
 }
 
 fn odd(error: crate::evaluate::anova::AnovaError) -> CliError {

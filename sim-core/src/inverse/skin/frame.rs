@@ -1,16 +1,20 @@
 //! What one trial says about the parameters: its share of the normal equations, or of the cost.
 //! Uses: `jacobian`, faer's dense product. Never: other trials, threads.
 //!
-//! `r = v - offset - model`, each reading with variance `noise^2 + (error |v|)^2 / directions`: what
-//! no model of the skin can know (tilted tips, cells, drift) is a share of the frame, in few directions.
+//! `r = v - offset - model`. What no model of the skin can know (tilted tips, cells, drift) is a trial's
+//! own: small moves of its contacts, changes of their forces and of the gain, each with its standard
+//! deviation, eliminated from the trial's equations (a Schur complement). What is left has variance
+//! `noise^2 + (error |v|)^2 / directions`.
 
 use faer::linalg::matmul::triangular::{BlockStructure, matmul};
-use faer::{Accum, MatMut, MatRef, Par};
+use faer::linalg::solvers::{Llt, Solve};
+use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
+use faer::{Accum, Mat, MatMut, MatRef, Par, Side};
 
 use super::parameters::{CircuitChanges, LAW_PIECES, Parameters};
 use super::{MeasuredTrial, SkinFitError, TrialErrors};
-use crate::forward::{ForwardModel, Workspace};
-use crate::jacobian::{Field, JacobianWork, Linearised, Mode};
+use crate::forward::ForwardModel;
+use crate::jacobian::{CONTACT_PARAMETERS, Field, JacobianWork, Linearised, Mode};
 
 /// A node counts where it carries at least this share of all conductance to the top.
 const LEAST_SHARE: f64 = 3e-6;
@@ -18,7 +22,6 @@ const LEAST_SHARE: f64 = 3e-6;
 /// Memory of one thread.
 #[derive(Default)]
 pub(super) struct FrameWork {
-    forward: Workspace,
     jacobian: JacobianWork,
     modes: Vec<Mode>,
     /// For each corner of a field: its mode, plus one; 0 for none.
@@ -47,6 +50,16 @@ pub(super) struct FrameMisfit {
     pub variance: f64,
 }
 
+/// What a model leaves over of a trial.
+struct Unexplained {
+    /// Measured minus modelled, before the offset, V.
+    residual_v: Vec<f64>,
+    /// What neither offset nor the trial's unknowns explain, V.
+    left_v: Vec<f64>,
+    /// Its chi-square, with that of the unknowns.
+    cost: f64,
+}
+
 /// What is the same for all trials of a pass.
 pub(super) struct Pass<'a> {
     pub parameters: &'a Parameters,
@@ -64,11 +77,9 @@ impl Pass<'_> {
         trial: &MeasuredTrial,
         work: &mut FrameWork,
     ) -> Result<FrameMisfit, SkinFitError> {
-        let modelled_v = self.model.voltages(&trial.contacts, &mut work.forward)?;
-        let residual_v = residual(trial, modelled_v);
         let variance = self.errors.variance(&trial.frame_v);
-        let apart = residual_v.iter().zip(self.offsets_v).map(|(r, o)| (r - o).powi(2));
-        let misfit = apart.sum::<f64>() / (variance * residual_v.len() as f64);
+        let Unexplained { residual_v, cost, .. } = self.unexplained(trial, variance, work)?;
+        let misfit = cost / residual_v.len() as f64;
         Ok(FrameMisfit { misfit, residual_v, variance })
     }
 
@@ -80,13 +91,12 @@ impl Pass<'_> {
         factor: f64,
         work: &mut FrameWork,
     ) -> Result<Vec<f64>, SkinFitError> {
-        let modelled_v = self.model.voltages(&trial.contacts, &mut work.forward)?;
-        let residual_v = residual(trial, modelled_v);
-        let weight = factor / self.errors.variance(&trial.frame_v);
+        let variance = self.errors.variance(&trial.frame_v) / factor;
+        let left_v = self.unexplained(trial, variance, work)?.left_v;
         let count = self.model.circuit().electrodes.len();
         let mut costs = vec![0.0; count];
-        for (channel, (r, o)) in residual_v.iter().zip(self.offsets_v).enumerate() {
-            let cost = weight * (r - o).powi(2);
+        for (channel, left_v) in left_v.iter().enumerate() {
+            let cost = left_v.powi(2) / variance;
             let (sink, first) = (channel / count, channel % count);
             let second = (first + 1) % count;
             costs[sink] += cost;
@@ -95,6 +105,58 @@ impl Pass<'_> {
             }
         }
         Ok(costs)
+    }
+
+    /// What the model leaves over of a trial, before and after the trial's own unknowns.
+    fn unexplained(
+        &self,
+        trial: &MeasuredTrial,
+        variance: f64,
+        work: &mut FrameWork,
+    ) -> Result<Unexplained, SkinFitError> {
+        let FrameWork { jacobian, columns, gram, .. } = work;
+        let mut linear = self.model.linearise(&trial.contacts, jacobian)?;
+        columns.clear();
+        let unknowns = self.unknowns(trial, &mut linear, columns);
+        let residual_v = residual(trial, linear.frame_v());
+        columns.extend(residual_v.iter().zip(self.offsets_v).map(|(r, o)| r - o));
+        let count = unknowns + 1;
+        weighted_gram(columns, count, variance, gram);
+        let last = |column: usize| gram[column * count + unknowns];
+        let pull = Mat::from_fn(unknowns, 1, |i, _| last(i));
+        let found = own(gram, count, unknowns).solve(&pull);
+        let explained: f64 = (0..unknowns).map(|i| last(i) * found[(i, 0)]).sum();
+        let channels = residual_v.len();
+        let (parts, rest) = columns.split_at(unknowns * channels);
+        let mut left_v = rest.to_vec();
+        for (part, unknown) in parts.chunks_exact(channels).zip(0..) {
+            left_v.iter_mut().zip(part).for_each(|(left, p)| *left -= found[(unknown, 0)] * p);
+        }
+        // Columns are in standard deviations by now.
+        left_v.iter_mut().for_each(|left| *left *= variance.sqrt());
+        Ok(Unexplained { residual_v, left_v, cost: last(unknowns) - explained })
+    }
+
+    /// Columns of a trial's own unknowns, each for one standard deviation; returns their number.
+    fn unknowns(
+        &self,
+        trial: &MeasuredTrial,
+        linear: &mut Linearised<'_>,
+        columns: &mut Vec<f64>,
+    ) -> usize {
+        let (errors, first) = (self.errors, columns.len());
+        columns.extend_from_slice(linear.contacts());
+        let channels = linear.frame_v().len();
+        let of_contacts = columns[first..].chunks_exact_mut(channels);
+        for (index, column) in of_contacts.enumerate() {
+            let sd = match index % CONTACT_PARAMETERS {
+                0 | 1 => errors.place_mm,
+                _ => errors.force_share * trial.contacts[index / CONTACT_PARAMETERS].force_n,
+            };
+            column.iter_mut().for_each(|v| *v *= sd);
+        }
+        columns.extend(linear.frame_v().iter().map(|v| errors.gain_share * v));
+        CONTACT_PARAMETERS * trial.contacts.len() + 1
     }
 
     /// The share of the normal equations, weighted by a factor.
@@ -111,16 +173,18 @@ impl Pass<'_> {
         self.law_modes(&linear, modes, &mut active);
         self.foam_modes(linear.to_top_s(), modes, mode_of, &mut active);
         columns.clear();
+        let unknowns = self.unknowns(trial, &mut linear, columns);
         columns.extend_from_slice(linear.modes(modes));
         columns.extend_from_slice(linear.resistors(&self.circuit.resistors));
         columns.extend_from_slice(linear.modes(&self.circuit.leads));
         active.extend(self.circuit.at.iter().map(|&i| i as u32));
         let residual_v = residual(trial, linear.frame_v());
         columns.extend(residual_v.iter().zip(self.offsets_v).map(|(r, o)| r - o));
-        let (count, with_residual) = (active.len(), active.len() + 1);
+        let (count, whole) = (active.len(), unknowns + active.len() + 1);
         let variance = self.errors.variance(&trial.frame_v) / factor;
-        weighted_gram(columns, with_residual, variance, gram);
-        let column = |i: usize| &gram[i * with_residual..][..with_residual];
+        weighted_gram(columns, whole, variance, gram);
+        eliminate(gram, whole, unknowns);
+        let column = |i: usize| &gram[(unknowns + i) * whole + unknowns..][..count + 1];
         let pull = (0..count).map(|i| column(i)[count]).collect();
         let mut products = Vec::with_capacity(count * count);
         (0..count).for_each(|i| products.extend_from_slice(&column(i)[..count]));
@@ -187,6 +251,35 @@ fn residual(trial: &MeasuredTrial, modelled_v: &[f64]) -> Vec<f64> {
 /// Conductance below which a node is left out, S.
 fn least_s(to_top_s: &[f64]) -> f64 {
     LEAST_SHARE * to_top_s.iter().sum::<f64>()
+}
+
+/// The equations of a trial's own unknowns, which come first: their products and their prior, which is
+/// the identity.
+fn own(gram: &[f64], count: usize, unknowns: usize) -> Llt<f64> {
+    let product = |i: usize, j: usize| gram[i.min(j) * count + i.max(j)];
+    let prior = |i: usize, j: usize| if i == j { 1.0 } else { 0.0 };
+    let whole = Mat::from_fn(unknowns, unknowns, |i, j| product(i, j) + prior(i, j));
+    whole.llt(Side::Lower).expect("a Gram matrix and the identity are positive definite")
+}
+
+/// Takes the first unknowns out of the equations: of the rest, the lower triangle is right after it.
+fn eliminate(gram: &mut [f64], count: usize, unknowns: usize) {
+    let factor = own(gram, count, unknowns);
+    let rest = count - unknowns;
+    let mut across = Mat::from_fn(unknowns, rest, |i, j| gram[i * count + unknowns + j]);
+    solve_lower_triangular_in_place(factor.L(), across.as_mut(), Par::Seq);
+    let whole = MatMut::from_column_major_slice_mut(gram, count, count);
+    matmul(
+        whole.submatrix_mut(unknowns, unknowns, rest, rest),
+        BlockStructure::TriangularLower,
+        Accum::Add,
+        across.transpose(),
+        BlockStructure::Rectangular,
+        across.as_ref(),
+        BlockStructure::Rectangular,
+        -1.0,
+        Par::Seq,
+    );
 }
 
 /// The lower triangle of `A' A / variance`, column-major, for a column-major A.

@@ -31,9 +31,9 @@ use crate::skin::{FieldPrior, SkinElectrodes, SkinField, SkinFields, SkinFoam, S
 const NUGGET: f64 = 1e-4;
 
 /// Pieces of the foam's law, first in the vector: ln slopes over equal steps of linear compression.
-pub(super) const LAW_PIECES: usize = 10;
+pub(super) const LAW_PIECES: usize = 20;
 /// Length of a piece, mm: all pieces together are more than a foam of 4 mm and its law can take.
-pub(super) const LAW_STEP_MM: f64 = 0.5;
+pub(super) const LAW_STEP_MM: f64 = 0.25;
 
 /// Electrodes are looked for within this many standard deviations of their places.
 const REACH_SD: f64 = 3.2;

@@ -15,6 +15,11 @@ use crate::forward::ForwardModel;
 const BLOCK: usize = 64;
 /// A trial's misfit pulls linearly beyond this many times the median's root.
 const EDGE: f64 = 3.0;
+/// Trials that tell where electrodes are: each is read with every one of them.
+const PLACED_BY: usize = 300;
+/// From so many untouched skins on, they alone tell the offsets: what a model lacks under a light load
+/// is no offset.
+const UNTOUCHED_ENOUGH: usize = 8;
 
 /// All trials of a fit.
 pub(super) struct Sweep<'a> {
@@ -29,26 +34,41 @@ pub(super) struct Sweep<'a> {
 /// Misfits of all trials at a model.
 pub(super) struct Misfits {
     misfits: Vec<f64>,
-    /// Sums over trials of residual (before the offset) over variance, for each channel, and of one
-    /// over variance.
-    residuals: Vec<f64>,
-    weight: f64,
+    /// Of untouched skins.
+    untouched: Residuals,
+    /// Of all others.
+    touched: Residuals,
     channels: f64,
+}
+
+/// What trials say of the offsets.
+struct Residuals {
+    /// Sum of residual (before the offset) over variance, for each channel.
+    sums: Vec<f64>,
+    /// Sum of one over variance.
+    weight: f64,
+    trials: usize,
 }
 
 impl Misfits {
     fn new(channels: usize) -> Self {
-        let residuals = vec![0.0; channels];
-        Self { misfits: Vec::new(), residuals, weight: 0.0, channels: channels as f64 }
+        let none = || Residuals { sums: vec![0.0; channels], weight: 0.0, trials: 0 };
+        let (untouched, touched) = (none(), none());
+        Self { misfits: Vec::new(), untouched, touched, channels: channels as f64 }
     }
 
-    fn push(&mut self, of: &FrameMisfit) {
+    fn push(&mut self, trial: &MeasuredTrial, of: &FrameMisfit) {
         self.misfits.push(of.misfit);
         // A frame that the model does not explain says little about the offsets.
         let square = of.residual_v.iter().map(|r| r * r).sum::<f64>() / self.channels;
-        let weight = 1.0 / (of.variance + square);
-        self.weight += weight;
-        for (sum, r) in self.residuals.iter_mut().zip(&of.residual_v) {
+        let weight = match trial.contacts.as_slice() {
+            [] => 1.0 / of.variance,
+            _ => 1.0 / (of.variance + square),
+        };
+        let to = if trial.contacts.is_empty() { &mut self.untouched } else { &mut self.touched };
+        to.weight += weight;
+        to.trials += 1;
+        for (sum, r) in to.sums.iter_mut().zip(&of.residual_v) {
             *sum += weight * r;
         }
     }
@@ -73,8 +93,10 @@ impl Misfits {
 
     /// Offsets that these residuals speak for, V.
     pub fn offsets_v(&self, prior_sd_v: f64) -> Vec<f64> {
-        let whole = self.weight + 1.0 / prior_sd_v.powi(2);
-        self.residuals.iter().map(|sum| sum / whole).collect()
+        let [rest, all] = [&self.untouched, &self.touched];
+        let touched = if rest.trials < UNTOUCHED_ENOUGH { 1.0 } else { 0.0 };
+        let whole = rest.weight + touched * all.weight + 1.0 / prior_sd_v.powi(2);
+        rest.sums.iter().zip(&all.sums).map(|(r, t)| (r + touched * t) / whole).collect()
     }
 }
 
@@ -113,13 +135,13 @@ impl<'a> Sweep<'a> {
         self.each(
             model,
             offsets_v,
-            |pass, i, work| pass.misfit(&trials[i], work),
-            |of| misfits.push(&of),
+            |pass, i, work| Ok((i, pass.misfit(&trials[i], work)?)),
+            |(i, of)| misfits.push(&trials[i], &of),
         )?;
         Ok(misfits)
     }
 
-    /// Cost of each electrode's own readings over all trials.
+    /// Cost of each electrode's own readings over trials, evenly taken.
     pub fn of_electrodes(
         &mut self,
         model: &ForwardModel,
@@ -128,10 +150,14 @@ impl<'a> Sweep<'a> {
     ) -> Result<Vec<f64>, SkinFitError> {
         let mut sums = vec![0.0; model.circuit().electrodes.len()];
         let trials = self.trials;
+        let every = (trials.len() / PLACED_BY).max(1);
         self.each(
             model,
             offsets_v,
-            |pass, i, work| pass.of_electrodes(&trials[i], factors[i], work),
+            |pass, i, work| match i % every {
+                0 => pass.of_electrodes(&trials[i], factors[i], work),
+                _ => Ok(Vec::new()),
+            },
             |costs| sums.iter_mut().zip(costs).for_each(|(sum, cost)| *sum += cost),
         )?;
         Ok(sums)
