@@ -17,6 +17,9 @@ use crate::recipe::{Net, Recipe, RecipeError, require};
 use crate::samples::{Samples, SamplesError};
 use crate::statistics::Statistics;
 
+/// Most numbers of a batch: a few batches are held at a time, and what is made of them is larger.
+const BATCH_MAX: usize = 1 << 26;
+
 /// Noise of validation samples is that of an epoch that no training reaches: always the same.
 const VALIDATION: u64 = u64::MAX;
 
@@ -165,6 +168,9 @@ fn check(plan: &Plan, train: &dyn Samples, validation: &dyn Samples) -> Result<(
     let alike = validation.input_len() == channels && validation.target_len() == target;
     require(alike, "validation samples", "of other lengths", "like the training samples")?;
     require(channels > 0, "channels", channels, "at least 1")?;
+    let held = plan.recipe.batch.saturating_mul(channels + target);
+    let limit = "so few that a batch has at most 2^26 numbers, channels and target";
+    require(held <= BATCH_MAX, "batch", plan.recipe.batch, limit)?;
     if let Some(sd_v) = &plan.noise_sd_v {
         let limit = "one for each channel";
         require(sd_v.len() == channels, "noise standard deviations", sd_v.len(), limit)?;

@@ -1,6 +1,7 @@
 //! Frames in, contacts out: on request, and live from the rig's stream.
 //! Uses: `infer::serving`, the campaign's newest frame. Never: a queue of frames, a wait of the rig's.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
@@ -9,6 +10,7 @@ use axum::http::{StatusCode, header};
 use axum::response::Response;
 use axum::{Json, extract::Query};
 use serde::{Deserialize, Serialize};
+use tokio::sync::Semaphore;
 use tokio::time::timeout;
 use utoipa::{IntoParams, ToSchema};
 
@@ -18,12 +20,20 @@ use crate::clock::Clock;
 use crate::infer::answer::{Method, Reading};
 use crate::infer::error::InferError;
 use crate::infer::exact::Tracked;
-use crate::infer::serving::Pipeline;
+use crate::infer::serving::{Pipeline, Slot};
 
 /// Largest body with frames.
 pub const FRAMES_MAX_BYTES: usize = 64 << 20;
-/// Most frames of a request.
-const FRAMES_MAX: usize = 20_000;
+/// Most frames of a request: an exact fit takes a tenth of a second.
+const FRAMES_MAX: usize = 2_000;
+/// Most frames of a request for maps: each is 25,600 numbers.
+const MAPS_MAX: usize = 100;
+/// Requests that are answered at a time; others wait.
+const ANSWERED_AT_ONCE: usize = 4;
+/// Live clients at a time.
+const LIVE_AT_ONCE: usize = 8;
+/// Longest wait for a turn.
+const TURN: Duration = Duration::from_secs(10);
 /// A client that takes longer for one message is gone.
 const SEND: Duration = Duration::from_secs(5);
 
@@ -82,7 +92,7 @@ pub struct FrameAnswer {
     request_body(content((InferRequest = "application/json"),
         (Vec<u8> = "application/octet-stream"))),
     responses((status = 200, body = Vec<FrameAnswer>), (status = 409, body = ProblemBody),
-        (status = 422, body = ProblemBody)))]
+        (status = 422, body = ProblemBody), (status = 503, body = ProblemBody)))]
 pub async fn infer(
     State(app): State<App>,
     request: Request,
@@ -90,8 +100,14 @@ pub async fn infer(
     let channels = app.serving.sensor().channels();
     let (wish, frames) = received(&app, request, channels).await?;
     let pipeline = pipeline(&app, &wish).await?;
+    let turn = timeout(TURN, app.turns.answers.clone().acquire_owned()).await;
+    let Ok(Ok(turn)) = turn else {
+        let words = format!("{ANSWERED_AT_ONCE} requests for answers are at work: ask again");
+        return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
+    };
     let clock = Clock::new(1.0);
     let work = move || {
+        let _turn = turn;
         let began_s = clock.process_s();
         let answered = pipeline.answer(wish.method, &frames, wish.averaged, wish.map)?;
         let count = answered.readings.len().max(1) as f64;
@@ -109,9 +125,19 @@ pub async fn infer(
 }
 
 async fn pipeline(app: &App, wish: &Wish) -> Result<Pipeline, ApiError> {
-    let mut pipeline = app.serving.once_restored().await.as_ref().clone();
+    let mut pipeline = app.serving.once_restored(Some(wish.method)).await.as_ref().clone();
     for name in wish.transfer.iter().chain(&wish.model) {
-        pipeline = pipeline.with(app.models.load(name).await?)?;
+        let model = app.models.load(name).await?;
+        app.serving.fits(&model)?;
+        if !Slot::used_by(wish.method).contains(&Slot::of(model.manifest.model.task)) {
+            return Err(InferError::OtherTask {
+                id: model.manifest.id.clone(),
+                task: model.manifest.model.task.as_str(),
+                wanted: "the method has no use for it",
+            }
+            .into());
+        }
+        pipeline = pipeline.with(model)?;
     }
     Ok(pipeline)
 }
@@ -149,6 +175,10 @@ async fn received(
     let count = frames.len() / channels;
     if count == 0 || count > FRAMES_MAX {
         return Err(ApiError::value("frames", count, &format!("must be from 1 to {FRAMES_MAX}")));
+    }
+    if wish.map && count > MAPS_MAX {
+        let limit = format!("must be from 1 to {MAPS_MAX} where maps are wished for");
+        return Err(ApiError::value("frames", count, &limit));
     }
     if let Some(at) = frames.iter().position(|v| !v.is_finite()) {
         let key = format!("frames[{}][{}]", at / channels, at % channels);
@@ -188,13 +218,13 @@ pub struct LiveAnswer {
 /// misses frames, nobody waits for it.
 #[utoipa::path(get, path = "/api/v1/live", tag = "infer", params(LiveWish),
     responses((status = 101, description = "messages are LiveAnswer", body = LiveAnswer),
-        (status = 409, body = ProblemBody)))]
+        (status = 409, body = ProblemBody), (status = 503, body = ProblemBody)))]
 pub async fn live(
     State(app): State<App>,
     Params(wish): Params<LiveWish>,
     upgrade: WebSocketUpgrade,
 ) -> Result<Response, ApiError> {
-    let serving = app.serving.once_restored().await;
+    let serving = app.serving.once_restored(wish.method).await;
     let method = match wish.method {
         Some(method) => method,
         None => best(&serving).ok_or_else(|| {
@@ -204,7 +234,28 @@ pub async fn live(
     };
     // Said now, with a status, what every frame would say otherwise.
     serves(&serving, method)?;
-    Ok(upgrade.on_upgrade(move |socket| follow(app, socket, method, wish.map)))
+    let turn = app.turns.live.clone().try_acquire_owned().map_err(|_| {
+        let words = format!("{LIVE_AT_ONCE} clients follow the skin already");
+        ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words)
+    })?;
+    Ok(upgrade.on_upgrade(async move |socket| {
+        follow(app, socket, method, wish.map).await;
+        drop(turn);
+    }))
+}
+
+/// Turns of those who want answers: the campaign comes first.
+#[derive(Clone)]
+pub struct Turns {
+    answers: Arc<Semaphore>,
+    live: Arc<Semaphore>,
+}
+
+impl Default for Turns {
+    fn default() -> Self {
+        let of = |count| Arc::new(Semaphore::new(count));
+        Self { answers: of(ANSWERED_AT_ONCE), live: of(LIVE_AT_ONCE) }
+    }
 }
 
 fn serves(pipeline: &Pipeline, method: Method) -> Result<(), InferError> {

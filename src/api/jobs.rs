@@ -106,12 +106,21 @@ pub async fn evaluate(
     Ok((StatusCode::ACCEPTED, Json(out(&app, row))))
 }
 
-/// The last jobs, newest first.
+/// The last jobs, newest first; an evaluation's examples are left out.
 #[utoipa::path(get, path = "/api/v1/jobs", tag = "jobs",
     responses((status = 200, body = Vec<JobOut>)))]
 pub async fn list(State(app): State<App>) -> Result<Json<Vec<JobOut>>, ApiError> {
     let rows = app.store.jobs(LISTED).await?;
-    Ok(Json(rows.into_iter().map(|row| out(&app, row)).collect()))
+    let brief = |row: JobRow| out(&app, JobRow { result: row.result.map(without_examples), ..row });
+    Ok(Json(rows.into_iter().map(brief).collect()))
+}
+
+/// A result for a list: the maps of examples, which are large, are the job's own to hand over.
+fn without_examples(mut result: Value) -> Value {
+    if let Some(report) = result.as_object_mut() {
+        report.remove("examples");
+    }
+    result
 }
 
 /// How far a job is, and what came of it.

@@ -57,7 +57,7 @@ mod status;
 mod trials;
 mod twins;
 
-pub use infer::{FrameAnswer, InferRequest, LiveAnswer, Wish};
+pub use infer::{FrameAnswer, InferRequest, LiveAnswer, Turns, Wish};
 pub use jobs::JobOut;
 pub use lock_file::{LockFile, LockFileError};
 pub use models::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
@@ -163,6 +163,8 @@ pub struct App {
     pub serving: Serving,
     /// Trainings and evaluations.
     pub jobs: Jobs,
+    /// Turns of those who want answers.
+    pub turns: Turns,
     facts: Arc<Facts>,
 }
 
@@ -387,6 +389,7 @@ impl Service {
             datasets,
             models,
             jobs,
+            turns: Turns::default(),
         };
         let tasks = vec![
             tokio::spawn(app.conductor.clone().follow()),

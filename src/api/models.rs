@@ -14,9 +14,10 @@ use super::App;
 use super::auth::Asker;
 use super::jobs::ndjson;
 use super::problem::{ApiError, Body, ProblemBody};
-use crate::infer::registry::{NewModel, Residuals, facts};
+use crate::infer::registry::{NewModel, facts};
 use crate::infer::serving::Slot;
 use crate::learn::model_file::{ModelFacts, manifest_for_foreign};
+use crate::learn::residuals::Residuals;
 use crate::problem::Problem;
 use crate::store::ModelRow;
 use crate::syntax::syntax_problem;
@@ -292,14 +293,28 @@ pub async fn roll_back(
     Ok(Json(ServesOut { slot, what }))
 }
 
+/// Whether a report says how good a model of this task is: by a method that it is for, on rows that
+/// it did not learn from, and on more than a few that were shown.
+fn tells_of(task: &str, report: &Value) -> bool {
+    let methods: &[&str] = match task {
+        "transfer" => &["voltages", "paper"],
+        "points" => &["fast"],
+        _ => &["paper"],
+    };
+    let learned = matches!(report["part"].as_str(), Some("train" | "validation"));
+    let is_for = report["scored"].as_str().is_some_and(|scored| methods.contains(&scored));
+    is_for && !learned && report["examples"].is_null()
+}
+
 async fn out(app: &App, row: ModelRow) -> Result<ModelOut, ApiError> {
     let manifest: toml::Table = toml::from_str(&row.manifest).unwrap_or_default();
     let serves = app.serving.promoted().await?;
-    let scores = app.store.evaluations_of(&row.id).await?;
+    let reports = app.store.evaluations_of(&row.id).await?.into_iter().filter_map(|job| job.result);
+    let scores = reports.filter(|report| tells_of(&row.task, report));
     Ok(ModelOut {
         serves: serves.iter().any(|(_, what)| what.as_ref() == Some(&row.id)),
         manifest: serde_json::to_value(manifest.get("model")).unwrap_or_default(),
-        scores: scores.into_iter().filter_map(|job| job.result).collect(),
+        scores: scores.collect(),
         id: row.id,
         name: row.name,
         task: row.task,

@@ -2,6 +2,7 @@
 //! Uses: `client`. Never: models of its own (the service keeps them).
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
@@ -122,6 +123,9 @@ fn slot(name: &str) -> Result<Slot, String> {
     found.ok_or_else(|| format!("must be {}", Slot::ALL.map(Slot::name).join(", ")))
 }
 
+/// Longest wait for a promotion: a skin is made ready in most of a minute, on a busy machine in more.
+const PROMOTING: Duration = Duration::from_secs(900);
+
 /// Runs the command.
 pub async fn model(args: ModelArgs) -> Result<(), CliError> {
     let at = match &args.what {
@@ -161,11 +165,13 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
         }
         What::Promote(Promote { what, why, at }) => {
             let request = PromotionRequest { what, why, who: Some(client.who().into()) };
+            let client = client.patient(PROMOTING);
             let serves: ServesOut = client.post("/api/v1/serving", &request).await?;
             tell(&serves, at.json);
         }
         What::RollBack(RollBack { slot, why, at }) => {
             let request = RollBackRequest { slot, why, who: Some(client.who().into()) };
+            let client = client.patient(PROMOTING);
             let serves: ServesOut = client.post("/api/v1/serving/roll-back", &request).await?;
             tell(&serves, at.json);
         }

@@ -12,6 +12,7 @@ use super::client::Client;
 use super::error::CliError;
 use super::files::read_input;
 use super::output::{duration, say, say_json};
+use super::progress::LogLines;
 use super::{At, embed};
 use crate::api::{JobOut, ModelOut};
 use crate::jobs::Progress;
@@ -81,6 +82,9 @@ pub struct Changes {
     /// The Transfer-Net whose residuals are the noise.
     #[arg(long, value_name = "MODEL")]
     pub noise_of: Option<String>,
+    /// Learn all epochs, whether they help or not.
+    #[arg(long)]
+    pub all_epochs: bool,
 }
 
 /// The text of a recipe file, or of a carried one, with changes.
@@ -123,6 +127,9 @@ impl Changes {
             if let Some(value) = value {
                 training.insert(key.into(), value.into());
             }
+        }
+        if self.all_epochs {
+            training.remove("patience");
         }
         if let Some(level) = self.noise {
             let noise = training.entry("noise").or_insert_with(|| toml::Table::new().into());
@@ -177,10 +184,21 @@ pub async fn train(args: TrainArgs) -> Result<(), CliError> {
 /// Shows how far a job is, until it is over; one that gave nothing is an error.
 pub async fn follow(client: &Client, asked: JobOut) -> Result<JobOut, CliError> {
     let bar = job_bar();
+    let mut lines = LogLines::instead_of(&bar);
     let mut now = asked;
     loop {
         if let Some(progress) = &now.progress {
-            show(&bar, progress);
+            bar.set_length(progress.total);
+            bar.set_position(progress.done);
+            bar.set_message(words(progress));
+            lines.say(|| match progress.total {
+                0 => words(progress),
+                total => format!("{} of {total}, {}", progress.done, words(progress)),
+            });
+        }
+        if now.state == JobState::Waiting {
+            bar.set_message("waits for its turn");
+            lines.say(|| format!("{} waits for its turn", now.id));
         }
         match now.state {
             JobState::Done => {
@@ -208,9 +226,7 @@ fn job_bar() -> ProgressBar {
     ProgressBar::new(0).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 
-fn show(bar: &ProgressBar, progress: &Progress) {
-    bar.set_length(progress.total);
-    bar.set_position(progress.done);
+fn words(progress: &Progress) -> String {
     let mut words = progress.phase.clone();
     if let Some(epoch) = progress.epoch {
         words += &format!(", epoch {epoch}");
@@ -227,7 +243,7 @@ fn show(bar: &ProgressBar, progress: &Progress) {
     if let Some(left_s) = progress.left_s {
         words += &format!(", {} to go", duration(left_s));
     }
-    bar.set_message(words);
+    words
 }
 
 /// Options of `job`.

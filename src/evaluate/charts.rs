@@ -78,8 +78,9 @@ pub fn lines(title: &str, x: &str, y: &str, lines: &[Line]) -> Result<String, Fi
     if left > right {
         return empty(title);
     }
-    page("lines", (900, 560), |area| {
-        let mut chart = ChartBuilder::on(area)
+    page("lines", (1000, 560), |area| {
+        let (left_area, names) = area.split_horizontally(850);
+        let mut chart = ChartBuilder::on(&left_area)
             .caption(title, TEXT)
             .margin(18)
             .x_label_area_size(50)
@@ -88,7 +89,9 @@ pub fn lines(title: &str, x: &str, y: &str, lines: &[Line]) -> Result<String, Fi
         chart
             .configure_mesh()
             .x_labels((right - left) as usize + 1)
+            .y_labels(24)
             .x_label_formatter(&whole)
+            .y_label_formatter(&|value| format!("{value}"))
             .x_desc(x)
             .y_desc(y)
             .light_line_style(TRANSPARENT)
@@ -96,23 +99,14 @@ pub fn lines(title: &str, x: &str, y: &str, lines: &[Line]) -> Result<String, Fi
             .label_style(SMALL)
             .axis_desc_style(TEXT)
             .draw()?;
-        for (line, colour) in lines.iter().zip(COLOURS.iter().cycle().skip(1)) {
+        for (at, (line, colour)) in lines.iter().zip(COLOURS.iter().cycle().skip(1)).enumerate() {
             let places = line.places.iter().map(|(x, y)| (*x, y.max(1e-3)));
-            chart
-                .draw_series(LineSeries::new(places.clone(), colour.stroke_width(2)))?
-                .label(line.name.clone())
-                .legend(move |(x, y)| {
-                    PathElement::new([(x, y), (x + 22, y)], colour.stroke_width(3))
-                });
+            chart.draw_series(LineSeries::new(places.clone(), colour.stroke_width(2)))?;
             chart.draw_series(places.map(|place| Circle::new(place, 3, colour.filled())))?;
+            let y = 60 + 24 * at as i32;
+            names.draw(&PathElement::new([(0, y), (22, y)], colour.stroke_width(3)))?;
+            names.draw(&Text::new(line.name.as_str(), (30, y - 8), SMALL))?;
         }
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::UpperLeft)
-            .background_style(WHITE.mix(0.9))
-            .border_style(BLACK.mix(0.3))
-            .label_font(SMALL)
-            .draw()?;
         Ok(())
     })
 }
@@ -227,11 +221,13 @@ pub fn heats(title: &str, heats: &[Heat]) -> Result<String, FigureError> {
     })
 }
 
-/// Force maps side by side, each in its own colours (paper, Fig. 10B and 12A).
-pub fn pictures(title: &str, maps: &[Picture]) -> Result<String, FigureError> {
-    page("force maps", (320 * maps.len().max(1) as u32, 380), |area| {
+/// Force maps, so many side by side, each in its own colours (paper, Fig. 10B and 12A).
+pub fn pictures(title: &str, maps: &[Picture], columns: usize) -> Result<String, FigureError> {
+    let columns = columns.max(1);
+    let rows = maps.len().div_ceil(columns).max(1);
+    page("force maps", (320 * columns as u32, 30 + 350 * rows as u32), |area| {
         let titled = area.titled(title, TEXT)?;
-        for (map, area) in maps.iter().zip(titled.split_evenly((1, maps.len().max(1)))) {
+        for (map, area) in maps.iter().zip(titled.split_evenly((rows, columns))) {
             let largest = map.map.iter().copied().fold(1e-6, f32::max);
             let half = SIDE_MM / 2.0;
             let mut chart = ChartBuilder::on(&area)
@@ -254,8 +250,8 @@ pub fn pictures(title: &str, maps: &[Picture]) -> Result<String, FigureError> {
                 ViridisRGB.get_color(0.0).filled(),
             )])?;
             let (pixels, mm) = (map.spec.pixels(), map.spec.pixel_mm);
-            // Pixels next to nothing are the background: a page of 25,600 squares is slow to show.
-            let seen = map.map.iter().enumerate().filter(|(_, n)| **n > 0.004 * largest);
+            // Pixels next to nothing are the background: pages of 25,600 squares are slow to show.
+            let seen = map.map.iter().enumerate().filter(|(_, n)| **n > 0.01 * largest);
             chart.draw_series(seen.map(|(at, newtons)| {
                 let (x, y) = ((at % pixels) as f64 * mm - half, (at / pixels) as f64 * mm - half);
                 let colour = ViridisRGB.get_color(f64::from(newtons / largest));

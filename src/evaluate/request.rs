@@ -1,5 +1,5 @@
 //! What is scored on what, and what comes of it.
-//! PURE. Uses: `evaluate::{score, voltages}`. Never: models, rows.
+//! PURE. Uses: `evaluate::{score, voltages}`, `infer::answer`. Never: models, rows.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,9 @@ use utoipa::ToSchema;
 use super::anova::Moments;
 use super::score::Scores;
 use super::voltages::VoltageScores;
+use crate::infer::answer::Reading;
 use crate::problem::{Checks, Problem};
+use crate::store::Contact;
 
 /// Least force of a peak in the paper (V-B2), N.
 fn threshold_n() -> f64 {
@@ -80,10 +82,16 @@ pub struct EvaluationRequest {
     /// Only so many rows, evenly taken.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limit: Option<u64>,
+    /// Hand over what was read from so many of the first rows, maps included.
+    #[serde(default)]
+    pub examples: u64,
     /// Of the bootstrap.
     #[serde(default)]
     pub seed: u64,
 }
+
+/// Most readings with their maps that a report hands over.
+pub const EXAMPLES_MAX: u64 = 16;
 
 impl EvaluationRequest {
     /// What is wrong with it.
@@ -103,6 +111,8 @@ impl EvaluationRequest {
             needs("points", self.points.is_some(), true, &mut checks);
         }
         checks.require(self.limit != Some(0), "limit", 0, "must be at least 1, or absent");
+        let few = self.examples <= EXAMPLES_MAX;
+        checks.require(few, "examples", self.examples, &format!("must be 0..{EXAMPLES_MAX}"));
         checks.done()
     }
 }
@@ -114,8 +124,17 @@ pub struct EvaluationReport {
     pub scored: Scored,
     /// The dataset's id.
     pub dataset: String,
-    /// `measured` or `virtual`, as the dataset's rows are labelled; `simulated` where none was
-    /// measured.
+    /// Its part; none: all rows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub part: Option<String>,
+    /// Conditions on its rows.
+    #[serde(default, rename = "where", skip_serializing_if = "Vec::is_empty")]
+    pub conditions: Vec<String>,
+    /// Which frame of a trial was read.
+    #[serde(default)]
+    pub frames: FramesRead,
+    /// `measured` or `virtual`, as the dataset's rows are labelled; `simulated` where no measured
+    /// frame was read.
     pub label: String,
     /// Ids of the models that took part.
     pub models: Vec<String>,
@@ -141,7 +160,22 @@ pub struct EvaluationReport {
     /// Sums over contacts, each a sample, for an analysis of variance of several reports.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cells: Option<BTreeMap<String, Moments>>,
-    /// Time to an answer, ms for each frame: median, 99th percentile.
+    /// Time to an answer, ms, frames one by one: median, 99th percentile.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub latency_ms: Option<[f64; 2]>,
+    /// What one should know before believing it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
+    /// What was read from the first rows, where it was asked for.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub examples: Vec<Example>,
+}
+
+/// A row, and what was read from it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Example {
+    /// What pressed.
+    pub truth: Vec<Contact>,
+    /// What was read.
+    pub reading: Reading,
 }

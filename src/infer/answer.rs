@@ -4,6 +4,8 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use crate::store::Contact;
+
 /// How frames become contacts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
@@ -55,6 +57,17 @@ pub struct FoundContact {
     /// How sure the net is that it is there, 0 to 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub presence: Option<f64>,
+}
+
+impl From<&FoundContact> for Contact {
+    fn from(found: &FoundContact) -> Self {
+        Self {
+            x_mm: Some(found.x_mm),
+            y_mm: Some(found.y_mm),
+            force_n: found.force_n,
+            diameter_mm: found.diameter_mm,
+        }
+    }
 }
 
 /// What a method says of one frame.

@@ -1,19 +1,22 @@
 //! Contacts fitted to a frame through the exact model of a skin (issue 5, `stack.md` part 4).
-//! Uses: sim-core's `inverse::contacts`, `infer::points` (proposals). Never: files, threads.
+//! Uses: sim-core's `inverse::contacts`, `infer::points` (proposals), std threads while a skin is made
+//! ready. Never: files.
 
 use std::sync::Arc;
+use std::thread;
 
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 use sim_core::inverse::contacts::{
-    ContactFitter, ErrorModel, Fit, FitError, FitOptions, FitWork, FramePair, Observation,
-    Proposal, Steady, SteadySettings,
+    ContactFitter, ErrorModel, Fit, FitError, FitOptions, FitWork, FittedContact, FramePair,
+    Observation, Proposal, Steady, SteadySettings,
 };
+use sim_core::inverse::skin::{MeasuredTrial, noise_v};
 
 use super::answer::{FoundContact, Reading};
 use super::error::InferError;
 use super::points::{PROPOSED, PointPipeline};
 
-/// Standard deviation of a voltage's noise where a calibration says nothing else, V.
+/// Standard deviation of a voltage's noise where known trials do not show it, V.
 const NOISE_SD_V: f64 = 1.2e-3;
 
 /// Directions of the model's error that are learnt from known trials, at most: with fewer, what is left
@@ -23,6 +26,14 @@ const ERROR_DIRECTIONS: usize = 96;
 const KNOWN_FOR_EACH: usize = 4;
 /// Fewer known trials than this say nothing of the model's error.
 const LEAST_KNOWN: usize = 60;
+/// Threads that make a skin ready, at most.
+const THREADS: usize = 8;
+/// Known trials that tell by how much standard deviations are too small.
+const STRETCHED_BY: usize = 200;
+/// The median of |x| of a normal x of standard deviation 1.
+const MEDIAN_OF_NORMAL: f64 = 0.6745;
+/// A fit that leaves over so many times the noise that it reckons with explains the frame badly.
+const MISFIT_EXPLAINED: f64 = 3.0;
 
 /// A measured trial whose contacts are known.
 #[derive(Debug, Clone)]
@@ -35,15 +46,29 @@ pub struct KnownTrial {
     pub frames: f64,
 }
 
-/// A skin that frames are fitted on. Building one takes seconds.
+/// A skin that frames are fitted on. Building one takes most of a minute.
 pub struct ExactSkin {
     /// Id of its calibration.
     calibration: Option<String>,
+    /// The run that it was calibrated to.
+    run: Option<String>,
     /// Hash of its model.
     simulation: String,
     /// What its untouched frames show, V.
     offset_v: Vec<f64>,
+    /// Standard deviation of a voltage's noise in one frame, V.
+    noise_sd_v: f64,
     fitter: ContactFitter,
+    /// Factors on the standard deviations of places and forces: contacts imitate a part of the model's
+    /// error, which the fit cannot know.
+    stretch: Stretch,
+}
+
+/// By how much more known contacts are missed than standard deviations say.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Stretch {
+    place: f64,
+    force: f64,
 }
 
 impl std::fmt::Debug for ExactSkin {
@@ -62,19 +87,71 @@ impl ExactSkin {
             Some(mv) if mv.len() == channels => mv.iter().map(|mv| 1e-3 * mv).collect(),
             _ => vec![0.0; channels],
         };
-        let errors = ErrorModel::white(channels, NOISE_SD_V)?;
+        let enough = known.len() >= LEAST_KNOWN;
+        let noise_sd_v = Some(known).filter(|_| enough).and_then(|known| seen(known, &offset_v));
+        let noise_sd_v = noise_sd_v.unwrap_or(NOISE_SD_V);
+        let errors = ErrorModel::white(channels, noise_sd_v)?;
         let fitter = ContactFitter::new(model, &errors, FitOptions::default())?;
         let mut skin = Self {
             calibration: model.sensor().calibration().map(Into::into),
+            run: model.sensor().skin().map(|skin| skin.evidence.run.clone()),
             simulation: model.model_hash().into(),
             offset_v,
+            noise_sd_v,
             fitter,
+            stretch: Stretch { place: 1.0, force: 1.0 },
         };
-        if known.len() >= LEAST_KNOWN {
+        if enough {
             let errors = skin.errors(model, known, errors)?;
             skin.fitter = ContactFitter::new(model, &errors, FitOptions::default())?;
+            skin.stretch = skin.stretch(known)?;
         }
         Ok(skin)
+    }
+
+    /// How far fits lie from known contacts, in the standard deviations that they state.
+    fn stretch(&self, known: &[KnownTrial]) -> Result<Stretch, InferError> {
+        let some: Vec<&KnownTrial> =
+            known.iter().step_by(known.len().div_ceil(STRETCHED_BY)).collect();
+        let (mut places, mut forces) = (Vec::new(), Vec::new());
+        for (trial, (_, fit)) in some.iter().zip(self.refined(&some)?) {
+            if fit.contacts.len() != trial.contacts.len() {
+                continue;
+            }
+            for (found, truth) in fit.contacts.iter().zip(&trial.contacts) {
+                let is = found.contact;
+                places.push(((is.x_mm - truth.x_mm) / found.x_sd_mm).abs());
+                places.push(((is.y_mm - truth.y_mm) / found.y_sd_mm).abs());
+                forces.push(((is.force_n - truth.force_n) / found.force_sd_n).abs());
+            }
+        }
+        Ok(Stretch { place: stretched(places), force: stretched(forces) })
+    }
+
+    /// Frames of known trials without offsets, V, and their fits from the true contacts on; on some
+    /// threads, in the trials' order.
+    fn refined(&self, known: &[&KnownTrial]) -> Result<Vec<(Vec<f64>, Fit)>, InferError> {
+        let refine = |trials: &[&KnownTrial]| {
+            let mut work = FitWork::default();
+            let one = |trial: &&KnownTrial| {
+                let mut frame_v = Vec::new();
+                self.take_offsets(&trial.frame_v, &mut frame_v);
+                let observation = Observation { frame_v: &frame_v, frames: trial.frames };
+                let fit = self.fitter.refine(&observation, &trial.contacts, &mut work)?;
+                Ok((frame_v, fit))
+            };
+            trials.iter().map(one).collect::<Result<Vec<_>, InferError>>()
+        };
+        let threads = thread::available_parallelism().map_or(1, |n| n.get().min(THREADS));
+        let shares = known.chunks(known.len().div_ceil(threads).max(1));
+        let done: Result<Vec<_>, InferError> = thread::scope(|scope| {
+            let working: Vec<_> = shares.map(|share| scope.spawn(|| refine(share))).collect();
+            let join = |handle: thread::ScopedJoinHandle<'_, _>| {
+                handle.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+            };
+            working.into_iter().map(join).collect()
+        });
+        Ok(done?.into_iter().flatten().collect())
     }
 
     /// What of known trials no contact explains: frames modelled at contacts that were refined from
@@ -85,13 +162,10 @@ impl ExactSkin {
         known: &[KnownTrial],
         white: ErrorModel,
     ) -> Result<ErrorModel, InferError> {
-        let (mut work, mut forward) = (FitWork::default(), Workspace::default());
+        let mut forward = Workspace::default();
         let mut frames = Vec::with_capacity(known.len());
-        for trial in known {
-            let mut measured_v = Vec::new();
-            self.take_offsets(&trial.frame_v, &mut measured_v);
-            let observation = Observation { frame_v: &measured_v, frames: trial.frames };
-            let fit = self.fitter.refine(&observation, &trial.contacts, &mut work)?;
+        let fits = self.refined(&known.iter().collect::<Vec<_>>())?;
+        for (trial, (measured_v, fit)) in known.iter().zip(fits) {
             let refined: Vec<Contact> = fit.contacts.iter().map(|found| found.contact).collect();
             let modelled_v = model.voltages(&refined, &mut forward).map_err(FitError::from)?;
             frames.push((measured_v, modelled_v.to_vec(), trial.frames));
@@ -107,6 +181,11 @@ impl ExactSkin {
         Ok(white.with_pairs(&pairs, ERROR_DIRECTIONS.min(pairs.len() / KNOWN_FOR_EACH))?)
     }
 
+    /// The run that it was calibrated to.
+    pub fn run(&self) -> Option<&str> {
+        self.run.as_deref()
+    }
+
     /// Id of its calibration.
     pub fn calibration(&self) -> Option<&str> {
         self.calibration.as_deref()
@@ -120,6 +199,28 @@ impl ExactSkin {
     /// Voltages of a frame.
     pub fn channels(&self) -> usize {
         self.offset_v.len()
+    }
+
+    /// What a fit says.
+    fn reading(&self, fit: &Fit) -> Reading {
+        let Stretch { place, force } = self.stretch;
+        let contact = |found: &FittedContact| FoundContact {
+            x_mm: found.contact.x_mm,
+            y_mm: found.contact.y_mm,
+            force_n: Some(found.contact.force_n),
+            x_sd_mm: Some(place * found.x_sd_mm),
+            y_sd_mm: Some(place * found.y_sd_mm),
+            force_sd_n: Some(force * found.force_sd_n),
+            ..FoundContact::default()
+        };
+        let mut contacts: Vec<FoundContact> = fit.contacts.iter().map(contact).collect();
+        contacts.sort_by(|a, b| b.force_n.unwrap_or(0.0).total_cmp(&a.force_n.unwrap_or(0.0)));
+        let misfit = fit.chi2 / fit.degrees_of_freedom;
+        let outside = (misfit > MISFIT_EXPLAINED).then(|| {
+            format!("misfit = {misfit:.1}: contacts on this skin explain up to {MISFIT_EXPLAINED}")
+        });
+        let outside = outside.into_iter().collect();
+        Reading { contacts, misfit: Some(misfit), outside, ..Reading::default() }
     }
 
     /// A frame without what the untouched skin shows, V.
@@ -157,7 +258,7 @@ impl ExactPipeline {
             self.skin.take_offsets(frame, &mut frame_v);
             let observation = Observation { frame_v: &frame_v, frames: averaged };
             let fit = self.skin.fitter.fit(&observation, &self.proposals(frame)?, &mut work)?;
-            readings.push(reading(&fit));
+            readings.push(self.skin.reading(&fit));
         }
         Ok(readings)
     }
@@ -169,7 +270,7 @@ impl ExactPipeline {
         let steady = match &mut tracked.steady {
             Some(steady) => steady,
             none => {
-                let settings = SteadySettings::of_noise(NOISE_SD_V);
+                let settings = SteadySettings::of_noise(self.skin.noise_sd_v);
                 none.insert(Steady::new(self.skin.channels(), settings)?)
             }
         };
@@ -183,7 +284,7 @@ impl ExactPipeline {
                 self.skin.fitter.fit(&observation, &proposals, &mut tracked.work)?
             }
         };
-        let reading = reading(&fit);
+        let reading = self.skin.reading(&fit);
         tracked.last = Some(fit);
         Ok(reading)
     }
@@ -205,20 +306,20 @@ impl ExactPipeline {
     }
 }
 
-fn reading(fit: &Fit) -> Reading {
-    let mut contacts: Vec<FoundContact> = fit
-        .contacts
-        .iter()
-        .map(|found| FoundContact {
-            x_mm: found.contact.x_mm,
-            y_mm: found.contact.y_mm,
-            force_n: Some(found.contact.force_n),
-            x_sd_mm: Some(found.x_sd_mm),
-            y_sd_mm: Some(found.y_sd_mm),
-            force_sd_n: Some(found.force_sd_n),
-            ..FoundContact::default()
-        })
-        .collect();
-    contacts.sort_by(|a, b| b.force_n.unwrap_or(0.0).total_cmp(&a.force_n.unwrap_or(0.0)));
-    Reading { contacts, misfit: Some(fit.chi2 / fit.degrees_of_freedom), ..Reading::default() }
+/// Noise of one frame's voltages, as known trials show it, V.
+fn seen(known: &[KnownTrial], offset_v: &[f64]) -> Option<f64> {
+    let single = |trial: &KnownTrial| {
+        let root = trial.frames.sqrt();
+        let volts = trial.frame_v.iter().zip(offset_v);
+        let frame_v = volts.map(|(v, offset)| (root * (f64::from(*v) - offset)) as f32).collect();
+        MeasuredTrial { contacts: Vec::new(), frame_v }
+    };
+    noise_v(&known.iter().map(single).collect::<Vec<_>>())
+}
+
+/// The factor that makes the median of these what a normal's is; never less than 1.
+fn stretched(mut in_sd: Vec<f64>) -> f64 {
+    in_sd.retain(|z| z.is_finite());
+    in_sd.sort_by(f64::total_cmp);
+    in_sd.get(in_sd.len() / 2).map_or(1.0, |median| (median / MEDIAN_OF_NORMAL).max(1.0))
 }

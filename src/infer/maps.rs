@@ -9,6 +9,11 @@ use super::registry::Model;
 use crate::dataset::force_map::{ForceMap, ForceMapSpec};
 use crate::learn::model_file::NetTask;
 
+/// Least sum of a peak where contacts sum up to 1, since no force was known.
+const HALF_A_CONTACT: f64 = 0.5;
+/// Frames whose maps are held at a time.
+const FRAMES_AT_ONCE: usize = 64;
+
 /// Transfer-Net and Recon-Net, or an end-to-end net alone.
 #[derive(Debug, Clone)]
 pub struct MapPipeline {
@@ -18,6 +23,8 @@ pub struct MapPipeline {
     draws: ForceMap,
     /// Least force of a peak, N.
     threshold_n: f64,
+    /// Whether peaks say how hard.
+    has_forces: bool,
 }
 
 impl MapPipeline {
@@ -41,13 +48,19 @@ impl MapPipeline {
         let spec = map.manifest.model.force_map;
         let spec = spec.ok_or_else(|| other(&map, "one that gives force maps is wanted"))?;
         let draws = ForceMap::new(spec, map.skin.width_mm, map.skin.height_mm)?;
-        Ok(Self { transfer, map, spec, draws, threshold_n })
+        let has_forces = !map.manifest.model.trained_on.forces_unknown;
+        let threshold_n = if has_forces { threshold_n } else { HALF_A_CONTACT };
+        Ok(Self { transfer, map, spec, draws, threshold_n, has_forces })
     }
 
     /// Ids of its models.
     pub fn models(&self) -> Vec<String> {
-        let nets = self.transfer.iter().chain([&self.map]);
-        nets.map(|model| model.manifest.id.clone()).collect()
+        self.nets().map(|model| model.manifest.id.clone()).collect()
+    }
+
+    /// Its nets, in order.
+    pub fn nets(&self) -> impl Iterator<Item = &Model> {
+        self.transfer.iter().chain([&self.map]).map(Arc::as_ref)
     }
 
     /// What the net that gives maps was trained for.
@@ -60,8 +73,17 @@ impl MapPipeline {
         self.spec
     }
 
-    /// Reads frames (V, one after the other).
+    /// Reads frames (V, one after the other); no more maps are held than are wished for.
     pub fn read(&self, frames: &[f32], with_map: bool) -> Result<Vec<Reading>, InferError> {
+        let mut readings = Vec::new();
+        let first = self.transfer.as_ref().unwrap_or(&self.map);
+        for frames in frames.chunks(FRAMES_AT_ONCE * first.plan.channels()) {
+            readings.extend(self.read_some(frames, with_map)?);
+        }
+        Ok(readings)
+    }
+
+    fn read_some(&self, frames: &[f32], with_map: bool) -> Result<Vec<Reading>, InferError> {
         let mut transferred = Vec::new();
         let frames_in = match &self.transfer {
             Some(transfer) => {
@@ -77,7 +99,10 @@ impl MapPipeline {
         let pixels = self.draws.pixels();
         let mut readings = Vec::with_capacity(frames.len());
         for (frame, map) in frames.zip(maps.chunks_exact(pixels * pixels)) {
-            let contacts = contacts(&self.draws, map, self.threshold_n);
+            let mut contacts = contacts(&self.draws, map, self.threshold_n);
+            if !self.has_forces {
+                contacts.iter_mut().for_each(|contact| contact.force_n = None);
+            }
             let forces_n: Vec<f64> = contacts.iter().filter_map(|c| c.force_n).collect();
             let ranges = [&first.manifest.model.trained_on, &self.map.manifest.model.trained_on];
             let outside = ranges[0].frame(frame).into_iter().chain(ranges[1].answer(&forces_n));

@@ -40,6 +40,11 @@ impl PointPipeline {
         Ok(Self { model })
     }
 
+    /// Its net.
+    pub fn net(&self) -> &Model {
+        &self.model
+    }
+
     /// Id of its model.
     pub fn model(&self) -> &str {
         &self.model.manifest.id

@@ -10,9 +10,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use serde::{Deserialize, Serialize};
 use sim_core::sensor::Sensor;
-use utoipa::ToSchema;
 
 use super::error::InferError;
 use super::plan::Plan;
@@ -20,6 +18,7 @@ use crate::clock::Clock;
 use crate::dataset::file::{NewFile, sweep};
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::learn::model_file::{Manifest, SensorFacts};
+use crate::learn::residuals::Residuals;
 use crate::problem::Problem;
 use crate::store::{ModelRow, Store};
 
@@ -30,17 +29,6 @@ const LOSSES: &str = "losses.ndjson";
 const RESIDUALS: &str = "residuals.json";
 /// Models that stay loaded besides those in use.
 const LOADED_MAX: usize = 8;
-
-/// What a Transfer-Net leaves over on trials that it was not trained on (paper, Fig. 10A).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct Residuals {
-    /// Mean of each channel, V.
-    pub mean_v: Vec<f32>,
-    /// Standard deviation of each channel, V.
-    pub sd_v: Vec<f32>,
-    /// Trials that they are of.
-    pub trials: u64,
-}
 
 /// What becomes a model.
 #[derive(Debug, Clone)]

@@ -68,6 +68,15 @@ impl Slot {
         }
     }
 
+    /// The slots that a method reads from.
+    pub fn used_by(method: Method) -> &'static [Self] {
+        match method {
+            Method::Paper => &[Self::Transfer, Self::Map],
+            Method::Fast => &[Self::Points],
+            Method::Exact => &[Self::Points, Self::Skin],
+        }
+    }
+
     /// The slot for models of a task.
     pub fn of(task: NetTask) -> Self {
         match task {
@@ -209,8 +218,8 @@ struct Inner {
     sensor_text: String,
     data: PathBuf,
     current: RwLock<Arc<Pipeline>>,
-    /// Whether what was promoted before a restart was taken up.
-    restored: watch::Sender<bool>,
+    /// The slots in which what was promoted before a restart was taken up.
+    restored: watch::Sender<Vec<Slot>>,
     /// One change at a time.
     changing: tokio::sync::Mutex<()>,
 }
@@ -225,18 +234,24 @@ impl Serving {
     ) -> Self {
         let (current, changing) = (RwLock::default(), tokio::sync::Mutex::default());
         let data = data.to_owned();
-        let restored = watch::Sender::new(false);
+        let restored = watch::Sender::new(Vec::new());
         let inner = Inner { store, models, sensor, sensor_text, data, current, restored, changing };
         Self { inner: Arc::new(inner) }
     }
 
-    /// The sensor of this rig, as text, and the model that its free simulations are made with: of
-    /// the skin that serves, or else the nominal one.
-    pub async fn simulation(&self) -> Result<(String, ForwardModel), InferError> {
+    /// The sensor of this rig, as text, and the model that its free simulations are made with.
+    pub async fn simulation(
+        &self,
+        skin: Option<&str>,
+    ) -> Result<(String, ForwardModel), InferError> {
+        Ok((self.inner.sensor_text.clone(), self.model(skin).await?))
+    }
+
+    /// Id of the calibration that serves.
+    pub async fn promoted_skin(&self) -> Result<Option<String>, InferError> {
         let promoted = self.promoted().await?;
         let skin = promoted.into_iter().find(|(slot, _)| *slot == Slot::Skin);
-        let model = self.model(skin.and_then(|(_, what)| what).as_deref()).await?;
-        Ok((self.inner.sensor_text.clone(), model))
+        Ok(skin.and_then(|(_, what)| what))
     }
 
     /// The sensor of this rig.
@@ -249,18 +264,20 @@ impl Serving {
         self.inner.current.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// What serves once all that was promoted before a restart does: seconds after it.
-    pub async fn once_restored(&self) -> Arc<Pipeline> {
+    /// What serves once all that a method needs of what was promoted before a restart does: seconds
+    /// after it, with a skin most of a minute. Without a method: once everything does.
+    pub async fn once_restored(&self, method: Option<Method>) -> Arc<Pipeline> {
+        let needed = method.map_or(Slot::ALL.as_slice(), Slot::used_by);
         let mut restored = self.inner.restored.subscribe();
         // The sender lives as long as this.
-        let _ = restored.wait_for(|restored| *restored).await;
+        let _ = restored.wait_for(|up| needed.iter().all(|slot| up.contains(slot))).await;
         self.current()
     }
 
     /// Takes up what was promoted before a restart. What cannot be loaded is left out and said.
     pub async fn restore(&self) {
         self.take_up().await;
-        self.inner.restored.send_replace(true);
+        self.inner.restored.send_replace(Slot::ALL.to_vec());
     }
 
     async fn take_up(&self) {
@@ -275,6 +292,7 @@ impl Serving {
             {
                 tracing::error!(%error, slot = slot.name(), what, "it does not serve");
             }
+            self.inner.restored.send_modify(|up| up.push(slot));
         }
     }
 
@@ -342,7 +360,8 @@ impl Serving {
         Ok(())
     }
 
-    fn fits(&self, model: &Model) -> Result<(), InferError> {
+    /// Refuses a model of another sensor.
+    pub fn fits(&self, model: &Model) -> Result<(), InferError> {
         let (facts, sensor) = (&model.manifest.model, &self.inner.sensor);
         let channels = sensor.channels();
         if facts.sensor == sensor.file.name && facts.channels == channels {
@@ -356,8 +375,14 @@ impl Serving {
         })
     }
 
-    /// The skin of a calibration that is kept here, or the nominal one.
+    /// The skin of a calibration that is kept here, or the nominal one; the one that serves, if it is
+    /// that.
     pub async fn skin(&self, calibration: Option<&str>) -> Result<Arc<ExactSkin>, InferError> {
+        if let Some(serves) = &self.current().skin
+            && serves.calibration() == calibration
+        {
+            return Ok(serves.clone());
+        }
         let model = self.model(calibration).await?;
         let known = self.known_trials(model.sensor()).await?;
         let building = move || ExactSkin::new(&model, &known).map(Arc::new);

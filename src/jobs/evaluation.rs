@@ -19,12 +19,12 @@ use crate::dataset::import::sensor::ImportedSensor;
 use crate::dataset::read::sensor_text;
 use crate::evaluate::perfect::perfect;
 use crate::evaluate::quantile::quantile;
-use crate::evaluate::request::{EvaluationReport, EvaluationRequest, FramesRead, Scored};
+use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Example, FramesRead, Scored};
 use crate::evaluate::score::Scores;
 use crate::evaluate::touch::{Metric, Touch};
 use crate::evaluate::voltages::VoltageScores;
 use crate::ids::TrialId;
-use crate::infer::answer::{FoundContact, Reading};
+use crate::infer::answer::Reading;
 use crate::infer::error::InferError;
 use crate::infer::exact::ExactPipeline;
 use crate::infer::maps::MapPipeline;
@@ -33,11 +33,11 @@ use crate::infer::points::PointPipeline;
 use crate::infer::registry::{self, Model};
 use crate::learn::error::LearnError;
 use crate::learn::examples::{Examples, MEASURED, SIMULATED};
-use crate::learn::model_file::NetTask;
+use crate::learn::model_file::{NetTask, SensorFacts};
 use crate::simulate::compare::difference;
 use crate::store::{Contact, DatasetRow, JobRow, Store};
 
-/// Frames that are read at a time.
+/// Frames that a Transfer-Net reads at a time.
 const FRAMES_AT_ONCE: usize = 8;
 /// The map that a perfect score is of, where the method has none of its own (paper, Map 1).
 const MAP_1: ForceMapSpec = crate::dataset::force_map::TABLE_IV[0];
@@ -60,6 +60,7 @@ pub(super) async fn run(
     let request: EvaluationRequest =
         serde_json::from_value(job.request.clone()).map_err(JobError::Json)?;
     request.check()?;
+    watch.phase("making the method ready", 0);
     let reader = reader(jobs, &request).await?;
     watch.phase("making the dataset", 0);
     let name = job.dataset.as_ref().unwrap_or(&request.dataset);
@@ -69,6 +70,7 @@ pub(super) async fn run(
     watch.phase("gathering frames", dataset.rows);
     let scratch = jobs.inner.data.join("cache");
     let columns = columns(&reader, &request);
+    let measured = columns.contains(&MEASURED);
     let wish = request.clone();
     let at = file.clone();
     let gathered = background(move || Gathered::new(&at, &wish, columns, &scratch)).await??;
@@ -77,7 +79,10 @@ pub(super) async fn run(
         FramesRead::First => Some(first_frames(&jobs.inner.store, &gathered).await?),
     };
     let (watch, clock) = (watch.clone(), jobs.inner.clock.clone());
-    let scoring = Scoring { request, dataset, gathered, raw, reader, watch, clock };
+    let sensor = jobs.inner.serving.sensor();
+    let rig_sensor = (sensor.file.name.clone(), sensor.channels());
+    let scoring =
+        Scoring { request, dataset, gathered, raw, reader, measured, rig_sensor, watch, clock };
     let report = background(move || scoring.run()).await??;
     report.map(|report| serde_json::to_value(report).map_err(JobError::Json)).transpose()
 }
@@ -99,11 +104,14 @@ async fn reader(jobs: &Jobs, request: &EvaluationRequest) -> Result<Reader, JobE
         }
         Scored::Fast => Reader::Points(points.ok_or_else(|| InferError::NoModel("none".into()))?),
         Scored::Exact => {
-            let skin = jobs.inner.serving.skin(request.skin.as_deref()).await?;
+            let calibration = skin(jobs, request).await?;
+            // A skin takes most of a minute to make ready: not twice.
+            jobs.inner.serving.once_restored(None).await;
+            let skin = jobs.inner.serving.skin(calibration.as_deref()).await?;
             Reader::Exact(ExactPipeline { skin, points })
         }
         Scored::Tikhonov | Scored::Noser => {
-            let model = jobs.inner.serving.model(request.skin.as_deref()).await?;
+            let model = jobs.inner.serving.model(skin(jobs, request).await?.as_deref()).await?;
             let kind = match request.scored {
                 Scored::Noser => Regularisation::Noser,
                 _ => Regularisation::Tikhonov,
@@ -114,6 +122,14 @@ async fn reader(jobs: &Jobs, request: &EvaluationRequest) -> Result<Reader, JobE
             Reader::OneStep(background(ready).await??, calibration)
         }
     })
+}
+
+/// The calibration of the exact model: the one that is named, or else the one that serves.
+async fn skin(jobs: &Jobs, request: &EvaluationRequest) -> Result<Option<String>, JobError> {
+    match &request.skin {
+        Some(skin) => Ok(Some(skin.clone())),
+        None => Ok(jobs.inner.serving.promoted_skin().await?),
+    }
 }
 
 /// Columns of frames that a reader needs.
@@ -132,6 +148,7 @@ struct Gathered {
     examples: Examples,
     rows: Vec<u32>,
     skin: ImportedSensor,
+    sensor: SensorFacts,
 }
 
 impl Gathered {
@@ -141,7 +158,7 @@ impl Gathered {
         columns: &'static [&'static str],
         scratch: &Path,
     ) -> Result<Self, JobError> {
-        let (skin, _) = registry::facts("sensor", &sensor_text(file)?)?;
+        let (skin, sensor) = registry::facts("sensor", &sensor_text(file)?)?;
         let examples = Examples::gather(file, &request.conditions, columns, scratch)?;
         let part = |name: &str| {
             crate::dataset::split::Part::ALL.into_iter().find(|part| part.name() == name)
@@ -161,7 +178,7 @@ impl Gathered {
             let all = rows.len();
             rows = (0..limit as usize).map(|i| rows[i * all / limit as usize]).collect();
         }
-        Ok(Self { examples, rows, skin })
+        Ok(Self { examples, rows, skin, sensor })
     }
 }
 
@@ -191,12 +208,17 @@ struct Scoring {
     gathered: Gathered,
     raw: Option<Vec<Vec<f32>>>,
     reader: Reader,
+    /// Whether measured frames are read.
+    measured: bool,
+    /// Name and channels of the rig's sensor, which the exact model is of.
+    rig_sensor: (String, usize),
     watch: Arc<Watch>,
     clock: Clock,
 }
 
 impl Scoring {
     fn run(self) -> Result<Option<EvaluationReport>, JobError> {
+        self.check_sensor()?;
         let mut report = self.blank();
         self.watch.phase("scoring", self.gathered.rows.len() as u64);
         let done = match &self.reader {
@@ -204,6 +226,53 @@ impl Scoring {
             _ => self.contacts(&mut report)?,
         };
         Ok(done.then_some(report))
+    }
+
+    /// Refuses what is of another sensor than the rows.
+    fn check_sensor(&self) -> Result<(), InferError> {
+        let here = &self.gathered.sensor;
+        let nets = match &self.reader {
+            Reader::Voltages(transfer) => transfer.iter().map(Arc::as_ref).collect(),
+            Reader::Maps(maps) => maps.nets().collect(),
+            Reader::Points(points) => vec![points.net()],
+            Reader::Exact(exact) => exact.points.iter().map(PointPipeline::net).collect(),
+            Reader::OneStep(..) => Vec::new(),
+        };
+        let nets = nets.into_iter().map(|net| {
+            let facts = &net.manifest.model;
+            (net.manifest.id.clone(), facts.sensor.clone(), facts.channels)
+        });
+        let of_rig = match &self.reader {
+            Reader::Exact(exact) => Some(exact.skin.id().to_owned()),
+            Reader::OneStep(..) => Some("of one step".to_owned()),
+            _ => None,
+        };
+        let of_rig = of_rig.map(|id| (id, self.rig_sensor.0.clone(), self.rig_sensor.1));
+        let same = |(_, sensor, channels): &(String, String, usize)| {
+            *sensor == here.name && *channels == here.channels
+        };
+        match nets.chain(of_rig).find(|model| !same(model)) {
+            None => Ok(()),
+            Some((id, sensor, channels)) => Err(InferError::OtherSensor {
+                id,
+                sensor,
+                channels,
+                here: format!("{} with {}", here.name, here.channels),
+            }),
+        }
+    }
+
+    /// What one should know before believing the scores.
+    fn notes(&self) -> Vec<String> {
+        let run = match &self.reader {
+            Reader::Exact(exact) => exact.skin.run(),
+            _ => None,
+        };
+        let runs = self.dataset.lineage["runs"].as_array().into_iter().flatten();
+        let seen = run.filter(|run| runs.into_iter().any(|r| r["uid"].as_str() == Some(run)));
+        seen.map(|run| format!("the skin was calibrated to trials of run {run}, which are in it"))
+            .into_iter()
+            .collect()
     }
 
     fn blank(&self) -> EvaluationReport {
@@ -223,7 +292,10 @@ impl Scoring {
         EvaluationReport {
             scored: self.request.scored,
             dataset: self.dataset.id.clone(),
-            label: label.unwrap_or("simulated").into(),
+            part: self.request.part.clone(),
+            conditions: self.request.conditions.clone(),
+            frames: self.request.frames,
+            label: label.filter(|_| self.measured).unwrap_or("simulated").into(),
             models,
             calibration,
             rows: self.gathered.rows.len() as u64,
@@ -234,6 +306,8 @@ impl Scoring {
             voltages: None,
             cells: None,
             latency_ms: None,
+            notes: self.notes(),
+            examples: Vec::new(),
         }
     }
 
@@ -280,19 +354,22 @@ impl Scoring {
     fn contacts(&self, report: &mut EvaluationReport) -> Result<bool, JobError> {
         let began_s = self.clock.process_s();
         let (mut touches, mut latencies) = (Vec::new(), Vec::new());
-        // One frame at a time for what fits, so that progress shows.
-        let at_once = if matches!(self.reader, Reader::Exact(_)) { 1 } else { FRAMES_AT_ONCE };
-        for (at, rows) in self.gathered.rows.chunks(at_once).enumerate() {
-            let frames = self.frames(at * at_once, rows)?;
+        // One frame at a time, as they come from a rig: that is what takes how long.
+        for (at, rows) in self.gathered.rows.chunks(1).enumerate() {
+            let frames = self.frames(at, rows)?;
             let before_s = self.clock.process_s();
-            let readings = self.read(&frames, rows[0])?;
-            let each_ms = 1e3 * (self.clock.process_s() - before_s) / rows.len() as f64;
-            latencies.push(each_ms);
+            let shown = (self.request.examples as usize).saturating_sub(report.examples.len());
+            let readings = self.read(&frames, rows[0], shown > 0)?;
+            latencies.push(1e3 * (self.clock.process_s() - before_s));
             for (&row, reading) in rows.iter().zip(&readings) {
-                let found: Vec<Contact> = reading.contacts.iter().map(estimate).collect();
+                let found: Vec<Contact> = reading.contacts.iter().map(Contact::from).collect();
                 let touch = Touch::of(&self.truths(row), &found);
                 touches.push(touch.map_err(|e| LearnError::value("row", row, &e.to_string()))?);
             }
+            let examples = rows.iter().zip(readings).take(shown);
+            report.examples.extend(
+                examples.map(|(&row, reading)| Example { truth: self.truths(row), reading }),
+            );
             if !self.goes_on(touches.len(), began_s) {
                 return Ok(false);
             }
@@ -340,27 +417,18 @@ impl Scoring {
         Ok(frames)
     }
 
-    fn read(&self, frames: &[f32], first: u32) -> Result<Vec<Reading>, InferError> {
+    fn read(&self, frames: &[f32], first: u32, map: bool) -> Result<Vec<Reading>, InferError> {
         match &self.reader {
-            Reader::Maps(maps) => maps.read(frames, false),
+            Reader::Maps(maps) => maps.read(frames, map),
             Reader::Points(points) => points.read(frames),
             Reader::Exact(exact) => {
                 let count = self.gathered.examples.frame_count(first);
                 let single = self.raw.is_some() || count == 0;
                 exact.read(frames, if single { 1.0 } else { f64::from(count) })
             }
-            Reader::OneStep(step, _) => step.read(frames, false),
+            Reader::OneStep(step, _) => step.read(frames, map),
             Reader::Voltages(_) => Ok(Vec::new()),
         }
-    }
-}
-
-fn estimate(found: &FoundContact) -> Contact {
-    Contact {
-        x_mm: Some(found.x_mm),
-        y_mm: Some(found.y_mm),
-        force_n: found.force_n,
-        diameter_mm: found.diameter_mm,
     }
 }
 

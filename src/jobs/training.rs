@@ -15,9 +15,9 @@ use super::{Jobs, LOSSES, Watch};
 use crate::clock::Clock;
 use crate::dataset::background::background;
 use crate::dataset::build::data_file;
-use crate::infer::registry::{self, NewModel, Residuals};
+use crate::infer::registry::{self, NewModel};
 use crate::learn::error::LearnError;
-use crate::learn::examples::Examples;
+use crate::learn::examples::{Examples, MEASURED};
 use crate::learn::model_file::{ModelFacts, model_of};
 use crate::learn::recipe::Recipe;
 use crate::learn::train::{self, Given, Learned};
@@ -25,6 +25,9 @@ use crate::store::{DatasetRow, JobRow, Label};
 
 /// File of a training's last checkpoint.
 const CHECKPOINT: &str = "checkpoint.bin";
+/// File with the id of the calibration whose simulations a training has begun on; empty: the nominal
+/// skin's.
+const SKIN: &str = "skin";
 /// Seconds between two checkpoints.
 const CHECKPOINT_EVERY_S: f64 = 30.0;
 
@@ -36,6 +39,19 @@ pub fn check(recipe: &str) -> Result<(), JobError> {
 
 /// Trains; none when it was stopped.
 pub async fn run(jobs: &Jobs, job: &JobRow, watch: &Arc<Watch>) -> Result<Option<Value>, JobError> {
+    let outcome = train_and_keep(jobs, job, watch).await;
+    if outcome.is_err() {
+        // A job that failed is not begun again; its losses tell what happened.
+        std::fs::remove_file(jobs.folder(&job.id).join(CHECKPOINT)).ok();
+    }
+    outcome
+}
+
+async fn train_and_keep(
+    jobs: &Jobs,
+    job: &JobRow,
+    watch: &Arc<Watch>,
+) -> Result<Option<Value>, JobError> {
     let text = job.request["recipe"].as_str().unwrap_or_default();
     let recipe = Recipe::from_toml("recipe", text)?;
     let noise_sd_v = match &recipe.noise_of {
@@ -62,7 +78,13 @@ pub async fn run(jobs: &Jobs, job: &JobRow, watch: &Arc<Watch>) -> Result<Option
             background(move || work.on_dataset(&dataset, &file)).await??
         }
         None => {
-            let (sensor, model) = jobs.inner.serving.simulation().await?;
+            let serving = &jobs.inner.serving;
+            let skin = match begun_on(&folder) {
+                Some(skin) => skin,
+                None => serving.promoted_skin().await?,
+            };
+            begin_on(&folder, skin.as_deref()).map_err(LearnError::file("writing", &folder))?;
+            let (sensor, model) = serving.simulation(skin.as_deref()).await?;
             background(move || work.on_stream(sensor, &model)).await??
         }
     };
@@ -74,6 +96,17 @@ pub async fn run(jobs: &Jobs, job: &JobRow, watch: &Arc<Watch>) -> Result<Option
     let model = jobs.inner.models.add(new).await?;
     std::fs::remove_dir_all(&folder).ok();
     Ok(Some(json!({ "model": model.id, "name": model.name })))
+}
+
+/// The skin that a training had begun on before a restart, whatever serves by now.
+fn begun_on(folder: &Path) -> Option<Option<String>> {
+    let skin = std::fs::read_to_string(folder.join(SKIN)).ok()?;
+    Some(Some(skin).filter(|skin| !skin.is_empty()))
+}
+
+fn begin_on(folder: &Path, skin: Option<&str>) -> std::io::Result<()> {
+    std::fs::create_dir_all(folder)?;
+    write_whole(folder, SKIN, skin.unwrap_or_default().as_bytes())
 }
 
 /// What a training needs while it runs.
@@ -108,7 +141,8 @@ impl Work {
         let mut observer = self.observer("training")?;
         let checkpoint = std::fs::read(self.folder.join(CHECKPOINT)).ok();
         let learned = train::train(&self.recipe, &given, checkpoint.as_deref(), &mut observer)?;
-        self.new_model(learned, Lineage::of(dataset), sensor)
+        let lineage = Lineage::of(dataset, columns.contains(&MEASURED));
+        self.new_model(learned, lineage, sensor)
     }
 
     fn on_stream(self, sensor: String, model: &ForwardModel) -> Result<Option<NewModel>, JobError> {
@@ -158,11 +192,7 @@ impl Work {
         };
         let made = model_of(&learned.trained.network, model, &facts);
         let (manifest, onnx) = made.map_err(LearnError::from)?;
-        let residuals = learned.left_over.map(|left| Residuals {
-            mean_v: left.mean_v,
-            sd_v: left.sd_v,
-            trials: left.rows,
-        });
+        let residuals = learned.residuals;
         let losses = std::fs::read_to_string(self.folder.join(LOSSES)).ok();
         let name = self.recipe.name.clone();
         Ok(Some(NewModel { name, manifest, onnx, sensor, losses, residuals }))
@@ -262,11 +292,11 @@ struct Lineage {
 }
 
 impl Lineage {
-    fn of(dataset: &DatasetRow) -> Self {
+    /// Of a dataset whose measured frames are read, or not.
+    fn of(dataset: &DatasetRow, measured: bool) -> Self {
         let lineage = &dataset.lineage;
-        let labels = lineage["runs"].as_array().into_iter().flatten();
-        let label = labels.map(|run| run["label"].clone()).next();
-        let label = label.and_then(|label| serde_json::from_value(label).ok());
+        let label = serde_json::from_value(lineage["runs"][0]["label"].clone()).ok();
+        let label = label.filter(|_| measured);
         let model = &lineage["models"][0];
         let text = |value: &Value| value.as_str().map(str::to_owned);
         Self {

@@ -44,7 +44,8 @@ pub struct Examples {
     ends: Vec<usize>,
     trial_ids: Vec<Option<i64>>,
     frame_counts: Vec<u32>,
-    max_norm_v: f64,
+    /// Euclidean norm of each row's first frame, V.
+    norms_v: Vec<f32>,
 }
 
 impl Examples {
@@ -81,7 +82,7 @@ impl Examples {
             ends: Vec::new(),
             trial_ids: Vec::new(),
             frame_counts: Vec::new(),
-            max_norm_v: 0.0,
+            norms_v: Vec::new(),
         };
         let copy = examples.file.try_clone().map_err(LearnError::file("opening", folder))?;
         let mut out = BufWriter::with_capacity(1 << 20, copy);
@@ -149,11 +150,17 @@ impl Examples {
     pub fn range(&self, rows: &[u32]) -> TrainedRange {
         let counts: BTreeSet<u32> =
             rows.iter().map(|&row| self.contacts(row).len() as u32).collect();
-        let forces = rows.iter().flat_map(|&row| self.contacts(row)).filter_map(|c| c.force_n);
+        let contacts = || rows.iter().flat_map(|&row| self.contacts(row));
+        let max_force_n = contacts().filter_map(|c| c.force_n).reduce(f64::max);
         TrainedRange {
             contact_counts: counts.into_iter().collect(),
-            max_force_n: forces.reduce(f64::max).filter(|&most| most > 0.0),
-            max_norm_v: Some(self.max_norm_v).filter(|&most| most > 0.0),
+            max_force_n: max_force_n.filter(|&most| most > 0.0),
+            forces_unknown: max_force_n.is_none() && contacts().next().is_some(),
+            max_norm_v: rows
+                .iter()
+                .map(|&row| f64::from(self.norms_v[row as usize]))
+                .reduce(f64::max)
+                .filter(|&most| most > 0.0),
         }
     }
 
@@ -182,7 +189,7 @@ impl Examples {
                 let numbers = numbers.as_primitive::<Float32Type>().values();
                 if place == 0 {
                     let square: f64 = numbers.iter().map(|&v| f64::from(v).powi(2)).sum();
-                    self.max_norm_v = self.max_norm_v.max(square.sqrt());
+                    self.norms_v.push(square.sqrt() as f32);
                 }
                 for number in numbers {
                     out.write_all(&number.to_le_bytes())

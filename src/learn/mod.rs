@@ -9,6 +9,7 @@ pub mod error;
 pub mod model_file;
 pub mod onnx;
 pub mod examples;
+pub mod residuals;
 #[cfg(feature = "train")]
 pub mod recipe;
 #[cfg(feature = "train")]

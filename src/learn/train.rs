@@ -15,6 +15,7 @@ use super::error::LearnError;
 use super::examples::{Examples, MEASURED, SIMULATED};
 use super::model_file::{NetTask, TrainedRange};
 use super::recipe::Recipe;
+use super::residuals::Residuals;
 use super::samples::{Fixed, FramePairs, FramesAndMaps};
 use crate::dataset::force_map::ForceMap;
 use crate::dataset::import::sensor::ImportedSensor;
@@ -55,17 +56,6 @@ pub struct Given<'a> {
     pub compute: nets::device::Compute,
 }
 
-/// What a Transfer-Net leaves over on rows that it did not learn from.
-#[derive(Debug, Clone, PartialEq)]
-pub struct LeftOver {
-    /// Mean of each channel, V.
-    pub mean_v: Vec<f32>,
-    /// Standard deviation of each channel, V.
-    pub sd_v: Vec<f32>,
-    /// Rows.
-    pub rows: u64,
-}
-
 /// What a training gave.
 #[derive(Debug)]
 pub struct Learned {
@@ -74,7 +64,7 @@ pub struct Learned {
     /// Where it has been.
     pub range: TrainedRange,
     /// What it leaves over, of a Transfer-Net.
-    pub left_over: Option<LeftOver>,
+    pub residuals: Option<Residuals>,
 }
 
 /// Trains on a dataset's rows: `train` to learn from, `validation` to choose with.
@@ -107,11 +97,11 @@ pub fn train(
     let [learn, choose] = [learn, choose].map(|rows| samples(recipe, given, rows));
     let (learn, choose) = (learn?, choose?);
     let trained = training::train(&plan, &*learn, &*choose, checkpoint, observer)?;
-    let left_over = match recipe.task() {
-        NetTask::Transfer => Some(left_over(&trained.network, given)?),
+    let residuals = match recipe.task() {
+        NetTask::Transfer => Some(residuals(&trained.network, given)?),
         _ => None,
     };
-    Ok(Learned { trained, range, left_over })
+    Ok(Learned { trained, range, residuals })
 }
 
 /// Trains a Point-Net on simulations of this model that are made as it goes; they carry the model's
@@ -149,9 +139,10 @@ pub fn train_on_stream(
     let range = TrainedRange {
         contact_counts: (fewest as u32..=most as u32).collect(),
         max_force_n: Some(net.draws.force_n[1].max(net.draws.light_force_n[1])),
+        forces_unknown: false,
         max_norm_v: choose.max_norm_v(),
     };
-    Ok(Learned { trained, range, left_over: None })
+    Ok(Learned { trained, range, residuals: None })
 }
 
 /// Keeps at most so many rows, evenly taken.
@@ -188,8 +179,8 @@ fn samples<'a>(
     }
 }
 
-/// What a Transfer-Net leaves over on the validation rows (paper, Fig. 10A).
-fn left_over(network: &Network, given: &Given<'_>) -> Result<LeftOver, LearnError> {
+/// Of a Transfer-Net on the validation rows.
+fn residuals(network: &Network, given: &Given<'_>) -> Result<Residuals, LearnError> {
     let mut rows = given.examples.part(Part::Validation);
     rows.truncate(RESIDUAL_ROWS);
     let channels = given.examples.channels;
@@ -213,10 +204,10 @@ fn left_over(network: &Network, given: &Given<'_>) -> Result<LeftOver, LearnErro
     let n = rows.len() as f64;
     let mean: Vec<f64> = sum.iter().map(|sum| sum / n).collect();
     let sd = squares.iter().zip(&mean).map(|(sq, mean)| (sq / n - mean * mean).max(0.0).sqrt());
-    Ok(LeftOver {
+    Ok(Residuals {
         sd_v: sd.map(|sd| sd as f32).collect(),
         mean_v: mean.iter().map(|&mean| mean as f32).collect(),
-        rows: rows.len() as u64,
+        trials: rows.len() as u64,
     })
 }
 

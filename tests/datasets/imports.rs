@@ -12,9 +12,9 @@ use serde_json::Value;
 
 use crate::filled::Filled;
 
-const PAD: &str = "name = \"pad\"\nchannels = 4\nwidth_mm = 100\nheight_mm = 80\n";
+pub const PAD: &str = "name = \"pad\"\nchannels = 4\nwidth_mm = 100\nheight_mm = 80\n";
 
-fn frames(channels: i32, values: Vec<Option<f32>>) -> ArrayRef {
+pub fn frames(channels: i32, values: Vec<Option<f32>>) -> ArrayRef {
     let item = Arc::new(Field::new("item", DataType::Float32, true));
     let values = Arc::new(Float32Array::from(values));
     Arc::new(FixedSizeListArray::try_new(item, channels, values, None).unwrap())
@@ -22,24 +22,32 @@ fn frames(channels: i32, values: Vec<Option<f32>>) -> ArrayRef {
 
 /// Contacts (x, y, force) of three trials: one complete, one without force, none at all.
 fn contacts(x_mm: f64) -> ArrayRef {
+    let contacts = [(x_mm, 20.0, Some(2.5)), (30.0, 40.0, None)];
+    lists(&contacts, [1, 1, 0])
+}
+
+/// x and y in mm, and the force in N where it is known.
+pub type Touch = (f64, f64, Option<f64>);
+
+/// Contacts of trials that have so many each.
+pub fn lists(contacts: &[Touch], lengths: impl IntoIterator<Item = usize>) -> ArrayRef {
     let field = |name, kind| Field::new(name, kind, true);
     let fields = Fields::from(vec![
         field("x_mm", DataType::Float64),
         field("y_mm", DataType::Float64),
         field("force_n", DataType::Float64),
     ]);
-    let columns: Vec<ArrayRef> = vec![
-        Arc::new(Float64Array::from(vec![Some(x_mm), Some(30.0)])),
-        Arc::new(Float64Array::from(vec![Some(20.0), Some(40.0)])),
-        Arc::new(Float64Array::from(vec![Some(2.5), None])),
-    ];
+    let column = |of: fn(&Touch) -> Option<f64>| -> ArrayRef {
+        Arc::new(contacts.iter().map(of).collect::<Float64Array>())
+    };
+    let columns = vec![column(|c| Some(c.0)), column(|c| Some(c.1)), column(|c| c.2)];
     let values = StructArray::try_new(fields.clone(), columns, None).unwrap();
     let item = Arc::new(Field::new("item", DataType::Struct(fields), true));
-    let ends = OffsetBuffer::from_lengths([1, 1, 0]);
+    let ends = OffsetBuffer::from_lengths(lengths);
     Arc::new(ListArray::try_new(item, ends, Arc::new(values), None).unwrap())
 }
 
-fn parquet(columns: Vec<(&str, ArrayRef)>) -> Vec<u8> {
+pub fn parquet(columns: Vec<(&str, ArrayRef)>) -> Vec<u8> {
     let batch = RecordBatch::try_from_iter(columns).unwrap();
     let mut writer = ArrowWriter::try_new(Vec::new(), batch.schema(), None).unwrap();
     writer.write(&batch).unwrap();

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 
 use crate::filled::Filled;
+use crate::imports::{PAD, frames, import, lists, parquet};
 
 /// Longest wait for a job.
 const LIMIT: Duration = Duration::from_secs(120);
@@ -89,7 +90,17 @@ async fn nets_are_trained_scored_promoted_and_asked() {
     assert_eq!(report["contacts"]["all"]["trials"], report["rows"]);
     // The true contacts of this run lie far apart: a perfect map finds nearly all of them.
     assert!(report["perfect"]["all"]["exact_rate"]["mean"].as_f64().unwrap() > 0.8, "{report:#}");
-    assert_eq!(lab.get("/api/v1/models/maps").await["scores"][0], report);
+    let shown = json!({ "scored": "paper", "dataset": "real", "map": maps, "limit": 2,
+        "examples": 2 });
+    let shown = lab.scored(shown).await;
+    let examples = shown["examples"].as_array().unwrap();
+    assert_eq!(examples.len(), 2);
+    assert_eq!(examples[1]["reading"]["force_map_n"].as_array().unwrap().len(), 32 * 32);
+    assert!(examples[1]["truth"][0]["force_n"].as_f64().unwrap() > 0.0, "{}", examples[1]["truth"]);
+    // Neither a few that are shown nor rows that were learned from tell how good a model is.
+    let learned = json!({ "scored": "paper", "dataset": "real", "part": "train", "map": maps });
+    lab.scored(learned).await;
+    assert_eq!(lab.get("/api/v1/models/maps").await["scores"], json!([report]));
 
     let frame = lab.a_frame().await;
     let wish = json!({ "method": "paper", "frames": [frame, frame], "map": true });
@@ -252,9 +263,72 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
         assert!(body["detail"].as_str().unwrap().contains(words), "{words}: {body}");
     }
     assert_eq!(lab.get("/api/v1/models").await.as_array().unwrap().len(), 1);
+
+    let wish = json!({ "method": "fast", "model": id, "frames": [frame] });
+    let (status, body) = lab.post("/api/v1/infer", wish).await;
+    assert_eq!(status, 409, "{body}");
+    assert!(body["detail"].as_str().unwrap().contains("has no use for it"), "{body}");
+    let file = parquet(vec![
+        ("voltages_v", frames(4, vec![Some(0.1); 4])),
+        ("contacts", lists(&[(10.0, 20.0, Some(3.0))], [1])),
+    ]);
+    let (_, made) = import(&lab, file, PAD).await;
+    let pad = format!("run-{}", made["run"]["scan_id"]);
+    for request in [
+        json!({ "scored": "tikhonov", "dataset": pad }),
+        json!({ "scored": "exact", "dataset": pad }),
+    ] {
+        let (_, job) = lab.post("/api/v1/evaluations", request).await;
+        let failed = lab.job(&job).await;
+        assert_eq!(failed["state"], "failed", "{failed}");
+        let words = "is for sensor ert-28 with 784 channels, this is pad with 4";
+        assert!(failed["error"].as_str().unwrap().contains(words), "{failed}");
+    }
     let (status, added) = add(onnx.to_vec(), facts.to_owned()).await;
     assert_eq!(status, 201, "{added}");
     let (status, _) = lab.post("/api/v1/serving", json!({ "what": "mine" })).await;
     assert_eq!(status, 200);
+    lab.close().await;
+}
+
+/// Each place of a pad shows on a channel of its own.
+#[tokio::test]
+async fn touches_without_forces_are_learned_and_scored_and_no_force_is_made_up() {
+    let lab = Filled::open("models-patterns").await;
+    let (trials, channels) = (120, 16);
+    let place = |trial: usize| trial % channels;
+    let volts = (0..trials).flat_map(|trial| {
+        (0..channels).map(move |channel| Some(if channel == place(trial) { 0.2 } else { 0.0 }))
+    });
+    let touches = (0..trials)
+        .map(place)
+        .map(|place| (40.0 + 80.0 * (place % 4) as f64, 40.0 + 80.0 * (place / 4) as f64, None));
+    let file = parquet(vec![
+        ("voltages_v", frames(channels as i32, volts.collect())),
+        ("contacts", lists(&touches.collect::<Vec<_>>(), vec![1; trials])),
+    ]);
+    let sensor = "name = \"mat\"\nchannels = 16\nwidth_mm = 320\nheight_mm = 320\n";
+    let (status, made) = import(&lab, file, sensor).await;
+    assert_eq!(status, 201, "{made}");
+    let own = json!({ "definition": { "name": "mat", "task": "real", "runs": ["pad-study"],
+        "split": { "ratio": [3, 1, 1], "seed": 1, "by": "trial" } } });
+    let (status, own) = lab.post("/api/v1/datasets", own).await;
+    assert_eq!((status, &own["rows"]), (200, &json!(trials)), "{own}");
+
+    let recipe = RECON_NET
+        .replace("\"real\"", "\"mat\"")
+        .replace("epochs = 1", "epochs = 60")
+        .replace("batch = 32", "batch = 8")
+        .replace("[4, 2]", "[16, 8]");
+    let net = lab.trained(&recipe).await;
+    let model = lab.get(&format!("/api/v1/models/{net}")).await;
+    assert_eq!(model["manifest"]["trained_on"]["forces_unknown"], true);
+    let report = lab
+        .scored(json!({ "scored": "paper", "dataset": "mat", "part": "test", "map": net }))
+        .await;
+    let all = &report["contacts"]["all"];
+    assert!(all["exact_rate"]["mean"].as_f64().unwrap() > 0.5, "{all:#}");
+    assert!(all["closest_mm"]["mean"].as_f64().unwrap() < 40.0, "{all:#}");
+    assert!(all.get("force_percent").is_none_or(Value::is_null), "{all:#}");
     lab.close().await;
 }

@@ -19,7 +19,7 @@ use super::super::client::Client;
 use super::super::error::CliError;
 use super::super::files::write;
 use super::super::output::{counted, say, say_json};
-use super::super::progress::progress_bar;
+use super::super::progress::{LogLines, progress_bar};
 use super::super::{At, embed};
 use super::{calibration_problem, parse_calibration};
 use crate::calibrate::CalibrateError;
@@ -210,12 +210,15 @@ fn fit(
     let mut options = SkinFitOptions::for_trials(fitted.len(), threads);
     options.errors.noise_v = noise_v(&fitted).unwrap_or(options.errors.noise_v);
     let bar = progress_bar("trials");
+    let mut lines = LogLines::instead_of(&bar);
     let both = [fitted.as_slice(), held_out.as_slice()];
     let outcome = calibrate(sensor, &responses, both, source, &options, &mut |p| {
         bar.set_length((p.total * p.steps) as u64);
         bar.set_position((p.total * p.step.saturating_sub(1) + p.done) as u64);
         let cost = p.cost.map_or(String::new(), |cost| format!(", cost {cost:.4e}"));
-        bar.set_message(format!("step {} of at most {}{cost}", p.step, p.steps));
+        let words = format!("step {} of at most {}{cost}", p.step, p.steps);
+        lines.say(|| words.clone());
+        bar.set_message(words);
     });
     bar.finish_and_clear();
     Ok(outcome?)

@@ -149,7 +149,7 @@ where
 impl Lab {
     /// The model of a recipe with changes: trained now, or before.
     pub async fn trained(&self, recipe: &str, changes: Changes) -> Result<ModelOut, CliError> {
-        let named = Changes { seed: Some(self.args.seed), ..changes };
+        let named = Changes { seed: Some(self.args.seed), all_epochs: true, ..changes };
         let text = recipe_text(recipe, &named)?;
         let dataset = toml::from_str::<toml::Table>(&text).ok();
         let dataset = dataset.and_then(|recipe| recipe.get("dataset")?.as_str().map(str::to_owned));
@@ -176,6 +176,16 @@ impl Lab {
 
     /// The Transfer-Net of the options, trained on these rows.
     pub async fn transfer(&self, stem: &str, conditions: &[String]) -> Result<ModelOut, CliError> {
+        self.transfer_by(&self.args.transfer, stem, conditions).await
+    }
+
+    /// A Transfer-Net of a recipe, trained on these rows.
+    pub async fn transfer_by(
+        &self,
+        recipe: &str,
+        stem: &str,
+        conditions: &[String],
+    ) -> Result<ModelOut, CliError> {
         let (epochs, rows) = self.args.scale.transfer();
         let changes = Changes {
             name: Some(format!("{stem}-{}", self.args.scale.name())),
@@ -184,7 +194,7 @@ impl Lab {
             rows: self.args.rows.or(rows),
             ..Changes::default()
         };
-        self.trained(&self.args.transfer, changes).await
+        self.trained(recipe, changes).await
     }
 
     /// A net that gives maps: `recon-net` or `end-to-end`, of this map, with this noise.
@@ -235,6 +245,7 @@ impl Lab {
             frames: Default::default(),
             threshold_n: crate::dataset::force_map::peaks::THRESHOLD_N,
             limit: self.args.scored.or(self.args.scale.scored()),
+            examples: 0,
             seed: self.args.seed.unsigned_abs(),
         }
     }
@@ -265,9 +276,10 @@ impl Lab {
             |rows: Option<i64>| rows.map_or("all rows".into(), |rows| format!("{rows} rows"));
         let epochs = |epochs| self.args.epochs.unwrap_or(epochs);
         format!(
-            "Scale {}: Transfer-Net {} epochs of {}, nets of maps {} epochs of {}; seed {}. Data: \
-             {label}. The paper's: 1024 epochs of all rows, measured.",
+            "Scale {}: Transfer-Net by {}, {} epochs of {}, nets of maps {} epochs of {}; seed {}. \
+             Data: {label}. The paper's: transfer-net-published, 1024 epochs of all rows, measured.",
             self.args.scale.name(),
+            self.args.transfer,
             epochs(transfer.0),
             rows(self.args.rows.or(transfer.1)),
             epochs(maps.0),

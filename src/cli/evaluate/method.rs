@@ -73,11 +73,12 @@ async fn score(lab: Lab, args: MethodArgs) -> Result<Sheet, CliError> {
     let mut rows = rows(name, &report);
     rows.extend(perfect(&report));
     let text = format!(
-        "# {name} on {} ({}), mean [95 % interval]\n\n{}\n{}",
+        "# {name} on {} ({}), mean [95 % interval]\n\n{}\n{}{}",
         args.dataset,
         report.label,
         markdown(&COLUMNS, &rows),
-        latency(&report)
+        latency(&report),
+        read_by(&report)
     );
     let numbers = json!({ "method": name, "report": report });
     Ok(Sheet { name: "method", text, numbers, pictures: Vec::new() })
@@ -99,6 +100,14 @@ pub fn perfect(report: &EvaluationReport) -> Option<Vec<String>> {
     let map = report.map.as_deref().unwrap_or_default();
     let name = format!("perfect map {map}, {} N rule", report.threshold_n);
     Some(score_row(&name, &scores.all, Beside::Interval))
+}
+
+/// Which models read, and what one should know before believing them.
+pub fn read_by(report: &EvaluationReport) -> String {
+    let by = report.models.iter().chain(&report.calibration).cloned().collect::<Vec<_>>();
+    let by = if by.is_empty() { "the nominal model".into() } else { by.join(", ") };
+    let notes = report.notes.iter().map(|note| format!("Note: {note}.\n"));
+    format!("By {by}.\n{}", notes.collect::<String>())
 }
 
 fn latency(report: &EvaluationReport) -> String {

@@ -10,7 +10,7 @@ use crate::dataset::force_map::ForceMapSpec;
 use crate::evaluate::charts::{Picture, pictures, residuals};
 use crate::evaluate::table::markdown;
 use crate::infer::answer::Method;
-use crate::infer::registry::Residuals;
+use crate::learn::residuals::Residuals;
 use crate::store::Contact;
 
 /// The map of Fig. 10B (Map 1).
@@ -61,7 +61,7 @@ pub async fn noise(lab: Lab) -> Result<Sheet, CliError> {
             "transfer": transfer.id, "residuals": left, "truth": truth }),
         pictures: vec![
             ("fig-10a.svg".into(), residuals(&left.mean_v, &left.sd_v)?),
-            ("fig-10b.svg".into(), pictures("Fig. 10B", &shown)?),
+            ("fig-10b.svg".into(), pictures("Fig. 10B", &shown, shown.len())?),
         ],
     })
 }

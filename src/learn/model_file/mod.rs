@@ -97,6 +97,10 @@ pub struct TrainedRange {
     /// Largest force of a contact, N.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_force_n: Option<f64>,
+    /// No contact that it learned from had a force: its maps say where and not how hard, and each
+    /// contact in them sums up to 1.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub forces_unknown: bool,
     /// Largest Euclidean norm of a frame, V.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_norm_v: Option<f64>,

@@ -24,6 +24,7 @@ fn facts() -> ModelFacts {
         trained_on: TrainedRange {
             contact_counts: vec![1, 2],
             max_force_n: Some(40.0),
+            forces_unknown: false,
             max_norm_v: Some(1.5),
         },
     }

@@ -302,3 +302,39 @@ fn weighted_gram(columns: &mut [f64], count: usize, variance: f64, gram: &mut Ve
         Par::Seq,
     );
 }
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    /// Solves equations whose lower triangle, and right side in the last row, are those of `gram`.
+    fn solved(gram: &[f64], whole: usize, from: usize, prior: impl Fn(usize) -> f64) -> Vec<f64> {
+        let count = whole - 1 - from;
+        let product = |i: usize, j: usize| gram[(from + i.min(j)) * whole + from + i.max(j)];
+        let own = |i: usize, j: usize| if i == j { prior(i) } else { 0.0 };
+        let left = Mat::from_fn(count, count, |i, j| product(i, j) + own(i, j));
+        let right = Mat::from_fn(count, 1, |i, _| product(i, count));
+        let found = left.llt(Side::Lower).unwrap().solve(&right);
+        (0..count).map(|i| found[(i, 0)]).collect()
+    }
+
+    #[test]
+    fn without_a_trials_own_unknowns_the_rest_are_what_both_together_say() {
+        let (channels, unknowns, rest) = (40, 4, 6);
+        let whole = unknowns + rest + 1;
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let mut columns: Vec<f64> =
+            (0..channels * whole).map(|_| rng.random_range(-1.0..1.0)).collect();
+        let mut gram = Vec::new();
+        weighted_gram(&mut columns, whole, 0.3, &mut gram);
+        let together = solved(&gram, whole, 0, |i| if i < unknowns { 1.0 } else { 0.5 });
+        eliminate(&mut gram, whole, unknowns);
+        let alone = solved(&gram, whole, unknowns, |_| 0.5);
+        for (alone, together) in alone.iter().zip(&together[unknowns..]) {
+            assert!((alone - together).abs() < 1e-12, "{alone} for {together}");
+        }
+    }
+}
