@@ -31,6 +31,9 @@ use sweep::Sweep;
 const ENOUGH: f64 = 2e-3;
 /// Electrodes are looked for in so many first steps: later ones find them where they are.
 const PLACING_STEPS: usize = 4;
+/// Largest change of ln of an electrode's resistance in a step: voltages are linear in the resistance
+/// itself, so that a loose electrode's logarithm would run away to an open end.
+const RESISTANCE_STEP: f64 = 1.0;
 /// With more damping than this no step would be worth its pass.
 const MOST_DAMPING: f64 = 1e3;
 /// Noise is taken to be at least this, V: a converter's step.
@@ -379,7 +382,9 @@ fn solve(
     let right = Mat::from_fn(pull.len(), 1, |i, _| pull[i] - prior[i]);
     let factor = whole.llt(Side::Lower).ok()?;
     let step = factor.solve(&right);
-    Some((0..pull.len()).map(|i| step[(i, 0)]).collect())
+    let resistances = parameters.places_at().end;
+    let bound = |i: usize| if i < resistances { f64::INFINITY } else { RESISTANCE_STEP };
+    Some((0..pull.len()).map(|i| step[(i, 0)].clamp(-bound(i), bound(i))).collect())
 }
 
 fn check(sensor: &Sensor, trials: &[MeasuredTrial]) -> Result<(), SkinFitError> {

@@ -164,6 +164,27 @@ fn a_skin_of_the_family_is_found() {
 }
 
 #[test]
+fn a_loose_electrode_is_found_and_is_no_open_end() {
+    const LOOSE: usize = 25;
+    let options = SkinFitOptions { steps: 8, ..options(90.0, 2) };
+    let parameters = parameters(&options);
+    let mut vector = vec![0.0; parameters.len()];
+    // 20 kOhm of contact.
+    let contact = parameters.places_at().end + LOOSE;
+    vector[contact] = (2e4 / options.prior.contact_ohm).ln();
+    let skin = parameters.model(&vector).unwrap();
+    let (fitted, held_out) = (measured(&skin, 60, 14), measured(&skin, 40, 15));
+    let fit = fit(sensor(), responses(), &fitted, &options, &mut |_| {}).unwrap();
+    let model = fit.model(sensor(), responses()).unwrap();
+    let nominal = ForwardModel::new(sensor(), responses()).unwrap();
+    let [before, after] = [&nominal, &model].map(|model| median(model, &held_out));
+    let found = fit.electrodes.contact_ohm[LOOSE] + fit.electrodes.lead_ohm[LOOSE];
+    println!("FVU {before:.4} -> {after:.4}, {found:.0} Ohm, offsets {:?}", fit.offsets_mv[0]);
+    assert!(after < 0.5 * before, "{before} -> {after}");
+    assert!((5e3..1e5).contains(&found), "{found} Ohm");
+}
+
+#[test]
 fn few_trials_help_and_do_not_overfit() {
     let ([before, after], _) = recovered(15, 60.0);
     assert!(after < 0.8 * before, "{before} -> {after}");
