@@ -7,8 +7,8 @@ use std::thread;
 
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 use sim_core::inverse::contacts::{
-    ContactFitter, ErrorModel, Fit, FitError, FitOptions, FitWork, FittedContact, FramePair,
-    Observation, Proposal, Steady, SteadySettings,
+    ContactFitter, ErrorModel, ErrorModelError, Fit, FitError, FitOptions, FitWork, FittedContact,
+    FramePair, Observation, Proposal, Steady, SteadySettings,
 };
 use sim_core::inverse::skin::{MeasuredTrial, noise_v};
 
@@ -102,9 +102,15 @@ impl ExactSkin {
             stretch: Stretch { place: 1.0, force: 1.0 },
         };
         if enough {
-            let errors = skin.errors(model, known, errors)?;
-            skin.fitter = ContactFitter::new(model, &errors, FitOptions::default())?;
-            skin.stretch = skin.stretch(known)?;
+            match skin.errors(model, known, errors) {
+                Ok(errors) => {
+                    skin.fitter = ContactFitter::new(model, &errors, FitOptions::default())?;
+                    skin.stretch = skin.stretch(known)?;
+                }
+                // Trials that drown in the noise tell nothing but the noise.
+                Err(InferError::Errors(ErrorModelError::FewPairs { .. })) => {}
+                Err(error) => return Err(error),
+            }
         }
         Ok(skin)
     }
