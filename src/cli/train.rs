@@ -21,6 +21,11 @@ use crate::store::JobState;
 /// Between two looks at how far a job is.
 const LOOK: Duration = Duration::from_millis(250);
 
+/// Maps of no more pixels along a side are drawn in fewer steps than a recipe's default: from a first
+/// image of 8 or 4 pixels, as larger ones are of 10.
+const FEW_PIXELS: i64 = 64;
+const FEWER_CHANNELS: [i64; 3] = [128, 64, 32];
+
 /// The recipes that are in the binary, by their names.
 const CARRIED: [(&str, &str); 5] = [
     ("transfer-net", include_str!("../../experiments/recipes/transfer-net.toml")),
@@ -76,6 +81,9 @@ pub struct Changes {
     /// Most rows that are learned from, evenly taken.
     #[arg(long, value_name = "N")]
     pub rows: Option<i64>,
+    /// Samples in a batch.
+    #[arg(long, value_name = "N")]
+    pub batch: Option<i64>,
     /// Share of the noise of --noise-of that is added.
     #[arg(long, value_name = "0.1")]
     pub noise: Option<f64>,
@@ -123,7 +131,7 @@ impl Changes {
         let Some(training) = recipe.get_mut("training").and_then(|t| t.as_table_mut()) else {
             return;
         };
-        for (key, value) in [("seed", self.seed), ("epochs", self.epochs)] {
+        for (key, value) in [("seed", self.seed), ("epochs", self.epochs), ("batch", self.batch)] {
             if let Some(value) = value {
                 training.insert(key.into(), value.into());
             }
@@ -141,8 +149,11 @@ impl Changes {
         let pixel_mm = self.map.as_ref().and_then(|map| map.split('x').next()?.parse::<f64>().ok());
         let net = training.get_mut("net").and_then(|net| net.as_table_mut());
         if let (Some(pixel_mm), Some(net)) = (pixel_mm, net) {
-            let side = crate::dataset::force_map::SIDE_MM / pixel_mm;
-            net.insert("side".into(), (side.round() as i64).into());
+            let side = (crate::dataset::force_map::SIDE_MM / pixel_mm).round() as i64;
+            net.insert("side".into(), side.into());
+            if side <= FEW_PIXELS && !net.contains_key("channels") {
+                net.insert("channels".into(), FEWER_CHANNELS.to_vec().into());
+            }
         }
     }
 }

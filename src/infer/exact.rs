@@ -5,6 +5,7 @@
 use std::sync::Arc;
 use std::thread;
 
+use serde::{Deserialize, Serialize};
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 use sim_core::inverse::contacts::{
     ContactFitter, ErrorModel, ErrorModelError, Fit, FitError, FitOptions, FitWork, FittedContact,
@@ -56,16 +57,30 @@ pub struct ExactSkin {
     simulation: String,
     /// What its untouched frames show, V.
     offset_v: Vec<f64>,
+    errors: SkinErrors,
+    fitter: ContactFitter,
+}
+
+/// How far frames of a skin are from those of its model.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SkinErrors {
     /// Standard deviation of a voltage's noise in one frame, V.
     noise_sd_v: f64,
-    fitter: ContactFitter,
+    model: ErrorModel,
     /// Factors on the standard deviations of places and forces: contacts imitate a part of the model's
     /// error, which the fit cannot know.
     stretch: Stretch,
 }
 
+impl SkinErrors {
+    /// Voltages of a frame.
+    pub fn channels(&self) -> usize {
+        self.model.channels()
+    }
+}
+
 /// By how much more known contacts are missed than standard deviations say.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Stretch {
     place: f64,
     force: f64,
@@ -82,37 +97,42 @@ impl ExactSkin {
     /// there are enough; otherwise every misfit is taken for noise.
     pub fn new(model: &ForwardModel, known: &[KnownTrial]) -> Result<Self, InferError> {
         let channels = model.sensor().channels();
-        let offsets_mv = model.sensor().skin().map(|skin| skin.offsets_mv.as_slice());
-        let offset_v = match offsets_mv {
-            Some(mv) if mv.len() == channels => mv.iter().map(|mv| 1e-3 * mv).collect(),
-            _ => vec![0.0; channels],
-        };
+        let offset_v = offset_v(model);
         let enough = known.len() >= LEAST_KNOWN;
         let noise_sd_v = Some(known).filter(|_| enough).and_then(|known| seen(known, &offset_v));
         let noise_sd_v = noise_sd_v.unwrap_or(NOISE_SD_V);
-        let errors = ErrorModel::white(channels, noise_sd_v)?;
-        let fitter = ContactFitter::new(model, &errors, FitOptions::default())?;
-        let mut skin = Self {
+        let white = ErrorModel::white(channels, noise_sd_v)?;
+        let stretch = Stretch { place: 1.0, force: 1.0 };
+        let skin = Self::with(model, SkinErrors { noise_sd_v, model: white.clone(), stretch })?;
+        if !enough {
+            return Ok(skin);
+        }
+        let learnt = match skin.learn(model, known, white) {
+            Ok(learnt) => learnt,
+            // Trials that drown in the noise tell nothing but the noise.
+            Err(InferError::Errors(ErrorModelError::FewPairs { .. })) => return Ok(skin),
+            Err(error) => return Err(error),
+        };
+        let mut skin = Self::with(model, SkinErrors { noise_sd_v, model: learnt, stretch })?;
+        skin.errors.stretch = skin.stretch(known)?;
+        Ok(skin)
+    }
+
+    /// Of a model whose errors were learnt before.
+    pub fn with(model: &ForwardModel, errors: SkinErrors) -> Result<Self, InferError> {
+        Ok(Self {
             calibration: model.sensor().calibration().map(Into::into),
             run: model.sensor().skin().map(|skin| skin.evidence.run.clone()),
             simulation: model.model_hash().into(),
-            offset_v,
-            noise_sd_v,
-            fitter,
-            stretch: Stretch { place: 1.0, force: 1.0 },
-        };
-        if enough {
-            match skin.errors(model, known, errors) {
-                Ok(errors) => {
-                    skin.fitter = ContactFitter::new(model, &errors, FitOptions::default())?;
-                    skin.stretch = skin.stretch(known)?;
-                }
-                // Trials that drown in the noise tell nothing but the noise.
-                Err(InferError::Errors(ErrorModelError::FewPairs { .. })) => {}
-                Err(error) => return Err(error),
-            }
-        }
-        Ok(skin)
+            offset_v: offset_v(model),
+            fitter: ContactFitter::new(model, &errors.model, FitOptions::default())?,
+            errors,
+        })
+    }
+
+    /// What was learnt of its errors.
+    pub fn errors(&self) -> &SkinErrors {
+        &self.errors
     }
 
     /// How far fits lie from known contacts, in the standard deviations that they state.
@@ -162,7 +182,7 @@ impl ExactSkin {
 
     /// What of known trials no contact explains: frames modelled at contacts that were refined from
     /// the true ones (sim-core's [`ErrorModel::with_pairs`] says why).
-    fn errors(
+    fn learn(
         &self,
         model: &ForwardModel,
         known: &[KnownTrial],
@@ -209,7 +229,7 @@ impl ExactSkin {
 
     /// What a fit says.
     fn reading(&self, fit: &Fit) -> Reading {
-        let Stretch { place, force } = self.stretch;
+        let Stretch { place, force } = self.errors.stretch;
         let contact = |found: &FittedContact| FoundContact {
             x_mm: found.contact.x_mm,
             y_mm: found.contact.y_mm,
@@ -276,7 +296,7 @@ impl ExactPipeline {
         let steady = match &mut tracked.steady {
             Some(steady) => steady,
             none => {
-                let settings = SteadySettings::of_noise(self.skin.noise_sd_v);
+                let settings = SteadySettings::of_noise(self.skin.errors.noise_sd_v);
                 none.insert(Steady::new(self.skin.channels(), settings)?)
             }
         };
@@ -309,6 +329,16 @@ impl ExactPipeline {
             })
         };
         Ok(candidates.iter().flatten().filter_map(proposal).collect())
+    }
+}
+
+/// What a model's untouched skin shows, V; nothing where that is not known.
+fn offset_v(model: &ForwardModel) -> Vec<f64> {
+    let channels = model.sensor().channels();
+    let offsets_mv = model.sensor().skin().map(|skin| skin.offsets_mv.as_slice());
+    match offsets_mv {
+        Some(mv) if mv.len() == channels => mv.iter().map(|mv| 1e-3 * mv).collect(),
+        _ => vec![0.0; channels],
     }
 }
 

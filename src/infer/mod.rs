@@ -13,4 +13,5 @@ pub mod maps;
 pub mod points;
 pub mod exact;
 pub mod one_step;
+pub mod skins;
 pub mod serving;

@@ -1,14 +1,13 @@
 //! What serves: the promoted models, put together, changed without a frame lost.
-//! Uses: `infer::{registry, maps, points, exact}`, `store` (promotions). Never: HTTP, training.
+//! Uses: `infer::{registry, maps, points, exact, skins}`, `store` (promotions). Never: HTTP, training.
 //!
 //! A pipeline is a value that is never changed: who answers holds the one that was there when the
 //! frame came; a promotion makes a new one, loaded and warmed, and puts it in its place.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Arc, PoisonError, RwLock};
 
 use serde::{Deserialize, Serialize};
-use sim_core::calibration::Calibration;
 use sim_core::forward::ForwardModel;
 use sim_core::sensor::Sensor;
 use tokio::sync::watch;
@@ -16,29 +15,14 @@ use utoipa::ToSchema;
 
 use super::answer::{Method, Reading};
 use super::error::InferError;
-use super::exact::{ExactPipeline, ExactSkin, KnownTrial, Tracked};
+use super::exact::{ExactPipeline, ExactSkin, Tracked};
 use super::maps::MapPipeline;
 use super::points::PointPipeline;
 use super::registry::{Model, Registry};
-use crate::calibrate::skin;
+use super::skins::Skins;
 use crate::dataset::force_map::peaks::THRESHOLD_N;
 use crate::learn::model_file::NetTask;
-use crate::rig::config::RigConfig;
-use crate::simulate::model::load_or_build;
-use crate::simulate::twins::contacts;
-use crate::store::{
-    Comparison, Filter, FilterValue, MAX_PAGE, PromotionRow, RunKind, RunRow, Store, TrialColumn,
-    TrialQuery, TrialRow,
-};
-
-/// Runs among which the one is looked for that tells how far a model is off.
-const RUNS_LOOKED_AT: u32 = 1000;
-/// Trials that tell it, at most.
-const KNOWN_TRIALS: usize = 1000;
-/// Of no more contacts and no more force than this, N: heavier frames have other errors, and touches
-/// hard to tell apart are light.
-const KNOWN_CONTACTS: f64 = 3.0;
-const KNOWN_FORCE_N: f64 = 40.0;
+use crate::store::{PromotionRow, Store};
 
 /// A place that something is promoted to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -216,7 +200,7 @@ struct Inner {
     /// The sensor of this rig.
     sensor: Sensor,
     sensor_text: String,
-    data: PathBuf,
+    skins: Skins,
     current: RwLock<Arc<Pipeline>>,
     /// The slots in which what was promoted before a restart was taken up.
     restored: watch::Sender<Vec<Slot>>,
@@ -233,9 +217,10 @@ impl Serving {
         data: &Path,
     ) -> Self {
         let (current, changing) = (RwLock::default(), tokio::sync::Mutex::default());
-        let data = data.to_owned();
+        let skins = Skins::new(store.clone(), sensor.clone(), data);
         let restored = watch::Sender::new(Vec::new());
-        let inner = Inner { store, models, sensor, sensor_text, data, current, restored, changing };
+        let inner =
+            Inner { store, models, sensor, sensor_text, skins, current, restored, changing };
         Self { inner: Arc::new(inner) }
     }
 
@@ -383,96 +368,17 @@ impl Serving {
         {
             return Ok(serves.clone());
         }
-        let model = self.model(calibration).await?;
-        let known = self.known_trials(model.sensor()).await?;
-        let building = move || ExactSkin::new(&model, &known).map(Arc::new);
-        tokio::task::spawn_blocking(building).await.map_err(|_| InferError::Worker)?
-    }
-
-    /// Trials of the run that a skin was calibrated to, or else of the newest Real-Hex run on this
-    /// sensor: evenly taken of those with few contacts above its deadband, of configurations that no skin
-    /// is fitted to. None where that run is not here.
-    async fn known_trials(&self, sensor: &Sensor) -> Result<Vec<KnownTrial>, InferError> {
-        let of_skin = sensor.skin().map(|skin| skin.evidence.run.clone());
-        let runs = self.inner.store.runs(RUNS_LOOKED_AT, None).await?.runs;
-        let fits = |run: &&RunRow| match &of_skin {
-            Some(uid) => run.uid.to_string() == *uid,
-            None => {
-                let same = Sensor::from_toml(&run.sensor).is_ok_and(|s| s.file == sensor.file);
-                run.kind == RunKind::RealHex && run.state == "ended" && same
-            }
-        };
-        let Some(run) = runs.iter().find(fits) else { return Ok(Vec::new()) };
-        let rig = run.rig.as_deref().and_then(|text| RigConfig::from_toml("rig", text).ok());
-        let force_noise_n = rig.map_or(0.0, |rig| rig.cells.force_noise_n);
-        let compare = |column, comparison, value| {
-            Filter::Compare(column, comparison, FilterValue::Number(value))
-        };
-        let known = [
-            compare(TrialColumn::MaxForceN, Comparison::GreaterOrEqual, run.deadband_n),
-            compare(TrialColumn::MaxForceN, Comparison::Less, KNOWN_FORCE_N),
-            compare(TrialColumn::ContactCount, Comparison::LessOrEqual, KNOWN_CONTACTS),
-        ];
-        let query = TrialQuery {
-            run: Some(run.uid),
-            flagged: Some(false),
-            limit: MAX_PAGE,
-            filters: known.to_vec(),
-            ..TrialQuery::default()
-        };
-        let ids = self.inner.store.trial_ids(&query).await?;
-        let count = ids.len().min(KNOWN_TRIALS * skin::HELD_OUT_IN as usize);
-        let chosen: Vec<_> = (0..count).map(|i| ids[i * ids.len() / count]).collect();
-        let trials = self.inner.store.trials_with_voltages(&chosen).await?;
-        let known = |trial: &TrialRow| {
-            let contacts = contacts(trial, run.kind, force_noise_n)?;
-            let tips_mm: Vec<[f64; 2]> = match run.kind {
-                RunKind::RealHex => trial.arms.iter().map(|arm| [arm.x_mm, arm.y_mm]).collect(),
-                _ => contacts.iter().map(|c| [c.x_mm, c.y_mm]).collect(),
-            };
-            skin::is_held_out(&tips_mm).then_some(())?;
-            Some(KnownTrial {
-                contacts,
-                frame_v: trial.voltages_v.clone()?,
-                frames: f64::from(trial.frame_count.max(1)),
-            })
-        };
-        Ok(trials.iter().filter_map(known).take(KNOWN_TRIALS).collect())
+        self.inner.skins.ready(calibration).await.map(Arc::new)
     }
 
     /// The model of a calibration that is kept here, or the nominal one.
     pub async fn model(&self, calibration: Option<&str>) -> Result<ForwardModel, InferError> {
-        let path = calibration.map(|id| self.calibrations().join(format!("{id}.toml")));
-        let (sensor, cache) = (self.inner.sensor.clone(), self.inner.data.join("cache"));
-        let building = tokio::task::spawn_blocking(move || {
-            let sensor = match path {
-                Some(path) => {
-                    let text = std::fs::read_to_string(&path);
-                    let text = text.map_err(InferError::file("reading", &path))?;
-                    Calibration::from_toml(&text)?.apply(&sensor)?
-                }
-                None => sensor,
-            };
-            Ok(load_or_build(&sensor, &cache)?)
-        });
-        building.await.map_err(|_| InferError::Worker)?
+        self.inner.skins.model(calibration).await
     }
 
     /// Keeps a calibration of this sensor; returns its id.
     pub async fn keep_calibration(&self, text: &str) -> Result<String, InferError> {
-        let calibration = Calibration::from_toml(text)?;
-        calibration.apply(&self.inner.sensor)?;
-        let id = calibration.id()?;
-        let folder = self.calibrations();
-        let failed = InferError::file("writing", &folder);
-        let mut file = crate::dataset::file::NewFile::create(&folder).map_err(&failed)?;
-        std::io::Write::write_all(&mut file, text.as_bytes()).map_err(&failed)?;
-        file.finish(&format!("{id}.toml")).map_err(&failed)?;
-        Ok(id)
-    }
-
-    fn calibrations(&self) -> PathBuf {
-        self.inner.data.join("calibrations")
+        self.inner.skins.keep(text)
     }
 }
 

@@ -19,6 +19,11 @@ pub enum JobError {
     /// This build does not train.
     #[error("this build leaves training out: build it with the feature `train`")]
     Lean,
+    /// The service went down each time that it was at work.
+    #[error(
+        "{0} times begun, and the service went down each time before anything was kept: given up"
+    )]
+    InVain(u32),
     /// The dataset.
     #[error(transparent)]
     Dataset(#[from] DatasetError),

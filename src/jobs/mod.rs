@@ -17,9 +17,11 @@ use crate::evaluate::request::EvaluationRequest;
 use crate::infer::registry::Registry;
 use crate::infer::serving::Serving;
 use crate::store::{JobEnd, JobKind, JobRow, Store};
+use starts::{STARTS_MAX, Starts};
 
 mod error;
 mod evaluation;
+mod starts;
 #[cfg(not(feature = "train"))]
 #[path = "lean.rs"]
 mod training;
@@ -148,10 +150,13 @@ impl Jobs {
 
     async fn carry_out(&self, job: JobRow) {
         let watch = Arc::new(Watch::default());
+        let starts = Starts::of(&self.folder(&job.id));
+        let in_vain = !starts.begin();
         // When the service ends this is dropped, and the thread at work leaves a checkpoint.
-        let _stops = StopOnDrop(watch.clone());
+        let _leaves = Leaves(watch.clone(), starts);
         self.set_running(Some((job.id.clone(), watch.clone())));
         let outcome = match self.inner.store.begin_job(&job.id, None).await {
+            Ok(()) if in_vain => Err(JobError::InVain(STARTS_MAX)),
             Ok(()) if job.kind == JobKind::Training => training::run(self, &job, &watch).await,
             Ok(()) => evaluation::run(self, &job, &watch).await,
             Err(error) => Err(error.into()),
@@ -174,11 +179,12 @@ impl Jobs {
     }
 }
 
-/// Ends a job whose worker is gone.
-struct StopOnDrop(Arc<Watch>);
+/// Ends a job whose worker is gone; its end was no crash.
+struct Leaves(Arc<Watch>, Starts);
 
-impl Drop for StopOnDrop {
+impl Drop for Leaves {
     fn drop(&mut self) {
         self.0.stop();
+        self.1.got_on();
     }
 }

@@ -11,6 +11,7 @@ use sim_core::batch::{BatchModel, Kernel};
 use sim_core::forward::ForwardModel;
 
 use super::error::JobError;
+use super::starts::Starts;
 use super::{Jobs, LOSSES, Watch};
 use crate::clock::Clock;
 use crate::dataset::background::background;
@@ -248,9 +249,12 @@ impl Observer for JobObserver<'_> {
 
     fn keep(&mut self, checkpoint: Vec<u8>) {
         let folder = &self.work.folder;
-        if let Err(error) = write_whole(folder, CHECKPOINT, &checkpoint) {
+        match write_whole(folder, CHECKPOINT, &checkpoint) {
+            Ok(()) => Starts::of(folder).got_on(),
             // The training goes on; a restart goes back further.
-            tracing::warn!(%error, folder = %folder.display(), "a checkpoint was not kept");
+            Err(error) => {
+                tracing::warn!(%error, folder = %folder.display(), "a checkpoint was not kept");
+            }
         }
     }
 }

@@ -213,11 +213,11 @@ fn fit(
     let mut lines = LogLines::instead_of(&bar);
     let both = [fitted.as_slice(), held_out.as_slice()];
     let outcome = calibrate(sensor, &responses, both, source, &options, &mut |p| {
-        bar.set_length((p.total * p.steps) as u64);
-        bar.set_position((p.total * p.step.saturating_sub(1) + p.done) as u64);
+        bar.set_length(p.total as u64);
+        bar.set_position(p.done as u64);
         let cost = p.cost.map_or(String::new(), |cost| format!(", cost {cost:.4e}"));
         let words = format!("step {} of at most {}{cost}", p.step, p.steps);
-        lines.say(|| words.clone());
+        lines.say(|| format!("{words}: {} % of it", 100 * p.done / p.total.max(1)));
         bar.set_message(words);
     });
     bar.finish_and_clear();

@@ -14,8 +14,9 @@ use crate::evaluate::request::Scored;
 use crate::evaluate::table;
 use crate::evaluate::touch::Metric;
 
-const PIXELS_MM: [u32; 2] = [4, 20];
-const DIAMETERS_MM: [u32; 2] = [20, 60];
+/// The coarser of the two pixels; the finer one is the scale's.
+pub const COARSE_MM: u32 = 20;
+pub const DIAMETERS_MM: [u32; 2] = [20, 60];
 /// The paper's four criteria, as reports name them.
 const CRITERIA: [(&str, &str, Metric); 4] = [
     ("number_percent", "number error (%)", Metric::Number),
@@ -29,9 +30,10 @@ pub async fn factorial(lab: Lab) -> Result<Sheet, CliError> {
     let transfer = lab.transfer("transfer-to-6", &["contact_count__lte=6".into()]).await?;
     let factor = |name: &str, levels: Vec<String>| Factor { name: name.into(), levels };
     let mm = |values: [u32; 2]| values.map(|mm| format!("{mm} mm")).to_vec();
+    let pixels_mm = [lab.args.scale.fine_mm(), COARSE_MM];
     let percent = LEVELS.map(|level| format!("{:.0} %", 100.0 * level)).to_vec();
     let factors = vec![
-        factor("pixel", mm(PIXELS_MM)),
+        factor("pixel", mm(pixels_mm)),
         factor("diameter", mm(DIAMETERS_MM)),
         factor("noise", percent.clone()),
     ];
@@ -39,7 +41,7 @@ pub async fn factorial(lab: Lab) -> Result<Sheet, CliError> {
     let mut designs = CRITERIA.map(|_| design.clone());
     let (mut reports, mut shown) = (Vec::new(), Vec::new());
     let mut label = String::new();
-    for (p, pixel_mm) in PIXELS_MM.into_iter().enumerate() {
+    for (p, pixel_mm) in pixels_mm.into_iter().enumerate() {
         for (d, diameter_mm) in DIAMETERS_MM.into_iter().enumerate() {
             for (n, level) in LEVELS.into_iter().enumerate() {
                 let map = format!("{pixel_mm}x{diameter_mm}");

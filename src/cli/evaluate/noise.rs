@@ -9,12 +9,14 @@ use crate::cli::error::CliError;
 use crate::dataset::force_map::ForceMapSpec;
 use crate::evaluate::charts::{Picture, pictures, residuals};
 use crate::evaluate::table::markdown;
-use crate::infer::answer::Method;
+use crate::infer::answer::{FoundContact, Method};
 use crate::learn::residuals::Residuals;
 use crate::store::Contact;
 
-/// The map of Fig. 10B (Map 1).
-const MAP: &str = "4x20";
+/// Diameter of the map of Fig. 10B (Map 1), mm.
+const DIAMETER_MM: u32 = 20;
+/// Forces in a cell of the table.
+const FORCES_SHOWN: usize = 6;
 /// Levels of noise (paper V-C1).
 pub const LEVELS: [f64; 3] = [0.0, 0.1, 0.5];
 
@@ -24,19 +26,19 @@ pub async fn noise(lab: Lab) -> Result<Sheet, CliError> {
     let path = format!("/api/v1/models/{}/residuals", transfer.id);
     let left: Residuals = lab.client().get(&path).await?;
     let (frame, truth, label) = triple(&lab).await?;
+    let map = format!("{}x{DIAMETER_MM}", lab.args.scale.fine_mm());
     let spec: ForceMapSpec =
-        MAP.parse().map_err(|_| CliError::argument("map", MAP, "must be pixel x diameter, mm"))?;
+        map.parse().map_err(|_| CliError::argument("map", &map, "must be pixel x diameter, mm"))?;
     let mut shown = vec![Picture::of_contacts("true", spec, &truth)?];
     let mut rows = Vec::new();
     for level in LEVELS {
-        let net = lab.maps("recon-net", MAP, Some((level, &transfer.id))).await?;
+        let net = lab.maps("recon-net", &map, Some((level, &transfer.id))).await?;
         let answer = read(&lab, &frame, &transfer.id, &net.id).await?;
         let contacts = &answer.reading.contacts;
-        let forces = contacts.iter().filter_map(|c| c.force_n).map(|n| format!("{n:.1}"));
         rows.push(vec![
             format!("{:.0} %", 100.0 * level),
             contacts.len().to_string(),
-            forces.collect::<Vec<_>>().join(", "),
+            strongest(contacts),
         ]);
         let map = answer.reading.force_map_n.unwrap_or_default();
         shown.push(Picture { name: format!("noise {:.0} %", 100.0 * level), spec, map });
@@ -44,7 +46,8 @@ pub async fn noise(lab: Lab) -> Result<Sheet, CliError> {
     let mean = left.mean_v.iter().map(|v| v.abs()).fold(0.0, f32::max);
     let sd = |pick: fn(f32, f32) -> f32, start| left.sd_v.iter().copied().fold(start, pick);
     let text = format!(
-        "# Fig. 10: transfer error, and one trial of three contacts at three levels of noise\n\n\
+        "# Fig. 10: transfer error, and one trial of three contacts at three levels of noise, \
+         map {map}\n\n\
          Residuals of {} on {} validation trials: standard deviation {:.4} to {:.4} V, largest \
          mean {mean:.4} V (paper: 0.05 to 0.5 V, mean close to zero).\n\n{}\n{}\n",
         transfer.id,
@@ -64,6 +67,13 @@ pub async fn noise(lab: Lab) -> Result<Sheet, CliError> {
             ("fig-10b.svg".into(), pictures("Fig. 10B", &shown, shown.len())?),
         ],
     })
+}
+
+/// Forces of the strongest contacts, N; they come first.
+fn strongest(contacts: &[FoundContact]) -> String {
+    let shown = contacts.iter().take(FORCES_SHOWN).filter_map(|c| c.force_n);
+    let more = if contacts.len() > FORCES_SHOWN { ", .." } else { "" };
+    shown.map(|n| format!("{n:.1}")).collect::<Vec<_>>().join(", ") + more
 }
 
 /// The frame and contacts of a test trial of three contacts.

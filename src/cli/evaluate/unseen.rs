@@ -4,6 +4,7 @@
 use clap::Args;
 use serde_json::json;
 
+use super::factorial::{COARSE_MM, DIAMETERS_MM};
 use super::lab::{Lab, LabArgs, Scale, Sheet, with_lab};
 use super::method::{perfect, read_by, rows};
 use super::noise::LEVELS;
@@ -15,9 +16,6 @@ use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Example, Fra
 use crate::evaluate::score::Mean;
 use crate::evaluate::table::{COLUMNS, markdown, published_row};
 use crate::store::Contact;
-
-/// Maps 1, 6, 11 and 12: the paper's factorial design, and what smaller scales train.
-const FEW: [usize; 4] = [0, 5, 10, 11];
 
 /// The recipe of the paper's Transfer-Net (V-A).
 const PUBLISHED: &str = "transfer-net-published";
@@ -133,10 +131,13 @@ async fn ours(lab: &Lab, args: &UnseenArgs) -> Result<Scores, CliError> {
     Ok(scores)
 }
 
+/// The maps of Table IV; below full scale those of the factorial design.
 fn maps(scale: Scale) -> Vec<String> {
-    let all = 0..TABLE_IV.len();
-    let chosen: Vec<usize> = if scale == Scale::Full { all.collect() } else { FEW.to_vec() };
-    chosen.into_iter().map(|map| TABLE_IV[map].to_string()).collect()
+    if scale == Scale::Full {
+        return TABLE_IV.map(|spec| spec.to_string()).to_vec();
+    }
+    let of_pixel = |pixel_mm| DIAMETERS_MM.map(|diameter| format!("{pixel_mm}x{diameter}"));
+    [scale.fine_mm(), COARSE_MM].into_iter().flat_map(of_pixel).collect()
 }
 
 /// The paper's pipeline: every map at every level of noise.

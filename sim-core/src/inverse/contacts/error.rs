@@ -1,11 +1,12 @@
 //! How far a measured frame may be from the model's, channel by channel and together.
-//! Uses: faer's symmetric eigenvalues. Never: where the contacts are.
+//! Uses: faer's symmetric eigenvalues, serde. Never: where the contacts are.
 //!
 //! Covariance of a frame's error: `diag(sd^2) / frames + |v|^2 (sum of m m' + floor^2 I / channels)`:
 //! white noise that averaging lowers, and a model error in proportion to the signal `|v|` that it
 //! does not. The columns m come from held-out pairs of measured and modelled frames.
 
 use faer::{Mat, Side};
+use serde::{Deserialize, Serialize};
 
 /// Smallest signal of a pair that says anything about the model, in standard deviations of the noise.
 const LEAST_SIGNAL: f64 = 3.0;
@@ -65,7 +66,7 @@ pub struct FramePair<'a> {
 }
 
 /// The error model of one readout and one model.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ErrorModel {
     /// Standard deviation of the noise of each channel in a single frame, V.
     pub(super) channel_sd_v: Vec<f64>,

@@ -40,6 +40,32 @@ pub(super) struct FrameTerms {
     pub pull: Vec<f64>,
 }
 
+impl FrameTerms {
+    /// Adds it to the normal equations (lower triangle) and their right side, in units of so much of
+    /// each parameter.
+    pub fn add_to(&self, normal: &mut Mat<f64>, pull: &mut [f64], scale: &[f64]) {
+        for (j, column) in self.gram.chunks_exact(self.active.len()).enumerate() {
+            let at = self.active[j] as usize;
+            pull[at] += scale[at] * self.pull[j];
+            for (i, &value) in column.iter().enumerate().skip(j) {
+                let other = self.active[i] as usize;
+                normal[(other.max(at), other.min(at))] += scale[at] * scale[other] * value;
+            }
+        }
+    }
+}
+
+/// Columns of a trial, in standard deviations of its readings: its own unknowns, the parameters that it
+/// says something about, the residual.
+pub(super) struct WhiteColumns {
+    pub channels: usize,
+    pub unknowns: usize,
+    /// One column after the other.
+    pub values: Vec<f32>,
+    /// Standard deviations in a volt.
+    pub per_volt: f64,
+}
+
 /// A trial's residual and misfit.
 pub(super) struct FrameMisfit {
     /// Mean of `r^2 / variance` over channels: about 1 where model and errors are as stated.
@@ -48,16 +74,6 @@ pub(super) struct FrameMisfit {
     pub residual_v: Vec<f64>,
     /// Variance of a reading, V^2.
     pub variance: f64,
-}
-
-/// What a model leaves over of a trial.
-struct Unexplained {
-    /// Measured minus modelled, before the offset, V.
-    residual_v: Vec<f64>,
-    /// What neither offset nor the trial's unknowns explain, V.
-    left_v: Vec<f64>,
-    /// Its chi-square, with that of the unknowns.
-    cost: f64,
 }
 
 /// What is the same for all trials of a pass.
@@ -78,42 +94,6 @@ impl Pass<'_> {
         work: &mut FrameWork,
     ) -> Result<FrameMisfit, SkinFitError> {
         let variance = self.errors.variance(&trial.frame_v);
-        let Unexplained { residual_v, cost, .. } = self.unexplained(trial, variance, work)?;
-        let misfit = cost / residual_v.len() as f64;
-        Ok(FrameMisfit { misfit, residual_v, variance })
-    }
-
-    /// The cost of each electrode's own readings: those while it is the sink, and those that its
-    /// voltage is in.
-    pub fn of_electrodes(
-        &self,
-        trial: &MeasuredTrial,
-        factor: f64,
-        work: &mut FrameWork,
-    ) -> Result<Vec<f64>, SkinFitError> {
-        let variance = self.errors.variance(&trial.frame_v) / factor;
-        let left_v = self.unexplained(trial, variance, work)?.left_v;
-        let count = self.model.circuit().electrodes.len();
-        let mut costs = vec![0.0; count];
-        for (channel, left_v) in left_v.iter().enumerate() {
-            let cost = left_v.powi(2) / variance;
-            let (sink, first) = (channel / count, channel % count);
-            let second = (first + 1) % count;
-            costs[sink] += cost;
-            for k in [first, second].into_iter().filter(|&k| k != sink) {
-                costs[k] += cost;
-            }
-        }
-        Ok(costs)
-    }
-
-    /// What the model leaves over of a trial, before and after the trial's own unknowns.
-    fn unexplained(
-        &self,
-        trial: &MeasuredTrial,
-        variance: f64,
-        work: &mut FrameWork,
-    ) -> Result<Unexplained, SkinFitError> {
         let FrameWork { jacobian, columns, gram, .. } = work;
         let mut linear = self.model.linearise(&trial.contacts, jacobian)?;
         columns.clear();
@@ -126,15 +106,8 @@ impl Pass<'_> {
         let pull = Mat::from_fn(unknowns, 1, |i, _| last(i));
         let found = own(gram, count, unknowns).solve(&pull);
         let explained: f64 = (0..unknowns).map(|i| last(i) * found[(i, 0)]).sum();
-        let channels = residual_v.len();
-        let (parts, rest) = columns.split_at(unknowns * channels);
-        let mut left_v = rest.to_vec();
-        for (part, unknown) in parts.chunks_exact(channels).zip(0..) {
-            left_v.iter_mut().zip(part).for_each(|(left, p)| *left -= found[(unknown, 0)] * p);
-        }
-        // Columns are in standard deviations by now.
-        left_v.iter_mut().for_each(|left| *left *= variance.sqrt());
-        Ok(Unexplained { residual_v, left_v, cost: last(unknowns) - explained })
+        let misfit = (last(unknowns) - explained) / residual_v.len() as f64;
+        Ok(FrameMisfit { misfit, residual_v, variance })
     }
 
     /// Columns of a trial's own unknowns, each for one standard deviation; returns their number.
@@ -190,6 +163,23 @@ impl Pass<'_> {
         (0..count).for_each(|i| products.extend_from_slice(&column(i)[..count]));
         let gram = products;
         Ok(FrameTerms { active, gram, pull })
+    }
+
+    /// The same, with the columns that it is made of.
+    pub fn terms_and_columns(
+        &self,
+        trial: &MeasuredTrial,
+        factor: f64,
+        work: &mut FrameWork,
+    ) -> Result<(FrameTerms, WhiteColumns), SkinFitError> {
+        let terms = self.terms(trial, factor, work)?;
+        let columns = WhiteColumns {
+            channels: trial.frame_v.len(),
+            unknowns: CONTACT_PARAMETERS * trial.contacts.len() + 1,
+            values: work.columns.iter().map(|&v| v as f32).collect(),
+            per_volt: (factor / self.errors.variance(&trial.frame_v)).sqrt(),
+        };
+        Ok((terms, columns))
     }
 
     /// The modes of the foam's law: they move compressions, as the compliance does.

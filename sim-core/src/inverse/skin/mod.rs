@@ -8,6 +8,7 @@
 
 mod frame;
 mod parameters;
+mod places;
 mod sweep;
 #[cfg(test)]
 mod tests;
@@ -25,12 +26,12 @@ use crate::sensor::Sensor;
 use crate::skin::{FieldPrior, FvuSummary, SkinElectrodes, SkinFields, rounded};
 
 use parameters::Parameters;
-use sweep::Sweep;
+use sweep::{Misfits, Sweep};
 
 /// A step that lowers the cost by less than this share is the last.
 const ENOUGH: f64 = 2e-3;
-/// Electrodes are looked for in so many first steps: later ones find them where they are.
-const PLACING_STEPS: usize = 4;
+/// Steps in which electrodes are looked for: at first the rest is too far off to tell a wrong place by.
+const PLACING: [usize; 2] = [2, 4];
 /// Largest change of ln of an electrode's resistance in a step: voltages are linear in the resistance
 /// itself, so that a loose electrode's logarithm would run away to an open end.
 const RESISTANCE_STEP: f64 = 1.0;
@@ -196,7 +197,8 @@ pub struct SkinProgress {
     pub steps: usize,
     /// Cost so far; `None` in the first step.
     pub cost: Option<f64>,
-    /// Work done of this step, as trials; a step goes over all of them three times.
+    /// Work done of this step, as trials; a step goes over all of them three times, and twice that where
+    /// electrodes are looked for.
     pub done: usize,
     /// Work of this step.
     pub total: usize,
@@ -285,38 +287,28 @@ pub fn fit(
     let (mut costs, mut factors, mut damping) = (Vec::new(), vec![1.0; trials.len()], 0.0);
     for step in 1..=options.steps {
         sweep.begin(step, costs.last().copied());
-        if step <= PLACING_STEPS {
-            let weights = factors.clone();
-            (vector, model) = place_electrodes(&mut sweep, &offsets_v, &weights, vector, model)?;
-        }
-        let here = sweep.misfits(&model, &offsets_v)?;
-        let edge = here.edge();
-        factors = here.factors(edge);
-        let before = here.cost(edge) + parameters.prior_cost(&vector);
-        if costs.is_empty() {
-            costs.push(before);
-        }
-        let (normal, pull) = sweep.normal(&model, &offsets_v, &factors)?;
-        let mut accepted = None;
-        while accepted.is_none() && damping < MOST_DAMPING {
-            let move_by = solve(&parameters, &normal, &pull, &vector, damping)
-                .ok_or(SkinFitError::Normal { step })?;
-            let next: Vec<f64> = vector.iter().zip(&move_by).map(|(v, d)| v + d).collect();
-            let next_model = parameters.model(&next)?;
-            let there = sweep.misfits(&next_model, &offsets_v)?;
-            let after = there.cost(edge) + parameters.prior_cost(&next);
-            if after < before {
-                damping = if damping < 1e-3 { 0.0 } else { 0.1 * damping };
-                accepted = Some((next, next_model, there, after));
-            } else {
-                damping = f64::max(10.0 * damping, 1e-2);
+        let mut best = stepped(&mut sweep, &vector, &model, &offsets_v, (step, damping))?;
+        let mut moved = false;
+        if PLACING.contains(&step)
+            && let Some(there) = places::placed(&mut sweep, &model, &offsets_v, &factors, &vector)?
+        {
+            let model = parameters.model(&there)?;
+            let there = stepped(&mut sweep, &there, &model, &offsets_v, (step, damping))?;
+            let worth =
+                |there: &Step| best.as_ref().is_none_or(|b| there.is_better(b, &parameters));
+            if there.as_ref().is_some_and(worth) {
+                (best, moved) = (there, true);
             }
         }
-        let Some((next, next_model, there, after)) = accepted else { break };
-        (vector, model) = (next, next_model);
-        offsets_v = there.offsets_v(options.prior.offset_sd_v);
-        costs.push(after);
-        if before - after < ENOUGH * before {
+        let Some(next) = best else { break };
+        if costs.is_empty() {
+            costs.push(next.before);
+        }
+        offsets_v = next.there.offsets_v(options.prior.offset_sd_v);
+        costs.push(next.after);
+        let gain = next.before - next.after;
+        (vector, model, factors, damping) = (next.vector, next.model, next.factors, next.damping);
+        if gain < ENOUGH * next.before && !moved && step >= PLACING[0] {
             break;
         }
     }
@@ -331,37 +323,56 @@ pub fn fit(
     })
 }
 
-/// Moves each electrode to the triangle around its place in which its own readings fit best. All are
-/// tried side by side: they are far from each other, and hardly change each other's readings.
-fn place_electrodes(
-    sweep: &mut Sweep<'_>,
-    offsets_v: &[f64],
-    factors: &[f64],
+/// A step that lowered the cost.
+struct Step {
     vector: Vec<f64>,
     model: ForwardModel,
-) -> Result<(Vec<f64>, ForwardModel), SkinFitError> {
-    let parameters = sweep.parameters();
-    let mut costs = |vector: &[f64], model: &ForwardModel| -> Result<Vec<f64>, SkinFitError> {
-        let mut costs = sweep.of_electrodes(model, offsets_v, factors)?;
-        let prior = |k| parameters.move_cost(vector, k);
-        costs.iter_mut().enumerate().for_each(|(k, cost)| *cost += prior(k));
-        Ok(costs)
-    };
-    let here = costs(&vector, &model)?;
-    let (mut best, mut moves) = (here.clone(), vec![None; here.len()]);
-    for round in parameters.places()? {
-        let there = parameters.with_moves(&vector, &round);
-        let of_round = costs(&there, &parameters.model(&there)?)?;
-        for (k, cost) in of_round.into_iter().enumerate() {
-            if round[k].is_some() && cost < best[k] {
-                (best[k], moves[k]) = (cost, round[k]);
-            }
-        }
+    there: Misfits,
+    /// Weight of each trial.
+    factors: Vec<f64>,
+    edge: f64,
+    before: f64,
+    after: f64,
+    damping: f64,
+}
+
+impl Step {
+    /// Whether it leads to a lower cost than another, by the other's doubts.
+    fn is_better(&self, other: &Self, parameters: &Parameters) -> bool {
+        let cost = |s: &Self| s.there.cost(other.edge) + parameters.prior_cost(&s.vector);
+        cost(self) < cost(other)
     }
-    let moved = parameters.with_moves(&vector, &moves);
-    let moved_model = parameters.model(&moved)?;
-    let better = costs(&moved, &moved_model)?.iter().sum::<f64>() < here.iter().sum();
-    Ok(if better { (moved, moved_model) } else { (vector, model) })
+}
+
+/// The Gauss-Newton step from a vector, as short as it must be; `None` where none lowers the cost.
+fn stepped(
+    sweep: &mut Sweep<'_>,
+    vector: &[f64],
+    model: &ForwardModel,
+    offsets_v: &[f64],
+    (step, mut damping): (usize, f64),
+) -> Result<Option<Step>, SkinFitError> {
+    let parameters = sweep.parameters();
+    let here = sweep.misfits(model, offsets_v)?;
+    let edge = here.edge();
+    let factors = here.factors(edge);
+    let before = here.cost(edge) + parameters.prior_cost(vector);
+    let (normal, pull) = sweep.normal(model, offsets_v, &factors)?;
+    while damping < MOST_DAMPING {
+        let move_by = solve(parameters, &normal, &pull, vector, damping)
+            .ok_or(SkinFitError::Normal { step })?;
+        let next: Vec<f64> = vector.iter().zip(&move_by).map(|(v, d)| v + d).collect();
+        let model = parameters.model(&next)?;
+        let there = sweep.misfits(&model, offsets_v)?;
+        let after = there.cost(edge) + parameters.prior_cost(&next);
+        if after < before {
+            let damping = if damping < 1e-3 { 0.0 } else { 0.1 * damping };
+            let vector = next;
+            return Ok(Some(Step { vector, model, there, factors, edge, before, after, damping }));
+        }
+        damping = f64::max(10.0 * damping, 1e-2);
+    }
+    Ok(None)
 }
 
 /// `(J'WJ + P + damping diag) d = J'Wr - P x`.

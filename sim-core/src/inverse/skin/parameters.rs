@@ -200,20 +200,50 @@ impl Parameters {
         moved
     }
 
+    /// The same, and the resistances of electrodes that are moved at least the expected ones: what was
+    /// fitted to a wrong place means nothing at another.
+    pub fn moved_anew(&self, vector: &[f64], moves: &[Option<[f64; 2]>]) -> Vec<f64> {
+        let mut moved = self.with_moves(vector, moves);
+        for k in (0..moves.len()).filter(|&k| moves[k].is_some()) {
+            for kind in [2, 3] {
+                let ln = &mut moved[self.of_electrode(kind, k)];
+                *ln = ln.max(0.0);
+            }
+        }
+        moved
+    }
+
+    /// For each parameter 1, and for the logarithm of a resistance below the expected one so much that a
+    /// unit of it is the expected one.
+    pub fn resistance_scales(&self, vector: &[f64]) -> Vec<f64> {
+        let resistances = self.places_at().end;
+        let scale =
+            |(i, ln): (usize, &f64)| if i < resistances { 1.0 } else { (-ln).exp().max(1.0) };
+        vector.iter().enumerate().map(scale).collect()
+    }
+
     /// Where the electrodes' places stand in the vector.
     pub fn places_at(&self) -> Range<usize> {
         self.first_electrode..self.of_electrode(2, 0)
     }
 
-    /// What an electrode's place costs by the prior.
-    pub fn move_cost(&self, vector: &[f64], electrode: usize) -> f64 {
-        let by = [0, 1].map(|axis| vector[self.of_electrode(axis, electrode)]);
-        (by[0].powi(2) + by[1].powi(2)) / self.prior.electrode_sd_mm.powi(2)
+    /// Electrodes.
+    pub fn electrodes(&self) -> usize {
+        self.electrodes
     }
 
-    /// For each electrode, moves (mm) to the triangles around it, the nearest first: the same number
-    /// for all, `None` at the skin's rim where there are fewer.
-    pub fn places(&self) -> Result<Vec<Vec<Option<[f64; 2]>>>, ModelError> {
+    /// By how much an electrode is moved, mm.
+    pub fn move_of(&self, vector: &[f64], electrode: usize) -> [f64; 2] {
+        [0, 1].map(|axis| vector[self.of_electrode(axis, electrode)])
+    }
+
+    /// What a move costs by the prior.
+    pub fn move_cost(&self, by_mm: [f64; 2]) -> f64 {
+        (by_mm[0].powi(2) + by_mm[1].powi(2)) / self.prior.electrode_sd_mm.powi(2)
+    }
+
+    /// For each electrode, moves (mm) to the centres of the triangles around it, the nearest first.
+    pub fn places(&self) -> Result<Vec<Vec<[f64; 2]>>, ModelError> {
         let mesh = Mesh::new(&self.sensor)?;
         let centres: Vec<_> = mesh.triangles.iter().map(|t| mesh.triangle_centre_mm(t)).collect();
         let reach_mm = REACH_SD * self.prior.electrode_sd_mm;
@@ -223,10 +253,7 @@ impl Parameters {
             near.sort_by(|a, b| a[0].hypot(a[1]).total_cmp(&b[0].hypot(b[1])));
             near
         };
-        let near: Vec<Vec<[f64; 2]>> = self.sensor.electrodes_mm().iter().map(around).collect();
-        let most = near.iter().map(Vec::len).max().unwrap_or(0);
-        let round = |n: usize| near.iter().map(|moves| moves.get(n).copied()).collect();
-        Ok((0..most).map(round).collect())
+        Ok(self.sensor.electrodes_mm().iter().map(around).collect())
     }
 
     /// Electrode sites; moves end at the skin's rim.

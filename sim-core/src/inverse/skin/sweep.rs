@@ -1,22 +1,21 @@
 //! Going over all trials at one model, on some threads, adding up in the trials' order.
 //! Uses: `frame`, std threads. Never: an order that depends on the threads.
 
+use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
 use faer::Mat;
 
-use super::frame::{FrameMisfit, FrameWork, Pass};
-use super::parameters::{LAW_PIECES, LAW_STEP_MM, Parameters};
-use super::{MeasuredTrial, SkinFitError, SkinFitOptions, SkinProgress};
+use super::frame::{FrameMisfit, FrameTerms, FrameWork, Pass, WhiteColumns};
+use super::parameters::{CircuitChanges, LAW_PIECES, LAW_STEP_MM, Parameters};
+use super::{MeasuredTrial, PLACING, SkinFitError, SkinFitOptions, SkinProgress};
 use crate::forward::ForwardModel;
 
 /// Trials whose terms are held at a time (about a megabyte each).
 const BLOCK: usize = 64;
 /// A trial's misfit pulls linearly beyond this many times the median's root.
 const EDGE: f64 = 3.0;
-/// Trials that tell where electrodes are: each is read with every one of them.
-const PLACED_BY: usize = 300;
 /// From so many untouched skins on, they alone tell the offsets: what a model lacks under a light load
 /// is no offset.
 const UNTOUCHED_ENOUGH: usize = 8;
@@ -107,8 +106,7 @@ impl<'a> Sweep<'a> {
         options: &'a SkinFitOptions,
         progress: &'a mut dyn FnMut(SkinProgress),
     ) -> Self {
-        let total = 3 * trials.len();
-        let at = SkinProgress { step: 0, steps: options.steps, cost: None, done: 0, total };
+        let at = SkinProgress { step: 0, steps: options.steps, cost: None, done: 0, total: 0 };
         let mut work = Vec::new();
         work.resize_with(options.threads.max(1), FrameWork::default);
         Self { parameters, trials, options, progress, at, work }
@@ -121,7 +119,9 @@ impl<'a> Sweep<'a> {
 
     /// Starts a step.
     pub fn begin(&mut self, step: usize, cost: Option<f64>) {
-        (self.at.step, self.at.cost, self.at.done) = (step, cost, 0);
+        let passes = if PLACING.contains(&step) { 6 } else { 3 };
+        (self.at.step, self.at.cost) = (step, cost);
+        (self.at.done, self.at.total) = (0, passes * self.trials.len());
     }
 
     /// All trials' misfits.
@@ -141,26 +141,30 @@ impl<'a> Sweep<'a> {
         Ok(misfits)
     }
 
-    /// Cost of each electrode's own readings over trials, evenly taken.
-    pub fn of_electrodes(
+    /// The trials.
+    pub fn trials(&self) -> &'a [MeasuredTrial] {
+        self.trials
+    }
+
+    /// Threads at work.
+    pub fn threads(&self) -> usize {
+        self.work.len()
+    }
+
+    /// Terms and columns of some trials, weighted.
+    pub fn look(
         &mut self,
         model: &ForwardModel,
         offsets_v: &[f64],
-        factors: &[f64],
-    ) -> Result<Vec<f64>, SkinFitError> {
-        let mut sums = vec![0.0; model.circuit().electrodes.len()];
-        let trials = self.trials;
-        let every = (trials.len() / PLACED_BY).max(1);
-        self.each(
-            model,
-            offsets_v,
-            |pass, i, work| match i % every {
-                0 => pass.of_electrodes(&trials[i], factors[i], work),
-                _ => Ok(Vec::new()),
-            },
-            |costs| sums.iter_mut().zip(costs).for_each(|(sum, cost)| *sum += cost),
-        )?;
-        Ok(sums)
+        trials: &[usize],
+        factor: impl Fn(usize) -> f64 + Sync,
+    ) -> Result<Vec<(FrameTerms, WhiteColumns)>, SkinFitError> {
+        let circuit = self.parameters.circuit_changes(model);
+        let law_slopes = law_slopes(model);
+        let pass = self.pass(model, (&circuit, &law_slopes), offsets_v);
+        in_order(0..trials.len(), &mut self.work, |i, work| {
+            pass.terms_and_columns(&self.trials[trials[i]], factor(trials[i]), work)
+        })
     }
 
     /// The normal equations: J'WJ (lower triangle) and J'Wr, without the prior.
@@ -173,24 +177,28 @@ impl<'a> Sweep<'a> {
         let count = self.parameters.len();
         let mut normal = Mat::<f64>::zeros(count, count);
         let mut pull = vec![0.0; count];
-        let trials = self.trials;
+        let (trials, scale) = (self.trials, vec![1.0; count]);
         self.each(
             model,
             offsets_v,
             |pass, i, work| pass.terms(&trials[i], factors[i], work),
-            |terms| {
-                let active = &terms.active;
-                for (j, column) in terms.gram.chunks_exact(active.len()).enumerate() {
-                    let at = active[j] as usize;
-                    pull[at] += terms.pull[j];
-                    for (i, &value) in column.iter().enumerate().skip(j) {
-                        let other = active[i] as usize;
-                        normal[(other.max(at), other.min(at))] += value;
-                    }
-                }
-            },
+            |terms| terms.add_to(&mut normal, &mut pull, &scale),
         )?;
         Ok((normal, pull))
+    }
+
+    /// What is the same for all trials at a model.
+    fn pass<'p>(
+        &self,
+        model: &'p ForwardModel,
+        (circuit, law_slopes): (&'p CircuitChanges, &'p [f64; LAW_PIECES]),
+        offsets_v: &'p [f64],
+    ) -> Pass<'p>
+    where
+        'a: 'p,
+    {
+        let (parameters, errors) = (self.parameters, &self.options.errors);
+        Pass { parameters, model, circuit, law_slopes, offsets_v, errors }
     }
 
     /// Works on each trial on the threads, and takes the results in the trials' order.
@@ -203,44 +211,45 @@ impl<'a> Sweep<'a> {
     ) -> Result<(), SkinFitError> {
         let circuit = self.parameters.circuit_changes(model);
         let law_slopes = law_slopes(model);
-        let pass = Pass {
-            parameters: self.parameters,
-            model,
-            circuit: &circuit,
-            law_slopes: &law_slopes,
-            offsets_v,
-            errors: &self.options.errors,
-        };
+        let pass = self.pass(model, (&circuit, &law_slopes), offsets_v);
         for start in (0..self.trials.len()).step_by(BLOCK) {
             let end = (start + BLOCK).min(self.trials.len());
-            let next = AtomicUsize::new(start);
-            let worker = |work: &mut FrameWork| {
-                let mut results = Vec::new();
-                loop {
-                    let i = next.fetch_add(1, Ordering::Relaxed);
-                    if i >= end {
-                        return results;
-                    }
-                    results.push((i, of_trial(&pass, i, work)));
-                }
-            };
-            let mut results: Vec<_> = thread::scope(|scope| {
-                let handles: Vec<_> =
-                    self.work.iter_mut().map(|work| scope.spawn(|| worker(work))).collect();
-                let join = |h: thread::ScopedJoinHandle<'_, _>| {
-                    h.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-                };
-                handles.into_iter().flat_map(join).collect()
-            });
-            results.sort_by_key(|(i, _)| *i);
-            for (_, result) in results {
-                take(result?);
-            }
+            let of_block =
+                in_order(start..end, &mut self.work, |i, work| of_trial(&pass, i, work))?;
+            of_block.into_iter().for_each(&mut take);
             self.at.done = (self.at.done + end - start).min(self.at.total);
             (self.progress)(self.at);
         }
         Ok(())
     }
+}
+
+/// Works on each index on the threads that these memories are of; results in the indices' order.
+pub(super) fn in_order<W: Send, T: Send>(
+    range: Range<usize>,
+    work: &mut [W],
+    of: impl Fn(usize, &mut W) -> Result<T, SkinFitError> + Sync,
+) -> Result<Vec<T>, SkinFitError> {
+    let next = AtomicUsize::new(range.start);
+    let worker = |work: &mut W| {
+        let mut results = Vec::new();
+        loop {
+            let i = next.fetch_add(1, Ordering::Relaxed);
+            if i >= range.end {
+                return results;
+            }
+            results.push((i, of(i, work)));
+        }
+    };
+    let mut results: Vec<_> = thread::scope(|scope| {
+        let handles: Vec<_> = work.iter_mut().map(|work| scope.spawn(|| worker(work))).collect();
+        let join = |h: thread::ScopedJoinHandle<'_, _>| {
+            h.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        };
+        handles.into_iter().flat_map(join).collect()
+    });
+    results.sort_by_key(|(i, _)| *i);
+    results.into_iter().map(|(_, result)| result).collect()
 }
 
 /// Slopes of the foam law's pieces.

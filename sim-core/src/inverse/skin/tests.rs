@@ -105,10 +105,22 @@ fn correlation(a: &[f64], b: &[f64]) -> f64 {
     product(&a, &b) / (product(&a, &a) * product(&b, &b)).sqrt()
 }
 
-/// Held-out medians before and after a fit of so many trials, and how its conductances over the skin
-/// go with the truth.
-fn recovered(trials: usize, spacing_mm: f64) -> ([f64; 2], f64) {
-    let options = SkinFitOptions { steps: 6, ..options(spacing_mm, 2) };
+/// Electrodes that stand in the triangle in which a skin has them.
+fn in_their_triangles(places_mm: &[[f64; 2]], skin: &ForwardModel) -> usize {
+    let triangle = |x_mm: f64, y_mm: f64| {
+        let mut nodes = skin.mesh().locate(x_mm, y_mm).nodes;
+        nodes.sort_unstable();
+        nodes
+    };
+    let both = places_mm.iter().zip(&skin.circuit().electrodes);
+    both.filter(|(at, site)| triangle(at[0], at[1]) == triangle(site.x_mm, site.y_mm)).count()
+}
+
+/// Held-out medians before and after a fit of so many trials, how its conductances over the skin go
+/// with the truth, and electrodes in their triangles before and after.
+fn recovered(trials: usize, spacing_mm: f64, model_error: f64) -> ([f64; 2], f64, [usize; 2]) {
+    let mut options = SkinFitOptions { steps: 6, ..options(spacing_mm, 2) };
+    options.errors.model_error = model_error;
     let skin = some_skin(&parameters(&options), 3);
     let (fitted, held_out) = (measured(&skin, trials, 4), measured(&skin, 60, 5));
     let fit = fit(sensor(), responses(), &fitted, &options, &mut |_| {}).unwrap();
@@ -116,8 +128,13 @@ fn recovered(trials: usize, spacing_mm: f64) -> ([f64; 2], f64) {
     let nominal = ForwardModel::new(sensor(), responses()).unwrap();
     let alike = correlation(&conducts(&model), &conducts(&skin));
     let medians = [median(&nominal, &held_out), median(&model, &held_out)];
-    println!("{trials} trials: FVU {medians:.4?}, conductance {alike:.3}, costs {:?}", fit.costs);
-    (medians, alike)
+    let sites = |model: &ForwardModel| {
+        model.circuit().electrodes.iter().map(|site| [site.x_mm, site.y_mm]).collect::<Vec<_>>()
+    };
+    let placed = [&nominal, &model].map(|model| in_their_triangles(&sites(model), &skin));
+    println!("{trials} trials: FVU {medians:.4?}, conductance {alike:.3}, electrodes {placed:?}");
+    println!("costs {:?}", fit.costs);
+    (medians, alike, placed)
 }
 
 #[test]
@@ -158,9 +175,10 @@ fn the_step_goes_along_the_costs_gradient() {
 
 #[test]
 fn a_skin_of_the_family_is_found() {
-    let ([before, after], alike) = recovered(120, 60.0);
+    let ([before, after], alike, placed) = recovered(120, 60.0, 0.02);
     assert!(after < 0.1 * before, "{before} -> {after}");
     assert!(alike > 0.95, "conductance: {alike}");
+    assert!(placed[1] >= placed[0] + 6, "{placed:?} of 28 electrodes");
 }
 
 #[test]
@@ -186,7 +204,7 @@ fn a_loose_electrode_is_found_and_is_no_open_end() {
 
 #[test]
 fn few_trials_help_and_do_not_overfit() {
-    let ([before, after], _) = recovered(15, 60.0);
+    let ([before, after], ..) = recovered(15, 60.0, 0.1);
     assert!(after < 0.8 * before, "{before} -> {after}");
 }
 

@@ -1,0 +1,65 @@
+//! How often a job was begun and never got on: one that ends the service must not end it for ever.
+//! Uses: a file in the job's folder. Never: the store, a clock.
+
+use std::path::{Path, PathBuf};
+
+/// File with the number of starts since the job last got on.
+const STARTS: &str = "starts";
+/// So many starts in vain are enough.
+pub const STARTS_MAX: u32 = 5;
+
+/// The starts of one job.
+#[derive(Debug, Clone)]
+pub struct Starts {
+    folder: PathBuf,
+}
+
+impl Starts {
+    /// Of the job that keeps its files in this folder.
+    pub fn of(folder: &Path) -> Self {
+        Self { folder: folder.to_owned() }
+    }
+
+    /// Counts a start; `false` when there were enough in vain. Where the count cannot be kept the job
+    /// is begun all the same.
+    pub fn begin(&self) -> bool {
+        let path = self.folder.join(STARTS);
+        let known = std::fs::read_to_string(&path).ok().and_then(|text| text.trim().parse().ok());
+        let before: u32 = known.unwrap_or(0);
+        let kept = std::fs::create_dir_all(&self.folder)
+            .and_then(|()| std::fs::write(&path, (before + 1).to_string()));
+        if let Err(error) = kept {
+            tracing::warn!(%error, path = %path.display(), "a job's start was not counted");
+        }
+        before < STARTS_MAX
+    }
+
+    /// The job got on, has ended, or was left in good order: starts count anew.
+    pub fn got_on(&self) {
+        std::fs::remove_file(self.folder.join(STARTS)).ok();
+        // Only where nothing else is kept there.
+        std::fs::remove_dir(&self.folder).ok();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_job_that_never_gets_on_is_given_up_and_one_that_does_is_not() {
+        let folder = std::env::temp_dir().join(format!("palpate-starts-{}", std::process::id()));
+        let begin = || Starts::of(&folder).begin();
+        for _ in 0..STARTS_MAX {
+            assert!(begin());
+        }
+        assert!(!begin());
+        std::fs::write(folder.join("checkpoint.bin"), "kept").expect("a file");
+        Starts::of(&folder).got_on();
+        assert!(begin());
+        assert!(folder.join("checkpoint.bin").exists());
+        std::fs::remove_file(folder.join("checkpoint.bin")).expect("the file");
+        Starts::of(&folder).got_on();
+        assert!(!folder.exists());
+    }
+}
