@@ -193,6 +193,21 @@ impl ForwardModel {
         })
     }
 
+    /// The same skin with other electrodes.
+    pub fn with_circuit(&self, circuit: ReadoutCircuit) -> Result<Self, ModelError> {
+        let network = network(&self.sensor, &self.mesh, &self.fields, &circuit)?;
+        let hash =
+            model_hash(&self.sensor, &self.responses, &self.fields, &circuit, self.spreading);
+        Ok(Self {
+            reduction: self.reduction.of_another(&network),
+            network_nodes: network.places_mm.len(),
+            electrode_nodes: network.electrodes,
+            circuit,
+            hash,
+            ..self.clone()
+        })
+    }
+
     /// The same skin with another way to load the nodes around a tip.
     pub fn with_spreading(mut self, spreading: Spreading) -> Self {
         self.hash =

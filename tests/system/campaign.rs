@@ -12,7 +12,7 @@ const SMALL: &str = "name = 'small'\nseed = 5\nsensor = 's'\n[real_hex]\ntips = 
      [measure]\nsettle_ms = 400.0\n[policy]\nauto_resume_after_s = 0.2\n";
 const TRIALS: usize = 24;
 /// Process seconds in a wall second.
-const SPEED: f64 = 40.0;
+const SPEED: f64 = 20.0;
 
 async fn started(name: &str) -> (Lab, String) {
     let lab = Lab::open(name, rig_args("virtual", SPEED)).await;

@@ -10,6 +10,8 @@
 //! diagonal only, last row = top); what remains of it is added to its parent's front.
 //! A factor that is kept also gives potentials everywhere: `back`.
 
+use std::sync::Arc;
+
 use super::back::KronFactor;
 use super::{Resistor, SheetNetwork};
 use crate::order::{Part, dissect};
@@ -46,6 +48,8 @@ impl Front {
 /// The plan of the removal; holds for every load of the same network.
 #[derive(Debug, Clone)]
 pub struct KronReduction {
+    /// Of all nodes but the kept ones, and the root that holds those.
+    parts: Arc<[Part]>,
     pub(super) fronts: Vec<Front>,
     /// Node at each place of the order, the kept ones last.
     pub(super) order: Vec<u32>,
@@ -63,17 +67,28 @@ pub struct KronWork {
 impl KronReduction {
     /// Plans the removal of all nodes of a network but its electrodes.
     pub fn new(network: &SheetNetwork) -> Self {
-        let nodes = network.places_mm.len();
-        let mut neighbours = vec![Vec::new(); nodes];
-        for r in &network.resistors {
-            neighbours[r.a as usize].push(r.b);
-            neighbours[r.b as usize].push(r.a);
-        }
-        let kept = &network.electrodes;
-        let mut parts = dissect(&network.places_mm, &neighbours, kept);
+        let neighbours = neighbours(network);
+        let mut parts = dissect(&network.places_mm, &neighbours, &network.electrodes);
         // The electrodes are the last front, where nothing is removed.
         let root = Part { nodes: Vec::new(), children: vec![parts.len() - 1] };
         parts.push(root);
+        Self::in_order(parts.into(), network, &neighbours)
+    }
+
+    /// The plan of a network that differs in values, or in where the electrodes hang on; the nodes
+    /// between are the same and joined alike. Their order, which takes most of the time, is kept.
+    pub fn of_another(&self, network: &SheetNetwork) -> Self {
+        let same = self.order.len() == network.places_mm.len()
+            && self.order.ends_with(&network.electrodes);
+        if !same {
+            return Self::new(network);
+        }
+        Self::in_order(Arc::clone(&self.parts), network, &neighbours(network))
+    }
+
+    fn in_order(parts: Arc<[Part]>, network: &SheetNetwork, neighbours: &[Vec<u32>]) -> Self {
+        let nodes = network.places_mm.len();
+        let kept = &network.electrodes;
         let order: Vec<u32> = parts
             .iter()
             .flat_map(|p| p.nodes.iter().copied())
@@ -83,8 +98,8 @@ impl KronReduction {
         for (at, &node) in order.iter().enumerate() {
             place[node as usize] = at as u32;
         }
-        let fronts = fronts(&parts, &place, &neighbours, &network.resistors, kept.len());
-        Self { fronts, order, kept: kept.len() }
+        let fronts = fronts(&parts, &place, neighbours, &network.resistors, kept.len());
+        Self { parts, fronts, order, kept: kept.len() }
     }
 
     /// Multiply-adds of one reduction, counted on the plan.
@@ -160,6 +175,16 @@ impl KronReduction {
         }
         reduced
     }
+}
+
+/// The nodes that share a resistor with each.
+fn neighbours(network: &SheetNetwork) -> Vec<Vec<u32>> {
+    let mut neighbours = vec![Vec::new(); network.places_mm.len()];
+    for r in &network.resistors {
+        neighbours[r.a as usize].push(r.b);
+        neighbours[r.b as usize].push(r.a);
+    }
+    neighbours
 }
 
 /// Adds a child's remainder (columns packed below the diagonal, top last) to a front.

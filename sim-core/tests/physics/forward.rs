@@ -184,6 +184,31 @@ fn contact_and_lead_resistances_reduce_the_seen_voltages_as_they_should() {
 }
 
 #[test]
+fn a_skin_with_other_electrodes_is_the_one_made_anew() {
+    let mut circuit = ReadoutCircuit::nominal(sensor());
+    circuit.electrodes.iter_mut().for_each(|site| site.contact_ohm = 30.0);
+    let of = |circuit: &ReadoutCircuit| {
+        let fields = NodeFields::nominal(model().mesh());
+        ForwardModel::with(sensor(), responses(), fields, circuit.clone()).unwrap()
+    };
+    let before = of(&circuit);
+    circuit.electrodes[3].x_mm += 17.0;
+    circuit.electrodes[9].contact_ohm = 12.0;
+    // The last one stands on a node instead of hanging on by a resistance.
+    for contact_ohm in [30.0, 0.0] {
+        circuit.electrodes[20].contact_ohm = contact_ohm;
+        let (moved, anew) = (before.with_circuit(circuit.clone()).unwrap(), of(&circuit));
+        assert_eq!(moved.model_hash(), anew.model_hash());
+        let mut work = [Workspace::default(), Workspace::default()];
+        let [moved_v, anew_v] = [(&moved, &mut work[0]), (&anew, &mut work[1])]
+            .map(|(model, work)| model.voltages(&[press(222, 30.0)], work).unwrap().to_vec());
+        assert_eq!(moved_v, anew_v, "to the last bit");
+        let mut untouched = Workspace::default();
+        assert_ne!(before.voltages(&[press(222, 30.0)], &mut untouched).unwrap(), moved_v);
+    }
+}
+
+#[test]
 fn a_displacement_table_is_linear_between_its_samples() {
     let lut = DisplacementLut::sample(0.5, 4.0, |x| x * x).unwrap();
     assert_eq!(lut.apply(0.0), 0.0);

@@ -287,11 +287,14 @@ impl Parameters {
             ln_sheet_conductance,
             displacement: Some(self.foam(vector).law().map_err(ModelError::from)?),
         };
-        let circuit = ReadoutCircuit {
-            electrodes: self.sites(vector),
-            ..ReadoutCircuit::nominal(&self.sensor)
-        };
-        Ok(ForwardModel::with(&self.sensor, Arc::clone(&self.responses), fields, circuit)?)
+        let responses = Arc::clone(&self.responses);
+        Ok(ForwardModel::with(&self.sensor, responses, fields, self.circuit(vector))?)
+    }
+
+    /// The readout circuit that a vector stands for.
+    pub fn circuit(&self, vector: &[f64]) -> ReadoutCircuit {
+        let electrodes = self.sites(vector);
+        ReadoutCircuit { electrodes, ..ReadoutCircuit::nominal(&self.sensor) }
     }
 
     /// The directions that are the same at every load, at a model that a vector made.

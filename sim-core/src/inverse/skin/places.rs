@@ -48,7 +48,8 @@ pub(super) fn placed(
     let candidates = candidates(parameters)?;
     let loads: Vec<&[Contact]> =
         trials.iter().map(|&i| sweep.trials()[i].contacts.as_slice()).collect();
-    let changes = changes(parameters, vector, &candidates, (&loads, &seen), sweep.threads())?;
+    let frames = Frames { parameters, model, vector, loads: &loads };
+    let changes = frames.changes(&candidates, &seen, sweep.threads())?;
     let choice =
         Quadratic::new(parameters, vector, &candidates, (&seen, &changes), sweep.threads())?;
     let chosen = choice.improved(&candidates, parameters.electrodes());
@@ -68,38 +69,50 @@ fn candidates(parameters: &Parameters) -> Result<Vec<Candidate>, SkinFitError> {
     Ok(around.into_iter().enumerate().flat_map(of).collect())
 }
 
-/// For each candidate: the change of the trials' frames, one after the other, in standard deviations.
-fn changes(
-    parameters: &Parameters,
-    vector: &[f64],
-    candidates: &[Candidate],
-    (loads, seen): (&[&[Contact]], &[(FrameTerms, WhiteColumns)]),
-    threads: usize,
-) -> Result<Vec<Vec<f32>>, SkinFitError> {
-    let frames = |vector: &[f64], work: &mut Workspace| -> Result<Vec<f64>, SkinFitError> {
-        let model = parameters.model(vector)?;
+/// What the trials' frames are with electrodes elsewhere.
+struct Frames<'a> {
+    parameters: &'a Parameters,
+    /// What the vector stands for.
+    model: &'a ForwardModel,
+    vector: &'a [f64],
+    loads: &'a [&'a [Contact]],
+}
+
+impl Frames<'_> {
+    /// For each candidate: the change of the trials' frames, one after the other, in standard
+    /// deviations.
+    fn changes(
+        &self,
+        candidates: &[Candidate],
+        seen: &[(FrameTerms, WhiteColumns)],
+        threads: usize,
+    ) -> Result<Vec<Vec<f32>>, SkinFitError> {
+        let mut work: Vec<Workspace> = Vec::new();
+        work.resize_with(threads, Workspace::default);
+        let here = self.of(self.model, &mut work[0])?;
+        let channels = here.len() / self.loads.len().max(1);
+        in_order(0..candidates.len(), &mut work, |i, work| {
+            let Candidate { electrode, move_mm } = &candidates[i];
+            let mut moves = vec![None; self.parameters.electrodes()];
+            moves[*electrode] = Some(*move_mm);
+            let vector = self.parameters.with_moves(self.vector, &moves);
+            let there = self.of(&self.model.with_circuit(self.parameters.circuit(&vector))?, work)?;
+            let both = there.chunks_exact(channels).zip(here.chunks_exact(channels)).zip(seen);
+            let of_trial = both.flat_map(|((there, here), (_, columns))| {
+                let change = move |(t, h): (&f64, &f64)| (columns.per_volt * (t - h)) as f32;
+                there.iter().zip(here).map(change)
+            });
+            Ok(of_trial.collect())
+        })
+    }
+
+    fn of(&self, model: &ForwardModel, work: &mut Workspace) -> Result<Vec<f64>, SkinFitError> {
         let mut frames = Vec::new();
-        for load in loads {
+        for load in self.loads {
             frames.extend_from_slice(model.voltages(load, work)?);
         }
         Ok(frames)
-    };
-    let mut work: Vec<Workspace> = Vec::new();
-    work.resize_with(threads, Workspace::default);
-    let here = frames(vector, &mut work[0])?;
-    let channels = here.len() / loads.len().max(1);
-    in_order(0..candidates.len(), &mut work, |i, work| {
-        let Candidate { electrode, move_mm } = &candidates[i];
-        let mut moves = vec![None; parameters.electrodes()];
-        moves[*electrode] = Some(*move_mm);
-        let there = frames(&parameters.with_moves(vector, &moves), work)?;
-        let both = there.chunks_exact(channels).zip(here.chunks_exact(channels)).zip(seen);
-        let of_trial = both.flat_map(|((there, here), (_, columns))| {
-            let change = move |(t, h): (&f64, &f64)| (columns.per_volt * (t - h)) as f32;
-            there.iter().zip(here).map(change)
-        });
-        Ok(of_trial.collect())
-    })
+    }
 }
 
 /// The cost of a choice of candidates, up to a constant: `linear' z + z' square z`, with 1 for those
