@@ -82,7 +82,8 @@ pub struct FrameAnswer {
     pub model: String,
     /// The method.
     pub method: Method,
-    /// Time to this answer, microseconds: of several frames, their mean.
+    /// Time to this answer, microseconds: of several frames, their mean; live, since the frame's last
+    /// byte arrived.
     pub latency_us: u64,
 }
 
@@ -284,7 +285,6 @@ async fn follow(app: App, mut socket: WebSocket, method: Method, map: bool) {
                 Some(Ok(_)) => continue,
             },
         }
-        let began_s = clock.process_s();
         let Some(frame) = frames.borrow_and_update().clone() else { continue };
         let pipeline = app.serving.current();
         let mut memory = std::mem::take(&mut tracked);
@@ -297,7 +297,7 @@ async fn follow(app: App, mut socket: WebSocket, method: Method, map: bool) {
         tracked = memory;
         let text = match answered {
             Ok((reading, model)) => {
-                let latency_us = (1e6 * (clock.process_s() - began_s)) as u64;
+                let latency_us = (clock.now() - frame.received).as_micros() as u64;
                 let answer = FrameAnswer { reading, model, method, latency_us };
                 let (sequence, device_time_us) = (frame.sequence, frame.device_time_us);
                 serde_json::to_string(&LiveAnswer { sequence, device_time_us, answer })

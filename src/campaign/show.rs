@@ -17,10 +17,10 @@ use super::status::{Phase, RigStatus, RunStatus, Status, StreamStatus, WireStatu
 use crate::rig::config::RigConfig;
 use crate::rig::link::LineCounts;
 use crate::rig::registry::OpenBench;
-use crate::rig::traits::{Frame, SkinReader};
+use crate::rig::traits::Frame;
 
-/// How often the newest frame is looked for, wall: faster than any rig at speed 1 measures.
-const FRAME_TICK: Duration = Duration::from_millis(10);
+/// Least time between two frames of the live view, wall: less than between those of a rig at speed 1.
+const FRAME_REST: Duration = Duration::from_millis(10);
 
 /// The status before any wire is open.
 pub fn closed(config: &RigConfig) -> Status {
@@ -141,16 +141,14 @@ fn wire(name: &str, counts: LineCounts) -> WireStatus {
     }
 }
 
-/// Hands the newest frame on, for the live view.
-pub async fn forward_frames(skin: Arc<dyn SkinReader>, frames: watch::Sender<Option<Arc<Frame>>>) {
-    let mut last = None;
-    loop {
-        tokio::time::sleep(FRAME_TICK).await;
-        if let Some(frame) = skin.latest()
-            && last != Some(frame.sequence)
-        {
-            last = Some(frame.sequence);
-            frames.send_replace(Some(frame));
-        }
+/// Hands each new frame on at once, for the live view; of a fast rig's only some.
+pub async fn forward_frames(
+    mut newest: watch::Receiver<Option<Arc<Frame>>>,
+    frames: watch::Sender<Option<Arc<Frame>>>,
+) {
+    while newest.changed().await.is_ok() {
+        let frame = newest.borrow_and_update().clone();
+        frames.send_replace(frame);
+        tokio::time::sleep(FRAME_REST).await;
     }
 }

@@ -110,11 +110,13 @@ fn frames(path: &Path) -> Result<Vec<Vec<f32>>, CliError> {
 /// An answer for people.
 fn words(answer: &FrameAnswer) -> String {
     let FrameAnswer { reading, model, method, latency_us } = answer;
+    let averaged = reading.averaged.filter(|frames| *frames > 1.0);
     let mut words = format!(
-        "{} by {} ({model}), {:.1} ms",
+        "{} by {} ({model}), {:.1} ms{}",
         super::output::counted(reading.contacts.len() as u64, "contact", "contacts"),
         method.name(),
-        *latency_us as f64 / 1e3
+        *latency_us as f64 / 1e3,
+        averaged.map_or(String::new(), |frames| format!(", mean of {frames:.0} frames"))
     );
     for contact in &reading.contacts {
         words += &format!("\n  {}", contact_words(contact));
@@ -147,6 +149,10 @@ pub async fn live(args: LiveArgs) -> Result<(), CliError> {
         Some(method) => format!("/api/v1/live?method={}", method.name()),
         None => "/api/v1/live".into(),
     };
+    let status: Value = client.get("/api/v1/status").await?;
+    if status["rig"]["state"] == "disconnected" {
+        eprintln!("no frames while the rig is not connected: palpate rig connect");
+    }
     let mut seen = 0;
     client
         .messages(&path, |text| {

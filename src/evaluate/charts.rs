@@ -1,6 +1,7 @@
 //! Scores as pictures: lines, bars, heat maps, force maps. SVG text from numbers.
 //! PURE. Uses: plotters, `evaluate::figures` (page, colours), `dataset::force_map`. Never: files.
 
+use plotters::coord::combinators::WithKeyPoints;
 use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
 
@@ -78,6 +79,7 @@ pub fn lines(title: &str, x: &str, y: &str, lines: &[Line]) -> Result<String, Fi
     if left > right {
         return empty(title);
     }
+    let (low, high) = (low / 1.5, high * 1.5);
     page("lines", (1000, 560), |area| {
         let (left_area, names) = area.split_horizontally(850);
         let mut chart = ChartBuilder::on(&left_area)
@@ -85,11 +87,10 @@ pub fn lines(title: &str, x: &str, y: &str, lines: &[Line]) -> Result<String, Fi
             .margin(18)
             .x_label_area_size(50)
             .y_label_area_size(70)
-            .build_cartesian_2d(left - 0.2..right + 0.2, (low / 1.5..high * 1.5).log_scale())?;
+            .build_cartesian_2d(left - 0.2..right + 0.2, upwards(low, high))?;
         chart
             .configure_mesh()
             .x_labels((right - left) as usize + 1)
-            .y_labels(24)
             .x_label_formatter(&whole)
             .y_label_formatter(&|value| format!("{value}"))
             .x_desc(x)
@@ -111,6 +112,14 @@ pub fn lines(title: &str, x: &str, y: &str, lines: &[Line]) -> Result<String, Fi
     })
 }
 
+/// A logarithmic scale that names 1, 2 and 5 of every decade.
+fn upwards(low: f64, high: f64) -> WithKeyPoints<LogCoord<f64>> {
+    let decades = low.log10().floor() as i32..=high.log10().floor() as i32;
+    let named = decades.flat_map(|decade| [1.0, 2.0, 5.0].map(|digit| digit * 10f64.powi(decade)));
+    let named = named.filter(|value| (low..high).contains(value)).collect();
+    (low..high).log_scale().with_key_points(named)
+}
+
 /// Means and standard deviations, one below the other.
 pub fn bars(title: &str, bars: &[Bar]) -> Result<String, FigureError> {
     let low = bars.iter().map(|bar| bar.mean - bar.sd).fold(0.0, f64::min);
@@ -129,9 +138,9 @@ pub fn bars(title: &str, bars: &[Bar]) -> Result<String, FigureError> {
             .x_desc(title)
             .y_labels(count)
             .y_label_formatter(&|at| match at {
-                SegmentValue::CenterOf(at) => bars
-                    .get(count - 1 - at.min(&(count - 1)))
-                    .map_or(String::new(), |b| b.name.clone()),
+                SegmentValue::CenterOf(at) => (count - 1)
+                    .checked_sub(*at)
+                    .map_or(String::new(), |place| bars[place].name.clone()),
                 _ => String::new(),
             })
             .light_line_style(TRANSPARENT)

@@ -79,6 +79,10 @@ pub struct EvaluationRequest {
     /// Least force of a peak, N.
     #[serde(default = "threshold_n")]
     pub threshold_n: f64,
+    /// Leave out contacts of `exact` whose place is known no better than this, mm (the root mean square
+    /// of the standard deviations of x and y).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub place_sd_mm: Option<f64>,
     /// Only so many rows, evenly taken.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limit: Option<u64>,
@@ -109,6 +113,10 @@ impl EvaluationRequest {
         needs("map", self.map.is_some(), self.scored == Scored::Paper, &mut checks);
         if self.scored == Scored::Fast {
             needs("points", self.points.is_some(), true, &mut checks);
+        }
+        if let Some(limit_mm) = self.place_sd_mm {
+            checks.within("place_sd_mm", limit_mm, 1.0, 1000.0);
+            needs("place_sd_mm", true, self.scored == Scored::Exact, &mut checks);
         }
         checks.require(self.limit != Some(0), "limit", 0, "must be at least 1, or absent");
         let few = self.examples <= EXAMPLES_MAX;
@@ -145,6 +153,9 @@ pub struct EvaluationReport {
     pub rows: u64,
     /// Least force of a peak, N.
     pub threshold_n: f64,
+    /// Contacts whose place is known no better than this were left out, mm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub place_sd_mm: Option<f64>,
     /// Scores of contacts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub contacts: Option<Scores>,

@@ -84,4 +84,11 @@ pub struct Reading {
     /// Mean square of what the fit leaves over, in units of the noise that it reckons with.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub misfit: Option<f64>,
+    /// Frames of a load that is still whose mean was read, where a stream is followed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub averaged: Option<f64>,
+    /// Whether contacts were looked for anew, where a stream is followed; if not, those of the frame
+    /// before were fitted to this one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub searched: Option<bool>,
 }

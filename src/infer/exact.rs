@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 use sim_core::inverse::contacts::{
     ContactFitter, ErrorModel, ErrorModelError, Fit, FitError, FitOptions, FitWork, FittedContact,
-    FramePair, Observation, Proposal, Steady, SteadySettings,
+    FramePair, Observation, Origin, Proposal, Steady, SteadySettings,
 };
 use sim_core::inverse::skin::{MeasuredTrial, noise_v};
 
@@ -310,7 +310,9 @@ impl ExactPipeline {
                 self.skin.fitter.fit(&observation, &proposals, &mut tracked.work)?
             }
         };
-        let reading = self.skin.reading(&fit);
+        let mut reading = self.skin.reading(&fit);
+        reading.averaged = Some(mean.frames);
+        reading.searched = Some(fit.origin == Origin::Search);
         tracked.last = Some(fit);
         Ok(reading)
     }

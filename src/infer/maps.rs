@@ -110,7 +110,7 @@ impl MapPipeline {
                 contacts,
                 force_map_n: with_map.then(|| map.to_vec()),
                 outside: outside.map(|out| out.to_string()).collect(),
-                misfit: None,
+                ..Reading::default()
             });
         }
         Ok(readings)

@@ -24,7 +24,7 @@ use crate::evaluate::score::Scores;
 use crate::evaluate::touch::{Metric, Touch};
 use crate::evaluate::voltages::VoltageScores;
 use crate::ids::TrialId;
-use crate::infer::answer::Reading;
+use crate::infer::answer::{FoundContact, Reading};
 use crate::infer::error::InferError;
 use crate::infer::exact::ExactPipeline;
 use crate::infer::maps::MapPipeline;
@@ -300,6 +300,7 @@ impl Scoring {
             calibration,
             rows: self.gathered.rows.len() as u64,
             threshold_n: self.request.threshold_n,
+            place_sd_mm: self.request.place_sd_mm,
             contacts: None,
             perfect: None,
             map: None,
@@ -362,7 +363,8 @@ impl Scoring {
             let readings = self.read(&frames, rows[0], shown > 0)?;
             latencies.push(1e3 * (self.clock.process_s() - before_s));
             for (&row, reading) in rows.iter().zip(&readings) {
-                let found: Vec<Contact> = reading.contacts.iter().map(Contact::from).collect();
+                let sure = reading.contacts.iter().filter(|found| self.is_sure(found));
+                let found: Vec<Contact> = sure.map(Contact::from).collect();
                 let touch = Touch::of(&self.truths(row), &found);
                 touches.push(touch.map_err(|e| LearnError::value("row", row, &e.to_string()))?);
             }
@@ -395,6 +397,13 @@ impl Scoring {
             report.map = Some(spec.to_string());
         }
         Ok(true)
+    }
+
+    /// Whether a contact's place is known as well as it is asked for.
+    fn is_sure(&self, found: &FoundContact) -> bool {
+        let sds = found.x_sd_mm.zip(found.y_sd_mm);
+        let wanted = self.request.place_sd_mm.zip(sds);
+        wanted.is_none_or(|(limit_mm, (x, y))| x.hypot(y) <= limit_mm * f64::sqrt(2.0))
     }
 
     /// A row's true contacts; their diameter is the tip's where nothing else is said.

@@ -6,6 +6,7 @@
 use std::sync::Arc;
 
 use async_trait::async_trait;
+use tokio::sync::watch;
 use tokio::time::Instant;
 
 use super::config::ARMS;
@@ -121,8 +122,10 @@ pub struct StreamCounters {
 /// The voltage stream.
 #[async_trait]
 pub trait SkinReader: Send + Sync {
-    /// The newest frame, for a live view and for the age check.
+    /// The newest frame, for the age check.
     fn latest(&self) -> Option<Arc<Frame>>;
+    /// Follows the newest frame, for a live view.
+    fn follow(&self) -> watch::Receiver<Option<Arc<Frame>>>;
     /// What has been seen so far.
     fn counters(&self) -> StreamCounters;
     /// Takes `count` consecutive complete frames whose first sample was taken after `not_before`.

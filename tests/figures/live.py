@@ -17,17 +17,23 @@ def follow(palpate: str, url: str, method: str, frames: int) -> list[dict]:
     return [json.loads(line) for line in text.splitlines()]
 
 
+def words(name: str, answers: list[dict]) -> str:
+    latencies = sorted(answer["latency_us"] / 1e3 for answer in answers)
+    at = lambda q: latencies[min(len(latencies) - 1, int(q * len(latencies)))]
+    return f"{name:8} {len(answers):5} frames, p50 {at(0.5):7.2f} ms, p99 {at(0.99):7.2f} ms, longest {latencies[-1]:7.2f} ms"
+
+
 def main(palpate: str, url: str, frames: int, methods: list[str]) -> None:
     for method in methods:
         answers = follow(palpate, url, method, frames)
-        latencies = sorted(answer["latency_us"] / 1e3 for answer in answers)
-        at = lambda q: latencies[min(len(latencies) - 1, int(q * len(latencies)))]
-        first, last = answers[0]["sequence"], answers[-1]["sequence"]
+        of_rig = answers[-1]["sequence"] - answers[0]["sequence"] + 1
         contacts = [len(answer["contacts"]) for answer in answers]
-        print(
-            f"{method:6} p50 {at(0.5):7.2f} ms, p99 {at(0.99):7.2f} ms, longest {latencies[-1]:7.2f} ms; "
-            f"{len(answers)} of {last - first + 1} frames answered, {min(contacts)} to {max(contacts)} contacts"
-        )
+        print(f"{words(method, answers)}; {min(contacts)} to {max(contacts)} contacts, rig sent {of_rig}")
+        # exact says whether it looked for contacts anew or followed those of the frame before.
+        for name, searched in ("tracked", False), ("searched", True):
+            some = [answer for answer in answers if answer.get("searched") is searched]
+            if some:
+                print(words(f"  {name}", some))
 
 
 if __name__ == "__main__":

@@ -176,6 +176,36 @@ fn a_moved_load_is_followed_and_a_new_one_is_searched() {
 }
 
 #[test]
+fn a_still_load_is_looked_at_again_as_its_frames_add_up() {
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let mut work = FitWork::default();
+    let load = [&three()[..], &[Contact { x_mm: 250.0, y_mm: 300.0, force_n: 2.5 }]].concat();
+    let mut mean_v = vec![0.0; CHANNELS];
+    let (mut fits, mut searches): (Vec<Fit>, _) = (Vec::new(), Vec::new());
+    for n in 1..=30 {
+        let frame_v = measured(&load, 1.0, &mut rng);
+        mean_v.iter_mut().zip(&frame_v).for_each(|(m, v)| *m += (v - *m) / f64::from(n));
+        let observation = Observation { frame_v: &mean_v, frames: f64::from(n) };
+        let fit = match fits.last() {
+            None => fitter().fit(&observation, &[], &mut work).unwrap(),
+            Some(before) => fitter().track(&observation, before, &mut work).unwrap(),
+        };
+        if fit.origin == Origin::Search {
+            searches.push(n);
+        }
+        fits.push(fit);
+    }
+    // What one frame cannot show is found all the same, and nothing is looked for at every frame.
+    assert_eq!((fits[0].contacts.len(), fits[29].contacts.len()), (3, 4), "{:?}", fits[29]);
+    assert!(searches.len() <= 4 && searches.contains(&25), "{searches:?}");
+    let observation = Observation { frame_v: &mean_v, frames: 30.0 };
+    let anew = fitter().fit(&observation, &[], &mut work).unwrap();
+    for (tracked, found) in fits[29].contacts.iter().zip(&anew.contacts) {
+        assert!(distance_mm(&tracked.contact, &found.contact) < 0.2 * found.x_sd_mm);
+    }
+}
+
+#[test]
 fn bad_frames_and_settings_are_refused_by_name() {
     let mut work = FitWork::default();
     let mut fit = |frame_v: &[f64], frames: f64| {

@@ -109,7 +109,7 @@ impl Engine {
         let stage = Stage::new(open.bench.clone(), self.config.clone(), clock);
         let estop = tokio::spawn(self.control.estop.clone().serve(open.bench.clone()));
         let frames = tokio::spawn(show::forward_frames(
-            open.bench.skin.clone(),
+            open.bench.skin.follow(),
             self.control.inbox.frames.clone(),
         ));
         self.connection = Some(Connection { open, stage, estop, frames });

@@ -53,8 +53,8 @@ impl Scale {
     pub fn maps(self, pixel_mm: f64) -> MapTraining {
         let (epochs, rows, batch) = match self {
             Self::Small if pixel_mm < 10.0 => (2, Some(4_000), Some(16)),
-            Self::Small if pixel_mm < 20.0 => (4, Some(10_000), Some(16)),
-            Self::Small => (8, Some(10_000), Some(16)),
+            Self::Small if pixel_mm < 20.0 => (4, Some(20_000), Some(16)),
+            Self::Small => (8, Some(20_000), Some(16)),
             Self::Medium => (10, Some(40_000), None),
             Self::Full => (1024, None, None),
         };
@@ -269,6 +269,7 @@ impl Lab {
             skin: None,
             frames: Default::default(),
             threshold_n: crate::dataset::force_map::peaks::THRESHOLD_N,
+            place_sd_mm: None,
             limit: self.args.scored.or(self.args.scale.scored()),
             examples: 0,
             seed: self.args.seed.unsigned_abs(),

@@ -42,6 +42,9 @@ pub struct MethodArgs {
     /// Least force of a peak, N.
     #[arg(long, value_name = "N", default_value_t = 5.0)]
     threshold_n: f64,
+    /// Leave out contacts of exact whose place is known no better than this, mm.
+    #[arg(long, value_name = "MM")]
+    place_sd_mm: Option<f64>,
     #[command(flatten)]
     lab: LabArgs,
 }
@@ -66,6 +69,7 @@ async fn score(lab: Lab, args: MethodArgs) -> Result<Sheet, CliError> {
     wish.points = args.points;
     wish.skin = args.skin;
     wish.threshold_n = args.threshold_n;
+    wish.place_sd_mm = args.place_sd_mm;
     wish.frames = if args.first_frame { FramesRead::First } else { FramesRead::Mean };
     let report = lab.scored(&wish).await?;
     let name = serde_json::to_value(args.method).unwrap_or_default();
@@ -78,7 +82,7 @@ async fn score(lab: Lab, args: MethodArgs) -> Result<Sheet, CliError> {
         report.label,
         markdown(&COLUMNS, &rows),
         latency(&report),
-        read_by(&report)
+        left_out(&report) + &read_by(&report)
     );
     let numbers = json!({ "method": name, "report": report });
     Ok(Sheet { name: "method", text, numbers, pictures: Vec::new() })
@@ -108,6 +112,11 @@ pub fn read_by(report: &EvaluationReport) -> String {
     let by = if by.is_empty() { "the nominal model".into() } else { by.join(", ") };
     let notes = report.notes.iter().map(|note| format!("Note: {note}.\n"));
     format!("By {by}.\n{}", notes.collect::<String>())
+}
+
+fn left_out(report: &EvaluationReport) -> String {
+    let Some(limit_mm) = report.place_sd_mm else { return String::new() };
+    format!("Without contacts whose place is known no better than {limit_mm} mm.\n")
 }
 
 fn latency(report: &EvaluationReport) -> String {

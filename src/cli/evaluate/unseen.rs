@@ -14,7 +14,7 @@ use crate::evaluate::charts::{Bar, Picture, bars, pictures};
 use crate::evaluate::published::REAL_UNSEEN;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Example, FramesRead, Scored};
 use crate::evaluate::score::Mean;
-use crate::evaluate::table::{COLUMNS, markdown, published_row};
+use crate::evaluate::table::{Beside, COLUMNS, markdown, published_row, score_row};
 use crate::store::Contact;
 
 /// The recipe of the paper's Transfer-Net (V-A).
@@ -79,8 +79,9 @@ async fn score(lab: Lab, args: UnseenArgs) -> Result<Sheet, CliError> {
     table.extend(any.and_then(perfect));
     let label = any.map(|report| report.label.clone()).unwrap_or_default();
     let text = format!(
-        "# Fig. 12: contacts that no net has seen, mean [95 % interval]\n\n{}\n{}{}\n",
+        "# Fig. 12: contacts that no net has seen, mean [95 % interval]\n\n{}\n{}{}{}\n",
         markdown(&COLUMNS, &table),
+        nets(&pipeline, &end_to_end),
         ours.last().map_or(String::new(), |(_, exact)| format!("exact: {}\n", read_by(exact))),
         lab.scale_words(&label)
     );
@@ -182,19 +183,34 @@ async fn end_to_end(lab: &Lab, args: &UnseenArgs) -> Result<Scores, CliError> {
     Ok(scores)
 }
 
-/// The paper's rule (V-D): the least mean location error (of each true contact to its closest
-/// estimate, as under Table IV), and force and diameter close to zero. Each is taken in units of what
-/// it is when nothing is known: 100 mm, 100 %.
+/// The best by the paper's rule (V-D).
 fn best(scores: &Scores) -> Option<&Named> {
-    let cost = |report: &EvaluationReport| {
-        let all = &report.contacts.as_ref()?.all;
-        let size = |mean: &Option<Mean>| mean.as_ref().map(|mean| mean.mean.abs());
-        let unknown = |size: Option<f64>| size.unwrap_or(f64::MAX / 4.0);
-        let parts = [&all.closest_mm, &all.force_percent, &all.diameter_percent];
-        Some(parts.map(|part| unknown(size(part))).iter().sum::<f64>())
-    };
+    let cost = |report: &EvaluationReport| Some(report.contacts.as_ref()?.all.paper_cost());
     let costs = scores.iter().filter_map(|named| Some((cost(&named.1)?, named)));
     costs.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, named)| named)
+}
+
+/// All of the paper's nets, where there are any.
+fn nets(pipeline: &Scores, end_to_end: &Scores) -> String {
+    let named = |way: &'static str| {
+        move |row: Vec<String>| {
+            let name = format!("{way} {}", row[0]);
+            [vec![name], row[1..].to_vec()].concat()
+        }
+    };
+    let rows = every(pipeline).map(named("real-to-sim"));
+    let rows: Vec<_> = rows.chain(every(end_to_end).map(named("end-to-end"))).collect();
+    if rows.is_empty() {
+        return String::new();
+    }
+    format!("All nets, by map and noise:\n\n{}\n", markdown(&COLUMNS, &rows))
+}
+
+/// A row for each net.
+fn every(scores: &Scores) -> impl Iterator<Item = Vec<String>> {
+    scores.iter().filter_map(|(name, report)| {
+        Some(score_row(name, &report.contacts.as_ref()?.all, Beside::Interval))
+    })
 }
 
 /// Some trials and what each method reads from them (Fig. 12A): a row each, what pressed first.

@@ -60,7 +60,9 @@ impl ForceMap {
             places.push(plateau.place_mm);
             let force_n = field.sum_around(plateau.place_mm);
             if force_n >= threshold_n {
-                let half = field.joined(plateau.first, plateau.largest / 2.0, &mut visits, number);
+                let half = plateau.largest / 2.0;
+                let half =
+                    field.joined(plateau.first, |value| value >= half, (&mut visits, number));
                 let area_mm2 = half.len() as f64 * field.pixel_mm * field.pixel_mm;
                 peaks.push(Peak {
                     x_mm: self.origin_mm[0] + plateau.place_mm[0],
@@ -160,8 +162,10 @@ impl Field {
                 for at in in_block().flat_map(|start| start..start + width) {
                     let may_be = equal_or_above(self.values[at], largest) && taken[at] == 0;
                     if may_be && self.is_summit(at, &circle) {
-                        let floor = self.values[at] * (1.0 - EQUAL);
-                        found.push(self.plateau(&self.joined(at, floor, &mut taken, 1)));
+                        let own = self.values[at];
+                        let equal =
+                            |value| equal_or_above(value, own) && equal_or_above(own, value);
+                        found.push(self.plateau(&self.joined(at, equal, (&mut taken, 1))));
                     }
                 }
             }
@@ -175,9 +179,14 @@ impl Field {
         circle.iter().all(|step| equal_or_above(value, self.values[at.wrapping_add_signed(*step)]))
     }
 
-    /// The pixels joined to one by edges over pixels that are at least `floor` (above 0) and that
-    /// do not carry the mark yet; they carry it then.
-    fn joined(&self, from: usize, floor: f32, marks: &mut [u32], mark: u32) -> Vec<usize> {
+    /// The pixels joined to one by edges over pixels that belong to it (none of 0 may) and that do not
+    /// carry the mark yet; they carry it then.
+    fn joined(
+        &self,
+        from: usize,
+        belongs: impl Fn(f32) -> bool,
+        (marks, mark): (&mut [u32], u32),
+    ) -> Vec<usize> {
         let stride = self.stride();
         let mut region = vec![from];
         marks[from] = mark;
@@ -185,7 +194,7 @@ impl Field {
         while let Some(&at) = region.get(next) {
             next += 1;
             for neighbour in [at - stride, at - 1, at + 1, at + stride] {
-                if marks[neighbour] != mark && self.values[neighbour] >= floor {
+                if marks[neighbour] != mark && belongs(self.values[neighbour]) {
                     marks[neighbour] = mark;
                     region.push(neighbour);
                 }
@@ -311,6 +320,23 @@ mod tests {
         let everywhere = map.peaks(&[0.5; PIXELS * PIXELS], 5.0);
         assert_eq!(everywhere.len(), 1);
         assert_eq!((everywhere[0].x_mm, everywhere[0].y_mm), (270.0, 280.0));
+    }
+
+    #[test]
+    fn a_flat_floor_hides_no_peak() {
+        // What a net adds everywhere is joined to every peak, and larger than nothing.
+        for spec in ["4x20", "20x20"] {
+            let map = map(spec);
+            let mut pixels = drawn(&map, &[(270.0, 280.0, 12.0), (100.0, 420.0, 7.5)]);
+            let bare = map.peaks(&pixels, 5.0);
+            pixels.iter_mut().for_each(|pixel| *pixel += 0.002);
+            let raised = map.peaks(&pixels, 5.0);
+            assert_eq!(raised.len(), 2, "{spec}: {raised:?}");
+            for (raised, bare) in raised.iter().zip(bare) {
+                assert_eq!((raised.x_mm, raised.y_mm), (bare.x_mm, bare.y_mm));
+                assert!((0.0..0.5).contains(&(raised.force_n - bare.force_n)));
+            }
+        }
     }
 
     #[test]

@@ -161,6 +161,10 @@ impl SkinReader for ErtStream {
         self.newest.borrow().clone()
     }
 
+    fn follow(&self) -> watch::Receiver<Option<Arc<Frame>>> {
+        self.newest.clone()
+    }
+
     fn counters(&self) -> StreamCounters {
         let get = |c: &AtomicU64| c.load(Ordering::Relaxed);
         StreamCounters {

@@ -28,11 +28,15 @@ pub use steady::{Steady, SteadyError, SteadyMean, SteadySettings};
 const LEAST_WEIGHT: f64 = 0.15;
 
 /// Steps of a descent when a load is followed: a frame and its slopes each.
-const TRACKING: Effort = Effort { iterations: 8, tolerance: 0.1 };
+const TRACKING: Effort = Effort { iterations: 5, tolerance: 0.1 };
 /// Growth of the misfit, in standard deviations of chi-square, that shows a new load.
 const CHANGE_SD: f64 = 4.0;
-/// A contact whose force is known no better than this, as a share of it, may be gone.
+/// A contact whose force is known no better than this, as a share of it, may be gone,
 const FADED_SHARE: f64 = 0.5;
+/// unless it was known little better when it was found: so many times worse is a change.
+const FADED_GROWTH: f64 = 1.5;
+/// With so many times as many frames in the mean it may show contacts that it did not.
+const FRAMES_GROWTH: f64 = 5.0;
 /// How often hypotheses are compared with exact frames.
 const ROUNDS: usize = 3;
 
@@ -147,6 +151,13 @@ pub struct Proposal {
     pub weight: f64,
 }
 
+impl Proposal {
+    /// Of a contact that was there.
+    fn sure(before: &FittedContact) -> Self {
+        Self { contact: before.contact, weight: 1.0 }
+    }
+}
+
 /// A contact that a frame shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FittedContact {
@@ -169,6 +180,18 @@ pub enum Origin {
     Tracked,
 }
 
+/// What a search saw: what comes later is held against it, not against the frame before, since a mean
+/// of more and more frames shows a wrong load little by little.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Found {
+    /// Frames that it read the mean of.
+    pub frames: f64,
+    /// [`Fit::inside_chi2`] of what it found.
+    pub inside_chi2: f64,
+    /// Standard deviation of the force of the contact known worst, as a share of that force.
+    pub worst_share: f64,
+}
+
 /// The contacts of a frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fit {
@@ -186,6 +209,8 @@ pub struct Fit {
     pub rival_score: Option<f64>,
     /// Where it started.
     pub origin: Origin,
+    /// What the search saw that found these contacts.
+    pub found: Found,
     /// Runs of the exact model with its slopes, after the search.
     pub exact_runs: usize,
 }
@@ -253,16 +278,14 @@ impl ContactFitter {
         }
         self.measure(observation, work)?;
         let starts = starts(proposals);
-        let effort = self.effort();
         let mut hypotheses = self.search(&starts, work)?;
         hypotheses.truncate(self.options.finalists);
         self.approach(&mut hypotheses, work)?;
-        let Some(best) = hypotheses.first().cloned() else {
-            return Ok(self.report(Vec::new(), Origin::Search, None, effort, work)?);
-        };
-        let rival = hypotheses.iter().find(|h| h.places.len() != best.places.len());
-        let rival_score = rival.map(|h| h.score);
-        Ok(self.report(best.places, Origin::Search, rival_score, effort, work)?)
+        let best = hypotheses.first().map(|h| h.places.clone()).unwrap_or_default();
+        let rival = hypotheses.iter().find(|h| h.places.len() != best.len()).map(|h| h.score);
+        let mut fit = self.report(best, observation, self.effort(), work)?;
+        (fit.origin, fit.rival_score) = (Origin::Search, rival);
+        Ok(fit)
     }
 
     /// The contacts that explain a frame, from those of the frame before: some steps of the exact
@@ -275,21 +298,24 @@ impl ContactFitter {
     ) -> Result<Fit, FitError> {
         self.measure(observation, work)?;
         let places: Vec<Place> = before.contacts.iter().map(|c| place_of(&c.contact)).collect();
-        let tracked = self.report(places, Origin::Tracked, None, TRACKING, work)?;
-        if self.changed(before, &tracked) {
-            return self.fit(observation, &[], work);
+        let mut tracked = self.report(places, observation, TRACKING, work)?;
+        if self.changed(&before.found, &tracked) {
+            let proposals: Vec<Proposal> = tracked.contacts.iter().map(Proposal::sure).collect();
+            return self.fit(observation, &proposals, work);
         }
+        tracked.found = before.found;
         Ok(tracked)
     }
 
-    /// Whether the same contacts no longer explain a frame: what is left of it grew by more than
-    /// chance, or a contact faded.
-    fn changed(&self, before: &Fit, tracked: &Fit) -> bool {
+    /// Whether the same contacts may no longer be the load: more is left of a frame than by chance, a
+    /// contact faded, or there is much more to see.
+    fn changed(&self, found: &Found, tracked: &Fit) -> bool {
         let free = (self.basis.directions() - EACH * tracked.contacts.len()) as f64;
-        let usual = before.inside_chi2.max(free);
-        let fades = |c: &FittedContact| c.force_sd_n > FADED_SHARE * c.contact.force_n;
-        tracked.inside_chi2 > usual + CHANGE_SD * (2.0 * usual).sqrt()
-            || tracked.contacts.iter().any(fades)
+        let usual = found.inside_chi2.max(free);
+        let Found { frames, inside_chi2, worst_share } = tracked.found;
+        inside_chi2 > usual + CHANGE_SD * (2.0 * usual).sqrt()
+            || worst_share > FADED_SHARE.max(FADED_GROWTH * found.worst_share)
+            || frames >= FRAMES_GROWTH * found.frames
     }
 
     /// The best fit with as many contacts as these, from where they are.
@@ -304,7 +330,7 @@ impl ContactFitter {
         }
         self.measure(observation, work)?;
         let places = contacts.iter().map(place_of).collect();
-        Ok(self.report(places, Origin::Tracked, None, self.effort(), work)?)
+        Ok(self.report(places, observation, self.effort(), work)?)
     }
 
     fn effort(&self) -> Effort {
@@ -411,12 +437,11 @@ impl ContactFitter {
         descend(&problem, &mut model, places, effort, descent)
     }
 
-    /// Finishes places and says what is known of them.
+    /// Finishes places and says what is known of them, as of contacts that were tracked.
     fn report(
         &self,
         mut places: Vec<Place>,
-        origin: Origin,
-        rival_score: Option<f64>,
+        observation: &Observation<'_>,
         effort: Effort,
         work: &mut FitWork,
     ) -> Result<Fit, ContactError> {
@@ -433,14 +458,18 @@ impl ContactFitter {
             .collect();
         contacts.sort_by(|a, b| b.contact.force_n.total_cmp(&a.contact.force_n));
         let parameters = EACH * contacts.len();
+        let shares = contacts.iter().map(|c| c.force_sd_n / c.contact.force_n);
+        let worst_share = shares.fold(0.0, f64::max);
+        let (frames, inside_chi2) = (observation.frames, optimum.misfit);
         Ok(Fit {
             contacts,
+            found: Found { frames, inside_chi2, worst_share },
             chi2: optimum.misfit + work.frame.outside_chi2,
-            inside_chi2: optimum.misfit,
+            inside_chi2,
             degrees_of_freedom: (self.model.sensor().channels() - parameters) as f64,
             score: optimum.score,
-            rival_score,
-            origin,
+            rival_score: None,
+            origin: Origin::Tracked,
             exact_runs: optimum.predictions,
         })
     }

@@ -96,7 +96,8 @@ impl Frames<'_> {
             let mut moves = vec![None; self.parameters.electrodes()];
             moves[*electrode] = Some(*move_mm);
             let vector = self.parameters.with_moves(self.vector, &moves);
-            let there = self.of(&self.model.with_circuit(self.parameters.circuit(&vector))?, work)?;
+            let there =
+                self.of(&self.model.with_circuit(self.parameters.circuit(&vector))?, work)?;
             let both = there.chunks_exact(channels).zip(here.chunks_exact(channels)).zip(seen);
             let of_trial = both.flat_map(|((there, here), (_, columns))| {
                 let change = move |(t, h): (&f64, &f64)| (columns.per_volt * (t - h)) as f32;
