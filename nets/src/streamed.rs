@@ -14,8 +14,9 @@ use crate::chance::{Purpose, generator};
 use crate::recipe::{RecipeError, require};
 use crate::samples::{Samples, SamplesError};
 
-/// Which contacts samples have: as Sim-Random draws them (paper IV-A), and some lighter ones, since
-/// Real-Unseen's weights are 5 to 10 N.
+/// Which contacts samples have: as Sim-Random draws them (paper IV-A), some lighter ones, since
+/// Real-Unseen's weights are 5 to 10 N, and none: a net that saw no untouched skin finds contacts on it
+/// (in a fifth of such frames).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Draws {
@@ -32,7 +33,7 @@ pub struct Draws {
 impl Default for Draws {
     fn default() -> Self {
         Self {
-            contacts: [1, 6],
+            contacts: [0, 6],
             force_n: [5.0, 40.0],
             light_share: 0.25,
             light_force_n: [2.5, 12.0],

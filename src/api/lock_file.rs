@@ -19,7 +19,11 @@ pub struct LockFile {
 #[derive(Debug, thiserror::Error)]
 pub enum LockFileError {
     /// Somebody has it.
-    #[error("{what} is in use by process {holder} (lock file {})", path.display())]
+    #[error(
+        "{what} is in use by process {holder} (lock file {}): a service, or a command that started its \
+         own; `palpate serve` started first answers several commands",
+        path.display()
+    )]
     Held {
         /// What is locked.
         what: String,

@@ -17,7 +17,7 @@ use super::answer::{FoundContact, Reading};
 use super::error::InferError;
 use super::points::{PROPOSED, PointPipeline};
 
-/// Standard deviation of a voltage's noise where known trials do not show it, V.
+/// Standard deviation of a voltage's noise where neither known trials nor the calibration say it, V.
 const NOISE_SD_V: f64 = 1.2e-3;
 
 /// Directions of the model's error that are learnt from known trials, at most: with fewer, what is left
@@ -31,8 +31,12 @@ const LEAST_KNOWN: usize = 60;
 const THREADS: usize = 8;
 /// Known trials that tell by how much standard deviations are too small.
 const STRETCHED_BY: usize = 200;
-/// The median of |x| of a normal x of standard deviation 1.
-const MEDIAN_OF_NORMAL: f64 = 0.6745;
+/// They are told by contacts of at least this force, N: the paper's deadband.
+const CLEAR_N: f64 = 5.0;
+/// The share of known contacts that tell it: what is said of contacts is relied on at its edges. And below
+/// which |x| lies as often, of a normal x of standard deviation 1.
+const TOLD_BY: f64 = 0.9;
+const TOLD_BY_SD: f64 = 1.645;
 /// A fit that leaves over so many times the noise that it reckons with explains the frame badly.
 const MISFIT_EXPLAINED: f64 = 3.0;
 
@@ -100,7 +104,8 @@ impl ExactSkin {
         let offset_v = offset_v(model);
         let enough = known.len() >= LEAST_KNOWN;
         let noise_sd_v = Some(known).filter(|_| enough).and_then(|known| seen(known, &offset_v));
-        let noise_sd_v = noise_sd_v.unwrap_or(NOISE_SD_V);
+        let evidence = model.sensor().skin().map(|skin| skin.evidence.noise_v);
+        let noise_sd_v = noise_sd_v.or(evidence).unwrap_or(NOISE_SD_V);
         let white = ErrorModel::white(channels, noise_sd_v)?;
         let stretch = Stretch { place: 1.0, force: 1.0 };
         let skin = Self::with(model, SkinErrors { noise_sd_v, model: white.clone(), stretch })?;
@@ -144,7 +149,9 @@ impl ExactSkin {
             if fit.contacts.len() != trial.contacts.len() {
                 continue;
             }
-            for (found, truth) in fit.contacts.iter().zip(&trial.contacts) {
+            // Contacts of a fit come in another order; no search would report the lightest.
+            let clear = trial.contacts.iter().filter(|truth| truth.force_n >= CLEAR_N);
+            for (truth, found) in clear.filter_map(|truth| Some((truth, nearest(&fit, truth)?))) {
                 let is = found.contact;
                 places.push(((is.x_mm - truth.x_mm) / found.x_sd_mm).abs());
                 places.push(((is.y_mm - truth.y_mm) / found.y_sd_mm).abs());
@@ -273,6 +280,8 @@ pub struct Tracked {
     frame_v: Vec<f64>,
     last: Option<Fit>,
     steady: Option<Steady>,
+    /// Of which skin all that is.
+    skin: Option<String>,
 }
 
 impl ExactPipeline {
@@ -292,6 +301,9 @@ impl ExactPipeline {
     /// Reads the next frame of a stream: the mean of those since the load last changed, from the last
     /// fit on where that still holds.
     pub fn follow(&self, frame: &[f32], tracked: &mut Tracked) -> Result<Reading, InferError> {
+        if tracked.skin.as_deref() != Some(self.skin.id()) {
+            *tracked = Tracked { skin: Some(self.skin.id().to_owned()), ..Tracked::default() };
+        }
         self.skin.take_offsets(frame, &mut tracked.frame_v);
         let steady = match &mut tracked.steady {
             Some(steady) => steady,
@@ -355,9 +367,18 @@ fn seen(known: &[KnownTrial], offset_v: &[f64]) -> Option<f64> {
     noise_v(&known.iter().map(single).collect::<Vec<_>>())
 }
 
-/// The factor that makes the median of these what a normal's is; never less than 1.
+/// The fitted contact nearest to a true one.
+fn nearest<'a>(fit: &'a Fit, truth: &Contact) -> Option<&'a FittedContact> {
+    let square_mm2 = |found: &FittedContact| {
+        (found.contact.x_mm - truth.x_mm).powi(2) + (found.contact.y_mm - truth.y_mm).powi(2)
+    };
+    fit.contacts.iter().min_by(|a, b| square_mm2(a).total_cmp(&square_mm2(b)))
+}
+
+/// The factor that makes nine tenths of these what they are of a normal; never less than 1.
 fn stretched(mut in_sd: Vec<f64>) -> f64 {
     in_sd.retain(|z| z.is_finite());
     in_sd.sort_by(f64::total_cmp);
-    in_sd.get(in_sd.len() / 2).map_or(1.0, |median| (median / MEDIAN_OF_NORMAL).max(1.0))
+    let at = (TOLD_BY * in_sd.len() as f64) as usize;
+    in_sd.get(at).map_or(1.0, |edge| (edge / TOLD_BY_SD).max(1.0))
 }

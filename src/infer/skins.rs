@@ -31,7 +31,7 @@ const KNOWN_CONTACTS: f64 = 3.0;
 const KNOWN_FORCE_N: f64 = 40.0;
 
 /// Of the way in which errors are learnt: another way must not find what this one left.
-const ERRORS_VERSION: &str = "1";
+const ERRORS_VERSION: &str = "2";
 
 /// The calibrations of a service and the skins that they make.
 pub struct Skins {
@@ -80,14 +80,23 @@ impl Skins {
             compare(TrialColumn::MaxForceN, Comparison::Less, KNOWN_FORCE_N),
             compare(TrialColumn::ContactCount, Comparison::LessOrEqual, KNOWN_CONTACTS),
         ];
-        let query = TrialQuery {
+        let mut query = TrialQuery {
             run: Some(run.uid),
             flagged: Some(false),
             limit: MAX_PAGE,
             filters: known.to_vec(),
             ..TrialQuery::default()
         };
-        let ids = self.store.trial_ids(&query).await?;
+        // All of them: settings with more tips come late in a run.
+        let mut ids = Vec::new();
+        loop {
+            let page = self.store.trial_ids(&query).await?;
+            ids.extend_from_slice(&page);
+            if page.len() < MAX_PAGE as usize {
+                break;
+            }
+            query.after = page.last().copied();
+        }
         let count = ids.len().min(KNOWN_TRIALS * skin::HELD_OUT_IN as usize);
         let chosen: Vec<_> = (0..count).map(|i| ids[i * ids.len() / count]).collect();
         let trials = self.store.trials_with_voltages(&chosen).await?;

@@ -71,6 +71,10 @@ pub(super) async fn run(
     let scratch = jobs.inner.data.join("cache");
     let columns = columns(&reader, &request);
     let measured = columns.contains(&MEASURED);
+    if request.frames == FramesRead::First && !measured {
+        let limit = "no measured frames are read: mean, or name a Transfer-Net";
+        return Err(LearnError::value("frames", "first", limit).into());
+    }
     let wish = request.clone();
     let at = file.clone();
     let gathered = background(move || Gathered::new(&at, &wish, columns, &scratch)).await??;

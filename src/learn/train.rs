@@ -182,7 +182,7 @@ fn samples<'a>(
 /// Of a Transfer-Net on the validation rows.
 fn residuals(network: &Network, given: &Given<'_>) -> Result<Residuals, LearnError> {
     let mut rows = given.examples.part(Part::Validation);
-    rows.truncate(RESIDUAL_ROWS);
+    thin(&mut rows, RESIDUAL_ROWS);
     let channels = given.examples.channels;
     let (mut sum, mut squares) = (vec![0.0; channels], vec![0.0; channels]);
     let mut target = vec![0.0; channels];

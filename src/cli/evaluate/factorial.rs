@@ -128,7 +128,9 @@ fn beside_published(anova: &Anova, metric: Metric) -> String {
             word.as_ref().and_then(|word| factor.levels.iter().position(|level| level == word))
         };
         let levels: Vec<_> = anova.factors.iter().zip(&words).map(level).collect();
-        let ours = anova.means.iter().find(|mean| mean.levels == levels);
+        // A level that is not in this design is not the mean over all of them.
+        let held = levels.iter().zip(&words).all(|(level, word)| level.is_some() == word.is_some());
+        let ours = anova.means.iter().find(|mean| held && mean.levels == levels);
         let named = anova.factors.iter().zip(&words);
         let named = named.filter_map(|(f, word)| Some(format!("{} {}", f.name, word.as_ref()?)));
         vec![

@@ -104,5 +104,6 @@ async fn the_line_survives_noise_silence_and_a_new_client() {
     }
     let mut iai = Iai(rtu_client(&rig));
     iai.go(1, 42.5, 250.0).await;
-    assert_eq!(iai.status(1).await.0, 42.5);
+    // In position means within the band of a hundredth.
+    assert!((iai.status(1).await.0 - 42.5).abs() < 0.011);
 }

@@ -33,8 +33,10 @@ const TRACKING: Effort = Effort { iterations: 5, tolerance: 0.1 };
 const CHANGE_SD: f64 = 4.0;
 /// A contact whose force is known no better than this, as a share of it, may be gone,
 const FADED_SHARE: f64 = 0.5;
-/// unless it was known little better when it was found: so many times worse is a change.
+/// unless it was known little better when it was found: so many times worse is a change, and what is
+/// nearly as wide as the prior in any case.
 const FADED_GROWTH: f64 = 1.5;
+const FADED_MOST: f64 = 0.75;
 /// With so many times as many frames in the mean it may show contacts that it did not.
 const FRAMES_GROWTH: f64 = 5.0;
 /// How often hypotheses are compared with exact frames.
@@ -314,7 +316,7 @@ impl ContactFitter {
         let usual = found.inside_chi2.max(free);
         let Found { frames, inside_chi2, worst_share } = tracked.found;
         inside_chi2 > usual + CHANGE_SD * (2.0 * usual).sqrt()
-            || worst_share > FADED_SHARE.max(FADED_GROWTH * found.worst_share)
+            || worst_share > (FADED_GROWTH * found.worst_share).clamp(FADED_SHARE, FADED_MOST)
             || frames >= FRAMES_GROWTH * found.frames
     }
 
