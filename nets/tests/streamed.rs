@@ -76,17 +76,19 @@ fn contacts_are_drawn_as_the_recipe_says() {
     for sample in forces.chunks_exact(POINTS) {
         let pressed: Vec<usize> = (0..POINTS).filter(|&p| sample[p] > 0.0).collect();
         counts[pressed.len()] += 1;
-        light += u32::from(pressed.iter().all(|&p| (2.5..=12.0).contains(&sample[p])));
+        let all_light = pressed.iter().all(|&p| (2.5..=12.0).contains(&sample[p]));
+        light += u32::from(all_light && !pressed.is_empty());
         assert!(pressed.iter().all(|&p| (2.5..=40.0).contains(&sample[p])));
         let heavy = pressed.iter().any(|&p| sample[p] > 12.0);
         assert!(!heavy || pressed.iter().all(|&p| sample[p] >= 5.0));
         seen.extend(pressed);
     }
-    assert_eq!((counts[0], seen.len()), (0, POINTS));
-    // 4000 / 6 = 667 with a standard deviation of 24.
-    assert!(counts[1..].iter().all(|c| (570..=760).contains(c)), "{counts:?}");
-    // A quarter, and heavy ones that happen to be: (7/35)^n / 6 summed is 4 % of the others.
-    assert!((1000..=1260).contains(&light), "{light}");
+    assert_eq!(seen.len(), POINTS);
+    // 4000 / 7 = 571 with a standard deviation of 22: an untouched skin is as likely as six contacts.
+    assert!(counts.iter().all(|c| (480..=660).contains(c)), "{counts:?}");
+    // A quarter of the 3429 touched, and heavy ones that happen to be: (7/35)^n / 6 summed is 4 %
+    // of the others.
+    assert!((860..=1070).contains(&light), "{light}");
 }
 
 /// Remembers validation losses.
@@ -111,6 +113,6 @@ fn point_net_learns_from_a_stream_that_never_repeats() {
     train(&plan, &stream(5, 4000), &stream(6, 500), None, &mut losses).unwrap();
     let [first, .., last] = losses.0[..] else { panic!("{:?}", losses.0) };
     // What a net says that knows no more than how many points are pressed how hard on average:
-    // 3.5 (1 + ln(804 / 3.5)) = 22.5 of entropy, and 3.5 x 0.47 of spread of ln force.
-    assert!(first < 24.5 && last < 22.0 && last < first, "{:?}", losses.0);
+    // 3 (1 + ln(804 / 3)) = 19.8 of entropy, and 3 x 0.47 of spread of ln force.
+    assert!(first < 21.5 && last < 19.0 && last < first, "{:?}", losses.0);
 }
