@@ -21,6 +21,9 @@ pub enum InferError {
     /// There is no such model.
     #[error("there is no model {0}: palpate model list shows those there are")]
     NoModel(String),
+    /// There is no such calibration.
+    #[error("there is no calibration {0}: palpate model add-calibration FILE keeps one")]
+    NoSkin(String),
     /// Nothing serves what a method needs.
     #[error("method = {}: no {needs} is promoted: palpate model promote ID", method.name())]
     NotServed {

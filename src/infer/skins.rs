@@ -118,7 +118,7 @@ impl Skins {
 
     /// The model of a calibration that is kept here, or the nominal one.
     pub async fn model(&self, calibration: Option<&str>) -> Result<ForwardModel, InferError> {
-        let path = calibration.map(|id| self.calibrations().join(format!("{id}.toml")));
+        let path = calibration.map(|id| self.path_of(id)).transpose()?;
         let (sensor, cache) = (self.sensor.clone(), self.data.join("cache"));
         let building = tokio::task::spawn_blocking(move || {
             let sensor = match path {
@@ -145,6 +145,16 @@ impl Skins {
         std::io::Write::write_all(&mut file, text.as_bytes()).map_err(&failed)?;
         file.finish(&format!("{id}.toml")).map_err(&failed)?;
         Ok(id)
+    }
+
+    /// The file of a calibration; an id is no way to other files.
+    fn path_of(&self, id: &str) -> Result<PathBuf, InferError> {
+        let digits = id
+            .strip_prefix("cal-")
+            .filter(|digits| !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_hexdigit()));
+        let path = self.calibrations().join(format!("{id}.toml"));
+        let is_here = digits.is_some() && path.is_file();
+        is_here.then_some(path).ok_or_else(|| InferError::NoSkin(id.to_owned()))
     }
 
     fn calibrations(&self) -> PathBuf {

@@ -48,6 +48,8 @@ pub struct PromotionRow {
     pub why: Option<String>,
     /// When.
     pub at: Timestamp,
+    /// Whether it had served before and was gone back to.
+    pub rolled_back: bool,
 }
 
 impl PromotionRow {
@@ -59,6 +61,7 @@ impl PromotionRow {
             who: c.get("who")?,
             why: c.get("why")?,
             at: c.time("at")?,
+            rolled_back: c.get("rolled_back")?,
         })
     }
 }
@@ -112,11 +115,11 @@ impl Store {
         rows.iter().map(|row| ModelRow::read(row, OPERATION)).collect()
     }
 
-    /// From now on this serves in a slot.
+    /// From now on this serves in a slot, promoted or gone back to.
     pub async fn promote(
         &self,
         slot: &str,
-        what: Option<&str>,
+        (what, rolled_back): (Option<&str>, bool),
         who: &str,
         why: Option<&str>,
     ) -> Result<(), StoreError> {
@@ -127,13 +130,15 @@ impl Store {
             .writer
             .run(OPERATION, async move |connection| {
                 sqlx::query(
-                    "INSERT INTO promotions (slot, what, who, why, at) VALUES (?1, ?2, ?3, ?4, ?5)",
+                    "INSERT INTO promotions (slot, what, who, why, at, rolled_back)
+                     VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
                 )
                 .bind(slot)
                 .bind(what)
                 .bind(who)
                 .bind(why)
                 .bind(now)
+                .bind(rolled_back)
                 .execute(connection)
                 .await
                 .map_err(StoreError::sql(OPERATION))?;

@@ -8,7 +8,7 @@ use crate::store::columns::sha256_hex;
 use crate::store::{MIGRATIONS, PAGE_BYTES};
 
 /// Merged migrations by the sha256 of their files. A line is added, never changed.
-const MERGED: [(&str, &str); 4] = [
+const MERGED: [(&str, &str); 5] = [
     ("0001_create_tables.sql", "7f8fd10f7d423db439b80b2fc3526c5c772af618a790e2bc19d1263564d2e0b2"),
     ("0002_add_twins.sql", "eed1edaa483255f687011f624f45d12abbe31acf9cf482d0f447693f4464f9b0"),
     (
@@ -18,6 +18,10 @@ const MERGED: [(&str, &str); 4] = [
     (
         "0004_add_models_and_jobs.sql",
         "054964d65045ca689dec4bad98a4aeb6c98087ab2c9489c4905c6d9c43540d58",
+    ),
+    (
+        "0005_mark_roll_backs.sql",
+        "e9d3cd395d2e7cb00d57061257680056df75f8843a9be352fe576a17eb1a87e4",
     ),
 ];
 
