@@ -21,7 +21,7 @@ pub enum Input {
     /// `v / |v|` to its first principal components, each of variance 1, and `ln |v|`
     /// standardised: the study's best (part 4, section 4).
     Whitened {
-        /// Components kept, at most as many as there are channels.
+        /// Components kept; of fewer channels as many as there are.
         components: usize,
     },
 }
@@ -34,7 +34,7 @@ impl Input {
     pub fn width(self, channels: usize) -> usize {
         match self {
             Self::Standardised | Self::Unit => channels,
-            Self::Whitened { components } => components + 1,
+            Self::Whitened { components } => components.min(channels) + 1,
         }
     }
 

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::initial::{Initial, LINEAR};
 use crate::input::Input;
 use crate::network::{Form, Layer, Network};
-use crate::recipe::{RecipeError, require};
+use crate::recipe::{RecipeError, WEIGHTS_MAX, require};
 use crate::statistics::Statistics;
 use crate::streamed::Draws;
 
@@ -49,6 +49,8 @@ impl PointNet {
         require(self.components > 0, "net.components", self.components, "at least 1")?;
         require((1..=64).contains(&self.hidden), "net.hidden", self.hidden, "1..64")?;
         require((1..=1 << 14).contains(&self.width), "net.width", self.width, "1..16384")?;
+        let weights = self.hidden * self.width * self.width;
+        require(weights <= WEIGHTS_MAX, "net.hidden x net.width^2", weights, "at most 2^28")?;
         let good = self.force_weight.is_finite() && self.force_weight >= 0.0;
         require(good, "net.force_weight", self.force_weight, "at least 0")?;
         self.draws.check()

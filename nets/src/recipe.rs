@@ -131,6 +131,9 @@ pub enum RecipeError {
     },
 }
 
+/// Most weights between two layers: with gradients and Adam's moments 4 GB.
+pub(crate) const WEIGHTS_MAX: usize = 1 << 28;
+
 /// Refuses a value.
 pub(crate) fn require(
     holds: bool,

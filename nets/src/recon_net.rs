@@ -8,8 +8,11 @@ use serde::{Deserialize, Serialize};
 use crate::initial::{Initial, LINEAR, RECTIFIED};
 use crate::input::Input;
 use crate::network::{Form, Layer, Network};
-use crate::recipe::{RecipeError, require};
+use crate::recipe::{RecipeError, WEIGHTS_MAX, require};
 use crate::statistics::Statistics;
+
+/// Inputs by which the size of a net without a hidden layer is judged: those of the paper's sensor.
+const TYPICAL_INPUTS: usize = 784;
 
 /// What a Recon-Net is. It learns without a bound; the trained net ends in a rectifier, which can
 /// but lessen the error, since no true force is negative.
@@ -71,7 +74,11 @@ impl ReconNet {
             && self.first_side() << self.channels.len() == self.side;
         let limit = "1..1024 and a multiple of two to the power of the number of channels";
         require(whole, "net.side", self.side, limit)?;
-        require(self.hidden <= 1 << 14, "net.hidden", self.hidden, "at most 16384")
+        require(self.hidden <= 1 << 14, "net.hidden", self.hidden, "at most 16384")?;
+        let first = self.channels[0] * self.first_side() * self.first_side();
+        let inputs = if self.hidden > 0 { self.hidden } else { TYPICAL_INPUTS };
+        let limit = "at most 2^28 weights from the inputs or net.hidden to the first image";
+        require(inputs * first <= WEIGHTS_MAX, "net.channels", inputs * first, limit)
     }
 
     /// A net that knows nothing yet.

@@ -62,8 +62,9 @@ impl Statistics {
     /// Of data that nobody looked at: gives networks their shape, and nothing else.
     pub(crate) fn unknown(input: Input, channels: usize) -> Self {
         let whitening = match input {
-            Input::Whitened { components } => {
-                (vec![0.0; (components + 1) * (channels + 1)], vec![0.0; components + 1])
+            Input::Whitened { .. } => {
+                let width = input.width(channels);
+                (vec![0.0; width * (channels + 1)], vec![0.0; width])
             }
             _ => Default::default(),
         };
@@ -164,7 +165,7 @@ fn whitening(
     // Below this a component is rounding.
     let least = values[channels - 1].max(f64::MIN_POSITIVE) * 1e-10;
     let (mut weight, mut bias) = (Vec::new(), Vec::new());
-    for nth in 0..components {
+    for nth in 0..components.min(channels) {
         let column = channels - 1 - nth;
         let scale = 1.0 / values[column].max(least).sqrt();
         let row = (0..channels).map(|i| vectors[(i, column)] * scale);

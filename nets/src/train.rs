@@ -187,12 +187,7 @@ fn check(plan: &Plan, train: &dyn Samples, validation: &dyn Samples) -> Result<(
             require(target == square, "numbers of a target", target, "the square of net.side")
         }
         Net::PointNet(_) => require(target > 0, "points", target, "at least 1"),
-    }?;
-    if let Input::Whitened { components } = plan.recipe.net.input() {
-        let limit = "at most as many as channels";
-        require(components <= channels, "net.components", components, limit)?;
     }
-    Ok(())
 }
 
 /// The net as it is before the first step.

@@ -29,6 +29,8 @@ const CHECKPOINT: &str = "checkpoint.bin";
 /// File with the id of the calibration whose simulations a training has begun on; empty: the nominal
 /// skin's.
 const SKIN: &str = "skin";
+/// File with the id of the Transfer-Net whose residuals are the noise.
+const NOISE: &str = "noise";
 /// Seconds between two checkpoints.
 const CHECKPOINT_EVERY_S: f64 = 30.0;
 
@@ -54,12 +56,21 @@ async fn train_and_keep(
     watch: &Arc<Watch>,
 ) -> Result<Option<Value>, JobError> {
     let text = job.request["recipe"].as_str().unwrap_or_default();
-    let recipe = Recipe::from_toml("recipe", text)?;
+    let mut recipe = Recipe::from_toml("recipe", text)?;
+    let folder = jobs.folder(&job.id);
     let noise_sd_v = match &recipe.noise_of {
-        Some(model) => Some(jobs.inner.models.residuals(model).await?.sd_v),
+        Some(name) => {
+            // After a restart the model that it had begun with, not what the name means by now.
+            let id = match begun_with(&folder, NOISE) {
+                Some(id) => id,
+                None => jobs.inner.models.find(name).await?.id,
+            };
+            begin_with(&folder, NOISE, &id)?;
+            recipe.noise_of = Some(id.clone());
+            Some(jobs.inner.models.residuals(&id).await?.sd_v)
+        }
         None => None,
     };
-    let folder = jobs.folder(&job.id);
     let work = Work {
         recipe,
         folder: folder.clone(),
@@ -80,11 +91,11 @@ async fn train_and_keep(
         }
         None => {
             let serving = &jobs.inner.serving;
-            let skin = match begun_on(&folder) {
-                Some(skin) => skin,
+            let skin = match begun_with(&folder, SKIN) {
+                Some(skin) => Some(skin).filter(|skin| !skin.is_empty()),
                 None => serving.promoted_skin().await?,
             };
-            begin_on(&folder, skin.as_deref()).map_err(LearnError::file("writing", &folder))?;
+            begin_with(&folder, SKIN, skin.as_deref().unwrap_or_default())?;
             let (sensor, model) = serving.simulation(skin.as_deref()).await?;
             background(move || work.on_stream(sensor, &model)).await??
         }
@@ -99,15 +110,15 @@ async fn train_and_keep(
     Ok(Some(json!({ "model": model.id, "name": model.name })))
 }
 
-/// The skin that a training had begun on before a restart, whatever serves by now.
-fn begun_on(folder: &Path) -> Option<Option<String>> {
-    let skin = std::fs::read_to_string(folder.join(SKIN)).ok()?;
-    Some(Some(skin).filter(|skin| !skin.is_empty()))
+/// What a training had begun with before a restart, whatever that would be by now.
+fn begun_with(folder: &Path, name: &str) -> Option<String> {
+    std::fs::read_to_string(folder.join(name)).ok()
 }
 
-fn begin_on(folder: &Path, skin: Option<&str>) -> std::io::Result<()> {
-    std::fs::create_dir_all(folder)?;
-    write_whole(folder, SKIN, skin.unwrap_or_default().as_bytes())
+fn begin_with(folder: &Path, name: &str, what: &str) -> Result<(), LearnError> {
+    let kept =
+        std::fs::create_dir_all(folder).and_then(|()| write_whole(folder, name, what.as_bytes()));
+    kept.map_err(LearnError::file("writing", folder))
 }
 
 /// What a training needs while it runs.

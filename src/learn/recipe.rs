@@ -9,6 +9,8 @@ use crate::dataset::force_map::ForceMapSpec;
 use crate::problem::{Checks, Problem};
 use crate::syntax::syntax_problem;
 
+/// Most rows of an epoch: their order is held in memory.
+const ROWS_MAX: u64 = 20_000_000;
 /// Longest name.
 const NAME_MAX: usize = 80;
 
@@ -70,7 +72,8 @@ impl Recipe {
         let dataset = self.dataset.as_deref().unwrap_or("none");
         let has_data = self.dataset.is_some() || task == NetTask::Points;
         checks.require(has_data, "dataset", dataset, "must be a dataset's name or id");
-        checks.require(self.rows != Some(0), "rows", 0, "must be at least 1, or absent");
+        let rows = self.rows.unwrap_or(1);
+        checks.require((1..=ROWS_MAX).contains(&rows), "rows", rows, "must be 1 to 20000000");
         let level = self.training.noise.level;
         let limit = "must name the Transfer-Net whose residuals training.noise.level scales";
         let noise_of = self.noise_of.as_deref().unwrap_or("none");
