@@ -77,9 +77,9 @@ fn may_stop(path: &str) -> bool {
     path.ends_with("/estop") || path.starts_with("/api/v1/runs/") && path.ends_with("/actions")
 }
 
-/// An export only reads what its asker could read in pieces.
+/// An export only reads what its asker could read in pieces; frames are answered and not kept.
 fn is_reading(path: &str) -> bool {
-    path == "/api/v1/exports"
+    matches!(path, "/api/v1/exports" | "/api/v1/infer")
 }
 
 fn unauthorized(words: &str) -> ApiError {

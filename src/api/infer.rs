@@ -17,6 +17,7 @@ use utoipa::{IntoParams, ToSchema};
 use super::App;
 use super::problem::{ApiError, Params, ProblemBody};
 use crate::clock::Clock;
+use crate::dataset::background::background;
 use crate::infer::answer::{Method, Reading};
 use crate::infer::error::InferError;
 use crate::infer::exact::Tracked;
@@ -24,12 +25,15 @@ use crate::infer::serving::{Pipeline, Slot};
 
 /// Largest body with frames.
 pub const FRAMES_MAX_BYTES: usize = 64 << 20;
-/// Most frames of a request: an exact fit takes a tenth of a second.
+/// Most frames of a request.
 const FRAMES_MAX: usize = 2_000;
+/// Most frames of a request for `exact`: a fit takes a tenth of a second.
+const EXACT_MAX: usize = 300;
 /// Most frames of a request for maps: each is 25,600 numbers.
 const MAPS_MAX: usize = 100;
-/// Requests that are answered at a time; others wait.
+/// Requests that are answered at a time, by nets and by `exact`; others wait.
 const ANSWERED_AT_ONCE: usize = 4;
+const FITTED_AT_ONCE: usize = 2;
 /// Live clients at a time.
 const LIVE_AT_ONCE: usize = 8;
 /// Longest wait for a turn.
@@ -50,7 +54,7 @@ pub struct Wish {
     /// A Transfer-Net's id or name before it, in place of the one that serves.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub transfer: Option<String>,
-    /// With the force map, where the method makes one.
+    /// With the force map: the net's own, or what `fast` and `exact` found, drawn as Map 1.
     #[serde(default)]
     pub map: bool,
     /// Each frame is the mean of so many: `exact` reckons with less noise.
@@ -78,7 +82,8 @@ pub struct FrameAnswer {
     /// Contacts, map, what is outside of the trained range.
     #[serde(flatten)]
     pub reading: Reading,
-    /// The model's id, or ids with a `+` between; a calibration's id for `exact`.
+    /// The model's id, or ids with a `+` between; for `exact` a calibration's id, and that of the
+    /// Point-Net that proposes to it.
     pub model: String,
     /// The method.
     pub method: Method,
@@ -101,9 +106,12 @@ pub async fn infer(
     let channels = app.serving.sensor().channels();
     let (wish, frames) = received(&app, request, channels).await?;
     let pipeline = pipeline(&app, &wish).await?;
-    let turn = timeout(TURN, app.turns.answers.clone().acquire_owned()).await;
-    let Ok(Ok(turn)) = turn else {
-        let words = format!("{ANSWERED_AT_ONCE} requests for answers are at work: ask again");
+    let turns = match wish.method {
+        Method::Exact => &app.turns.fits,
+        Method::Paper | Method::Fast => &app.turns.answers,
+    };
+    let Ok(Ok(turn)) = timeout(TURN, turns.clone().acquire_owned()).await else {
+        let words = "as many requests as can be are being answered: ask again";
         return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
     };
     let clock = Clock::new(1.0);
@@ -121,7 +129,8 @@ pub async fn infer(
         };
         Ok::<_, InferError>(answered.readings.into_iter().map(answer).collect())
     };
-    let answers = tokio::task::spawn_blocking(work).await.map_err(|_| InferError::Worker)??;
+    // Whoever asks waits for the campaign and for the live frames.
+    let answers = background(work).await.map_err(|_| InferError::Worker)??;
     Ok(Json(answers))
 }
 
@@ -177,6 +186,10 @@ async fn received(
     if count == 0 || count > FRAMES_MAX {
         return Err(ApiError::value("frames", count, &format!("must be from 1 to {FRAMES_MAX}")));
     }
+    if wish.method == Method::Exact && count > EXACT_MAX {
+        let limit = format!("must be from 1 to {EXACT_MAX} where contacts are fitted");
+        return Err(ApiError::value("frames", count, &limit));
+    }
     if wish.map && count > MAPS_MAX {
         let limit = format!("must be from 1 to {MAPS_MAX} where maps are wished for");
         return Err(ApiError::value("frames", count, &limit));
@@ -198,7 +211,7 @@ pub struct LiveWish {
     /// `paper`, `fast` or `exact`; the best one that something serves for otherwise.
     #[param(inline)]
     pub method: Option<Method>,
-    /// With the force map, where the method makes one.
+    /// With the force map: the net's own, or what `fast` and `exact` found, drawn as Map 1.
     #[serde(default)]
     pub map: bool,
 }
@@ -249,13 +262,14 @@ pub async fn live(
 #[derive(Clone)]
 pub struct Turns {
     answers: Arc<Semaphore>,
+    fits: Arc<Semaphore>,
     live: Arc<Semaphore>,
 }
 
 impl Default for Turns {
     fn default() -> Self {
         let of = |count| Arc::new(Semaphore::new(count));
-        Self { answers: of(ANSWERED_AT_ONCE), live: of(LIVE_AT_ONCE) }
+        Self { answers: of(ANSWERED_AT_ONCE), fits: of(FITTED_AT_ONCE), live: of(LIVE_AT_ONCE) }
     }
 }
 

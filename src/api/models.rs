@@ -107,6 +107,8 @@ pub struct PromotionOut {
     /// When.
     #[schema(value_type = String, format = DateTime)]
     pub at: jiff::Timestamp,
+    /// Whether it had served before and was gone back to.
+    pub rolled_back: bool,
 }
 
 /// All models, newest first.
@@ -258,6 +260,7 @@ pub async fn serving(State(app): State<App>) -> Result<Json<ServingOut>, ApiErro
         who: row.who,
         why: row.why,
         at: row.at,
+        rolled_back: row.rolled_back,
     });
     Ok(Json(ServingOut { serves, history: history.collect() }))
 }
@@ -293,15 +296,18 @@ pub async fn roll_back(
     Ok(Json(ServesOut { slot, what }))
 }
 
-/// Whether a report says how good a model of this task is: by a method that it is for, on rows that
-/// it did not learn from, and on more than a few that were shown.
-fn tells_of(task: &str, report: &Value) -> bool {
-    let methods: &[&str] = match task {
+/// Whether a report says how good a model is: by a method that it is for, on rows that it did not
+/// learn from, and on more than a few that were shown.
+fn tells_of(row: &ModelRow, learned_from: &[&str], report: &Value) -> bool {
+    let methods: &[&str] = match row.task.as_str() {
         "transfer" => &["voltages", "paper"],
         "points" => &["fast"],
         _ => &["paper"],
     };
-    let learned = matches!(report["part"].as_str(), Some("train" | "validation"));
+    let learned = match report["part"].as_str() {
+        Some(part) => part != "test",
+        None => report["dataset"].as_str().is_some_and(|id| learned_from.contains(&id)),
+    };
     let is_for = report["scored"].as_str().is_some_and(|scored| methods.contains(&scored));
     is_for && !learned && report["examples"].is_null()
 }
@@ -310,11 +316,19 @@ async fn out(app: &App, row: ModelRow) -> Result<ModelOut, ApiError> {
     let manifest: toml::Table = toml::from_str(&row.manifest).unwrap_or_default();
     let serves = app.serving.promoted().await?;
     let reports = app.store.evaluations_of(&row.id).await?.into_iter().filter_map(|job| job.result);
-    let scores = reports.filter(|report| tells_of(&row.task, report));
+    let learned_from: Vec<&str> = manifest
+        .get("model")
+        .and_then(|model| model.get("datasets")?.as_array())
+        .into_iter()
+        .flatten()
+        .filter_map(toml::Value::as_str)
+        .collect();
+    let scores: Vec<Value> =
+        reports.filter(|report| tells_of(&row, &learned_from, report)).collect();
     Ok(ModelOut {
         serves: serves.iter().any(|(_, what)| what.as_ref() == Some(&row.id)),
         manifest: serde_json::to_value(manifest.get("model")).unwrap_or_default(),
-        scores: scores.collect(),
+        scores,
         id: row.id,
         name: row.name,
         task: row.task,

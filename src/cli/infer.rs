@@ -32,7 +32,7 @@ pub struct InferArgs {
     /// A Transfer-Net's id or name before it, in place of the one that serves.
     #[arg(long, value_name = "MODEL")]
     transfer: Option<String>,
-    /// With the force map, where the method makes one.
+    /// With the force map (--json shows it): the net's own, or the contacts drawn as Map 1.
     #[arg(long)]
     map: bool,
     /// Each frame is the mean of so many.
@@ -48,6 +48,9 @@ pub struct LiveArgs {
     /// paper, fast or exact [default: the best that something serves for].
     #[arg(long, value_parser = method)]
     method: Option<Method>,
+    /// With the force map (--json shows it): the net's own, or the contacts drawn as Map 1.
+    #[arg(long)]
+    map: bool,
     /// End after so many frames.
     #[arg(long, value_name = "N")]
     frames: Option<u64>,
@@ -145,10 +148,8 @@ fn contact_words(contact: &FoundContact) -> String {
 /// Runs `palpate live`.
 pub async fn live(args: LiveArgs) -> Result<(), CliError> {
     let client = embed::server(&args.at).await?;
-    let path = match args.method {
-        Some(method) => format!("/api/v1/live?method={}", method.name()),
-        None => "/api/v1/live".into(),
-    };
+    let method = args.method.map_or(String::new(), |method| format!("&method={}", method.name()));
+    let path = format!("/api/v1/live?map={}{method}", args.map);
     let status: Value = client.get("/api/v1/status").await?;
     if status["rig"]["state"] == "disconnected" {
         eprintln!("no frames while the rig is not connected: palpate rig connect");

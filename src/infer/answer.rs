@@ -75,7 +75,8 @@ impl From<&FoundContact> for Contact {
 pub struct Reading {
     /// The contacts, strongest first.
     pub contacts: Vec<FoundContact>,
-    /// Newtons per pixel, row by row, where the method makes a map.
+    /// Newtons per pixel, row by row, where a map is wished for: the net's own, or what `fast` and
+    /// `exact` found, drawn as the paper's Map 1 (160 x 160 pixels of 4 mm, discs of 20 mm).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub force_map_n: Option<Vec<f32>>,
     /// What of the frame lies outside of what the model was trained on, in words.

@@ -59,6 +59,8 @@ pub struct ExactSkin {
     run: Option<String>,
     /// Hash of its model.
     simulation: String,
+    /// Its width and height.
+    size_mm: [f64; 2],
     /// What its untouched frames show, V.
     offset_v: Vec<f64>,
     errors: SkinErrors,
@@ -129,10 +131,16 @@ impl ExactSkin {
             calibration: model.sensor().calibration().map(Into::into),
             run: model.sensor().skin().map(|skin| skin.evidence.run.clone()),
             simulation: model.model_hash().into(),
+            size_mm: [model.sensor().file.width_mm, model.sensor().file.height_mm],
             offset_v: offset_v(model),
             fitter: ContactFitter::new(model, &errors.model, FitOptions::default())?,
             errors,
         })
+    }
+
+    /// Its width and height, mm.
+    pub fn size_mm(&self) -> [f64; 2] {
+        self.size_mm
     }
 
     /// What was learnt of its errors.
@@ -285,6 +293,12 @@ pub struct Tracked {
 }
 
 impl ExactPipeline {
+    /// What answers carry as their model: the skin's id and the net's.
+    pub fn models(&self) -> String {
+        let net = self.points.as_ref().map(|points| format!("+{}", points.model()));
+        format!("{}{}", self.skin.id(), net.unwrap_or_default())
+    }
+
     /// Reads frames (V, one after the other), each the mean of so many, each from scratch.
     pub fn read(&self, frames: &[f32], averaged: f64) -> Result<Vec<Reading>, InferError> {
         let (mut work, mut frame_v) = (FitWork::default(), Vec::new());

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::answer::{FoundContact, Reading};
 use super::error::InferError;
 use super::registry::Model;
-use crate::dataset::force_map::{ForceMap, ForceMapSpec};
+use crate::dataset::force_map::{ForceMap, ForceMapSpec, TABLE_IV};
 use crate::learn::model_file::NetTask;
 
 /// Least sum of a peak where contacts sum up to 1, since no force was known.
@@ -115,6 +115,21 @@ impl MapPipeline {
         }
         Ok(readings)
     }
+}
+
+/// How contacts are drawn that no net made a map of: the paper's Map 1, 160 x 160 pixels.
+pub const MAP_1: ForceMapSpec = TABLE_IV[0];
+
+/// Draws the contacts of readings that have no map (Map 1); those without a force are left out.
+pub fn draw(readings: &mut [Reading], [width_mm, height_mm]: [f64; 2]) -> Result<(), InferError> {
+    let draws = ForceMap::new(MAP_1, width_mm, height_mm)?;
+    for reading in readings.iter_mut().filter(|reading| reading.force_map_n.is_none()) {
+        let pressed = reading.contacts.iter().filter_map(|c| Some((c.x_mm, c.y_mm, c.force_n?)));
+        let mut map = vec![0.0; draws.pixels() * draws.pixels()];
+        draws.render(&pressed.collect::<Vec<_>>(), &mut map)?;
+        reading.force_map_n = Some(map);
+    }
+    Ok(())
 }
 
 /// The peaks of a map as contacts, strongest first.

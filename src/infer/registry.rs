@@ -72,6 +72,13 @@ pub struct Model {
     pub plan: Plan,
 }
 
+impl Model {
+    /// Width and height of its skin, mm.
+    pub fn size_mm(&self) -> [f64; 2] {
+        [self.skin.width_mm, self.skin.height_mm]
+    }
+}
+
 impl std::fmt::Debug for Model {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Model").field("id", &self.manifest.id).finish_non_exhaustive()

@@ -16,7 +16,7 @@ use utoipa::ToSchema;
 use super::answer::{Method, Reading};
 use super::error::InferError;
 use super::exact::{ExactPipeline, ExactSkin, Tracked};
-use super::maps::MapPipeline;
+use super::maps::{MapPipeline, draw};
 use super::points::PointPipeline;
 use super::registry::{Model, Registry};
 use super::skins::Skins;
@@ -85,7 +85,8 @@ pub struct Pipeline {
 pub struct Answered {
     /// One for each frame.
     pub readings: Vec<Reading>,
-    /// The model's id, or ids with a `+` between; a calibration's for `exact`.
+    /// The model's id, or ids with a `+` between; a calibration's for `exact`, and the Point-Net's
+    /// that proposes to it.
     pub model: String,
 }
 
@@ -149,26 +150,29 @@ impl Pipeline {
         averaged: f64,
         with_map: bool,
     ) -> Result<Answered, InferError> {
-        match method {
+        let (mut answered, size_mm) = match method {
             Method::Paper => {
                 let maps = self.maps(THRESHOLD_N)?;
                 let readings = maps.read(frames, with_map)?;
-                Ok(Answered { readings, model: maps.models().join("+") })
+                return Ok(Answered { readings, model: maps.models().join("+") });
             }
             Method::Fast => {
                 let points = self.points()?;
-                Ok(Answered { readings: points.read(frames)?, model: points.model().into() })
+                let (readings, model) = (points.read(frames)?, points.model().into());
+                (Answered { readings, model }, points.net().size_mm())
             }
             Method::Exact => {
                 let exact = self.exact()?;
                 let readings = exact.read(frames, averaged)?;
-                Ok(Answered { readings, model: exact.skin.id().into() })
+                (Answered { readings, model: exact.models() }, exact.skin.size_mm())
             }
+        };
+        if with_map {
+            draw(&mut answered.readings, size_mm)?;
         }
+        Ok(answered)
     }
-}
 
-impl Pipeline {
     /// Answers the next frame of a stream (V), and says which model did.
     pub fn follow(
         &self,
@@ -179,8 +183,11 @@ impl Pipeline {
     ) -> Result<(Reading, String), InferError> {
         if method == Method::Exact {
             let exact = self.exact()?;
-            let id = exact.skin.id().to_owned();
-            return Ok((exact.follow(frame, tracked)?, id));
+            let mut reading = exact.follow(frame, tracked)?;
+            if with_map {
+                draw(std::slice::from_mut(&mut reading), exact.skin.size_mm())?;
+            }
+            return Ok((reading, exact.models()));
         }
         let answered = self.answer(method, frame, 1.0, with_map)?;
         let reading = answered.readings.into_iter().next().unwrap_or_default();
@@ -308,7 +315,7 @@ impl Serving {
             (Slot::of(model.manifest.model.task), model.manifest.id.clone())
         };
         self.put(slot, Some(&what)).await?;
-        self.inner.store.promote(slot.name(), Some(&what), who, why).await?;
+        self.inner.store.promote(slot.name(), (Some(&what), false), who, why).await?;
         Ok(slot)
     }
 
@@ -321,11 +328,11 @@ impl Serving {
     ) -> Result<Option<String>, InferError> {
         let _one_at_a_time = self.inner.changing.lock().await;
         let rows = self.inner.store.promotions().await?;
-        let whats: Vec<_> =
-            rows.into_iter().filter(|row| row.slot == slot.name()).map(|row| row.what).collect();
-        let earlier = earlier(&whats).ok_or(InferError::NoEarlier(slot.name()))?;
+        let of_slot = rows.into_iter().filter(|row| row.slot == slot.name());
+        let served: Vec<_> = of_slot.map(|row| (row.what, row.rolled_back)).collect();
+        let earlier = earlier(&served).ok_or(InferError::NoEarlier(slot.name()))?;
         self.put(slot, earlier.as_deref()).await?;
-        self.inner.store.promote(slot.name(), earlier.as_deref(), who, why).await?;
+        self.inner.store.promote(slot.name(), (earlier.as_deref(), true), who, why).await?;
         Ok(earlier)
     }
 
@@ -382,14 +389,15 @@ impl Serving {
     }
 }
 
-/// Of what was promoted, newest first: the one to go back to. Going back again goes on back.
-fn earlier(whats: &[Option<String>]) -> Option<Option<String>> {
-    // What was rolled back from stands above what it was rolled back to.
+/// Of what served, newest first, and whether it was gone back to: the one to go back to. Going back
+/// again goes on back.
+fn earlier(served: &[(Option<String>, bool)]) -> Option<Option<String>> {
     let mut stack: Vec<&Option<String>> = Vec::new();
-    for what in whats.iter().rev() {
-        match stack.iter().position(|known| *known == what) {
-            Some(place) => stack.truncate(place + 1),
-            None => stack.push(what),
+    for (what, rolled_back) in served.iter().rev() {
+        if *rolled_back {
+            stack.pop();
+        } else if stack.last() != Some(&what) {
+            stack.push(what);
         }
     }
     stack.pop()?;
@@ -401,14 +409,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn going_back_twice_does_not_come_back() {
-        let of = |ids: &[&str]| -> Vec<Option<String>> {
-            ids.iter().rev().map(|id| Some((*id).to_owned())).collect()
+    fn going_back_twice_does_not_come_back_and_promoting_again_is_no_going_back() {
+        // "-a": gone back to a.
+        let of = |ids: &[&str]| -> Vec<(Option<String>, bool)> {
+            let one = |id: &&str| (Some(id.trim_start_matches('-').into()), id.starts_with('-'));
+            ids.iter().rev().map(one).collect()
         };
-        assert_eq!(earlier(&[]), None);
+        assert_eq!(earlier(&of(&[])), None);
         assert_eq!(earlier(&of(&["a"])), Some(None));
         assert_eq!(earlier(&of(&["a", "b"])), Some(Some("a".into())));
-        assert_eq!(earlier(&of(&["a", "b", "c", "b"])), Some(Some("a".into())));
-        assert_eq!(earlier(&of(&["a", "b", "a"])), Some(None));
+        assert_eq!(earlier(&of(&["a", "b", "c", "-b"])), Some(Some("a".into())));
+        assert_eq!(earlier(&of(&["a", "b", "-a"])), Some(None));
+        assert_eq!(earlier(&of(&["a", "b", "a"])), Some(Some("b".into())));
+        assert_eq!(earlier(&of(&["a", "b", "a", "-b"])), Some(Some("a".into())));
+        assert_eq!(earlier(&of(&["a", "a"])), Some(None));
     }
 }

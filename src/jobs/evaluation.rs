@@ -14,7 +14,7 @@ use super::{Jobs, Watch};
 use crate::clock::Clock;
 use crate::dataset::background::background;
 use crate::dataset::build::data_file;
-use crate::dataset::force_map::{ForceMap, ForceMapSpec};
+use crate::dataset::force_map::ForceMap;
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::dataset::read::sensor_text;
 use crate::evaluate::perfect::perfect;
@@ -27,7 +27,7 @@ use crate::ids::TrialId;
 use crate::infer::answer::{FoundContact, Reading};
 use crate::infer::error::InferError;
 use crate::infer::exact::ExactPipeline;
-use crate::infer::maps::MapPipeline;
+use crate::infer::maps::{MAP_1, MapPipeline};
 use crate::infer::one_step::OneStepPipeline;
 use crate::infer::points::PointPipeline;
 use crate::infer::registry::{self, Model};
@@ -39,8 +39,6 @@ use crate::store::{Contact, DatasetRow, JobRow, Store};
 
 /// Frames that a Transfer-Net reads at a time.
 const FRAMES_AT_ONCE: usize = 8;
-/// The map that a perfect score is of, where the method has none of its own (paper, Map 1).
-const MAP_1: ForceMapSpec = crate::dataset::force_map::TABLE_IV[0];
 
 /// What reads frames.
 enum Reader {
