@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use super::client::Client;
 use super::error::CliError;
-use super::files::{DEFAULT_SENSOR, read_input, write_bytes};
+use super::files::{DEFAULT_SENSOR, read_input, write, write_bytes};
 use super::output::{say, say_json};
 use super::{At, embed};
 use crate::api::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
@@ -38,7 +38,7 @@ enum What {
     RollBack(RollBack),
     /// Show what serves, and what did.
     Serving(At),
-    /// Write a model's ONNX file.
+    /// Write a model's ONNX file, and beside it (.json) what is known of it: manifest and scores.
     Onnx(Onnx),
     /// Take in a model trained elsewhere: an ONNX file and what is known of it.
     ///
@@ -190,10 +190,14 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
             let bytes = answer.bytes().await;
             let bytes = bytes.map_err(|source| CliError::Http { operation, source })?;
             write_bytes(&out, &bytes)?;
+            let known: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;
+            let manifest = out.with_extension("json");
+            write(&manifest, &format!("{:#}\n", json!(known)))?;
             if at.json {
-                say_json(&json!({ "file": out, "bytes": bytes.len() }));
+                say_json(&json!({ "file": out, "bytes": bytes.len(), "manifest": manifest }));
             } else {
-                say(format_args!("{}: {} bytes", out.display(), bytes.len()));
+                let known = manifest.display();
+                say(format_args!("{}: {} bytes; {known}", out.display(), bytes.len()));
             }
         }
         What::Add(add) => {

@@ -12,10 +12,14 @@ use crate::store::{Label, RunKind};
 use crate::syntax::syntax_problem;
 
 /// The definitions that are in the binary, by their names.
-const BUILT_IN: [(&str, &str); 5] = [
+const BUILT_IN: [(&str, &str); 6] = [
     ("real", include_str!("../../experiments/datasets/real.toml")),
     ("real-untouched", include_str!("../../experiments/datasets/real-untouched.toml")),
     ("r2s-transfer", include_str!("../../experiments/datasets/r2s-transfer.toml")),
+    (
+        "r2s-transfer-by-trial",
+        include_str!("../../experiments/datasets/r2s-transfer-by-trial.toml"),
+    ),
     ("s2s-recon", include_str!("../../experiments/datasets/s2s-recon.toml")),
     ("real-unseen", include_str!("../../experiments/datasets/real-unseen.toml")),
 ];

@@ -46,7 +46,7 @@ pub fn score_row(method: &str, score: &Score, beside: Beside) -> Vec<String> {
         score.trials.to_string(),
         cell(&score.number_percent, 1.0),
         cell(&score.location_mm, 1.0),
-        cell(&score.closest_mm, 1.0),
+        closest(score, &cell),
         cell(&score.force_percent, 1.0),
         force_median.map_or(ABSENT.into(), |median| figure(median, decimals(median))),
         cell(&score.diameter_percent, 1.0),
@@ -57,6 +57,18 @@ pub fn score_row(method: &str, score: &Score, beside: Beside) -> Vec<String> {
         },
         cell(&score.ghosts_per_trial, 1.0),
     ]
+}
+
+/// The distance to the closest estimate; where frames without any estimate have none, with the share
+/// of the true contacts that it is of.
+fn closest(score: &Score, cell: &impl Fn(&Option<Mean>, f64) -> String) -> String {
+    let words = cell(&score.closest_mm, 1.0);
+    match score.closest_mm {
+        Some(mean) if mean.n < score.contacts => {
+            format!("{words} of {:.0} %", 100.0 * mean.n as f64 / score.contacts as f64)
+        }
+        _ => words,
+    }
 }
 
 /// A published score as a row under [`COLUMNS`], in the paper's digits.
@@ -200,6 +212,8 @@ mod tests {
 | paper, V-D     |      - |          -58.3 |            74.4 |
 ";
         assert_eq!(table, expected);
+        let silent = Score { closest_mm: mean(50.0, 9.0, 2.0), contacts: 12, ..Score::default() };
+        assert_eq!(score_row("ours", &silent, Beside::Interval)[4], "50 [48, 52] of 75 %");
         assert_eq!(rows[0][4..], ["-", "-", "10", "-", "71", "0.0 ± 0.2"]);
         assert_eq!(rows[1][8..], ["71 [67, 75]", "0.0 [0.0, 0.0]"]);
         assert_eq!(rows[2][7], "-31 ± 12");

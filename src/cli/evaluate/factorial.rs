@@ -5,13 +5,14 @@
 use serde_json::json;
 
 use super::lab::{Lab, Sheet};
+use super::method::perfects;
 use super::noise::LEVELS;
 use crate::cli::error::CliError;
 use crate::evaluate::anova::{Anova, Factor, Factorial, Moments};
 use crate::evaluate::charts::{Bar, bars};
 use crate::evaluate::published::{FIG_11, Held, Marginal};
 use crate::evaluate::request::Scored;
-use crate::evaluate::table;
+use crate::evaluate::table::{self, COLUMNS};
 use crate::evaluate::touch::Metric;
 
 /// The coarser of the two pixels; the finer one is the scale's.
@@ -27,7 +28,7 @@ const CRITERIA: [(&str, &str, Metric); 4] = [
 
 /// Trains and scores the twelve conditions.
 pub async fn factorial(lab: Lab) -> Result<Sheet, CliError> {
-    let transfer = lab.transfer("transfer-to-6", &["contact_count__lte=6".into()]).await?;
+    let transfer = lab.transfer_to_6().await?;
     let factor = |name: &str, levels: Vec<String>| Factor { name: name.into(), levels };
     let mm = |values: [u32; 2]| values.map(|mm| format!("{mm} mm")).to_vec();
     let pixels_mm = [lab.args.scale.fine_mm(), COARSE_MM];
@@ -39,7 +40,7 @@ pub async fn factorial(lab: Lab) -> Result<Sheet, CliError> {
     ];
     let design = Factorial::new(factors).map_err(odd)?;
     let mut designs = CRITERIA.map(|_| design.clone());
-    let (mut reports, mut shown) = (Vec::new(), Vec::new());
+    let (mut reports, mut shown, mut numbers) = (Vec::new(), Vec::new(), Vec::new());
     let mut label = String::new();
     for (p, pixel_mm) in pixels_mm.into_iter().enumerate() {
         for (d, diameter_mm) in DIAMETERS_MM.into_iter().enumerate() {
@@ -58,8 +59,9 @@ pub async fn factorial(lab: Lab) -> Result<Sheet, CliError> {
                 }
                 shown.push((name, cells));
                 label = report.label.clone();
-                reports.push(json!({ "map": map, "noise": level, "model": net.id,
+                numbers.push(json!({ "map": map, "noise": level, "model": net.id,
                     "report": report }));
+                reports.push(report);
             }
         }
     }
@@ -84,12 +86,16 @@ pub async fn factorial(lab: Lab) -> Result<Sheet, CliError> {
             Err(why) => text += &format!("\n## {words}\n\nnot analysed: {why}\n"),
         }
     }
-    text += &format!("\n{}\n", lab.scale_words(&label));
+    text += &format!(
+        "\n## A perfect map under the same rule\n\n{}\n{}\n",
+        table::markdown(&COLUMNS, &perfects(reports.iter())),
+        lab.scale_words(&label)
+    );
     Ok(Sheet {
         name: "fig-11",
         text,
         numbers: json!({ "figure": "11", "scale": lab.args.scale.name(), "label": label,
-            "transfer": transfer.id, "conditions": reports, "analyses": analyses }),
+            "transfer": transfer.id, "conditions": numbers, "analyses": analyses }),
         pictures,
     })
 }

@@ -195,21 +195,33 @@ impl Lab {
         self.client.get(&format!("/api/v1/models/{id}")).await
     }
 
-    /// The Transfer-Net of the options, trained on these rows.
-    pub async fn transfer(&self, stem: &str, conditions: &[String]) -> Result<ModelOut, CliError> {
-        self.transfer_by(&self.args.transfer, stem, conditions).await
+    /// The Transfer-Net of the options, trained on these rows of a dataset.
+    pub async fn transfer(
+        &self,
+        stem: &str,
+        dataset: &str,
+        conditions: &[String],
+    ) -> Result<ModelOut, CliError> {
+        self.transfer_by(&self.args.transfer, stem, dataset, conditions).await
     }
 
-    /// A Transfer-Net of a recipe, trained on these rows.
+    /// The Transfer-Net of the paper's pipeline, trained on all numbers of contacts.
+    pub async fn transfer_to_6(&self) -> Result<ModelOut, CliError> {
+        self.transfer("transfer-to-6", R2S, &[to(6)]).await
+    }
+
+    /// A Transfer-Net of a recipe, trained on these rows of a dataset.
     pub async fn transfer_by(
         &self,
         recipe: &str,
         stem: &str,
+        dataset: &str,
         conditions: &[String],
     ) -> Result<ModelOut, CliError> {
         let (epochs, rows) = self.args.scale.transfer();
         let changes = Changes {
             name: Some(format!("{stem}-{}", self.args.scale.name())),
+            dataset: Some(dataset.into()),
             conditions: conditions.to_vec(),
             epochs: Some(self.args.epochs.unwrap_or(epochs)),
             rows: self.args.rows.or(rows),
@@ -283,6 +295,13 @@ impl Lab {
         Ok(row["id"].as_str().unwrap_or_default().to_owned())
     }
 
+    /// What a dataset's split never divides.
+    pub async fn split_by(&self, name: &str) -> Result<String, CliError> {
+        let row: Value =
+            self.client.patient(MAKING).get(&format!("/api/v1/datasets/{name}")).await?;
+        Ok(row["definition"]["split"]["by"].as_str().unwrap_or("nothing").to_owned())
+    }
+
     /// The service.
     pub fn client(&self) -> &Client {
         &self.client
@@ -317,6 +336,14 @@ impl Lab {
             self.args.seed,
         )
     }
+}
+
+/// The dataset of Transfer-Nets.
+pub const R2S: &str = "r2s-transfer";
+
+/// The condition of up to so many contacts.
+pub fn to(contacts: u32) -> String {
+    format!("contact_count__lte={contacts}")
 }
 
 /// The paper's pixels, mm.

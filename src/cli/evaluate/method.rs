@@ -99,11 +99,22 @@ pub fn rows(name: &str, report: &EvaluationReport) -> Vec<Vec<String>> {
 }
 
 /// The row of a perfect map under the same rule.
-pub fn perfect(report: &EvaluationReport) -> Option<Vec<String>> {
+fn perfect(report: &EvaluationReport) -> Option<Vec<String>> {
     let scores = report.perfect.as_ref()?;
     let map = report.map.as_deref().unwrap_or_default();
     let name = format!("perfect map {map}, {} N rule", report.threshold_n);
     Some(score_row(&name, &scores.all, Beside::Interval))
+}
+
+/// A row for each map that these reports are of.
+pub fn perfects<'a>(reports: impl Iterator<Item = &'a EvaluationReport>) -> Vec<Vec<String>> {
+    let mut rows: Vec<Vec<String>> = Vec::new();
+    for row in reports.filter_map(perfect) {
+        if !rows.contains(&row) {
+            rows.push(row);
+        }
+    }
+    rows
 }
 
 /// Which models read, and what one should know before believing them.

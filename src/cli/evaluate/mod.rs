@@ -34,7 +34,7 @@ enum What {
     /// Score a method on a dataset: contacts found beside true ones, by their number.
     Method(method::MethodArgs),
     /// Table III: Transfer-Nets trained on 1, 1 to 2, .. 1 to 6 contacts, tested on each number.
-    Transfer(lab::LabArgs),
+    Transfer(transfer::TransferArgs),
     /// Table IV and Fig. 9: Recon-Nets of twelve force maps, on simulated voltages.
     Maps(lab::LabArgs),
     /// Fig. 10: what the Transfer-Net leaves over, and one trial's maps at three levels of noise.
@@ -50,7 +50,7 @@ pub async fn evaluate(args: EvaluateArgs) -> Result<(), CliError> {
     match args.what {
         What::Simulation(args) => simulation::simulation(args).await,
         What::Method(args) => method::method(args).await,
-        What::Transfer(args) => lab::with_lab(args, transfer::transfer).await,
+        What::Transfer(args) => transfer::transfer(args).await,
         What::Maps(args) => lab::with_lab(args, maps::maps).await,
         What::Noise(args) => lab::with_lab(args, noise::noise).await,
         What::Factorial(args) => lab::with_lab(args, factorial::factorial).await,

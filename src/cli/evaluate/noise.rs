@@ -22,7 +22,7 @@ pub const LEVELS: [f64; 3] = [0.0, 0.1, 0.5];
 
 /// Trains one Transfer-Net and three Recon-Nets, and reads one trial of three contacts.
 pub async fn noise(lab: Lab) -> Result<Sheet, CliError> {
-    let transfer = lab.transfer("transfer-to-6", &["contact_count__lte=6".into()]).await?;
+    let transfer = lab.transfer_to_6().await?;
     let path = format!("/api/v1/models/{}/residuals", transfer.id);
     let left: Residuals = lab.client().get(&path).await?;
     let (frame, truth, label) = triple(&lab).await?;

@@ -1,9 +1,10 @@
 //! Table III: Transfer-Nets by the numbers of contacts that they learned from.
 //! Uses: `lab`, `evaluate::{published, table, charts}`. Never: training here.
 
+use clap::Args;
 use serde_json::json;
 
-use super::lab::{Lab, Sheet};
+use super::lab::{Lab, LabArgs, R2S, Sheet, to, with_lab};
 use crate::cli::error::CliError;
 use crate::evaluate::charts::{Line, lines};
 use crate::evaluate::published::TABLE_III;
@@ -13,19 +14,34 @@ use crate::evaluate::voltages::VoltageScores;
 
 const HEAD: [&str; 8] = ["trained on", "train", "I", "II", "III", "IV", "V", "VI"];
 
+/// Options of `evaluate transfer`.
+#[derive(Debug, Clone, Args)]
+pub struct TransferArgs {
+    /// The dataset; r2s-transfer-by-trial is split as the paper's, by trial.
+    #[arg(long, value_name = "NAME", default_value = R2S)]
+    dataset: String,
+    #[command(flatten)]
+    lab: LabArgs,
+}
+
 /// Trains and scores the ladder.
-pub async fn transfer(lab: Lab) -> Result<Sheet, CliError> {
+pub async fn transfer(args: TransferArgs) -> Result<(), CliError> {
+    with_lab(args.lab, move |lab| score(lab, args.dataset)).await
+}
+
+async fn score(lab: Lab, dataset: String) -> Result<Sheet, CliError> {
+    let split_by = lab.split_by(&dataset).await?;
     let mut rows = Vec::new();
     let (mut numbers, mut curves) = (Vec::new(), Vec::new());
-    let plain = lab.scored(&lab.wish(Scored::Voltages, "r2s-transfer", Some("test"))).await?;
+    let plain = lab.scored(&lab.wish(Scored::Voltages, &dataset, Some("test"))).await?;
     if let Some(scores) = &plain.voltages {
         rows.push(row("no net", None, scores));
     }
     for published in &TABLE_III {
         let most = published.trained_to;
-        let conditions = vec![format!("contact_count__lte={most}")];
-        let model = lab.transfer(&format!("transfer-to-{most}"), &conditions).await?;
-        let mut wish = lab.wish(Scored::Voltages, "r2s-transfer", Some("test"));
+        let conditions = vec![to(most)];
+        let model = lab.transfer(&format!("transfer-to-{most}"), &dataset, &conditions).await?;
+        let mut wish = lab.wish(Scored::Voltages, &dataset, Some("test"));
         wish.transfer = Some(model.id.clone());
         let test = lab.scored(&wish).await?;
         wish.part = Some("train".into());
@@ -51,7 +67,7 @@ pub async fn transfer(lab: Lab) -> Result<Sheet, CliError> {
     let text = format!(
         "# Table III: mean RMSE (V) / mean FVU (%) by the number of contacts\n\n{}\n{}\n",
         markdown(&HEAD, &rows),
-        lab.scale_words(&plain.label)
+        lab.scale_words(&format!("{}, {dataset}, split by {split_by}", plain.label))
     );
     let picture = lines("Table III", "contacts of the test trials", "mean FVU (%)", &curves)?;
     Ok(Sheet {

@@ -5,8 +5,8 @@ use clap::Args;
 use serde_json::json;
 
 use super::factorial::{COARSE_MM, DIAMETERS_MM};
-use super::lab::{Lab, LabArgs, Scale, Sheet, with_lab};
-use super::method::{perfect, read_by, rows};
+use super::lab::{Lab, LabArgs, R2S, Scale, Sheet, to, with_lab};
+use super::method::{perfects, read_by, rows};
 use super::noise::LEVELS;
 use crate::cli::error::CliError;
 use crate::dataset::force_map::{ForceMapSpec, TABLE_IV};
@@ -76,7 +76,8 @@ async fn score(lab: Lab, args: UnseenArgs) -> Result<Sheet, CliError> {
         table.extend(rows(name, report));
     }
     let any = ours.iter().chain(&pipeline).map(|(_, report)| report).next();
-    table.extend(any.and_then(perfect));
+    let all = ours.iter().chain(&pipeline).chain(&end_to_end).map(|(_, report)| report);
+    table.extend(perfects(all));
     let label = any.map(|report| report.label.clone()).unwrap_or_default();
     let text = format!(
         "# Fig. 12: contacts that no net has seen, mean [95 % interval]\n\n{}\n{}{}{}\n",
@@ -143,7 +144,7 @@ fn maps(scale: Scale) -> Vec<String> {
 
 /// The paper's pipeline: every map at every level of noise.
 async fn pipeline(lab: &Lab, args: &UnseenArgs) -> Result<Scores, CliError> {
-    let transfer = lab.transfer("transfer-to-6", &["contact_count__lte=6".into()]).await?;
+    let transfer = lab.transfer_to_6().await?;
     let mut scores = Scores::new();
     for map in maps(lab.args.scale) {
         for level in LEVELS {
@@ -164,8 +165,8 @@ async fn with_published(
     args: &UnseenArgs,
     best: &EvaluationReport,
 ) -> Result<EvaluationReport, CliError> {
-    let all = ["contact_count__lte=6".to_owned()];
-    let transfer = lab.transfer_by(PUBLISHED, "transfer-published-to-6", &all).await?;
+    let all = [to(6)];
+    let transfer = lab.transfer_by(PUBLISHED, "transfer-published-to-6", R2S, &all).await?;
     let mut wish = wish(lab, args, Scored::Paper);
     (wish.transfer, wish.map) = (Some(transfer.id), best.models.last().cloned());
     lab.scored(&wish).await
