@@ -1,5 +1,5 @@
-//! Nets as ONNX files: the same answers in tract and in onnxruntime, files of another program, and
-//! files that are damaged.
+//! Nets as ONNX files: the same answers in tract, in onnxruntime and in the trainer, files of another
+//! program, and files that are damaged.
 #![cfg(feature = "train")]
 
 mod kinds;
@@ -10,7 +10,9 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
+use nets::device::Compute;
 use nets::network::{Form, Layer, Network};
+use nets::train::answer;
 use palpate::infer::plan::{Plan, PlanError};
 use palpate::learn::onnx::write::{Description, to_onnx};
 use palpate::learn::onnx::{OnnxFile, sealed};
@@ -71,7 +73,7 @@ struct Compared {
 }
 
 #[test]
-fn tract_and_onnxruntime_give_the_same_answers_for_every_layer_and_every_net() {
+fn tract_onnxruntime_and_the_trainer_agree_for_every_layer_and_every_net() {
     let Some(python) = python() else {
         assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "onnxruntime is missing");
         println!("LEFT OUT: no Python with onnx and onnxruntime (set PALPATE_PYTHON)");
@@ -88,6 +90,8 @@ fn tract_and_onnxruntime_give_the_same_answers_for_every_layer_and_every_net() {
         let mut answers = Vec::new();
         let plan = Plan::load(&file, network.inputs, &network.output).unwrap();
         plan.answer(&frames, &mut answers).unwrap();
+        let trainers = answer(network, &frames, Compute::Cpu { threads: 1 }).unwrap();
+        assert!(apart(&answers, &trainers) <= 1e-5, "{name}: {}", apart(&answers, &trainers));
         let path = folder.join(name);
         fs::write(path.with_extension("onnx"), file).unwrap();
         fs::write(path.with_extension("frames"), to_bytes(&frames)).unwrap();

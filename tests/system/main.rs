@@ -3,3 +3,4 @@
 
 mod bench;
 mod campaign;
+mod live;

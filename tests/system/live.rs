@@ -1,0 +1,132 @@
+//! Contacts of a connected rig's frames, live, while what serves is changed under them.
+
+use std::time::Duration;
+
+use futures::StreamExt;
+use serde_json::{Value, json};
+use tokio::time::{Instant, sleep, timeout_at};
+use tokio_tungstenite::connect_async;
+use tokio_tungstenite::tungstenite::Message;
+
+use super::bench::{Lab, rig_args};
+
+/// As fast as the wall: the readout sends thirty frames a second.
+const SPEED: f64 = 1.0;
+/// How long answers are followed.
+const FOLLOWED: Duration = Duration::from_secs(4);
+/// Most frames from one answer to the next, half a second of them: the machine may have other work.
+const STEP_MAX: u64 = 15;
+const CHANNELS: usize = 784;
+const INFER: &str = "/api/v1/infer";
+const SERVING: &str = "/api/v1/serving";
+const ROLL_BACK: &str = "/api/v1/serving/roll-back";
+
+/// Asks for a net as small as it can be: how good it is is no matter here. Returns the job's id.
+async fn queue(lab: &Lab, name: &str, seed: u64) -> String {
+    let recipe = format!(
+        "name = '{name}'\nrows = 640\n[training]\nseed = {seed}\nepochs = 1\nbatch = 64\n\
+         [training.net]\nkind = 'point-net'\nhidden = 1\nwidth = 64\n\
+         [training.noise]\nwhite_v = 1.2e-3\n"
+    );
+    let job = lab.posted("/api/v1/trainings", json!({ "recipe": recipe })).await;
+    job["id"].as_str().unwrap().to_owned()
+}
+
+/// Waits for a training's end; returns the model's id.
+async fn trained(lab: &Lab, job: &str) -> String {
+    let over = |job: &Value| !matches!(job["state"].as_str(), Some("waiting" | "running"));
+    let job = lab.eventually("a training's end", &format!("/api/v1/jobs/{job}"), over).await;
+    assert_eq!(job["state"], "done", "{job:#}");
+    job["result"]["model"].as_str().unwrap().to_owned()
+}
+
+/// What `fast` answers live, while something else is done.
+async fn followed(lab: &Lab, meanwhile: impl Future<Output = ()>) -> Vec<Value> {
+    let url = lab.service.url().replacen("http", "ws", 1);
+    let (mut socket, _) = connect_async(format!("{url}/api/v1/live?method=fast")).await.unwrap();
+    let following = async {
+        let (end, mut answers) = (Instant::now() + FOLLOWED, Vec::<Value>::new());
+        while let Ok(message) = timeout_at(end, socket.next()).await {
+            if let Message::Text(text) = message.expect("the service goes on").unwrap() {
+                answers.push(serde_json::from_str(&text).unwrap());
+            }
+        }
+        answers
+    };
+    let (answers, ()) = tokio::join!(following, meanwhile);
+    answers
+}
+
+/// Each is an answer of `fast`, to a later frame than the one before, and not to a much later one.
+fn answered_in_order(answers: &[Value]) {
+    for answer in answers {
+        assert!(answer["error"].is_null(), "{answer:#}");
+        assert_eq!(answer["method"], "fast", "{answer:#}");
+    }
+    let sequences: Vec<u64> = answers.iter().map(|a| a["sequence"].as_u64().unwrap()).collect();
+    for pair in sequences.windows(2) {
+        assert!(pair[0] < pair[1] && pair[1] - pair[0] <= STEP_MAX, "{pair:?} of {sequences:?}");
+    }
+}
+
+/// A wish for the answer to a frame of zeros, so many, but for the first voltage.
+fn wish(channels: usize, first_v: Value) -> Value {
+    let mut frame = vec![json!(0.0); channels];
+    frame[0] = first_v;
+    json!({ "method": "fast", "frames": [frame] })
+}
+
+/// What cannot be is refused with what is wrong with it, and what serves goes on as it was.
+async fn what_cannot_be_changes_nothing(lab: &Lab) {
+    let before = lab.get(SERVING).await;
+    for (path, body, status, words) in [
+        (INFER, wish(CHANNELS - 1, json!(0.0)), 422, "frames[0] = 783"),
+        (INFER, wish(CHANNELS, Value::Null), 422, "null"),
+        (SERVING, json!({ "what": "nobody" }), 404, "nobody"),
+        (ROLL_BACK, json!({ "slot": "nowhere" }), 422, "nowhere"),
+    ] {
+        let (found, problem) = lab.post(path, body).await;
+        assert_eq!(found, status, "{path}: {problem}");
+        assert!(problem["detail"].as_str().unwrap().contains(words), "{path}: {problem}");
+    }
+    // JSON has no NaN; bytes have.
+    let bytes: Vec<u8> = [f32::NAN; CHANNELS].iter().flat_map(|v| v.to_le_bytes()).collect();
+    let raw = reqwest::Client::new()
+        .post(format!("{}{INFER}?method=fast", lab.service.url()))
+        .header("content-type", "application/octet-stream")
+        .body(bytes);
+    let problem: Value = raw.send().await.unwrap().json().await.unwrap();
+    assert_eq!(problem["status"], 422, "{problem}");
+    assert_eq!(problem["errors"][0]["key"], "frames[0][0]", "{problem}");
+    assert_eq!(lab.get(SERVING).await, before);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn models_change_between_two_live_frames_and_what_is_refused_changes_none() {
+    let lab = Lab::open("live", rig_args("virtual", SPEED)).await;
+    lab.posted("/api/v1/rig/actions", json!({ "action": "connect", "who": "test" })).await;
+    let jobs = [queue(&lab, "one", 1).await, queue(&lab, "two", 2).await];
+    let (one, two) = (trained(&lab, &jobs[0]).await, trained(&lab, &jobs[1]).await);
+    assert_ne!(one, two);
+    lab.posted(SERVING, json!({ "what": "one" })).await;
+    let changes = async {
+        sleep(Duration::from_secs(1)).await;
+        lab.posted(SERVING, json!({ "what": "two" })).await;
+        sleep(Duration::from_millis(1500)).await;
+        let back = lab.posted(ROLL_BACK, json!({ "slot": "points" })).await;
+        assert_eq!(back["what"], one);
+    };
+    let answers = followed(&lab, changes).await;
+    answered_in_order(&answers);
+    let mut models: Vec<&str> = answers.iter().map(|a| a["model"].as_str().unwrap()).collect();
+    models.dedup();
+    assert_eq!(models, [&one, &two, &one]);
+
+    what_cannot_be_changes_nothing(&lab).await;
+    let serving = lab.get(SERVING).await;
+    assert_eq!(serving["serves"][2], json!({ "slot": "points", "what": one }));
+    let answers = lab.posted(INFER, wish(CHANNELS, json!(0.0))).await;
+    assert_eq!(answers.as_array().unwrap().len(), 1, "{answers}");
+    assert_eq!(answers[0]["model"], one, "{answers}");
+    lab.close().await;
+}
