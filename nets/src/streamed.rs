@@ -15,8 +15,9 @@ use crate::recipe::{RecipeError, require};
 use crate::samples::{Samples, SamplesError};
 
 /// Which contacts samples have: as Sim-Random draws them (paper IV-A), some lighter ones, since
-/// Real-Unseen's weights are 5 to 10 N, and none: a net that saw no untouched skin finds contacts on it
-/// (in a fifth of such frames).
+/// Real-Unseen's weights are 5 to 10 N, and now and then none. A net that saw no untouched skin finds
+/// contacts on it, in 5 % of its frames; one that saw it as often as each number of contacts finds
+/// none, but misses more of those that are there (right count 44 % in place of 50 %).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Draws {
@@ -24,6 +25,8 @@ pub struct Draws {
     pub contacts: [usize; 2],
     /// Least and largest force of a contact, N, uniform.
     pub force_n: [f64; 2],
+    /// Share of the samples without any contact, besides those that `contacts` may have.
+    pub untouched_share: f64,
     /// Share of the samples all whose contacts are light.
     pub light_share: f64,
     /// Least and largest force of those, N, uniform.
@@ -33,8 +36,9 @@ pub struct Draws {
 impl Default for Draws {
     fn default() -> Self {
         Self {
-            contacts: [0, 6],
+            contacts: [1, 6],
             force_n: [5.0, 40.0],
+            untouched_share: 0.03,
             light_share: 0.25,
             light_force_n: [2.5, 12.0],
         }
@@ -50,8 +54,12 @@ impl Draws {
         let shown = format!("{:?}", self.contacts);
         let holds = fewest <= most && most <= CONTACTS_MAX;
         require(holds, "net.draws.contacts", shown, "two numbers in order, at most 6")?;
-        let share = (0.0..=1.0).contains(&self.light_share);
-        require(share, "net.draws.light_share", self.light_share, "0..1")?;
+        for (field, share) in [
+            ("net.draws.untouched_share", self.untouched_share),
+            ("net.draws.light_share", self.light_share),
+        ] {
+            require((0.0..=1.0).contains(&share), field, share, "0..1")?;
+        }
         for (field, [least, largest]) in
             [("net.draws.force_n", self.force_n), ("net.draws.light_force_n", self.light_force_n)]
         {
@@ -68,6 +76,9 @@ impl Draws {
         let [fewest, most] = self.contacts;
         let count = chance.random_range(fewest..=most.min(points));
         let light = chance.random_bool(self.light_share);
+        if chance.random_bool(self.untouched_share) {
+            return Vec::new();
+        }
         let [least, largest] = if light { self.light_force_n } else { self.force_n };
         let drawn = rand::seq::index::sample(&mut chance, points, count);
         drawn.into_iter().map(|point| (point, chance.random_range(least..=largest))).collect()

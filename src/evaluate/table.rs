@@ -65,7 +65,8 @@ fn closest(score: &Score, cell: &impl Fn(&Option<Mean>, f64) -> String) -> Strin
     let words = cell(&score.closest_mm, 1.0);
     match score.closest_mm {
         Some(mean) if mean.n < score.contacts => {
-            format!("{words} of {:.0} %", 100.0 * mean.n as f64 / score.contacts as f64)
+            // Rounded down: what is missing is not to vanish.
+            format!("{words} of {} %", 100 * mean.n / score.contacts)
         }
         _ => words,
     }
