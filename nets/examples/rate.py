@@ -17,6 +17,8 @@ NETS = {
     "point-net": ('{kind="point-net"}', 256),
     "recon-net-32": ('{kind="recon-net",side=32,channels=[128,64,32]}', 64),
     "recon-net-64": ('{kind="recon-net",side=64,channels=[128,64,32]}', 64),
+    "recon-net-32-k2": ('{kind="recon-net",side=32,channels=[128,64,32],upsampling="apart"}', 64),
+    "recon-net-64-k2": ('{kind="recon-net",side=64,channels=[128,64,32],upsampling="apart"}', 64),
     "recon-net-160": ('{kind="recon-net",side=160}', 64),
     "recon-net-160-k2": ('{kind="recon-net",side=160,upsampling="apart"}', 64),
 }
