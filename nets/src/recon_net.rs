@@ -14,6 +14,9 @@ use crate::statistics::Statistics;
 /// Inputs by which the size of a net without a hidden layer is judged: those of the paper's sensor.
 const TYPICAL_INPUTS: usize = 784;
 
+/// Weights between two channels, where a kernel of 3 makes four pixels.
+const LARGEST_KERNEL: usize = 36;
+
 /// What a Recon-Net is. It learns without a bound; the trained net ends in a rectifier, which can
 /// but lessen the error, since no true force is negative.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -77,8 +80,9 @@ impl ReconNet {
         require(self.hidden <= 1 << 14, "net.hidden", self.hidden, "at most 16384")?;
         let first = self.channels[0] * self.first_side() * self.first_side();
         let inputs = if self.hidden > 0 { self.hidden } else { TYPICAL_INPUTS };
-        let limit = "at most 2^28 weights from the inputs or net.hidden to the first image";
-        require(inputs * first <= WEIGHTS_MAX, "net.channels", inputs * first, limit)
+        let doubling = self.channels.windows(2).map(|two| LARGEST_KERNEL * two[0] * two[1]);
+        let weights = inputs * first + doubling.sum::<usize>();
+        require(weights <= WEIGHTS_MAX, "weights", weights, "at most 2^28: fewer net.channels")
     }
 
     /// A net that knows nothing yet.

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::initial::{Initial, LINEAR};
 use crate::input::{Input, NORM_FLOOR_V};
 use crate::network::{Form, Layer, Network};
-use crate::recipe::{RecipeError, require};
+use crate::recipe::{RecipeError, WEIGHTS_MAX, require};
 use crate::statistics::Statistics;
 
 /// What a Transfer-Net is.
@@ -50,7 +50,9 @@ impl TransferNet {
 
     pub(crate) fn check(&self) -> Result<(), RecipeError> {
         require((1..=64).contains(&self.hidden), "net.hidden", self.hidden, "1..64")?;
-        require(self.width <= 1 << 14, "net.width", self.width, "at most 16384")
+        require(self.width <= 1 << 14, "net.width", self.width, "at most 16384")?;
+        let weights = self.hidden * self.width * self.width;
+        require(weights <= WEIGHTS_MAX, "net.hidden x net.width^2", weights, "at most 2^28")
     }
 
     /// A net that knows nothing yet.

@@ -31,8 +31,9 @@ const FRAMES_MAX: usize = 2_000;
 const EXACT_MAX: usize = 300;
 /// Most frames of a request for maps: each is 25,600 numbers.
 const MAPS_MAX: usize = 100;
-/// Requests that are answered at a time, by nets and by `exact`; others wait.
+/// Requests that nets answer at a time; others wait.
 const ANSWERED_AT_ONCE: usize = 4;
+/// Requests that `exact` answers at a time; others wait.
 const FITTED_AT_ONCE: usize = 2;
 /// Live clients at a time.
 const LIVE_AT_ONCE: usize = 8;
@@ -43,6 +44,7 @@ const SEND: Duration = Duration::from_secs(5);
 
 /// How frames are to be answered.
 #[derive(Debug, Clone, Serialize, Deserialize, ToSchema, IntoParams)]
+#[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct Wish {
     /// `paper`, `fast` or `exact`.
@@ -97,8 +99,8 @@ pub struct FrameAnswer {
 #[utoipa::path(post, path = "/api/v1/infer", tag = "infer", params(Wish),
     request_body(content((InferRequest = "application/json"),
         (Vec<u8> = "application/octet-stream"))),
-    responses((status = 200, body = Vec<FrameAnswer>), (status = 409, body = ProblemBody),
-        (status = 422, body = ProblemBody), (status = 503, body = ProblemBody)))]
+    responses((status = 200, body = Vec<FrameAnswer>), (status = 404, body = ProblemBody),
+        (status = 409, body = ProblemBody), (status = 422, body = ProblemBody), (status = 503, body = ProblemBody)))]
 pub async fn infer(
     State(app): State<App>,
     request: Request,
@@ -206,6 +208,7 @@ async fn received(
 
 /// What is wished of the live answers.
 #[derive(Debug, Clone, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct LiveWish {
     /// `paper`, `fast` or `exact`; the best one that something serves for otherwise.
@@ -214,6 +217,9 @@ pub struct LiveWish {
     /// With the force map: the net's own, or what `fast` and `exact` found, drawn as Map 1.
     #[serde(default)]
     pub map: bool,
+    /// The key of who asks, since a browser's WebSocket sends no headers.
+    #[expect(dead_code, reason = "auth reads it")]
+    key: Option<String>,
 }
 
 /// The answer to a live frame.

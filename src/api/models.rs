@@ -284,7 +284,8 @@ pub async fn promote(
 /// Lets what served before serve again.
 #[utoipa::path(post, path = "/api/v1/serving/roll-back", tag = "models",
     request_body = RollBackRequest,
-    responses((status = 200, body = ServesOut), (status = 409, body = ProblemBody)))]
+    responses((status = 200, body = ServesOut), (status = 409, body = ProblemBody),
+        (status = 422, body = ProblemBody)))]
 pub async fn roll_back(
     State(app): State<App>,
     Extension(asker): Extension<Asker>,
@@ -298,16 +299,14 @@ pub async fn roll_back(
 
 /// Whether a report says how good a model is: by a method that it is for, on rows that it did not
 /// learn from, and on more than a few that were shown.
-fn tells_of(row: &ModelRow, learned_from: &[&str], report: &Value) -> bool {
-    let methods: &[&str] = match row.task.as_str() {
+fn tells_of(task: &str, report: &Value) -> bool {
+    let methods: &[&str] = match task {
         "transfer" => &["voltages", "paper"],
         "points" => &["fast"],
         _ => &["paper"],
     };
-    let learned = match report["part"].as_str() {
-        Some(part) => part != "test",
-        None => report["dataset"].as_str().is_some_and(|id| learned_from.contains(&id)),
-    };
+    let learned = report["held_out"] == false
+        || matches!(report["part"].as_str(), Some("train" | "validation"));
     let is_for = report["scored"].as_str().is_some_and(|scored| methods.contains(&scored));
     is_for && !learned && report["examples"].is_null()
 }
@@ -316,19 +315,11 @@ async fn out(app: &App, row: ModelRow) -> Result<ModelOut, ApiError> {
     let manifest: toml::Table = toml::from_str(&row.manifest).unwrap_or_default();
     let serves = app.serving.promoted().await?;
     let reports = app.store.evaluations_of(&row.id).await?.into_iter().filter_map(|job| job.result);
-    let learned_from: Vec<&str> = manifest
-        .get("model")
-        .and_then(|model| model.get("datasets")?.as_array())
-        .into_iter()
-        .flatten()
-        .filter_map(toml::Value::as_str)
-        .collect();
-    let scores: Vec<Value> =
-        reports.filter(|report| tells_of(&row, &learned_from, report)).collect();
+    let scores = reports.filter(|report| tells_of(&row.task, report));
     Ok(ModelOut {
         serves: serves.iter().any(|(_, what)| what.as_ref() == Some(&row.id)),
         manifest: serde_json::to_value(manifest.get("model")).unwrap_or_default(),
-        scores,
+        scores: scores.collect(),
         id: row.id,
         name: row.name,
         task: row.task,

@@ -38,7 +38,7 @@ enum What {
     RollBack(RollBack),
     /// Show what serves, and what did.
     Serving(At),
-    /// Write a model's ONNX file, and beside it (.json) what is known of it: manifest and scores.
+    /// Write a model's ONNX file, and beside it (FILE.json) what is known of it: manifest and scores.
     Onnx(Onnx),
     /// Take in a model trained elsewhere: an ONNX file and what is known of it.
     ///
@@ -191,7 +191,9 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
             let bytes = bytes.map_err(|source| CliError::Http { operation, source })?;
             write_bytes(&out, &bytes)?;
             let known: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;
-            let manifest = out.with_extension("json");
+            let mut manifest = out.clone().into_os_string();
+            manifest.push(".json");
+            let manifest = PathBuf::from(manifest);
             write(&manifest, &format!("{:#}\n", json!(known)))?;
             if at.json {
                 say_json(&json!({ "file": out, "bytes": bytes.len(), "manifest": manifest }));

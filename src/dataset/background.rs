@@ -13,10 +13,10 @@ pub async fn background<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, DatasetError> {
     let (done, finished) = oneshot::channel();
-    let thread = std::thread::Builder::new().name("dataset".into()).spawn(move || {
+    let thread = std::thread::Builder::new().name("background".into()).spawn(move || {
         // On Linux this is the calling thread's alone. A system that refuses is only less polite.
         if let Err(error) = rustix::process::nice(NICE) {
-            tracing::debug!(%error, "datasets are made at the usual priority");
+            tracing::debug!(%error, "work goes on at the usual priority");
         }
         // Who asked may have gone.
         let _ = done.send(work());

@@ -7,6 +7,7 @@
 
 pub mod quantile;
 pub mod figures;
+pub mod held_out;
 pub mod simulation;
 pub mod matching;
 pub mod touch;

@@ -135,6 +135,9 @@ pub struct EvaluationReport {
     /// Its part; none: all rows.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part: Option<String>,
+    /// Whether none of these rows can be one that its nets learned from.
+    #[serde(default = "yes")]
+    pub held_out: bool,
     /// Conditions on its rows.
     #[serde(default, rename = "where", skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<String>,
@@ -180,6 +183,11 @@ pub struct EvaluationReport {
     /// What was read from the first rows, where it was asked for.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub examples: Vec<Example>,
+}
+
+/// Reports from before this was looked at were of tests.
+fn yes() -> bool {
+    true
 }
 
 /// A row, and what was read from it.

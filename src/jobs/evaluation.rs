@@ -17,6 +17,7 @@ use crate::dataset::build::data_file;
 use crate::dataset::force_map::ForceMap;
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::dataset::read::sensor_text;
+use crate::evaluate::held_out::{Made, is_held_out};
 use crate::evaluate::perfect::perfect;
 use crate::evaluate::quantile::quantile;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Example, FramesRead, Scored};
@@ -47,6 +48,19 @@ enum Reader {
     Points(PointPipeline),
     Exact(ExactPipeline),
     OneStep(OneStepPipeline, Option<String>),
+}
+
+impl Reader {
+    /// Its nets.
+    fn nets(&self) -> Vec<&Model> {
+        match self {
+            Self::Voltages(transfer) => transfer.iter().map(Arc::as_ref).collect(),
+            Self::Maps(maps) => maps.nets().collect(),
+            Self::Points(points) => vec![points.net()],
+            Self::Exact(exact) => exact.points.iter().map(PointPipeline::net).collect(),
+            Self::OneStep(..) => Vec::new(),
+        }
+    }
 }
 
 /// Scores; none when it was stopped.
@@ -80,11 +94,22 @@ pub(super) async fn run(
         FramesRead::Mean => None,
         FramesRead::First => Some(first_frames(&jobs.inner.store, &gathered).await?),
     };
+    let held_out = held_out(jobs, &reader, &dataset, request.part.as_deref()).await?;
     let (watch, clock) = (watch.clone(), jobs.inner.clock.clone());
     let sensor = jobs.inner.serving.sensor();
     let rig_sensor = (sensor.file.name.clone(), sensor.channels());
-    let scoring =
-        Scoring { request, dataset, gathered, raw, reader, measured, rig_sensor, watch, clock };
+    let scoring = Scoring {
+        request,
+        dataset,
+        held_out,
+        gathered,
+        raw,
+        reader,
+        measured,
+        rig_sensor,
+        watch,
+        clock,
+    };
     let report = background(move || scoring.run()).await??;
     report.map(|report| serde_json::to_value(report).map_err(JobError::Json)).transpose()
 }
@@ -124,6 +149,28 @@ async fn reader(jobs: &Jobs, request: &EvaluationRequest) -> Result<Reader, JobE
             Reader::OneStep(background(ready).await??, calibration)
         }
     })
+}
+
+/// Whether none of the scored rows can be one that a net of the reader learned from.
+async fn held_out(
+    jobs: &Jobs,
+    reader: &Reader,
+    dataset: &DatasetRow,
+    part: Option<&str>,
+) -> Result<bool, JobError> {
+    let made = |row: &DatasetRow| (row.definition.clone(), row.lineage.clone());
+    let scored = made(dataset);
+    for id in reader.nets().iter().flat_map(|net| &net.manifest.model.datasets) {
+        // Of a dataset that is not here nothing is known.
+        let Some(row) = jobs.inner.store.dataset(id).await? else { continue };
+        let learned = made(&row);
+        let [scored, learned] =
+            [&scored, &learned].map(|(definition, lineage)| Made { definition, lineage });
+        if !is_held_out(part, &scored, &learned) {
+            return Ok(false);
+        }
+    }
+    Ok(true)
 }
 
 /// The calibration of the exact model: the one that is named, or else the one that serves.
@@ -207,6 +254,8 @@ async fn first_frames(store: &Store, gathered: &Gathered) -> Result<Vec<Vec<f32>
 struct Scoring {
     request: EvaluationRequest,
     dataset: DatasetRow,
+    /// Whether none of the rows can be one that a net learned from.
+    held_out: bool,
     gathered: Gathered,
     raw: Option<Vec<Vec<f32>>>,
     reader: Reader,
@@ -233,14 +282,7 @@ impl Scoring {
     /// Refuses what is of another sensor than the rows.
     fn check_sensor(&self) -> Result<(), InferError> {
         let here = &self.gathered.sensor;
-        let nets = match &self.reader {
-            Reader::Voltages(transfer) => transfer.iter().map(Arc::as_ref).collect(),
-            Reader::Maps(maps) => maps.nets().collect(),
-            Reader::Points(points) => vec![points.net()],
-            Reader::Exact(exact) => exact.points.iter().map(PointPipeline::net).collect(),
-            Reader::OneStep(..) => Vec::new(),
-        };
-        let nets = nets.into_iter().map(|net| {
+        let nets = self.reader.nets().into_iter().map(|net| {
             let facts = &net.manifest.model;
             (net.manifest.id.clone(), facts.sensor.clone(), facts.channels)
         });
@@ -272,9 +314,11 @@ impl Scoring {
         };
         let runs = self.dataset.lineage["runs"].as_array().into_iter().flatten();
         let seen = run.filter(|run| runs.into_iter().any(|r| r["uid"].as_str() == Some(run)));
-        seen.map(|run| format!("the skin was calibrated to trials of run {run}, which are in it"))
-            .into_iter()
-            .collect()
+        let seen = seen
+            .map(|run| format!("the skin was calibrated to trials of run {run}, which are in it"));
+        let learned = (!self.held_out)
+            .then(|| "rows that its nets learned from may be among these".to_owned());
+        seen.into_iter().chain(learned).collect()
     }
 
     fn blank(&self) -> EvaluationReport {
@@ -295,6 +339,7 @@ impl Scoring {
             scored: self.request.scored,
             dataset: self.dataset.id.clone(),
             part: self.request.part.clone(),
+            held_out: self.held_out,
             conditions: self.request.conditions.clone(),
             frames: self.request.frames,
             label: label.filter(|_| self.measured).unwrap_or("simulated").into(),

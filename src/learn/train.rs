@@ -136,8 +136,9 @@ pub fn train_on_stream(
         trained.network.layers.insert(0, Layer::Standardise { mean, sd });
     }
     let [fewest, most] = net.draws.contacts;
+    let untouched = (fewest > 0 && net.draws.untouched_share > 0.0).then_some(0);
     let range = TrainedRange {
-        contact_counts: (fewest as u32..=most as u32).collect(),
+        contact_counts: untouched.into_iter().chain(fewest as u32..=most as u32).collect(),
         max_force_n: Some(net.draws.force_n[1].max(net.draws.light_force_n[1])),
         forces_unknown: false,
         max_norm_v: choose.max_norm_v(),

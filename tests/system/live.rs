@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use futures::StreamExt;
 use serde_json::{Value, json};
-use tokio::time::{Instant, sleep, timeout_at};
+use tokio::sync::oneshot;
+use tokio::time::sleep;
 use tokio_tungstenite::connect_async;
 use tokio_tungstenite::tungstenite::Message;
 
@@ -12,8 +13,8 @@ use super::bench::{Lab, rig_args};
 
 /// As fast as the wall: the readout sends thirty frames a second.
 const SPEED: f64 = 1.0;
-/// How long answers are followed.
-const FOLLOWED: Duration = Duration::from_secs(4);
+/// How long answers are followed after the last change.
+const FOLLOWED: Duration = Duration::from_secs(1);
 /// Most frames from one answer to the next, half a second of them: the machine may have other work.
 const STEP_MAX: u64 = 15;
 const CHANNELS: usize = 784;
@@ -44,17 +45,26 @@ async fn trained(lab: &Lab, job: &str) -> String {
 async fn followed(lab: &Lab, meanwhile: impl Future<Output = ()>) -> Vec<Value> {
     let url = lab.service.url().replacen("http", "ws", 1);
     let (mut socket, _) = connect_async(format!("{url}/api/v1/live?method=fast")).await.unwrap();
-    let following = async {
-        let (end, mut answers) = (Instant::now() + FOLLOWED, Vec::<Value>::new());
-        while let Ok(message) = timeout_at(end, socket.next()).await {
-            if let Message::Text(text) = message.expect("the service goes on").unwrap() {
+    let (following, ended) = oneshot::channel::<()>();
+    let answering = async {
+        let mut answers = Vec::<Value>::new();
+        tokio::pin!(ended);
+        loop {
+            let message = tokio::select! {
+                message = socket.next() => message.expect("the service goes on").unwrap(),
+                _ = &mut ended => return answers,
+            };
+            if let Message::Text(text) = message {
                 answers.push(serde_json::from_str(&text).unwrap());
             }
         }
-        answers
     };
-    let (answers, ()) = tokio::join!(following, meanwhile);
-    answers
+    let changing = async {
+        meanwhile.await;
+        sleep(FOLLOWED).await;
+        drop(following);
+    };
+    tokio::join!(answering, changing).0
 }
 
 /// Each is an answer of `fast`, to a later frame than the one before, and not to a much later one.
@@ -62,6 +72,7 @@ fn answered_in_order(answers: &[Value]) {
     for answer in answers {
         assert!(answer["error"].is_null(), "{answer:#}");
         assert_eq!(answer["method"], "fast", "{answer:#}");
+        assert!(answer["outside"].is_null(), "an untouched skin was trained on: {answer:#}");
     }
     let sequences: Vec<u64> = answers.iter().map(|a| a["sequence"].as_u64().unwrap()).collect();
     for pair in sequences.windows(2) {

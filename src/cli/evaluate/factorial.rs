@@ -92,7 +92,7 @@ pub async fn factorial(lab: Lab) -> Result<Sheet, CliError> {
         lab.scale_words(&label)
     );
     Ok(Sheet {
-        name: "fig-11",
+        name: "fig-11".into(),
         text,
         numbers: json!({ "figure": "11", "scale": lab.args.scale.name(), "label": label,
             "transfer": transfer.id, "conditions": numbers, "analyses": analyses }),

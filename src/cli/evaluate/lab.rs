@@ -125,7 +125,7 @@ pub struct Lab {
 /// A table that is done: words for people, numbers for scripts, pictures.
 pub struct Sheet {
     /// Name of its files.
-    pub name: &'static str,
+    pub name: String,
     /// Text, Markdown.
     pub text: String,
     /// Numbers.

@@ -37,7 +37,7 @@ pub async fn maps(lab: Lab) -> Result<Sheet, CliError> {
         lab.scale_words(&format!("simulated; twins of {label} trials"))
     );
     Ok(Sheet {
-        name: "table-iv",
+        name: "table-iv".into(),
         text,
         numbers: json!({ "table": "IV", "scale": lab.args.scale.name(), "maps": numbers }),
         pictures: vec![("fig-9.svg".into(), heats("Fig. 9", &figure(&scores))?)],

@@ -85,7 +85,7 @@ async fn score(lab: Lab, args: MethodArgs) -> Result<Sheet, CliError> {
         left_out(&report) + &read_by(&report)
     );
     let numbers = json!({ "method": name, "report": report });
-    Ok(Sheet { name: "method", text, numbers, pictures: Vec::new() })
+    Ok(Sheet { name: "method".into(), text, numbers, pictures: Vec::new() })
 }
 
 /// A method's rows: over all, and by the number of contacts.

@@ -58,7 +58,7 @@ pub async fn noise(lab: Lab) -> Result<Sheet, CliError> {
         lab.scale_words(&label)
     );
     Ok(Sheet {
-        name: "fig-10",
+        name: "fig-10".into(),
         text,
         numbers: json!({ "figure": "10", "scale": lab.args.scale.name(), "label": label,
             "transfer": transfer.id, "residuals": left, "truth": truth }),

@@ -95,7 +95,7 @@ async fn score(lab: Lab, args: UnseenArgs) -> Result<Sheet, CliError> {
     let bests = [("real-to-sim", best), ("end-to-end", self::best(&end_to_end))];
     pictures.push(("fig-12a.svg".into(), examples(&lab, &args, &bests).await?));
     Ok(Sheet {
-        name: "fig-12",
+        name: "fig-12".into(),
         text,
         numbers: json!({ "figure": "12", "scale": lab.args.scale.name(), "label": label,
             "real_to_sim": listed(&pipeline), "end_to_end": listed(&end_to_end),
