@@ -2,7 +2,6 @@
 //! Uses: `evaluate`, `infer`, `learn::examples`, `dataset`. Never: HTTP, a number without its rows.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -10,13 +9,12 @@ use serde_json::Value;
 use sim_core::inverse::linear::Regularisation;
 
 use super::error::JobError;
+use super::gathered::{Gathered, first_frames};
 use super::{Jobs, Watch};
 use crate::clock::Clock;
 use crate::dataset::background::background;
 use crate::dataset::build::data_file;
 use crate::dataset::force_map::ForceMap;
-use crate::dataset::import::sensor::ImportedSensor;
-use crate::dataset::read::sensor_text;
 use crate::evaluate::held_out::{Made, is_held_out};
 use crate::evaluate::perfect::perfect;
 use crate::evaluate::quantile::quantile;
@@ -24,19 +22,18 @@ use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Example, Fra
 use crate::evaluate::score::Scores;
 use crate::evaluate::touch::{Metric, Touch};
 use crate::evaluate::voltages::VoltageScores;
-use crate::ids::TrialId;
 use crate::infer::answer::{FoundContact, Reading};
 use crate::infer::error::InferError;
 use crate::infer::exact::ExactPipeline;
 use crate::infer::maps::{MAP_1, MapPipeline};
 use crate::infer::one_step::OneStepPipeline;
 use crate::infer::points::PointPipeline;
-use crate::infer::registry::{self, Model};
+use crate::infer::registry::Model;
 use crate::learn::error::LearnError;
-use crate::learn::examples::{Examples, MEASURED, SIMULATED};
-use crate::learn::model_file::{NetTask, SensorFacts};
+use crate::learn::examples::{MEASURED, SIMULATED};
+use crate::learn::model_file::NetTask;
 use crate::simulate::compare::difference;
-use crate::store::{Contact, DatasetRow, JobRow, Store};
+use crate::store::{Contact, DatasetRow, JobRow};
 
 /// Frames that a Transfer-Net reads at a time.
 const FRAMES_AT_ONCE: usize = 8;
@@ -158,14 +155,11 @@ async fn held_out(
     dataset: &DatasetRow,
     part: Option<&str>,
 ) -> Result<bool, JobError> {
-    let made = |row: &DatasetRow| (row.definition.clone(), row.lineage.clone());
-    let scored = made(dataset);
+    let scored = Made { definition: &dataset.definition, lineage: &dataset.lineage };
     for id in reader.nets().iter().flat_map(|net| &net.manifest.model.datasets) {
         // Of a dataset that is not here nothing is known.
         let Some(row) = jobs.inner.store.dataset(id).await? else { continue };
-        let learned = made(&row);
-        let [scored, learned] =
-            [&scored, &learned].map(|(definition, lineage)| Made { definition, lineage });
+        let learned = Made { definition: &row.definition, lineage: &row.lineage };
         if !is_held_out(part, &scored, &learned) {
             return Ok(false);
         }
@@ -190,64 +184,6 @@ fn columns(reader: &Reader, request: &EvaluationRequest) -> &'static [&'static s
         }
         _ => &[MEASURED],
     }
-}
-
-/// Rows to score.
-struct Gathered {
-    examples: Examples,
-    rows: Vec<u32>,
-    skin: ImportedSensor,
-    sensor: SensorFacts,
-}
-
-impl Gathered {
-    fn new(
-        file: &Path,
-        request: &EvaluationRequest,
-        columns: &'static [&'static str],
-        scratch: &Path,
-    ) -> Result<Self, JobError> {
-        let (skin, sensor) = registry::facts("sensor", &sensor_text(file)?)?;
-        let examples = Examples::gather(file, &request.conditions, columns, scratch)?;
-        let part = |name: &str| {
-            crate::dataset::split::Part::ALL.into_iter().find(|part| part.name() == name)
-        };
-        let mut rows = match &request.part {
-            Some(name) => part(name).map_or_else(Vec::new, |part| examples.part(part)),
-            None => (0..examples.len() as u32).collect(),
-        };
-        if rows.is_empty() {
-            let part = request.part.as_deref().unwrap_or("any part");
-            let limit = format!("has no rows in {part}: nothing to score");
-            return Err(LearnError::value("dataset", &request.dataset, &limit).into());
-        }
-        if let Some(limit) = request.limit
-            && (limit as usize) < rows.len()
-        {
-            let all = rows.len();
-            rows = (0..limit as usize).map(|i| rows[i * all / limit as usize]).collect();
-        }
-        Ok(Self { examples, rows, skin, sensor })
-    }
-}
-
-/// The first raw frame of each row's trial, V.
-async fn first_frames(store: &Store, gathered: &Gathered) -> Result<Vec<Vec<f32>>, JobError> {
-    let mut firsts = Vec::with_capacity(gathered.rows.len());
-    for &row in &gathered.rows {
-        let id = gathered.examples.trial_id(row);
-        let frames = match id {
-            Some(id) => store.frames(TrialId(id)).await?,
-            None => Vec::new(),
-        };
-        let Some(first) = frames.first() else {
-            let limit = "first: row has no raw frames in the store; use mean";
-            return Err(LearnError::value("frames", row, limit).into());
-        };
-        let volts = first.volts_per_count;
-        firsts.push(first.counts.iter().map(|&count| f32::from(count) * volts).collect());
-    }
-    Ok(firsts)
 }
 
 /// Everything that scoring needs.

@@ -21,6 +21,7 @@ use starts::{STARTS_MAX, Starts};
 
 mod error;
 mod evaluation;
+mod gathered;
 mod starts;
 #[cfg(not(feature = "train"))]
 #[path = "lean.rs"]
