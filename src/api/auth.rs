@@ -1,6 +1,6 @@
 //! Who asks, and whether they may: keys and roles, and on loopback the checks that keep a foreign
 //! page from moving the rig.
-//! Uses: `store` (keys, lock). Never: a key's text in a log.
+//! Uses: `store` (the keys in memory). Never: a key's text in a log; a wait for the store.
 
 use std::net::IpAddr;
 
@@ -11,13 +11,13 @@ use axum::response::Response;
 
 use super::App;
 use super::problem::ApiError;
-use crate::store::Role;
+use crate::store::{KEYLESS, KEYLESS_SUFFIX, Key, Role};
 
 /// Who asks.
 #[derive(Debug, Clone)]
 pub struct Asker {
-    /// Name of the key, or absent on loopback without one.
-    pub key: Option<String>,
+    /// The key, or absent on loopback without one.
+    pub key: Option<Key>,
     /// What they may do.
     pub role: Role,
 }
@@ -25,11 +25,22 @@ pub struct Asker {
 impl Asker {
     /// The name for the log: the key's where there is one, else what they call themselves.
     pub fn name(&self, claimed: Option<&str>) -> String {
-        match (&self.key, claimed) {
+        let key = self.key.as_ref().map(|key| key.name.as_str());
+        match (key, claimed) {
             (Some(key), Some(who)) if who != key => format!("{key} ({who})"),
-            (Some(key), _) => key.clone(),
+            (Some(key), _) => key.into(),
             (None, Some(who)) if !who.is_empty() => who.into(),
-            (None, _) => "local".into(),
+            (None, _) => KEYLESS.into(),
+        }
+    }
+
+    /// Who they are for the operator lock: the key's name, which nobody can have by claiming it;
+    /// without a key the claimed name, marked as such.
+    pub fn identity(&self, claimed: Option<&str>) -> String {
+        match (&self.key, claimed) {
+            (Some(key), _) => key.name.clone(),
+            (None, Some(who)) if !who.is_empty() => format!("{who}{KEYLESS_SUFFIX}"),
+            (None, _) => KEYLESS.into(),
         }
     }
 
@@ -43,38 +54,46 @@ impl Asker {
     }
 }
 
-/// Lets a request in: a key that is known, or loopback with our own host and origin.
+/// Lets a request in: a key that is known, or loopback with our own host and origin. Looks at
+/// nothing but the request and the keys in memory.
 pub async fn admit(
     State(app): State<App>,
     mut request: Request,
     next: Next,
 ) -> Result<Response, ApiError> {
-    let headers = request.headers();
-    if app.loopback() {
-        own_host(headers)?;
-    }
-    let asker = match secret(headers, request.uri().query()) {
-        Some(secret) => {
-            let key = app.store.key_by_secret(&secret).await?;
-            let key = key.ok_or_else(|| unauthorized("this key is not known or was revoked"))?;
-            app.store.note_key_use(&key).await?;
-            Asker { key: Some(key.name), role: key.role }
-        }
-        None if app.loopback() => Asker { key: None, role: Role::Admin },
-        None => return Err(unauthorized("a key is needed: Authorization: Bearer KEY")),
-    };
+    let asker = identify(&app, request.headers(), request.uri().query())?;
     let path = request.uri().path();
     let reads = matches!(*request.method(), Method::GET | Method::HEAD) || is_reading(path);
     if !reads && !may_stop(path) {
         asker.require(Role::Operator)?;
     }
+    if let Some(key) = &asker.key {
+        app.keys.note_use(key);
+    }
     request.extensions_mut().insert(asker);
     Ok(next.run(request).await)
 }
 
-/// Any valid key may stop: the e-stop, and the actions on a run, which look at the role themselves.
+/// Who asks, by the head of a request. Neither waits nor writes.
+pub fn identify(app: &App, headers: &HeaderMap, query: Option<&str>) -> Result<Asker, ApiError> {
+    if app.loopback() {
+        own_host(headers)?;
+    }
+    match secret(headers, query)? {
+        Some(secret) => {
+            let key = app.keys.find(&secret);
+            let key = key.ok_or_else(|| unauthorized("this key is not known or was revoked"))?;
+            Ok(Asker { role: key.role, key: Some(key) })
+        }
+        None if app.loopback() => Ok(Asker { key: None, role: Role::Admin }),
+        None => Err(unauthorized("a key is needed: Authorization: Bearer KEY")),
+    }
+}
+
+/// Any valid key may stop a run: its actions look at the role themselves. The e-stop does not come
+/// by here.
 fn may_stop(path: &str) -> bool {
-    path.ends_with("/estop") || path.starts_with("/api/v1/runs/") && path.ends_with("/actions")
+    path.starts_with("/api/v1/runs/") && path.ends_with("/actions")
 }
 
 /// An export only reads what its asker could read in pieces; frames are answered and not kept.
@@ -86,14 +105,18 @@ fn unauthorized(words: &str) -> ApiError {
     ApiError::new(StatusCode::UNAUTHORIZED, words)
 }
 
-/// The key: a bearer, or `key=` in the query, because a browser's WebSocket sends no headers.
-fn secret(headers: &HeaderMap, query: Option<&str>) -> Option<String> {
-    let bearer = headers
-        .get(header::AUTHORIZATION)
-        .and_then(|v| v.to_str().ok())
-        .and_then(|v| v.strip_prefix("Bearer "));
-    let in_query = || query?.split('&').find_map(|pair| pair.strip_prefix("key="));
-    bearer.or_else(in_query).map(|s| s.trim().to_owned())
+/// The key: a bearer, or `key=` in the query, because a browser's WebSocket sends no headers. A
+/// header that is not understood is refused: read as "no key" it would make its sender local.
+fn secret(headers: &HeaderMap, query: Option<&str>) -> Result<Option<String>, ApiError> {
+    let Some(value) = headers.get(header::AUTHORIZATION) else {
+        let key = query.and_then(|q| q.split('&').find_map(|pair| pair.strip_prefix("key=")));
+        return Ok(key.map(|key| key.trim().to_owned()));
+    };
+    let credentials = value.to_str().ok().and_then(|value| value.split_once(' '));
+    match credentials {
+        Some((scheme, key)) if scheme.eq_ignore_ascii_case("bearer") => Ok(Some(key.trim().into())),
+        Some(_) | None => Err(unauthorized("Authorization: must be Bearer KEY")),
+    }
 }
 
 /// On loopback `Host` must be this machine (against DNS rebinding), and `Origin`, which a browser
@@ -135,6 +158,24 @@ mod tests {
         for host in ["", "evil.example", "127.0.0.1.evil.example:80", "10.0.0.2:8080"] {
             assert!(!is_local(host), "{host}");
         }
+    }
+
+    #[test]
+    fn a_key_is_a_bearer_in_any_case_and_nothing_else() {
+        let of = |value: &str| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::AUTHORIZATION, value.parse().unwrap());
+            secret(&headers, Some("a=b&key=query"))
+        };
+        for value in ["Bearer k", "bearer k", "BEARER  k "] {
+            assert_eq!(of(value).unwrap().as_deref(), Some("k"), "{value}");
+        }
+        for value in ["", "Basic k", "Bearer", "k"] {
+            assert!(of(value).is_err(), "{value}");
+        }
+        let without = secret(&HeaderMap::new(), Some("a=b&key=query")).unwrap();
+        assert_eq!(without.as_deref(), Some("query"));
+        assert_eq!(secret(&HeaderMap::new(), None).unwrap(), None);
     }
 
     #[test]

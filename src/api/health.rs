@@ -1,5 +1,5 @@
 //! Liveness, readiness and metrics.
-//! Uses: the campaign's status. Never: the rig itself.
+//! Uses: the store, the campaign's status. Never: the rig itself.
 
 use std::fmt::Write;
 
@@ -13,6 +13,10 @@ use utoipa::ToSchema;
 use super::App;
 use super::problem::{ApiError, ProblemBody};
 use crate::campaign::rig_state::RigState;
+
+/// A disk with less than this for the database counts as full, bytes: some hundred trials, so that
+/// the service says so before a commit fails.
+const DISK_FULL_BYTES: u64 = 16 * 1024 * 1024;
 
 /// A process that answers.
 #[derive(Debug, Serialize, ToSchema)]
@@ -32,12 +36,21 @@ pub async fn live() -> Json<Live> {
     Json(Live { service: "palpate", version, pid: std::process::id() })
 }
 
-/// The database answers and the campaign's thread lives.
+/// The database answers, its disk is not full, and the campaign's thread lives.
 #[utoipa::path(get, path = "/health/ready", tag = "health",
     responses((status = 204), (status = 503, body = ProblemBody)))]
 pub async fn ready(State(app): State<App>) -> Result<StatusCode, ApiError> {
     let unavailable = |words: String| ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words);
     app.store.last_event_seq().await.map_err(|e| unavailable(e.to_string()))?;
+    // What the store found out about its own soundness is asked here.
+    let free = app.store.free_bytes().await.map_err(|e| unavailable(e.to_string()))?;
+    if free < DISK_FULL_BYTES {
+        let words = format!(
+            "the disk of the data folder is full: {free} bytes are free, at least \
+                             {DISK_FULL_BYTES} are needed"
+        );
+        return Err(unavailable(words));
+    }
     if app.campaign.watch_status().has_changed().is_err() {
         return Err(unavailable("the campaign's thread has ended".into()));
     }

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use axum::extract::DefaultBodyLimit;
 use axum::middleware::from_fn_with_state;
-use axum::routing::get;
+use axum::routing::{get, post};
 use jiff::Timestamp;
 use sim_core::calibration::Calibration;
 use sim_core::sensor::Sensor;
@@ -24,24 +24,27 @@ use crate::campaign::engine;
 use crate::clock::Clock;
 use crate::conductor::{Conductor, ConductorError, RigFile};
 use crate::dataset::catalog::Catalog;
-use crate::dataset::definition::Definition;
 use crate::dataset::error::DatasetError;
 use crate::infer::error::InferError;
 use crate::infer::registry::Registry;
 use crate::infer::serving::Serving;
 use crate::jobs::Jobs;
 use crate::simulate::twins::TwinPool;
-use crate::store::{NewAction, RunKind, Store, StoreError};
+use crate::store::{KeyRing, NewAction, Store, StoreError};
 
 mod auth;
 mod datasets;
+mod door;
+mod estop;
 mod evaluation;
 mod events;
 mod exports;
+mod finished;
 mod health;
 mod imports;
 mod infer;
 mod jobs;
+mod line;
 mod live;
 mod lock_file;
 mod models;
@@ -52,6 +55,7 @@ mod query;
 mod queue;
 mod rig;
 mod runs;
+mod seat;
 mod send;
 mod status;
 mod trials;
@@ -65,11 +69,6 @@ pub use runs::Summary;
 
 use auth::Asker;
 use problem::ApiError;
-
-/// How often runs that have ended are looked for.
-const LOOK_FOR_FINISHED: Duration = Duration::from_secs(5);
-/// Runs that are looked at, newest first.
-const FINISHED_AT_ONCE: u32 = 20;
 
 /// Longest wait for the tips to be raised when the service ends.
 const LEAVE: Duration = Duration::from_secs(60);
@@ -149,6 +148,8 @@ pub enum ServeError {
 pub struct App {
     /// Records.
     pub store: Store,
+    /// The valid keys.
+    pub keys: KeyRing,
     /// The campaign.
     pub campaign: Handle,
     /// The queue.
@@ -203,10 +204,10 @@ impl App {
         outcome
     }
 
-    /// Refuses while somebody else holds the operator lock.
+    /// Refuses while somebody else holds the operator lock; `who` is what the asker claims to be.
     async fn unlocked(&self, asker: &Asker, who: Option<&str>) -> Result<(), ApiError> {
         match self.store.lock().await? {
-            Some(lock) if lock.holder != asker.name(who) => Err(ApiError::new(
+            Some(lock) if lock.holder != asker.identity(who) => Err(ApiError::new(
                 axum::http::StatusCode::CONFLICT,
                 format!("{} holds the operator lock: {}", lock.holder, lock.note),
             )),
@@ -274,7 +275,6 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(live::frames))
         .routes(routes!(rig::act))
         .routes(routes!(rig::check))
-        .routes(routes!(rig::estop))
         .routes(routes!(people::lock, people::take_lock, people::clear_lock))
         .routes(routes!(people::keys, people::create_key))
         .routes(routes!(people::revoke_key))
@@ -297,22 +297,26 @@ fn uploads() -> OpenApiRouter<App> {
     imports.merge(models).merge(frames)
 }
 
+/// Routes that nothing stands before: the stop, which asks for a key by itself, and health.
+fn open_routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new()
+        .routes(routes!(estop::estop))
+        .routes(routes!(health::live))
+        .routes(routes!(health::ready))
+}
+
 /// The description of all routes.
 fn description() -> utoipa::openapi::OpenApi {
-    routes().routes(routes!(health::live)).routes(routes!(health::ready)).to_openapi()
+    routes().merge(open_routes()).to_openapi()
 }
 
 fn router(app: App) -> axum::Router {
     let (guarded, _) = routes().split_for_parts();
-    let guarded = guarded
-        .route("/estop", axum::routing::post(rig::estop))
-        .route_layer(from_fn_with_state(app.clone(), auth::admit));
-    let (open, _) = OpenApiRouter::new()
-        .routes(routes!(health::live))
-        .routes(routes!(health::ready))
-        .split_for_parts();
+    let (open, _) = open_routes().split_for_parts();
     guarded
+        .route_layer(from_fn_with_state(app.clone(), auth::admit))
         .merge(open)
+        .route("/estop", post(estop::estop))
         .route("/", get(page::first))
         .route("/openapi.json", get(page::description))
         .fallback(page::nothing)
@@ -324,7 +328,7 @@ pub struct Service {
     address: SocketAddr,
     app: App,
     ending: watch::Sender<bool>,
-    server: JoinHandle<std::io::Result<()>>,
+    server: JoinHandle<()>,
     tasks: Vec<JoinHandle<()>>,
     engine: std::thread::JoinHandle<()>,
     _locks: [LockFile; 2],
@@ -339,12 +343,12 @@ impl Service {
         std::fs::create_dir_all(&options.data).map_err(data)?;
         let locks = [LockFile::of_data(&options.data)?, LockFile::of_rig(&config)?];
         let store = Store::open(&options.data.join("palpate.db"), Clock::new(1.0)).await?;
-        if !options.bind.ip().is_loopback()
-            && !store.keys().await?.iter().any(|k| k.revoked_at.is_none())
-        {
+        let keys = KeyRing::load(store.clone()).await?;
+        if !options.bind.ip().is_loopback() && keys.is_empty() {
             return Err(ServeError::NoKey(options.bind));
         }
         let bind = |source| ServeError::Bind { bind: options.bind, source };
+        door::raise_file_limit();
         let listener = TcpListener::bind(options.bind).await.map_err(bind)?;
         let address = listener.local_addr().map_err(bind)?;
         let journal = Arc::new(store.clone());
@@ -383,6 +387,7 @@ impl Service {
             serving: serving.clone(),
             facts: Arc::new(facts),
             store,
+            keys,
             campaign,
             conductor,
             twins,
@@ -396,11 +401,12 @@ impl Service {
             tokio::spawn(app.twins.clone().work()),
             tokio::spawn(app.datasets.clone().work()),
             tokio::spawn(app.jobs.clone().work()),
-            tokio::spawn(keep_finished_runs(app.clone())),
+            tokio::spawn(finished::keep(app.clone())),
             tokio::spawn(after_start(app.clone(), options.resume)),
             tokio::spawn(async move { serving.restore().await }),
         ];
-        let server = tokio::spawn(serve(listener, app.clone()));
+        let answering = app.facts.ending.clone();
+        let server = tokio::spawn(door::serve(listener, router(app.clone()), answering));
         Ok(Self { address, app, ending, server, tasks, engine, _locks: locks })
     }
 
@@ -416,7 +422,7 @@ impl Service {
     }
 
     /// Raises the tips, leaves an open run to be gone on with, closes the database.
-    pub async fn shutdown(self) {
+    pub async fn shutdown(mut self) {
         for task in &self.tasks {
             task.abort();
         }
@@ -427,51 +433,11 @@ impl Service {
         }
         // Streams of events and frames end, so that the server can.
         self.ending.send_replace(true);
-        if tokio::time::timeout(Duration::from_secs(5), self.server).await.is_err() {
+        if tokio::time::timeout(Duration::from_secs(5), &mut self.server).await.is_err() {
+            self.server.abort();
             tracing::warn!("some connections were cut");
         }
         self.app.store.close().await;
-    }
-}
-
-async fn serve(listener: TcpListener, app: App) -> std::io::Result<()> {
-    let mut ending = app.facts.ending.clone();
-    let graceful = async move {
-        let _ = ending.wait_for(|ended| *ended).await;
-    };
-    axum::serve(listener, router(app)).with_graceful_shutdown(graceful).await
-}
-
-/// Gives every run that has ended, and has its twins, its Parquet file and card; while no run is
-/// under way.
-async fn keep_finished_runs(app: App) {
-    let mut kept = std::collections::HashSet::new();
-    loop {
-        tokio::time::sleep(LOOK_FOR_FINISHED).await;
-        if app.campaign.status().run.is_some() {
-            continue;
-        }
-        let runs = match app.store.runs(FINISHED_AT_ONCE, None).await {
-            Ok(page) => page.runs,
-            Err(error) => {
-                tracing::warn!(%error, "finished runs are not looked for");
-                continue;
-            }
-        };
-        for run in runs.iter().filter(|run| run.state == "ended") {
-            // An import may be of a skin that has no model: nothing is waited for.
-            let gets_twins = app.twins.status().workers > 0 && run.kind != RunKind::Imported;
-            let twins_wait = match app.twins.count(run.uid).await {
-                Ok(count) => gets_twins && count.pending() > 0,
-                Err(_) => true,
-            };
-            if twins_wait || !kept.insert(run.uid) {
-                continue;
-            }
-            if let Err(error) = app.datasets.make(&Definition::of_run(run.scan_id)).await {
-                tracing::info!(run = run.scan_id, %error, "a finished run has no file");
-            }
-        }
     }
 }
 

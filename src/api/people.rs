@@ -17,7 +17,7 @@ use crate::store::{ActionRow, KeyRow, LockRow, Role};
 /// A lock that is asked for.
 #[derive(Debug, Deserialize, ToSchema)]
 pub struct NewLock {
-    /// Who takes it.
+    /// Who takes it; with a key the key's name counts, without one it becomes `NAME (local)`.
     pub holder: Option<String>,
     /// Why, for those who find it.
     pub note: String,
@@ -68,7 +68,7 @@ pub async fn take_lock(
     Extension(asker): Extension<Asker>,
     Body(new): Body<NewLock>,
 ) -> Result<Json<LockRow>, ApiError> {
-    let holder = asker.name(new.holder.as_deref());
+    let holder = asker.identity(new.holder.as_deref());
     let outcome = app.store.set_lock(&holder, &new.note).await.map_err(ApiError::from);
     let about = (None, new.holder.as_deref(), Some(new.note.as_str()));
     Ok(Json(app.logged(&asker, "lock", about, outcome).await?))
@@ -82,9 +82,9 @@ pub async fn clear_lock(
     Extension(asker): Extension<Asker>,
     Params(by): Params<ByWhom>,
 ) -> Result<StatusCode, ApiError> {
-    let who = asker.name(by.who.as_deref());
+    let identity = asker.identity(by.who.as_deref());
     let outcome = async {
-        if app.store.lock().await?.is_some_and(|l| l.holder != who) {
+        if app.store.lock().await?.is_some_and(|l| l.holder != identity) {
             asker.require(Role::Admin)?;
         }
         app.store.clear_lock().await?;
@@ -108,7 +108,8 @@ pub async fn keys(
 
 /// Makes a key.
 #[utoipa::path(post, path = "/api/v1/keys", tag = "people", request_body = NewKey,
-    responses((status = 201, body = MadeKey), (status = 403, body = ProblemBody)))]
+    responses((status = 201, body = MadeKey), (status = 403, body = ProblemBody),
+        (status = 422, body = ProblemBody)))]
 pub async fn create_key(
     State(app): State<App>,
     Extension(asker): Extension<Asker>,
@@ -116,7 +117,7 @@ pub async fn create_key(
 ) -> Result<(StatusCode, Json<MadeKey>), ApiError> {
     let outcome = async {
         asker.require(Role::Admin)?;
-        let (key, secret) = app.store.create_key(&new.name, new.role, rand::random()).await?;
+        let (key, secret) = app.keys.create(&new.name, new.role, rand::random()).await?;
         Ok(MadeKey { key, secret })
     }
     .await;
@@ -135,7 +136,7 @@ pub async fn revoke_key(
 ) -> Result<StatusCode, ApiError> {
     let outcome = async {
         asker.require(Role::Admin)?;
-        if app.store.revoke_key(id).await? {
+        if app.keys.revoke(id).await? {
             Ok(())
         } else {
             Err(ApiError::not_found(format!("there is no valid key {id}")))

@@ -1,4 +1,4 @@
-//! The rig by hand: connect, home, jog, tare, reset, check; and the emergency stop.
+//! The rig by hand: connect, home, jog, tare, reset, check.
 //! Uses: `campaign::command`, `rig::check`. Never: motion of its own.
 
 use axum::extract::State;
@@ -10,7 +10,6 @@ use utoipa::ToSchema;
 use super::App;
 use super::auth::Asker;
 use super::problem::{ApiError, Body, ProblemBody};
-use super::runs::Asked;
 use crate::campaign::command::Request;
 use crate::campaign::rig_state::RigState;
 use crate::clock::Clock;
@@ -49,13 +48,6 @@ pub enum RigAction {
     Tare,
     /// Acknowledge a trip.
     Reset,
-}
-
-/// The stop is latched.
-#[derive(Debug, Serialize, ToSchema)]
-pub struct Latched {
-    /// Always true.
-    pub latched: bool,
 }
 
 /// An action on the rig. Motions answer when they are taken up.
@@ -105,25 +97,4 @@ pub async fn check(State(app): State<App>) -> Result<Json<serde_json::Value>, Ap
     let report = serde_json::to_value(report)
         .map_err(|e| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, e.to_string()))?;
     Ok(Json(report))
-}
-
-/// Stops every axis at once and latches. One call, no body needed, no lock, idempotent; any key.
-#[utoipa::path(post, path = "/api/v1/estop", tag = "rig", request_body = Option<Asked>,
-    responses((status = 200, body = Latched)))]
-pub async fn estop(
-    State(app): State<App>,
-    Extension(asker): Extension<Asker>,
-    body: String,
-) -> Json<Latched> {
-    // Whatever the body holds, the stop comes first.
-    let asked: Asked = serde_json::from_str(&body).unwrap_or_default();
-    let who = asker.name(asked.who.as_deref());
-    let why = asked.why.as_deref().unwrap_or("emergency stop");
-    app.campaign.estop(&format!("{why} ({who})"));
-    // The log waits for the disk; who pressed does not.
-    tokio::spawn(async move {
-        let about = (None, asked.who.as_deref(), asked.why.as_deref());
-        let _ = app.logged(&asker, "estop", about, Ok(())).await;
-    });
-    Json(Latched { latched: true })
 }

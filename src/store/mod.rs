@@ -51,7 +51,7 @@ pub use error::StoreError;
 pub use filter::{Comparison, Filter, FilterValue, TrialColumn};
 pub use imports::{IMPORTED_CONTACTS_MAX, IMPORTED_MODEL, ImportedTrial};
 pub use jobs::{JobEnd, JobKind, JobRow, JobState};
-pub use keys::{KeyRow, Role};
+pub use keys::{KEYLESS, KEYLESS_SUFFIX, Key, KeyRing, KeyRow, Role};
 pub use lock::LockRow;
 pub use models::{ModelRow, PromotionRow};
 pub use runs::{Label, NewRun, RunKind, RunPage, RunRow};

@@ -4,3 +4,4 @@
 mod bench;
 mod campaign;
 mod live;
+mod stop;

@@ -5,7 +5,7 @@ use serde_json::json;
 
 use super::{Folder, new_run, open};
 use crate::campaign::journal::Journal;
-use crate::store::{NewAction, Role, RunKind, StoreError};
+use crate::store::{KeyRing, NewAction, Role, RunKind, StoreError};
 
 #[tokio::test]
 async fn events_are_numbered_without_gaps() {
@@ -53,28 +53,58 @@ async fn actions_are_logged_newest_first() {
 async fn a_key_opens_until_it_is_revoked_and_is_not_in_the_file() {
     let folder = Folder::new();
     let store = open(&folder.file()).await;
-    let (row, secret) = store.create_key("night shift", Role::Operator, [0xAB; 32]).await.unwrap();
+    let ring = KeyRing::load(store.clone()).await.unwrap();
+    assert!(ring.is_empty());
+    let (row, secret) = ring.create("night shift", Role::Operator, [0xAB; 32]).await.unwrap();
     assert_eq!(secret, format!("palpate_{}", "ab".repeat(32)));
-    assert_eq!(store.key_by_secret(&secret).await.unwrap(), Some(row.clone()));
+    let known = |ring: &KeyRing, text: &str| ring.find(text).map(|k| (k.id, k.name, k.role));
+    let expected = Some((row.id, row.name.clone(), row.role));
+    assert_eq!(known(&ring, &secret), expected);
     for wrong in ["", "palpate_", &secret[..secret.len() - 1], &secret.to_uppercase()] {
-        assert_eq!(store.key_by_secret(wrong).await.unwrap(), None);
+        assert_eq!(known(&ring, wrong), None);
     }
-    store.note_key_use(&row).await.unwrap();
-    let used = store.key_by_secret(&secret).await.unwrap().unwrap();
-    assert!(used.last_used_at.is_some());
-    // Within the minute nothing is written again, not even from an old row.
-    store.note_key_use(&row).await.unwrap();
-    assert_eq!(store.keys().await.unwrap(), [used]);
-    assert!(store.revoke_key(row.id).await.unwrap());
-    assert!(!store.revoke_key(row.id).await.unwrap());
-    assert_eq!(store.key_by_secret(&secret).await.unwrap(), None);
-    assert!(store.keys().await.unwrap()[0].revoked_at.is_some());
+    // As after a restart.
+    assert_eq!(known(&KeyRing::load(store.clone()).await.unwrap(), &secret), expected);
     // The same random bytes make the same key: refused, not doubled.
-    store.create_key("again", Role::Viewer, [0xAB; 32]).await.unwrap_err();
+    ring.create("again", Role::Viewer, [0xAB; 32]).await.unwrap_err();
+    for name in ["", " ", "local", "eve (local)", "night shift", &"x".repeat(101)] {
+        let error = ring.create(name, Role::Viewer, [0xCD; 32]).await.unwrap_err();
+        assert!(matches!(error, StoreError::Refused { field: "name", .. }), "{name}: {error}");
+    }
+    assert!(ring.revoke(row.id).await.unwrap());
+    assert!(!ring.revoke(row.id).await.unwrap());
+    assert_eq!(known(&ring, &secret), None);
+    assert!(KeyRing::load(store.clone()).await.unwrap().is_empty());
+    assert!(store.keys().await.unwrap()[0].revoked_at.is_some());
     store.close().await;
     let file = std::fs::read(folder.file()).unwrap();
     let found = file.windows(secret.len()).any(|w| w == secret.as_bytes());
     assert!(!found, "the key's text is in the file");
+}
+
+#[tokio::test]
+async fn a_keys_use_is_noted_in_the_background_once_a_minute() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let ring = KeyRing::load(store.clone()).await.unwrap();
+    let (_, secret) = ring.create("night shift", Role::Operator, [0xAB; 32]).await.unwrap();
+    let key = ring.find(&secret).unwrap();
+    ring.note_use(&key);
+    let start = std::time::Instant::now();
+    let used = loop {
+        if let Some(used) = store.keys().await.unwrap()[0].last_used_at {
+            break used;
+        }
+        assert!(start.elapsed().as_secs() < 10, "the use is not noted");
+        tokio::time::sleep(std::time::Duration::from_millis(5)).await;
+    };
+    // Within the minute nothing is written again, neither by this ring nor after a restart.
+    let restarted = KeyRing::load(store.clone()).await.unwrap();
+    for ring in [ring, restarted] {
+        ring.note_use(&ring.find(&secret).unwrap());
+        tokio::time::sleep(std::time::Duration::from_millis(50)).await;
+        assert_eq!(store.keys().await.unwrap()[0].last_used_at, Some(used));
+    }
 }
 
 #[test]

@@ -1,0 +1,342 @@
+//! A stop needs a valid key and nothing else: whatever its body, however many have come before,
+//! whoever reads meanwhile. And who holds the operator lock is not a matter of claiming it.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use futures::StreamExt;
+use reqwest::Method;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+use serde_json::{Value, json};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+use tokio::time::{sleep, timeout};
+use tokio_tungstenite::connect_async;
+
+use super::bench::{LIMIT, Lab, rig_args};
+
+const ESTOP: &str = "/api/v1/estop";
+const RIG: &str = "/api/v1/rig/actions";
+/// Longest time from a request's first byte to its answer, which comes after the latch.
+const LATCHED: Duration = Duration::from_millis(100);
+/// The same while all else that connects or reads has filled the machine.
+const LATCHED_IN_A_CROWD: Duration = Duration::from_secs(1);
+const IDLE_CONNECTIONS: usize = 1_100;
+const READERS: usize = 40;
+/// Twelve trials, whose voltages are read.
+const SMALL: &str = "name = 'small'\nseed = 5\nsensor = 's'\n[real_hex]\ntips = [4]\n\
+     configurations = 3\ndepths = 4\ndepth_step_mm = 1.25\nblock = 3\n[measure]\nsettle_ms = 400.0\n";
+
+// ---------------------------------------------------------------- asking
+
+/// A request with or without a key: its status and its body.
+async fn ask(
+    lab: &Lab,
+    method: Method,
+    path: &str,
+    key: Option<&str>,
+    body: Value,
+) -> (u16, Value) {
+    let url = format!("{}{path}", lab.service.url());
+    let mut request = reqwest::Client::new().request(method, url).json(&body);
+    if let Some(key) = key {
+        request = request.bearer_auth(key);
+    }
+    let answer = request.send().await.unwrap();
+    (answer.status().as_u16(), answer.json().await.unwrap_or(Value::Null))
+}
+
+/// A key's text.
+async fn key(lab: &Lab, name: &str, role: &str) -> String {
+    let made = lab.posted("/api/v1/keys", json!({ "name": name, "role": role })).await;
+    made["secret"].as_str().unwrap().to_owned()
+}
+
+async fn connect(lab: &Lab) -> TcpStream {
+    TcpStream::connect(lab.service.url().trim_start_matches("http://")).await.unwrap()
+}
+
+/// The head of a request, as it goes over the wire.
+fn head(start: &str, key: Option<&str>, more: &str) -> String {
+    let key = key.map_or(String::new(), |key| format!("authorization: Bearer {key}\r\n"));
+    format!("{start} HTTP/1.1\r\nhost: localhost\r\n{key}{more}\r\n")
+}
+
+/// Sends bytes and reads up to the end of a JSON answer, whether the bytes were all taken or not;
+/// its status, all of it, and how long it took from the connection on.
+async fn exchange(lab: &Lab, head: String, body: Vec<u8>) -> (u16, String, Duration) {
+    let start = Instant::now();
+    let (mut reading, mut writing) = connect(lab).await.into_split();
+    let sending = tokio::spawn(async move {
+        let sent = writing.write_all(head.as_bytes()).await;
+        let sent = sent.and(writing.write_all(&body).await);
+        // The connection stays open: the rest of what was announced could still come.
+        sleep(Duration::from_secs(5)).await;
+        drop((sent, writing));
+    });
+    let mut answer = String::new();
+    let read = async {
+        let mut piece = [0; 4096];
+        while !answer.trim_end().ends_with('}') {
+            let n = reading.read(&mut piece).await.unwrap();
+            assert!(n > 0, "the connection ends in {answer:?}");
+            answer.push_str(std::str::from_utf8(&piece[..n]).unwrap());
+        }
+    };
+    timeout(Duration::from_secs(10), read).await.expect("an answer comes");
+    let took = start.elapsed();
+    sending.abort();
+    let status = answer.split(' ').nth(1).unwrap().parse().unwrap();
+    (status, answer, took)
+}
+
+/// A stop over a connection of its own; how long it took to be answered.
+async fn stop(lab: &Lab, key: &str, framing: &str, body: Vec<u8>) -> Duration {
+    let head = head(&format!("POST {ESTOP}"), Some(key), framing);
+    let (status, answer, took) = exchange(lab, head, body).await;
+    assert_eq!(status, 200, "{answer}");
+    assert!(answer.contains("\"latched\":true"), "{answer}");
+    took
+}
+
+fn is_stopped(status: &Value) -> bool {
+    status["rig"]["state"] == "tripped" && status["rig"]["trip"]["kind"] == "estop"
+}
+
+async fn reset(lab: &Lab) {
+    lab.posted(RIG, json!({ "action": "reset", "who": "test" })).await;
+    lab.until("a reset", |s| s["rig"]["state"] == "disarmed").await;
+}
+
+// ---------------------------------------------------------------- keys, bodies, the lock
+
+/// Any role stops the rig, and nobody else does.
+async fn any_valid_key_stops(lab: &Lab, viewer: &str) {
+    for wrong in ["palpate_00", "nonsense", ""] {
+        let (status, _) = ask(lab, Method::POST, ESTOP, Some(wrong), Value::Null).await;
+        assert_eq!(status, 401, "{wrong:?}");
+    }
+    sleep(Duration::from_millis(500)).await;
+    assert_eq!(lab.get("/api/v1/status").await["rig"]["state"], "disarmed");
+    let (operator, admin) = (key(lab, "o", "operator").await, key(lab, "a", "admin").await);
+    for (name, key) in [("viewer key", viewer), ("o", &operator), ("a", &admin)] {
+        let took = stop(lab, key, "", Vec::new()).await;
+        assert!(took < LATCHED, "{name}: {took:?}");
+        let status = lab.until("a stop", is_stopped).await;
+        assert_eq!(status["rig"]["trip"]["detail"], format!("emergency stop ({name})"));
+        reset(lab).await;
+    }
+    // What a viewer may not do stays so.
+    let act = json!({ "action": "tare" });
+    assert_eq!(ask(lab, Method::POST, RIG, Some(viewer), act).await.0, 403);
+}
+
+/// The stop comes first, whatever the body is, and whether it comes or not.
+async fn any_body_stops(lab: &Lab, viewer: &str) {
+    let whole = |body: &[u8]| (format!("content-length: {}\r\n", body.len()), body.to_vec());
+    let bodies = [
+        ("none", (String::new(), Vec::new())),
+        ("not UTF-8", whole(b"{\"why\":\"H\xe4nde!\"}")),
+        ("JSON garbage", whole(b"[{")),
+        ("10 MB", whole(&vec![b'x'; 10 << 20])),
+        ("never sent", ("content-length: 10\r\n".into(), Vec::new())),
+        ("withheld", ("content-length: 10\r\nexpect: 100-continue\r\n".into(), Vec::new())),
+        ("never ended", ("transfer-encoding: chunked\r\n".into(), b"5\r\n{\"who".to_vec())),
+    ];
+    for (what, (framing, body)) in bodies {
+        let took = stop(lab, viewer, &framing, body).await;
+        eprintln!("a stop with a body that is {what}: answered after {took:?}");
+        assert!(took < LATCHED, "{what}: {took:?}");
+        lab.until("a stop", is_stopped).await;
+        reset(lab).await;
+    }
+}
+
+/// Who and why are written down afterwards, and cut to their bounds.
+async fn the_log_says_who_and_why(lab: &Lab, viewer: &str) {
+    let body = json!({ "who": "eve", "why": format!("smoke{}", "!".repeat(3000)) });
+    assert_eq!(ask(lab, Method::POST, "/estop", Some(viewer), body).await.0, 200);
+    let written = |actions: &Value| {
+        let mut actions = actions.as_array().unwrap().iter();
+        actions.any(|a| {
+            let why = a["why"].as_str().unwrap_or_default();
+            a["action"] == "estop"
+                && a["who"] == "viewer key (eve)"
+                && why.starts_with("smoke!")
+                && why.len() == 500
+        })
+    };
+    lab.eventually("the log of the stop", "/api/v1/actions", written).await;
+    lab.until("a stop", is_stopped).await;
+    reset(lab).await;
+}
+
+/// A lock that was taken with a key is not passed by its holder's name; without a key names count.
+async fn a_lock_is_held_by_who_took_it(lab: &Lab) {
+    let alice = key(lab, "alice", "operator").await;
+    let take = |holder: &str| json!({ "holder": holder, "note": "tips are being changed" });
+    let tare = |who: &str| json!({ "action": "tare", "who": who });
+    let (_, lock) = ask(lab, Method::PUT, "/api/v1/lock", Some(&alice), take("al")).await;
+    assert_eq!(lock["holder"], "alice", "{lock}");
+    for claimed in ["alice", "al", "alice (al)", ""] {
+        assert_eq!(ask(lab, Method::POST, RIG, None, tare(claimed)).await.0, 409, "{claimed}");
+    }
+    assert_eq!(ask(lab, Method::POST, RIG, Some(&alice), tare("al")).await.0, 202);
+    assert_eq!(ask(lab, Method::DELETE, "/api/v1/lock", None, Value::Null).await.0, 204);
+    let (_, lock) = ask(lab, Method::PUT, "/api/v1/lock", None, take("eve")).await;
+    assert_eq!(lock["holder"], "eve (local)", "{lock}");
+    assert_eq!(ask(lab, Method::POST, RIG, None, tare("bob")).await.0, 409);
+    assert_eq!(ask(lab, Method::POST, RIG, Some(&alice), tare("eve")).await.0, 409);
+    assert_eq!(ask(lab, Method::POST, RIG, None, tare("eve")).await.0, 202);
+    let actions = lab.get("/api/v1/actions?limit=1").await;
+    assert_eq!(actions[0]["who"], "eve", "the log says what it said before");
+    assert_eq!(ask(lab, Method::DELETE, "/api/v1/lock", None, Value::Null).await.0, 204);
+    // Nor by a key of the same name, nor by one that is called like somebody without a key.
+    for name in ["alice", "eve (local)", "local", ""] {
+        let body = json!({ "name": name, "role": "operator" });
+        assert_eq!(lab.post("/api/v1/keys", body).await.0, 422, "{name}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stop_needs_a_valid_key_of_any_role_and_no_body() {
+    let lab = Lab::open("stop-keys", rig_args("virtual", 1.0)).await;
+    lab.posted(RIG, json!({ "action": "connect", "who": "test" })).await;
+    let viewer = key(&lab, "viewer key", "viewer").await;
+    any_valid_key_stops(&lab, &viewer).await;
+    any_body_stops(&lab, &viewer).await;
+    the_log_says_who_and_why(&lab, &viewer).await;
+    a_lock_is_held_by_who_took_it(&lab).await;
+    lab.close().await;
+}
+
+// ---------------------------------------------------------------- crowds
+
+/// Raises the limit of open files for both ends of all connections; false if the system does not
+/// let it.
+fn many_files() -> bool {
+    let limit = getrlimit(Resource::Nofile);
+    let wanted = Rlimit { current: Some(4096), ..limit };
+    limit.current.is_none_or(|now| now >= 4096) || setrlimit(Resource::Nofile, wanted).is_ok()
+}
+
+/// A head that does not end is given up, and a connection between two requests is not.
+async fn a_slow_head_is_given_up(address: String) {
+    let (mut slow, mut idle) =
+        (TcpStream::connect(&address).await.unwrap(), TcpStream::connect(&address).await.unwrap());
+    let get = head("GET /health/live", None, "");
+    let mut piece = [0; 4096];
+    idle.write_all(get.as_bytes()).await.unwrap();
+    assert!(idle.read(&mut piece).await.unwrap() > 0);
+    let start = Instant::now();
+    slow.write_all(b"GET /health/live HT").await.unwrap();
+    let end = timeout(Duration::from_secs(20), slow.read(&mut piece)).await;
+    assert!(matches!(end, Ok(Ok(0) | Err(_))), "{end:?}");
+    let took = start.elapsed();
+    eprintln!("a head that does not end was given up after {took:?}");
+    assert!(took > Duration::from_secs(4), "{took:?}");
+    idle.write_all(get.as_bytes()).await.unwrap();
+    assert!(idle.read(&mut piece).await.unwrap() > 0, "it was cut with the slow one");
+}
+
+/// Reads all trials with their voltages until told to end; counts the answers.
+async fn read_on(url: String, over: Arc<AtomicBool>, read: Arc<AtomicUsize>) {
+    let client = reqwest::Client::new();
+    while !over.load(Ordering::Relaxed) {
+        let answer = client.get(&url).send().await.unwrap();
+        assert_eq!(answer.status(), 200);
+        answer.bytes().await.unwrap();
+        read.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// Twelve stops; none takes long.
+async fn stops_in_a_crowd(lab: &Lab, viewer: &str, crowd: &str) {
+    let mut took = Vec::new();
+    for _ in 0..12 {
+        took.push(stop(lab, viewer, "", Vec::new()).await);
+        sleep(Duration::from_millis(50)).await;
+    }
+    took.sort();
+    eprintln!("{crowd}: 12 stops, p50 {:?}, longest {:?}", took[5], took[11]);
+    assert!(took[11] < LATCHED_IN_A_CROWD, "{took:?}");
+}
+
+/// Connections that wait make room for one another; readers do not hold a stop up.
+async fn behind_idle_connections_and_readers(lab: &Lab, viewer: &str) {
+    let url = lab.service.url().replacen("http", "ws", 1);
+    let (mut socket, _) = connect_async(format!("{url}/api/v1/frames/live")).await.unwrap();
+    let mut idle = Vec::new();
+    for _ in 0..IDLE_CONNECTIONS {
+        idle.push(connect(lab).await);
+    }
+    stops_in_a_crowd(lab, viewer, "1,100 idle connections").await;
+    lab.until("a stop", is_stopped).await;
+    let (over, read) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicUsize::new(0)));
+    let url = format!("{}/api/v1/trials?voltages=true&limit=10000", lab.service.url());
+    let readers: Vec<_> = (0..READERS)
+        .map(|_| tokio::spawn(read_on(url.clone(), over.clone(), read.clone())))
+        .collect();
+    sleep(Duration::from_secs(1)).await;
+    stops_in_a_crowd(lab, viewer, "40 readers of voltages, too").await;
+    over.store(true, Ordering::Relaxed);
+    for reader in readers {
+        reader.await.unwrap();
+    }
+    eprintln!("the readers had {} answers", read.load(Ordering::Relaxed));
+    let gone = |wire: &TcpStream| match wire.try_read(&mut [0]) {
+        Ok(n) => n == 0,
+        Err(error) => error.kind() != std::io::ErrorKind::WouldBlock,
+    };
+    let gone = idle.iter().filter(|wire| gone(wire)).count();
+    assert!(gone >= IDLE_CONNECTIONS - 544, "{gone} have made room");
+    let frame = timeout(LIMIT, socket.next()).await.unwrap().unwrap().unwrap();
+    assert!(frame.is_text(), "the WebSocket was there first and stays: {frame:?}");
+}
+
+/// While every place is busy the stop and /health are reached, and nothing else.
+async fn behind_busy_connections(lab: &Lab, viewer: &str) {
+    let more = "content-type: application/json\r\ncontent-length: 10\r\n";
+    let never_ends = head("POST /api/v1/preflight", None, more);
+    let mut busy = Vec::new();
+    for _ in 0..700 {
+        let mut wire = connect(lab).await;
+        // One that comes too late is told so and closed.
+        let _ = wire.write_all(never_ends.as_bytes()).await;
+        busy.push(wire);
+    }
+    let status = || exchange(lab, head("GET /api/v1/status", None, ""), Vec::new());
+    let (code, answer, _) = status().await;
+    assert_eq!(code, 503, "{answer}");
+    assert!(answer.contains("application/problem+json") && answer.contains("all connections"));
+    let live = exchange(lab, head("GET /health/live", None, ""), Vec::new()).await;
+    assert_eq!(live.0, 200, "{}", live.1);
+    stops_in_a_crowd(lab, viewer, "512 busy connections").await;
+    drop(busy);
+    let start = Instant::now();
+    while status().await.0 != 200 {
+        assert!(start.elapsed() < Duration::from_secs(10), "places are not given back");
+        sleep(Duration::from_millis(50)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stop_gets_through_crowds() {
+    if !many_files() {
+        eprintln!("SKIPPED: this process may not have 4096 files open");
+        return;
+    }
+    let lab = Lab::open("stop-crowds", rig_args("virtual", 20.0)).await;
+    lab.home().await;
+    let address = lab.service.url().trim_start_matches("http://").to_owned();
+    let slow = tokio::spawn(a_slow_head_is_given_up(address));
+    let run = lab.queue(SMALL).await;
+    lab.start(&run).await;
+    lab.ended(&run).await;
+    slow.await.unwrap();
+    let viewer = key(&lab, "viewer key", "viewer").await;
+    behind_idle_connections_and_readers(&lab, &viewer).await;
+    behind_busy_connections(&lab, &viewer).await;
+    lab.close().await;
+}
