@@ -22,7 +22,7 @@ use utoipa_axum::routes;
 use crate::campaign::command::{Handle, Request};
 use crate::campaign::engine;
 use crate::clock::Clock;
-use crate::conductor::{Conductor, ConductorError, RigFile};
+use crate::conductor::{Conductor, RigFile};
 use crate::dataset::catalog::Catalog;
 use crate::dataset::definition::Definition;
 use crate::dataset::error::DatasetError;
@@ -30,8 +30,9 @@ use crate::infer::error::InferError;
 use crate::infer::registry::Registry;
 use crate::infer::serving::Serving;
 use crate::jobs::Jobs;
+use crate::simulate::model::sweep_partial;
 use crate::simulate::twins::TwinPool;
-use crate::store::{NewAction, RunKind, Store, StoreError};
+use crate::store::{NewAction, RunKind, Soundness, Store, StoreError};
 
 mod auth;
 mod datasets;
@@ -70,6 +71,9 @@ use problem::ApiError;
 const LOOK_FOR_FINISHED: Duration = Duration::from_secs(5);
 /// Runs that are looked at, newest first.
 const FINISHED_AT_ONCE: u32 = 20;
+
+/// Newest trials whose checksums are compared at the start.
+const EXAMINED_TRIALS: u32 = 2000;
 
 /// Longest wait for the tips to be raised when the service ends.
 const LEAVE: Duration = Duration::from_secs(60);
@@ -118,7 +122,7 @@ pub enum ServeError {
     #[error(transparent)]
     Locked(#[from] LockFileError),
     /// The store does not open.
-    #[error(transparent)]
+    #[error("{}", .0.with_causes())]
     Store(#[from] StoreError),
     /// The address cannot be listened at.
     #[error("listening at {bind}: {source}")]
@@ -360,6 +364,7 @@ impl Service {
         let (ending, ended) = watch::channel(false);
         let facts = Facts { bind: address, started_at: Timestamp::now(), rig, ending: ended };
         let cache = options.data.join("cache");
+        sweep_partial(&cache);
         let twins = TwinPool::new(
             store.clone(),
             campaign.clone(),
@@ -475,14 +480,31 @@ async fn keep_finished_runs(app: App) {
     }
 }
 
+/// Looks the database over, and goes on with what the process before left. A run that goes on by
+/// itself does so on a database that was looked over; one that somebody starts need not wait.
 async fn after_start(app: App, resume: bool) {
-    let outcome = if resume {
-        app.conductor.go_on().await
-    } else {
-        app.store.interrupt_open_runs(None).await.map_err(ConductorError::from)
+    let go_on = async {
+        if let Err(error) = app.conductor.go_on(resume).await {
+            tracing::warn!(%error, "no run was gone on with");
+        }
     };
-    if let Err(error) = outcome {
-        tracing::warn!(%error, "no run was gone on with");
+    let examine = async {
+        match app.store.examine(EXAMINED_TRIALS).await {
+            Ok(Soundness::Damaged(findings)) => {
+                tracing::error!(?findings, "the database is damaged")
+            }
+            Ok(Soundness::Sound | Soundness::Unchecked) => {}
+            Err(error) => {
+                tracing::warn!(error = error.with_causes(), "the database was not examined")
+            }
+        }
+    };
+    if resume {
+        examine.await;
+        go_on.await;
+    } else {
+        go_on.await;
+        examine.await;
     }
 }
 
