@@ -222,7 +222,7 @@ async fn main() -> Result<(), Failure> {
         }
         store.insert_twins(model, twins).await?;
     }
-    store.end_run(run.uid, ExitStatus::Success, "filled").await?;
+    store.end_run(run.uid, ExitStatus::Success, "filled", Timestamp::now()).await?;
     store.close().await;
     let wall_s = started.elapsed().as_secs_f64();
     let bytes = std::fs::metadata(&path)?.len();

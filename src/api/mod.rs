@@ -22,15 +22,16 @@ use utoipa_axum::routes;
 use crate::campaign::command::{Handle, Request};
 use crate::campaign::engine;
 use crate::clock::Clock;
-use crate::conductor::{Conductor, ConductorError, RigFile};
+use crate::conductor::{Conductor, RigFile};
 use crate::dataset::catalog::Catalog;
 use crate::dataset::error::DatasetError;
 use crate::infer::error::InferError;
 use crate::infer::registry::Registry;
 use crate::infer::serving::Serving;
 use crate::jobs::Jobs;
+use crate::simulate::model::sweep_partial;
 use crate::simulate::twins::TwinPool;
-use crate::store::{KeyRing, NewAction, Store, StoreError};
+use crate::store::{KeyRing, NewAction, Soundness, Store, StoreError};
 
 mod auth;
 mod datasets;
@@ -69,6 +70,9 @@ pub use runs::Summary;
 
 use auth::Asker;
 use problem::ApiError;
+
+/// Newest trials whose checksums are compared at the start.
+const EXAMINED_TRIALS: u32 = 2000;
 
 /// Longest wait for the tips to be raised when the service ends.
 const LEAVE: Duration = Duration::from_secs(60);
@@ -117,7 +121,7 @@ pub enum ServeError {
     #[error(transparent)]
     Locked(#[from] LockFileError),
     /// The store does not open.
-    #[error(transparent)]
+    #[error("{}", .0.with_causes())]
     Store(#[from] StoreError),
     /// The address cannot be listened at.
     #[error("listening at {bind}: {source}")]
@@ -364,6 +368,7 @@ impl Service {
         let (ending, ended) = watch::channel(false);
         let facts = Facts { bind: address, started_at: Timestamp::now(), rig, ending: ended };
         let cache = options.data.join("cache");
+        sweep_partial(&cache);
         let twins = TwinPool::new(
             store.clone(),
             campaign.clone(),
@@ -441,14 +446,31 @@ impl Service {
     }
 }
 
+/// Looks the database over, and goes on with what the process before left. A run that goes on by
+/// itself does so on a database that was looked over; one that somebody starts need not wait.
 async fn after_start(app: App, resume: bool) {
-    let outcome = if resume {
-        app.conductor.go_on().await
-    } else {
-        app.store.interrupt_open_runs(None).await.map_err(ConductorError::from)
+    let go_on = async {
+        if let Err(error) = app.conductor.go_on(resume).await {
+            tracing::warn!(%error, "no run was gone on with");
+        }
     };
-    if let Err(error) = outcome {
-        tracing::warn!(%error, "no run was gone on with");
+    let examine = async {
+        match app.store.examine(EXAMINED_TRIALS).await {
+            Ok(Soundness::Damaged(findings)) => {
+                tracing::error!(?findings, "the database is damaged")
+            }
+            Ok(Soundness::Sound | Soundness::Unchecked) => {}
+            Err(error) => {
+                tracing::warn!(error = error.with_causes(), "the database was not examined")
+            }
+        }
+    };
+    if resume {
+        examine.await;
+        go_on.await;
+    } else {
+        go_on.await;
+        examine.await;
     }
 }
 

@@ -195,9 +195,9 @@ impl From<StoreError> for ApiError {
             _ => StatusCode::INTERNAL_SERVER_ERROR,
         };
         if status == StatusCode::INTERNAL_SERVER_ERROR {
-            tracing::error!(%error, "the store failed");
+            tracing::error!(error = error.with_causes(), "the store failed");
         }
-        Self::new(status, error.to_string())
+        Self::new(status, error.with_causes())
     }
 }
 

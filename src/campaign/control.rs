@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 
+use jiff::Timestamp;
 use serde_json::json;
 
 use super::command::{Envelope, Inbox, Refusal, Request};
@@ -134,7 +135,8 @@ impl Control {
         // An end is stored by `end_run`, with its status.
         if let Some(run) = self.current.filter(|_| state != RunState::Idle) {
             let why = state.why().map(PausedWhy::as_str);
-            let stored = self.journal.run_state(run, state.as_str(), requested, why).await;
+            let now = Timestamp::now();
+            let stored = self.journal.run_state(run, state.as_str(), requested, why, now).await;
             if let Err(error) = stored {
                 tracing::error!(%error, "the run's state was not stored");
             }
@@ -162,7 +164,7 @@ impl Control {
     /// Stores an event for people. A store that cannot take it does not stop the rig here: the next
     /// trial's commit will.
     pub async fn say(&self, kind: &str, data: serde_json::Value) {
-        if let Err(error) = self.journal.event(self.current, kind, data).await {
+        if let Err(error) = self.journal.event(self.current, kind, data, Timestamp::now()).await {
             tracing::error!(%error, kind, "an event was not stored");
         }
     }

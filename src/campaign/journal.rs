@@ -2,7 +2,9 @@
 //! Uses: `campaign::record`, `ids`. Never: SQL (the store implements this; data flows to it while
 //! the import points back).
 //!
-//! Every method returns only when its record is durable (`design.md` 8, law 1).
+//! Every method that stores returns only when its record is durable (`design.md` 8, law 1), however
+//! long the disk takes: the caller has a deadline of its own. What is written late says when it
+//! happened (`at`).
 
 use std::collections::BTreeSet;
 
@@ -90,8 +92,13 @@ pub trait Journal: Send + Sync {
     /// Stores a touch-off.
     async fn touch_off(&self, run: RunUid, found: &TouchOffRecord) -> Result<(), JournalError>;
     /// Gives a configuration up.
-    async fn skip(&self, run: RunUid, configuration: u32, reason: &str)
-    -> Result<(), JournalError>;
+    async fn skip(
+        &self,
+        run: RunUid,
+        configuration: u32,
+        reason: &str,
+        at: Timestamp,
+    ) -> Result<(), JournalError>;
     /// Takes a stored trial back, so that it can be measured again (Real-Random); its record moves
     /// to the attempts.
     async fn discard(&self, run: RunUid, key: TrialKey, reason: &str) -> Result<(), JournalError>;
@@ -104,6 +111,7 @@ pub trait Journal: Send + Sync {
         state: &str,
         requested: Option<&str>,
         why: Option<&str>,
+        at: Timestamp,
     ) -> Result<(), JournalError>;
     /// Ends a run.
     async fn end_run(
@@ -111,14 +119,20 @@ pub trait Journal: Send + Sync {
         run: RunUid,
         status: ExitStatus,
         reason: &str,
+        at: Timestamp,
     ) -> Result<(), JournalError>;
-    /// Appends an event and returns it with its number.
+    /// Appends an event and returns it with its number; numbers follow the order of storage.
     async fn event(
         &self,
         run: Option<RunUid>,
         kind: &str,
         data: serde_json::Value,
+        at: Timestamp,
     ) -> Result<Event, JournalError>;
+    /// Notes how many tips a person (`who`) says are mounted, 0 to 6.
+    async fn mounted(&self, tips: u8, who: &str, at: Timestamp) -> Result<(), JournalError>;
+    /// How many tips were said to be mounted last; absent before the first time.
+    async fn last_mounted(&self) -> Result<Option<u8>, JournalError>;
     /// Bytes that can still be stored.
     async fn free_bytes(&self) -> Result<u64, JournalError>;
 }

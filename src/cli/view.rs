@@ -179,7 +179,7 @@ impl EventView {
             "attempt_failed" => {
                 Some(format!("attempt {} failed: {}", self.data["attempt"], text("reason")))
             }
-            "suspended" | "raise_failed" | "store" | "repeat" | "not_gone_on" => {
+            "suspended" | "raise_failed" | "store" | "repeat" | "not_gone_on" | "not_begun" => {
                 Some(format!("{}: {}", self.kind.replace('_', " "), text("why")))
             }
             "recovering" => Some("recovering: looking whether the cause is gone".into()),

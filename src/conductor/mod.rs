@@ -2,7 +2,7 @@
 //! crash interrupted goes on where its arming allowed it.
 //! Uses: `schedule`, `rig::reach`, `campaign` (its handle), `store`. Never: motion, HTTP.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -10,22 +10,23 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use sim_core::calibration::Calibration;
+use tokio::sync::Notify;
 use utoipa::ToSchema;
 
 use crate::campaign::command::{Handle, Refusal, Request};
-use crate::campaign::journal::Journal;
 use crate::campaign::rig_state::RigState;
-use crate::campaign::run_state::{PausedWhy, RunState};
 use crate::ids::RunUid;
 use crate::problem::Problem;
 use crate::rig::config::RigConfig;
 use crate::schedule::preflight::Preflight;
-use crate::store::{NewRun, RunRow, Store, StoreError};
+use crate::store::{NewRun, RunRow, Soundness, Store, StoreError};
 
 mod prepare;
+mod restart;
 
 use prepare::Prepared;
 pub use prepare::Submission;
+use restart::TakenOver;
 
 /// How long a code from arming may be used.
 const CODE_VALID: Duration = Duration::from_secs(600);
@@ -60,6 +61,11 @@ struct Inner {
     rig: RigFile,
     calibration: Option<Calibration>,
     armings: Mutex<BTreeMap<RunUid, Arming>>,
+    /// Runs that begin when the rig is free. Each is marked so in the store too, for the process
+    /// that comes after a crash; in this one only those begin that are named here.
+    waiting: Mutex<BTreeSet<RunUid>>,
+    /// One of them was added.
+    look: Notify,
 }
 
 /// The first of the two steps of starting a run.
@@ -67,8 +73,6 @@ struct Inner {
 struct Arming {
     code: String,
     expires_at: Timestamp,
-    /// Started while another run was under way: goes when the rig is free.
-    started: bool,
 }
 
 /// What arming answers: what will happen, and the code that starts it.
@@ -124,7 +128,8 @@ impl Conductor {
         rig: RigFile,
         calibration: Option<Calibration>,
     ) -> Self {
-        let inner = Inner { store, campaign, rig, calibration, armings: Mutex::default() };
+        let (armings, waiting, look) = (Mutex::default(), Mutex::default(), Notify::new());
+        let inner = Inner { store, campaign, rig, calibration, armings, waiting, look };
         Self { inner: Arc::new(inner) }
     }
 
@@ -177,12 +182,12 @@ impl Conductor {
     /// The first step of starting: checks the run and hands out a code.
     pub async fn arm(&self, run: &RunRow) -> Result<Armed, ConductorError> {
         startable(run)?;
+        self.require_sound_store()?;
         let preflight = self.prepare(Submission::of(run)).await?.sound()?.preflight;
         // The tail of a v7 uuid is random.
         let code: String = RunUid::new().0.simple().to_string()[26..].into();
         let expires_at = Timestamp::now() + CODE_VALID;
-        let arming = Arming { code: code.clone(), expires_at, started: false };
-        self.armings().insert(run.uid, arming);
+        self.armings().insert(run.uid, Arming { code: code.clone(), expires_at });
         Ok(Armed { code, expires_at, preflight })
     }
 
@@ -191,9 +196,9 @@ impl Conductor {
         startable(run)?;
         self.check_code(run.uid, code)?;
         if self.inner.campaign.status().run.is_some() {
-            if let Some(arming) = self.armings().get_mut(&run.uid) {
-                arming.started = true;
-            }
+            self.require_sound_store()?;
+            self.inner.store.set_waiting(run.uid).await?;
+            self.let_wait([run.uid]);
             return Ok(Started::Waiting);
         }
         self.begin(run).await?;
@@ -215,10 +220,24 @@ impl Conductor {
         }
     }
 
+    /// Nothing is measured into a database that is known to be damaged.
+    fn require_sound_store(&self) -> Result<(), ConductorError> {
+        match self.inner.store.soundness() {
+            Soundness::Unchecked | Soundness::Sound => Ok(()),
+            Soundness::Damaged(findings) => Err(ConductorError::Forbidden(format!(
+                "the database is damaged, no run is armed or started: {}; bring it back from a \
+                 copy, or start on another data folder",
+                findings.join("; ")
+            ))),
+        }
+    }
+
     async fn begin(&self, run: &RunRow) -> Result<(), ConductorError> {
+        self.require_sound_store()?;
         let job = self.prepare(Submission::of(run)).await?.sound()?.job(run);
         self.inner.campaign.ask(Request::Start(Arc::new(job))).await?;
         self.armings().remove(&run.uid);
+        self.waiting().remove(&run.uid);
         Ok(())
     }
 
@@ -226,7 +245,11 @@ impl Conductor {
     /// is free. Ends with the campaign's thread.
     pub async fn follow(self) {
         let mut status = self.inner.campaign.watch_status();
-        while status.changed().await.is_ok() {
+        loop {
+            tokio::select! {
+                changed = status.changed() => if changed.is_err() { return },
+                () = self.inner.look.notified() => {}
+            }
             let free = {
                 let now = status.borrow_and_update();
                 now.run.is_none() && now.rig.state == RigState::Homed
@@ -237,36 +260,66 @@ impl Conductor {
         }
     }
 
+    /// Begins the first run that waits. One that cannot begin must be started anew; an event says so.
     async fn begin_next(&self) -> Result<(), ConductorError> {
-        if !self.armings().values().any(|a| a.started) {
+        if self.waiting().is_empty() {
             return Ok(());
         }
-        for run in self.inner.store.queue().await? {
-            let started = self.armings().get(&run.uid).is_some_and(|a| a.started);
-            if started {
-                let begun = self.begin(&run).await;
-                self.armings().remove(&run.uid);
-                return begun;
+        for run in self.inner.store.waiting_runs().await? {
+            if !self.waiting().contains(&run.uid) {
+                continue;
+            }
+            match self.begin(&run).await {
+                Ok(()) => return Ok(()),
+                // Another came first: it waits on.
+                Err(_) if self.inner.campaign.status().run.is_some() => return Ok(()),
+                Err(error) => self.drop_waiting(&run, &error.to_string()).await?,
             }
         }
         Ok(())
     }
 
+    fn let_wait(&self, runs: impl IntoIterator<Item = RunUid>) {
+        self.waiting().extend(runs);
+        self.inner.look.notify_one();
+    }
+
+    async fn drop_waiting(&self, run: &RunRow, why: &str) -> Result<(), ConductorError> {
+        self.waiting().remove(&run.uid);
+        self.inner.store.clear_waiting(run.uid).await?;
+        self.say(run, "not_begun", json!({ "why": why })).await;
+        Ok(())
+    }
+
     /// After a start of the service: goes on by itself with the run that was being driven when the
-    /// process ended, if its arming allows that, and marks what else was left open as interrupted.
-    /// Says in events what it does and what it cannot do.
+    /// process ended, and with those that were started behind it, if their arming allows that and
+    /// `resume` says so. Marks what else was left open as interrupted; who no longer waits for a
+    /// turn must be started anew. Says in events what it does and what it cannot do.
     ///
     /// Until it drives the run again, the run keeps the state that it was left in: a process that
     /// ends on the way leaves the same case to the next one.
-    pub async fn go_on(&self) -> Result<(), ConductorError> {
+    pub async fn go_on(&self, resume: bool) -> Result<(), ConductorError> {
         let store = &self.inner.store;
-        let open = store.open_runs().await?;
-        let run = open.into_iter().rfind(|run| run.auto_resume && was_driven(run));
-        store.interrupt_open_runs(run.as_ref().map(|run| run.uid)).await?;
-        let Some(run) = run else { return Ok(()) };
-        let outcome = self.go_on_with(&run).await;
-        if !matches!(outcome, Ok(true)) {
+        let (open, waiting) = (store.open_runs().await?, store.waiting_runs().await?);
+        let TakenOver { driven, waiting, dropped } = TakenOver::of(open, waiting, resume);
+        store.interrupt_open_runs(driven.as_ref().map(|run| run.uid)).await?;
+        for (run, why) in &dropped {
+            self.drop_waiting(run, why).await?;
+        }
+        let outcome = match driven.as_ref().or(waiting.first()) {
+            Some(first) => self.go_on_with(first).await,
+            None => return Ok(()),
+        };
+        if driven.is_some() && !matches!(outcome, Ok(true)) {
             store.interrupt_open_runs(None).await?;
+        }
+        let begun = usize::from(driven.is_none() && matches!(outcome, Ok(true)));
+        if self.inner.campaign.status().rig.state == RigState::Tripped {
+            for run in &waiting[begun..] {
+                self.drop_waiting(run, "the rig tripped while it was brought up").await?;
+            }
+        } else {
+            self.let_wait(waiting[begun..].iter().map(|run| run.uid));
         }
         outcome.map(|_| ())
     }
@@ -286,7 +339,9 @@ impl Conductor {
             let why = error.to_string();
             self.say(run, "not_gone_on", json!({ "attempt": attempt, "why": why })).await;
             let tripped = self.inner.campaign.status().rig.state == RigState::Tripped;
-            if tripped || matches!(error, ConductorError::Problems { .. }) {
+            let for_good =
+                matches!(error, ConductorError::Problems { .. } | ConductorError::Forbidden(_));
+            if tripped || for_good {
                 return Err(error);
             }
             tokio::time::sleep(pause).await;
@@ -296,7 +351,7 @@ impl Conductor {
     }
 
     async fn say(&self, run: &RunRow, kind: &str, data: serde_json::Value) {
-        if let Err(error) = self.inner.store.event(Some(run.uid), kind, data).await {
+        if let Err(error) = self.inner.store.append_event(Some(run.uid), kind, data).await {
             tracing::error!(%error, kind, "an event was not stored");
         }
     }
@@ -339,16 +394,13 @@ impl Conductor {
         }
     }
 
+    fn waiting(&self) -> std::sync::MutexGuard<'_, BTreeSet<RunUid>> {
+        self.inner.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn armings(&self) -> std::sync::MutexGuard<'_, BTreeMap<RunUid, Arming>> {
         self.inner.armings.lock().unwrap_or_else(PoisonError::into_inner)
     }
-}
-
-/// A run that waited for a person, stood in a trip, or was to end when the process ended is not gone
-/// on with unasked: somebody may be at the rig.
-fn was_driven(run: &RunRow) -> bool {
-    run.state == RunState::Running.as_str()
-        || run.paused_why.as_deref() == Some(PausedWhy::Restart.as_str())
 }
 
 fn startable(run: &RunRow) -> Result<(), ConductorError> {

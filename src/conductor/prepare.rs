@@ -100,7 +100,7 @@ impl Prepared {
             scan_id: run.scan_id,
             predicted_trial_s: self.preflight.duration_s * self.clock_rate / trials as f64,
             auto_resume: run.auto_resume,
-            bytes_per_trial: self.preflight.disk_bytes / trials,
+            bytes_per_trial: (self.preflight.disk_bytes - self.preflight.disk_fixed_bytes) / trials,
             plan: self.plan,
         }
     }

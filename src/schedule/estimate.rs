@@ -22,6 +22,15 @@ pub const VOLTAGES_BYTES: u64 = 145;
 /// Stored with a configuration besides its trials: tare, events, bytes.
 pub const CONFIGURATION_BYTES: u64 = 1500;
 
+/// Room that the database's log may take besides the trials, bytes: the store cuts it back to this.
+pub const LOG_BYTES: u64 = 64 << 20;
+
+/// Bytes that a run needs on disk whatever its length: the database's log, and the cache of the
+/// skin's unit responses, from which the twins are made (an f32 for every pair of mesh nodes).
+pub fn fixed_bytes(plan: &Plan) -> u64 {
+    LOG_BYTES + 4 * u64::from(plan.skin_nodes).pow(2)
+}
+
 /// Speed and acceleration of an axis, mm/s and mm/s^2.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Motion {

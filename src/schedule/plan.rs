@@ -10,6 +10,7 @@
 use std::collections::HashMap;
 
 use serde::{Deserialize, Serialize};
+use sim_core::mesh::Mesh;
 use sim_core::sensor::Sensor;
 
 use super::chance::Chance;
@@ -37,6 +38,8 @@ pub struct Plan {
     pub sensor: String,
     /// Voltages in a frame.
     pub channels: u32,
+    /// Nodes of the skin's mesh; 0 where it has none, and no twins therefore.
+    pub skin_nodes: u32,
     /// Depths of every configuration in the order of pressing, mm below `standoff_mm` above the
     /// surface. Empty when weights are placed by hand.
     pub depths_mm: Vec<f64>,
@@ -156,6 +159,7 @@ impl Plan {
             seed: experiment.seed,
             sensor: sensor.file.name.clone(),
             channels: sensor.channels() as u32,
+            skin_nodes: Mesh::new(sensor).map_or(0, |mesh| mesh.plane_nodes() as u32),
             depths_mm: Vec::new(),
             standoff_mm: 0.0,
             measure: experiment.measure.clone(),

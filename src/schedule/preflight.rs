@@ -7,7 +7,7 @@ use std::fmt;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::estimate::{Bench, Estimate, Parts, estimate};
+use super::estimate::{Bench, Estimate, Parts, estimate, fixed_bytes};
 use super::order::Place;
 use super::plan::{Kind, Plan, PlannedConfiguration, Step};
 use crate::problem::Problem;
@@ -47,8 +47,10 @@ pub struct Preflight {
     pub reference_presses: u64,
     /// Times a person is waited for: tip changes, or placements.
     pub waits_for_person: u64,
-    /// Bytes stored.
+    /// Bytes needed on disk.
     pub disk_bytes: u64,
+    /// Those of them that do not grow with the trials: the twins' cache and the database's log.
+    pub disk_fixed_bytes: u64,
     /// What forbids the plan on this bench.
     #[schema(value_type = Vec<Object>)]
     pub problems: Vec<Problem>,
@@ -58,6 +60,7 @@ impl Preflight {
     /// Looks a plan over. `problems` are those of `lint`.
     pub fn of(plan: &Plan, bench: &Bench, problems: Vec<Problem>) -> Self {
         let (settings, whole) = estimate(plan, bench);
+        let disk_fixed_bytes = fixed_bytes(plan);
         let travel_mm = travel_mm(plan, |c| c.stand.place());
         let drawn = in_drawn_order(plan);
         let travel_random_order_mm =
@@ -85,7 +88,8 @@ impl Preflight {
             waits_for_person: count(plan, |s| {
                 matches!(s, Step::TipChange { .. } | Step::Manual(_))
             }),
-            disk_bytes: whole.disk_bytes,
+            disk_bytes: whole.disk_bytes + disk_fixed_bytes,
+            disk_fixed_bytes,
             problems,
         }
     }
@@ -165,7 +169,8 @@ impl fmt::Display for Preflight {
             let shown = format!("{planned:.1} m, {ratio:.3} of the {drawn:.1} m in drawn order");
             line(f, "lateral travel", shown)?;
         }
-        line(f, "disk", bytes(self.disk_bytes))?;
+        let fixed = bytes(self.disk_fixed_bytes);
+        line(f, "disk", format!("{}, {fixed} of it cache and log", bytes(self.disk_bytes)))?;
         if self.problems.is_empty() {
             return line(f, "problems", "none".into());
         }

@@ -1,11 +1,14 @@
 //! The forward model of a sensor, its unit responses kept in a cache file.
-//! Uses: sim-core. Never: trusts a cache (length, key and checksum are checked), or needs one.
+//! Uses: sim-core, rustix. Never: trusts a cache (length, key and checksum are checked), or needs one.
 
+use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use rustix::io::Errno;
+use rustix::process::{Pid, test_kill_process};
 use sim_core::forward::{ForwardModel, ModelError};
 use sim_core::responses::{ResponsesError, UnitResponses};
 use sim_core::sensor::Sensor;
@@ -55,14 +58,67 @@ fn cache_file(sensor: &Sensor, cache_dir: &Path) -> PathBuf {
     cache_dir.join(format!("unit-responses-{name}.bin"))
 }
 
-/// Writes beside the file, then renames: a reader never sees half of it.
+/// Writes beside the file, then renames: a reader never sees half of it. What cannot be written to
+/// its end, on a full disk, gives its room back.
 fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     if let Some(dir) = path.parent() {
         fs::create_dir_all(dir)?;
     }
     let partial = path.with_extension(format!("{}.partial", std::process::id()));
-    let mut file = File::create(&partial)?;
-    file.write_all(bytes)?;
-    file.sync_all()?;
-    fs::rename(&partial, path)
+    let write = || {
+        let mut file = File::create(&partial)?;
+        file.write_all(bytes)?;
+        file.sync_all()?;
+        fs::rename(&partial, path)
+    };
+    write().inspect_err(|_| {
+        // The first failure is the one to report.
+        let _ = fs::remove_file(&partial);
+    })
+}
+
+/// Removes cache files whose writer was killed before they were whole: they hold tens of megabytes.
+/// Those of a process that lives are left alone. For the start; a failure is logged.
+pub fn sweep_partial(cache_dir: &Path) {
+    let Ok(entries) = fs::read_dir(cache_dir) else { return };
+    for path in entries.flatten().map(|entry| entry.path()) {
+        if is_left_over(&path)
+            && let Err(error) = fs::remove_file(&path)
+        {
+            tracing::warn!(path = %path.display(), %error, "a left-over cache file stays");
+        }
+    }
+}
+
+/// Whether it is `unit-responses-KEY.PROCESS.partial` (or `.tmp`, as the virtual rig names it) of a
+/// process that has ended.
+fn is_left_over(path: &Path) -> bool {
+    let name = path.file_name().and_then(OsStr::to_str).unwrap_or_default();
+    let parts: Vec<&str> = name.split('.').collect();
+    let [stem, process, "partial" | "tmp"] = parts[..] else { return false };
+    let process = process.parse().ok().and_then(Pid::from_raw);
+    stem.starts_with("unit-responses-")
+        && process.is_some_and(|pid| test_kill_process(pid) == Err(Errno::SRCH))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_killed_writer_left_is_removed_and_nothing_else() {
+        let dir = std::env::temp_dir().join(format!("palpate-sweep-{}", std::process::id()));
+        fs::create_dir_all(&dir).unwrap();
+        // Linux gives no such process number.
+        let left = ["unit-responses-0a.999999999.partial", "unit-responses-0a.999999999.tmp"];
+        let own = format!("unit-responses-0a.{}.partial", std::process::id());
+        let kept = [own.as_str(), "unit-responses-0a.bin", "skin-errors.999999999.partial"];
+        for name in left.iter().chain(&kept) {
+            fs::write(dir.join(name), "x").unwrap();
+        }
+        sweep_partial(&dir);
+        assert!(left.iter().all(|name| !dir.join(name).exists()));
+        assert!(kept.iter().all(|name| dir.join(name).exists()));
+        fs::remove_dir_all(&dir).unwrap();
+    }
 }

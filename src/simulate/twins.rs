@@ -21,7 +21,6 @@ use super::compare::difference;
 use super::drift::{DriftWatch, Level, Pairing, RollingFit};
 use super::model::load_or_build;
 use crate::campaign::command::{Handle, Request};
-use crate::campaign::journal::Journal;
 use crate::ids::{RunUid, TrialId};
 use crate::rig::config::RigConfig;
 use crate::schedule::experiment::Experiment;
@@ -307,7 +306,7 @@ impl TwinPool {
             let Some(fit) = changed else { continue };
             let words = fit.describe(watch.limits());
             let data = json!({ "level": fit.level, "fit": fit, "words": words });
-            if let Err(error) = self.inner.store.event(Some(run), "twins", data).await {
+            if let Err(error) = self.inner.store.append_event(Some(run), "twins", data).await {
                 tracing::error!(%error, "an event was not stored");
             }
             if fit.level == Level::Suspend

@@ -5,8 +5,9 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use super::checksum;
 use super::columns::{Columns, counts_blob, time_text};
-use super::trial_rows::{arm, frame};
+use super::trial_rows::arm;
 use super::{Store, StoreError};
 use crate::campaign::record::{AttemptRecord, Pose, ReferenceRecord, TareRecord, TouchOffRecord};
 use crate::ids::{RunUid, TrialKey};
@@ -30,10 +31,11 @@ impl Store {
         attempt: &AttemptRecord,
     ) -> Result<(), StoreError> {
         const OPERATION: &str = "storing an attempt";
-        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
         let attempt = attempt.clone();
         self.inner
             .writer
+            .patient()
             .run(OPERATION, async move |connection| {
                 sqlx::query(
                     "INSERT INTO attempts (run, configuration, depth_index, attempt, reason, at)
@@ -58,12 +60,14 @@ impl Store {
         run: RunUid,
         configuration: u32,
         reason: &str,
+        at: Timestamp,
     ) -> Result<(), StoreError> {
         const OPERATION: &str = "storing a skip";
-        let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        let (reason, now) = (reason.to_owned(), self.now_text());
+        let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
+        let (reason, at) = (reason.to_owned(), time_text(at));
         self.inner
             .writer
+            .patient()
             .run(OPERATION, async move |connection| {
                 // Giving up twice is giving up once: the first reason stands.
                 sqlx::query(
@@ -73,7 +77,7 @@ impl Store {
                 .bind(scan_id)
                 .bind(configuration)
                 .bind(reason)
-                .bind(now)
+                .bind(at)
                 .execute(connection)
                 .await
                 .map_err(StoreError::sql(OPERATION))?;
@@ -88,10 +92,11 @@ impl Store {
         tare: &TareRecord,
     ) -> Result<(), StoreError> {
         const OPERATION: &str = "storing a tare";
-        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
         let tare = tare.clone();
         self.inner
             .writer
+            .patient()
             .run(OPERATION, async move |connection| {
                 let sql = StoreError::sql(OPERATION);
                 let id: i64 = sqlx::query_scalar(
@@ -125,17 +130,19 @@ impl Store {
         press: &ReferenceRecord,
     ) -> Result<(), StoreError> {
         const OPERATION: &str = "storing a reference press";
-        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
         let press = press.clone();
         self.inner
             .writer
+            .patient()
             .run(OPERATION, async move |connection| {
                 let sql = StoreError::sql(OPERATION);
                 let id: i64 = sqlx::query_scalar(
                     "INSERT INTO reference_presses (run, before_configuration, reached_x_mm,
                          reached_y_mm, reached_z_mm, reached_radius_mm, depth_mm, sequence,
-                         device_time_us, volts_per_count, counts, at)
-                     VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12) RETURNING id",
+                         device_time_us, volts_per_count, counts, at, crc32)
+                     VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13)
+                     RETURNING id",
                 )
                 .bind(scan_id)
                 .bind(press.before_configuration)
@@ -149,6 +156,7 @@ impl Store {
                 .bind(press.frame.volts_per_count)
                 .bind(counts_blob(&press.frame.counts))
                 .bind(time_text(press.at))
+                .bind(checksum::of_frame(&press.frame))
                 .fetch_one(&mut *connection)
                 .await
                 .map_err(&sql)?;
@@ -180,7 +188,7 @@ impl Store {
         found: &TouchOffRecord,
     ) -> Result<(), StoreError> {
         const OPERATION: &str = "storing a touch-off";
-        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
         let found = found.clone();
         let json = |value: serde_json::Result<String>| {
             let limit = "must be numbers that JSON can hold";
@@ -191,6 +199,7 @@ impl Store {
         let touches = json(serde_json::to_string(&found.touches))?;
         self.inner
             .writer
+            .patient()
             .run(OPERATION, async move |connection| {
                 sqlx::query(
                     "INSERT INTO touch_offs
@@ -329,6 +338,7 @@ impl Store {
         rows.iter()
             .map(|row| {
                 let c = Columns::of(row, OPERATION);
+                let id: i64 = c.get("id")?;
                 Ok(ReferenceRecord {
                     before_configuration: c.whole("before_configuration")?,
                     reached: Pose {
@@ -338,8 +348,8 @@ impl Store {
                         radius_mm: c.get("reached_radius_mm")?,
                     },
                     depth_mm: c.get("depth_mm")?,
-                    arms: arms.remove(&c.get("id")?).unwrap_or_default(),
-                    frame: frame(&c)?,
+                    arms: arms.remove(&id).unwrap_or_default(),
+                    frame: checksum::frame(&c, || format!("reference press {id}"))?,
                     at: c.time("at")?,
                 })
             })

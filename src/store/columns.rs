@@ -138,11 +138,6 @@ impl<'r> Columns<'r> {
         }
     }
 
-    /// Voltages.
-    pub(super) fn volts(&self, column: &'static str) -> Result<Vec<f32>, StoreError> {
-        self.volts_or_none(column)?.ok_or_else(|| self.unreadable(column, "NULL"))
-    }
-
     /// Voltages that may be absent.
     pub(super) fn volts_or_none(
         &self,

@@ -18,6 +18,15 @@ pub enum StoreError {
         #[source]
         source: sqlx::Error,
     },
+    /// The database file is there and has no contents.
+    #[error(
+        "the database {path} is empty: bring it back from a copy, or, if no run was ever stored in \
+         it, remove it"
+    )]
+    Empty {
+        /// The file.
+        path: PathBuf,
+    },
     /// The tables cannot be brought up to date.
     #[error("bringing the tables of the database up to date failed")]
     Migrate(#[source] sqlx::migrate::MigrateError),
@@ -80,7 +89,7 @@ pub enum StoreError {
     /// The database file is damaged.
     #[error("the database is damaged: {}", findings.join("; "))]
     Damaged {
-        /// What SQLite found.
+        /// What SQLite, or a checksum, found; a damaged trial by its id.
         findings: Vec<String>,
     },
     /// The disk cannot be asked how much it still holds.
@@ -129,6 +138,7 @@ impl StoreError {
             }
             Self::Sql { .. } | Self::Late { .. } => true,
             Self::Open { .. }
+            | Self::Empty { .. }
             | Self::Migrate(_)
             | Self::StartWriter(_)
             | Self::NotStored { .. }
@@ -143,6 +153,46 @@ impl StoreError {
             | Self::NoSuchTrial { .. }
             | Self::LockHeld { .. } => false,
         }
+    }
+
+    /// A finding of damage.
+    pub(super) fn damaged(finding: String) -> Self {
+        Self::Damaged { findings: vec![finding] }
+    }
+
+    /// What the error says of the file where it is damage: findings; else the error again.
+    pub(super) fn into_findings(self) -> Result<Vec<String>, Self> {
+        /// SQLite's codes of a statement that does not fit the tables, an unreadable place, a
+        /// malformed page and a file that is no database.
+        const DAMAGE: [i32; 4] = [1, 10, 11, 26];
+        let damage = match &self {
+            Self::Damaged { findings } => return Ok(findings.clone()),
+            Self::Unreadable { .. } => true,
+            Self::Sql { source, .. } => match source {
+                sqlx::Error::Database(e) => {
+                    let code = e.code().and_then(|code| code.parse::<i32>().ok());
+                    code.is_some_and(|code| DAMAGE.contains(&(code & 0xff)))
+                }
+                sqlx::Error::ColumnDecode { .. } | sqlx::Error::Decode(_) => true,
+                _ => false,
+            },
+            _ => false,
+        };
+        if damage { Ok(vec![self.with_causes()]) } else { Err(self) }
+    }
+
+    /// The error with its causes, each said once, for people.
+    pub fn with_causes(&self) -> String {
+        let mut words = self.to_string();
+        let mut cause = std::error::Error::source(self);
+        while let Some(error) = cause {
+            let said = error.to_string();
+            if !words.contains(&said) {
+                words = format!("{words}: {said}");
+            }
+            cause = error.source();
+        }
+        words
     }
 
     /// The same error as the campaign sees it.

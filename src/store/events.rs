@@ -1,34 +1,48 @@
 //! Events: appended with a number, read from a number on.
 //! Uses: `campaign::journal` (`Event`), `store::writer`. Never: who listens.
 
+use jiff::Timestamp;
+
 use super::columns::{Columns, time_text};
+use super::writer::Writer;
 use super::{Store, StoreError};
 use crate::campaign::journal::Event;
 use crate::ids::RunUid;
 
 impl Store {
-    pub(super) async fn append_event(
+    /// Appends an event that happens now, and returns it with its number.
+    pub async fn append_event(
         &self,
         run: Option<RunUid>,
         kind: &str,
         data: serde_json::Value,
     ) -> Result<Event, StoreError> {
+        let at = self.inner.clock.timestamp();
+        self.insert_event(self.inner.writer.clone(), run, kind, data, at).await
+    }
+
+    pub(super) async fn insert_event(
+        &self,
+        writer: Writer,
+        run: Option<RunUid>,
+        kind: &str,
+        data: serde_json::Value,
+        at: Timestamp,
+    ) -> Result<Event, StoreError> {
         const OPERATION: &str = "storing an event";
         let scan_id = match run {
-            Some(run) => Some(self.facts(run, OPERATION).await?.scan_id),
+            Some(run) => Some(self.facts_by(&writer, run, OPERATION).await?.scan_id),
             None => None,
         };
         // The event that is returned and the one that is read later are equal: both in ms.
-        let now = time_text(self.inner.clock.timestamp());
+        let now = time_text(at);
         let at = now.parse().map_err(|_| StoreError::Unreadable {
             operation: OPERATION,
             column: "at",
             value: now.clone(),
         })?;
         let (text, word) = (data.to_string(), kind.to_owned());
-        let seq = self
-            .inner
-            .writer
+        let seq = writer
             .run(OPERATION, async move |connection| {
                 sqlx::query_scalar(
                     "INSERT INTO events (run, at, kind, data) VALUES (?1, ?2, ?3, ?4)

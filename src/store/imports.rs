@@ -7,12 +7,14 @@
 use jiff::Timestamp;
 use sqlx::sqlite::SqliteConnection;
 
-use super::columns::{time_text, volts_blob};
+use super::checksum::Numbers;
+use super::columns::time_text;
 use super::runs;
+use super::trials::insert_voltages;
 use super::{Contact, NewRun, RunRow, Store, StoreError};
 use crate::campaign::journal::ExitStatus;
 use crate::campaign::record::FrameQuality;
-use crate::ids::RunUid;
+use crate::ids::{RunUid, TrialId, TrialKey};
 
 /// Version of a model whose frames came with an import.
 pub const IMPORTED_MODEL: &str = "imported";
@@ -144,17 +146,36 @@ async fn insert(
     let flags = serde_json::to_string(&trial.flags)
         .map_err(|_| refused("flags", "must be words that JSON can hold"))?;
     let at = trial.started_at.map(time_text);
+    let (configuration, depth_index) = (trial.configuration, trial.depth_index);
+    let numbers = Numbers {
+        key: TrialKey { configuration, depth_index },
+        attempt: 1,
+        tips: trial.tips.unwrap_or(contacts),
+        depth_mm: trial.depth_mm,
+        poses: [None, None],
+        arms: &[],
+        placed: &trial.contacts,
+        placed_by: None,
+        flags: &trial.flags,
+        quality: trial.quality,
+        settle_ms: None,
+        overshoot_n: None,
+        contact_count: contacts,
+        max_force_n: largest,
+        frame_count: 0,
+        times: [trial.started_at, None],
+    };
     let id: i64 = sqlx::query_scalar(
         "INSERT INTO trials (run, configuration, depth_index, attempt, tips, depth_mm, flags,
              contact_count, max_force_n, frame_count, started_at, measured_at, saturated_channels,
-             stuck_channels, missing_channels, injection_sum_v, dropped_packets)
-         VALUES (?1, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8, 0, ?9, NULL, ?10, ?11, ?12, ?13, ?14)
+             stuck_channels, missing_channels, injection_sum_v, dropped_packets, crc32)
+         VALUES (?1, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8, 0, ?9, NULL, ?10, ?11, ?12, ?13, ?14, ?15)
          RETURNING id",
     )
     .bind(scan_id)
     .bind(trial.configuration)
     .bind(trial.depth_index)
-    .bind(trial.tips.unwrap_or(contacts))
+    .bind(numbers.tips)
     .bind(trial.depth_mm)
     .bind(flags)
     .bind(contacts)
@@ -165,15 +186,11 @@ async fn insert(
     .bind(trial.quality.missing_channels)
     .bind(trial.quality.injection_sum_v)
     .bind(trial.quality.dropped_packets)
+    .bind(numbers.crc32())
     .fetch_one(&mut *connection)
     .await
     .map_err(&sql)?;
-    sqlx::query("INSERT INTO trial_voltages (trial, voltages_v) VALUES (?1, ?2)")
-        .bind(id)
-        .bind(volts_blob(&trial.voltages_v))
-        .execute(&mut *connection)
-        .await
-        .map_err(&sql)?;
+    insert_voltages(connection, TrialId(id), &trial.voltages_v, STORING).await?;
     for (n, contact) in trial.contacts.iter().enumerate() {
         sqlx::query(
             "INSERT INTO placed_contacts (trial, n, x_mm, y_mm, force_n, diameter_mm)
@@ -194,6 +211,6 @@ async fn insert(
         return Ok(());
     };
     let outcome = super::TwinOutcome::Frame { voltages_v: frame.clone(), rmse_v, fvu };
-    let twin = super::Twin { trial: crate::ids::TrialId(id), outcome };
+    let twin = super::Twin { trial: TrialId(id), outcome };
     super::twins::insert(connection, model, twin, now).await
 }

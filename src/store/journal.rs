@@ -1,7 +1,8 @@
 //! The store as the campaign knows it: each method of `Journal`, durable when it returns.
-//! Uses: the other files of `store`. Never: SQL of its own.
+//! Uses: the other files of `store`. Never: SQL of its own, a deadline of its own (the caller has one).
 
 use async_trait::async_trait;
+use jiff::Timestamp;
 
 use super::{Store, StoreError};
 use crate::campaign::journal::{Event, ExitStatus, Journal, JournalError, Progress};
@@ -37,8 +38,9 @@ impl Journal for Store {
         run: RunUid,
         configuration: u32,
         reason: &str,
+        at: Timestamp,
     ) -> Result<(), JournalError> {
-        self.insert_skip(run, configuration, reason).await.map_err(StoreError::of("a skip"))
+        self.insert_skip(run, configuration, reason, at).await.map_err(StoreError::of("a skip"))
     }
 
     async fn discard(&self, run: RunUid, key: TrialKey, reason: &str) -> Result<(), JournalError> {
@@ -55,8 +57,9 @@ impl Journal for Store {
         state: &str,
         requested: Option<&str>,
         why: Option<&str>,
+        at: Timestamp,
     ) -> Result<(), JournalError> {
-        self.set_run_state(run, state, requested, why)
+        self.set_run_state(run, state, requested, why, at)
             .await
             .map_err(StoreError::of("the state of a run"))
     }
@@ -66,8 +69,9 @@ impl Journal for Store {
         run: RunUid,
         status: ExitStatus,
         reason: &str,
+        at: Timestamp,
     ) -> Result<(), JournalError> {
-        self.finish_run(run, status, reason).await.map_err(StoreError::of("the end of a run"))
+        self.finish_run(run, status, reason, at).await.map_err(StoreError::of("the end of a run"))
     }
 
     async fn event(
@@ -75,8 +79,20 @@ impl Journal for Store {
         run: Option<RunUid>,
         kind: &str,
         data: serde_json::Value,
+        at: Timestamp,
     ) -> Result<Event, JournalError> {
-        self.append_event(run, kind, data).await.map_err(StoreError::of("an event"))
+        let writer = self.inner.writer.patient();
+        self.insert_event(writer, run, kind, data, at).await.map_err(StoreError::of("an event"))
+    }
+
+    async fn mounted(&self, tips: u8, who: &str, at: Timestamp) -> Result<(), JournalError> {
+        self.insert_mounting(tips, who, at)
+            .await
+            .map_err(StoreError::of("how many tips are mounted"))
+    }
+
+    async fn last_mounted(&self) -> Result<Option<u8>, JournalError> {
+        self.read_last_mounted().await.map_err(StoreError::of("how many tips are mounted"))
     }
 
     async fn free_bytes(&self) -> Result<u64, JournalError> {

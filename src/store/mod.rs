@@ -7,15 +7,21 @@
 //!                                                     read-only connections <-----/
 //! ```
 //! One trial is one transaction; its key is unique in the file (`design.md` 8, law 1). Reads never
-//! wait for the writer, nor the writer for reads (law 5).
+//! wait for the writer, nor the writer for reads (law 5). What was measured carries checksums, which
+//! every read compares.
+//!
+//! Methods of `Journal` wait for the disk as long as it takes, since the campaign has deadlines of
+//! its own; all others give up after 30 s.
 
 mod actions;
 mod bench;
+mod checksum;
 mod columns;
 mod counts;
 mod datasets;
 mod error;
 mod events;
+mod examine;
 mod filter;
 mod imports;
 mod jobs;
@@ -23,6 +29,7 @@ mod journal;
 mod keys;
 mod lock;
 mod models;
+mod mountings;
 mod queue;
 mod runs;
 mod trial_rows;
@@ -39,7 +46,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use sqlx::sqlite::{
-    SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
+    SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions,
+    SqliteSynchronous,
 };
 use sqlx::{ConnectOptions, Sqlite, Transaction};
 
@@ -48,6 +56,7 @@ pub use bench::SkipRow;
 pub use counts::SettingCount;
 pub use datasets::{DatasetRow, ExportEnd, ExportRow, ExportState, RunExtent};
 pub use error::StoreError;
+pub use examine::Soundness;
 pub use filter::{Comparison, Filter, FilterValue, TrialColumn};
 pub use imports::{IMPORTED_CONTACTS_MAX, IMPORTED_MODEL, ImportedTrial};
 pub use jobs::{JobEnd, JobKind, JobRow, JobState};
@@ -60,6 +69,7 @@ pub use twins::{Fit, NewTwinModel, Twin, TwinCount, TwinModelId, TwinOutcome};
 
 use crate::clock::Clock;
 use crate::ids::RunUid;
+use crate::schedule::estimate::LOG_BYTES;
 use writer::Writer;
 
 /// A page holds about five trials' voltages (`stack.md` part 2: a fifth smaller than 4096).
@@ -77,9 +87,6 @@ const READER_TIMEOUT: Duration = Duration::from_secs(5);
 /// Rows that a reading connection may be ahead of who reads them: each wait is a change of threads.
 const ROWS_AHEAD: usize = 1024;
 
-/// The log is cut back to this after a long read had let it grow.
-const LOG_BYTES: &str = "67108864";
-
 /// The tables, as they grew.
 static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!();
 
@@ -95,6 +102,7 @@ struct Inner {
     writer: Writer,
     readers: SqlitePool,
     runs: Mutex<HashMap<RunUid, RunFacts>>,
+    soundness: Mutex<Soundness>,
 }
 
 /// What never changes in a run and every insert needs.
@@ -109,6 +117,10 @@ impl Store {
     /// Opens the database file, creating it and bringing its tables up to date as needed.
     pub async fn open(path: &Path, clock: Clock) -> Result<Self, StoreError> {
         let open = |source| StoreError::Open { path: path.to_owned(), source };
+        // SQLite takes an empty file for a new database: what was in it would seem never to have been.
+        if path.metadata().is_ok_and(|file| file.len() == 0) {
+            return Err(StoreError::Empty { path: path.to_owned() });
+        }
         let options = SqliteConnectOptions::new()
             .filename(path)
             .busy_timeout(BUSY_TIMEOUT)
@@ -120,7 +132,8 @@ impl Store {
             .page_size(PAGE_BYTES)
             .journal_mode(SqliteJournalMode::Wal)
             .synchronous(SqliteSynchronous::Full)
-            .pragma("journal_size_limit", LOG_BYTES);
+            // The log is cut back to this after a long read had let it grow.
+            .pragma("journal_size_limit", LOG_BYTES.to_string());
         let writer = Writer::start(writing)?;
         writer.open(path, &MIGRATIONS).await?;
         let readers = SqlitePoolOptions::new()
@@ -134,8 +147,8 @@ impl Store {
             )
             .await
             .map_err(open)?;
-        let runs = Mutex::new(HashMap::new());
-        Ok(Self { inner: Arc::new(Inner { path: path.to_owned(), clock, writer, readers, runs }) })
+        let (path, runs, soundness) = (path.to_owned(), Mutex::default(), Mutex::default());
+        Ok(Self { inner: Arc::new(Inner { path, clock, writer, readers, runs, soundness }) })
     }
 
     /// The database file.
@@ -160,24 +173,6 @@ impl Store {
         Ok(disk.blocks_available() * disk.fragment_size())
     }
 
-    /// Reads the whole file and checks its structure, its indexes and its references.
-    pub async fn integrity_check(&self) -> Result<(), StoreError> {
-        const OPERATION: &str = "checking the database";
-        let sql = StoreError::sql(OPERATION);
-        let mut reading = self.read(OPERATION).await?;
-        let mut findings: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check")
-            .fetch_all(&mut *reading)
-            .await
-            .map_err(&sql)?;
-        findings.retain(|line| line != "ok");
-        let orphans = sqlx::query("PRAGMA foreign_key_check").fetch_all(&mut *reading).await;
-        match orphans.map_err(&sql)?.len() {
-            0 => {}
-            n => findings.push(format!("{n} rows refer to rows that are not there")),
-        }
-        if findings.is_empty() { Ok(()) } else { Err(StoreError::Damaged { findings }) }
-    }
-
     /// A view of the file as it is now, which later writes do not change.
     async fn read(
         &self,
@@ -191,24 +186,64 @@ impl Store {
         columns::time_text(self.inner.clock.timestamp())
     }
 
+    /// What every insert of a run needs, for reads.
     async fn facts(&self, run: RunUid, operation: &'static str) -> Result<RunFacts, StoreError> {
-        let known = || self.inner.runs.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(facts) = known().get(&run) {
-            return Ok(*facts);
+        if let Some(facts) = self.known(run) {
+            return Ok(facts);
         }
+        let mut view = self.read(operation).await?;
+        Ok(self.keep(run, RunFacts::read(&mut view, run, operation).await?))
+    }
+
+    /// The same for the campaign: however many read, it is not kept waiting for a connection.
+    async fn facts_to_write(
+        &self,
+        run: RunUid,
+        operation: &'static str,
+    ) -> Result<RunFacts, StoreError> {
+        self.facts_by(&self.inner.writer.patient(), run, operation).await
+    }
+
+    async fn facts_by(
+        &self,
+        writer: &Writer,
+        run: RunUid,
+        operation: &'static str,
+    ) -> Result<RunFacts, StoreError> {
+        if let Some(facts) = self.known(run) {
+            return Ok(facts);
+        }
+        let read = async move |c: &mut SqliteConnection| RunFacts::read(c, run, operation).await;
+        Ok(self.keep(run, writer.run(operation, read).await?))
+    }
+
+    fn known(&self, run: RunUid) -> Option<RunFacts> {
+        self.inner.runs.lock().unwrap_or_else(PoisonError::into_inner).get(&run).copied()
+    }
+
+    fn keep(&self, run: RunUid, facts: RunFacts) -> RunFacts {
+        self.inner.runs.lock().unwrap_or_else(PoisonError::into_inner).insert(run, facts);
+        facts
+    }
+}
+
+impl RunFacts {
+    async fn read(
+        connection: &mut SqliteConnection,
+        run: RunUid,
+        operation: &'static str,
+    ) -> Result<Self, StoreError> {
         let row = sqlx::query("SELECT scan_id, kind, deadband_n FROM runs WHERE uid = ?1")
             .bind(run.to_string())
-            .fetch_optional(&self.inner.readers)
+            .fetch_optional(connection)
             .await
             .map_err(StoreError::sql(operation))?
             .ok_or(StoreError::NoSuchRun(run))?;
         let columns = columns::Columns::of(&row, operation);
-        let facts = RunFacts {
+        Ok(Self {
             scan_id: columns.get("scan_id")?,
             kind: columns.word("kind")?,
             deadband_n: columns.get("deadband_n")?,
-        };
-        known().insert(run, facts);
-        Ok(facts)
+        })
     }
 }

@@ -1,4 +1,5 @@
-//! The queue: runs in the state `queued`, in the order of their positions, 1 first.
+//! The queue: runs in the state `queued`, in the order of their positions, 1 first; and which runs
+//! were started and wait for their turn.
 //! Uses: `store::runs`, `store::writer`. Never: starting one (the service does, when it may).
 
 use sqlx::sqlite::SqliteConnection;
@@ -72,7 +73,8 @@ impl Store {
             .writer
             .run(OPERATION, async move |connection| {
                 let row = sqlx::query(
-                    "UPDATE runs SET state = 'removed', queue_position = NULL, ended_at = ?2
+                    "UPDATE runs SET state = 'removed', queue_position = NULL, waiting_since = NULL,
+                         ended_at = ?2
                      WHERE uid = ?1 AND state = 'queued' RETURNING *",
                 )
                 .bind(run.to_string())
@@ -86,6 +88,59 @@ impl Store {
                 RunRow::read(&row, OPERATION)
             })
             .await
+    }
+
+    /// Notes that a queued or interrupted run was armed and started, and waits for the run under way.
+    /// The mark outlives a crash; a run that begins or is removed loses it.
+    pub async fn set_waiting(&self, run: RunUid) -> Result<(), StoreError> {
+        const OPERATION: &str = "letting a run wait for its turn";
+        let now = self.now_text();
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                let marked = sqlx::query(
+                    "UPDATE runs SET waiting_since = coalesce(waiting_since, ?2)
+                     WHERE uid = ?1 AND state IN ('queued', 'interrupted')",
+                )
+                .bind(run.to_string())
+                .bind(now)
+                .execute(connection)
+                .await
+                .map_err(StoreError::sql(OPERATION))?;
+                if marked.rows_affected() == 0 { Err(StoreError::NotQueued(run)) } else { Ok(()) }
+            })
+            .await
+    }
+
+    /// Takes the mark of a waiting run back: it must be started again.
+    pub async fn clear_waiting(&self, run: RunUid) -> Result<(), StoreError> {
+        const OPERATION: &str = "no longer letting a run wait for its turn";
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                sqlx::query("UPDATE runs SET waiting_since = NULL WHERE uid = ?1")
+                    .bind(run.to_string())
+                    .execute(connection)
+                    .await
+                    .map_err(StoreError::sql(OPERATION))?;
+                Ok(())
+            })
+            .await
+    }
+
+    /// Runs that were started and wait for their turn, the next first: interrupted ones, then those
+    /// of the queue in its order.
+    pub async fn waiting_runs(&self) -> Result<Vec<RunRow>, StoreError> {
+        const OPERATION: &str = "reading which runs wait for their turn";
+        let rows = sqlx::query(
+            "SELECT * FROM runs
+             WHERE waiting_since IS NOT NULL AND state IN ('queued', 'interrupted')
+             ORDER BY coalesce(queue_position, 0), waiting_since, scan_id",
+        )
+        .fetch_all(&self.inner.readers)
+        .await
+        .map_err(StoreError::sql(OPERATION))?;
+        runs::read_all(&rows, OPERATION)
     }
 }
 

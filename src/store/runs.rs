@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use sqlx::sqlite::{SqliteConnection, SqliteRow};
 use utoipa::ToSchema;
 
-use super::columns::{Columns, sha256_hex};
+use super::columns::{Columns, sha256_hex, time_text};
 use super::{Store, StoreError};
 use crate::campaign::journal::ExitStatus;
 use crate::ids::RunUid;
@@ -147,6 +147,9 @@ pub struct RunRow {
     pub reason: Option<String>,
     /// Its place in the queue, from 1, while it waits there.
     pub queue_position: Option<u32>,
+    /// Armed and started, it waits since then for the run under way to end.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub waiting_since: Option<Timestamp>,
     /// When it was created.
     #[schema(value_type = String, format = DateTime)]
     pub created_at: Timestamp,
@@ -202,6 +205,7 @@ impl RunRow {
             exit_status,
             reason: c.get("reason")?,
             queue_position: c.whole_or_none("queue_position")?,
+            waiting_since: c.time_or_none("waiting_since")?,
             created_at: c.time("created_at")?,
             started_at: c.time_or_none("started_at")?,
             ended_at: c.time_or_none("ended_at")?,
@@ -359,6 +363,7 @@ impl Store {
         state: &str,
         requested: Option<&str>,
         why: Option<&str>,
+        at: Timestamp,
     ) -> Result<(), StoreError> {
         const OPERATION: &str = "storing a run's state";
         const OWN: [&str; 3] = ["queued", "ended", "removed"];
@@ -368,20 +373,22 @@ impl Store {
         }
         let (state, requested, why) =
             (state.to_owned(), requested.map(str::to_owned), why.map(str::to_owned));
-        let now = self.now_text();
+        let at = time_text(at);
         self.inner
             .writer
+            .patient()
             .run(OPERATION, async move |connection| {
                 let changed = sqlx::query(
                     "UPDATE runs SET state = ?2, requested_state = ?3, paused_why = ?4,
-                         queue_position = NULL, started_at = coalesce(started_at, ?5)
+                         queue_position = NULL, waiting_since = NULL,
+                         started_at = coalesce(started_at, ?5)
                      WHERE uid = ?1 AND state NOT IN ('ended', 'removed')",
                 )
                 .bind(run.to_string())
                 .bind(state)
                 .bind(requested)
                 .bind(why)
-                .bind(now)
+                .bind(at)
                 .execute(&mut *connection)
                 .await
                 .map_err(StoreError::sql(OPERATION))?;
@@ -395,16 +402,18 @@ impl Store {
         run: RunUid,
         status: ExitStatus,
         reason: &str,
+        at: Timestamp,
     ) -> Result<(), StoreError> {
         const OPERATION: &str = "ending a run";
-        let (reason, now) = (reason.to_owned(), self.now_text());
+        let (reason, at) = (reason.to_owned(), time_text(at));
         self.inner
             .writer
+            .patient()
             .run(OPERATION, async move |connection| {
                 // Ending a run as it has ended is no change: the caller may have to ask twice.
                 let changed = sqlx::query(
                     "UPDATE runs SET state = 'ended', requested_state = NULL, paused_why = NULL,
-                         queue_position = NULL, exit_status = ?2,
+                         queue_position = NULL, waiting_since = NULL, exit_status = ?2,
                          reason = CASE WHEN state = 'ended' THEN reason ELSE ?3 END,
                          ended_at = coalesce(ended_at, ?4)
                      WHERE uid = ?1 AND state <> 'removed'
@@ -413,7 +422,7 @@ impl Store {
                 .bind(run.to_string())
                 .bind(status.as_str())
                 .bind(reason)
-                .bind(now)
+                .bind(at)
                 .execute(&mut *connection)
                 .await
                 .map_err(StoreError::sql(OPERATION))?;

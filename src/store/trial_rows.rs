@@ -7,12 +7,13 @@ use sqlx::sqlite::{SqliteConnection, SqliteRow};
 use sqlx::{QueryBuilder, Sqlite};
 use utoipa::ToSchema;
 
+use super::checksum::{self, Numbers};
 use super::columns::Columns;
 use super::filter::Filter;
 use super::runs::{Label, RunKind};
 use super::trials::pose;
 use super::{Store, StoreError};
-use crate::campaign::record::{ArmReading, Flag, FrameQuality, FrameRecord, Pose};
+use crate::campaign::record::{ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose};
 use crate::ids::{RunUid, TrialId, TrialKey};
 
 /// The largest page.
@@ -37,7 +38,8 @@ const SELECT_IDS: &str = "SELECT t.id FROM trials t
 /// The same with the mean voltages and the twin's.
 pub(super) const SELECT_WITH_VOLTAGES: &str =
     "SELECT t.*, r.uid, r.experiment, r.kind, r.label, r.deadband_n,
-         r.tip_diameter_mm, w.rmse_v, w.fvu, m.hash AS sim_model, v.voltages_v, s.voltages_v AS sim_voltages_v
+         r.tip_diameter_mm, w.rmse_v, w.fvu, m.hash AS sim_model, v.voltages_v,
+         v.crc32 AS volts_crc32, s.voltages_v AS sim_voltages_v, s.crc32 AS sim_volts_crc32
      FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
      CROSS JOIN trial_voltages v ON v.trial = t.id
      LEFT JOIN twins w ON w.trial = t.id
@@ -60,6 +62,13 @@ pub struct Contact {
     /// Diameter, mm, where it is known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diameter_mm: Option<f64>,
+}
+
+impl From<&PlacedContact> for Contact {
+    fn from(p: &PlacedContact) -> Self {
+        let (x_mm, y_mm, force_n) = (Some(p.x_mm), Some(p.y_mm), Some(p.force_n));
+        Self { x_mm, y_mm, force_n, diameter_mm: None }
+    }
 }
 
 impl Contact {
@@ -277,13 +286,7 @@ impl Store {
         select: &'static str,
         ids: &[TrialId],
     ) -> Result<Vec<TrialRow>, StoreError> {
-        let mut view = self.read(READING).await?;
-        let wanted: Vec<i64> = ids.iter().map(|id| id.0).collect();
-        let mut query = QueryBuilder::new(select);
-        query.push(" WHERE t.id IN (SELECT value FROM json_each(");
-        query.push_bind(format!("{wanted:?}")).push(")) ORDER BY t.id");
-        let rows = query.build().fetch_all(&mut *view).await.map_err(StoreError::sql(READING))?;
-        assemble(&mut view, rows, READING).await
+        rows_of_ids(&mut *self.read(READING).await?, select, ids, READING).await
     }
 
     /// The different lengths of these trials' frames, in voltages.
@@ -302,13 +305,14 @@ impl Store {
     /// The mean of a trial's frames, V, injection-major.
     pub async fn trial_voltages(&self, trial: TrialId) -> Result<Option<Vec<f32>>, StoreError> {
         const OPERATION: &str = "reading a trial's voltages";
-        sqlx::query("SELECT voltages_v FROM trial_voltages WHERE trial = ?1")
+        let row = sqlx::query("SELECT voltages_v, crc32 FROM trial_voltages WHERE trial = ?1")
             .bind(trial.0)
             .fetch_optional(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?
-            .map(|row| Columns::of(&row, OPERATION).volts("voltages_v"))
-            .transpose()
+            .map_err(StoreError::sql(OPERATION))?;
+        let Some(row) = row else { return Ok(None) };
+        let of = || format!("trial {}", trial.0);
+        checksum::volts(&Columns::of(&row, OPERATION), "voltages_v", "crc32", of)
     }
 
     /// The raw frames of a trial, in the order in which they were taken.
@@ -319,7 +323,8 @@ impl Store {
             .fetch_all(&self.inner.readers)
             .await
             .map_err(StoreError::sql(OPERATION))?;
-        rows.iter().map(|row| frame(&Columns::of(row, OPERATION))).collect()
+        let of = || format!("trial {}", trial.0);
+        rows.iter().map(|row| checksum::frame(&Columns::of(row, OPERATION), of)).collect()
     }
 
     /// How SQLite would find a page: its plan, a line per step.
@@ -340,16 +345,6 @@ impl Store {
             .map_err(StoreError::sql("explaining a query"))?;
         rows.iter().map(|row| Columns::of(row, "explaining a query").get("detail")).collect()
     }
-}
-
-/// A frame from its columns.
-pub(super) fn frame(c: &Columns<'_>) -> Result<FrameRecord, StoreError> {
-    Ok(FrameRecord {
-        sequence: c.whole("sequence")?,
-        device_time_us: c.get::<i64>("device_time_us")?.cast_unsigned(),
-        volts_per_count: c.get("volts_per_count")?,
-        counts: c.counts("counts")?,
-    })
 }
 
 /// An attached tip from its columns.
@@ -378,6 +373,22 @@ pub(super) async fn row_of_key(
     let rows =
         query.build().fetch_all(&mut *connection).await.map_err(StoreError::sql(operation))?;
     Ok(assemble(connection, rows, operation).await?.pop())
+}
+
+/// Trials by their ids, as `select` brings them; those that are not there are left out.
+pub(super) async fn rows_of_ids(
+    connection: &mut SqliteConnection,
+    select: &'static str,
+    ids: &[TrialId],
+    operation: &'static str,
+) -> Result<Vec<TrialRow>, StoreError> {
+    let wanted: Vec<i64> = ids.iter().map(|id| id.0).collect();
+    let mut query = QueryBuilder::new(select);
+    query.push(" WHERE t.id IN (SELECT value FROM json_each(");
+    query.push_bind(format!("{wanted:?}")).push(")) ORDER BY t.id");
+    let rows =
+        query.build().fetch_all(&mut *connection).await.map_err(StoreError::sql(operation))?;
+    assemble(connection, rows, operation).await
 }
 
 /// Joins a page of trials with their tips and placed contacts: two queries for the whole page.
@@ -481,8 +492,8 @@ fn trial_row(
     let contacts = match kind {
         RunKind::RealHex => tips_as_contacts(&arms, deadband_n, diameter_mm),
         RunKind::RealRandom | RunKind::Imported => placed
-            .into_iter()
-            .map(|p| Contact { diameter_mm: p.diameter_mm.or(diameter_mm), ..p })
+            .iter()
+            .map(|p| Contact { diameter_mm: p.diameter_mm.or(diameter_mm), ..*p })
             .collect(),
     };
     let mut forces_n = [None; 6];
@@ -491,8 +502,10 @@ fn trial_row(
             *force = Some(a.force_n);
         }
     }
-    Ok(TrialRow {
-        trial_id: TrialId(c.get("id")?),
+    let trial_id = TrialId(c.get("id")?);
+    let of = || format!("trial {}", trial_id.0);
+    let row = TrialRow {
+        trial_id,
         run: c.uid("uid")?,
         scan_id: c.get("run")?,
         experiment: c.get("experiment")?,
@@ -537,13 +550,20 @@ fn trial_row(
         frame_count: c.whole("frame_count")?,
         started_at: c.time_or_none("started_at")?,
         measured_at: c.time_or_none("measured_at")?,
-        voltages_v: if c.has("voltages_v") { Some(c.volts("voltages_v")?) } else { None },
+        voltages_v: match c.has("voltages_v") {
+            true => checksum::volts(c, "voltages_v", "volts_crc32", of)?,
+            false => None,
+        },
         sim_voltages_v: match c.has("sim_voltages_v") {
-            true => c.volts_or_none("sim_voltages_v")?,
+            true => checksum::volts(c, "sim_voltages_v", "sim_volts_crc32", of)?,
             false => None,
         },
         sim_model: c.get("sim_model")?,
         rmse_v: c.get("rmse_v")?,
         fvu: c.get("fvu")?,
-    })
+    };
+    checksum::compare(c.whole_or_none("crc32")?, Numbers::of_row(&row, &placed).crc32(), || {
+        format!("the row of {}", of())
+    })?;
+    Ok(row)
 }

@@ -5,10 +5,11 @@ use sqlx::query_builder::Separated;
 use sqlx::sqlite::SqliteConnection;
 use sqlx::{QueryBuilder, Sqlite};
 
+use super::checksum::{self, Numbers};
 use super::columns::{counts_blob, time_text, volts_blob};
 use super::runs::RunKind;
 use super::trial_rows::row_of_key;
-use super::{RunFacts, Store, StoreError};
+use super::{Contact, RunFacts, Store, StoreError};
 use crate::campaign::record::{ArmReading, FrameRecord, PlacedContact, Pose, TrialRecord};
 use crate::ids::{RunUid, TrialId, TrialKey};
 
@@ -28,6 +29,7 @@ struct Entry {
     flags: String,
     contact_count: u8,
     max_force_n: Option<f64>,
+    crc32: u32,
 }
 
 impl Entry {
@@ -45,6 +47,8 @@ impl Entry {
             .ok_or_else(|| refused("the number of contacts", "must be at most 6"))?;
         let flags = serde_json::to_string(&record.flags)
             .map_err(|_| refused("flags", "must be words that JSON can hold"))?;
+        let placed: Vec<Contact> = record.placed.iter().map(Contact::from).collect();
+        let crc32 = Numbers::of_record(&record, &placed, contact_count, largest).crc32();
         Ok(Self {
             scan_id: facts.scan_id,
             voltages_v: record.mean_voltages_v(),
@@ -52,6 +56,7 @@ impl Entry {
             flags,
             contact_count,
             max_force_n: largest,
+            crc32,
         })
     }
 
@@ -61,12 +66,7 @@ impl Entry {
             let stored = id_of_key(connection, self.scan_id, self.record.key, STORING).await?;
             return stored.ok_or_else(|| refused("its key", "is neither new nor stored"));
         };
-        sqlx::query("INSERT INTO trial_voltages (trial, voltages_v) VALUES (?1, ?2)")
-            .bind(id.0)
-            .bind(volts_blob(&self.voltages_v))
-            .execute(&mut *connection)
-            .await
-            .map_err(StoreError::sql(STORING))?;
+        insert_voltages(connection, id, &self.voltages_v, STORING).await?;
         insert_tips(connection, id, &self.record.arms).await?;
         insert_placed(connection, id, &self.record.placed).await?;
         insert_frames(connection, id, &self.record.frames).await?;
@@ -84,9 +84,9 @@ impl Entry {
                  reached_x_mm, reached_y_mm, reached_z_mm, reached_radius_mm,
                  placed_by, flags, settle_ms, overshoot_n, contact_count, max_force_n,
                  frame_count, started_at, measured_at, saturated_channels, stuck_channels,
-                 missing_channels, injection_sum_v, dropped_packets)
+                 missing_channels, injection_sum_v, dropped_packets, crc32)
              VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17,
-                 ?18, ?19, ?20, ?21, ?22, ?23, ?24, ?25, ?26, ?27, ?28)
+                 ?18, ?19, ?20, ?21, ?22, ?23, ?24, ?25, ?26, ?27, ?28, ?29)
              ON CONFLICT (run, configuration, depth_index) DO NOTHING
              RETURNING id",
         )
@@ -118,6 +118,7 @@ impl Entry {
             .bind(r.quality.missing_channels)
             .bind(r.quality.injection_sum_v)
             .bind(r.quality.dropped_packets)
+            .bind(self.crc32)
             .fetch_optional(connection)
             .await
             .map_err(StoreError::sql(STORING))?;
@@ -131,11 +132,12 @@ impl Store {
         run: RunUid,
         trial: &TrialRecord,
     ) -> Result<TrialId, StoreError> {
-        let facts = self.facts(run, STORING).await?;
+        let facts = self.facts_to_write(run, STORING).await?;
         let entry = Entry::new(facts, trial.clone())?;
         let key = trial.key;
         self.inner
             .writer
+            .patient()
             .run_and_settle(
                 STORING,
                 async move |connection| entry.insert(connection).await,
@@ -152,10 +154,11 @@ impl Store {
         reason: &str,
     ) -> Result<(), StoreError> {
         const OPERATION: &str = "taking a trial back";
-        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
         let (reason, now) = (reason.to_owned(), self.now_text());
         self.inner
             .writer
+            .patient()
             .run_and_settle(
                 OPERATION,
                 async move |connection| {
@@ -228,6 +231,24 @@ async fn id_of_key(
     Ok(id.map(TrialId))
 }
 
+/// The mean of a trial's frames.
+pub(super) async fn insert_voltages(
+    connection: &mut SqliteConnection,
+    trial: TrialId,
+    voltages_v: &[f32],
+    operation: &'static str,
+) -> Result<(), StoreError> {
+    let volts = volts_blob(voltages_v);
+    sqlx::query("INSERT INTO trial_voltages (trial, voltages_v, crc32) VALUES (?1, ?2, ?3)")
+        .bind(trial.0)
+        .bind(&volts)
+        .bind(checksum::of_volts(&volts))
+        .execute(connection)
+        .await
+        .map_err(StoreError::sql(operation))?;
+    Ok(())
+}
+
 async fn insert_tips(
     connection: &mut SqliteConnection,
     trial: TrialId,
@@ -267,7 +288,8 @@ async fn insert_frames(
     trial: TrialId,
     frames: &[FrameRecord],
 ) -> Result<(), StoreError> {
-    let into = "INSERT INTO frames (trial, n, sequence, device_time_us, volts_per_count, counts) ";
+    let into =
+        "INSERT INTO frames (trial, n, sequence, device_time_us, volts_per_count, counts, crc32) ";
     insert_many(connection, into, frames, |mut row, n, f| {
         row.push_bind(trial.0)
             .push_bind(n)
@@ -275,7 +297,8 @@ async fn insert_frames(
             // A counter of microseconds; the sign bit is reached after 292,000 years.
             .push_bind(f.device_time_us.cast_signed())
             .push_bind(f.volts_per_count)
-            .push_bind(counts_blob(&f.counts));
+            .push_bind(counts_blob(&f.counts))
+            .push_bind(checksum::of_frame(f));
     })
     .await
 }
@@ -326,8 +349,8 @@ async fn move_to_attempts(
     .map_err(&sql)?;
     sqlx::query(
         "INSERT INTO attempt_frames
-             (attempt, n, sequence, device_time_us, volts_per_count, counts)
-         SELECT ?1, n, sequence, device_time_us, volts_per_count, counts
+             (attempt, n, sequence, device_time_us, volts_per_count, counts, crc32)
+         SELECT ?1, n, sequence, device_time_us, volts_per_count, counts, crc32
          FROM frames WHERE trial = ?2",
     )
     .bind(attempt)

@@ -6,6 +6,7 @@ use sqlx::QueryBuilder;
 use sqlx::sqlite::SqliteConnection;
 use utoipa::ToSchema;
 
+use super::checksum;
 use super::columns::{Columns, volts_blob};
 use super::trial_rows::{SELECT_WITH_VOLTAGES, assemble};
 use super::{Store, StoreError, TrialRow};
@@ -293,13 +294,17 @@ pub(super) async fn insert(
     .await
     .map_err(&sql)?;
     if let Some(voltages_v) = voltages_v.filter(|_| inserted.rows_affected() == 1) {
-        sqlx::query("INSERT INTO twin_voltages (trial, model, voltages_v) VALUES (?1, ?2, ?3)")
-            .bind(twin.trial.0)
-            .bind(model.0)
-            .bind(volts_blob(&voltages_v))
-            .execute(connection)
-            .await
-            .map_err(&sql)?;
+        let volts = volts_blob(&voltages_v);
+        sqlx::query(
+            "INSERT INTO twin_voltages (trial, model, voltages_v, crc32) VALUES (?1, ?2, ?3, ?4)",
+        )
+        .bind(twin.trial.0)
+        .bind(model.0)
+        .bind(&volts)
+        .bind(checksum::of_volts(&volts))
+        .execute(connection)
+        .await
+        .map_err(&sql)?;
     }
     Ok(())
 }

@@ -4,6 +4,7 @@
 //! A job is a whole transaction. It runs to its end even when its caller has gone, and a caller on
 //! a busy runtime cannot hold up the next one (law 5).
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::time::Duration;
 
@@ -18,7 +19,7 @@ use super::error::StoreError;
 /// Jobs that may wait; a caller beyond them waits to hand its job over.
 const WAITING_JOBS: usize = 64;
 
-/// Longest time from handing a job over to its answer.
+/// Longest time from handing a job over to its answer, for whoever is not patient.
 const DEADLINE: Duration = Duration::from_secs(30);
 
 /// Longest time for opening: a migration may have to rewrite a large file.
@@ -30,6 +31,8 @@ type Job = Box<dyn for<'h> FnOnce(&'h mut Hand) -> LocalBoxFuture<'h, ()> + Send
 #[derive(Clone)]
 pub(super) struct Writer {
     jobs: mpsc::Sender<Job>,
+    /// Longest time from handing a job over to its answer; `None` where the caller has its own.
+    deadline: Option<Duration>,
 }
 
 /// The connection, reopened when it can no longer be trusted.
@@ -69,7 +72,18 @@ impl Writer {
                 });
             })
             .map_err(StoreError::StartWriter)?;
-        Ok(Self { jobs })
+        Ok(Self { jobs, deadline: Some(DEADLINE) })
+    }
+
+    /// The same writer for a caller with a deadline of its own: it waits as long as the disk takes.
+    pub(super) fn patient(&self) -> Self {
+        Self { deadline: None, ..self.clone() }
+    }
+
+    /// The same writer for a caller that gives up sooner.
+    #[cfg(test)]
+    pub(super) fn hurried(&self, deadline: Duration) -> Self {
+        Self { deadline: Some(deadline), ..self.clone() }
     }
 
     /// Opens the file, creating it where the options say so, and brings its tables up to date.
@@ -79,10 +93,11 @@ impl Writer {
         migrations: &'static Migrator,
     ) -> Result<(), StoreError> {
         let path = path.to_owned();
-        self.hand_over("opening the database", OPEN_DEADLINE, async move |hand| {
+        self.hand_over("opening the database", Some(OPEN_DEADLINE), async move |hand| {
             let connecting = hand.options.connect().await;
             let mut connection = connecting.map_err(|source| StoreError::Open { path, source })?;
             migrations.run(&mut connection).await.map_err(StoreError::Migrate)?;
+            require_columns(&mut connection, migrations).await?;
             // Should the file vanish later, an empty one must not take its place.
             hand.options = hand.options.clone().create_if_missing(false);
             hand.connection = Some(connection);
@@ -97,8 +112,8 @@ impl Writer {
         T: Send + 'static,
         F: AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError> + Send + 'static,
     {
-        self.hand_over(operation, DEADLINE, async move |hand| hand.transact(operation, work).await)
-            .await
+        let work = async move |hand: &mut Hand| hand.transact(operation, work).await;
+        self.hand_over(operation, self.deadline, work).await
     }
 
     /// Runs `work` in one transaction; when its outcome is unknown afterwards, makes what is in the
@@ -114,7 +129,7 @@ impl Writer {
         F: AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError> + Send + 'static,
         L: AsyncFnOnce(&mut SqliteConnection) -> Result<Option<T>, StoreError> + Send + 'static,
     {
-        self.hand_over(operation, DEADLINE, async move |hand| {
+        self.hand_over(operation, self.deadline, async move |hand| {
             match hand.transact(operation, work).await {
                 Err(error) if error.outcome_unknown() => hand.settle(operation, error, look).await,
                 known => known,
@@ -126,7 +141,7 @@ impl Writer {
     /// Closes the connection after the jobs handed over before, and ends the thread.
     pub(super) async fn close(&self) {
         let closing = self
-            .hand_over("closing the store", DEADLINE, async |hand| {
+            .hand_over("closing the store", Some(DEADLINE), async |hand| {
                 hand.close().await;
                 hand.closed = true;
                 Ok(())
@@ -140,7 +155,7 @@ impl Writer {
     /// Makes the next transaction report a failed commit although it was stored.
     #[cfg(test)]
     pub(super) async fn fail_after_next_commit(&self) -> Result<(), StoreError> {
-        self.hand_over("arranging a failure", DEADLINE, async |hand| {
+        self.hand_over("arranging a failure", self.deadline, async |hand| {
             hand.fail_after_commit = true;
             Ok(())
         })
@@ -150,7 +165,7 @@ impl Writer {
     async fn hand_over<T, F>(
         &self,
         operation: &'static str,
-        deadline: Duration,
+        deadline: Option<Duration>,
         work: F,
     ) -> Result<T, StoreError>
     where
@@ -169,6 +184,7 @@ impl Writer {
             self.jobs.send(job).await.map_err(|_| closed())?;
             answered.await.map_err(|_| closed())?
         };
+        let Some(deadline) = deadline else { return done.await };
         tokio::time::timeout(deadline, done)
             .await
             .unwrap_or(Err(StoreError::Late { operation, limit_s: deadline.as_secs() }))
@@ -273,4 +289,36 @@ impl Hand {
             tracing::debug!(%error, "closing the writer's connection failed");
         }
     }
+}
+
+/// Refuses a file whose tables lack what the migrations make: what they were recorded for in it was
+/// changed by another hand.
+async fn require_columns(
+    connection: &mut SqliteConnection,
+    migrations: &Migrator,
+) -> Result<(), StoreError> {
+    const OPERATION: &str = "comparing the tables with those of this version";
+    let sql = StoreError::sql(OPERATION);
+    let options = SqliteConnectOptions::new().in_memory(true).disable_statement_logging();
+    let mut anew = options.connect().await.map_err(&sql)?;
+    migrations.run(&mut anew).await.map_err(StoreError::Migrate)?;
+    let there: BTreeSet<String> = columns_of(connection).await.map_err(&sql)?;
+    let findings: Vec<String> = columns_of(&mut anew)
+        .await
+        .map_err(&sql)?
+        .difference(&there)
+        .map(|name| format!("column {name} is missing"))
+        .collect();
+    if findings.is_empty() { Ok(()) } else { Err(StoreError::Damaged { findings }) }
+}
+
+/// Every column as `table.column`.
+async fn columns_of(connection: &mut SqliteConnection) -> Result<BTreeSet<String>, sqlx::Error> {
+    let names: Vec<String> = sqlx::query_scalar(
+        "SELECT t.name || '.' || c.name FROM sqlite_schema t, pragma_table_info(t.name) c
+         WHERE t.type = 'table' AND t.name NOT LIKE 'sqlite_%'",
+    )
+    .fetch_all(connection)
+    .await?;
+    Ok(names.into_iter().collect())
 }

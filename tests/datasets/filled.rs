@@ -157,14 +157,14 @@ pub async fn fill(data: &Path) {
         }
     }
     twins(&store, hex, "sim-0000000000000001", &mut chance).await;
-    store.end_run(hex, ExitStatus::Success, "made up").await.unwrap();
+    store.end_run(hex, ExitStatus::Success, "made up", jiff::Timestamp::now()).await.unwrap();
     let random =
         store.create_run(new_run(RunKind::RealRandom, "made-up-random")).await.unwrap().uid;
     for configuration in 0..12 {
         let key = TrialKey { configuration, depth_index: 0 };
         store.trial(random, &placed(key, &points, &mut chance)).await.unwrap();
     }
-    store.end_run(random, ExitStatus::Success, "made up").await.unwrap();
+    store.end_run(random, ExitStatus::Success, "made up", jiff::Timestamp::now()).await.unwrap();
     store.close().await;
 }
 

@@ -112,7 +112,8 @@ impl Engine {
         let configuration = attempts.configuration;
         if attempts.of_configuration > job.plan.policy.retries {
             if let Some(configuration) = configuration {
-                self.control.journal.skip(job.run, configuration, &reason).await?;
+                let now = jiff::Timestamp::now();
+                self.control.journal.skip(job.run, configuration, &reason, now).await?;
                 let data = json!({ "configuration": configuration, "reason": reason });
                 self.control.say("skipped", data).await;
                 attempts.skipped += 1;

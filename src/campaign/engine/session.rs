@@ -50,7 +50,9 @@ impl Engine {
                 (ExitStatus::Fail, error_chain(&error))
             }
         };
-        if let Err(error) = self.control.journal.end_run(job.run, status, &reason).await {
+        if let Err(error) =
+            self.control.journal.end_run(job.run, status, &reason, jiff::Timestamp::now()).await
+        {
             tracing::error!(%error, "the end of the run was not stored");
         }
         let data = json!({ "run": job.run, "exit_status": status, "reason": reason });

@@ -1,6 +1,7 @@
 //! The store, function by function, on real files.
 //! Uses: `store`. Never: a file outside its own temporary folder.
 
+mod damage;
 mod datasets;
 mod people;
 mod runs;
@@ -45,6 +46,10 @@ impl Drop for Folder {
 
 async fn open(path: &Path) -> Store {
     Store::open(path, Clock::new(1.0)).await.unwrap()
+}
+
+fn now() -> Timestamp {
+    Timestamp::now()
 }
 
 fn time(text: &str) -> Timestamp {

@@ -1,11 +1,14 @@
 //! Events, the log of actions, keys, the lock.
 //! Uses: `store`. Never: HTTP.
 
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
 use serde_json::json;
 
-use super::{Folder, new_run, open};
+use super::{Folder, new_run, open, time};
 use crate::campaign::journal::Journal;
-use crate::store::{KeyRing, NewAction, Role, RunKind, StoreError};
+use crate::store::{Inner, KeyRing, NewAction, Role, RunKind, Store, StoreError};
 
 #[tokio::test]
 async fn events_are_numbered_without_gaps() {
@@ -16,7 +19,7 @@ async fn events_are_numbered_without_gaps() {
     let mut sent = Vec::new();
     for i in 0..6 {
         let of = (i % 2 == 0).then_some(run);
-        sent.push(store.event(of, "state", json!({"n": i, "x": 0.1})).await.unwrap());
+        sent.push(store.append_event(of, "state", json!({"n": i, "x": 0.1})).await.unwrap());
     }
     assert_eq!(sent.iter().map(|e| e.seq).collect::<Vec<_>>(), [1, 2, 3, 4, 5, 6]);
     assert_eq!(store.events_since(0, 100, None).await.unwrap(), sent);
@@ -24,6 +27,71 @@ async fn events_are_numbered_without_gaps() {
     let of_run = store.events_since(1, 100, Some(run)).await.unwrap();
     assert_eq!(of_run.iter().map(|e| e.seq).collect::<Vec<_>>(), [3, 5]);
     assert_eq!(store.last_event_seq().await.unwrap(), 6);
+}
+
+#[tokio::test]
+async fn an_event_that_is_written_late_says_when_it_happened() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let at = time("2026-11-20T18:00:00.123456Z");
+    let event = store.event(None, "trip", json!({}), at).await.unwrap();
+    assert_eq!(event.at, time("2026-11-20T18:00:00.123Z"));
+    assert_eq!(store.events_since(0, 9, None).await.unwrap(), [event]);
+}
+
+#[tokio::test]
+async fn what_was_said_last_of_the_tips_counts() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    assert_eq!(store.last_mounted().await.unwrap(), None);
+    let at = time("2026-11-20T18:00:00.5Z");
+    store.mounted(4, "Ada", at).await.unwrap();
+    store.mounted(1, "Bob", at).await.unwrap();
+    assert!(store.mounted(7, "Bob", at).await.is_err());
+    store.close().await;
+    assert_eq!(open(&folder.file()).await.last_mounted().await.unwrap(), Some(1));
+}
+
+/// The campaign's records wait for a disk that hangs; all other callers give up after 30 s.
+#[tokio::test]
+async fn a_disk_that_hangs_is_waited_for_by_the_campaign_alone() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let hang = || {
+        let store = store.clone();
+        tokio::spawn(async move {
+            let hanging = async |_: &mut sqlx::SqliteConnection| {
+                std::thread::sleep(Duration::from_millis(200));
+                Ok(())
+            };
+            store.inner.writer.patient().run("hanging", hanging).await
+        })
+    };
+    let inner = &store.inner;
+    let hurried = Store {
+        inner: Arc::new(Inner {
+            path: inner.path.clone(),
+            clock: inner.clock.clone(),
+            writer: inner.writer.hurried(Duration::from_millis(20)),
+            readers: inner.readers.clone(),
+            runs: Mutex::default(),
+            soundness: Mutex::default(),
+        }),
+    };
+    let hanging = hang();
+    tokio::task::yield_now().await;
+    let late = hurried.append_event(None, "state", json!({})).await.unwrap_err();
+    assert!(matches!(late, StoreError::Late { .. }), "{late}");
+    hanging.await.unwrap().unwrap();
+    let hanging = hang();
+    tokio::task::yield_now().await;
+    let at = time("2026-11-20T18:00:00.5Z");
+    hurried.event(None, "trip", json!({}), at).await.unwrap();
+    hanging.await.unwrap().unwrap();
+    let hanging = hang();
+    tokio::task::yield_now().await;
+    hurried.mounted(2, "Ada", at).await.unwrap();
+    hanging.await.unwrap().unwrap();
 }
 
 #[tokio::test]

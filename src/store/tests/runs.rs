@@ -1,7 +1,7 @@
 //! Runs and the queue: numbers, provenance, states, ends, order.
 //! Uses: `store`, `campaign::journal`. Never: trials (see `trials.rs`).
 
-use super::{Folder, hex_trial, new_run, open};
+use super::{Folder, hex_trial, new_run, now, open, time};
 use crate::campaign::journal::{ExitStatus, Journal};
 use crate::ids::RunUid;
 use crate::store::{RunKind, StoreError};
@@ -34,26 +34,28 @@ async fn states_go_on_until_the_end_and_no_further() {
     let store = open(&folder.file()).await;
     let run = store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid;
     assert_eq!(store.run(run).await.unwrap().unwrap().queue_position, Some(1));
-    store.run_state(run, "running", Some("pausing"), None).await.unwrap();
+    let at = time("2026-11-20T18:00:00.5Z");
+    store.run_state(run, "running", Some("pausing"), None, at).await.unwrap();
     let row = store.run(run).await.unwrap().unwrap();
+    assert_eq!(row.started_at, Some(at), "when it happened, not when it was written");
     assert_eq!((row.state.as_str(), row.queue_position), ("running", None));
     assert_eq!(row.requested_state.as_deref(), Some("pausing"));
     let started = row.started_at.unwrap();
-    store.run_state(run, "paused", None, Some("tip change")).await.unwrap();
+    store.run_state(run, "paused", None, Some("tip change"), now()).await.unwrap();
     let row = store.run(run).await.unwrap().unwrap();
     assert_eq!((row.paused_why.as_deref(), row.requested_state), (Some("tip change"), None));
     assert_eq!(row.started_at, Some(started));
-    assert!(store.run_state(run, "queued", None, None).await.is_err());
+    assert!(store.run_state(run, "queued", None, None, now()).await.is_err());
 
-    store.end_run(run, ExitStatus::Success, "finished").await.unwrap();
+    store.end_run(run, ExitStatus::Success, "finished", now()).await.unwrap();
     let ended = store.run(run).await.unwrap().unwrap();
     assert_eq!((ended.state.as_str(), ended.exit_status), ("ended", Some(ExitStatus::Success)));
     assert_eq!((ended.reason.as_deref(), ended.paused_why.clone()), (Some("finished"), None));
-    store.end_run(run, ExitStatus::Success, "asked twice").await.unwrap();
-    assert!(store.end_run(run, ExitStatus::Fail, "no").await.is_err());
-    assert!(store.run_state(run, "running", None, None).await.is_err());
+    store.end_run(run, ExitStatus::Success, "asked twice", now()).await.unwrap();
+    assert!(store.end_run(run, ExitStatus::Fail, "no", now()).await.is_err());
+    assert!(store.run_state(run, "running", None, None, now()).await.is_err());
     assert_eq!(store.run(run).await.unwrap().unwrap(), ended);
-    let unknown = store.run_state(RunUid::new(), "running", None, None).await.unwrap_err();
+    let unknown = store.run_state(RunUid::new(), "running", None, None, now()).await.unwrap_err();
     let cause = std::error::Error::source(&unknown).unwrap().to_string();
     assert!(cause.contains("there is no run"), "{cause}");
 }
@@ -70,13 +72,13 @@ async fn open_runs_are_interrupted_at_the_start() {
             store.enqueue(new).await.unwrap();
         } else {
             store.create_run(new).await.unwrap();
-            store.run_state(uid, "running", None, None).await.unwrap();
+            store.run_state(uid, "running", None, None, now()).await.unwrap();
         }
         if state == "paused" {
-            store.run_state(uid, state, Some("running"), Some("operator")).await.unwrap();
+            store.run_state(uid, state, Some("running"), Some("operator"), now()).await.unwrap();
         }
         if state == "ended" {
-            store.end_run(uid, ExitStatus::Abort, "by request").await.unwrap();
+            store.end_run(uid, ExitStatus::Abort, "by request", now()).await.unwrap();
         }
         uids.push(uid);
     }
@@ -89,7 +91,7 @@ async fn open_runs_are_interrupted_at_the_start() {
     assert!(open().await.is_empty());
     let left = store.run(uids[1]).await.unwrap().unwrap();
     assert_eq!((left.state.as_str(), left.requested_state), ("interrupted", None));
-    store.run_state(uids[0], "running", None, None).await.unwrap();
+    store.run_state(uids[0], "running", None, None, now()).await.unwrap();
 }
 
 #[tokio::test]
@@ -116,8 +118,8 @@ async fn the_queue_is_in_the_order_that_was_asked_for() {
     assert_eq!(order(store.queue().await.unwrap()), [b, a, d]);
     assert!(matches!(store.remove(c).await, Err(StoreError::NotQueued(u)) if u == c));
     assert!(matches!(store.move_item(c, 1).await, Err(StoreError::NotQueued(_))));
-    assert!(store.run_state(c, "running", None, None).await.is_err());
-    store.run_state(b, "running", None, None).await.unwrap();
+    assert!(store.run_state(c, "running", None, None, now()).await.is_err());
+    store.run_state(b, "running", None, None, now()).await.unwrap();
     assert_eq!(store.next_queued().await.unwrap().unwrap().uid, a);
 }
 
@@ -142,10 +144,49 @@ async fn runs_come_in_pages_newest_first() {
 }
 
 #[tokio::test]
+async fn a_run_that_waits_for_its_turn_does_so_through_a_crash() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let mut uids = Vec::new();
+    for _ in 0..4 {
+        uids.push(store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid);
+    }
+    let [a, b, c, d] = uids[..] else { panic!() };
+    assert!(store.waiting_runs().await.unwrap().is_empty());
+    store.run_state(a, "running", None, None, now()).await.unwrap();
+    for run in [d, b, c] {
+        store.set_waiting(run).await.unwrap();
+    }
+    let since = store.run(d).await.unwrap().unwrap().waiting_since;
+    store.set_waiting(d).await.unwrap();
+    assert!(store.set_waiting(a).await.is_err(), "it is under way");
+    // The process dies: the next one opens the same file.
+    let store = open(&folder.file()).await;
+    let waiting = async || -> Vec<_> {
+        store.waiting_runs().await.unwrap().iter().map(|run| run.uid).collect()
+    };
+    assert_eq!(waiting().await, [b, c, d], "as the queue has them");
+    assert_eq!(store.run(d).await.unwrap().unwrap().waiting_since, since);
+    // One that is taken out of the queue, one that begins, one that must be started anew.
+    store.remove(b).await.unwrap();
+    assert_eq!(waiting().await, [c, d]);
+    store.run_state(c, "running", None, None, now()).await.unwrap();
+    assert_eq!(waiting().await, [d]);
+    store.clear_waiting(d).await.unwrap();
+    assert!(waiting().await.is_empty());
+    // An interrupted run may wait too, and comes before those of the queue.
+    store.interrupt_open_runs(None).await.unwrap();
+    assert!(waiting().await.is_empty(), "what begins is no longer marked");
+    store.set_waiting(d).await.unwrap();
+    store.set_waiting(a).await.unwrap();
+    assert_eq!(waiting().await, [a, d]);
+}
+
+#[tokio::test]
 async fn nothing_is_stored_for_a_run_that_is_not_there() {
     let folder = Folder::new();
     let store = open(&folder.file()).await;
     assert!(store.trial(RunUid::new(), &hex_trial(0, 0, &[9.0])).await.is_err());
-    assert!(store.event(Some(RunUid::new()), "state", serde_json::json!({})).await.is_err());
+    assert!(store.event(Some(RunUid::new()), "state", serde_json::json!({}), now()).await.is_err());
     assert!(store.events_since(0, 10, None).await.unwrap().is_empty());
 }

@@ -8,7 +8,7 @@ use crate::store::columns::sha256_hex;
 use crate::store::{MIGRATIONS, PAGE_BYTES};
 
 /// Merged migrations by the sha256 of their files. A line is added, never changed.
-const MERGED: [(&str, &str); 5] = [
+const MERGED: [(&str, &str); 6] = [
     ("0001_create_tables.sql", "7f8fd10f7d423db439b80b2fc3526c5c772af618a790e2bc19d1263564d2e0b2"),
     ("0002_add_twins.sql", "eed1edaa483255f687011f624f45d12abbe31acf9cf482d0f447693f4464f9b0"),
     (
@@ -22,6 +22,10 @@ const MERGED: [(&str, &str); 5] = [
     (
         "0005_mark_roll_backs.sql",
         "e9d3cd395d2e7cb00d57061257680056df75f8843a9be352fe576a17eb1a87e4",
+    ),
+    (
+        "0006_guard_what_is_stored.sql",
+        "3f4af611ae4dddcdc5f3d5f2ec29c5e1865a2e4965d1da99e37c02f502a005af",
     ),
 ];
 

@@ -1,7 +1,7 @@
 //! Trials: in and out bit for bit, once per key, labelled by the deadband, taken back, in pages.
 //! Uses: `store`, `campaign`. Never: processes (see `tests/store_durability.rs`).
 
-use super::{Folder, hex_trial, new_run, open, random_trial, time};
+use super::{Folder, hex_trial, new_run, now, open, random_trial, time};
 use crate::campaign::journal::Journal;
 use crate::campaign::record::{AttemptRecord, Flag, ReferenceRecord, TareRecord, TouchOffRecord};
 use crate::ids::{RunUid, TrialId, TrialKey};
@@ -121,8 +121,8 @@ async fn a_commit_that_failed_but_was_stored_is_found() {
     assert_eq!(store.contact_counts(run).await.unwrap().iter().sum::<u64>(), 1);
     // A write without a key cannot be looked for: the failure is passed on.
     store.inner.writer.fail_after_next_commit().await.unwrap();
-    store.event(None, "state", serde_json::json!({})).await.unwrap_err();
-    store.event(None, "state", serde_json::json!({})).await.unwrap();
+    store.append_event(None, "state", serde_json::json!({})).await.unwrap_err();
+    store.append_event(None, "state", serde_json::json!({})).await.unwrap();
     // A trial taken back by a commit that seemed to fail is gone.
     store.inner.writer.fail_after_next_commit().await.unwrap();
     store.discard(run, trial.key, "again").await.unwrap();
@@ -361,10 +361,11 @@ async fn what_stands_beside_the_trials_comes_back() {
     let attempt = AttemptRecord { key, attempt: 1, reason: "cell 2: 0 V".into(), at };
     store.attempt(run, &attempt).await.unwrap();
     assert_eq!(store.attempts(run, 5).await.unwrap(), [attempt]);
-    store.skip(run, 5, "cell 2: 0 V three times").await.unwrap();
-    store.skip(run, 5, "again").await.unwrap();
+    store.skip(run, 5, "cell 2: 0 V three times", at).await.unwrap();
+    store.skip(run, 5, "again", now()).await.unwrap();
     let skips = store.skips(run).await.unwrap();
     assert_eq!((skips.len(), skips[0].reason.as_str()), (1, "cell 2: 0 V three times"));
+    assert_eq!(skips[0].at, at, "when it happened, not when it was written");
     let progress = store.progress(run).await.unwrap();
     assert_eq!((progress.skipped.into_iter().collect::<Vec<_>>(), progress.retries), (vec![5], 1));
     assert!(progress.stored.is_empty(), "none of these is a trial");

@@ -1,0 +1,173 @@
+//! Looks the file over for damage: its structure, and the checksums of the last trials.
+//! Uses: `store::{checksum, trial_rows}`. Never: a repair, a connection that others wait for.
+
+use std::collections::HashMap;
+use std::sync::PoisonError;
+use std::time::Duration;
+
+use sqlx::ConnectOptions;
+use sqlx::sqlite::SqliteConnection;
+
+use super::checksum;
+use super::columns::Columns;
+use super::trial_rows::{SELECT_WITH_VOLTAGES, rows_of_ids};
+use super::{Store, StoreError};
+use crate::ids::TrialId;
+
+const OPERATION: &str = "examining the database";
+
+/// Longest time for it: a file of 10 GB on a slow disk.
+const DEADLINE: Duration = Duration::from_secs(600);
+
+/// Trials that are read at once.
+const TRIALS_AT_ONCE: usize = 100;
+
+/// Findings that are kept: a person needs a few.
+const FINDINGS_MAX: usize = 20;
+
+/// What is known of the file.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub enum Soundness {
+    /// Not looked over yet, or not to the end.
+    #[default]
+    Unchecked,
+    /// Nothing wrong was found.
+    Sound,
+    /// What is wrong, in words; a damaged trial by its id.
+    Damaged(Vec<String>),
+}
+
+impl Store {
+    /// What the last examination found; `Unchecked` before its end. Waits for nothing.
+    pub fn soundness(&self) -> Soundness {
+        self.inner.soundness.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Checks the structure of the whole file, and reads the newest `last` trials with their frames
+    /// against their checksums. Takes as long as the disk takes to read the file; on a connection of
+    /// its own, so that nobody waits. An error says that it could not be looked at.
+    pub async fn examine(&self, last: u32) -> Result<Soundness, StoreError> {
+        let examined = tokio::time::timeout(DEADLINE, async {
+            let options = self.inner.readers.connect_options();
+            let mut own = options.connect().await.map_err(StoreError::sql(OPERATION))?;
+            findings(&mut own, last).await
+        });
+        let late = || StoreError::Late { operation: OPERATION, limit_s: DEADLINE.as_secs() };
+        let mut findings = examined.await.unwrap_or_else(|_| Err(late()))?;
+        findings.truncate(FINDINGS_MAX);
+        let soundness = match findings.is_empty() {
+            true => Soundness::Sound,
+            false => Soundness::Damaged(findings),
+        };
+        *self.inner.soundness.lock().unwrap_or_else(PoisonError::into_inner) = soundness.clone();
+        Ok(soundness)
+    }
+
+    /// Reads the whole file and checks its structure, its indexes and its references.
+    pub async fn integrity_check(&self) -> Result<(), StoreError> {
+        let mut reading = self.read(OPERATION).await?;
+        let mut findings = pragma(&mut reading, "PRAGMA integrity_check").await?;
+        let sql = StoreError::sql(OPERATION);
+        let orphans = sqlx::query("PRAGMA foreign_key_check").fetch_all(&mut *reading).await;
+        match orphans.map_err(&sql)?.len() {
+            0 => {}
+            n => findings.push(format!("{n} rows refer to rows that are not there")),
+        }
+        if findings.is_empty() { Ok(()) } else { Err(StoreError::Damaged { findings }) }
+    }
+}
+
+async fn findings(connection: &mut SqliteConnection, last: u32) -> Result<Vec<String>, StoreError> {
+    let structure = pragma(connection, "PRAGMA quick_check").await;
+    let mut findings = structure.or_else(StoreError::into_findings)?;
+    match newest(connection, last).await {
+        Ok(ids) => {
+            for ids in ids.chunks(TRIALS_AT_ONCE) {
+                if findings.len() >= FINDINGS_MAX {
+                    break;
+                }
+                if let Err(error) = check_trials(connection, ids).await {
+                    error.into_findings()?;
+                    findings.extend(one_by_one(connection, ids).await?);
+                }
+            }
+        }
+        Err(error) => findings.extend(error.into_findings()?),
+    }
+    Ok(findings)
+}
+
+/// What a check of SQLite's says but `ok`, a line each.
+async fn pragma(
+    connection: &mut SqliteConnection,
+    check: &'static str,
+) -> Result<Vec<String>, StoreError> {
+    let lines: Vec<String> = sqlx::query_scalar(check)
+        .fetch_all(connection)
+        .await
+        .map_err(StoreError::sql(OPERATION))?;
+    // One answer may hold several lines.
+    let lines = lines.iter().flat_map(|answer| answer.lines());
+    Ok(lines.filter(|line| *line != "ok").map(str::to_owned).collect())
+}
+
+async fn newest(connection: &mut SqliteConnection, last: u32) -> Result<Vec<TrialId>, StoreError> {
+    let ids: Vec<i64> = sqlx::query_scalar("SELECT id FROM trials ORDER BY id DESC LIMIT ?1")
+        .bind(last)
+        .fetch_all(connection)
+        .await
+        .map_err(StoreError::sql(OPERATION))?;
+    Ok(ids.into_iter().map(TrialId).collect())
+}
+
+/// The findings of trials among which something is wrong.
+async fn one_by_one(
+    connection: &mut SqliteConnection,
+    ids: &[TrialId],
+) -> Result<Vec<String>, StoreError> {
+    let mut findings = Vec::new();
+    for id in ids {
+        if let Err(error) = check_trials(connection, &[*id]).await {
+            let words = error.into_findings()?;
+            findings.extend(words.into_iter().map(|word| format!("trial {}: {word}", id.0)));
+        }
+    }
+    Ok(findings)
+}
+
+/// Reads trials whole: row, tips, contacts, voltages, twins, frames. Every checksum is compared.
+async fn check_trials(
+    connection: &mut SqliteConnection,
+    ids: &[TrialId],
+) -> Result<(), StoreError> {
+    let trials = rows_of_ids(connection, SELECT_WITH_VOLTAGES, ids, OPERATION).await?;
+    let wanted: Vec<i64> = ids.iter().map(|id| id.0).collect();
+    let rows = sqlx::query(
+        "SELECT f.* FROM json_each(?1) wanted CROSS JOIN frames f ON f.trial = wanted.value",
+    )
+    .bind(format!("{wanted:?}"))
+    .fetch_all(connection)
+    .await
+    .map_err(StoreError::sql(OPERATION))?;
+    let mut frames: HashMap<i64, u32> = HashMap::new();
+    for row in &rows {
+        let c = Columns::of(row, OPERATION);
+        let trial: i64 = c.get("trial")?;
+        checksum::frame(&c, || format!("trial {trial}"))?;
+        *frames.entry(trial).or_default() += 1;
+    }
+    if trials.len() != ids.len() {
+        let (there, all) = (trials.len(), ids.len());
+        return Err(StoreError::damaged(format!("{there} of {all} rows have their voltages")));
+    }
+    for trial in trials {
+        let (id, planned) = (trial.trial_id.0, trial.frame_count);
+        let there = frames.get(&id).copied().unwrap_or(0);
+        if there != planned {
+            return Err(StoreError::damaged(format!(
+                "trial {id} has {there} of its {planned} frames"
+            )));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,292 @@
+//! Damage is found: when the file opens, when it is looked over, or when a damaged value is read.
+//! Uses: `store`. Never: a damage that is not drawn from a stated seed.
+
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use sqlx::Connection;
+use sqlx::sqlite::SqliteConnectOptions;
+
+use super::{Folder, hex_trial, new_run, now, open};
+use crate::campaign::journal::Journal;
+use crate::campaign::record::{ArmReading, FrameRecord, Pose, ReferenceRecord};
+use crate::clock::Clock;
+use crate::ids::{RunUid, TrialId, TrialKey};
+use crate::store::{PAGE_BYTES, RunKind, Soundness, Store, StoreError, TrialQuery};
+
+/// Trials of the file that is damaged.
+const TRIALS: u32 = 66;
+const PAGE: usize = PAGE_BYTES as usize;
+
+/// A database with trials, reference presses and events, closed; and its run.
+async fn filled(folder: &Folder) -> RunUid {
+    let store = open(&folder.file()).await;
+    let run = store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid;
+    store.run_state(run, "running", None, None, now()).await.unwrap();
+    for n in 0..TRIALS {
+        let mut trial = hex_trial(n / 11, n % 11, &[f64::from(n), 7.5]);
+        trial.frames.push(FrameRecord { sequence: n, ..trial.frames[0].clone() });
+        store.trial(run, &trial).await.unwrap();
+        store.append_event(Some(run), "trial", serde_json::json!({ "n": n })).await.unwrap();
+    }
+    let press = reference();
+    store.reference(run, &press).await.unwrap();
+    store.close().await;
+    run
+}
+
+fn reference() -> ReferenceRecord {
+    let like = hex_trial(1, 0, &[9.0]);
+    let (arms, frame) = (like.arms, like.frames[0].clone());
+    let reached = like.reached.unwrap();
+    ReferenceRecord { before_configuration: 0, reached, depth_mm: 3.0, arms, frame, at: now() }
+}
+
+/// What was measured in a trial, bit for bit.
+type Measured = (TrialKey, Vec<ArmReading>, Option<Pose>, Vec<u32>, Vec<FrameRecord>);
+
+async fn measured(store: &Store, run: RunUid) -> Result<Vec<Measured>, StoreError> {
+    let query =
+        TrialQuery { run: Some(run), limit: 1000, with_voltages: true, ..Default::default() };
+    let mut all = Vec::new();
+    for trial in store.trials(&query).await? {
+        let (configuration, depth_index) = (trial.configuration, trial.depth_index);
+        let volts = trial.voltages_v.unwrap_or_default().iter().map(|v| v.to_bits()).collect();
+        let frames = store.frames(trial.trial_id).await?;
+        let key = TrialKey { configuration, depth_index };
+        all.push((key, trial.arms, trial.reached, volts, frames));
+    }
+    Ok(all)
+}
+
+/// The ways in which a file is damaged, by name.
+const WAYS: [(&str, fn(&mut Vec<u8>, &mut ChaCha8Rng)); 16] = [
+    ("emptied", |bytes, _| bytes.clear()),
+    ("no database at all", |bytes, rng| rng.fill(&mut bytes[..])),
+    ("another file's text", |bytes, _| *bytes = b"not a database\n".repeat(2000)),
+    ("header zeroed", |bytes, _| bytes[..100].fill(0)),
+    ("first page zeroed", |bytes, _| bytes[..PAGE].fill(0)),
+    ("another page size", |bytes, _| bytes[16..18].copy_from_slice(&4096u16.to_be_bytes())),
+    ("a format of the future", |bytes, _| bytes[18..20].fill(9)),
+    ("cut at a page", |bytes, rng| {
+        let pages = bytes.len() / PAGE;
+        bytes.truncate(PAGE * rng.random_range(1..pages));
+    }),
+    ("cut anywhere", |bytes, rng| bytes.truncate(rng.random_range(1..bytes.len()))),
+    ("a page zeroed", |bytes, rng| page(bytes, rng).fill(0)),
+    ("a page of ones", |bytes, rng| page(bytes, rng).fill(0xFF)),
+    ("a page of noise", |bytes, rng| {
+        let mut noise = [0; PAGE];
+        rng.fill(&mut noise[..]);
+        page(bytes, rng).copy_from_slice(&noise);
+    }),
+    ("a page twice", |bytes, rng| {
+        let from = page(bytes, rng).to_vec();
+        page(bytes, rng).copy_from_slice(&from);
+    }),
+    ("a sector zeroed", |bytes, rng| {
+        let at = 512 * rng.random_range(0..bytes.len() / 512);
+        bytes[at..at + 512].fill(0);
+    }),
+    ("a bit flipped", flip),
+    ("another bit flipped", flip),
+];
+
+/// Any page but the first.
+fn page<'b>(bytes: &'b mut [u8], rng: &mut ChaCha8Rng) -> &'b mut [u8] {
+    let n = rng.random_range(1..bytes.len() / PAGE);
+    &mut bytes[PAGE * n..PAGE * (n + 1)]
+}
+
+fn flip(bytes: &mut Vec<u8>, rng: &mut ChaCha8Rng) {
+    let at = rng.random_range(0..bytes.len());
+    bytes[at] ^= 1 << rng.random_range(0..8);
+}
+
+/// A file is refused, found damaged, or as good as it was: it never gives other trials.
+#[tokio::test]
+async fn no_damage_passes_for_a_measurement() {
+    let folder = Folder::new();
+    let run = filled(&folder).await;
+    let sound = std::fs::read(folder.file()).unwrap();
+    let store = open(&folder.file()).await;
+    assert_eq!(store.examine(2000).await.unwrap(), Soundness::Sound);
+    let whole = measured(&store, run).await.unwrap();
+    assert_eq!(whole.len(), TRIALS as usize);
+    let keys = store.progress(run).await.unwrap().stored;
+    store.close().await;
+
+    let (mut refused, mut found, mut harmless) = (0, 0, 0);
+    for seed in 0..6 {
+        for (n, (way, damage)) in WAYS.iter().enumerate() {
+            let folder = Folder::new();
+            let mut bytes = sound.clone();
+            damage(&mut bytes, &mut ChaCha8Rng::seed_from_u64(seed * 100 + n as u64));
+            if bytes == sound {
+                continue;
+            }
+            std::fs::write(folder.file(), bytes).unwrap();
+            let Ok(store) = Store::open(&folder.file(), Clock::new(1.0)).await else {
+                refused += 1;
+                continue;
+            };
+            match store.examine(2000).await.unwrap() {
+                Soundness::Damaged(findings) => {
+                    assert!(!findings.is_empty());
+                    found += 1;
+                }
+                Soundness::Sound => {
+                    let again = measured(&store, run).await;
+                    assert!(again.is_ok_and(|again| again == whole), "{way}, seed {seed}");
+                    let stored = store.progress(run).await.map(|progress| progress.stored);
+                    assert!(stored.is_ok_and(|stored| stored == keys), "{way}, seed {seed}: keys");
+                    harmless += 1;
+                }
+                Soundness::Unchecked => panic!("{way}, seed {seed}: it was not looked at"),
+            }
+        }
+    }
+    println!("refused {refused}, found {found}, harmless {harmless}");
+    assert!(refused > 20 && found > 20, "refused {refused}, found {found}, harmless {harmless}");
+}
+
+/// Changes one count of the trial's first frame behind the store's back.
+async fn change_count(folder: &Folder, trial: TrialId) {
+    let options = SqliteConnectOptions::new().filename(folder.file());
+    let mut behind = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
+    let counts: Vec<u8> = sqlx::query_scalar("SELECT counts FROM frames WHERE trial = ?1")
+        .bind(trial.0)
+        .fetch_one(&mut behind)
+        .await
+        .unwrap();
+    let mut changed = counts.clone();
+    changed[77] ^= 0x10;
+    sqlx::query("UPDATE frames SET counts = ?2 WHERE trial = ?1 AND n = 0")
+        .bind(trial.0)
+        .bind(changed)
+        .execute(&mut behind)
+        .await
+        .unwrap();
+    behind.close().await.unwrap();
+}
+
+#[tokio::test]
+async fn a_frame_that_changed_is_named_by_its_trial() {
+    let folder = Folder::new();
+    let run = filled(&folder).await;
+    let store = open(&folder.file()).await;
+    assert_eq!(store.soundness(), Soundness::Unchecked);
+    change_count(&folder, TrialId(60)).await;
+    // Beyond the trials that are looked at.
+    assert_eq!(store.examine(3).await.unwrap(), Soundness::Sound);
+    assert_eq!(store.soundness(), Soundness::Sound);
+    let Soundness::Damaged(findings) = store.examine(2000).await.unwrap() else { panic!() };
+    let [finding] = &findings[..] else { panic!("{findings:?}") };
+    assert!(finding.contains("trial 60"), "{finding}");
+    assert_eq!(store.soundness(), Soundness::Damaged(findings));
+    let error = store.frames(TrialId(60)).await.unwrap_err();
+    assert!(matches!(error, StoreError::Damaged { .. }), "{error}");
+    assert!(error.to_string().contains("trial 60"), "{error}");
+    assert_eq!(store.frames(TrialId(59)).await.unwrap().len(), 2);
+    assert_eq!(store.references(run).await.unwrap().len(), 1);
+}
+
+#[tokio::test]
+async fn whatever_of_a_trial_changes_is_found_where_it_is_read() {
+    let changes = [
+        "UPDATE trials SET reached_z_mm = reached_z_mm + 0.001 WHERE id = 9",
+        "UPDATE trials SET depth_index = 100 WHERE id = 9",
+        "UPDATE trial_tips SET force_n = -force_n WHERE trial = 9 AND arm = 2",
+        "DELETE FROM trial_tips WHERE trial = 9 AND arm = 2",
+        "UPDATE trial_voltages SET voltages_v = zeroblob(3136) WHERE trial = 9",
+        "DELETE FROM trial_voltages WHERE trial = 9",
+        "DELETE FROM frames WHERE trial = 9 AND n = 1",
+        "UPDATE frames SET sequence = sequence + 1 WHERE trial = 9 AND n = 0",
+        "UPDATE frames SET volts_per_count = 0.5 WHERE trial = 9 AND n = 0",
+    ];
+    for change in changes {
+        let folder = Folder::new();
+        filled(&folder).await;
+        let store = open(&folder.file()).await;
+        store
+            .inner
+            .writer
+            .run("damaging", async move |c| {
+                sqlx::query(change).execute(c).await.unwrap();
+                Ok(())
+            })
+            .await
+            .unwrap();
+        let Soundness::Damaged(findings) = store.examine(2000).await.unwrap() else {
+            panic!("{change}")
+        };
+        assert!(findings.len() == 1 && findings[0].contains("trial 9"), "{change}: {findings:?}");
+    }
+}
+
+#[tokio::test]
+async fn a_reference_press_that_changed_is_found_where_it_is_read() {
+    let folder = Folder::new();
+    let run = filled(&folder).await;
+    let store = open(&folder.file()).await;
+    let change = "UPDATE reference_presses SET device_time_us = 1";
+    let damaging = async move |c: &mut sqlx::SqliteConnection| {
+        sqlx::query(change).execute(c).await.unwrap();
+        Ok(())
+    };
+    store.inner.writer.run("damaging", damaging).await.unwrap();
+    let error = store.references(run).await.unwrap_err();
+    assert!(error.to_string().contains("reference press 1"), "{error}");
+}
+
+#[tokio::test]
+async fn trials_of_before_the_checksums_are_read_as_they_are() {
+    let folder = Folder::new();
+    let run = filled(&folder).await;
+    let store = open(&folder.file()).await;
+    let forget = async |c: &mut sqlx::SqliteConnection| {
+        for table in ["trials", "trial_voltages", "frames", "reference_presses"] {
+            let sql = sqlx::AssertSqlSafe(format!("UPDATE {table} SET crc32 = NULL"));
+            sqlx::query(sql).execute(&mut *c).await.unwrap();
+        }
+        Ok(())
+    };
+    store.inner.writer.run("forgetting", forget).await.unwrap();
+    assert_eq!(store.examine(2000).await.unwrap(), Soundness::Sound);
+    assert_eq!(measured(&store, run).await.unwrap().len(), TRIALS as usize);
+}
+
+#[tokio::test]
+async fn a_negative_zero_and_what_is_absent_are_no_damage() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
+    let mut trial = hex_trial(0, 0, &[-0.0, 5.0]);
+    (trial.target, trial.overshoot_n) = (None, Some(-0.0));
+    trial.quality.injection_sum_v = None;
+    let id = store.trial(run, &trial).await.unwrap();
+    assert_eq!(store.trial_by_id(id).await.unwrap().unwrap().target, None);
+    assert_eq!(store.examine(1).await.unwrap(), Soundness::Sound);
+}
+
+#[tokio::test]
+async fn tables_that_another_hand_changed_are_refused_with_the_cause() {
+    let refusal = async |sql: &'static str| {
+        let folder = Folder::new();
+        filled(&folder).await;
+        let options = SqliteConnectOptions::new().filename(folder.file());
+        let mut behind = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
+        sqlx::raw_sql(sql).execute(&mut behind).await.unwrap();
+        behind.close().await.unwrap();
+        match Store::open(&folder.file(), Clock::new(1.0)).await {
+            Ok(_) => panic!("{sql}: it opened"),
+            Err(error) => error.with_causes(),
+        }
+    };
+    let words = refusal("ALTER TABLE trials DROP COLUMN settle_ms").await;
+    assert!(words.contains("column trials.settle_ms is missing"), "{words}");
+    let words = refusal("DELETE FROM _sqlx_migrations").await;
+    assert!(words.contains("table runs already exists"), "{words}");
+    assert_eq!(words.matches("already exists").count(), 1, "each cause is said once: {words}");
+    let words = refusal("UPDATE _sqlx_migrations SET checksum = x'00' WHERE version = 2").await;
+    assert!(words.contains("migration 2 was previously applied but has been modified"), "{words}");
+}
