@@ -1,18 +1,22 @@
 //! One contract for every driver, kept against the virtual rig, which shares no codec with it:
-//! take control, home, move there, stop short, be refused beyond the limits, weigh, take frames.
-//! Each rig file's own devices and wires are served: Modbus TCP, or RTU on pseudo-terminals.
+//! be looked at without a write, take control, home, move there, stop short, be refused beyond the
+//! limits, weigh, take frames, come back after an alarm and a power loss. Each rig file's own devices
+//! and wires are served: Modbus TCP, or RTU on pseudo-terminals.
 
 use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use palpate::clock::Clock;
-use palpate::rig::check::check;
-use palpate::rig::config::RigConfig;
+use palpate::rig::check::{Scope, check, run_on};
+use palpate::rig::config::{Guard, RigConfig};
 use palpate::rig::error::RigError;
 use palpate::rig::link::StopLatch;
 use palpate::rig::registry::{OpenBench, open};
 use palpate::rig::traits::{Axis, AxisStatus};
+use serde_json::{Value, json};
+use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
 use virtual_rig::run::{RigArgs, VirtualRig};
 
 /// Process seconds in a wall second.
@@ -25,8 +29,16 @@ fn file(path: &str) -> PathBuf {
 }
 
 async fn rig(name: &str, latch: &StopLatch) -> (VirtualRig, RigConfig, OpenBench, Clock) {
+    rig_of(name, file(&format!("rigs/{name}.toml")), latch).await
+}
+
+async fn rig_of(
+    name: &str,
+    rig: PathBuf,
+    latch: &StopLatch,
+) -> (VirtualRig, RigConfig, OpenBench, Clock) {
     let args = RigArgs {
-        rig: file(&format!("rigs/{name}.toml")),
+        rig,
         gap: file("gaps/gap-a.toml"),
         sensor: file("sensors/ert-28.toml"),
         seed: 1,
@@ -47,6 +59,17 @@ async fn rig(name: &str, latch: &StopLatch) -> (VirtualRig, RigConfig, OpenBench
     (rig, config, bench, clock)
 }
 
+/// Says one command to the rig's control socket.
+async fn say(rig: &VirtualRig, command: Value) -> Value {
+    let mut wire = tokio::net::TcpStream::connect(&rig.ready.control).await.unwrap();
+    wire.write_all(format!("{command}\n").as_bytes()).await.unwrap();
+    let mut line = String::new();
+    BufReader::new(wire).read_line(&mut line).await.unwrap();
+    let answer: Value = serde_json::from_str(&line).unwrap();
+    assert_eq!(answer["ok"], true, "{command}: {answer}");
+    answer
+}
+
 async fn until(axis: &Arc<dyn Axis>, what: &str, done: impl Fn(&AxisStatus) -> bool) -> AxisStatus {
     let wait = async {
         loop {
@@ -64,10 +87,17 @@ async fn until(axis: &Arc<dyn Axis>, what: &str, done: impl Fn(&AxisStatus) -> b
 
 async fn keeps_the_contract(name: &str) {
     let latch = StopLatch::new();
-    let (_rig, config, open, clock) = rig(name, &latch).await;
-    let report = check(&config, &open, &clock).await;
+    let (rig, config, open, clock) = rig(name, &latch).await;
+    let seen = check(&config, &open, &clock, Scope::Look).await;
+    assert!(seen.is_sound() && !seen.enabled, "{seen}");
+    let truth = say(&rig, json!({ "cmd": "status" })).await;
+    assert_eq!(truth["wires"]["writes"], 0, "a look writes nothing");
+    let off = truth["axes"].as_array().unwrap().iter().filter(|a| a["servo"] == false).count();
+    let words = |what: &str| seen.unchecked.iter().filter(|w| w.contains(what)).count();
+    assert_eq!(words("servo is off"), off, "{seen}");
+    let report = check(&config, &open, &clock, Scope::Enable).await;
     println!("{report}");
-    assert!(report.is_sound(), "{report}");
+    assert!(report.is_sound() && report.enabled && report.unchecked.is_empty(), "{report}");
     for axis in open.bench.axes() {
         let unhomed = axis.status().await.unwrap();
         assert!(unhomed.ready && !unhomed.homed, "{}: {unhomed:?}", axis.name());
@@ -88,6 +118,33 @@ async fn keeps_the_contract(name: &str) {
         let counts = line.counts();
         // A loaded machine may miss a deadline now and then; a sound wire garbles and refuses none.
         assert_eq!((counts.garbled, counts.exceptions), (0, 0), "{wire}: {counts:?}");
+    }
+    comes_back(&rig, &open.bench.x).await;
+}
+
+async fn home(axis: &Arc<dyn Axis>) {
+    axis.start_home().await.unwrap();
+    until(axis, "homing", |s| s.homed && !s.moving).await;
+}
+
+/// After an alarm and after a loss of power: reset, prepare, home, and it goes where it is told.
+async fn comes_back(rig: &VirtualRig, x: &Arc<dyn Axis>) {
+    for kind in ["alarm", "power_loss"] {
+        say(rig, json!({ "cmd": "fault", "kind": kind, "device": "x", "count": 1 })).await;
+        if kind == "alarm" {
+            let refused = x.prepare().await.unwrap_err();
+            assert!(matches!(refused, RigError::NotReady { .. }), "{refused}");
+            assert!(!x.identify().await.unwrap().faults().is_empty());
+        }
+        x.reset_alarm().await.unwrap();
+        let found = x.prepare().await.unwrap();
+        assert!(kind == "alarm" || found.contains("not homed"), "{kind}: {found}");
+        let back = x.status().await.unwrap();
+        assert!(back.ready && back.alarm.is_none(), "{kind}: {back:?}");
+        home(x).await;
+        x.start_move(20.0, f64::INFINITY).await.unwrap();
+        let there = until(x, "move", |s| !s.moving).await;
+        assert!((there.position - 20.0).abs() < 0.06, "{kind}: {there:?}");
     }
 }
 
@@ -133,4 +190,89 @@ async fn oriental_az_and_waveshare_over_rtu() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn leadshine_and_waveshare_over_rtu() {
     keeps_the_contract("leadshine-rtu").await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_drive_with_a_watchdog_stops_when_the_service_falls_silent() {
+    let text = std::fs::read_to_string(file("rigs/oriental-az-rtu.toml")).unwrap();
+    let guard = "[axes.z]\nguard = { watchdog_ms = 500, torque_percent = 60 }";
+    let guarded = Path::new(env!("CARGO_TARGET_TMPDIR")).join("guarded.toml");
+    std::fs::write(&guarded, text.replacen("[axes.z]", guard, 1)).unwrap();
+    let (_rig, _config, open, _clock) = rig_of("guarded", guarded, &StopLatch::new()).await;
+    let (x, z) = (&open.bench.x, &open.bench.z);
+    assert_eq!(z.guard(), Guard { watchdog_ms: Some(500), torque_percent: Some(60) });
+    assert!(z.prepare().await.unwrap().ends_with("watchdog 500 ms, torque 60 %"));
+    x.prepare().await.unwrap();
+    home(z).await;
+    home(x).await;
+    // Two wall seconds of motion each, on the rig's clock.
+    z.start_move(40.0, 1.0).await.unwrap();
+    x.start_move(40.0, 1.0).await.unwrap();
+    let asked = Instant::now();
+    while asked.elapsed() < Duration::from_millis(800) {
+        assert!(z.status().await.unwrap().moving, "asked often enough");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    tokio::time::sleep(Duration::from_millis(1500)).await;
+    let (z, x) = (z.status().await.unwrap(), x.status().await.unwrap());
+    assert!(!z.moving && z.position < 35.0 && z.alarm.is_none(), "{z:?}");
+    assert!((x.position - 40.0).abs() < 0.06, "without one it goes on to its target: {x:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_check_ends_with_stops_when_the_emergency_stop_is_latched() {
+    let latch = StopLatch::new();
+    let (rig, config, _open, _clock) = rig("virtual", &latch).await;
+    let pressed = async {
+        tokio::time::sleep(Duration::from_millis(400)).await;
+        latch.latch();
+    };
+    let (checked, ()) = tokio::join!(run_on(&config, &latch, Scope::Look), pressed);
+    assert!(matches!(checked, Err(RigError::Latched { .. })), "{checked:?}");
+    assert_eq!(say(&rig, json!({ "cmd": "status" })).await["stops"], 4);
+    let again = run_on(&config, &latch, Scope::Look).await;
+    assert!(matches!(again, Err(RigError::Latched { .. })), "{again:?}");
+}
+
+/// A rig as `palpate run` starts it, in a data folder of its own.
+fn child(data: &Path) -> Child {
+    Command::new(env!("CARGO_BIN_EXE_palpate"))
+        .args(["virtual-rig", "--ephemeral", "--speed", "200", "--with-parent", "--data"])
+        .arg(data)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap()
+}
+
+fn ends_when_its_parent_goes(mut child: Child) {
+    drop(child.stdin.take());
+    let gone = Instant::now();
+    while child.try_wait().unwrap().is_none() {
+        if gone.elapsed() > Duration::from_secs(2) {
+            child.kill().unwrap();
+            panic!("an orphan is still there after two seconds");
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+#[test]
+fn a_rig_whose_parent_is_gone_ends_while_it_starts_and_while_it_streams() {
+    let data =
+        Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("orphan-{}", std::process::id()));
+    let starting = child(&data);
+    std::thread::sleep(Duration::from_millis(300));
+    ends_when_its_parent_goes(starting);
+    let mut streaming = child(&data);
+    let mut line = String::new();
+    let mut said = std::io::BufReader::new(streaming.stdout.take().unwrap());
+    std::io::BufRead::read_line(&mut said, &mut line).unwrap();
+    let ready: Value = serde_json::from_str(&line).unwrap();
+    let _reader = std::net::TcpStream::connect(ready["ert"].as_str().unwrap()).unwrap();
+    // At this speed a slow machine falls thousands of frames behind.
+    std::thread::sleep(Duration::from_secs(2));
+    ends_when_its_parent_goes(streaming);
+    std::fs::remove_dir_all(&data).ok();
 }

@@ -13,7 +13,7 @@ use palpate::clock::Clock;
 use palpate::rig::adam_6017::Adam6017;
 use palpate::rig::axis::{Drive, ModbusAxis};
 use palpate::rig::config::{
-    AxisDevice, AxisProfile, CellsConfig, CellsDevice, ErtConfig, RigConfig,
+    AxisDevice, AxisProfile, CellsConfig, CellsDevice, ErtConfig, Guard, RigConfig,
 };
 use palpate::rig::error::RigError;
 use palpate::rig::ert_stream::ErtStream;
@@ -122,6 +122,17 @@ fn axis<D: Drive>(
     device: AxisDevice,
     counts_per_unit: f64,
 ) -> ModbusAxis<D> {
+    guarded_axis(line, unit, drive, device, counts_per_unit, Guard::default())
+}
+
+fn guarded_axis<D: Drive>(
+    line: &Arc<Line>,
+    unit: u8,
+    drive: D,
+    device: AxisDevice,
+    counts_per_unit: f64,
+    guard: Guard,
+) -> ModbusAxis<D> {
     let profile = AxisProfile {
         device,
         line: "wire".into(),
@@ -131,6 +142,7 @@ fn axis<D: Drive>(
         speed: 100.0,
         acceleration: 1500.0,
         tolerance: 0.05,
+        guard,
     };
     let station = Station::new(Arc::clone(line), unit, "x");
     let gate = MotionGate::new(StopLatch::new());
@@ -147,6 +159,7 @@ fn cells(device: CellsDevice) -> CellsConfig {
         supply_v: 5.0,
         full_scale_n: 111.2,
         force_noise_n: 0.1,
+        repeats_max: None,
     }
 }
 
@@ -221,6 +234,46 @@ async fn status_of<D: Drive>(x: &ModbusAxis<D>) -> AxisStatus {
 }
 
 #[tokio::test]
+async fn an_iai_is_identified_without_a_write() {
+    within(async {
+        let (line, device) = line("iai_tcp_identify.txt", Framing::Tcp);
+        let x = axis(&line, 1, Iai, AxisDevice::Iai, 100.0);
+        let off = x.identify().await.unwrap();
+        assert_eq!(off.to_string(), "IAI, servo off, not homed");
+        assert_eq!((off.faults().len(), off.untried().len()), (0, 2), "{:?}", off.untried());
+        let on = x.identify().await.unwrap();
+        assert_eq!(on.to_string(), "IAI, servo on, homed");
+        assert_eq!((on.faults().len(), on.untried().len()), (0, 0));
+        let stopped = x.identify().await.unwrap();
+        assert_eq!(stopped.faults(), ["its emergency stop is pressed", "alarm 0xCC"]);
+        device.await.unwrap();
+    })
+    .await;
+}
+
+#[tokio::test]
+async fn an_az_takes_its_guards_and_they_are_read_back() {
+    within(async {
+        let (line, device) = line("oriental_az_guard_rtu.txt", Framing::Rtu);
+        let guard = Guard { watchdog_ms: Some(500), torque_percent: Some(60) };
+        let drive = AxisDevice::OrientalAz;
+        let x = guarded_axis(&line, 1, OrientalAz, drive, 1000.0, guard);
+        assert_eq!(x.guard(), guard);
+        assert_eq!(x.identify().await.unwrap().to_string(), "Oriental Motor AZ, servo on, homed");
+        let found = x.prepare().await.unwrap();
+        assert_eq!(found, "Oriental Motor AZ, ready, not homed, watchdog 500 ms, torque 60 %");
+        x.start_move(10.0, 100.0).await.unwrap();
+        let refused = x.prepare().await.unwrap_err();
+        assert!(matches!(refused, RigError::WrongDevice { .. }), "{refused}");
+        let words = "x: guard.watchdog_ms reads back as [0, 0], but the rig file needs [0, 500], \
+                     as it was written";
+        assert_eq!(refused.to_string(), words);
+        device.await.unwrap();
+    })
+    .await;
+}
+
+#[tokio::test]
 async fn oriental_az_over_rtu() {
     within(async {
         let (line, device) = line("oriental_az_rtu.txt", Framing::Rtu);
@@ -275,10 +328,12 @@ async fn adam_6017_over_tcp() {
         let early = module.read().await.unwrap_err();
         assert!(matches!(early, RigError::NotReady { .. }), "ranges are not known yet: {early}");
         assert_eq!(module.prepare().await.unwrap(), "ADAM-6017, Volts0To5");
-        for _ in 0..5 {
-            let volts = module.read().await.unwrap().volts;
+        for n in 0..5 {
+            let reading = module.read().await.unwrap();
+            let volts = reading.volts;
             assert!((volts[0] - 0.5).abs() < 1e-4, "{volts:?}");
             assert_eq!((volts[3], volts[4]), (0.0, 5.0));
+            assert_eq!(reading.repeats, [n; 6], "the flipped bit of the second was not taken");
         }
         device.await.unwrap();
         assert_eq!((line.counts().reconnects, line.counts().garbled), (3, 2));
@@ -310,9 +365,10 @@ async fn waveshare_8ch_over_rtu() {
             Waveshare8ch::new(station, &cells(CellsDevice::Waveshare8ch), Clock::new(RATE));
         let found = module.prepare().await.unwrap();
         assert_eq!(found, "Waveshare 8CH, version 1.00, 0 to 5 V");
-        for _ in 0..3 {
-            let volts = module.read().await.unwrap().volts;
-            assert_eq!(volts, [0.5, 0.512, 1.0, 0.0, 4.5, 2.5]);
+        for n in 0..3 {
+            let reading = module.read().await.unwrap();
+            assert_eq!(reading.volts, [0.5, 0.512, 1.0, 0.0, 4.5, 2.5]);
+            assert_eq!(reading.repeats, [n; 6]);
         }
         device.await.unwrap();
     })

@@ -2,6 +2,7 @@
 //! Uses: `campaign::command`, `rig::check`. Never: motion of its own.
 
 use axum::extract::State;
+use axum::extract::rejection::JsonRejection;
 use axum::http::StatusCode;
 use axum::{Extension, Json};
 use serde::{Deserialize, Serialize};
@@ -12,10 +13,12 @@ use super::auth::Asker;
 use super::problem::{ApiError, Body, ProblemBody};
 use crate::campaign::command::Request;
 use crate::campaign::rig_state::RigState;
-use crate::clock::Clock;
-use crate::rig::check;
+use crate::rig::check::{self, CheckReport, Scope};
+use crate::rig::error::RigError;
 use crate::rig::link::StopLatch;
-use crate::rig::registry;
+
+/// One check at a time: a wire has one owner.
+static CHECKING: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
 
 /// An action on the rig.
 #[derive(Debug, Clone, Deserialize, ToSchema)]
@@ -50,6 +53,18 @@ pub enum RigAction {
     Reset,
 }
 
+/// How far a check of the rig goes.
+#[derive(Debug, Clone, Default, Deserialize, ToSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RigCheck {
+    /// Also take control of the drives and switch their servos on, which stay on.
+    pub enable: bool,
+    /// Who asks.
+    pub who: Option<String>,
+    /// Why.
+    pub why: Option<String>,
+}
+
 /// An action on the rig. Motions answer when they are taken up.
 #[utoipa::path(post, path = "/api/v1/rig/actions", tag = "rig", request_body = RigAct,
     responses((status = 202), (status = 409, body = ProblemBody), (status = 422, body = ProblemBody)))]
@@ -81,20 +96,48 @@ pub async fn act(
     Ok(StatusCode::ACCEPTED)
 }
 
-/// Talks to every device and says what it found. Only while the campaign has no wires open.
-#[utoipa::path(post, path = "/api/v1/rig/check", tag = "rig",
-    responses((status = 200, body = Object), (status = 409, body = ProblemBody)))]
-pub async fn check(State(app): State<App>) -> Result<Json<serde_json::Value>, ApiError> {
-    if app.campaign.status().rig.state != RigState::Disconnected {
-        let words = "a check needs the wires: disconnect the rig first";
-        return Err(ApiError::new(StatusCode::CONFLICT, words));
-    }
-    let config = &app.facts.rig.config;
-    let clock = Clock::new(config.clock_rate);
-    let open = registry::open(config, &clock, &StopLatch::new())
-        .map_err(|e| ApiError::new(StatusCode::BAD_GATEWAY, e.to_string()))?;
-    let report = check::check(config, &open, &clock).await;
+/// Talks to every device and says what it found; moves nothing, and switches nothing on unless
+/// `enable` says so. Only while the campaign has no wires open.
+#[utoipa::path(post, path = "/api/v1/rig/check", tag = "rig", request_body = Option<RigCheck>,
+    responses((status = 200, body = Object), (status = 409, body = ProblemBody),
+        (status = 422, body = ProblemBody), (status = 502, body = ProblemBody)))]
+pub async fn check(
+    State(app): State<App>,
+    Extension(asker): Extension<Asker>,
+    asked: Result<Option<Json<RigCheck>>, JsonRejection>,
+) -> Result<Json<serde_json::Value>, ApiError> {
+    let RigCheck { enable, who, why } = asked?.map(|Json(asked)| asked).unwrap_or_default();
+    let outcome = checked(&app, &asker, enable, who.as_deref()).await;
+    let name = if enable { "rig_check_enable" } else { "rig_check" };
+    let report = app.logged(&asker, name, (None, who.as_deref(), why.as_deref()), outcome).await?;
     let report = serde_json::to_value(report)
         .map_err(|e| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, e.to_string()))?;
     Ok(Json(report))
+}
+
+async fn checked(
+    app: &App,
+    asker: &Asker,
+    enable: bool,
+    who: Option<&str>,
+) -> Result<CheckReport, ApiError> {
+    let conflict = |words: &str| ApiError::new(StatusCode::CONFLICT, words);
+    if enable {
+        app.unlocked(asker, who).await?;
+    }
+    let _alone = CHECKING.try_lock().map_err(|_| conflict("another check is under way"))?;
+    if app.campaign.status().rig.state != RigState::Disconnected {
+        return Err(conflict("a check needs the wires: disconnect the rig first"));
+    }
+    // MERGE: the campaign's own latch, `app.campaign.stop_switch().latch()`.
+    let latch = StopLatch::new();
+    let scope = if enable { Scope::Enable } else { Scope::Look };
+    let report = check::run_on(&app.facts.rig.config, &latch, scope).await;
+    report.map_err(|error| {
+        let status = match error {
+            RigError::Latched { .. } => StatusCode::CONFLICT,
+            _ => StatusCode::BAD_GATEWAY,
+        };
+        ApiError::new(status, error.to_string())
+    })
 }

@@ -9,11 +9,6 @@ use utoipa::ToSchema;
 
 use crate::rig::config::{ARMS, CellsConfig};
 
-/// Share of the supply under which a cell is taken for disconnected (its zero is at 0.1).
-const DEAD_SHARE: f64 = 0.05;
-/// Share of the supply at which the amplified output ends.
-const SATURATED_SHARE: f64 = 0.9;
-
 /// What latched the rig: the quantity, its value, its limit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Trip {
@@ -69,7 +64,7 @@ pub struct ForceLimits {
 
 /// Whether a cell is connected, from its output.
 pub fn is_live(cells: &CellsConfig, volts: f64) -> bool {
-    volts > DEAD_SHARE * cells.supply_v
+    cells.is_live(volts)
 }
 
 /// Arms whose cells are connected, counted from arm 1; an error names the arms if they are not
@@ -103,8 +98,8 @@ pub fn check_cells(
             let detail = format!("cell {arm} reads {:.3} V: disconnected", volts[i]);
             return Err(Trip { kind: TripKind::Cell, detail });
         }
-        if volts[i] >= SATURATED_SHARE * cells.supply_v {
-            let end = SATURATED_SHARE * cells.supply_v;
+        if cells.is_saturated(volts[i]) {
+            let end = cells.saturated_v();
             let detail = format!("cell {arm} reads {:.3} V: saturated (ends at {end} V)", volts[i]);
             return Err(Trip { kind: TripKind::Cell, detail });
         }

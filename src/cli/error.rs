@@ -7,7 +7,7 @@ use std::process::ExitCode;
 
 use sim_core::calibration::CalibrationError;
 
-use crate::api::ServeError;
+use crate::api::{LockFileError, ServeError};
 use crate::calibrate::CalibrateError;
 use crate::calibrate::skin::SkinError;
 use crate::evaluate::figures::FigureError;
@@ -85,6 +85,9 @@ pub enum CliError {
         /// Where it wrote what it said.
         log: PathBuf,
     },
+    /// Another process has the rig.
+    #[error(transparent)]
+    Locked(#[from] LockFileError),
     /// The rig cannot be opened.
     #[error("opening the rig: {0}")]
     Rig(#[from] RigError),

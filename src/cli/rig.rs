@@ -1,5 +1,5 @@
 //! `palpate rig`: check, connect, home, jog, tare and reset by hand.
-//! Uses: `client`; for a check of a file `rig::registry` and `rig::check`. Never: motion of its own.
+//! Uses: `client`; for a check of a file `api::LockFile` and `rig::check`. Never: motion of its own.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -15,11 +15,11 @@ use super::files::RigFiles;
 use super::output::{say, say_json};
 use super::view::StatusView;
 use super::{At, embed};
+use crate::api::LockFile;
 use crate::campaign::record::Pose;
 use crate::campaign::rig_state::RigState;
-use crate::clock::Clock;
+use crate::rig::check::{self, Scope};
 use crate::rig::link::StopLatch;
-use crate::rig::{check, registry};
 
 /// Longest wait for homing.
 pub const HOMING: Duration = Duration::from_secs(300);
@@ -46,13 +46,17 @@ pub struct RigArgs {
 /// What can be done with a rig by hand.
 #[derive(Debug, Clone, Subcommand)]
 pub enum RigCommand {
-    /// Talk to every device and say what is found; nothing moves.
+    /// Talk to every device and say what is found; nothing moves, nothing is switched on.
     ///
-    /// With a rig file its wires are opened by this command; without one the server is asked.
+    /// With a rig file its wires are opened by this command, unless somebody else has that rig;
+    /// without one the server is asked.
     Check {
         /// Rig file.
         #[arg(value_name = "RIG.toml")]
         file: Option<PathBuf>,
+        /// Also take control of the drives and switch their servos on, which stay on.
+        #[arg(long)]
+        enable: bool,
     },
     /// Open the rig's wires.
     Connect,
@@ -111,10 +115,10 @@ impl AxisName {
 /// Runs the command.
 pub async fn rig(args: RigArgs) -> Result<ExitCode, CliError> {
     let RigArgs { command, at } = args;
-    if let RigCommand::Check { file } = command {
+    if let RigCommand::Check { file, enable } = command {
         return match file {
-            Some(file) => check_file(&file, at.json).await,
-            None => check_server(&at).await,
+            Some(file) => check_file(&file, enable, at.json).await,
+            None => check_server(&at, enable).await,
         };
     }
     let client = embed::server(&at).await?;
@@ -186,28 +190,42 @@ pub async fn until_rig(
     }
 }
 
-async fn check_file(file: &std::path::Path, json: bool) -> Result<ExitCode, CliError> {
+async fn check_file(
+    file: &std::path::Path,
+    enable: bool,
+    json: bool,
+) -> Result<ExitCode, CliError> {
     let rig = RigFiles::read(Some(file))?;
-    let clock = Clock::new(rig.config.clock_rate);
-    let open = registry::open(&rig.config, &clock, &StopLatch::new())?;
-    let report = check::check(&rig.config, &open, &clock).await;
+    let _held = LockFile::of_rig(&rig.config)?;
+    let scope = if enable { Scope::Enable } else { Scope::Look };
+    let report = check::run_on(&rig.config, &StopLatch::new(), scope).await?;
     if json {
         say_json(&report);
     } else {
         say(report.to_string().trim_end());
+        say_how_to_enable(!report.unchecked.is_empty() && !enable);
     }
     verdict(report.problems.len(), json)
 }
 
-async fn check_server(at: &At) -> Result<ExitCode, CliError> {
+async fn check_server(at: &At, enable: bool) -> Result<ExitCode, CliError> {
     let client = embed::server(at).await?;
-    let report: Value = client.post("/api/v1/rig/check", &json!({})).await?;
+    let asked = json!({ "enable": enable, "who": client.who() });
+    let report: Value = client.post("/api/v1/rig/check", &asked).await?;
     if at.json {
         say_json(&report);
     } else {
         say(report_words(&report));
+        let unchecked = report["unchecked"].as_array().is_some_and(|list| !list.is_empty());
+        say_how_to_enable(unchecked && !enable);
     }
     verdict(report["problems"].as_array().map_or(0, Vec::len), at.json)
+}
+
+fn say_how_to_enable(wanted: bool) {
+    if wanted {
+        say("Ask with --enable to take control of the drives and switch their servos on.");
+    }
 }
 
 fn verdict(problems: usize, json: bool) -> Result<ExitCode, CliError> {
@@ -240,8 +258,10 @@ fn report_words(report: &Value) -> String {
     lines.push(format!("  cells   {} live, {}", text(&cells["live"]), text(&cells["identity"])));
     let (rate, noise) = (text(&stream["frame_rate_hz"]), text(&stream["noise_sd_v"]));
     lines.push(format!("  ert     {rate} frames/s, noise sd {noise} V"));
-    for problem in report["problems"].as_array().into_iter().flatten() {
-        lines.push(format!("WRONG  {}", text(problem)));
+    for (mark, list) in [("WRONG", "problems"), ("NOT CHECKED", "unchecked")] {
+        for words in report[list].as_array().into_iter().flatten() {
+            lines.push(format!("{mark}  {}", text(words)));
+        }
     }
     lines.join("\n")
 }

@@ -8,12 +8,12 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use async_trait::async_trait;
 use tokio::time::Instant;
 
-use super::config::AxisProfile;
+use super::config::{AxisProfile, Guard};
 use super::error::{RigError, Severity};
 use super::link::{MotionGate, MotionPermit, Request};
 use super::motion::{Command, Going, MotionWatch, Seen};
 use super::station::Station;
-use super::traits::{Axis, AxisStatus};
+use super::traits::{Axis, AxisStatus, Found};
 use crate::clock::Clock;
 
 /// An absolute move in the counts of a device.
@@ -27,6 +27,21 @@ pub struct MoveOrder {
     pub acceleration: f64,
     /// How close counts as arrived, counts.
     pub tolerance: f64,
+    /// Most torque, %; all of it if absent. Only drives with that guard are asked for it.
+    pub torque_percent: Option<u32>,
+}
+
+/// A guard's value on its way into a drive: written, then read back, and both must be the same.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct GuardRequest {
+    /// The rig file's key.
+    pub key: &'static str,
+    /// Writes the value.
+    pub write: Request,
+    /// Reads it back.
+    pub read: Request,
+    /// Registers that the reading must give.
+    pub words: Vec<u16>,
 }
 
 /// A drive's state as its registers tell it.
@@ -67,6 +82,12 @@ pub trait Drive: Send + Sync + 'static {
     fn release_requests(&self) -> Vec<Request>;
     /// Clears an alarm.
     fn reset_requests(&self) -> Vec<Request>;
+    /// Sets the guards of a rig file up; nothing for a drive without any.
+    fn guard_requests(&self, _guard: &Guard) -> Vec<GuardRequest> {
+        Vec::new()
+    }
+    /// Says what is there; reads only.
+    fn identify(&self, station: &Station) -> impl Future<Output = Result<Found, RigError>> + Send;
     /// Takes control without moving anything. Says what was found.
     fn prepare(
         &self,
@@ -166,6 +187,21 @@ impl<D: Drive> ModbusAxis<D> {
         Ok(())
     }
 
+    /// Writes the guards and reads them back.
+    async fn set_guards(&self) -> Result<(), RigError> {
+        for GuardRequest { key, write, read, words } in
+            self.drive.guard_requests(&self.profile.guard)
+        {
+            self.station.write(key, write).await?;
+            let found = self.station.read(key, read).await?;
+            if found != words {
+                let found = format!("guard.{key} reads back as {found:?}");
+                return Err(self.station.wrong(found, format!("{words:?}, as it was written")));
+            }
+        }
+        Ok(())
+    }
+
     /// Sends a motion. After a lost reply the drive is looked at before anything is sent again:
     /// a command that was received is not repeated, and one that was not is absolute.
     async fn command(
@@ -208,8 +244,19 @@ impl<D: Drive> Axis for ModbusAxis<D> {
         self.profile.travel
     }
 
+    fn guard(&self) -> Guard {
+        self.profile.guard
+    }
+
+    async fn identify(&self) -> Result<Found, RigError> {
+        self.drive.identify(&self.station).await
+    }
+
     async fn prepare(&self) -> Result<String, RigError> {
-        self.drive.prepare(&self.station, &self.clock).await
+        let found = self.drive.prepare(&self.station, &self.clock).await?;
+        self.set_guards().await?;
+        let guard = self.profile.guard;
+        Ok(if guard.is_none() { found } else { format!("{found}, {guard}") })
     }
 
     async fn start_home(&self) -> Result<(), RigError> {
@@ -228,6 +275,7 @@ impl<D: Drive> Axis for ModbusAxis<D> {
             speed: speed.min(self.profile.speed) * scale,
             acceleration: self.profile.acceleration * scale,
             tolerance: self.profile.tolerance * scale,
+            torque_percent: self.profile.guard.torque_percent,
         };
         self.command("move", Command::Move(target), &self.drive.move_requests(&order)).await
     }

@@ -1,6 +1,6 @@
 //! The rig file: which device hangs on which wire at which address, how far and how fast it may
 //! move, and the limits that trip it. Parsed and checked here; nothing is opened.
-//! PURE. Uses: `problem`. Never: ports, files (the text is handed in).
+//! PURE. Uses: `problem`, `cells`, `guard`. Never: ports, files (the text is handed in).
 //!
 //! Machine coordinates: x and y grow along the stage, z grows downward from the raised home
 //! position (0), the rotary actuator's angle becomes a radius through the slot's law.
@@ -9,6 +9,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+pub use super::cells::{CellsConfig, CellsDevice};
+pub use super::guard::Guard;
 use crate::problem::{Checks, Problem};
 use crate::syntax::syntax_problem;
 
@@ -138,6 +140,17 @@ pub enum AxisDevice {
     LeadshineEm2rs,
 }
 
+impl AxisDevice {
+    /// The device as rig files write it.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            AxisDevice::Iai => "iai",
+            AxisDevice::OrientalAz => "oriental_az",
+            AxisDevice::LeadshineEm2rs => "leadshine_em2rs",
+        }
+    }
+}
+
 /// A linear axis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -158,6 +171,9 @@ pub struct LinearAxis {
     pub acceleration_mm_s2: f64,
     /// How close to the target counts as arrived, mm.
     pub tolerance_mm: f64,
+    /// What the drive does by itself; nothing if absent.
+    #[serde(default, skip_serializing_if = "Guard::is_none")]
+    pub guard: Guard,
 }
 
 /// The rotary axis.
@@ -180,6 +196,9 @@ pub struct RotaryAxis {
     pub acceleration_deg_s2: f64,
     /// How close to the target counts as arrived, degrees.
     pub tolerance_deg: f64,
+    /// What the drive does by itself; nothing if absent.
+    #[serde(default, skip_serializing_if = "Guard::is_none")]
+    pub guard: Guard,
 }
 
 /// An axis in its own unit (mm or degrees): what a driver needs to know.
@@ -201,6 +220,8 @@ pub struct AxisProfile {
     pub acceleration: f64,
     /// How close to the target counts as arrived.
     pub tolerance: f64,
+    /// What the drive does by itself.
+    pub guard: Guard,
 }
 
 impl LinearAxis {
@@ -215,6 +236,7 @@ impl LinearAxis {
             speed: self.speed_mm_s,
             acceleration: self.acceleration_mm_s2,
             tolerance: self.tolerance_mm,
+            guard: self.guard,
         }
     }
 }
@@ -231,6 +253,7 @@ impl RotaryAxis {
             speed: self.speed_deg_s,
             acceleration: self.acceleration_deg_s2,
             tolerance: self.tolerance_deg,
+            guard: self.guard,
         }
     }
 }
@@ -273,52 +296,6 @@ pub struct SkinPlacement {
     pub surface_z_mm: [f64; 2],
     /// Height kept above the surface in lateral and radial motion, mm.
     pub clearance_mm: f64,
-}
-
-/// An analog input module that we read (`field.md` 4).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum CellsDevice {
-    /// Advantech ADAM-6017, Modbus TCP.
-    #[serde(rename = "adam_6017")]
-    Adam6017,
-    /// Waveshare Modbus RTU Analog Input 8CH.
-    #[serde(rename = "waveshare_8ch")]
-    Waveshare8ch,
-}
-
-/// FC22 amplified load cells on an analog input module.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct CellsConfig {
-    /// Register map.
-    pub device: CellsDevice,
-    /// Wire it hangs on.
-    pub line: String,
-    /// Modbus address.
-    pub unit: u8,
-    /// Input channel of arms 1 to 6.
-    pub channels: [u8; ARMS],
-    /// The module's real update period, process ms.
-    pub update_ms: f64,
-    /// Supply of the ratiometric cells, V.
-    pub supply_v: f64,
-    /// Full scale of a cell, N.
-    pub full_scale_n: f64,
-    /// Noise of a cell above which a force counts as one, N.
-    pub force_noise_n: f64,
-}
-
-impl CellsConfig {
-    /// Force change of one volt, N/V: (V / supply - 0.1) / 0.8 x full scale (FC22 amplified).
-    pub fn newtons_per_volt(&self) -> f64 {
-        self.full_scale_n / (0.8 * self.supply_v)
-    }
-
-    /// Output without load, V.
-    pub fn zero_v(&self) -> f64 {
-        0.1 * self.supply_v
-    }
 }
 
 /// The wire of the voltage stream.
@@ -446,16 +423,11 @@ impl RigConfig {
             let counts = p.travel.map(|t| (t * p.counts_per_unit).abs());
             let fits = counts.iter().all(|&n| n < f64::from(i32::MAX));
             c.require(fits, &key("travel_*"), shown, "must fit 32 bits of counts_per_*");
+            p.guard.check(p.device, key, &mut c);
         }
         let known = self.lines.contains_key(&self.cells.line);
         c.require(known, "cells.line", &self.cells.line, "must be one of [lines]");
-        c.within("cells.update_ms", self.cells.update_ms, 0.1, 10_000.0);
-        c.within("cells.supply_v", self.cells.supply_v, 1.0, 24.0);
-        c.within("cells.full_scale_n", self.cells.full_scale_n, 1.0, 5000.0);
-        let channels = &self.cells.channels;
-        let distinct = (0..ARMS).all(|i| !channels[..i].contains(&channels[i]) && channels[i] < 8);
-        let shown = format!("{channels:?}");
-        c.require(distinct, "cells.channels", shown, "must be six different channels from 0 to 7");
+        self.cells.check(&mut c);
         let (low, high) = (self.slot.radius_mm[0], self.slot.radius_mm[1]);
         c.require(
             low > 0.0 && low < high,

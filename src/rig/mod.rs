@@ -1,6 +1,8 @@
 //! The bench: capabilities in units, and the drivers behind them. One device, one folder.
 //! Uses: `clock`, `problem`. Never: campaigns, trials, storage, HTTP.
 
+pub mod cells;
+pub mod guard;
 pub mod config;
 pub mod reach;
 pub mod error;
@@ -8,6 +10,7 @@ pub mod traits;
 
 pub mod link;
 pub mod motion;
+pub mod repeats;
 pub mod station;
 pub mod words;
 

@@ -3,13 +3,14 @@
 //!
 //! Methods take `&self`, so that a stop can be sent while a move is being watched.
 
+use std::fmt;
 use std::sync::Arc;
 
 use async_trait::async_trait;
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use super::config::ARMS;
+use super::config::{ARMS, Guard};
 use super::error::RigError;
 
 /// An axis as seen in one reading.
@@ -29,6 +30,49 @@ pub struct AxisStatus {
     pub at: Instant,
 }
 
+/// A drive as it stands, read without writing anything to it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Found {
+    /// Make, and the settings that matter.
+    pub device: String,
+    /// The motor is on, and a motion would be carried out.
+    pub enabled: bool,
+    /// Homing has been done since power-up.
+    pub homed: bool,
+    /// Alarm code, if an alarm is up.
+    pub alarm: Option<u32>,
+    /// The drive's own emergency stop is pressed, as far as the drive tells.
+    pub emergency_stop: bool,
+    /// Commands are taken from this wire, and not from a panel or inputs; `None`: it does not tell.
+    pub in_command: Option<bool>,
+}
+
+impl Found {
+    /// What stands in the way and would not go away by enabling, in words.
+    pub fn faults(&self) -> Vec<String> {
+        let alarm = self.alarm.map(|code| format!("alarm 0x{code:02X}"));
+        let stop = self.emergency_stop.then(|| "its emergency stop is pressed".to_owned());
+        stop.into_iter().chain(alarm).collect()
+    }
+
+    /// What cannot be told of a drive as it stands, in words; empty for one that is in use.
+    pub fn untried(&self) -> Vec<String> {
+        let servo = (!self.enabled).then_some("servo is off: not switched on");
+        let command = (self.in_command == Some(false))
+            .then_some("its panel or inputs are in command: control was not taken");
+        [command, servo].into_iter().flatten().map(str::to_owned).collect()
+    }
+}
+
+impl fmt::Display for Found {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let servo = if self.enabled { "servo on" } else { "servo off" };
+        let homed = if self.homed { "homed" } else { "not homed" };
+        write!(f, "{}, {servo}, {homed}", self.device)?;
+        self.faults().iter().try_for_each(|fault| write!(f, ", {fault}"))
+    }
+}
+
 /// Something that moves to positions: a stage axis (mm), or the rotary actuator (degrees).
 #[async_trait]
 pub trait Axis: Send + Sync {
@@ -36,7 +80,13 @@ pub trait Axis: Send + Sync {
     fn name(&self) -> &'static str;
     /// Soft limits in the axis's unit.
     fn travel(&self) -> [f64; 2];
-    /// Takes control of the drive: mode switches, servo on. Moves nothing. Says what was found.
+    /// What the drive was told to do by itself (`prepare` writes it).
+    fn guard(&self) -> Guard;
+    /// Says what is there and what stands in the way. Writes nothing: no coil, no register.
+    async fn identify(&self) -> Result<Found, RigError>;
+    /// Takes control of the drive: mode switches, guards, servo on. Moves nothing. Says what was
+    /// found. An alarm or a pressed emergency stop is `RigError::NotReady`; after `reset_alarm` it
+    /// brings back a drive that had an alarm or lost its power, but not its homing.
     async fn prepare(&self) -> Result<String, RigError>;
     /// Starts homing.
     async fn start_home(&self) -> Result<(), RigError>;
@@ -55,6 +105,9 @@ pub trait Axis: Send + Sync {
 pub struct CellVolts {
     /// Output of the cell of arms 1 to 6, V.
     pub volts: [f64; ARMS],
+    /// Over how many update periods each input has given this very value while it was read (see
+    /// `rig::repeats`); 0 after a change. `CellsConfig::is_hung` says how many are too many.
+    pub repeats: [u32; ARMS],
     /// When the reading arrived.
     pub at: Instant,
 }
@@ -62,7 +115,7 @@ pub struct CellVolts {
 /// The load cells behind one analog input module.
 #[async_trait]
 pub trait LoadCells: Send + Sync {
-    /// Checks model and range. Says what was found.
+    /// Checks model and range. Says what was found. Writes nothing.
     async fn prepare(&self) -> Result<String, RigError>;
     /// Reads all arms.
     async fn read(&self) -> Result<CellVolts, RigError>;

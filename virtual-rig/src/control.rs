@@ -1,10 +1,12 @@
 //! The operator's hands and the tester's eyes: a socket with one JSON object a line.
 //! Uses: `lab`, `fault`. Never: Modbus; nothing here could be done over a rig's own wires.
 //!
-//! `{"cmd":"mount","tips":4}`, `{"cmd":"place","weights":[{"x_mm":..,"y_mm":..,"force_n":..}]}`,
+//! `{"cmd":"mount","tips":4}` (with `"powered":6` the cells of arms 5 and 6 stay on their cables),
+//! `{"cmd":"place","weights":[{"x_mm":..,"y_mm":..,"force_n":..}]}`,
 //! `{"cmd":"clear"}` (weights away), `{"cmd":"fault","kind":..}` (as in a script; without a start it
-//! begins at once), `{"cmd":"mend"}` (all faults away), `{"cmd":"status"}`. The answer is
-//! `{"ok":true,..}` or `{"ok":false,"error":".."}`.
+//! begins at once), `{"cmd":"mend"}` (all faults away), `{"cmd":"status"}`, `{"cmd":"clear_peaks"}`
+//! (the largest force and the deepest z begin anew). The answer is `{"ok":true,..}` or
+//! `{"ok":false,"error":".."}`.
 
 use std::io;
 use std::sync::Arc;
@@ -30,10 +32,11 @@ const AGAIN: Duration = Duration::from_millis(50);
 #[derive(Debug, Deserialize)]
 #[serde(tag = "cmd", rename_all = "snake_case")]
 enum Command {
-    Mount { tips: usize },
+    Mount { tips: usize, powered: Option<usize> },
     Place { weights: Vec<Weight> },
     Clear,
     Mend,
+    ClearPeaks,
     Status,
 }
 
@@ -101,9 +104,9 @@ fn carry_out(lab: &Lab, line: &str) -> Result<Value, String> {
     let mut bench = lab.bench();
     bench.advance(lab.clock.process_s());
     match command {
-        Command::Mount { tips } => {
-            bench.mount(tips).map_err(|e| e.to_string())?;
-            Ok(json!({ "tips": tips }))
+        Command::Mount { tips, powered } => {
+            bench.mount(tips, powered).map_err(|e| e.to_string())?;
+            Ok(json!({ "tips": tips, "powered": powered.unwrap_or(tips) }))
         }
         Command::Place { weights } => {
             let count = weights.len();
@@ -116,6 +119,10 @@ fn carry_out(lab: &Lab, line: &str) -> Result<Value, String> {
         }
         Command::Mend => {
             bench.clear_faults();
+            Ok(json!({}))
+        }
+        Command::ClearPeaks => {
+            bench.clear_peaks();
             Ok(json!({}))
         }
         Command::Status => {

@@ -302,7 +302,8 @@ impl Drive {
         self.motions += 1;
     }
 
-    fn brake(&mut self, t_s: f64) {
+    /// Decelerates to a stand, without a command.
+    pub fn brake(&mut self, t_s: f64) {
         let (p, v) = (self.motion.position(t_s), self.motion.velocity(t_s));
         let (p, v) = self.jam.map_or((p, v), |j| (j.position, 0.0));
         self.motion = Trajectory::to_stand(t_s, p, v, self.pace.deceleration);

@@ -201,9 +201,13 @@ pub fn rig_main(args: RigArgs) -> Result<(), RunError> {
         .enable_all()
         .build()
         .map_err(RunError::Start)?;
-    runtime.block_on(async {
+    let outcome = runtime.block_on(async {
         let ended = end_of_life(args.with_parent)?;
-        let rig = VirtualRig::switch_on(&args).await?;
+        tokio::pin!(ended);
+        let rig = tokio::select! {
+            rig = VirtualRig::switch_on(&args) => rig?,
+            () = &mut ended => return Ok(()),
+        };
         let line = serde_json::json!(rig.ready).to_string();
         println!("{line}");
         io::stdout().flush().map_err(RunError::Start)?;
@@ -211,8 +215,12 @@ pub fn rig_main(args: RigArgs) -> Result<(), RunError> {
             write_file(path, &line)?;
         }
         ended.await;
+        drop(rig);
         Ok(())
-    })
+    });
+    // A skin that is still being built is of no use to anybody.
+    runtime.shutdown_background();
+    outcome
 }
 
 /// Resolves at SIGTERM, at ctrl-c, or when the parent's pipe closes.
@@ -254,7 +262,7 @@ impl VirtualRig {
     /// Reads the files, builds the skin and opens every wire.
     pub async fn switch_on(args: &RigArgs) -> Result<Self, RunError> {
         let rig_text = read_file(&args.rig)?;
-        let rig = RigFile::from_toml(&rig_text)
+        let mut rig = RigFile::from_toml(&rig_text)
             .map_err(|source| RunError::Rig { path: args.rig.clone(), source })?;
         let sensor = Sensor::from_toml(&read_file(&args.sensor)?)
             .map_err(|source| RunError::Sensor { path: args.sensor.clone(), source })?;
@@ -269,6 +277,7 @@ impl VirtualRig {
         if !(speed.is_finite() && speed > 0.0) {
             return Err(RunError::Speed(speed));
         }
+        rig.clock_rate = speed;
         let electrodes = sensor.electrodes_mm().len();
         if usize::from(rig.ert.electrodes()) != electrodes {
             return Err(RunError::Electrodes { rig: rig.ert.electrodes(), sensor: electrodes });

@@ -9,6 +9,7 @@ use super::codec::{self, Range};
 use crate::clock::Clock;
 use crate::rig::config::{ARMS, CellsConfig};
 use crate::rig::error::RigError;
+use crate::rig::repeats::Repeats;
 use crate::rig::station::Station;
 use crate::rig::traits::{CellVolts, LoadCells};
 
@@ -25,6 +26,15 @@ pub struct Adam6017 {
     clock: Clock,
     ranges: OnceLock<[Range; ARMS]>,
     last: Mutex<Option<[f64; ARMS]>>,
+    repeats: Mutex<Repeats>,
+}
+
+/// One reading of the six inputs.
+struct Values {
+    raw: [u16; ARMS],
+    volts: [f64; ARMS],
+    /// When it was asked for, process s.
+    asked_s: f64,
 }
 
 impl Adam6017 {
@@ -33,24 +43,26 @@ impl Adam6017 {
         let full_output_v = 0.9 * cells.supply_v;
         let channels = cells.channels;
         let (ranges, last) = (OnceLock::new(), Mutex::new(None));
-        Self { station, channels, full_output_v, clock, ranges, last }
+        let repeats = Mutex::new(Repeats::new(cells.update_ms));
+        Self { station, channels, full_output_v, clock, ranges, last, repeats }
     }
 
-    async fn volts(&self) -> Result<[f64; ARMS], RigError> {
+    async fn values(&self) -> Result<Values, RigError> {
         let ranges = self.ranges.get().ok_or_else(|| {
             self.station.not_ready("read", "its ranges have not been read yet".into())
         })?;
         let first = self.channels.iter().min().copied().unwrap_or(0);
         let last = self.channels.iter().max().copied().unwrap_or(0);
         let request = codec::read_values(u16::from(first), u16::from(last - first) + 1);
-        let raw = self.station.read("values", request).await?;
-        let mut volts = [0.0; ARMS];
-        for ((v, range), &channel) in volts.iter_mut().zip(ranges).zip(&self.channels) {
-            let word = raw.get(usize::from(channel - first)).copied();
-            let word = word.ok_or_else(|| self.station.garbled("values", "too few".into()))?;
-            *v = range.volts(word);
+        let asked_s = self.clock.process_s();
+        let words = self.station.read("values", request).await?;
+        let mut raw = [0; ARMS];
+        for (value, &channel) in raw.iter_mut().zip(&self.channels) {
+            let word = words.get(usize::from(channel - first)).copied();
+            *value = word.ok_or_else(|| self.station.garbled("values", "too few".into()))?;
         }
-        Ok(volts)
+        let volts = std::array::from_fn(|arm| ranges[arm].volts(raw[arm]));
+        Ok(Values { raw, volts, asked_s })
     }
 }
 
@@ -83,15 +95,18 @@ impl LoadCells for Adam6017 {
     }
 
     async fn read(&self) -> Result<CellVolts, RigError> {
-        let mut volts = self.volts().await?;
+        let mut values = self.values().await?;
         let last = *self.last.lock().unwrap_or_else(PoisonError::into_inner);
         let jumped = |last: [f64; ARMS]| {
-            volts.iter().zip(&last).any(|(now, before)| (now - before).abs() > JUMP_V)
+            values.volts.iter().zip(&last).any(|(now, before)| (now - before).abs() > JUMP_V)
         };
         if last.is_some_and(jumped) {
-            volts = self.volts().await?;
+            values = self.values().await?;
         }
+        let (Values { raw, volts, asked_s }, at) = (values, self.clock.now());
         *self.last.lock().unwrap_or_else(PoisonError::into_inner) = Some(volts);
-        Ok(CellVolts { volts, at: self.clock.now() })
+        let mut repeats = self.repeats.lock().unwrap_or_else(PoisonError::into_inner);
+        let repeats = repeats.observe(raw, asked_s, self.clock.process_s_at(at));
+        Ok(CellVolts { volts, repeats, at })
     }
 }

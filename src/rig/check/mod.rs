@@ -1,41 +1,94 @@
-//! The rig check: talks to every device of a bench and says what it found, and what is wrong in
-//! words. Nothing moves.
+//! The rig check: asks every device of a bench what it is and how it stands, and says what is wrong
+//! in words. Nothing moves, and nothing is written to any device unless it is asked to enable.
 //! Uses: `registry`, `traits`, `config`, `clock`. Never: motion, homing, tares that are kept.
 
 mod report;
+mod stream;
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::time::Instant;
+use futures::future::join_all;
 
 pub use self::report::{AxisFound, CellsFound, CheckReport, LineFound, StreamFound};
 use crate::clock::Clock;
-use crate::rig::config::{ARMS, RigConfig};
-use crate::rig::registry::OpenBench;
-use crate::rig::traits::{Axis, CellVolts, Frame};
+use crate::rig::config::{ARMS, CellsConfig, RigConfig};
+use crate::rig::error::RigError;
+use crate::rig::link::StopLatch;
+use crate::rig::registry::{self, OpenBench};
+use crate::rig::traits::{Axis, CellVolts};
 
 /// Round trips that are timed on each axis.
 const ROUND_TRIPS: usize = 20;
-/// Samples of the cells.
-const CELL_SAMPLES: usize = 10;
-/// Frames that are looked at, at least,
-const FRAMES: usize = 30;
-/// and wall time over which they are, so that rates are measured well on an accelerated rig too.
-const FRAMES_OVER: Duration = Duration::from_millis(1500);
-/// A frame rate that differs from the file's by more than this part is wrong.
-const RATE_TOLERANCE: f64 = 0.1;
-/// Output, as a part of the supply, below which a cell counts as disconnected (live zero is 0.1).
-const DEAD_BELOW: f64 = 0.02;
-/// Output, as a part of the supply, above which a cell counts as saturated (full scale is 0.9).
-const SATURATED_ABOVE: f64 = 0.95;
-/// An injection's sum counts as noise up to this many deviations of a sum of its channels.
-const SUM_SIGMAS: f64 = 6.0;
+/// Samples of the cells, at least; where more repeats than that are allowed, enough to see them.
+const CELL_SAMPLES: u32 = 10;
+/// How often a check looks whether the emergency stop has been pressed.
+const STOP_LOOK: Duration = Duration::from_millis(5);
+
+/// What a check may do to the drives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Scope {
+    /// Read; write nothing.
+    Look,
+    /// Take control and switch servos on, as connecting a rig does. They stay on.
+    Enable,
+}
+
+/// Opens a rig's wires, checks the bench and closes them. `latch` is the rig's emergency stop: once
+/// it is latched the check sends a stop to every axis and ends with `RigError::Latched`; a check is
+/// refused while it is latched.
+///
+/// # Panics
+/// Outside a tokio runtime.
+pub async fn run_on(
+    config: &RigConfig,
+    latch: &StopLatch,
+    scope: Scope,
+) -> Result<CheckReport, RigError> {
+    let latched = || RigError::Latched { device: config.name.clone(), operation: "check".into() };
+    if latch.is_latched() {
+        return Err(latched());
+    }
+    let clock = Clock::new(config.clock_rate);
+    let open = registry::open(config, &clock, latch)?;
+    tokio::select! {
+        biased;
+        () = pressed(latch) => {
+            let stops = open.bench.axes().map(|axis| async move {
+                if let Err(error) = axis.stop().await {
+                    tracing::error!(axis = axis.name(), %error, "stop was not acknowledged");
+                }
+            });
+            join_all(stops).await;
+            Err(latched())
+        }
+        report = check(config, &open, &clock, scope) => Ok(report),
+    }
+}
+
+/// Ends when the emergency stop is latched.
+async fn pressed(latch: &StopLatch) {
+    while !latch.is_latched() {
+        tokio::time::sleep(STOP_LOOK).await;
+    }
+}
+
+/// What is wrong, and what could not be told, in words.
+#[derive(Default)]
+struct Words {
+    problems: Vec<String>,
+    unchecked: Vec<String>,
+}
 
 /// Talks to every device of an open bench. Takes a few seconds at most on a sound rig; on a dead
 /// one each device costs its deadline.
-pub async fn check(config: &RigConfig, open: &OpenBench, clock: &Clock) -> CheckReport {
-    let mut problems = Vec::new();
+pub async fn check(
+    config: &RigConfig,
+    open: &OpenBench,
+    clock: &Clock,
+    scope: Scope,
+) -> CheckReport {
+    let mut words = Words::default();
     let mut axes = Vec::with_capacity(4);
     for (axis, unit) in [
         (&open.bench.x, "mm"),
@@ -43,39 +96,67 @@ pub async fn check(config: &RigConfig, open: &OpenBench, clock: &Clock) -> Check
         (&open.bench.z, "mm"),
         (&open.bench.radial, "deg"),
     ] {
-        axes.push(check_axis(axis, unit, clock, &mut problems).await);
+        axes.push(check_axis(axis, unit, clock, scope, &mut words).await);
     }
+    let Words { mut problems, unchecked } = words;
     let cells = check_cells(config, open, clock, &mut problems).await;
-    let stream = check_stream(config, open, clock, &mut problems).await;
+    let stream = stream::check(config, open, clock, &mut problems).await;
     let lines = open
         .lines
         .iter()
         .map(|(name, line)| LineFound { name: name.clone(), counts: line.counts() })
         .collect();
     let (rig, label) = (config.name.clone(), config.label.as_str());
-    CheckReport { rig, label, axes, cells, stream, lines, problems }
+    let enabled = scope == Scope::Enable;
+    CheckReport { rig, label, enabled, axes, cells, stream, lines, problems, unchecked }
+}
+
+/// Reads what a drive says of itself and, where asked to, takes control of it; its identity.
+async fn identify(axis: &dyn Axis, scope: Scope, words: &mut Words) -> Option<String> {
+    let name = axis.name();
+    let seen = match axis.identify().await {
+        Ok(seen) => seen,
+        Err(error) => {
+            words.problems.push(error.to_string());
+            return None;
+        }
+    };
+    let faults = seen.faults();
+    words.problems.extend(faults.iter().map(|fault| format!("{name}: {fault}")));
+    let untried = seen.untried().into_iter().map(|what| format!("{name}: {what}"));
+    match scope {
+        Scope::Look => words.unchecked.extend(untried),
+        Scope::Enable if !faults.is_empty() => {
+            let because = faults.join(", ");
+            words.unchecked.extend(untried.map(|what| format!("{what} ({because})")));
+        }
+        Scope::Enable => match axis.prepare().await {
+            Ok(found) => return Some(found),
+            Err(error) => words.problems.push(error.to_string()),
+        },
+    }
+    Some(seen.to_string())
 }
 
 async fn check_axis(
     axis: &Arc<dyn Axis>,
     unit: &'static str,
     clock: &Clock,
-    problems: &mut Vec<String>,
+    scope: Scope,
+    words: &mut Words,
 ) -> AxisFound {
     let mut found = AxisFound {
         name: axis.name(),
         unit,
-        identity: None,
+        identity: identify(axis.as_ref(), scope, words).await,
+        guard: axis.guard(),
         position: None,
         homed: None,
         alarm: None,
         status_us: None,
         status_us_max: None,
     };
-    match axis.prepare().await {
-        Ok(identity) => found.identity = Some(identity),
-        Err(error) => problems.push(error.to_string()),
-    }
+    let problems = &mut words.problems;
     let mut times_us = Vec::with_capacity(ROUND_TRIPS);
     for _ in 0..ROUND_TRIPS {
         let asked = clock.now();
@@ -129,7 +210,7 @@ async fn check_cells(
         }
     }
     let (mut samples, mut times_us) = (Vec::<CellVolts>::new(), Vec::new());
-    for _ in 0..CELL_SAMPLES {
+    for _ in 0..CELL_SAMPLES.max(config.cells.repeats_max() + 2) {
         let asked = clock.now();
         match cells.read().await {
             Ok(sample) => {
@@ -153,146 +234,34 @@ async fn check_cells(
     let (scale, zero_v) = (config.cells.newtons_per_volt(), config.cells.zero_v());
     found.force_n = Some(volts.map(|v| (v - zero_v) * scale));
     found.noise_n = Some(statistics.map(|(_, sd)| sd * scale));
-    found.live = Some(volts.iter().filter(|&&v| v > DEAD_BELOW * config.cells.supply_v).count());
+    found.live = Some(volts.iter().filter(|&&v| config.cells.is_live(v)).count());
     found.volts = Some(volts);
-    for (i, v) in volts.iter().enumerate() {
-        if *v > SATURATED_ABOVE * config.cells.supply_v {
-            problems.push(format!("cells: arm {} is saturated at {v:.3} V", i + 1));
-        }
-    }
+    judge_cells(&config.cells, &samples, problems);
     if found.live == Some(0) {
         problems.push("cells: none has a live zero: no supply, or nothing attached".into());
     }
     found
 }
 
-async fn check_stream(
-    config: &RigConfig,
-    open: &OpenBench,
-    clock: &Clock,
-    problems: &mut Vec<String>,
-) -> StreamFound {
-    let mut found = StreamFound {
-        status_line: None,
-        frames: 0,
-        frame_rate_hz: None,
-        device_rate: None,
-        missed: 0,
-        garbled: 0,
-        frame_sd_v: None,
-        noise_sd_v: None,
-        signal_to_noise: None,
-        injection_sum_v: None,
-        saturated_channels: None,
-    };
-    let frames = collect(config, open, clock).await;
-    let counters = open.bench.skin.counters();
-    found.status_line = open.stream.status_line();
-    (found.missed, found.garbled, found.frames) = (counters.missed, counters.garbled, frames.len());
-    if frames.len() < FRAMES {
-        let why = open.stream.wire_trouble().unwrap_or_else(|| "the wire is open".into());
-        problems.push(format!("ert: {} of {FRAMES} frames came ({why})", frames.len()));
-    }
-    let Some((first, last)) = frames.first().zip(frames.last()).filter(|_| frames.len() > 1) else {
-        return found;
-    };
-    let device_s = (last.device_time_us as f64 - first.device_time_us as f64) * 1e-6;
-    if device_s > 0.0 {
-        let rate = f64::from(last.sequence.wrapping_sub(first.sequence)) / device_s;
-        found.frame_rate_hz = Some(rate);
-        let stated = config.ert.frame_rate_hz();
-        if (rate / stated - 1.0).abs() > RATE_TOLERANCE {
-            problems.push(format!("ert: {rate:.1} frames/s, but the rig file says {stated}"));
+/// What would trip a run at its first reading: an output at its end, a value that stays.
+fn judge_cells(cells: &CellsConfig, samples: &[CellVolts], problems: &mut Vec<String>) {
+    for arm in 0..ARMS {
+        let highest_v = samples.iter().map(|s| s.volts[arm]).fold(0.0, f64::max);
+        let live = samples.iter().any(|s| cells.is_live(s.volts[arm]));
+        let repeats = samples.iter().map(|s| s.repeats[arm]).max().unwrap_or(0);
+        if cells.is_saturated(highest_v) {
+            let (arm, end_v) = (arm + 1, cells.saturated_v());
+            problems.push(format!(
+                "cells: arm {arm} is saturated at {highest_v:.3} V (ends at {end_v} V)"
+            ));
+        } else if live && cells.is_hung(repeats) {
+            let (arm, most) = (arm + 1, cells.repeats_max());
+            problems.push(format!(
+                "cells: arm {arm} has given one value for {repeats} update periods, at most {most} \
+                 are noise (cells.repeats_max): the module hangs, or update_ms is too short"
+            ));
         }
     }
-    found.device_rate = device_rate(&frames);
-    if let Some(rate) = found.device_rate
-        && (rate / clock.rate() - 1.0).abs() > 2.0 * RATE_TOLERANCE
-    {
-        let stated = clock.rate();
-        problems.push(format!(
-            "ert: its clock runs at {rate:.2} times the wall's, but clock_rate is {stated}: \
-             frames cannot be placed in time"
-        ));
-    }
-    signal(&frames, &mut found, problems);
-    found
-}
-
-/// Device seconds in a wall second, from the least delayed frame of the first third of the wall
-/// time and that of the last: what waits in buffers in between does not count.
-fn device_rate(frames: &[Arc<Frame>]) -> Option<f64> {
-    let first = frames.first()?;
-    let place = |f: &Frame| {
-        let wall_s = (f.received - first.received).as_secs_f64();
-        (wall_s, (f.device_time_us as f64 - first.device_time_us as f64) * 1e-6)
-    };
-    let span_s = place(frames.last()?).0;
-    // Least delayed is most advanced in device time for its wall time, at about the true rate.
-    let (_, device_s) = place(frames.last()?);
-    let about = device_s / span_s;
-    let least_delayed = |from: f64, to: f64| {
-        let within = frames.iter().map(|f| place(f)).filter(|p| (from..=to).contains(&p.0));
-        within.max_by(|a, b| (a.1 - about * a.0).total_cmp(&(b.1 - about * b.0)))
-    };
-    let early = least_delayed(0.0, span_s / 3.0)?;
-    let late = least_delayed(span_s * 2.0 / 3.0, span_s)?;
-    let rate = (late.1 - early.1) / (late.0 - early.0);
-    rate.is_finite().then_some(rate)
-}
-
-/// Waits for frames, at most a second longer than they take.
-async fn collect(config: &RigConfig, open: &OpenBench, clock: &Clock) -> Vec<Arc<Frame>> {
-    let mut feed = open.stream.subscribe();
-    let needed = clock.wall(FRAMES as f64 / config.ert.frame_rate_hz());
-    let age = Duration::from_millis(config.limits.frame_age_ms);
-    let deadline: Instant = clock.now() + 2 * needed + age + Duration::from_secs(1);
-    let mut frames: Vec<Arc<Frame>> = Vec::with_capacity(FRAMES);
-    let enough = |frames: &[Arc<Frame>]| {
-        let span = frames.first().zip(frames.last()).map(|(a, b)| b.received - a.received);
-        frames.len() >= FRAMES && span >= Some(FRAMES_OVER)
-    };
-    while !enough(&frames) {
-        match tokio::time::timeout_at(deadline, feed.recv()).await {
-            Ok(Ok(frame)) => frames.push(frame),
-            Ok(Err(tokio::sync::broadcast::error::RecvError::Lagged(_))) => {}
-            Ok(Err(tokio::sync::broadcast::error::RecvError::Closed)) | Err(_) => break,
-        }
-    }
-    frames
-}
-
-fn signal(frames: &[Arc<Frame>], found: &mut StreamFound, problems: &mut Vec<String>) {
-    let voltages: Vec<Vec<f32>> = frames.iter().map(|f| f.voltages_v()).collect();
-    let channels = voltages.iter().map(Vec::len).min().unwrap_or(0);
-    let per_channel: Vec<(f64, f64)> =
-        (0..channels).map(|c| mean_and_sd(voltages.iter().map(|v| f64::from(v[c])))).collect();
-    let (_, frame_sd) = mean_and_sd(per_channel.iter().map(|(mean, _)| *mean));
-    let variance = per_channel.iter().map(|(_, sd)| sd * sd).sum::<f64>() / channels.max(1) as f64;
-    let noise_sd = variance.sqrt();
-    found.frame_sd_v = Some(frame_sd);
-    found.noise_sd_v = Some(noise_sd);
-    found.signal_to_noise = (noise_sd > 0.0).then(|| frame_sd / noise_sd);
-    let sum_v = frames.iter().map(|f| f.largest_injection_sum_v()).fold(0.0, f64::max);
-    found.injection_sum_v = Some(sum_v);
-    if noise_sd == 0.0 {
-        problems.push("ert: no channel changes from frame to frame: is the reading frozen?".into());
-    }
-    // Rounding to counts alone leaves half a count in each of the sum's terms.
-    let electrodes = (channels as f64).sqrt();
-    let step_v = frames.iter().map(|f| f64::from(f.volts_per_count)).fold(0.0, f64::max);
-    let limit_v = electrodes.sqrt() * SUM_SIGMAS * noise_sd.max(step_v);
-    if sum_v > limit_v {
-        problems.push(format!(
-            "ert: an injection sums to {sum_v:.4} V, noise would stay under {limit_v:.4} V: \
-             a channel is wrong"
-        ));
-    }
-    let saturated = frames.last().map(|f| f.saturated_channels());
-    if let Some(n) = saturated.filter(|&n| n > 0) {
-        problems.push(format!("ert: {n} channels are at the converter's end"));
-    }
-    found.saturated_channels = saturated;
 }
 
 fn micros(duration: Duration) -> f64 {
@@ -316,77 +285,20 @@ fn mean_and_sd(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {
 mod tests {
     use super::*;
 
-    #[test]
-    fn the_devices_rate_is_seen_through_frames_that_wait() {
-        let start = Clock::new(1.0).now();
-        let frames: Vec<Arc<Frame>> = (0..300_u32)
-            .map(|n| {
-                let lag_ms = if n % 10 == 0 { 1 } else { 400 + u64::from(n) % 37 };
-                let received = start + Duration::from_millis(5 * u64::from(n) + lag_ms);
-                // 20 device seconds in a wall second.
-                let device_time_us = u64::from(n) * 100_000;
-                let (sequence, counts) = (n, Vec::new());
-                let volts_per_count = 1e-3;
-                Arc::new(Frame { sequence, device_time_us, volts_per_count, counts, received })
-            })
-            .collect();
-        let rate = device_rate(&frames).unwrap();
-        assert!((rate - 20.0).abs() < 0.5, "{rate}");
-        assert_eq!(device_rate(&frames[..1]), None);
-    }
-
-    fn frames(noise: i16, broken: i16) -> Vec<Arc<Frame>> {
-        let received = Clock::new(1.0).now();
-        (0..30_u32)
-            .map(|n| {
-                let wobble = if n % 2 == 0 { noise } else { -noise };
-                let mut counts = vec![100 + wobble, -60 - wobble, -40, 0];
-                counts = counts.repeat(4);
-                counts[5] += broken;
-                Arc::new(Frame {
-                    sequence: n,
-                    device_time_us: u64::from(n) * 33_333,
-                    volts_per_count: 1e-3,
-                    counts,
-                    received,
-                })
-            })
-            .collect()
-    }
-
-    fn judge(frames: &[Arc<Frame>]) -> (StreamFound, Vec<String>) {
-        let mut found = StreamFound {
-            status_line: None,
-            frames: frames.len(),
-            frame_rate_hz: None,
-            device_rate: None,
-            missed: 0,
-            garbled: 0,
-            frame_sd_v: None,
-            noise_sd_v: None,
-            signal_to_noise: None,
-            injection_sum_v: None,
-            saturated_channels: None,
-        };
+    fn judged(volts: f64, repeats: u32) -> Vec<String> {
+        let text = include_str!("../../../experiments/rigs/virtual.toml");
+        let config = RigConfig::from_toml("virtual.toml", text).unwrap();
+        let (mut all, mut held, at) = ([0.0; ARMS], [99; ARMS], Clock::new(1.0).now());
+        (all[1], held[1]) = (volts, repeats);
         let mut problems = Vec::new();
-        signal(frames, &mut found, &mut problems);
-        (found, problems)
+        judge_cells(&config.cells, &[CellVolts { volts: all, repeats: held, at }], &mut problems);
+        problems
     }
 
     #[test]
-    fn a_sound_stream_has_a_ratio_and_no_problem() {
-        let (found, problems) = judge(&frames(2, 0));
-        assert!(problems.is_empty(), "{problems:?}");
-        assert!(found.signal_to_noise.unwrap() > 20.0);
-        assert_eq!(found.injection_sum_v, Some(0.0));
-    }
-
-    #[test]
-    fn a_broken_channel_shows_in_its_injections_sum_and_a_frozen_stream_is_named() {
-        let (_, problems) = judge(&frames(2, 900));
-        assert!(problems.iter().any(|p| p.contains("a channel is wrong")), "{problems:?}");
-        let (found, problems) = judge(&frames(0, 0));
-        assert!(problems.iter().any(|p| p.contains("frozen")), "{problems:?}");
-        assert_eq!(found.signal_to_noise, None);
+    fn a_cell_that_would_trip_a_run_fails_the_check_and_an_unplugged_one_does_not() {
+        assert_eq!(judged(0.5, 3), Vec::<String>::new());
+        assert!(judged(4.55, 0)[0].starts_with("cells: arm 2 is saturated at 4.550 V"));
+        assert!(judged(0.5, 9)[0].starts_with("cells: arm 2 has given one value for 9 update"));
     }
 }

@@ -5,7 +5,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use crate::rig::config::ARMS;
+use crate::rig::config::{ARMS, Guard};
 use crate::rig::link::LineCounts;
 
 /// What the check found.
@@ -15,6 +15,8 @@ pub struct CheckReport {
     pub rig: String,
     /// `measured` or `virtual`.
     pub label: &'static str,
+    /// Control of the drives was taken and their servos were switched on.
+    pub enabled: bool,
     /// The four axes.
     pub axes: Vec<AxisFound>,
     /// The load cells.
@@ -25,6 +27,8 @@ pub struct CheckReport {
     pub lines: Vec<LineFound>,
     /// What is wrong, in words; empty on a sound rig.
     pub problems: Vec<String>,
+    /// What could not be told of the drives as they stand, in words.
+    pub unchecked: Vec<String>,
 }
 
 impl CheckReport {
@@ -43,6 +47,8 @@ pub struct AxisFound {
     pub unit: &'static str,
     /// What the drive says of itself.
     pub identity: Option<String>,
+    /// What the rig file has the drive do by itself.
+    pub guard: Guard,
     /// Measured position, in `unit`.
     pub position: Option<f64>,
     /// Homing has been done since power-up.
@@ -110,7 +116,8 @@ pub struct LineFound {
 
 impl fmt::Display for CheckReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "rig {} ({})\n", self.rig, self.label)?;
+        let scope = if self.enabled { "drives enabled" } else { "read only" };
+        writeln!(f, "rig {} ({}), {scope}\n", self.rig, self.label)?;
         writeln!(
             f,
             "{:<8}{:>14}{:>8}{:>8}{:>12}  device",
@@ -141,10 +148,13 @@ impl fmt::Display for CheckReport {
         for problem in &self.problems {
             writeln!(f, "WRONG  {problem}")?;
         }
-        if self.is_sound() {
-            writeln!(f, "All devices answer as the rig file says.")
-        } else {
-            Ok(())
+        for unchecked in &self.unchecked {
+            writeln!(f, "NOT CHECKED  {unchecked}")?;
+        }
+        match (self.is_sound(), self.unchecked.is_empty()) {
+            (true, true) => writeln!(f, "All devices answer as the rig file says."),
+            (true, false) => writeln!(f, "What was checked answers as the rig file says."),
+            (false, _) => Ok(()),
         }
     }
 }

@@ -3,7 +3,8 @@
 //!
 //! Source: `field.md` 4; where it is silent, a line is marked `[unverified]` and must be checked
 //! against the manual before the drive is trusted: the word order (high first), the alarm code at
-//! 0x9002, the coil 0x0427 that hands control from the PIO to Modbus, and what ends a pause.
+//! 0x9002, the coil 0x0427 that hands control from the PIO to Modbus and the bit of DSSE that says
+//! who has it, and what ends a pause.
 
 use crate::rig::axis::{DriveState, MoveOrder};
 use crate::rig::link::Request;
@@ -64,12 +65,14 @@ pub struct Status {
     pub homed: bool,
     /// DSS1 bit 3: in position.
     pub in_position: bool,
+    /// DSSE bit 8 `[unverified]`: Modbus is in command, not the PIO.
+    pub modbus: bool,
 }
 
 impl Status {
     /// Parses the status block; `None` if it is too short.
     pub fn parse(block: &[u16]) -> Option<Self> {
-        let dss1 = *block.get(5)?;
+        let (dss1, dsse) = (*block.get(5)?, *block.get(7)?);
         Some(Self {
             position: from_words(block, 0)?,
             alarm_code: *block.get(2)?,
@@ -79,6 +82,7 @@ impl Status {
             alarm: bit(dss1, 10),
             homed: bit(dss1, 4),
             in_position: bit(dss1, 3),
+            modbus: bit(dsse, 8),
         })
     }
 
@@ -122,7 +126,9 @@ mod tests {
 
     #[test]
     fn a_move_is_one_block_in_hundredths() {
-        let order = MoveOrder { target: 12_345, speed: 25e3, acceleration: 150e3, tolerance: 5.0 };
+        let (speed, acceleration) = (25e3, 150e3);
+        let (target, tolerance, torque_percent) = (12_345, 5.0, None);
+        let order = MoveOrder { target, speed, acceleration, tolerance, torque_percent };
         // 1500 mm/s^2 = 0.153 G.
         let words = vec![0, 12345, 0, 5, 0, 25000, 15, 0, 0];
         assert_eq!(move_block(&order), Request::WriteRegisters { address: 0x9900, words });
@@ -130,22 +136,24 @@ mod tests {
 
     #[test]
     fn slow_and_gentle_still_moves() {
-        let order = MoveOrder { target: -1, speed: 0.2, acceleration: 10.0, tolerance: 0.0 };
+        let (speed, acceleration) = (0.2, 10.0);
+        let (target, tolerance, torque_percent) = (-1, 0.0, None);
+        let order = MoveOrder { target, speed, acceleration, tolerance, torque_percent };
         let words = vec![0xFFFF, 0xFFFF, 0, 1, 0, 1, 1, 0, 0];
         assert_eq!(move_block(&order), Request::WriteRegisters { address: 0x9900, words });
     }
 
     #[test]
     fn the_status_block_is_read_bit_by_bit() {
-        // -0.50 mm, alarm 0x0CC, DSS1 = servo + alarm + homed.
-        let block = [0xFFFF, 0xFFCE, 0x00CC, 0, 0, 0x1410, 0, 0, 0, 0];
+        // -0.50 mm, alarm 0x0CC, DSS1 = servo + alarm + homed, DSSE = Modbus in command.
+        let block = [0xFFFF, 0xFFCE, 0x00CC, 0, 0, 0x1410, 0, 0x0100, 0, 0];
         let status = Status::parse(&block).unwrap();
         assert_eq!(status.position, -50);
-        assert!(status.servo && status.alarm && status.homed);
+        assert!(status.servo && status.alarm && status.homed && status.modbus);
         assert!(!status.ready && !status.emergency && !status.in_position);
         assert_eq!(status.state().alarm, Some(0xCC));
         assert_eq!(status.state().going, Going::Unsure);
-        assert!(Status::parse(&block[..5]).is_none());
+        assert!(Status::parse(&block[..7]).is_none());
     }
 
     #[test]

@@ -13,6 +13,7 @@ use crate::rig::axis::{Drive, DriveState, MoveOrder};
 use crate::rig::error::RigError;
 use crate::rig::link::Request;
 use crate::rig::station::Station;
+use crate::rig::traits::Found;
 
 /// Longest wait for the servo, wall time.
 const SERVO_DEADLINE: Duration = Duration::from_secs(2);
@@ -62,6 +63,18 @@ impl Drive for Iai {
 
     fn reset_requests(&self) -> Vec<Request> {
         vec![coil(codec::COIL_ALARM_RESET, true), coil(codec::COIL_ALARM_RESET, false)]
+    }
+
+    async fn identify(&self, station: &Station) -> Result<Found, RigError> {
+        let status = Self::status(station).await?;
+        Ok(Found {
+            device: "IAI".into(),
+            enabled: status.servo && status.ready,
+            homed: status.homed,
+            alarm: status.alarm.then_some(u32::from(status.alarm_code)),
+            emergency_stop: status.emergency,
+            in_command: Some(status.modbus),
+        })
     }
 
     async fn prepare(&self, station: &Station, clock: &Clock) -> Result<String, RigError> {

@@ -115,8 +115,9 @@ mod tests {
     /// 2000 pulses/mm: 10000 pulses/rev on a 5 mm lead.
     #[test]
     fn a_move_is_a_path_and_its_trigger() {
-        let order =
-            MoveOrder { target: 100_000, speed: 100_000.0, acceleration: 2e6, tolerance: 40.0 };
+        let (speed, acceleration) = (100_000.0, 2e6);
+        let (target, tolerance, torque_percent) = (100_000, 40.0, None);
+        let order = MoveOrder { target, speed, acceleration, tolerance, torque_percent };
         let [path, trigger] = move_by_path(&order, 10_000);
         // 600 rpm; 12000 rpm/s take 83 ms to 1000 rpm.
         let words = vec![1, 1, 0x86A0, 600, 83, 83, 0, 0];

@@ -10,6 +10,7 @@ use crate::rig::axis::{Drive, DriveState, MoveOrder};
 use crate::rig::error::RigError;
 use crate::rig::link::Request;
 use crate::rig::station::Station;
+use crate::rig::traits::Found;
 
 /// Pulses of one revolution from the factory.
 const PULSES_PER_REV: u16 = 10_000;
@@ -35,6 +36,23 @@ impl LeadshineEm2rs {
     async fn word(station: &Station, what: &str, address: u16) -> Result<u16, RigError> {
         let words = station.read(what, codec::read_one(address)).await?;
         words.first().copied().ok_or_else(|| station.garbled(what, "no register".into()))
+    }
+
+    /// Pulses of one revolution; a value that no EM2RS has is a wrong device.
+    async fn pulses(station: &Station) -> Result<u16, RigError> {
+        let pulses = Self::word(station, "pulses per revolution", codec::PULSES_PER_REV).await?;
+        if codec::PULSES_RANGE.contains(&pulses) {
+            return Ok(pulses);
+        }
+        let needed = "200 to 51200 (is this an EM2RS?)".into();
+        Err(station.wrong(format!("{pulses} pulses per revolution"), needed))
+    }
+
+    /// What the status word says; the position is not read.
+    async fn state(station: &Station) -> Result<DriveState, RigError> {
+        let status = station.read("status", codec::read_one(codec::STATUS)).await?;
+        let state = codec::parse(&status, &[0, 0]);
+        state.ok_or_else(|| station.garbled("status", "no register".into()))
     }
 }
 
@@ -71,19 +89,31 @@ impl Drive for LeadshineEm2rs {
         vec![codec::clear_alarm()]
     }
 
+    async fn identify(&self, station: &Station) -> Result<Found, RigError> {
+        let pulses = Self::pulses(station).await?;
+        let state = Self::state(station).await?;
+        let alarm = match state.fault {
+            true => Some(Self::word(station, "alarm code", codec::ALARM).await?),
+            false => None,
+        };
+        Ok(Found {
+            device: format!("Leadshine EM2RS, {pulses} pulses/rev"),
+            enabled: state.ready,
+            homed: state.homed,
+            alarm: alarm.map(u32::from),
+            // Its status tells neither a stop by hardware nor who else may command.
+            emergency_stop: false,
+            in_command: None,
+        })
+    }
+
     async fn prepare(&self, station: &Station, clock: &Clock) -> Result<String, RigError> {
-        let pulses = Self::word(station, "pulses per revolution", codec::PULSES_PER_REV).await?;
-        if !codec::PULSES_RANGE.contains(&pulses) {
-            let needed = "200 to 51200 (is this an EM2RS?)".into();
-            return Err(station.wrong(format!("{pulses} pulses per revolution"), needed));
-        }
+        let pulses = Self::pulses(station).await?;
         self.pulses_per_rev.store(pulses, Ordering::Relaxed);
         station.write("enable", codec::enable()).await?;
         let deadline = clock.now() + ENABLE_DEADLINE;
         loop {
-            let status = station.read("status", codec::read_one(codec::STATUS)).await?;
-            let state = codec::parse(&status, &[0, 0])
-                .ok_or_else(|| station.garbled("status", "no register".into()))?;
+            let state = Self::state(station).await?;
             if state.fault {
                 let alarm = Self::word(station, "alarm code", codec::ALARM).await?;
                 return Err(station.not_ready("motion", format!("alarm 0x{alarm:03X}")));

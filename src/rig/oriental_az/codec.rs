@@ -3,9 +3,11 @@
 //!
 //! Source: `field.md` 4; all values are 32-bit, high word at the lower address. Bits of the output
 //! status are the drive's default remote outputs `[unverified]`: check them against the manual and
-//! the drive's own set-up before trusting them.
+//! the drive's own set-up before trusting them. So is the register of the communication timeout,
+//! which `field.md` does not name, and that it takes effect at once and until power-off.
 
-use crate::rig::axis::{DriveState, MoveOrder};
+use crate::rig::axis::{DriveState, GuardRequest, MoveOrder};
+use crate::rig::config::Guard;
 use crate::rig::link::Request;
 use crate::rig::motion::Going;
 use crate::rig::words::{bit, from_words, to_count, to_words};
@@ -13,12 +15,16 @@ use crate::rig::words::{bit, from_words, to_count, to_words};
 /// Direct data operation: data number, type, position, speed, start rate, stop rate, current,
 /// trigger; sixteen registers, written as one block.
 pub const OPERATION: u16 = 0x0058;
+/// Current of the direct data operation, 0.1 %: what bounds the torque.
+pub const CURRENT: u16 = 0x0064;
 /// Driver input command.
 pub const INPUT: u16 = 0x007C;
 /// Driver output status, and after it the present alarm.
 pub const OUTPUT: u16 = 0x007E;
 /// Feedback position.
 pub const FEEDBACK: u16 = 0x00CC;
+/// Communication timeout, ms; 0 is none `[unverified]`.
+pub const TIMEOUT: u16 = 0x138A;
 
 /// Input command bit 4: homing.
 pub const IN_HOME: i32 = 1 << 4;
@@ -41,8 +47,8 @@ mod output {
 
 /// Operation type: absolute positioning.
 const ABSOLUTE: i32 = 1;
-/// Current, 0.1 %: all of it.
-const FULL_CURRENT: i32 = 1000;
+/// Counts of current in a percent.
+const CURRENT_PER_PERCENT: u32 = 10;
 /// Trigger: everything of the block at once.
 const TRIGGER_ALL: i32 = 1;
 /// Speeds that the drive takes, Hz.
@@ -65,6 +71,24 @@ pub fn read_feedback() -> Request {
     Request::ReadHolding { address: FEEDBACK, count: 2 }
 }
 
+/// Current for a share of the torque; all of it if no share is given.
+fn current(torque_percent: Option<u32>) -> i32 {
+    (torque_percent.unwrap_or(100) * CURRENT_PER_PERCENT) as i32
+}
+
+/// Writes and reads back the guards that are asked for. The current stands in each move's block as
+/// well; homing has a current of its own, which these do not bound.
+pub fn guard_requests(guard: &Guard) -> Vec<GuardRequest> {
+    let request = |key, address, value: i32| {
+        let words = to_words(value).to_vec();
+        let write = Request::WriteRegisters { address, words: words.clone() };
+        GuardRequest { key, write, read: Request::ReadHolding { address, count: 2 }, words }
+    };
+    let watchdog = guard.watchdog_ms.map(|ms| request("watchdog_ms", TIMEOUT, ms as i32));
+    let torque = guard.torque_percent.map(|p| request("torque_percent", CURRENT, current(Some(p))));
+    watchdog.into_iter().chain(torque).collect()
+}
+
 /// An absolute move as direct data operation.
 pub fn move_block(order: &MoveOrder) -> Request {
     let rate = to_count(order.acceleration, 1, RATE_MAX);
@@ -75,7 +99,7 @@ pub fn move_block(order: &MoveOrder) -> Request {
         to_count(order.speed, 1, SPEED_MAX),
         rate,
         rate,
-        FULL_CURRENT,
+        current(order.torque_percent),
         TRIGGER_ALL,
     ];
     let words = values.into_iter().flat_map(to_words).collect();
@@ -103,14 +127,31 @@ mod tests {
 
     #[test]
     fn a_move_is_one_block_of_sixteen() {
-        let order =
-            MoveOrder { target: -70_000, speed: 2000.4, acceleration: 1.5e5, tolerance: 5.0 };
+        let (speed, acceleration) = (2000.4, 1.5e5);
+        let (target, tolerance, torque_percent) = (-70_000, 5.0, None);
+        let order = MoveOrder { target, speed, acceleration, tolerance, torque_percent };
         let Request::WriteRegisters { address, words } = move_block(&order) else {
             panic!("a block write");
         };
         assert_eq!(address, 0x0058);
         let expected = [0, 0, 0, 1, 0xFFFE, 0xEE90, 0, 2000, 2, 0x49F0, 2, 0x49F0, 0, 1000, 0, 1];
         assert_eq!(words, expected);
+        let weak = move_block(&MoveOrder { torque_percent: Some(60), ..order });
+        let Request::WriteRegisters { words, .. } = weak else { panic!("a block write") };
+        assert_eq!(words[12..], [0, 600, 0, 1]);
+    }
+
+    #[test]
+    fn a_guard_is_written_and_the_same_words_are_expected_back() {
+        assert_eq!(guard_requests(&Guard::default()), []);
+        let guard = Guard { watchdog_ms: Some(70_000), torque_percent: Some(60) };
+        let requests = guard_requests(&guard);
+        let keys: Vec<_> = requests.iter().map(|r| r.key).collect();
+        assert_eq!(keys, ["watchdog_ms", "torque_percent"]);
+        assert_eq!(requests[0].words, [1, 4464]);
+        let write = Request::WriteRegisters { address: 0x0064, words: vec![0, 600] };
+        assert_eq!(requests[1].write, write);
+        assert_eq!(requests[1].read, Request::ReadHolding { address: 0x0064, count: 2 });
     }
 
     #[test]

@@ -1,16 +1,34 @@
 //! Driving an AZ: operation data in one block, homing and stop by the input command's edges.
 //! Uses: `codec`, `rig::axis`. Never: register addresses.
 
+use std::time::Duration;
+
 use super::codec;
 use crate::clock::Clock;
-use crate::rig::axis::{Drive, DriveState, MoveOrder};
+use crate::rig::axis::{Drive, DriveState, GuardRequest, MoveOrder};
+use crate::rig::config::Guard;
 use crate::rig::error::RigError;
 use crate::rig::link::Request;
 use crate::rig::station::Station;
+use crate::rig::traits::Found;
+
+/// Longest wait for READY after an alarm was reset or FREE ended, wall time.
+const READY_DEADLINE: Duration = Duration::from_secs(1);
+/// Wait between two looks at it.
+const READY_POLL: Duration = Duration::from_millis(10);
 
 /// An Oriental Motor AZ driver.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct OrientalAz;
+
+impl OrientalAz {
+    async fn state(station: &Station) -> Result<DriveState, RigError> {
+        let output = station.read("output status", codec::read_output()).await?;
+        let feedback = station.read("feedback position", codec::read_feedback()).await?;
+        let state = codec::parse(&output, &feedback);
+        state.ok_or_else(|| station.garbled("output status", "too few registers".into()))
+    }
+}
 
 impl Drive for OrientalAz {
     fn status_requests(&self) -> Vec<Request> {
@@ -41,21 +59,42 @@ impl Drive for OrientalAz {
         vec![codec::input(codec::IN_ALARM_RESET), codec::input(0)]
     }
 
+    fn guard_requests(&self, guard: &Guard) -> Vec<GuardRequest> {
+        codec::guard_requests(guard)
+    }
+
+    async fn identify(&self, station: &Station) -> Result<Found, RigError> {
+        let state = Self::state(station).await?;
+        Ok(Found {
+            device: "Oriental Motor AZ".into(),
+            enabled: state.ready,
+            homed: state.homed,
+            alarm: state.alarm,
+            // Its outputs tell neither a stop by hardware nor who else may command.
+            emergency_stop: false,
+            in_command: None,
+        })
+    }
+
     /// The motor is excited from power-up; FREE, STOP and the rest of the input command are
     /// cleared, and the outputs must say ready.
-    async fn prepare(&self, station: &Station, _clock: &Clock) -> Result<String, RigError> {
+    async fn prepare(&self, station: &Station, clock: &Clock) -> Result<String, RigError> {
         station.write("clear the input command", codec::input(0)).await?;
-        let output = station.read("output status", codec::read_output()).await?;
-        let feedback = station.read("feedback position", codec::read_feedback()).await?;
-        let state = codec::parse(&output, &feedback)
-            .ok_or_else(|| station.garbled("output status", "too few registers".into()))?;
-        if let Some(code) = state.alarm {
-            return Err(station.not_ready("motion", format!("alarm 0x{code:02X}")));
+        let deadline = clock.now() + READY_DEADLINE;
+        loop {
+            let state = Self::state(station).await?;
+            if let Some(code) = state.alarm {
+                return Err(station.not_ready("motion", format!("alarm 0x{code:02X}")));
+            }
+            if state.ready {
+                let homed = if state.homed { "homed" } else { "not homed" };
+                return Ok(format!("Oriental Motor AZ, ready, {homed}"));
+            }
+            if clock.now() >= deadline {
+                let why = format!("its READY output is off for {} s", READY_DEADLINE.as_secs());
+                return Err(station.not_ready("motion", why));
+            }
+            tokio::time::sleep(READY_POLL).await;
         }
-        if !state.ready {
-            return Err(station.not_ready("motion", "its READY output is off".into()));
-        }
-        let homed = if state.homed { "homed" } else { "not homed" };
-        Ok(format!("Oriental Motor AZ, ready, {homed}"))
     }
 }

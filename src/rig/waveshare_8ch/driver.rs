@@ -1,12 +1,15 @@
 //! Reading six load cells through a Waveshare 8CH.
 //! Uses: `codec`, `rig::station`. Never: register addresses, newtons.
 
+use std::sync::{Mutex, PoisonError};
+
 use async_trait::async_trait;
 
 use super::codec;
 use crate::clock::Clock;
 use crate::rig::config::{ARMS, CellsConfig};
 use crate::rig::error::RigError;
+use crate::rig::repeats::Repeats;
 use crate::rig::station::Station;
 use crate::rig::traits::{CellVolts, LoadCells};
 
@@ -17,13 +20,15 @@ pub struct Waveshare8ch {
     channels: [u8; ARMS],
     full_output_v: f64,
     clock: Clock,
+    repeats: Mutex<Repeats>,
 }
 
 impl Waveshare8ch {
     /// The module at a station, with the cells of a rig file.
     pub fn new(station: Station, cells: &CellsConfig, clock: Clock) -> Self {
         let full_output_v = 0.9 * cells.supply_v;
-        Self { station, channels: cells.channels, full_output_v, clock }
+        let repeats = Mutex::new(Repeats::new(cells.update_ms));
+        Self { station, channels: cells.channels, full_output_v, clock, repeats }
     }
 }
 
@@ -49,14 +54,16 @@ impl LoadCells for Waveshare8ch {
     }
 
     async fn read(&self) -> Result<CellVolts, RigError> {
-        let raw = self.station.read("values", codec::read_values()).await?;
+        let asked_s = self.clock.process_s();
+        let words = self.station.read("values", codec::read_values()).await?;
         let at = self.clock.now();
-        let mut volts = [0.0; ARMS];
-        for (v, &channel) in volts.iter_mut().zip(&self.channels) {
-            let word = raw.get(usize::from(channel)).copied();
-            let word = word.ok_or_else(|| self.station.garbled("values", "too few".into()))?;
-            *v = codec::volts(word);
+        let mut raw = [0; ARMS];
+        for (value, &channel) in raw.iter_mut().zip(&self.channels) {
+            let word = words.get(usize::from(channel)).copied();
+            *value = word.ok_or_else(|| self.station.garbled("values", "too few".into()))?;
         }
-        Ok(CellVolts { volts, at })
+        let mut repeats = self.repeats.lock().unwrap_or_else(PoisonError::into_inner);
+        let repeats = repeats.observe(raw, asked_s, self.clock.process_s_at(at));
+        Ok(CellVolts { volts: raw.map(codec::volts), repeats, at })
     }
 }

@@ -2,8 +2,8 @@
 //! own pace and held in between.
 //! PURE. Uses: `config`, `fault`. Never: registers (that is `device`), clocks.
 //!
-//! Ratiometric: V = supply x (0.1 + 0.8 F / full scale) (`field.md` 4). An arm without a tip has no
-//! cell on its cable and reads 0 V.
+//! Ratiometric: V = supply x (0.1 + 0.8 F / full scale) (`field.md` 4). A cell that is not on its
+//! cable reads 0 V; one on its cable has a live zero, whether a tip is mounted on it or not.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -63,18 +63,18 @@ impl CellBank {
         self.file.update_ms * 1e-3
     }
 
-    /// Converts: forces at the conversion's time, the attached tips and the faults at work.
+    /// Converts: forces at the conversion's time, how many cells are on their cables, and the faults
+    /// at work.
     pub fn convert(
         &mut self,
         conversion: i64,
         forces_n: &[f64; ARMS],
-        mounted: usize,
+        powered: usize,
         faults: &[(Kind, f64)],
     ) -> [f64; INPUTS] {
         let mut volts = [0.0; INPUTS];
         let t_s = self.time_s(conversion);
         for arm in 0..ARMS {
-            let attached = arm < mounted;
             let mut force = forces_n[arm] + self.offsets_n[arm];
             for (kind, began_s) in faults {
                 if let Kind::DriftingCell { arm: a, n_per_s } = kind
@@ -82,9 +82,14 @@ impl CellBank {
                 {
                     force += n_per_s * (t_s - began_s).max(0.0);
                 }
+                if let Kind::ForeignLoad { arm: a, n } = kind
+                    && *a == arm
+                {
+                    force += n;
+                }
             }
             force += NOISE_PART * self.file.full_scale_n * self.noise(conversion, arm);
-            let v = if attached { self.volts(force) } else { 0.0 };
+            let v = if arm < powered { self.volts(force) } else { 0.0 };
             volts[usize::from(self.file.channels[arm])] = self.with_faults(arm, v, faults);
         }
         self.held = Some((conversion, volts));
@@ -151,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn an_arm_without_a_tip_reads_nothing() {
+    fn a_cell_that_is_not_on_its_cable_reads_nothing() {
         let volts = bank().convert(0, &[0.0; 6], 2, &[]);
         assert!(volts[0] > 0.4 && volts[1] > 0.4);
         assert_eq!(volts[2..6], [0.0; 4]);
@@ -184,5 +189,16 @@ mod tests {
         assert_eq!(later[2], first[2]);
         let drift = (later[3] - first[3]) * 27.8 - 20.0;
         assert!((drift - 10.0).abs() < 0.3, "{drift}");
+    }
+
+    #[test]
+    fn a_foreign_load_pushes_or_pulls_on_a_cell_without_a_tip() {
+        let mut bank = bank();
+        let zero = bank.convert(10, &[0.0; 6], 6, &[]);
+        let push = (Kind::ForeignLoad { arm: 5, n: 8.0 }, 0.0);
+        let pull = (Kind::ForeignLoad { arm: 0, n: -3.0 }, 0.0);
+        let loaded = bank.convert(11, &[0.0; 6], 6, &[push, pull]);
+        let changes = [0, 5].map(|arm| (loaded[arm] - zero[arm]) * 27.8);
+        assert!((changes[0] + 3.0).abs() < 0.2 && (changes[1] - 8.0).abs() < 0.2, "{changes:?}");
     }
 }

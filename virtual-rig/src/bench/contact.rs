@@ -81,6 +81,7 @@ pub struct Indenter {
     surface_z_mm: f64,
     mechanics: Mechanics,
     mounted: usize,
+    missing: [bool; ARMS],
 }
 
 impl Indenter {
@@ -91,7 +92,8 @@ impl Indenter {
         surface_z_mm: f64,
         mechanics: Mechanics,
     ) -> Self {
-        Self { placement, size_mm, surface_z_mm, mechanics, mounted: ARMS }
+        let missing = [false; ARMS];
+        Self { placement, size_mm, surface_z_mm, mechanics, mounted: ARMS, missing }
     }
 
     /// Attached tips: arms 1 to n.
@@ -102,6 +104,16 @@ impl Indenter {
     /// Attaches tips to arms 1 to n.
     pub fn mount(&mut self, tips: usize) {
         self.mounted = tips.min(ARMS);
+    }
+
+    /// Arms whose tip has come off.
+    pub fn missing(&self) -> [bool; ARMS] {
+        self.missing
+    }
+
+    /// Takes tips off arms, or puts them back.
+    pub fn lose(&mut self, missing: [bool; ARMS]) {
+        self.missing = missing;
     }
 
     /// Machine z of the nominal surface, mm.
@@ -139,7 +151,7 @@ impl Indenter {
         let (centre, below) = (self.centre(pose), pose.z_mm - self.surface_z_mm);
         for (arm, force) in forces.iter_mut().enumerate().take(self.mounted) {
             let tip = self.tip(arm, pose);
-            if self.on_skin(tip[0], tip[1]) {
+            if !self.missing[arm] && self.on_skin(tip[0], tip[1]) {
                 let radius = pose.radius_mm;
                 *force = self.mechanics.force_n(arm, centre, radius, tip, below, unloading);
             }

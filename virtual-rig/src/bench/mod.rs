@@ -5,10 +5,12 @@
 mod cells;
 mod contact;
 mod frames;
+mod hands;
 mod report;
 
 pub use contact::{Load, Weight};
 pub use frames::TakenFrame;
+pub use hands::Refusal;
 pub use report::{AxisReport, Report, StopReceipt};
 
 use std::collections::VecDeque;
@@ -54,21 +56,13 @@ pub struct WireCounters {
     pub struck: u64,
 }
 
-/// Why the operator's hand was held back.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum Refusal {
-    /// Tips are pressing.
-    #[error("tips are pressing: raise z first")]
-    Pressing,
-    /// More tips than arms.
-    #[error("tips must be 0 to 6")]
-    Tips,
-    /// A weight beside the skin.
-    #[error("a weight must stand on the skin")]
-    OffSkin,
-    /// A weight without weight.
-    #[error("a weight's force_n must be positive and at most 1000")]
-    Force,
+/// The worst since the last clearing.
+#[derive(Debug, Clone, Copy)]
+struct Peaks {
+    /// Largest true force on a tip, N.
+    force_n: f64,
+    /// Deepest machine z.
+    z_mm: f64,
 }
 
 struct Axis {
@@ -98,6 +92,9 @@ pub struct Bench {
     load: Option<Arc<Load>>,
     pressing: bool,
     deepest_z_mm: f64,
+    /// Cells on their cables: arms 1 to n.
+    powered: usize,
+    peaks: Peaks,
     presses: u64,
     lateral_in_contact: u64,
     /// Motion of x, y, radial that has been counted already.
@@ -132,7 +129,7 @@ impl Bench {
             let servo_at_power_up = AxisMap::servo_at_power_up(file.device);
             Axis {
                 drive: Drive::power_up(mechanism, at, servo_at_power_up),
-                map: AxisMap::new(file.device, file.counts_per_unit),
+                map: AxisMap::new(file.device, file.counts_per_unit, rig.clock_rate),
                 line: file.line.clone(),
                 unit: file.unit,
                 servo_at_power_up,
@@ -141,6 +138,7 @@ impl Bench {
         };
         let axes = AxisName::ALL.map(&mut axis);
         let play = Play::new(rig.slot, axes[AxisName::Radial.index()].drive.position(0.0));
+        let z_mm = axes[AxisName::Z.index()].drive.position(0.0);
         Self {
             axes,
             cells_map: CellsMap::new(rig.cells.device),
@@ -156,6 +154,8 @@ impl Bench {
             load: None,
             pressing: false,
             deepest_z_mm: f64::NEG_INFINITY,
+            powered: ARMS,
+            peaks: Peaks { force_n: 0.0, z_mm },
             presses: 0,
             lateral_in_contact: 0,
             counted_motion: [0; 4],
@@ -185,9 +185,11 @@ impl Bench {
         self.frames.skip_to(t_s);
         while self.now_s < t_s {
             let end_s = self.frames.end_s();
-            let until = end_s.min(t_s).max(self.now_s);
+            let watchdogs_s = self.axes.iter().filter_map(|axis| axis.map.watchdog_s());
+            let until = watchdogs_s.fold(end_s.min(t_s), f64::min).max(self.now_s);
             self.pass(self.now_s, until);
             self.now_s = until;
+            self.watch();
             if until >= end_s {
                 if !self.frames.spoilt() {
                     self.hold_load();
@@ -204,6 +206,19 @@ impl Bench {
         }
     }
 
+    /// Lets watchdogs that have run out stop their motors.
+    fn watch(&mut self) {
+        let t_s = self.now_s;
+        let ran_out = |axis: &Axis| axis.map.watchdog_s().is_some_and(|end_s| end_s <= t_s);
+        if self.axes.iter().any(ran_out) {
+            self.hold_cells();
+            for axis in &mut self.axes {
+                axis.drive.refresh(t_s);
+                axis.map.watch(&mut axis.drive, t_s);
+            }
+        }
+    }
+
     /// What motion does between two times within one frame.
     fn pass(&mut self, from_s: f64, to_s: f64) {
         let turning = AxisName::ALL.map(|n| self.drive(n).turns_between(from_s));
@@ -213,8 +228,11 @@ impl Bench {
         self.load = None;
         let deepest_mm = self.drive(AxisName::Z).range(from_s, to_s)[1];
         let end = self.pose(to_s);
-        let touching = !self.indenter.surely_clear(deepest_mm)
-            && self.indenter.touches(&Pose { z_mm: deepest_mm, ..end });
+        let forces = self.indenter.forces_n(&Pose { z_mm: deepest_mm, ..end }, false);
+        let largest_n = forces.iter().copied().fold(0.0, f64::max);
+        let touching = largest_n > 0.0;
+        self.peaks.force_n = self.peaks.force_n.max(largest_n);
+        self.peaks.z_mm = self.peaks.z_mm.max(deepest_mm);
         if touching || self.pressing {
             self.frames.spoil();
         }
@@ -269,7 +287,10 @@ impl Bench {
             axis.drive.set_jam(t_s, jam.is_some(), jam.flatten());
             match sudden {
                 Some(Kind::Alarm { code }) => axis.drive.trip(t_s, Alarm::Scripted(code)),
-                Some(Kind::PowerLoss) => axis.drive.power_cycle(t_s, axis.servo_at_power_up),
+                Some(Kind::PowerLoss) => {
+                    axis.drive.power_cycle(t_s, axis.servo_at_power_up);
+                    axis.map.power_cycle();
+                }
                 _ => {}
             }
             if !stale {
@@ -277,6 +298,13 @@ impl Bench {
             } else if axis.stale.is_none() {
                 axis.stale = Some((axis.map.clone(), axis.drive.clone(), t_s));
             }
+        }
+        let missing = self.faults.missing_tips(t_s);
+        if missing != self.indenter.missing() {
+            self.hold_cells();
+            self.indenter.lose(missing);
+            self.load = None;
+            self.frames.spoil();
         }
         if self.faults.stale_since(&Target::Cells, t_s).is_none() {
             self.stale_cells = None;
@@ -299,7 +327,7 @@ impl Bench {
         let pose = self.pose(self.cells.time_s(conversion));
         let forces = self.indenter.forces_n(&pose, self.unloading(pose.z_mm));
         let faults = self.faults.cells(self.now_s);
-        self.cells.convert(conversion, &forces, self.indenter.mounted(), &faults)
+        self.cells.convert(conversion, &forces, self.powered, &faults)
     }
 
     /// Whom a request means.
@@ -367,6 +395,7 @@ impl Bench {
             self.hold_cells();
         }
         let axis = &mut self.axes[name.index()];
+        axis.map.hear(t_s);
         if let Some((map, drive, since_s)) = &mut axis.stale
             && !request.writes()
         {
@@ -380,8 +409,9 @@ impl Bench {
             if self.stops.len() >= RECEIPTS_MAX {
                 self.stops.pop_front();
             }
-            let axis = name.as_str();
-            self.stops.push_back(StopReceipt { axis, unix_s: received_unix_s, process_s: t_s });
+            let (axis, position) = (name.as_str(), axis.drive.position(t_s));
+            let (unix_s, process_s) = (received_unix_s, t_s);
+            self.stops.push_back(StopReceipt { axis, unix_s, process_s, position });
         }
         if moved && name == AxisName::Z {
             self.expect_load();
@@ -441,40 +471,5 @@ impl Bench {
     pub fn clear_faults(&mut self) {
         self.faults.clear();
         self.strike();
-    }
-
-    /// The operator attaches tips to arms 1 to n.
-    pub fn mount(&mut self, tips: usize) -> Result<(), Refusal> {
-        if tips > ARMS {
-            return Err(Refusal::Tips);
-        }
-        let pose = self.pose(self.now_s);
-        if self.indenter.touches(&pose) {
-            return Err(Refusal::Pressing);
-        }
-        let before = self.indenter.mounted();
-        self.indenter.mount(tips);
-        if self.indenter.touches(&pose) {
-            self.indenter.mount(before);
-            return Err(Refusal::Pressing);
-        }
-        self.cells.forget();
-        Ok(())
-    }
-
-    /// The operator puts weights down, in place of those that stood there.
-    pub fn place(&mut self, weights: Vec<Weight>) -> Result<(), Refusal> {
-        for w in &weights {
-            if !self.indenter.on_skin(w.x_mm, w.y_mm) {
-                return Err(Refusal::OffSkin);
-            }
-            if !(w.force_n > 0.0 && w.force_n <= 1000.0) {
-                return Err(Refusal::Force);
-            }
-        }
-        self.weights = weights;
-        self.load = None;
-        self.frames.spoil();
-        Ok(())
     }
 }

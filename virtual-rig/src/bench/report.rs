@@ -15,6 +15,8 @@ pub struct StopReceipt {
     pub unix_s: f64,
     /// The same in process seconds.
     pub process_s: f64,
+    /// True position of the axis at that time, mm or degrees.
+    pub position: f64,
 }
 
 /// One axis, as it truly is.
@@ -43,12 +45,18 @@ pub struct Report {
     pub axes: Vec<AxisReport>,
     /// Attached tips.
     pub tips: usize,
+    /// Cells on their cables.
+    pub powered: usize,
     /// True radius of the tips' circle, mm.
     pub radius_mm: f64,
     /// Machine z of the nominal surface, mm.
     pub surface_z_mm: f64,
     /// True forces on the arms, N.
     pub forces_n: [f64; ARMS],
+    /// Largest true force on a tip since the last `clear_peaks`, N.
+    pub peak_force_n: f64,
+    /// Deepest that z has been below the nominal surface since then, mm; above it is negative.
+    pub deepest_below_surface_mm: f64,
     /// Places of the tips from the skin's corner, mm.
     pub tips_mm: Vec<[f64; 2]>,
     /// Weights put down.
@@ -92,6 +100,9 @@ impl Bench {
             process_s: t_s,
             axes: AxisName::ALL.map(axis).to_vec(),
             tips: self.indenter.mounted(),
+            powered: self.powered,
+            peak_force_n: self.peaks.force_n,
+            deepest_below_surface_mm: self.peaks.z_mm - self.indenter.surface_z_mm(),
             radius_mm: pose.radius_mm,
             surface_z_mm: self.indenter.surface_z_mm(),
             forces_n: self.indenter.forces_n(&pose, self.unloading(pose.z_mm)),

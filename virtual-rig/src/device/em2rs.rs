@@ -82,6 +82,11 @@ impl Em2rs {
         }
     }
 
+    /// Power was lost and is back; nothing had been saved.
+    pub fn power_cycle(&mut self) {
+        *self = Self::new(f64::from(FACTORY_PULSES) / self.units_per_turn);
+    }
+
     /// Answers one request.
     pub fn serve(
         &mut self,

@@ -74,6 +74,11 @@ impl Iai {
         }
     }
 
+    /// Power was lost and is back.
+    pub fn power_cycle(&mut self) {
+        *self = Self::new(self.counts_per_unit);
+    }
+
     /// Answers one request.
     pub fn serve(
         &mut self,
@@ -242,7 +247,7 @@ impl Iai {
 
     /// Expansion status (unverified): enabled, Modbus in command, moving.
     fn dsse(&self, drive: &Drive, t_s: f64) -> u16 {
-        1 << 15 | u16::from(self.modbus_commands) << 7 | u16::from(drive.moving(t_s)) << 5
+        1 << 15 | u16::from(self.modbus_commands) << 8 | u16::from(drive.moving(t_s)) << 5
     }
 
     fn register(&self, address: u16, drive: &Drive, t_s: f64) -> Option<u16> {
@@ -365,7 +370,7 @@ mod tests {
         let mut rig = Rig::ready();
         rig.go(20_000, 30.0);
         assert_eq!(rig.read(DSS1, 30.1) & 1 << 3, 0);
-        assert_eq!(rig.read(DSSE, 30.1) & 1 << 5, 1 << 5);
+        assert_eq!(rig.read(DSSE, 30.1) & (1 << 8 | 1 << 5), 1 << 8 | 1 << 5);
         assert_eq!(rig.read(DSS1, 40.0), 1 << 13 | 1 << 12 | 1 << 4 | 1 << 3);
         assert_eq!(rig.read(0x9001, 40.0), 20_000);
         let high_only = Request::WriteRegister { address: PCMD, value: 0 };

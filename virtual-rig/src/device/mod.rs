@@ -27,12 +27,13 @@ pub enum AxisMap {
 }
 
 impl AxisMap {
-    /// The map of a device with so many counts in its axis's unit.
-    pub fn new(device: AxisDevice, counts_per_unit: f64) -> Self {
+    /// The map of a device with so many counts in its axis's unit, and so many process seconds in
+    /// one of its own: a watchdog runs on the wall's clock.
+    pub fn new(device: AxisDevice, counts_per_unit: f64, clock_rate: f64) -> Self {
         match device {
             AxisDevice::Iai => Self::Iai(iai::Iai::new(counts_per_unit)),
             AxisDevice::OrientalAz => {
-                Self::OrientalAz(oriental_az::OrientalAz::new(counts_per_unit))
+                Self::OrientalAz(oriental_az::OrientalAz::new(counts_per_unit, clock_rate))
             }
             AxisDevice::LeadshineEm2rs => Self::Em2rs(em2rs::Em2rs::new(counts_per_unit)),
         }
@@ -41,6 +42,37 @@ impl AxisMap {
     /// Whether the motor is on at power-up: IAI wants a servo-on, the others do not.
     pub fn servo_at_power_up(device: AxisDevice) -> bool {
         device != AxisDevice::Iai
+    }
+
+    /// Loses what a device does not keep without power.
+    pub fn power_cycle(&mut self) {
+        match self {
+            AxisMap::Iai(map) => map.power_cycle(),
+            AxisMap::OrientalAz(map) => map.power_cycle(),
+            AxisMap::Em2rs(map) => map.power_cycle(),
+        }
+    }
+
+    /// A request has reached the device, whatever becomes of it.
+    pub fn hear(&mut self, t_s: f64) {
+        if let AxisMap::OrientalAz(map) = self {
+            map.hear(t_s);
+        }
+    }
+
+    /// Process time at which the device's watchdog runs out unless a request comes before, s.
+    pub fn watchdog_s(&self) -> Option<f64> {
+        match self {
+            AxisMap::OrientalAz(map) => map.watchdog_s(),
+            AxisMap::Iai(_) | AxisMap::Em2rs(_) => None,
+        }
+    }
+
+    /// Lets a watchdog that has run out stop the motor.
+    pub fn watch(&mut self, drive: &mut Drive, t_s: f64) {
+        if let AxisMap::OrientalAz(map) = self {
+            map.watch(drive, t_s);
+        }
     }
 
     /// Answers one request at a process time.

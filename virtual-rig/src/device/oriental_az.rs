@@ -1,6 +1,8 @@
 //! Oriental Motor AZ: direct data operation in one block of eight 32-bit values.
 //! Registers from `field.md` 4 (HM-60262E); the high word stands at the lower address. Output and
-//! input bits are the factory assignment (unverified). PURE.
+//! input bits are the factory assignment (unverified). So are the communication timeout's register
+//! and what it does: the motor decelerates to a stand; the alarm that a driver may raise as well is
+//! left out. PURE.
 //! Never: clocks, wires; stored data operation, push and wrap motion are left out.
 
 use super::{counts, high, long, low, read_each};
@@ -36,6 +38,11 @@ const OUT_ALARM: u16 = 1 << 7;
 const OUT_MOVE: u16 = 1 << 13;
 const OUT_IN_POSITION: u16 = 1 << 14;
 
+/// Communication timeout, ms of the wall; 0 is none (unverified).
+const TIMEOUT: u16 = 0x138A;
+/// Longest that it takes, ms.
+const TIMEOUT_MAX_MS: i32 = 10_000;
+
 const PRESENT_ALARM: u16 = 0x0080;
 const COMMAND_POSITION: u16 = 0x00C6;
 const FEEDBACK_POSITION: u16 = 0x00CC;
@@ -54,18 +61,57 @@ pub struct OrientalAz {
     counts_per_unit: f64,
     block: [u16; BLOCK_WORDS],
     input: [u16; 2],
+    timeout: [u16; 2],
+    /// Process seconds in a second of the wall.
+    clock_rate: f64,
+    /// When the last request came, process s; none yet, or the watchdog has run out since.
+    heard_s: Option<f64>,
 }
 
 impl OrientalAz {
     /// A driver at power-up: motor excited, every value at the factory's.
-    pub fn new(counts_per_unit: f64) -> Self {
-        let mut az = Self { counts_per_unit, block: [0; BLOCK_WORDS], input: [0; 2] };
+    pub fn new(counts_per_unit: f64, clock_rate: f64) -> Self {
+        let mut az = Self {
+            counts_per_unit,
+            block: [0; BLOCK_WORDS],
+            input: [0; 2],
+            timeout: [0; 2],
+            clock_rate,
+            heard_s: None,
+        };
         for (i, value) in
             [(TYPE, 2), (SPEED, 1000), (START_RATE, 1_000_000), (STOP_RATE, 1_000_000), (6, 1000)]
         {
             (az.block[2 * i], az.block[2 * i + 1]) = (high(value), low(value));
         }
         az
+    }
+
+    /// Power was lost and is back.
+    pub fn power_cycle(&mut self) {
+        *self = Self::new(self.counts_per_unit, self.clock_rate);
+    }
+
+    /// A request has come.
+    pub fn hear(&mut self, t_s: f64) {
+        self.heard_s = Some(t_s);
+    }
+
+    /// When the watchdog runs out unless a request comes before, process s.
+    pub fn watchdog_s(&self) -> Option<f64> {
+        let ms = long(self.timeout[0], self.timeout[1]);
+        let after_s = f64::from(ms) * 1e-3 * self.clock_rate;
+        self.heard_s.filter(|_| ms > 0).map(|heard_s| heard_s + after_s)
+    }
+
+    /// Stops the motor if the watchdog has run out. It does so once, until the next request.
+    pub fn watch(&mut self, drive: &mut Drive, t_s: f64) {
+        if self.watchdog_s().is_some_and(|end_s| t_s >= end_s) {
+            self.heard_s = None;
+            if drive.moving(t_s) {
+                drive.brake(t_s);
+            }
+        }
     }
 
     /// Answers one request.
@@ -112,6 +158,13 @@ impl OrientalAz {
             let first = usize::from(address - INPUT);
             input[first..first + values.len()].copy_from_slice(values);
             self.set_input(input, drive, t_s);
+            return Ok(Reply::Written);
+        }
+        if address == TIMEOUT && values.len() == 2 {
+            if !(0..=TIMEOUT_MAX_MS).contains(&long(values[0], values[1])) {
+                return Err(Exception::IllegalValue);
+            }
+            self.timeout = [values[0], values[1]];
             return Ok(Reply::Written);
         }
         Err(Exception::IllegalAddress)
@@ -213,6 +266,7 @@ impl OrientalAz {
             FEEDBACK_RPM => (f64::from(hertz) / STEPS_PER_TURN * 60.0).round() as i32,
             FEEDBACK_HZ => hertz,
             TORQUE => 0,
+            TIMEOUT => long(self.timeout[0], self.timeout[1]),
             _ => return None,
         };
         Some(if address == base { high(value) } else { low(value) })
@@ -238,7 +292,8 @@ mod tests {
     const STAGE: Mechanism = Mechanism { travel: [0.0, 560.0], speed: 250.0, acceleration: 1500.0 };
 
     fn ready() -> (OrientalAz, Drive) {
-        let (mut map, mut drive) = (OrientalAz::new(200.0), Drive::power_up(STAGE, 40.0, true));
+        let mut map = OrientalAz::new(200.0, 20.0);
+        let mut drive = Drive::power_up(STAGE, 40.0, true);
         input(&mut map, &mut drive, IN_HOME, 0.0);
         input(&mut map, &mut drive, 0, 0.1);
         drive.refresh(20.0);
@@ -290,12 +345,35 @@ mod tests {
 
     #[test]
     fn an_absolute_move_before_homing_is_an_alarm() {
-        let (mut map, mut drive) = (OrientalAz::new(200.0), Drive::power_up(STAGE, 40.0, true));
+        let mut map = OrientalAz::new(200.0, 20.0);
+        let mut drive = Drive::power_up(STAGE, 40.0, true);
         map.serve(&go(40_000, 50_000), &mut drive, 0.0).unwrap();
         assert_eq!(read_long(&mut map, &mut drive, PRESENT_ALARM, 0.0), 0x4A);
         assert!(!drive.moving(0.0));
         input(&mut map, &mut drive, IN_ALARM_RESET, 1.0);
         assert_eq!(read_long(&mut map, &mut drive, PRESENT_ALARM, 1.0), 0);
+    }
+
+    #[test]
+    fn a_watchdog_stops_the_motor_when_no_request_has_come_for_so_long() {
+        let (mut map, mut drive) = ready();
+        assert_eq!(map.watchdog_s(), None);
+        let set = |ms: u16| Request::WriteRegisters { address: TIMEOUT, values: vec![0, ms] };
+        assert_eq!(map.serve(&set(20_000), &mut drive, 25.0), Err(Exception::IllegalValue));
+        // 50 ms of the wall are one process second here.
+        assert_eq!(map.serve(&set(50), &mut drive, 25.0), Ok(Reply::Written));
+        assert_eq!(read_long(&mut map, &mut drive, TIMEOUT, 25.0), 50);
+        map.serve(&go(100_000, 20_000), &mut drive, 30.0).unwrap();
+        map.hear(30.0);
+        map.hear(30.8);
+        assert_eq!(map.watchdog_s(), Some(31.8));
+        map.watch(&mut drive, 31.7);
+        assert!(drive.velocity(31.7) > 90.0, "100 mm/s, undisturbed");
+        map.watch(&mut drive, 31.8);
+        assert!(!drive.moving(32.0) && drive.position(40.0) < 200.0);
+        assert_eq!((drive.alarm(), drive.stops(), map.watchdog_s()), (None, 0, None));
+        map.power_cycle();
+        assert_eq!(read_long(&mut map, &mut drive, TIMEOUT, 41.0), 0, "it is not kept");
     }
 
     #[test]

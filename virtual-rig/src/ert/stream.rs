@@ -44,6 +44,7 @@ impl Stream {
         let stop = Arc::new(AtomicBool::new(false));
         let electrodes = usize::from(lab.rig.ert.electrodes());
         let mut reader = Sender {
+            stop: Arc::clone(&stop),
             lab,
             readout,
             sinks,
@@ -54,9 +55,8 @@ impl Stream {
             chance: ChaCha8Rng::seed_from_u64(seed),
             status_due_s: 0.0,
         };
-        let stopped = Arc::clone(&stop);
         let thread = thread::Builder::new().name("readout".into()).spawn(move || {
-            while !stopped.load(Ordering::Relaxed) {
+            while !reader.stop.load(Ordering::Relaxed) {
                 reader.turn();
             }
         })?;
@@ -74,6 +74,7 @@ impl Drop for Stream {
 }
 
 struct Sender {
+    stop: Arc<AtomicBool>,
     lab: Arc<Lab>,
     readout: Readout,
     sinks: Sinks,
@@ -115,6 +116,10 @@ impl Sender {
         self.batch.clear();
         let (mut sent, mut unsolved) = (0, 0);
         for frame in frames {
+            // A slow machine may have thousands of frames to make up for: seconds.
+            if self.stop.load(Ordering::Relaxed) {
+                return;
+            }
             let Some(held) = self.lab.solver.solved(&frame.load) else {
                 self.lab.solver.request(frame.load);
                 unsolved += 1;

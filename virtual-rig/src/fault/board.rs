@@ -3,7 +3,7 @@
 //! PURE. Uses: `fault`. Never: clocks (times are handed in), wires.
 
 use super::{Fault, Kind, Part, Start, Target};
-use crate::config::AxisName;
+use crate::config::{ARMS, AxisName};
 
 #[derive(Debug, Clone)]
 struct Entry {
@@ -167,6 +167,17 @@ impl Board {
             .filter(|(f, _, _)| f.target == Target::Cells)
             .map(|(f, began, _)| (f.kind, began))
             .collect()
+    }
+
+    /// Arms whose tip has come off.
+    pub fn missing_tips(&mut self, t_s: f64) -> [bool; ARMS] {
+        let mut missing = [false; ARMS];
+        for (fault, _, _) in self.active(t_s) {
+            if let Kind::MissingTip { arm } = fault.kind {
+                missing[arm] = true;
+            }
+        }
+        missing
     }
 
     /// Faults of the stream at work.

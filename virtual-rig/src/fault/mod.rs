@@ -55,6 +55,7 @@ pub struct FaultEntry {
     executed: Option<bool>,
     arm: Option<u8>,
     n_per_s: Option<f64>,
+    n: Option<f64>,
     rate: Option<f64>,
     alarm_after_s: Option<f64>,
 }
@@ -141,6 +142,18 @@ pub enum Kind {
         arm: usize,
         /// How fast, N per process second.
         n_per_s: f64,
+    },
+    /// Something loads a cell besides its tip, also where there is no tip.
+    ForeignLoad {
+        /// Index of the arm, from 0.
+        arm: usize,
+        /// How hard, N; below 0 it pulls.
+        n: f64,
+    },
+    /// A tip has come off: its arm never presses, and its cell stays on its cable.
+    MissingTip {
+        /// Index of the arm, from 0.
+        arm: usize,
     },
     /// Bytes of the stream are lost.
     DropBytes {
@@ -234,6 +247,15 @@ impl Entry<'_> {
         }
     }
 
+    /// A load on a cell, N, and positive: the kind says whether it pushes or pulls.
+    fn load_n(&self) -> Result<f64, FaultError> {
+        match self.entry.n {
+            Some(n) if n > 0.0 && n <= 1000.0 => Ok(n),
+            Some(n) => Err(self.bad("n", n, "must be above 0, at most 1000")),
+            None => Err(self.bad("n", "", "is needed: newtons")),
+        }
+    }
+
     fn rate(&self) -> Result<f64, FaultError> {
         let rate = self.entry.rate.unwrap_or(1.0);
         let ok = rate > 0.0 && rate <= 1.0;
@@ -264,7 +286,8 @@ impl Entry<'_> {
             "stuck_axis" => Kind::StuckAxis { alarm_after_s: e.alarm_after_s },
             "alarm" => Kind::Alarm { code: e.code.unwrap_or(0xFF) },
             "power_loss" => Kind::PowerLoss,
-            "stale_registers" => Kind::StaleRegisters,
+            // A module that hangs answers with its last conversion, and no more than that.
+            "stale_registers" | "hung_module" => Kind::StaleRegisters,
             "dead_cell" => Kind::DeadCell { arm: self.arm()? },
             "saturated_cell" => Kind::SaturatedCell { arm: self.arm()? },
             "frozen_cell" => Kind::FrozenCell { arm: self.arm()? },
@@ -272,6 +295,9 @@ impl Entry<'_> {
                 let n_per_s = e.n_per_s.ok_or_else(|| self.bad("n_per_s", "", "is needed"))?;
                 Kind::DriftingCell { arm: self.arm()?, n_per_s }
             }
+            "foreign_load" => Kind::ForeignLoad { arm: self.arm()?, n: self.load_n()? },
+            "pulling_cell" => Kind::ForeignLoad { arm: self.arm()?, n: -self.load_n()? },
+            "missing_tip" => Kind::MissingTip { arm: self.arm()? },
             "drop_bytes" => Kind::DropBytes { rate: self.rate()? },
             "flip_bytes" => Kind::FlipBytes { rate: self.rate()? },
             "double_bytes" => Kind::DoubleBytes { rate: self.rate()? },
@@ -302,7 +328,9 @@ impl Entry<'_> {
 
     /// A line may well be called `cells`: then only faults of a module mean the module.
     fn befalls_cells(&self) -> bool {
-        self.entry.kind.ends_with("_cell") || self.entry.kind == "stale_registers"
+        let kind = self.entry.kind.as_str();
+        let of_module = ["stale_registers", "hung_module", "foreign_load", "missing_tip"];
+        kind.ends_with("_cell") || of_module.contains(&kind)
     }
 
     fn start(&self) -> Result<Start, FaultError> {
@@ -320,8 +348,9 @@ impl Entry<'_> {
 }
 
 const KINDS: &str = "must be no_reply, exception, disconnect, late_reply, garbled_reply, \
-    stuck_axis, alarm, power_loss, stale_registers, dead_cell, saturated_cell, frozen_cell, \
-    drifting_cell, drop_bytes, flip_bytes, double_bytes or stall_stream";
+    stuck_axis, alarm, power_loss, stale_registers, hung_module, dead_cell, saturated_cell, \
+    frozen_cell, drifting_cell, pulling_cell, foreign_load, missing_tip, drop_bytes, flip_bytes, \
+    double_bytes or stall_stream";
 
 fn check(index: usize, entry: &FaultEntry, rig: &RigFile) -> Result<Fault, FaultError> {
     let e = Entry { index, entry };
@@ -335,6 +364,9 @@ fn check(index: usize, entry: &FaultEntry, rig: &RigFile) -> Result<Fault, Fault
             | Kind::GarbledReply { .. },
             target,
         ) => (*target != Target::Ert, "an axis, cells or a line"),
+        (Kind::StaleRegisters, target) if entry.kind == "hung_module" => {
+            (*target == Target::Cells, "cells")
+        }
         (Kind::StaleRegisters, target) => {
             (matches!(target, Target::Axis(_) | Target::Cells), "an axis or cells")
         }
@@ -345,7 +377,9 @@ fn check(index: usize, entry: &FaultEntry, rig: &RigFile) -> Result<Fault, Fault
             Kind::DeadCell { .. }
             | Kind::SaturatedCell { .. }
             | Kind::FrozenCell { .. }
-            | Kind::DriftingCell { .. },
+            | Kind::DriftingCell { .. }
+            | Kind::ForeignLoad { .. }
+            | Kind::MissingTip { .. },
             target,
         ) => (*target == Target::Cells, "cells"),
         (
@@ -397,10 +431,14 @@ mod tests {
 
     #[test]
     fn the_example_has_every_kind() {
-        let faults = script(include_str!("../../examples/faults.toml"), &rig()).unwrap();
-        let kinds: std::collections::HashSet<_> =
-            faults.iter().map(|f| std::mem::discriminant(&f.kind)).collect();
-        assert_eq!(kinds.len(), KINDS.split(',').count() + 1);
+        let text = include_str!("../../examples/faults.toml");
+        script(text, &rig()).unwrap();
+        let shown: std::collections::BTreeSet<&str> = text
+            .lines()
+            .filter_map(|line| line.strip_prefix("kind = \"")?.strip_suffix('"'))
+            .collect();
+        let named = KINDS.trim_start_matches("must be ").replace(" or ", ", ");
+        assert_eq!(shown, named.split(", ").collect());
     }
 
     #[test]
@@ -419,6 +457,8 @@ mod tests {
             ("kind = \"explode\"\ndevice = \"z\"", "fault 1: kind = explode: must be no_reply"),
             ("kind = \"dead_cell\"\ndevice = \"cells\"\narm = 7", "arm = 7: must be 1 to 6"),
             ("kind = \"stall_stream\"\ndevice = \"z\"", "stall_stream befalls ert"),
+            ("kind = \"hung_module\"\ndevice = \"z\"", "hung_module befalls cells"),
+            ("kind = \"pulling_cell\"\ndevice = \"cells\"\narm = 1", "n = : is needed"),
             ("kind = \"exception\"\ndevice = \"z\"", "code = : is needed: 1 to 255"),
             ("kind = \"no_reply\"\ndevice = \"z\"\nat_s = 1.0\nat_press = 2", "give one of"),
             ("kind = \"no_reply\"\ndevice = \"z\"\nfor_s = 0.0", "for_s = 0"),
