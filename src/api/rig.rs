@@ -29,6 +29,8 @@ pub struct RigAct {
     pub axis: Option<String>,
     /// For `jog`: absolute target, mm.
     pub to_mm: Option<f64>,
+    /// For `tips`: how many are mounted, on arms 1 to n; 0 to 6.
+    pub tips: Option<u8>,
     /// Who asks.
     pub who: Option<String>,
     /// Why.
@@ -49,6 +51,8 @@ pub enum RigAction {
     Jog,
     /// Read the cells' zeros.
     Tare,
+    /// Say how many tips are mounted.
+    Tips,
     /// Acknowledge a trip.
     Reset,
 }
@@ -79,6 +83,12 @@ pub async fn act(
         RigAction::Home => ("home", Request::Home),
         RigAction::Tare => ("tare", Request::Tare),
         RigAction::Reset => ("reset", Request::Reset),
+        RigAction::Tips => {
+            let tips = act.tips.ok_or_else(|| {
+                ApiError::value("tips", "absent", "how many tips are mounted: 0 to 6")
+            })?;
+            ("tips", Request::Mounted { tips, who: asker.name(act.who.as_deref()) })
+        }
         RigAction::Jog => {
             let axis = act.axis.clone().unwrap_or_default();
             let to_mm = act.to_mm.filter(|v| v.is_finite()).ok_or_else(|| {

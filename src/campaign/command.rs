@@ -40,6 +40,13 @@ pub enum Request {
     Tare,
     /// Acknowledge a trip.
     Reset,
+    /// A person has mounted this many tips, on arms 1 to n.
+    Mounted {
+        /// How many.
+        tips: u8,
+        /// Who.
+        who: String,
+    },
     /// Start (or go on with) a run that has passed its preflight and was armed.
     Start(Arc<Job>),
     /// Pause after the current trial.
@@ -135,6 +142,11 @@ impl Handle {
     /// Stops every axis at once; needs no state, no lock and no queue.
     pub fn estop(&self, why: &str) {
         self.estop.press(why);
+    }
+
+    /// The stop button, for a bench that somebody else opens.
+    pub fn stop_switch(&self) -> StopSwitch {
+        self.estop.clone()
     }
 
     /// The newest status.

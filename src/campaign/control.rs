@@ -1,20 +1,29 @@
-//! Requests meet the state machines here: what is allowed, what it leads to, what is shown.
-//! Uses: `campaign::{command, run_state, rig_state, status}`. Never: motion, wires.
+//! Requests meet the state machines here: what is allowed, what it leads to, what is shown. All of
+//! it happens in memory; the diary writes it down afterwards.
+//! Uses: `campaign::{command, run_state, rig_state, status, diary}`. Never: motion, wires, a wait for
+//! the store but where the tips are up (`flush`, `at_rest`).
 
 use std::sync::Arc;
 
-use jiff::Timestamp;
+use std::time::Duration;
+
 use serde_json::json;
 
 use super::command::{Envelope, Inbox, Refusal, Request};
+use super::diary::{Diary, Note};
 use super::estop::StopSwitch;
 use super::halt::Halt;
 use super::interlock::{Trip, TripKind};
-use super::journal::Journal;
+use super::journal::{Journal, JournalError};
 use super::rig_state::{self, RigEvent, RigState};
 use super::run_state::{self, PausedWhy, RunAction, RunEvent, RunState};
 use super::status::{Phase, RunStatus, Status};
 use crate::ids::RunUid;
+
+/// Longest wait for the store: for a trial to be durable, or for what was noted.
+pub const STORE_LIMIT: Duration = Duration::from_secs(30);
+/// Between two looks at requests while the store is waited for at rest.
+const LOOK: Duration = Duration::from_millis(20);
 
 /// The states of rig and run, the requests, and the status that is shown.
 pub struct Control {
@@ -22,7 +31,9 @@ pub struct Control {
     pub inbox: Inbox,
     /// The stop button.
     pub estop: StopSwitch,
-    /// Where events go.
+    /// Where everything that happens is noted.
+    pub diary: Diary,
+    /// Answers questions about what is stored.
     pub journal: Arc<dyn Journal>,
     rig: RigState,
     run: RunState,
@@ -33,10 +44,16 @@ pub struct Control {
 
 impl Control {
     /// A control with no wires open and no run.
-    pub fn new(inbox: Inbox, estop: StopSwitch, journal: Arc<dyn Journal>) -> Self {
+    pub fn new(
+        inbox: Inbox,
+        estop: StopSwitch,
+        diary: Diary,
+        journal: Arc<dyn Journal>,
+    ) -> Self {
         Self {
             inbox,
             estop,
+            diary,
             journal,
             rig: RigState::Disconnected,
             run: RunState::Idle,
@@ -79,45 +96,48 @@ impl Control {
     }
 
     /// Moves the rig's state.
-    pub async fn rig_event(&mut self, event: RigEvent) -> Result<(), Refusal> {
+    pub fn rig_event(&mut self, event: RigEvent) -> Result<(), Refusal> {
         let next = rig_state::step(self.rig, event).map_err(|e| Refusal::State(e.to_string()))?;
         let changed = next != self.rig;
         self.rig = next;
         self.show(|status| status.rig.state = next);
         if changed {
-            self.say("rig", json!({ "state": next })).await;
+            self.say("rig", json!({ "state": next }));
         }
         Ok(())
     }
 
-    /// Latches a trip, and says so.
-    pub async fn trip(&mut self, trip: &Trip) {
-        let shown = trip.clone();
-        self.show(|status| status.rig.trip = Some(shown));
+    /// Latches a trip in memory, then notes it. The first cause stays until it is reset.
+    pub fn latch(&mut self, trip: &Trip) {
+        let first = self.rig != RigState::Tripped;
         // A trip is allowed from every state with open wires; without any there is nothing to latch.
-        let _ = self.rig_event(RigEvent::Trip).await;
-        self.say("trip", json!(trip)).await;
+        let _ = self.rig_event(RigEvent::Trip);
+        if first {
+            let shown = trip.clone();
+            self.show(|status| status.rig.trip = Some(shown));
+        }
+        self.say("trip", json!(trip));
     }
 
     /// Begins a run's states.
-    pub async fn begin(&mut self, run: RunUid) -> Result<(), Refusal> {
+    pub fn begin(&mut self, run: RunUid) -> Result<(), Refusal> {
         self.current = Some(run);
-        self.run_event(RunEvent::Start).await.map(|_| ())
+        self.run_event(RunEvent::Start).map(|_| ())
     }
 
-    /// Moves the run's state, stores it, shows it.
-    pub async fn run_event(&mut self, event: RunEvent) -> Result<RunAction, Refusal> {
+    /// Moves the run's state, shows it, notes it.
+    pub fn run_event(&mut self, event: RunEvent) -> Result<RunAction, Refusal> {
         let (next, action) =
             run_state::step(self.run, event).map_err(|e| Refusal::State(e.to_string()))?;
         let changed = next != self.run;
         self.run = next;
         if changed {
-            self.publish_run_state(next).await;
+            self.publish_run_state(next);
         }
         Ok(action)
     }
 
-    async fn publish_run_state(&mut self, state: RunState) {
+    fn publish_run_state(&mut self, state: RunState) {
         let requested = match state {
             RunState::Pausing(_) | RunState::Suspending(_) => Some("paused"),
             RunState::Stopping | RunState::Aborting => Some("idle"),
@@ -132,17 +152,22 @@ impl Control {
                 run.wanted = None;
             }
         });
-        // An end is stored by `end_run`, with its status.
+        // An end is noted by `EndRun`, with its status.
         if let Some(run) = self.current.filter(|_| state != RunState::Idle) {
             let why = state.why().map(PausedWhy::as_str);
-            let now = Timestamp::now();
-            let stored = self.journal.run_state(run, state.as_str(), requested, why, now).await;
-            if let Err(error) = stored {
-                tracing::error!(%error, "the run's state was not stored");
-            }
-            let data = json!({ "state": state.as_str(), "requested": requested, "why": why });
-            self.say("state", data).await;
+            self.diary.note(Note::RunState(
+                run,
+                state.as_str().into(),
+                requested.map(Into::into),
+                why.map(Into::into),
+            ));
+            self.say("state", json!({ "state": state.as_str(), "requested": requested, "why": why }));
         }
+    }
+
+    /// The run under way.
+    pub fn run_uid(&self) -> Option<RunUid> {
+        self.current
     }
 
     /// Events belong to no run from now on.
@@ -161,23 +186,49 @@ impl Control {
         self.leaving = true;
     }
 
-    /// Stores an event for people. A store that cannot take it does not stop the rig here: the next
-    /// trial's commit will.
-    pub async fn say(&self, kind: &str, data: serde_json::Value) {
-        if let Err(error) = self.journal.event(self.current, kind, data, Timestamp::now()).await {
-            tracing::error!(%error, kind, "an event was not stored");
+    /// Notes an event for people.
+    pub fn say(&self, kind: &str, data: serde_json::Value) {
+        self.diary.note(Note::Event { run: self.current, kind: kind.into(), data });
+    }
+
+    /// Waits for the store while nothing moves and the tips are up; requests are taken up the while.
+    ///
+    /// # Errors
+    /// A stop or a request that wants a halt; the store's own failure, or its silence.
+    pub async fn at_rest<T>(
+        &mut self,
+        work: impl Future<Output = Result<T, JournalError>>,
+    ) -> Result<T, Halt> {
+        let mut work = std::pin::pin!(tokio::time::timeout(STORE_LIMIT, work));
+        loop {
+            tokio::select! {
+                biased;
+                done = &mut work => return match done {
+                    Ok(outcome) => Ok(outcome?),
+                    Err(_late) => Err(Halt::Store(silent())),
+                },
+                () = tokio::time::sleep(LOOK) => self.attend()?,
+            }
         }
     }
 
-    /// Takes up what was asked for meanwhile. Called at every poll of motion, settling and waiting
-    /// for frames; an error means that the tips must be raised now.
-    pub async fn attend(&mut self) -> Result<(), Halt> {
+    /// Everything noted so far is durable when this returns. For use at rest.
+    ///
+    /// # Errors
+    /// The store fails or stays silent; the notes are kept.
+    pub async fn flush(&self) -> Result<(), JournalError> {
+        tokio::time::timeout(STORE_LIMIT, self.diary.flush()).await.unwrap_or(Err(silent()))
+    }
+
+    /// Takes up what was asked for meanwhile. Called at every poll of motion, settling and waiting;
+    /// an error means that the rig must be made safe now.
+    pub fn attend(&mut self) -> Result<(), Halt> {
         if let Some(press) = self.estop.pressed() {
             return Err(Halt::trip(TripKind::Estop, press.why));
         }
         while let Ok(envelope) = self.inbox.requests.try_recv() {
-            let action = self.take_up_while_running(envelope).await;
-            if action == Some(RunAction::Raise) {
+            let action = self.take_up_while_moving(envelope);
+            if action == Some(RunAction::Raise) || self.leaving {
                 return Err(Halt::Asked);
             }
         }
@@ -185,8 +236,8 @@ impl Control {
     }
 
     /// After a commit: leaves the configuration if a pause or a stop was asked for.
-    pub async fn checkpoint(&mut self) -> Result<(), Halt> {
-        self.attend().await?;
+    pub fn checkpoint(&mut self) -> Result<(), Halt> {
+        self.attend()?;
         match self.run {
             RunState::Pausing(_) | RunState::Stopping => Err(Halt::Checkpoint),
             RunState::Idle
@@ -198,19 +249,27 @@ impl Control {
         }
     }
 
-    async fn take_up_while_running(&mut self, envelope: Envelope) -> Option<RunAction> {
-        let answer = match self.run_request(&envelope.request) {
-            Some(event) => self.run_event(event).await,
-            None => Err(Refusal::State(format!(
-                "{} is not possible while a run is {}",
-                name(&envelope.request),
-                self.run.as_str()
-            ))),
+    fn take_up_while_moving(&mut self, envelope: Envelope) -> Option<RunAction> {
+        let Envelope { request, answer } = envelope;
+        let idle = self.run == RunState::Idle;
+        let outcome = match self.run_request(&request) {
+            // A homing or a jog outside a run ends as well when the service is told to end.
+            Some(_) if idle && self.leaving => Ok(RunAction::Raise),
+            Some(event) => self.run_event(event),
+            None => {
+                let doing = if idle { "the rig moves".into() } else { self.run_words() };
+                let words = format!("{} is not possible while {doing}", name(&request));
+                Err(Refusal::State(words))
+            }
         };
-        let action = answer.as_ref().ok().copied();
+        let action = outcome.as_ref().ok().copied();
         // The asker may have gone; what was asked for still holds.
-        let _ = envelope.answer.send(answer.map(|_| ()));
+        let _ = answer.send(outcome.map(|_| ()));
         action
+    }
+
+    fn run_words(&self) -> String {
+        format!("a run is {}", self.run.as_str())
     }
 
     /// The event that a request means for a run, if it means one.
@@ -235,6 +294,7 @@ impl Control {
             | Request::Jog { .. }
             | Request::Tare
             | Request::Reset
+            | Request::Mounted { .. }
             | Request::Start(_)
             | Request::Confirm { .. }
             | Request::Repeat { .. } => None,
@@ -247,6 +307,10 @@ impl Control {
     }
 }
 
+fn silent() -> JournalError {
+    JournalError::of("a record", &format!("no answer within {} s", STORE_LIMIT.as_secs()))
+}
+
 /// The request's name, for a refusal.
 pub fn name(request: &Request) -> &'static str {
     match request {
@@ -256,6 +320,7 @@ pub fn name(request: &Request) -> &'static str {
         Request::Jog { .. } => "jog",
         Request::Tare => "tare",
         Request::Reset => "reset",
+        Request::Mounted { .. } => "tips",
         Request::Start(_) => "start",
         Request::PauseAtCheckpoint | Request::PauseNow => "pause",
         Request::Suspend(_) => "suspend",

@@ -1,17 +1,36 @@
-//! The software stop: one call from anywhere that reaches the wires ahead of every queue.
+//! The software stop: one call from anywhere that reaches the wires ahead of every queue, and is
+//! repeated until each axis has acknowledged it.
 //! Uses: tokio, `rig::traits`. Never: states, storage. It is not a certified emergency stop: that is
 //! hardware which removes power; this one only decelerates the axes.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use tokio::sync::Notify;
+use serde::{Deserialize, Serialize};
+use tokio::sync::watch;
 use tokio::time::Instant;
+use utoipa::ToSchema;
 
 use crate::rig::link::StopLatch;
-use crate::rig::traits::Bench;
+use crate::rig::traits::{Axis, Bench};
 
-/// A latching stop button.
+/// Pause before a stop that was not acknowledged is sent again: it is on the wire within this time
+/// once the wire carries again.
+const AGAIN: Duration = Duration::from_millis(50);
+
+/// What became of one axis's stop.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct AxisStop {
+    /// `x`, `y`, `z` or `radial`.
+    pub axis: String,
+    /// From the stop's request to the axis's acknowledgement, wall ms; absent: not acknowledged.
+    pub acknowledged_ms: Option<f64>,
+    /// Why it is not acknowledged.
+    pub error: Option<String>,
+}
+
+/// A latching stop button. Clones are the same button.
 #[derive(Debug, Clone, Default)]
 pub struct StopSwitch {
     inner: Arc<Inner>,
@@ -20,7 +39,7 @@ pub struct StopSwitch {
 #[derive(Debug, Default)]
 struct Inner {
     latch: StopLatch,
-    pressed: Notify,
+    pressed: watch::Sender<bool>,
     press: Mutex<Option<Press>>,
 }
 
@@ -31,32 +50,40 @@ pub struct Press {
     pub why: String,
     /// When.
     pub at: Instant,
-    /// From the press until the last axis had acknowledged its stop.
-    pub acknowledged_after: Option<Duration>,
+    stops: BTreeMap<&'static str, AxisStop>,
+}
+
+impl Press {
+    /// The axes' stops so far.
+    pub fn stops(&self) -> Vec<AxisStop> {
+        self.stops.values().cloned().collect()
+    }
+
+    /// From the press to the last axis's acknowledgement, wall ms; none while one is missing.
+    pub fn acknowledged_ms(&self) -> Option<f64> {
+        let each: Option<Vec<f64>> = self.stops.values().map(|s| s.acknowledged_ms).collect();
+        each?.into_iter().reduce(f64::max)
+    }
 }
 
 impl StopSwitch {
-    /// Latches and wakes the task that stops the axes. Idempotent: the first press counts.
+    /// Latches and wakes the tasks that stop the axes. Idempotent: the first press counts.
     pub fn press(&self, why: &str) {
-        {
-            let mut press = self.inner.press.lock().unwrap_or_else(PoisonError::into_inner);
-            if press.is_none() {
-                *press =
-                    Some(Press { why: why.into(), at: Instant::now(), acknowledged_after: None });
-            }
-        }
         self.inner.latch.latch();
-        self.inner.pressed.notify_one();
+        let press = || Press { why: why.into(), at: Instant::now(), stops: BTreeMap::new() };
+        self.press_slot().get_or_insert_with(press);
+        self.inner.pressed.send_replace(true);
     }
 
     /// The press that is latched, if any.
     pub fn pressed(&self) -> Option<Press> {
-        self.inner.press.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.press_slot().clone()
     }
 
     /// Releases the latch.
     pub fn release(&self) {
-        *self.inner.press.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        *self.press_slot() = None;
+        self.inner.pressed.send_replace(false);
         self.inner.latch.clear();
     }
 
@@ -65,23 +92,39 @@ impl StopSwitch {
         self.inner.latch.clone()
     }
 
-    /// Waits for presses and stops every axis at once, until it is dropped.
+    /// Waits for presses and stops every axis of a bench, each by itself, until dropped. A bench
+    /// that is opened while the stop is latched is stopped at once.
     pub async fn serve(self, bench: Bench) {
-        loop {
-            self.inner.pressed.notified().await;
-            let stops = bench.axes().map(|axis| {
-                let axis = axis.clone();
-                async move {
-                    if let Err(error) = axis.stop().await {
-                        tracing::error!(axis = axis.name(), %error, "stop was not acknowledged");
-                    }
-                }
-            });
+        let mut pressed = self.inner.pressed.subscribe();
+        while pressed.wait_for(|latched| *latched).await.is_ok() {
+            let stops = bench.axes().map(|axis| self.stop_until_acknowledged(axis.as_ref()));
             futures::future::join_all(stops).await;
-            let mut press = self.inner.press.lock().unwrap_or_else(PoisonError::into_inner);
-            if let Some(press) = press.as_mut() {
-                press.acknowledged_after.get_or_insert_with(|| press.at.elapsed());
+            if pressed.wait_for(|latched| !*latched).await.is_err() {
+                return;
             }
         }
+    }
+
+    async fn stop_until_acknowledged(&self, axis: &dyn Axis) {
+        while let Some(press) = self.pressed() {
+            let outcome = axis.stop().await;
+            let stop = AxisStop {
+                axis: axis.name().into(),
+                acknowledged_ms: outcome.is_ok().then(|| press.at.elapsed().as_secs_f64() * 1e3),
+                error: outcome.as_ref().err().map(ToString::to_string),
+            };
+            if let Some(press) = self.press_slot().as_mut() {
+                press.stops.insert(axis.name(), stop);
+            }
+            match outcome {
+                Ok(()) => return,
+                Err(error) => tracing::error!(axis = axis.name(), %error, "stop not acknowledged"),
+            }
+            tokio::time::sleep(AGAIN).await;
+        }
+    }
+
+    fn press_slot(&self) -> MutexGuard<'_, Option<Press>> {
+        self.inner.press.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -6,7 +6,7 @@ use super::journal::JournalError;
 use super::status::Wanted;
 use crate::rig::error::{RigError, Severity};
 
-/// Why a step of the plan was left before its end. In every case the tips are raised next.
+/// Why a step of the plan was left before its end. In every case the safe end comes next.
 #[derive(Debug)]
 pub enum Halt {
     /// A request that wants the tips up now: pause now, abort, suspend.
@@ -24,6 +24,18 @@ pub enum Halt {
 }
 
 impl Halt {
+    /// What latches the rig, if this halt does.
+    pub fn as_trip(&self) -> Option<&Trip> {
+        match self {
+            Halt::Trip(trip) => Some(trip),
+            Halt::Asked
+            | Halt::Checkpoint
+            | Halt::Needs(_)
+            | Halt::Failed(_)
+            | Halt::Store(_) => None,
+        }
+    }
+
     /// A trip of this kind.
     pub fn trip(kind: TripKind, detail: impl Into<String>) -> Self {
         Halt::Trip(Trip { kind, detail: detail.into() })

@@ -1,13 +1,17 @@
 //! Limits on every sample: forces, cells, positions. What trips the rig, as values.
-//! PURE. Uses: `rig::config`. Never: motion, wires, time.
+//! PURE. Uses: `rig::{config, traits}`. Never: motion, wires, time.
 //!
-//! `design.md` 8, law 3; load cells: `design.md` 5 (saturation, 0 V, a cell that stays still while
-//! depth grows).
+//! Each row of `docs/safety.md` that a single sample can decide is decided here; what takes two
+//! witnesses (the skin and the cells, depth and force) is `campaign::evidence`.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::rig::config::{ARMS, CellsConfig};
+use crate::rig::traits::CellVolts;
+
+/// Force on an arm without a tip that contradicts what was said to be mounted, N.
+const FOREIGN_N: f64 = 5.0;
 
 /// What latched the rig: the quantity, its value, its limit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -34,8 +38,10 @@ pub enum TripKind {
     Wire,
     /// A device reports an alarm or an exception.
     Device,
-    /// No fresh frame or sample in time.
+    /// No fresh frame or sample in time, or a module that repeats itself.
     Stale,
+    /// The service itself has failed.
+    Service,
 }
 
 impl TripKind {
@@ -48,7 +54,8 @@ impl TripKind {
             | TripKind::Force
             | TripKind::Cell
             | TripKind::Position
-            | TripKind::Device => false,
+            | TripKind::Device
+            | TripKind::Service => false,
         }
     }
 }
@@ -60,21 +67,26 @@ pub struct ForceLimits {
     pub each_n: f64,
     /// In sum, N.
     pub sum_n: f64,
+    /// Below the tare, N: a force this far under zero is no force.
+    pub below_n: f64,
 }
 
-/// Whether a cell is connected, from its output.
-pub fn is_live(cells: &CellsConfig, volts: f64) -> bool {
-    cells.is_live(volts)
-}
-
-/// Arms whose cells are connected, counted from arm 1; an error names the arms if they are not
-/// exactly the first ones.
-pub fn live_tips(cells: &CellsConfig, volts: &[f64; ARMS]) -> Result<u8, String> {
-    let live: Vec<usize> = (0..ARMS).filter(|&i| is_live(cells, volts[i])).map(|i| i + 1).collect();
-    if live.iter().copied().eq(1..=live.len()) {
-        Ok(live.len() as u8)
+/// What the cells show of the tips that a person says are mounted on arms 1 to n: how many cells
+/// are on their cables. Six powered cells under one tip are legal, and so is an unplugged cell
+/// beyond the tips.
+///
+/// # Errors
+/// An attached arm's cell is not there; the words name the arms.
+pub fn live_cells(cells: &CellsConfig, volts: &[f64; ARMS], tips: u8) -> Result<u8, String> {
+    let dead: Vec<String> = (0..usize::from(tips))
+        .filter(|&i| !cells.is_live(volts[i]))
+        .map(|i| format!("{} ({:.3} V)", i + 1, volts[i]))
+        .collect();
+    if dead.is_empty() {
+        Ok(volts.iter().filter(|&&v| cells.is_live(v)).count() as u8)
     } else {
-        Err(format!("live cells on arms {live:?}; tips must be mounted on arms 1 to n"))
+        let arms = dead.join(", ");
+        Err(format!("{tips} tips need live cells on arms 1 to {tips}; disconnected: arm {arms}"))
     }
 }
 
@@ -88,33 +100,67 @@ pub fn check_cells(
     cells: &CellsConfig,
     limits: ForceLimits,
     tips: u8,
-    volts: &[f64; ARMS],
+    reading: &CellVolts,
     tare_v: &[f64; ARMS],
 ) -> Result<(), Trip> {
+    let (volts, tips) = (&reading.volts, usize::from(tips));
+    let trip = |kind, detail: String| Err(Trip { kind, detail });
     let forces = forces_n(cells, volts, tare_v);
-    for i in 0..usize::from(tips) {
+    for (i, (&v, &force)) in volts.iter().zip(&forces).enumerate() {
         let arm = i + 1;
-        if !is_live(cells, volts[i]) {
-            let detail = format!("cell {arm} reads {:.3} V: disconnected", volts[i]);
-            return Err(Trip { kind: TripKind::Cell, detail });
+        if i >= tips {
+            if cells.is_live(v) && force.abs() > FOREIGN_N {
+                return trip(
+                    TripKind::Cell,
+                    format!(
+                        "cell {arm} weighs {force:.1} N and no tip is said to be on arm {arm} \
+                         (limit {FOREIGN_N} N): look which tips are mounted"
+                    ),
+                );
+            }
+            continue;
         }
-        if cells.is_saturated(volts[i]) {
-            let end = cells.saturated_v();
-            let detail = format!("cell {arm} reads {:.3} V: saturated (ends at {end} V)", volts[i]);
-            return Err(Trip { kind: TripKind::Cell, detail });
+        if !cells.is_live(v) {
+            return trip(TripKind::Cell, format!("cell {arm} reads {v:.3} V: disconnected"));
         }
-        if forces[i] > limits.each_n {
-            let detail =
-                format!("force on arm {arm} {:.1} N over its limit {} N", forces[i], limits.each_n);
-            return Err(Trip { kind: TripKind::Force, detail });
+        if cells.is_saturated(v) {
+            return trip(TripKind::Cell, format!("cell {arm} reads {v:.3} V: saturated"));
+        }
+        if force > limits.each_n {
+            let limit = limits.each_n;
+            let detail = format!("force on arm {arm} {force:.1} N over its limit {limit} N");
+            return trip(TripKind::Force, detail);
+        }
+        if force < -limits.below_n {
+            let limit = limits.below_n;
+            let detail = format!("cell {arm} weighs {force:.1} N, limit -{limit} N below its tare");
+            return trip(TripKind::Cell, detail);
         }
     }
-    let sum: f64 = forces[..usize::from(tips)].iter().sum();
+    let sum: f64 = forces[..tips].iter().sum();
     if sum > limits.sum_n {
         let detail = format!("sum of forces {sum:.1} N over its limit {} N", limits.sum_n);
-        return Err(Trip { kind: TripKind::Force, detail });
+        return trip(TripKind::Force, detail);
     }
-    Ok(())
+    check_alive(cells, reading, tips)
+}
+
+/// A cell's noise changes its last digit at nearly every update: an input that gives one value for
+/// too long no longer measures.
+fn check_alive(cells: &CellsConfig, reading: &CellVolts, tips: usize) -> Result<(), Trip> {
+    let still = |i: &usize| cells.is_hung(reading.repeats[*i]);
+    let Some(first) = (0..tips).find(still) else { return Ok(()) };
+    let live: Vec<usize> = (0..ARMS).filter(|&i| cells.is_live(reading.volts[i])).collect();
+    let (updates, ms) = (reading.repeats[first], cells.update_ms);
+    let (kind, who) = if live.iter().all(still) {
+        (TripKind::Stale, "cells: the module repeats itself".into())
+    } else {
+        (TripKind::Cell, format!("cell {} stands still", first + 1))
+    };
+    let limit = cells.repeats_max();
+    let detail =
+        format!("{who}: one value over {updates} updates of {ms} ms (cells.repeats_max = {limit})");
+    Err(Trip { kind, detail })
 }
 
 /// Checks a measured position against the soft limits.
@@ -134,26 +180,6 @@ pub fn check_position(
     Ok(())
 }
 
-/// A cell in contact must feel growing depth: finds one that stayed still, by its raw output.
-/// `before` and `after` are settled readings one depth step apart.
-pub fn still_cell(
-    cells: &CellsConfig,
-    tips: u8,
-    before: &[f64; ARMS],
-    after: &[f64; ARMS],
-    tare_v: &[f64; ARMS],
-) -> Option<u8> {
-    const IN_CONTACT_N: f64 = 2.0;
-    const STILL_N: f64 = 0.02;
-    let scale = cells.newtons_per_volt();
-    (0..usize::from(tips))
-        .find(|&i| {
-            (before[i] - tare_v[i]) * scale > IN_CONTACT_N
-                && ((after[i] - before[i]) * scale).abs() < STILL_N
-        })
-        .map(|i| i as u8 + 1)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -164,49 +190,64 @@ mod tests {
         RigConfig::from_toml("virtual.toml", text).expect("the virtual rig file is sound").cells
     }
 
-    const LIMITS: ForceLimits = ForceLimits { each_n: 50.0, sum_n: 120.0 };
+    const LIMITS: ForceLimits = ForceLimits { each_n: 50.0, sum_n: 120.0, below_n: 3.0 };
     const TARE: [f64; ARMS] = [0.5; ARMS];
 
     fn at_n(forces: [f64; ARMS]) -> [f64; ARMS] {
         forces.map(|f| 0.5 + f / cells().newtons_per_volt())
     }
 
+    fn check(tips: u8, volts: [f64; ARMS], repeats: [u32; ARMS]) -> Result<(), Trip> {
+        let reading = CellVolts { volts, repeats, at: tokio::time::Instant::now() };
+        check_cells(&cells(), LIMITS, tips, &reading, &TARE)
+    }
+
     #[test]
     fn a_force_over_its_limit_trips_and_names_the_arm() {
-        let trip = check_cells(&cells(), LIMITS, 2, &at_n([1.0, 50.5, 0.0, 0.0, 0.0, 0.0]), &TARE);
-        let trip = trip.unwrap_err();
+        let trip = check(2, at_n([1.0, 50.5, 0.0, 0.0, 0.0, 0.0]), [0; ARMS]).unwrap_err();
         assert_eq!(trip.kind, TripKind::Force);
         assert_eq!(trip.detail, "force on arm 2 50.5 N over its limit 50 N");
     }
 
     #[test]
     fn forces_within_each_limit_can_still_be_too_much_in_sum() {
-        let trip = check_cells(&cells(), LIMITS, 3, &at_n([45.0; ARMS]), &TARE).unwrap_err();
+        let trip = check(3, at_n([45.0, 45.0, 45.0, 0.0, 0.0, 0.0]), [0; ARMS]).unwrap_err();
         assert_eq!(trip.kind, TripKind::Force);
     }
 
     #[test]
-    fn unattached_arms_are_not_looked_at() {
+    fn a_force_far_below_the_tare_trips() {
+        assert_eq!(check(1, at_n([-2.9, 0.0, 0.0, 0.0, 0.0, 0.0]), [0; ARMS]), Ok(()));
+        let trip = check(1, at_n([-3.1, 0.0, 0.0, 0.0, 0.0, 0.0]), [0; ARMS]).unwrap_err();
+        assert_eq!(trip.detail, "cell 1 weighs -3.1 N, limit -3 N below its tare");
+    }
+
+    #[test]
+    fn an_unplugged_cell_beyond_the_tips_is_legal_and_a_load_there_is_not() {
         let mut volts = at_n([10.0; ARMS]);
         volts[3..].fill(0.0);
-        assert_eq!(check_cells(&cells(), LIMITS, 3, &volts, &TARE), Ok(()));
-        assert_eq!(
-            check_cells(&cells(), LIMITS, 4, &volts, &TARE).unwrap_err().kind,
-            TripKind::Cell
-        );
+        assert_eq!(check(3, volts, [0; ARMS]), Ok(()));
+        assert_eq!(check(4, volts, [0; ARMS]).unwrap_err().kind, TripKind::Cell);
+        let trip = check(3, at_n([10.0, 10.0, 10.0, 0.0, 8.0, 0.0]), [0; ARMS]).unwrap_err();
+        assert!(trip.detail.starts_with("cell 5 weighs 8.0 N and no tip"), "{}", trip.detail);
     }
 
     #[test]
-    fn live_tips_must_be_the_first_arms() {
-        assert_eq!(live_tips(&cells(), &[0.5, 0.51, 0.0, 0.0, 0.0, 0.0]), Ok(2));
-        assert!(live_tips(&cells(), &[0.5, 0.0, 0.5, 0.0, 0.0, 0.0]).is_err());
+    fn a_still_cell_and_a_module_that_repeats_itself_are_told_apart() {
+        let volts = at_n([0.0, 10.0, 0.0, 0.0, 0.0, 0.0]);
+        let repeats = |n: [u32; ARMS]| check(2, volts, n);
+        assert_eq!(repeats([8, 0, 8, 8, 8, 8]), Ok(()));
+        let cell = repeats([9, 0, 0, 0, 0, 0]).unwrap_err();
+        assert_eq!((cell.kind, &cell.detail[..19]), (TripKind::Cell, "cell 1 stands still"));
+        assert_eq!(repeats([9; ARMS]).unwrap_err().kind, TripKind::Stale);
+        assert_eq!(repeats([0, 0, 99, 99, 99, 99]), Ok(()), "arms without a tip");
     }
 
     #[test]
-    fn a_cell_that_feels_nothing_while_depth_grows_is_found() {
-        let before = at_n([10.0, 12.0, 0.0, 0.0, 0.0, 0.0]);
-        let after = at_n([15.0, 12.0, 0.0, 0.0, 0.0, 0.0]);
-        assert_eq!(still_cell(&cells(), 2, &before, &after, &TARE), Some(2));
-        assert_eq!(still_cell(&cells(), 1, &before, &after, &TARE), None);
+    fn attached_arms_need_live_cells_and_others_may_have_them() {
+        let live = |volts, tips| live_cells(&cells(), &volts, tips);
+        assert_eq!(live([0.5; ARMS], 1), Ok(6));
+        assert_eq!(live([0.5, 0.51, 0.0, 0.0, 0.0, 0.0], 2), Ok(2));
+        assert!(live([0.5, 0.0, 0.5, 0.0, 0.0, 0.0], 2).unwrap_err().contains("arm 2 (0.000 V)"));
     }
 }

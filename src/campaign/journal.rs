@@ -2,9 +2,8 @@
 //! Uses: `campaign::record`, `ids`. Never: SQL (the store implements this; data flows to it while
 //! the import points back).
 //!
-//! Every method that stores returns only when its record is durable (`design.md` 8, law 1), however
-//! long the disk takes: the caller has a deadline of its own. What is written late says when it
-//! happened (`at`).
+//! Every method returns only when its record is durable, however long that takes: the campaign
+//! writes through its diary (`campaign::diary`), which bounds its own waits. `at` is when it happened.
 
 use std::collections::BTreeSet;
 
@@ -22,9 +21,46 @@ use crate::ids::{RunUid, TrialId, TrialKey};
 pub struct JournalError {
     /// What was to be stored or read.
     pub what: &'static str,
+    /// The store is sound and will never take this record: trying again does not help.
+    pub refused: bool,
     /// The store's own error.
     #[source]
     pub source: Box<dyn std::error::Error + Send + Sync>,
+}
+
+impl JournalError {
+    /// A failure in these words.
+    pub fn of(what: &'static str, why: &str) -> Self {
+        Self { what, refused: false, source: why.into() }
+    }
+
+    /// The same failure for somebody else who waits, with its causes as one text.
+    pub fn again(&self) -> Self {
+        Self { source: error_chain(self.source.as_ref()).into(), ..Self::of(self.what, "") }
+    }
+}
+
+/// An error with its causes, for people.
+pub fn error_chain(error: &(dyn std::error::Error + 'static)) -> String {
+    let mut words = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        words += ": ";
+        words += &error.to_string();
+        cause = error.source();
+    }
+    words
+}
+
+/// Tips that a person says are mounted, and what the cells showed then.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Mounting {
+    /// Tips, on arms 1 to n.
+    pub tips: u8,
+    /// Cells on their cables: at least one for each tip, up to six.
+    pub live_cells: u8,
+    /// Who mounted them.
+    pub who: String,
 }
 
 /// What is known of a run's trials when it starts or goes on.
@@ -129,10 +165,10 @@ pub trait Journal: Send + Sync {
         data: serde_json::Value,
         at: Timestamp,
     ) -> Result<Event, JournalError>;
-    /// Notes how many tips a person (`who`) says are mounted, 0 to 6.
-    async fn mounted(&self, tips: u8, who: &str, at: Timestamp) -> Result<(), JournalError>;
-    /// How many tips were said to be mounted last; absent before the first time.
-    async fn last_mounted(&self) -> Result<Option<u8>, JournalError>;
+    /// Stores how many tips a person says are mounted.
+    async fn mounted(&self, mounting: &Mounting, at: Timestamp) -> Result<(), JournalError>;
+    /// What a person said last.
+    async fn last_mounted(&self) -> Result<Option<Mounting>, JournalError>;
     /// Bytes that can still be stored.
     async fn free_bytes(&self) -> Result<u64, JournalError>;
 }

@@ -1,5 +1,5 @@
 //! One trial placed by hand: wait for the signal to settle, take the frames, commit.
-//! Uses: `rig::traits`, `campaign::{measure, journal}`. Never: motion; the stage is not needed.
+//! Uses: `rig::traits`, `campaign::{measure, diary}`. Never: motion; the stage is not needed.
 //!
 //! Paper II-C: weights on the skin; forces are nominal, nothing is weighed.
 
@@ -76,7 +76,8 @@ pub async fn measure(
         measured_at: clock.timestamp(),
     };
     control.phase(Phase::Commit);
-    control.journal.trial(run, &trial).await?;
+    let diary = control.diary.clone();
+    control.at_rest(diary.trial(run, trial)).await?;
     control.show_run(|run| run.trials_stored += 1);
     Ok(())
 }
@@ -91,7 +92,7 @@ async fn settle(
     let start_s = clock.process_s();
     let mut last: Option<Window> = None;
     loop {
-        control.attend().await?;
+        control.attend()?;
         let window = Window::of(&skin.take(clock.now(), WINDOW).await?);
         let settle_ms = (clock.process_s() - start_s) * 1e3;
         let at_rest = last.as_ref().is_some_and(|last| window.rests_after(last));

@@ -4,13 +4,14 @@
 use std::time::Duration;
 
 use super::control::Control;
+use super::evidence::SkinWatch;
 use super::halt::Halt;
 use super::interlock::TripKind;
 use super::record::{Flag, FrameQuality, FrameRecord};
 use super::stage::Stage;
 use crate::rig::config::ARMS;
 use crate::rig::error::RigError;
-use crate::rig::traits::Frame;
+use crate::rig::traits::{CellVolts, Frame};
 use crate::schedule::experiment::Measure;
 
 /// Forces after motion, when they have come to rest.
@@ -36,7 +37,7 @@ pub async fn settle(
     let mut change_n = f64::INFINITY;
     loop {
         stage.poll_pause().await;
-        control.attend().await?;
+        control.attend()?;
         let volts = stage.weigh().await?.volts;
         let now_s = stage.clock.process_s();
         if now_s - last_s >= sample_s {
@@ -67,15 +68,21 @@ pub struct Taken {
     pub flags: Vec<Flag>,
 }
 
-/// Takes the frames of a load that is held from now on.
-pub async fn take(stage: &mut Stage, measure: &Measure) -> Result<Taken, Halt> {
+/// Takes the frames of a load that is held from now on, weighing the while. Every attached cell has
+/// given more than one value since the hold began when this returns: none of them stands still.
+pub async fn take(
+    stage: &mut Stage,
+    control: &mut Control,
+    measure: &Measure,
+) -> Result<Taken, Halt> {
     let count = measure.frames_per_trial as usize;
     let skin = stage.bench.skin.clone();
     let counters_before = skin.counters();
-    let (before, frames) =
-        futures::join!(stage.bench.cells.read(), skin.take(stage.clock.now(), count));
-    let (before, frames) = (before?, frames.map_err(|e| no_frames(stage, e))?);
-    let after = stage.weigh().await?;
+    let before = stage.weigh().await?;
+    let frames = skin.take(stage.clock.now(), count);
+    let frames = stage.watch_while(control, frames).await?;
+    let frames = frames.map_err(|e| no_frames(stage, e))?;
+    let after = proven(stage, control).await?;
     let volts = std::array::from_fn(|i| (before.volts[i] + after.volts[i]) / 2.0);
     let expected = usize::from(stage.config.ert.electrodes()).pow(2);
     if let Some(wrong) = frames.iter().find(|f| f.counts.len() != expected) {
@@ -95,12 +102,35 @@ pub async fn take(stage: &mut Stage, measure: &Measure) -> Result<Taken, Halt> {
     if !consecutive && missed > 0 {
         flags.push(Flag::DroppedFrames);
     }
+    let forces = stage.forces_n(&volts);
+    let attached = &forces[..usize::from(stage.tips)];
+    let silent = |watch: &SkinWatch| frames.iter().all(|f| watch.is_silent(f, attached));
+    if stage.skin.as_ref().is_some_and(silent) {
+        flags.push(Flag::SilentSkin);
+    }
     let frames = frames.iter().map(|f| record(f)).collect();
     Ok(Taken { frames, volts, quality, flags })
 }
 
+/// Weighs until each attached cell has given a new value lately: what is stored is not the last
+/// word of a module that hangs. A cell that stays still trips within `cells.repeats_max` updates.
+async fn proven(stage: &mut Stage, control: &mut Control) -> Result<CellVolts, Halt> {
+    /// Updates without a change that noise explains.
+    const LATELY: u32 = 3;
+    loop {
+        let reading = stage.weigh().await?;
+        let limit = stage.config.cells.repeats_max();
+        let lately = |i| limit == 0 || reading.repeats[i] <= LATELY.max(limit / 2);
+        if (0..usize::from(stage.tips)).all(lately) {
+            return Ok(reading);
+        }
+        control.attend()?;
+        stage.poll_pause().await;
+    }
+}
+
 /// A stream that gives some frames fails the try; one that has stopped trips the rig.
-fn no_frames(stage: &Stage, error: RigError) -> Halt {
+pub fn no_frames(stage: &Stage, error: RigError) -> Halt {
     let limit = Duration::from_millis(stage.config.limits.frame_age_ms);
     let newest = stage.bench.skin.latest();
     match newest.map(|f| f.received.elapsed()) {

@@ -1,13 +1,17 @@
 //! One configuration: travel, tare, then every depth: approach, settle, measure, commit.
-//! Uses: `campaign::{stage, tare, measure, journal}`. Never: retries, states (the engine decides).
+//! Uses: `campaign::{stage, tare, measure, diary}`. Never: retries, states (the engine decides), a
+//! step to the next depth before the trial is durable.
 //!
 //! Paper II-B and IV-A: quasi-static, normal force only, loading direction only.
 
 use serde_json::json;
 
-use super::control::Control;
+use super::control::{Control, STORE_LIMIT};
+use super::diary::Note;
+use super::evidence::{self, Held, SilentArms};
 use super::halt::Halt;
-use super::interlock;
+use super::interlock::TripKind;
+use super::journal::JournalError;
 use super::measure::{self, Taken};
 use super::record::{ArmReading, Flag, Pose, ReferenceRecord, TareRecord, TrialRecord};
 use super::stage::Stage;
@@ -43,14 +47,20 @@ impl Pressing<'_> {
     ) -> Result<u32, Halt> {
         self.prepare(stage, control, &c.stand, c.index).await?;
         let mut stored = 0;
-        let mut before: Option<[f64; ARMS]> = None;
+        let mut before: Option<Held> = None;
         for &depth_index in pending {
             let key = TrialKey { configuration: c.index, depth_index };
             control.show_run(|run| run.trial = Some(key));
-            let volts = self.trial(stage, control, c, key, before).await?;
-            before = Some(volts);
+            before = Some(self.trial(stage, control, c, key, before.as_ref()).await?);
             stored += 1;
-            control.checkpoint().await?;
+            control.checkpoint()?;
+        }
+        if let Some(deepest) = before {
+            let below: Vec<f64> = stage.below_touch_mm(deepest.z_mm).collect();
+            let arms = deepest.forces_n.into_iter().zip(below);
+            if let Some(words) = stage.silent.note(arms, &stage.config.limits) {
+                return Err(Halt::trip(TripKind::Cell, words));
+            }
         }
         Ok(stored)
     }
@@ -66,27 +76,34 @@ impl Pressing<'_> {
         stage.go_over(control, stand.centre_mm, stand.radius_mm).await?;
         control.phase(Phase::Tare);
         let samples = self.plan.measure.tare_samples;
-        let volts = tare::tare(stage, control, samples, false).await?;
+        let volts = tare::tare_untouched(stage, control, samples, false).await?;
         let at = stage.clock.timestamp();
         let record = TareRecord { configuration, volts, samples, at };
-        control.journal.tare(self.run, &record).await?;
+        control.diary.note(Note::Tare(self.run, record));
         Ok(())
     }
 
-    /// One trial: motion to its depth, settling, frames, commit. Returns the cells' outputs.
+    /// One trial: motion to its depth, settling, frames, commit. Returns the forces that it held.
     async fn trial(
         &self,
         stage: &mut Stage,
         control: &mut Control,
         c: &PlannedConfiguration,
         key: TrialKey,
-        before: Option<[f64; ARMS]>,
-    ) -> Result<[f64; ARMS], Halt> {
+        before: Option<&Held>,
+    ) -> Result<Held, Halt> {
         let depth_mm = self.plan.depths_mm[key.depth_index as usize];
         let started_at = stage.clock.timestamp();
         let target =
             stage.pose_over(c.stand.centre_mm, c.stand.radius_mm, self.z_mm(stage, depth_mm)?);
-        let (settled, taken, reached) = self.hold(stage, control, target.z_mm).await?;
+        let (settled, taken, reached) = self.hold(stage, control, &target).await?;
+        let held = Held { z_mm: reached.z_mm, forces_n: stage.forces_n(&taken.volts) };
+        let limits = &stage.config.limits;
+        if let Some(before) = before
+            && let Some(words) = evidence::outside_corridor(before, &held, stage.tips, limits)
+        {
+            return Err(Halt::trip(TripKind::Force, words));
+        }
         let mut flags = taken.flags;
         if !settled.at_rest {
             flags.push(Flag::Unsettled);
@@ -94,13 +111,9 @@ impl Pressing<'_> {
         if (reached.z_mm - target.z_mm).abs() > DEPTH_TOLERANCE_MM {
             flags.push(Flag::DepthMissed);
         }
-        if let Some(before) = before {
-            let cells = &stage.config.cells;
-            let still =
-                interlock::still_cell(cells, stage.tips, &before, &taken.volts, &stage.tare_v);
-            if let Some(arm) = still {
-                return Err(Halt::Failed(format!("cell {arm} stayed still while depth grew")));
-            }
+        let silent = |(&force, below)| SilentArms::is_silent(force, below, limits);
+        if held.forces_n.iter().zip(stage.below_touch_mm(reached.z_mm)).any(silent) {
+            flags.push(Flag::StillCell);
         }
         let arms = arm_readings(stage, &c.stand, &taken.volts);
         let measured_n = arms.iter().map(|a| a.force_n).fold(0.0, f64::max);
@@ -122,10 +135,30 @@ impl Pressing<'_> {
             started_at,
             measured_at: stage.clock.timestamp(),
         };
+        self.commit(stage, control, record).await?;
+        Ok(held)
+    }
+
+    /// Makes a trial durable. The stage does not move on before; forces and requests are watched
+    /// the while.
+    async fn commit(
+        &self,
+        stage: &mut Stage,
+        control: &mut Control,
+        record: TrialRecord,
+    ) -> Result<(), Halt> {
         control.phase(Phase::Commit);
-        control.journal.trial(self.run, &record).await?;
+        let diary = control.diary.clone();
+        let durable = tokio::time::timeout(STORE_LIMIT, diary.trial(self.run, record));
+        match stage.watch_while(control, durable).await? {
+            Ok(stored) => stored?,
+            Err(_late) => {
+                let words = format!("not durable within {} s", STORE_LIMIT.as_secs());
+                return Err(Halt::Store(JournalError::of("a trial", &words)));
+            }
+        }
         control.show_run(|run| run.trials_stored += 1);
-        Ok(taken.volts)
+        Ok(())
     }
 
     /// A press on the reference place: kept in a table of its own, never a trial.
@@ -138,7 +171,8 @@ impl Pressing<'_> {
         control.show_run(|run| run.trial = None);
         self.prepare(stage, control, &press.stand, press.before_configuration).await?;
         let z_mm = self.z_mm(stage, press.depth_mm)?;
-        let (_, mut taken, reached) = self.hold(stage, control, z_mm).await?;
+        let target = stage.pose_over(press.stand.centre_mm, press.stand.radius_mm, z_mm);
+        let (_, mut taken, reached) = self.hold(stage, control, &target).await?;
         let arms = arm_readings(stage, &press.stand, &taken.volts);
         let record = ReferenceRecord {
             before_configuration: press.before_configuration,
@@ -148,25 +182,25 @@ impl Pressing<'_> {
             frame: taken.frames.swap_remove(0),
             at: stage.clock.timestamp(),
         };
-        control.journal.reference(self.run, &record).await?;
-        control.say("reference", json!({ "before": press.before_configuration })).await;
-        control.checkpoint().await
+        control.diary.note(Note::Reference(self.run, Box::new(record)));
+        control.say("reference", json!({ "before": press.before_configuration }));
+        control.checkpoint()
     }
 
     async fn hold(
         &self,
         stage: &mut Stage,
         control: &mut Control,
-        z_mm: f64,
+        target: &Pose,
     ) -> Result<(measure::Settled, Taken, Pose), Halt> {
         control.phase(Phase::Press);
         stage.peak_n = 0.0;
-        stage.press_to(control, z_mm).await?;
+        stage.press_to(control, target.z_mm).await?;
         control.phase(Phase::Settle);
         let settled = measure::settle(stage, control, &self.plan.measure).await?;
         control.phase(Phase::Measure);
-        let taken = measure::take(stage, &self.plan.measure).await?;
-        let reached = stage.pose().await?;
+        let taken = measure::take(stage, control, &self.plan.measure).await?;
+        let reached = stage.reached(target).await?;
         let forces = stage.forces_n(&taken.volts);
         let tips = usize::from(stage.tips);
         control.show(|status| {

@@ -95,8 +95,10 @@ pub enum Flag {
     DroppedFrames,
     /// The measured depth is off its target by more than the tolerance.
     DepthMissed,
-    /// A cell stayed still while depth grew.
+    /// An attached cell weighed nothing where its tip must press.
     StillCell,
+    /// The cells weigh a load that the skin does not feel.
+    SilentSkin,
 }
 
 impl Flag {
@@ -109,6 +111,7 @@ impl Flag {
             Self::DroppedFrames => "dropped_frames",
             Self::DepthMissed => "depth_missed",
             Self::StillCell => "still_cell",
+            Self::SilentSkin => "silent_skin",
         }
     }
 }

@@ -3,7 +3,7 @@
 //!
 //! ```text
 //!   disconnected --connected--> disarmed --homed--> homed --arm--> armed
-//!        ^                         ^                  ^              |
+//!        ^                         ^  <--homing---  ^              |
 //!        |                         |                  +---disarm-----+
 //!        +-- lost (from any) ------|--- reset --- tripped <--trip-- (disarmed, homed, armed)
 //! ```
@@ -49,6 +49,8 @@ pub enum RigEvent {
     Connected,
     /// The wires were closed.
     Lost,
+    /// Homing has begun: until it ends no axis knows where it is.
+    Homing,
     /// Every axis has been homed.
     Homed,
     /// A run was armed.
@@ -78,14 +80,15 @@ pub fn step(state: RigState, event: RigEvent) -> Result<RigState, Illegal> {
     match (state, event) {
         (_, E::Lost) => Ok(S::Disconnected),
         (S::Disconnected, E::Connected) => Ok(S::Disarmed),
-        (S::Disarmed | S::Homed, E::Homed) => Ok(S::Homed),
+        (S::Disarmed | S::Homed, E::Homing) => Ok(S::Disarmed),
+        (S::Disarmed, E::Homed) => Ok(S::Homed),
         (S::Homed, E::Arm) => Ok(S::Armed),
         (S::Armed, E::Disarm) => Ok(S::Homed),
         (S::Disarmed | S::Homed | S::Armed | S::Tripped, E::Trip) => Ok(S::Tripped),
         (S::Tripped, E::Reset) => Ok(S::Disarmed),
         (
             S::Disconnected | S::Disarmed | S::Homed | S::Armed | S::Tripped,
-            E::Connected | E::Homed | E::Arm | E::Disarm | E::Trip | E::Reset,
+            E::Connected | E::Homing | E::Homed | E::Arm | E::Disarm | E::Trip | E::Reset,
         ) => Err(Illegal { state, event }),
     }
 }
@@ -101,18 +104,18 @@ mod tests {
         let mut table = String::new();
         for s in [S::Disconnected, S::Disarmed, S::Homed, S::Armed, S::Tripped] {
             let row: Vec<&str> =
-                [E::Connected, E::Lost, E::Homed, E::Arm, E::Disarm, E::Trip, E::Reset]
+                [E::Connected, E::Lost, E::Homing, E::Homed, E::Arm, E::Disarm, E::Trip, E::Reset]
                     .iter()
                     .map(|&e| step(s, e).map_or("-", RigState::as_str))
                     .collect();
             table += &format!("{:12} {}\n", s.as_str(), row.join(" "));
         }
         let expected = "\
-disconnected disarmed disconnected - - - - -
-disarmed     - disconnected homed - - tripped -
-homed        - disconnected homed armed - tripped -
-armed        - disconnected - - homed tripped -
-tripped      - disconnected - - - tripped disarmed
+disconnected disarmed disconnected - - - - - -
+disarmed     - disconnected disarmed homed - - tripped -
+homed        - disconnected disarmed - armed - tripped -
+armed        - disconnected - - - homed tripped -
+tripped      - disconnected - - - - tripped disarmed
 ";
         assert_eq!(table, expected);
     }

@@ -14,7 +14,7 @@
 //!        +<------------------------------ | ended                       |
 //!        +<----- aborting <-- abort (from any of the above) ------------+
 //!
-//!      any --- raise failed ---> panicked      panicked --- reset ---> idle
+//!      any --- raise failed ---> panicked      panicked --- reset ---> paused (trip)
 //! ```
 //! `requested` is what was asked for last; the state is what has been reached (`design.md` 2).
 
@@ -164,7 +164,8 @@ pub fn step(state: RunState, event: RunEvent) -> Result<(RunState, RunAction), I
     use RunState as S;
     let illegal = Err(Illegal { state, event });
     match (state, event) {
-        (S::Panicked, E::Reset) => Ok((S::Idle, End(ExitStatus::Fail))),
+        // The run is as it was: once the rig is homed, it may be resumed, stopped or aborted.
+        (S::Panicked, E::Reset) => Ok((S::Paused(PausedWhy::Trip), Wait)),
         (S::Panicked, _) => illegal,
         (S::Idle, E::RaiseFailed) => Ok((S::Panicked, Wait)),
         (S::Idle, E::Start) => Ok((S::Running, Continue)),
@@ -274,7 +275,7 @@ paused     - - - - suspending running stopping aborting paused panicked idle -
 stopping   - - - - stopping - - aborting idle panicked idle -
 aborting   - - - - aborting - - - idle panicked idle -
 suspending - - - - suspending - stopping aborting paused panicked idle -
-panicked   - - - - - - - - - - - idle
+panicked   - - - - - - - - - - - paused
 ";
         assert_eq!(table, expected);
     }

@@ -35,10 +35,14 @@ pub fn closed(config: &RigConfig) -> Status {
             forces_n: Vec::new(),
             force_limit_n: config.limits.force_n,
             tips: None,
+            live_cells: None,
             surface: None,
             stream: StreamStatus::default(),
             wires: Vec::new(),
             estop_acknowledged_ms: None,
+            estop_stops: Vec::new(),
+            safe_end: None,
+            stopping: None,
         },
         run: None,
         version: 0,
@@ -97,17 +101,18 @@ pub async fn bench(control: &Control, stage: &Stage, open: &OpenBench) {
         let cells = &stage.config.cells;
         let forces = stage.forces_n(&r.volts);
         (0..forces.len())
-            .map(|i| super::interlock::is_live(cells, r.volts[i]).then_some(forces[i]))
+            .map(|i| cells.is_live(r.volts[i]).then_some(forces[i]))
             .collect::<Vec<_>>()
     });
     counters(control, open);
     control.show(|status| {
         let rig = &mut status.rig;
         rig.pose = pose;
-        rig.tips = live.as_ref().map(|l| l.iter().filter(|f| f.is_some()).count() as u8);
+        rig.live_cells = live.as_ref().map(|l| l.iter().filter(|f| f.is_some()).count() as u8);
         rig.forces_n = live.unwrap_or_default();
-        if let Some(after) = press.and_then(|p| p.acknowledged_after) {
-            rig.estop_acknowledged_ms = Some(after.as_secs_f64() * 1e3);
+        if let Some(press) = press {
+            rig.estop_acknowledged_ms = press.acknowledged_ms();
+            rig.estop_stops = press.stops();
         }
     });
 }

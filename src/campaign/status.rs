@@ -4,10 +4,13 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use super::estop::AxisStop;
 use super::interlock::Trip;
 use super::record::{PlacedContact, Pose, TouchOffRecord};
 use super::rig_state::RigState;
 use super::run_state::PausedWhy;
+use super::safe_end::SafeEnd;
+use super::stopping::StoppingDistance;
 use crate::ids::{RunUid, TrialKey};
 
 /// The whole status.
@@ -40,8 +43,10 @@ pub struct RigStatus {
     pub forces_n: Vec<Option<f64>>,
     /// Limit on one cell, N.
     pub force_limit_n: f64,
-    /// Tips found on the cells.
+    /// Tips that a person says are mounted, on arms 1 to n.
     pub tips: Option<u8>,
+    /// Cells on their cables, as the cells show: at least one for each tip.
+    pub live_cells: Option<u8>,
     /// The surface as it was last found.
     pub surface: Option<TouchOffRecord>,
     /// The voltage stream.
@@ -50,6 +55,13 @@ pub struct RigStatus {
     pub wires: Vec<WireStatus>,
     /// From an e-stop's press until every axis had acknowledged its stop, ms.
     pub estop_acknowledged_ms: Option<f64>,
+    /// While an e-stop is latched, each axis's stop: one that is not acknowledged is sent again
+    /// until it is.
+    pub estop_stops: Vec<AxisStop>,
+    /// How the last safe end went.
+    pub safe_end: Option<SafeEnd>,
+    /// What the force may grow by between a sample and its stop: computed, and measured beside.
+    pub stopping: Option<StoppingDistance>,
 }
 
 /// The voltage stream's counters.

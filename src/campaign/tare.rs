@@ -1,17 +1,40 @@
-//! Zeros of the cells: read in the air before each configuration, with bounds.
-//! Uses: `campaign::stage`. Never: storage.
+//! Zeros of the cells and of the skin: read in the air before each configuration, with bounds.
+//! Uses: `campaign::{stage, measure}`. Never: storage.
 
 use super::control::Control;
+use super::evidence::SkinWatch;
 use super::halt::Halt;
-use super::interlock::{self, TripKind};
+use super::interlock::TripKind;
+use super::measure::no_frames;
 use super::stage::Stage;
 use crate::rig::config::ARMS;
 
 /// Spread of a cell's readings in the air above which it is not tared, in its noise.
 const NOISE_MULTIPLE: f64 = 10.0;
+/// Frames of the untouched skin: a stream at 30 a second gives them while the cells are read.
+const UNTOUCHED_FRAMES: usize = 4;
 
-/// Averages `samples` fresh readings of the attached cells and makes them the zeros. `first` accepts
-/// any zero; later ones may not have drifted by more than the rig's limit since the last.
+/// Tares the cells and takes frames of the untouched skin meanwhile, so that from here on each can
+/// witness against the other. Returns arms and their zeros, V.
+pub async fn tare_untouched(
+    stage: &mut Stage,
+    control: &mut Control,
+    samples: u32,
+    first: bool,
+) -> Result<Vec<(u8, f64)>, Halt> {
+    let skin = stage.bench.skin.clone();
+    let untouched = skin.take(stage.clock.now(), UNTOUCHED_FRAMES);
+    let (zeros, frames) = futures::join!(tare(stage, control, samples, first), untouched);
+    let zeros = zeros?;
+    let frames = frames.map_err(|e| no_frames(stage, e))?;
+    stage.skin = SkinWatch::untouched(&frames);
+    stage.begin_watch();
+    Ok(zeros)
+}
+
+/// Averages `samples` fresh readings of the cells and makes them the zeros. `first` accepts any
+/// zero; later ones may not have drifted by more than the rig's limit since the last. Cells beyond
+/// the tips that are on their cables get zeros too, so that a load on them is seen.
 pub async fn tare(
     stage: &mut Stage,
     control: &mut Control,
@@ -23,18 +46,25 @@ pub async fn tare(
     for _ in 0..samples {
         // A module gives the same sample twice when it is read faster than it converts.
         stage.clock.sleep(stage.config.cells.update_ms / 1e3).await;
-        control.attend().await?;
+        control.attend()?;
         readings.push(stage.bench.cells.read().await?.volts);
     }
     let cells = &stage.config.cells;
     let n = readings.len() as f64;
     let mut zeros = stage.tare_v;
-    for i in 0..tips {
+    for i in 0..ARMS {
         let arm = i + 1;
         let mean = readings.iter().map(|r| r[i]).sum::<f64>() / n;
         let spread = readings.iter().map(|r| (r[i] - mean).abs()).fold(0.0, f64::max);
         let spread_n = spread * cells.newtons_per_volt();
-        if !interlock::is_live(cells, mean) {
+        let live = cells.is_live(mean);
+        if i >= tips {
+            if live {
+                zeros[i] = mean;
+            }
+            continue;
+        }
+        if !live {
             let detail = format!("cell {arm} reads {mean:.3} V in the air: disconnected");
             return Err(Halt::trip(TripKind::Cell, detail));
         }

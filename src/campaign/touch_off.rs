@@ -1,9 +1,10 @@
 //! Touch-off: finds the surface, and how much longer or shorter each tip is, after a tip change.
-//! Uses: `campaign::{stage, tare}`. Never: the plan, storage.
+//! Uses: `campaign::{stage, travel, tare, safe_end}`. Never: the plan, storage.
 //!
 //! At each place the tips go down until a cell feels something, up a little, and down again slowly
 //! enough that a cell's update period does not blur the height. The surface is the median over
-//! places and arms: one late tip or one bump does not move it.
+//! places and arms: one late tip or one bump does not move it. Every attached arm must touch
+//! somewhere: a cell proves itself here, before anything rests on it.
 
 use jiff::Timestamp;
 
@@ -11,8 +12,11 @@ use super::control::Control;
 use super::halt::Halt;
 use super::interlock::TripKind;
 use super::record::TouchOffRecord;
-use super::stage::{AxisName, Sample, Stage};
+use super::safe_end::raise_as_planned;
+use super::stage::{AxisName, Stage};
 use super::tare;
+use super::travel::{Sample, Target};
+use crate::rig::config::ARMS;
 use crate::schedule::configuration::Stand;
 
 /// Force at which a tip is taken to touch, N.
@@ -21,12 +25,13 @@ const TOUCH_N: f64 = 0.5;
 const ENOUGH_N: f64 = 25.0;
 /// Height taken back between the coarse and the fine approach, mm.
 const BACK_OFF_MM: f64 = 1.5;
-/// How far below the first touch late tips are looked for, mm.
-const LATE_TIP_MM: f64 = 4.0;
 /// Blur of the height by the time between two samples in the fine approach, mm.
 const BLUR_MM: f64 = 0.05;
 
 /// Touches every place and makes the result the stage's surface.
+///
+/// # Errors
+/// Trips when no surface is found in the file's window, or when an attached arm touched nowhere.
 pub async fn touch_off(
     stage: &mut Stage,
     control: &mut Control,
@@ -35,28 +40,49 @@ pub async fn touch_off(
     at: Timestamp,
 ) -> Result<TouchOffRecord, Halt> {
     stage.surface = None;
-    raise(stage).await?;
+    raise_as_planned(control, stage).await?;
     let mut touches: Vec<(f64, f64, u8, f64)> = Vec::new();
     for (i, place) in places.iter().enumerate() {
         stage.go_over(control, place.centre_mm, place.radius_mm).await?;
-        tare::tare(stage, control, tare_samples, i == 0).await?;
+        tare::tare_untouched(stage, control, tare_samples, i == 0).await?;
         for (arm, z_mm) in touch(stage, control, first_height(&touches)).await? {
             let [x, y] = place.tips_mm[usize::from(arm) - 1];
             touches.push((x, y, arm, z_mm));
         }
-        raise(stage).await?;
+        raise_as_planned(control, stage).await?;
     }
+    require_every_arm(stage.tips, &touches)?;
     let record = conclude(stage.tips, touches, at)?;
     stage.surface = Some(record.clone());
     Ok(record)
 }
 
-async fn raise(stage: &mut Stage) -> Result<(), Halt> {
-    stage.raise().await.map_err(|e| Halt::trip(TripKind::Position, e))
-}
-
 fn first_height(touches: &[(f64, f64, u8, f64)]) -> Option<f64> {
     touches.iter().map(|t| t.3).min_by(f64::total_cmp)
+}
+
+fn require_every_arm(tips: u8, touches: &[(f64, f64, u8, f64)]) -> Result<(), Halt> {
+    let silent: Vec<String> = (1..=tips)
+        .filter(|arm| touches.iter().all(|t| t.2 != *arm))
+        .map(|arm| arm.to_string())
+        .collect();
+    if silent.is_empty() {
+        return Ok(());
+    }
+    let detail = format!(
+        "arm {} touched nowhere in the touch-off, with {tips} tips mounted: is its tip there, does \
+         its cell answer?",
+        silent.join(", ")
+    );
+    Err(Halt::trip(TripKind::Cell, detail))
+}
+
+/// How deep the surface may be looked for: never past the file's window, and where the surface is
+/// expected, from the rig file or from an earlier place, not further below it than stated.
+fn deepest_search_mm(stage: &Stage, known_mm: Option<f64>) -> f64 {
+    let place = &stage.config.skin;
+    let [_, bottom] = place.surface_z_mm;
+    known_mm.or(place.expected_z_mm).map_or(bottom, |z| bottom.min(z + place.search_below_mm))
 }
 
 /// One place: heights at which the arms touched.
@@ -65,33 +91,34 @@ async fn touch(
     control: &mut Control,
     known_mm: Option<f64>,
 ) -> Result<Vec<(u8, f64)>, Halt> {
-    let [_, bottom] = stage.config.skin.surface_z_mm;
     let tips = usize::from(stage.tips);
     let z = stage.config.axes.z.clone();
     if let Some(first) = known_mm {
-        let near = first - 2.0 * BACK_OFF_MM;
-        stage.travel(control, &[(AxisName::Z, near.max(z.travel_mm[0]))], true).await?;
+        let near = (first - 2.0 * BACK_OFF_MM).max(z.travel_mm[0]);
+        stage.weighed_travel(control, Target::of(AxisName::Z, near)).await?;
     }
-    let coarse = stage.search_speed_mm_s();
+    let coarse = stage.stopping.press_speed_mm_s(&stage.config);
     let (tare_v, per_volt) = (stage.tare_v, stage.config.cells.newtons_per_volt());
     let force = move |s: &Sample, i: usize| (s.volts[i] - tare_v[i]) * per_volt;
+    let bottom = deepest_search_mm(stage, known_mm);
     let felt = stage
-        .travel_at(control, &[(AxisName::Z, bottom, coarse)], true, |s| {
-            (0..tips).any(|i| force(s, i) > TOUCH_N)
-        })
+        .press_until(control, bottom, coarse, |s| (0..tips).any(|i| force(s, i) > TOUCH_N))
         .await?;
     if !felt {
-        let detail = format!("no surface found above z = {bottom} mm (skin.surface_z_mm)");
+        let detail = format!(
+            "no cell felt the surface down to z = {bottom:.3} mm (skin.surface_z_mm, \
+             skin.expected_z_mm, skin.search_below_mm)"
+        );
         return Err(Halt::trip(TripKind::Position, detail));
     }
     let felt_mm = stage.bench.z.status().await?.position;
     let back = (felt_mm - BACK_OFF_MM).max(z.travel_mm[0]);
-    stage.travel(control, &[(AxisName::Z, back)], false).await?;
-    let fine = (BLUR_MM / stage.blind_s()).min(coarse);
-    let deepest = (felt_mm + LATE_TIP_MM).min(z.travel_mm[1]);
-    let mut heights = [None::<f64>; 6];
+    stage.weighed_travel(control, Target::of(AxisName::Z, back)).await?;
+    let fine = (BLUR_MM / stage.stopping.blind_s(&stage.config)).min(coarse);
+    let deepest = (felt_mm + stage.config.skin.search_below_mm).min(z.travel_mm[1]);
+    let mut heights = [None::<f64>; ARMS];
     stage
-        .travel_at(control, &[(AxisName::Z, deepest, fine)], true, |s| {
+        .press_until(control, deepest, fine, |s| {
             for (i, height) in heights.iter_mut().enumerate().take(tips) {
                 if height.is_none() && force(s, i) > TOUCH_N {
                     *height = Some(s.z_mm);

@@ -75,6 +75,12 @@ pub enum RigCommand {
     },
     /// Read the load cells' zeros.
     Tare,
+    /// Say how many tips you have mounted, on arms 1 to n; the cells must not contradict.
+    Tips {
+        /// How many.
+        #[arg(value_parser = clap::value_parser!(u8).range(0..=6))]
+        tips: u8,
+    },
     /// Acknowledge a trip.
     Reset,
 }
@@ -158,6 +164,10 @@ async fn by_hand(client: &Client, command: RigCommand) -> Result<StatusView, Cli
         }
         RigCommand::Tare => {
             client.act_on_rig("tare", json!({})).await?;
+            client.status().await
+        }
+        RigCommand::Tips { tips } => {
+            client.act_on_rig("tips", json!({ "tips": tips })).await?;
             client.status().await
         }
         RigCommand::Reset => {

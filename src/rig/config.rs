@@ -294,6 +294,13 @@ pub struct SkinPlacement {
     pub origin_y_mm: f64,
     /// Machine z between which the surface must be found by touch-off, mm.
     pub surface_z_mm: [f64; 2],
+    /// Machine z at which the surface is expected, mm, where it is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expected_z_mm: Option<f64>,
+    /// How far below the expected surface (stated, or found at an earlier place) it is looked for,
+    /// and how far below the first tip's touch late tips are, mm.
+    #[serde(default = "default_search_below_mm")]
+    pub search_below_mm: f64,
     /// Height kept above the surface in lateral and radial motion, mm.
     pub clearance_mm: f64,
 }
@@ -359,8 +366,19 @@ pub struct RigLimits {
     pub frame_age_ms: u64,
     /// Longest time without a fresh sample of cells and positions while pressing, wall ms.
     pub sample_age_ms: u64,
-    /// Largest change of a cell's zero between two tares, N.
+    /// Largest change of a cell's zero between two tares, and the most that a force may be below
+    /// zero, N.
     pub tare_drift_n: f64,
+    /// Change of the skin from untouched, root mean square over its channels, V, that a cell must
+    /// weigh: a larger one while no cell weighs a touch trips.
+    #[serde(default = "default_skin_touch_v")]
+    pub skin_touch_v: f64,
+    /// Slopes of force against depth between two steps, N/mm: less while in contact, or more, trips.
+    #[serde(default = "default_corridor_n_per_mm")]
+    pub corridor_n_per_mm: [f64; 2],
+    /// Depth below a tip's touch from which its cell must weigh something, mm.
+    #[serde(default = "default_must_press_mm")]
+    pub must_press_mm: f64,
 }
 
 impl RigConfig {
@@ -455,12 +473,22 @@ impl RigConfig {
             format!("[{top}, {bottom}]"),
             "must be [lower, upper] within axes.z.travel_mm, with clearance_mm above",
         );
+        c.within("skin.search_below_mm", self.skin.search_below_mm, 0.5, 20.0);
+        if let Some(expected) = self.skin.expected_z_mm {
+            c.within("skin.expected_z_mm", expected, top, bottom);
+        }
         c.within("skin.clearance_mm", self.skin.clearance_mm, 0.5, 100.0);
         c.within("limits.force_n", self.limits.force_n, 1.0, 0.8 * self.cells.full_scale_n);
         c.within("limits.force_sum_n", self.limits.force_sum_n, 1.0, 5000.0);
         c.within("limits.force_margin_n", self.limits.force_margin_n, 0.1, self.limits.force_n);
         c.within("limits.stiffness_n_per_mm", self.limits.stiffness_n_per_mm, 0.1, 1000.0);
         c.within("limits.tare_drift_n", self.limits.tare_drift_n, 0.01, 50.0);
+        c.within("limits.skin_touch_v", self.limits.skin_touch_v, 1e-6, 10.0);
+        c.within("limits.must_press_mm", self.limits.must_press_mm, 0.1, 20.0);
+        let [low, high] = self.limits.corridor_n_per_mm;
+        let shown = format!("[{low}, {high}]");
+        let ordered = low >= 0.0 && low < high && high.is_finite();
+        c.require(ordered, "limits.corridor_n_per_mm", shown, "must be [lower, upper], from 0");
         c.require(
             self.limits.frame_age_ms >= 50,
             "limits.frame_age_ms",
@@ -483,6 +511,24 @@ impl RigConfig {
 
 fn one() -> f64 {
     1.0
+}
+
+fn default_search_below_mm() -> f64 {
+    4.0
+}
+
+/// Some eight times the noise of our readout (1.2 mV).
+fn default_skin_touch_v() -> f64 {
+    0.010
+}
+
+/// Wide: a wall at the upper end, a cell that hardly follows at the lower.
+fn default_corridor_n_per_mm() -> [f64; 2] {
+    [0.2, 150.0]
+}
+
+fn default_must_press_mm() -> f64 {
+    2.5
 }
 
 fn default_timeout_ms() -> u64 {

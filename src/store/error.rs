@@ -155,6 +155,21 @@ impl StoreError {
         }
     }
 
+    /// True when the record itself is refused: trying again does not help.
+    fn is_refusal(&self) -> bool {
+        match self {
+            Self::Sql { source: sqlx::Error::Database(e), .. } => {
+                !matches!(e.kind(), sqlx::error::ErrorKind::Other)
+            }
+            Self::Refused { .. }
+            | Self::NoSuchRun(_)
+            | Self::RunEnded(_)
+            | Self::NotQueued(_)
+            | Self::NoSuchTrial { .. } => true,
+            _ => false,
+        }
+    }
+
     /// A finding of damage.
     pub(super) fn damaged(finding: String) -> Self {
         Self::Damaged { findings: vec![finding] }
@@ -197,6 +212,9 @@ impl StoreError {
 
     /// The same error as the campaign sees it.
     pub(super) fn of(what: &'static str) -> impl Fn(Self) -> JournalError {
-        move |source| JournalError { what, source: Box::new(source) }
+        move |source: Self| {
+            let refused = source.is_refusal();
+            JournalError { what, refused, source: Box::new(source) }
+        }
     }
 }

@@ -5,7 +5,7 @@ use async_trait::async_trait;
 use jiff::Timestamp;
 
 use super::{Store, StoreError};
-use crate::campaign::journal::{Event, ExitStatus, Journal, JournalError, Progress};
+use crate::campaign::journal::{Event, ExitStatus, Journal, JournalError, Mounting, Progress};
 use crate::campaign::record::{
     AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord,
 };
@@ -85,13 +85,13 @@ impl Journal for Store {
         self.insert_event(writer, run, kind, data, at).await.map_err(StoreError::of("an event"))
     }
 
-    async fn mounted(&self, tips: u8, who: &str, at: Timestamp) -> Result<(), JournalError> {
-        self.insert_mounting(tips, who, at)
+    async fn mounted(&self, mounting: &Mounting, at: Timestamp) -> Result<(), JournalError> {
+        self.insert_mounting(mounting, at)
             .await
             .map_err(StoreError::of("how many tips are mounted"))
     }
 
-    async fn last_mounted(&self) -> Result<Option<u8>, JournalError> {
+    async fn last_mounted(&self) -> Result<Option<Mounting>, JournalError> {
         self.read_last_mounted().await.map_err(StoreError::of("how many tips are mounted"))
     }
 

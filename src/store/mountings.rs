@@ -3,39 +3,49 @@
 
 use jiff::Timestamp;
 
-use super::columns::time_text;
+use super::columns::{Columns, time_text};
 use super::{Store, StoreError};
+use crate::campaign::journal::Mounting;
 
 impl Store {
     pub(super) async fn insert_mounting(
         &self,
-        tips: u8,
-        who: &str,
+        mounting: &Mounting,
         at: Timestamp,
     ) -> Result<(), StoreError> {
         const OPERATION: &str = "storing how many tips are mounted";
-        let (who, at) = (who.to_owned(), time_text(at));
+        let (mounting, at) = (mounting.clone(), time_text(at));
         self.inner
             .writer
             .patient()
             .run(OPERATION, async move |connection| {
-                sqlx::query("INSERT INTO mountings (tips, who, at) VALUES (?1, ?2, ?3)")
-                    .bind(tips)
-                    .bind(who)
-                    .bind(at)
-                    .execute(connection)
-                    .await
-                    .map_err(StoreError::sql(OPERATION))?;
+                sqlx::query(
+                    "INSERT INTO mountings (tips, live_cells, who, at) VALUES (?1, ?2, ?3, ?4)",
+                )
+                .bind(mounting.tips)
+                .bind(mounting.live_cells)
+                .bind(mounting.who)
+                .bind(at)
+                .execute(connection)
+                .await
+                .map_err(StoreError::sql(OPERATION))?;
                 Ok(())
             })
             .await
     }
 
     /// What was said last; absent where nobody has said anything yet.
-    pub(super) async fn read_last_mounted(&self) -> Result<Option<u8>, StoreError> {
-        sqlx::query_scalar("SELECT tips FROM mountings ORDER BY id DESC LIMIT 1")
+    pub(super) async fn read_last_mounted(&self) -> Result<Option<Mounting>, StoreError> {
+        const OPERATION: &str = "reading how many tips are mounted";
+        let row = sqlx::query("SELECT * FROM mountings ORDER BY id DESC LIMIT 1")
             .fetch_optional(&self.inner.readers)
             .await
-            .map_err(StoreError::sql("reading how many tips are mounted"))
+            .map_err(StoreError::sql(OPERATION))?;
+        row.map(|row| {
+            let c = Columns::of(&row, OPERATION);
+            let (tips, live_cells) = (c.whole("tips")?, c.whole("live_cells")?);
+            Ok(Mounting { tips, live_cells, who: c.get("who")? })
+        })
+        .transpose()
     }
 }

@@ -1,19 +1,29 @@
-//! Requests that concern the rig alone: connect, home, jog, tare, reset.
-//! Uses: `campaign::stage`, `rig::registry`. Never: the plan.
+//! Requests that concern the rig alone: connect, home, jog, tare, reset, and the tips that a person
+//! has mounted.
+//! Uses: `campaign::{stage, travel, safe_end}`, `rig::registry`. Never: the plan.
 
 use serde_json::json;
 
-use super::{Connection, Engine, no_wires, trip_of};
+use super::{Connection, Engine, Owed, no_wires, trip_of};
 use crate::campaign::command::{Envelope, Refusal, Request};
 use crate::campaign::control::{Control, name};
+use crate::campaign::diary::Note;
 use crate::campaign::halt::Halt;
-use crate::campaign::interlock;
+use crate::campaign::interlock::{self, Trip, TripKind};
+use crate::campaign::journal::Mounting;
 use crate::campaign::rig_state::{RigEvent, RigState};
+use crate::campaign::safe_end::Height;
 use crate::campaign::show;
 use crate::campaign::stage::{AxisName, Stage};
 use crate::campaign::tare;
+use crate::campaign::travel::Target;
 use crate::clock::Clock;
+use crate::rig::config::ARMS;
+use crate::rig::error::RigError;
 use crate::rig::registry;
+
+/// Samples of a tare by hand.
+const TARE_SAMPLES: u32 = 4;
 
 impl Engine {
     /// Takes up a request that concerns the rig alone.
@@ -23,37 +33,33 @@ impl Engine {
             let _ = answer.send(Err(refusal));
             return;
         }
-        match request {
-            // Opening the wires answers with what went wrong; motions answer when taken up.
-            Request::Connect => {
-                let _ = answer.send(self.connect().await);
-            }
+        // Opening the wires answers with what went wrong; motions answer when taken up.
+        let outcome = match request {
+            Request::Connect => self.connect().await,
             Request::Disconnect => {
                 self.connection = None;
-                let _ = answer.send(self.control.rig_event(RigEvent::Lost).await);
+                self.owed = Owed::Nothing;
+                self.control.rig_event(RigEvent::Lost)
             }
-            Request::Reset => {
-                let _ = answer.send(self.reset().await);
-            }
-            Request::Home => {
-                let _ = answer.send(Ok(()));
-                self.home().await;
-            }
+            Request::Reset => self.reset().await,
+            Request::Home => match self.control.rig_event(RigEvent::Homing) {
+                Ok(()) => {
+                    let _ = answer.send(Ok(()));
+                    self.home_axes().await;
+                    return;
+                }
+                Err(refusal) => Err(refusal),
+            },
             Request::Jog { axis, to_mm } => match self.jog_target(&axis, to_mm) {
                 Ok(target) => {
                     let _ = answer.send(Ok(()));
-                    self.guarded(|stage, control| {
-                        Box::pin(async move { stage.travel(control, &[target], true).await })
-                    })
-                    .await;
+                    self.jog(target).await;
+                    return;
                 }
-                Err(refusal) => {
-                    let _ = answer.send(Err(refusal));
-                }
+                Err(refusal) => Err(refusal),
             },
-            Request::Tare => {
-                let _ = answer.send(self.tare().await);
-            }
+            Request::Tare => self.tare().await,
+            Request::Mounted { tips, who } => self.mounted(tips, &who).await,
             Request::Start(_)
             | Request::PauseAtCheckpoint
             | Request::PauseNow
@@ -65,18 +71,19 @@ impl Engine {
             | Request::Repeat { .. }
             | Request::Shutdown => {
                 let words = format!("{} is not possible: no run is under way", name(&request));
-                let _ = answer.send(Err(Refusal::State(words)));
+                Err(Refusal::State(words))
             }
-        }
+        };
+        let _ = answer.send(outcome);
     }
 
-    pub(super) fn allowed(&self, request: &Request) -> Result<(), Refusal> {
+    fn allowed(&self, request: &Request) -> Result<(), Refusal> {
         let rig = self.control.rig();
         let ok = match request {
             Request::Connect => rig == RigState::Disconnected,
             Request::Home => matches!(rig, RigState::Disarmed | RigState::Homed),
             Request::Jog { .. } => rig == RigState::Homed,
-            Request::Tare => rig != RigState::Disconnected,
+            Request::Tare | Request::Mounted { .. } => rig != RigState::Disconnected,
             Request::Reset => rig == RigState::Tripped,
             Request::Disconnect => rig != RigState::Armed,
             Request::Start(_)
@@ -95,17 +102,25 @@ impl Engine {
         if ok { Ok(()) } else { Err(Refusal::State(words())) }
     }
 
+    /// Opens the wires and takes control of every device. A drive in alarm is connected all the
+    /// same, into a trip: a reset clears it.
     pub(super) async fn connect(&mut self) -> Result<(), Refusal> {
         let clock = Clock::new(self.config.clock_rate);
-        let fail = |e: crate::rig::error::RigError| Refusal::State(e.to_string());
+        let fail = |e: RigError| Refusal::State(e.to_string());
         let open =
             registry::open(&self.config, &clock, &self.control.estop.latch()).map_err(fail)?;
+        let mut alarms = Vec::new();
         for axis in open.bench.axes() {
-            let found = axis.prepare().await.map_err(fail)?;
-            self.control.say("device", json!({ "device": axis.name(), "found": found })).await;
+            match axis.prepare().await {
+                Ok(found) => {
+                    self.control.say("device", json!({ "device": axis.name(), "found": found }));
+                }
+                Err(error @ RigError::NotReady { .. }) => alarms.push(error.to_string()),
+                Err(error) => return Err(fail(error)),
+            }
         }
         let found = open.bench.cells.prepare().await.map_err(fail)?;
-        self.control.say("device", json!({ "device": "cells", "found": found })).await;
+        self.control.say("device", json!({ "device": "cells", "found": found }));
         let stage = Stage::new(open.bench.clone(), self.config.clone(), clock);
         let estop = tokio::spawn(self.control.estop.clone().serve(open.bench.clone()));
         let frames = tokio::spawn(show::forward_frames(
@@ -113,31 +128,77 @@ impl Engine {
             self.control.inbox.frames.clone(),
         ));
         self.connection = Some(Connection { open, stage, estop, frames });
-        self.control.rig_event(RigEvent::Connected).await
+        self.owed = Owed::Nothing;
+        self.control.show(|status| status.rig.trip = None);
+        self.control.rig_event(RigEvent::Connected)?;
+        if !alarms.is_empty() {
+            let detail = format!("{}; clear the cause, reset, home", alarms.join("; "));
+            self.control.latch(&Trip { kind: TripKind::Device, detail });
+        }
+        Ok(())
     }
 
+    /// Acknowledges a trip: every axis must answer, alarms are cleared, drives are taken control of
+    /// again; the stop is released last. A device that does not follow leaves the rig tripped.
     pub(super) async fn reset(&mut self) -> Result<(), Refusal> {
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
-        self.control.estop.release();
-        for axis in connection.open.bench.axes() {
-            axis.reset_alarm().await.map_err(|e| Refusal::State(e.to_string()))?;
+        let bench = connection.open.bench.clone();
+        let fail = |e: RigError| Refusal::State(format!("not reset: {e}"));
+        let missing = self.control.estop.pressed().map(|p| p.stops()).unwrap_or_default();
+        if let Some(stop) = missing.iter().find(|s| s.acknowledged_ms.is_none()) {
+            let why = stop.error.clone().unwrap_or_default();
+            let words = format!("not reset: {} has not acknowledged its stop: {why}", stop.axis);
+            return Err(Refusal::State(words));
         }
+        for axis in bench.axes() {
+            axis.status().await.map_err(fail)?;
+        }
+        for axis in bench.axes() {
+            axis.reset_alarm().await.map_err(fail)?;
+            axis.prepare().await.map_err(fail)?;
+        }
+        bench.cells.prepare().await.map_err(fail)?;
+        self.control.estop.release();
+        self.prepared_setting = None;
         self.control.show(|status| {
             status.rig.trip = None;
+            status.rig.safe_end = None;
             status.rig.estop_acknowledged_ms = None;
+            status.rig.estop_stops.clear();
         });
-        self.control.rig_event(RigEvent::Reset).await
+        self.control.rig_event(RigEvent::Reset)
     }
 
     pub(super) async fn home(&mut self) -> bool {
+        self.control.rig_event(RigEvent::Homing).is_ok() && self.home_axes().await
+    }
+
+    async fn home_axes(&mut self) -> bool {
         self.prepared_setting = None;
         let homed =
             self.guarded(|stage, control| Box::pin(async move { stage.home(control).await })).await;
-        homed && self.control.rig_event(RigEvent::Homed).await.is_ok()
+        if homed {
+            self.owed = Owed::Nothing;
+        }
+        homed && self.control.rig_event(RigEvent::Homed).is_ok()
     }
 
-    /// Runs a motion outside a run: a halt trips the rig and raises the tips.
-    pub(super) async fn guarded<F>(&mut self, motion: F) -> bool
+    async fn jog(&mut self, target: Target) {
+        let assumed = self.mounting.as_ref().map(|(m, _)| m.tips);
+        self.guarded(|stage, control| {
+            Box::pin(async move {
+                let volts = stage.bench.cells.read().await?.volts;
+                stage.tips = assumed.unwrap_or_else(|| leading_live(stage, &volts));
+                stage.begin_watch();
+                stage.weighed_travel(control, target).await
+            })
+        })
+        .await;
+    }
+
+    /// Runs a motion outside a run: whatever ends it early ends in the safe end, and latches unless
+    /// the service was told to end.
+    async fn guarded<F>(&mut self, motion: F) -> bool
     where
         F: for<'a> FnOnce(
             &'a mut Stage,
@@ -147,22 +208,14 @@ impl Engine {
         >,
     {
         let Some(connection) = self.connection.as_mut() else { return false };
-        match motion(&mut connection.stage, &mut self.control).await {
-            Ok(()) => true,
-            Err(halt) => {
-                let trip = trip_of(halt);
-                for axis in connection.open.bench.axes() {
-                    if let Err(error) = axis.stop().await {
-                        tracing::error!(axis = axis.name(), %error, "not stopped");
-                    }
-                }
-                self.control.trip(&trip).await;
-                false
-            }
-        }
+        let outcome = motion(&mut connection.stage, &mut self.control).await;
+        let Err(halt) = outcome else { return true };
+        let trip = (!self.control.leaving()).then(|| trip_of(&halt));
+        self.make_safe(trip.as_ref(), Height::Clear).await;
+        false
     }
 
-    pub(super) fn jog_target(&self, axis: &str, to_mm: f64) -> Result<(AxisName, f64), Refusal> {
+    fn jog_target(&self, axis: &str, to_mm: f64) -> Result<Target, Refusal> {
         let connection = self.connection.as_ref().ok_or_else(no_wires)?;
         let axes = &self.config.axes;
         let slot = &self.config.slot;
@@ -181,17 +234,53 @@ impl Engine {
             let words = format!("to_mm = {to_mm}: {axis} must be from {min} to {max}");
             return Err(Refusal::Value(words));
         }
-        Ok((name, target))
+        Ok(Target::of(name, target))
     }
 
-    pub(super) async fn tare(&mut self) -> Result<(), Refusal> {
+    /// A tare by hand. A cell outside its bounds is refused; a wire that fails ends in the safe end.
+    async fn tare(&mut self) -> Result<(), Refusal> {
+        let mounted = self.mounting.as_ref().map(|(m, _)| m.tips);
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
         let stage = &mut connection.stage;
-        let reading = stage.bench.cells.read().await;
-        let reading = reading.map_err(|e| Refusal::State(e.to_string()))?;
-        stage.tips =
-            interlock::live_tips(&self.config.cells, &reading.volts).map_err(Refusal::State)?;
-        let tared = tare::tare(stage, &mut self.control, 4, true).await;
-        tared.map(|_| ()).map_err(|halt| Refusal::State(trip_of(halt).detail))
+        let tared = match stage.bench.cells.read().await {
+            Ok(reading) => {
+                stage.tips = mounted.unwrap_or_else(|| leading_live(stage, &reading.volts));
+                tare::tare(stage, &mut self.control, TARE_SAMPLES, true).await.map(|_| ())
+            }
+            Err(error) => Err(error.into()),
+        };
+        let Err(halt) = tared else { return Ok(()) };
+        let trip = trip_of(&halt);
+        let weighing_failed = matches!(trip.kind, TripKind::Wire | TripKind::Device);
+        if weighing_failed && matches!(halt, Halt::Trip(_)) {
+            self.make_safe(Some(&trip), Height::Clear).await;
+        }
+        Err(Refusal::State(trip.detail))
     }
+
+    /// A person says how many tips are mounted. Believed only if the cells do not contradict.
+    pub(super) async fn mounted(&mut self, tips: u8, who: &str) -> Result<(), Refusal> {
+        if usize::from(tips) > ARMS {
+            return Err(Refusal::Value(format!("tips = {tips}: must be 0 to {ARMS}")));
+        }
+        let connection = self.connection.as_mut().ok_or_else(no_wires)?;
+        let reading = connection.stage.bench.cells.read().await;
+        let reading = reading.map_err(|e| Refusal::State(e.to_string()))?;
+        let live = interlock::live_cells(&self.config.cells, &reading.volts, tips);
+        let live_cells = live.map_err(Refusal::State)?;
+        let mounting = Mounting { tips, live_cells, who: who.into() };
+        self.control.diary.note(Note::Mounted(mounting.clone()));
+        self.control.say("tips", json!({ "tips": tips, "live_cells": live_cells, "who": who }));
+        self.control.show(|status| status.rig.tips = Some(tips));
+        connection.stage.tips = tips;
+        self.mounting = Some((mounting, true));
+        // What a touch-off found may no longer hold.
+        self.prepared_setting = None;
+        Ok(())
+    }
+}
+
+/// Arms from the first whose cells are on their cables: the tips to assume where nobody said.
+fn leading_live(stage: &Stage, volts: &[f64; ARMS]) -> u8 {
+    volts.iter().take_while(|&&v| stage.config.cells.is_live(v)).count() as u8
 }

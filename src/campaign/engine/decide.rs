@@ -1,57 +1,42 @@
-//! What follows a halt: raise, retry, skip, wait, end.
-//! Uses: `campaign::{control, journal}`. Never: pressing.
+//! What follows a halt: the safe end first; then retry, skip, wait or end, and what is noted of it.
+//! Uses: `campaign::{control, diary, safe_end}`. Never: pressing, a wait for the store.
 
 use serde_json::json;
 
-use super::{Attempts, Engine, Next, error_chain};
+use super::{Attempts, Engine, Next, Owed};
+use crate::campaign::diary::Note;
 use crate::campaign::halt::Halt;
+use crate::campaign::interlock::Trip;
 use crate::campaign::job::Job;
-use crate::campaign::journal::{ExitStatus, JournalError};
+use crate::campaign::journal::{ExitStatus, error_chain};
 use crate::campaign::record::AttemptRecord;
 use crate::campaign::run_state::{PausedWhy, RunAction, RunEvent, RunState};
-use crate::campaign::status::{Phase, Wanted};
+use crate::campaign::safe_end::Height;
+use crate::campaign::status::Wanted;
 use crate::schedule::plan::Kind;
 
 impl Engine {
-    /// What follows a halt: the tips go up in every case, then policy or a person decides.
+    /// What follows a halt. Nothing is decided, noted or waited for before the rig is safe.
     pub(super) async fn decide(
         &mut self,
         job: &Job,
         halt: Halt,
         attempts: &mut Attempts,
         auto_resumes: &mut u32,
-    ) -> Result<Next, JournalError> {
-        let moving = job.plan.kind == Kind::RealHex;
+    ) -> Next {
+        let hands = matches!(halt, Halt::Needs(Wanted::Tips { .. }));
+        let height = if hands { Height::Top } else { Height::Clear };
+        let safe = self.leave_contact(job, halt.as_trip(), height).await;
         let mut passing = None;
         match halt {
-            Halt::Asked => {
-                if let Some(why) = self.control.take_suspended_for() {
-                    self.control.say("suspended", json!({ "why": why })).await;
-                    self.control.show_run(|run| run.waiting_for = Some(why));
-                    if !matches!(self.control.run(), RunState::Suspending(_)) {
-                        let event = RunEvent::Suspend(PausedWhy::Suspender);
-                        let _ = self.control.run_event(event).await;
-                    }
-                }
-            }
+            Halt::Asked => self.note_suspension(),
             Halt::Checkpoint => {}
-            Halt::Needs(wanted) => {
-                self.need(wanted.clone()).await;
-                if matches!(wanted, Wanted::Tips { .. })
-                    && let Some(connection) = self.connection.as_mut()
-                    && let Err(why) = connection.stage.raise_fully().await
-                {
-                    self.control.say("raise_failed", json!({ "why": why })).await;
-                }
-            }
-            Halt::Failed(reason) => {
-                return self.failed(job, reason, attempts).await;
-            }
+            Halt::Needs(wanted) => self.need(wanted),
+            Halt::Failed(reason) if safe => return self.failed(job, reason, attempts),
+            Halt::Failed(reason) => self.note_attempt(job, &reason, attempts),
             Halt::Trip(trip) => {
-                self.note_attempt(job, &trip.detail, attempts).await?;
-                self.control.trip(&trip).await;
-                self.control.show_run(|run| run.waiting_for = Some(trip.detail.clone()));
-                let _ = self.control.run_event(RunEvent::Suspend(PausedWhy::Trip)).await;
+                self.note_attempt(job, &trip.detail, attempts);
+                self.suspend_for(PausedWhy::Trip, trip.detail.clone());
                 let may = job.auto_resume && trip.kind.may_pass();
                 if may && *auto_resumes < job.plan.policy.max_auto_resumes {
                     *auto_resumes += 1;
@@ -60,28 +45,62 @@ impl Engine {
             }
             Halt::Store(error) => {
                 let why = error_chain(&error);
-                self.control.say("store", json!({ "why": why })).await;
-                self.control.show_run(|run| run.waiting_for = Some(why));
-                let _ = self.control.run_event(RunEvent::Suspend(PausedWhy::Suspender)).await;
+                self.control.say("store", json!({ "why": why }));
+                self.suspend_for(PausedWhy::Suspender, why);
             }
         }
-        if moving {
-            self.raise_or_panic(true).await;
-        }
-        let action = if self.control.run() == RunState::Panicked || moving && !self.raised().await {
+        let action = if safe {
+            self.control.run_event(RunEvent::Raised).unwrap_or(RunAction::Wait)
+        } else {
             // Wires that are down leave the run where it is until the tips are up.
             RunAction::Wait
-        } else {
-            self.control.run_event(RunEvent::Raised).await.unwrap_or(RunAction::Continue)
         };
         match action {
-            RunAction::End(status) => Ok(Next::End(status, "asked for".into())),
-            RunAction::Continue | RunAction::Raise => Ok(Next::Again),
+            RunAction::End(status) => Next::End(status, "asked for".into()),
+            RunAction::Continue | RunAction::Raise => Next::Again,
             RunAction::Wait => self.wait(job, attempts, passing).await,
         }
     }
 
-    pub(super) async fn need(&mut self, wanted: Wanted) {
+    /// The safe end of a run that moves; one placed by hand has nothing to raise, and latches only.
+    /// False when the tips are still down. With sound wires that is a panic, for a person; wires that
+    /// are down are tried again while waiting.
+    pub(super) async fn leave_contact(
+        &mut self,
+        job: &Job,
+        trip: Option<&Trip>,
+        height: Height,
+    ) -> bool {
+        if job.plan.kind == Kind::RealRandom {
+            if let Some(trip) = trip {
+                self.control.latch(trip);
+            }
+            return true;
+        }
+        let safe = self.make_safe(trip, height).await;
+        if self.owed == Owed::Person {
+            let _ = self.control.run_event(RunEvent::RaiseFailed);
+        }
+        safe
+    }
+
+    fn note_suspension(&mut self) {
+        if let Some(why) = self.control.take_suspended_for() {
+            self.control.say("suspended", json!({ "why": why }));
+            self.control.show_run(|run| run.waiting_for = Some(why));
+            if !matches!(self.control.run(), RunState::Suspending(_)) {
+                let _ = self.control.run_event(RunEvent::Suspend(PausedWhy::Suspender));
+            }
+        }
+    }
+
+    fn suspend_for(&mut self, why: PausedWhy, words: String) {
+        self.control.show_run(|run| run.waiting_for = Some(words));
+        // A run that panicked stays so until a person has looked.
+        let _ = self.control.run_event(RunEvent::Suspend(why));
+    }
+
+    fn need(&mut self, wanted: Wanted) {
         let (why, words) = match &wanted {
             Wanted::Tips { tips } => (PausedWhy::TipChange, tip_words(*tips)),
             Wanted::Placement { trial, contacts } => (
@@ -94,90 +113,47 @@ impl Engine {
             run.wanted = Some(wanted);
             run.waiting_for = Some(words);
         });
-        let _ = self.control.run_event(RunEvent::Need(why)).await;
-        self.control.say("wanted", data).await;
+        let _ = self.control.run_event(RunEvent::Need(why));
+        self.control.say("wanted", data);
     }
 
     /// A failed try: again, or give the configuration up, or give the run up.
-    pub(super) async fn failed(
-        &mut self,
-        job: &Job,
-        reason: String,
-        attempts: &mut Attempts,
-    ) -> Result<Next, JournalError> {
-        self.note_attempt(job, &reason, attempts).await?;
-        if job.plan.kind == Kind::RealHex {
-            self.raise_or_panic(true).await;
-        }
+    fn failed(&mut self, job: &Job, reason: String, attempts: &mut Attempts) -> Next {
+        self.note_attempt(job, &reason, attempts);
         let configuration = attempts.configuration;
-        if attempts.of_configuration > job.plan.policy.retries {
-            if let Some(configuration) = configuration {
-                let now = jiff::Timestamp::now();
-                self.control.journal.skip(job.run, configuration, &reason, now).await?;
-                let data = json!({ "configuration": configuration, "reason": reason });
-                self.control.say("skipped", data).await;
-                attempts.skipped += 1;
-            }
-            attempts.of_configuration = 1;
-            if configuration.is_none() || attempts.skipped > job.plan.policy.max_skipped {
-                let _ = self.control.run_event(RunEvent::Ended).await;
-                let words = format!("gave up after {} skipped: {reason}", attempts.skipped);
-                return Ok(Next::End(ExitStatus::Fail, words));
-            }
-        } else {
+        if attempts.of_configuration <= job.plan.policy.retries {
             attempts.of_configuration += 1;
+            return Next::Again;
         }
-        Ok(Next::Again)
+        if let Some(configuration) = configuration {
+            self.control.diary.note(Note::Skip(job.run, configuration, reason.clone()));
+            let data = json!({ "configuration": configuration, "reason": reason });
+            self.control.say("skipped", data);
+            attempts.skipped += 1;
+        }
+        attempts.of_configuration = 1;
+        if configuration.is_none() || attempts.skipped > job.plan.policy.max_skipped {
+            let _ = self.control.run_event(RunEvent::Ended);
+            let words = format!("gave up after {} skipped: {reason}", attempts.skipped);
+            return Next::End(ExitStatus::Fail, words);
+        }
+        Next::Again
     }
 
-    pub(super) async fn note_attempt(
-        &mut self,
-        job: &Job,
-        reason: &str,
-        attempts: &mut Attempts,
-    ) -> Result<(), JournalError> {
+    fn note_attempt(&mut self, job: &Job, reason: &str, attempts: &mut Attempts) {
         let key = self.control.inbox.status.borrow().run.as_ref().and_then(|r| r.trial);
         attempts.configuration = key.map(|k| k.configuration);
         let data = json!({ "trial": key, "attempt": attempts.of_configuration, "reason": reason });
-        self.control.say("attempt_failed", data).await;
+        self.control.say("attempt_failed", data);
         self.control.show_run(|run| run.retries += 1);
-        let Some(key) = key else { return Ok(()) };
+        let Some(key) = key else { return };
         let record = AttemptRecord {
             key,
             attempt: attempts.of_configuration,
             reason: reason.into(),
             at: jiff::Timestamp::now(),
         };
-        self.control.journal.attempt(job.run, &record).await
-    }
-
-    /// Raises the tips. `after_halt`: wires that are down are tried again while waiting; any other
-    /// failure is a panic, for a person.
-    pub(super) async fn raise_or_panic(&mut self, after_halt: bool) {
-        let Some(connection) = self.connection.as_mut() else { return };
-        if self.control.estop.pressed().is_some() {
-            return;
-        }
-        self.control.phase(Phase::Raise);
-        if let Err(error) = connection.stage.raise().await {
-            self.control.say("raise_failed", json!({ "why": error })).await;
-            let wires_down = after_halt && connection.stage.pose().await.is_err();
-            if !wires_down {
-                let _ = self.control.run_event(RunEvent::RaiseFailed).await;
-            }
-        }
-    }
-
-    /// Whether z is measured clear of the skin and at rest; true after an e-stop, which leaves the
-    /// tips where they are until a person releases it.
-    pub(super) async fn raised(&mut self) -> bool {
-        let Some(connection) = self.connection.as_ref() else { return false };
-        if self.control.estop.pressed().is_some() {
-            return true;
-        }
-        let clear = connection.stage.clear_z_mm() + self.config.axes.z.tolerance_mm;
-        let z = connection.open.bench.z.status().await;
-        z.is_ok_and(|z| !z.moving && z.position <= clear)
+        self.control.diary.note(Note::Attempt(job.run, record));
     }
 }
 

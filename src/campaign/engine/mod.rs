@@ -1,26 +1,31 @@
 //! The campaign's thread: takes requests, drives a run step by step, decides after every halt.
-//! Uses: everything in `campaign`, `rig::registry`. Never: HTTP, SQL.
+//! Uses: everything in `campaign`, `rig::registry`. Never: HTTP, SQL, a way out that is not the safe
+//! end.
 //!
 //! It runs on a thread and a runtime of its own, so that no HTTP read can delay a motion
 //! (`design.md` 4). What it does in which order is the plan's; what is left of it is `resume`'s;
 //! which state follows is `run_state`'s and `rig_state`'s. Here they are put to work.
 
+use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
 
+use futures::FutureExt;
 use tokio::task::JoinHandle;
 
-use super::command::{Envelope, Handle, Inbox, Refusal, Request, channel};
+use super::command::{Envelope, Handle, Refusal, Request, channel};
 use super::control::Control;
+use super::diary::{Diary, Note};
 use super::estop::StopSwitch;
 use super::halt::Halt;
-use super::interlock::{self, TripKind};
+use super::interlock::{Trip, TripKind};
 use super::job::Job;
-use super::journal::{ExitStatus, Journal};
+use super::journal::{ExitStatus, Journal, Mounting, error_chain};
 use super::rig_state::RigState;
+use super::run_state::{PausedWhy, RunState};
+use super::safe_end::{self, Height};
 use super::show;
 use super::stage::Stage;
-use super::status::{Phase, Wanted};
 use crate::rig::config::RigConfig;
 use crate::rig::registry::OpenBench;
 
@@ -31,6 +36,8 @@ mod wait;
 
 /// How often an idle or waiting engine looks at its bench, wall.
 const IDLE_TICK: Duration = Duration::from_millis(200);
+/// Longest wait for the store when the thread starts and ends.
+const STORE_PATIENCE: Duration = Duration::from_secs(10);
 /// Longest wait between two automatic resumes, wall.
 const LONGEST_BACKOFF: Duration = Duration::from_secs(120);
 
@@ -44,7 +51,15 @@ pub fn spawn(
     let (handle, inbox) = channel(estop.clone(), show::closed(&config));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let thread = std::thread::Builder::new().name("campaign".into()).spawn(move || {
-        runtime.block_on(Engine::new(config, inbox, estop, journal).serve());
+        runtime.block_on(async {
+            let (diary, writing) = Diary::open(journal.clone());
+            let control = Control::new(inbox, estop, diary, journal);
+            Engine::new(config, control).serve().await;
+            // Every clone of the diary is gone: its task ends when all is written.
+            if tokio::time::timeout(STORE_PATIENCE, writing).await.is_err() {
+                tracing::error!("the diary was not written to its end");
+            }
+        });
     })?;
     Ok((handle, thread))
 }
@@ -69,6 +84,21 @@ struct Engine {
     control: Control,
     connection: Option<Connection>,
     prepared_setting: Option<u32>,
+    /// Tips that are mounted, and whether that was said since this thread started.
+    mounting: Option<(Mounting, bool)>,
+    /// What the last safe end could not do.
+    owed: Owed,
+}
+
+/// What a safe end has left to do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Owed {
+    /// Nothing.
+    Nothing,
+    /// The wires were down: it is tried again once they carry.
+    Wires,
+    /// The wires carry and the tips are still down: a person must look.
+    Person,
 }
 
 /// What to do after a halt.
@@ -88,21 +118,40 @@ enum Waited {
 }
 
 impl Engine {
-    fn new(config: RigConfig, inbox: Inbox, estop: StopSwitch, journal: Arc<dyn Journal>) -> Self {
-        let control = Control::new(inbox, estop, journal);
-        Self { config, control, connection: None, prepared_setting: None }
+    fn new(config: RigConfig, control: Control) -> Self {
+        Self {
+            config,
+            control,
+            connection: None,
+            prepared_setting: None,
+            mounting: None,
+            owed: Owed::Nothing,
+        }
     }
 
+    /// Takes requests until told to end. A panic on the way ends in the safe end like any fault, and
+    /// the thread goes on serving.
     async fn serve(mut self) {
+        self.recall_mounting().await;
+        loop {
+            match AssertUnwindSafe(self.take_requests()).catch_unwind().await {
+                Ok(()) => break,
+                Err(panic) => self.after_panic(&panic_words(panic.as_ref())).await,
+            }
+        }
+        self.make_safe(None, Height::Clear).await;
+    }
+
+    async fn take_requests(&mut self) {
         let mut tick = tokio::time::interval(IDLE_TICK);
         tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
-        loop {
+        while !self.control.leaving() {
             tokio::select! {
                 envelope = self.control.inbox.requests.recv() => match envelope {
-                    None => break,
+                    None => return,
                     Some(Envelope { request: Request::Shutdown, answer }) => {
                         let _ = answer.send(Ok(()));
-                        break;
+                        return;
                     }
                     Some(Envelope { request: Request::Start(job), answer }) => {
                         let armed = self.arm(&job).await;
@@ -111,35 +160,77 @@ impl Engine {
                         if go {
                             self.run(&job).await;
                         }
-                        if self.control.leaving() {
-                            break;
-                        }
                     }
                     Some(envelope) => self.rig_request(envelope).await,
                 },
                 _ = tick.tick() => self.look().await,
             }
         }
-        if let Some(connection) = self.connection.as_mut()
-            && matches!(self.control.rig(), RigState::Homed | RigState::Armed)
-            && let Err(error) = connection.stage.raise().await
-        {
-            tracing::warn!(error, "the tips were not raised at the end");
-        }
     }
 
-    /// A look at the bench between runs: shows where it stands, latches an e-stop.
+    /// The safe end, with or without a run. True when nothing more is owed.
+    async fn make_safe(&mut self, trip: Option<&Trip>, height: Height) -> bool {
+        let Some(connection) = self.connection.as_mut() else {
+            return true;
+        };
+        let stage = &mut connection.stage;
+        let end = safe_end::make_safe(&mut self.control, stage, trip, height).await;
+        self.owed = match (end.is_safe(), connection.stage.pose().await) {
+            (true, _) => Owed::Nothing,
+            (false, Err(_)) => Owed::Wires,
+            (false, Ok(_)) => Owed::Person,
+        };
+        end.is_safe()
+    }
+
+    /// A look at the bench between runs: shows where it stands, latches an e-stop, and makes good
+    /// what the last safe end could not do while the wires were down.
     async fn look(&mut self) {
         if let Some(press) = self.control.estop.pressed()
             && !matches!(self.control.rig(), RigState::Tripped | RigState::Disconnected)
         {
-            let trip = interlock::Trip { kind: TripKind::Estop, detail: press.why };
-            self.control.trip(&trip).await;
+            self.control.latch(&Trip { kind: TripKind::Estop, detail: press.why });
+        }
+        let Some(connection) = self.connection.as_ref() else { return };
+        if self.owed == Owed::Wires && connection.stage.pose().await.is_ok() {
+            self.make_safe(None, Height::Clear).await;
         }
         if let Some(connection) = self.connection.as_ref() {
             show::bench(&self.control, &connection.stage, &connection.open).await;
         }
     }
+
+    /// The service's own fault: the rig is made safe, and the run is left open to be resumed.
+    async fn after_panic(&mut self, words: &str) {
+        let detail = format!("the campaign's thread failed: {words}");
+        let trip = Trip { kind: TripKind::Service, detail };
+        self.make_safe(Some(&trip), Height::Clear).await;
+        if self.control.run() != RunState::Idle
+            && let Some(run) = self.control.run_uid()
+        {
+            let why = Some(PausedWhy::Trip.as_str().to_owned());
+            self.control.diary.note(Note::RunState(run, "interrupted".into(), None, why));
+        }
+        self.control.forget_run();
+        self.control.show(|status| status.run = None);
+        self.prepared_setting = None;
+    }
+
+    /// What a person said last of the tips, before this thread started.
+    async fn recall_mounting(&mut self) {
+        let journal = self.control.journal.clone();
+        let known = tokio::time::timeout(STORE_PATIENCE, journal.last_mounted()).await;
+        match known {
+            Ok(Ok(mounting)) => self.mounting = mounting.map(|m| (m, false)),
+            Ok(Err(error)) => tracing::warn!(error = error_chain(&error), "tips are not known"),
+            Err(_late) => tracing::warn!("tips are not known: the store does not answer"),
+        }
+    }
+}
+
+fn panic_words(panic: &(dyn std::any::Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
+    text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "a panic".into())
 }
 
 /// What has been tried in this session.
@@ -160,32 +251,13 @@ impl Default for Attempts {
     }
 }
 
-async fn require_tips(stage: &mut Stage, tips: u8) -> Result<(), Halt> {
-    let reading = stage.bench.cells.read().await?;
-    match interlock::live_tips(&stage.config.cells, &reading.volts) {
-        Ok(live) if live == tips => {
-            stage.tips = tips;
-            Ok(())
-        }
-        Ok(_) | Err(_) => Err(Halt::Needs(Wanted::Tips { tips })),
-    }
-}
-
-async fn raise(stage: &mut Stage, control: &Control) -> Result<(), Halt> {
-    control.phase(Phase::Raise);
-    stage.raise().await.map_err(|e| Halt::trip(TripKind::Position, format!("not raised: {e}")))
-}
-
-fn trip_of(halt: Halt) -> interlock::Trip {
+fn trip_of(halt: &Halt) -> Trip {
+    let device = |detail: String| Trip { kind: TripKind::Device, detail };
     match halt {
-        Halt::Trip(trip) => trip,
-        Halt::Failed(detail) => interlock::Trip { kind: TripKind::Device, detail },
-        Halt::Store(error) => {
-            interlock::Trip { kind: TripKind::Device, detail: error_chain(&error) }
-        }
-        Halt::Asked | Halt::Checkpoint | Halt::Needs(_) => {
-            interlock::Trip { kind: TripKind::Device, detail: "left before its end".into() }
-        }
+        Halt::Trip(trip) => trip.clone(),
+        Halt::Failed(detail) => device(detail.clone()),
+        Halt::Store(error) => device(error_chain(error)),
+        Halt::Asked | Halt::Checkpoint | Halt::Needs(_) => device("left before its end".into()),
     }
 }
 
@@ -196,16 +268,4 @@ fn backoff(job: &Job, resumes: u32) -> Duration {
 
 fn no_wires() -> Refusal {
     Refusal::State("the rig is disconnected".into())
-}
-
-/// An error with its causes, for people.
-pub fn error_chain(error: &(dyn std::error::Error + 'static)) -> String {
-    let mut words = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        words += ": ";
-        words += &error.to_string();
-        cause = error.source();
-    }
-    words
 }

@@ -4,18 +4,21 @@
 use serde_json::json;
 use tokio::time::Instant;
 
-use super::{Attempts, Engine, Next, error_chain, no_wires, raise, require_tips};
+use super::{Attempts, Engine, Next, no_wires, trip_of};
 use crate::campaign::command::{Refusal, Request};
+use crate::campaign::diary::Note;
 use crate::campaign::eta::Pace;
+use crate::campaign::evidence::SilentArms;
 use crate::campaign::halt::Halt;
-use crate::campaign::interlock::{ForceLimits, TripKind};
+use crate::campaign::interlock::{self, ForceLimits, TripKind};
 use crate::campaign::job::Job;
-use crate::campaign::journal::{ExitStatus, JournalError, Progress};
+use crate::campaign::journal::{ExitStatus, Progress};
 use crate::campaign::manual;
 use crate::campaign::press::Pressing;
 use crate::campaign::resume;
 use crate::campaign::rig_state::{RigEvent, RigState};
 use crate::campaign::run_state::RunEvent;
+use crate::campaign::safe_end::{Height, raise_as_planned};
 use crate::campaign::show;
 use crate::campaign::status::{Phase, Wanted};
 use crate::campaign::touch_off;
@@ -23,81 +26,116 @@ use crate::ids::TrialKey;
 use crate::schedule::plan::{Kind, Step};
 
 impl Engine {
-    /// Checks that a run may start, and arms the rig for it.
+    /// Checks that a run may start, and arms the rig for it: the stopping distance at the wires' own
+    /// pace must keep the margin of the force limit.
     pub(super) async fn arm(&mut self, job: &Job) -> Result<(), Refusal> {
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
+        let stage = &mut connection.stage;
         if job.plan.kind == Kind::RealHex {
-            self.control.rig_event(RigEvent::Arm).await?;
+            if self.control.rig() == RigState::Homed {
+                let timed = stage.time_polls().await;
+                timed.map_err(|halt| Refusal::State(trip_of(&halt).detail))?;
+            }
+            stage.stopping.begin();
+            let distance = stage.stopping.distance(&self.config).map_err(Refusal::Value)?;
+            self.control.rig_event(RigEvent::Arm)?;
             let (rig, run) = (&self.config.limits, &job.plan.limits);
-            connection.stage.limits = ForceLimits {
+            stage.limits = ForceLimits {
                 each_n: rig.force_n.min(run.force_n),
                 sum_n: rig.force_sum_n.min(run.force_sum_n),
+                below_n: rig.tare_drift_n,
             };
+            stage.silent = SilentArms::default();
+            self.control.show(|status| status.rig.stopping = Some(distance));
         }
         self.prepared_setting = None;
         self.control.show(|status| status.run = Some(show::started(job)));
-        self.control.begin(job.run).await
+        self.control.begin(job.run)
     }
 
     pub(super) async fn run(&mut self, job: &Job) {
-        let (status, reason) = match self.session(job).await {
-            Ok(Some(ended)) => ended,
-            Ok(None) => return,
-            Err(error) => {
-                if job.plan.kind == Kind::RealHex {
-                    self.raise_or_panic(false).await;
-                }
-                (ExitStatus::Fail, error_chain(&error))
-            }
-        };
-        if let Err(error) =
-            self.control.journal.end_run(job.run, status, &reason, jiff::Timestamp::now()).await
-        {
-            tracing::error!(%error, "the end of the run was not stored");
-        }
-        let data = json!({ "run": job.run, "exit_status": status, "reason": reason });
-        self.control.say("ended", data).await;
+        let Some((status, reason)) = self.session(job).await else { return };
+        self.show_stopping();
+        let stopping = self.control.inbox.status.borrow().rig.stopping;
+        self.control.diary.note(Note::EndRun(job.run, status, reason.clone()));
+        let data = json!({ "run": job.run, "exit_status": status, "reason": reason,
+            "stopping": stopping });
+        self.control.say("ended", data);
         if self.control.rig() == RigState::Armed {
             // Armed always allows disarming.
-            let _ = self.control.rig_event(RigEvent::Disarm).await;
+            let _ = self.control.rig_event(RigEvent::Disarm);
+        }
+        // Who waits for the end finds it stored, if the store answers.
+        if let Err(error) = self.control.flush().await {
+            tracing::error!(%error, "the end of the run is not stored yet");
         }
         self.control.forget_run();
         self.control.show(|status| status.run = None);
     }
 
+    fn show_stopping(&mut self) {
+        let Some(connection) = &self.connection else { return };
+        if let Ok(distance) = connection.stage.stopping.distance(&self.config) {
+            self.control.show(|status| status.rig.stopping = Some(distance));
+        }
+    }
+
     /// Drives a run to its end, through halts, pauses and resumes. None: it was left open.
-    pub(super) async fn session(
-        &mut self,
-        job: &Job,
-    ) -> Result<Option<(ExitStatus, String)>, JournalError> {
-        let depths = job.plan.depths_mm.len();
+    async fn session(&mut self, job: &Job) -> Option<(ExitStatus, String)> {
         let mut pace = Pace::predicted(job.predicted_trial_s / self.config.clock_rate);
         let mut attempts = Attempts::default();
         let mut auto_resumes = 0;
         loop {
-            let mut progress = self.control.journal.progress(job.run).await?;
-            show::progress(&self.control, job, &progress, &pace);
-            let Some(entry) = resume::entry(&job.plan.steps, depths, &progress) else {
-                self.raise_or_panic(false).await;
-                // Ending is allowed from every state that a run under way can be in.
-                let _ = self.control.run_event(RunEvent::Ended).await;
-                return Ok(Some((ExitStatus::Success, done_words(&progress))));
-            };
-            let steps = entry.prepare.iter().chain(&job.plan.steps[entry.next..]);
-            let halt = match self.pass(job, steps, &mut progress, &mut pace, &mut attempts).await {
-                Ok(()) => continue,
+            let halt = match self.advance(job, &mut pace, &mut attempts).await {
+                Ok(None) => continue,
+                Ok(Some(words)) => {
+                    self.leave_contact(job, None, Height::Clear).await;
+                    // Ending is allowed from every state that a run under way can be in.
+                    let _ = self.control.run_event(RunEvent::Ended);
+                    return Some((ExitStatus::Success, words));
+                }
                 Err(halt) => halt,
             };
-            match self.decide(job, halt, &mut attempts, &mut auto_resumes).await? {
+            match self.decide(job, halt, &mut attempts, &mut auto_resumes).await {
                 Next::Again => {}
-                Next::Leave => return Ok(None),
-                Next::End(status, reason) => return Ok(Some((status, reason))),
+                Next::Leave => return None,
+                Next::End(status, reason) => return Some((status, reason)),
             }
         }
     }
 
+    /// Looks what is stored, and takes what is left. Words when nothing is left.
+    async fn advance(
+        &mut self,
+        job: &Job,
+        pace: &mut Pace,
+        attempts: &mut Attempts,
+    ) -> Result<Option<String>, Halt> {
+        let depths = job.plan.depths_mm.len();
+        let mut progress = self.stored(job).await?;
+        show::progress(&self.control, job, &progress, pace);
+        let Some(entry) = resume::entry(&job.plan.steps, depths, &progress) else {
+            return Ok(Some(done_words(&progress)));
+        };
+        let steps = entry.prepare.iter().chain(&job.plan.steps[entry.next..]);
+        self.pass(job, steps, &mut progress, pace, attempts).await?;
+        Ok(None)
+    }
+
+    /// What is stored of a run, everything that was noted included.
+    async fn stored(&mut self, job: &Job) -> Result<Progress, Halt> {
+        let (diary, journal, run) =
+            (self.control.diary.clone(), self.control.journal.clone(), job.run);
+        self.control
+            .at_rest(async move {
+                diary.flush().await?;
+                journal.progress(run).await
+            })
+            .await
+    }
+
     /// Takes steps until one halts or all are done.
-    pub(super) async fn pass(
+    async fn pass(
         &mut self,
         job: &Job,
         steps: impl Iterator<Item = &Step>,
@@ -110,13 +148,14 @@ impl Engine {
             if resume::is_done(step, depths, progress) {
                 continue;
             }
-            self.control.checkpoint().await?;
+            self.control.checkpoint()?;
             self.require_space(job, progress).await?;
             let begun = Instant::now();
             let stored = self.take(job, step, progress, attempts).await?;
             if let Some(connection) = &self.connection {
                 show::counters(&self.control, &connection.open);
             }
+            self.show_stopping();
             if stored > 0 {
                 pace.note(stored, begun.elapsed().as_secs_f64());
                 show::progress(&self.control, job, progress, pace);
@@ -127,13 +166,19 @@ impl Engine {
     }
 
     /// One step of the plan. Returns the number of trials stored.
-    pub(super) async fn take(
+    async fn take(
         &mut self,
         job: &Job,
         step: &Step,
         progress: &mut Progress,
         attempts: &Attempts,
     ) -> Result<u32, Halt> {
+        if let Step::TipChange { setting, tips } = step {
+            if self.prepared_setting != Some(*setting) {
+                self.require_tips(*tips, progress).await?;
+            }
+            return Ok(0);
+        }
         let Some(connection) = self.connection.as_mut() else {
             return Err(Halt::trip(TripKind::Wire, "no wires are open"));
         };
@@ -141,16 +186,7 @@ impl Engine {
         let pressing =
             Pressing { run: job.run, plan: &job.plan, attempt: attempts.of_configuration };
         match step {
-            Step::TipChange { setting, tips } => {
-                if self.prepared_setting != Some(*setting) {
-                    require_tips(stage, *tips).await?;
-                    control.show(|status| {
-                        status.rig.tips = Some(*tips);
-                        status.rig.forces_n.clear();
-                    });
-                }
-                Ok(0)
-            }
+            Step::TipChange { .. } => Ok(0),
             Step::TouchOff { setting, places } => {
                 if self.prepared_setting == Some(*setting) {
                     return Ok(0);
@@ -159,21 +195,23 @@ impl Engine {
                 let samples = job.plan.measure.tare_samples;
                 let at = stage.clock.timestamp();
                 let found = touch_off::touch_off(stage, control, places, samples, at).await?;
-                control.journal.touch_off(job.run, &found).await?;
-                control.say("touch_off", json!(found)).await;
+                control.diary.note(Note::TouchOff(job.run, found.clone()));
+                control.say("touch_off", json!(found));
                 control.show(|status| status.rig.surface = Some(found));
                 self.prepared_setting = Some(*setting);
                 Ok(0)
             }
             Step::Reference(press) => {
                 pressing.reference(stage, control, press).await?;
-                raise(stage, control).await?;
+                control.phase(Phase::Raise);
+                raise_as_planned(control, stage).await?;
                 Ok(0)
             }
             Step::Configuration(c) => {
                 let pending = resume::pending_depths(c, job.plan.depths_mm.len(), progress);
                 let stored = pressing.configuration(stage, control, c, &pending).await?;
-                raise(stage, control).await?;
+                control.phase(Phase::Raise);
+                raise_as_planned(control, stage).await?;
                 progress.stored.extend(
                     pending
                         .iter()
@@ -198,24 +236,42 @@ impl Engine {
         }
     }
 
-    pub(super) async fn require_space(
-        &mut self,
-        job: &Job,
-        progress: &Progress,
-    ) -> Result<(), Halt> {
-        let left = job.plan.trials().saturating_sub(progress.stored.len() as u64);
-        let needed = left * job.bytes_per_trial;
-        let free = self.control.journal.free_bytes().await?;
-        if free < needed {
-            let (free, needed) = (free / 1_000_000, needed / 1_000_000);
-            return Err(self.suspend(format!("disk: {free} MB free, the rest needs {needed} MB")));
+    /// Goes on only with the tips that a person says are mounted, where the cells do not contradict.
+    /// What was said before a restart holds for a run that goes on, if the cells show the same.
+    async fn require_tips(&mut self, tips: u8, progress: &Progress) -> Result<(), Halt> {
+        let Some(connection) = self.connection.as_mut() else {
+            return Err(Halt::trip(TripKind::Wire, "no wires are open"));
+        };
+        let stage = &mut connection.stage;
+        let volts = stage.bench.cells.read().await?.volts;
+        let live = interlock::live_cells(&self.config.cells, &volts, tips);
+        let goes_on = !progress.stored.is_empty();
+        let said = self.mounting.as_ref().is_some_and(|(m, now)| {
+            m.tips == tips && live == Ok(m.live_cells) && (*now || goes_on)
+        });
+        if !said {
+            return Err(Halt::Needs(Wanted::Tips { tips }));
         }
+        stage.tips = tips;
+        self.control.show(|status| {
+            status.rig.tips = Some(tips);
+            status.rig.forces_n.clear();
+        });
         Ok(())
     }
 
-    pub(super) fn suspend(&mut self, why: String) -> Halt {
-        self.control.run_request(&Request::Suspend(why));
-        Halt::Asked
+    async fn require_space(&mut self, job: &Job, progress: &Progress) -> Result<(), Halt> {
+        let left = job.plan.trials().saturating_sub(progress.stored.len() as u64);
+        let needed = left * job.bytes_per_trial;
+        let journal = self.control.journal.clone();
+        let free = self.control.at_rest(async move { journal.free_bytes().await }).await?;
+        if free < needed {
+            let (free, needed) = (free / 1_000_000, needed / 1_000_000);
+            let why = format!("disk: {free} MB free, the rest needs {needed} MB");
+            self.control.run_request(&Request::Suspend(why));
+            return Err(Halt::Asked);
+        }
+        Ok(())
     }
 }
 

@@ -4,14 +4,15 @@
 use serde_json::json;
 use tokio::time::Instant;
 
-use super::{Attempts, Engine, IDLE_TICK, Next, Waited, backoff, no_wires, require_tips, trip_of};
+use super::{Attempts, Engine, IDLE_TICK, Next, Owed, Waited, backoff};
 use crate::campaign::command::{Envelope, Refusal, Request};
 use crate::campaign::control::name;
-use crate::campaign::halt::Halt;
+use crate::campaign::diary::Note;
 use crate::campaign::job::Job;
-use crate::campaign::journal::{ExitStatus, JournalError};
+use crate::campaign::journal::error_chain;
 use crate::campaign::rig_state::{RigEvent, RigState};
 use crate::campaign::run_state::{PausedWhy, RunAction, RunEvent, RunState};
+use crate::campaign::safe_end::Height;
 use crate::campaign::status::{Phase, Wanted};
 use crate::ids::TrialKey;
 use crate::schedule::plan::Kind;
@@ -23,10 +24,10 @@ impl Engine {
         job: &Job,
         attempts: &mut Attempts,
         passing: Option<u32>,
-    ) -> Result<Next, JournalError> {
+    ) -> Next {
         self.control.phase(Phase::Wait);
         if self.control.leaving() {
-            return Ok(Next::Leave);
+            return Next::Leave;
         }
         let mut try_at = passing.map(|n| Instant::now() + backoff(job, n));
         let mut failures = 0;
@@ -35,7 +36,7 @@ impl Engine {
         loop {
             let waited = tokio::select! {
                 envelope = self.control.inbox.requests.recv() => match envelope {
-                    Some(envelope) => self.waiting_request(job, envelope).await?,
+                    Some(envelope) => self.waiting_request(job, envelope).await,
                     None => Some(Waited::Left),
                 },
                 _ = tick.tick() => {
@@ -58,30 +59,35 @@ impl Engine {
             };
             match waited {
                 None => {}
-                Some(Waited::Resume) => return Ok(Next::Again),
+                Some(Waited::Resume) => return Next::Again,
                 Some(Waited::Confirmed(who)) => {
                     attempts.confirmed_by = self.wanted_trial().map(|t| (t, who));
-                    let _ = self.control.run_event(RunEvent::Resume).await;
-                    return Ok(Next::Again);
+                    let _ = self.control.run_event(RunEvent::Resume);
+                    return Next::Again;
                 }
-                Some(Waited::Left) => return Ok(Next::Leave),
-                Some(Waited::Ended(status)) => return Ok(Next::End(status, "asked for".into())),
+                Some(Waited::Left) => return Next::Leave,
+                Some(Waited::Ended(status)) => return Next::End(status, "asked for".into()),
             }
         }
     }
 
-    /// After a loss of wires the run has not reached what was asked for: raises as soon as they
-    /// carry again.
-    pub(super) async fn raise_when_possible(&mut self, job: &Job) -> Option<Waited> {
+    /// After a loss of wires the run has not reached what was asked for: the safe end is made good as
+    /// soon as they carry again (`look` does it).
+    async fn raise_when_possible(&mut self, job: &Job) -> Option<Waited> {
         if matches!(self.control.run(), RunState::Paused(_) | RunState::Panicked) {
             return None;
         }
         if job.plan.kind == Kind::RealHex {
-            let connection = self.connection.as_mut()?;
-            connection.stage.pose().await.ok()?;
-            connection.stage.raise().await.ok()?;
+            match self.owed {
+                Owed::Nothing if self.connection.is_some() => {}
+                Owed::Nothing | Owed::Wires => return None,
+                Owed::Person => {
+                    let _ = self.control.run_event(RunEvent::RaiseFailed);
+                    return None;
+                }
+            }
         }
-        let action = self.control.run_event(RunEvent::Raised).await.ok()?;
+        let action = self.control.run_event(RunEvent::Raised).ok()?;
         self.control.phase(Phase::Wait);
         match action {
             RunAction::End(status) => Some(Waited::Ended(status)),
@@ -90,8 +96,8 @@ impl Engine {
     }
 
     /// The policy's own way out of a trip that may pass: reset, check, home, arm, go on.
-    pub(super) async fn recover(&mut self) -> bool {
-        self.control.say("recovering", json!({})).await;
+    async fn recover(&mut self) -> bool {
+        self.control.say("recovering", json!({}));
         let Some(connection) = self.connection.as_ref() else { return false };
         let bench = connection.open.bench.clone();
         if connection.stage.pose().await.is_err() || bench.cells.read().await.is_err() {
@@ -100,13 +106,13 @@ impl Engine {
         if bench.skin.take(Instant::now(), 1).await.is_err() {
             return false;
         }
-        self.reset().await.is_ok() && self.home().await && self.resume().await.is_ok()
+        self.reset().await.is_ok() && self.home().await && self.resume().is_ok()
     }
 
     /// Arms again if a reset has disarmed the rig, and goes on.
-    pub(super) async fn resume(&mut self) -> Result<(), Refusal> {
+    fn resume(&mut self) -> Result<(), Refusal> {
         match self.control.rig() {
-            RigState::Homed => self.control.rig_event(RigEvent::Arm).await?,
+            RigState::Homed => self.control.rig_event(RigEvent::Arm)?,
             RigState::Armed => {}
             RigState::Disconnected | RigState::Disarmed | RigState::Tripped => {
                 let rig = self.control.rig().as_str();
@@ -114,10 +120,10 @@ impl Engine {
                 return Err(Refusal::State(words));
             }
         }
-        self.control.run_event(RunEvent::Resume).await.map(|_| ())
+        self.control.run_event(RunEvent::Resume).map(|_| ())
     }
 
-    pub(super) fn wanted_trial(&self) -> Option<u32> {
+    fn wanted_trial(&self) -> Option<u32> {
         match self.control.inbox.status.borrow().run.as_ref()?.wanted.as_ref()? {
             Wanted::Placement { trial, .. } => Some(*trial),
             Wanted::Tips { .. } => None,
@@ -125,78 +131,76 @@ impl Engine {
     }
 
     /// A request while a run waits.
-    pub(super) async fn waiting_request(
+    async fn waiting_request(
         &mut self,
         job: &Job,
         envelope: Envelope,
-    ) -> Result<Option<Waited>, JournalError> {
+    ) -> Option<Waited> {
         let why = self.control.run().why();
         let needs_person = matches!(why, Some(PausedWhy::TipChange | PausedWhy::ManualTrial));
         let Envelope { request, answer } = envelope;
         match request {
             Request::Resume if !needs_person => {
                 let resumed = match job.plan.kind {
-                    Kind::RealHex => self.resume().await,
-                    Kind::RealRandom => self.control.run_event(RunEvent::Resume).await.map(|_| ()),
+                    Kind::RealHex => self.resume(),
+                    Kind::RealRandom => self.control.run_event(RunEvent::Resume).map(|_| ()),
                 };
                 let waited = resumed.is_ok().then_some(Waited::Resume);
                 let _ = answer.send(resumed);
-                Ok(waited)
+                waited
             }
             Request::Confirm { who } if needs_person => {
-                let checked = self.check_confirmed().await;
+                let checked = self.check_confirmed(&who).await;
                 let waited = checked.is_ok().then_some(Waited::Confirmed(who));
                 let _ = answer.send(checked);
-                Ok(waited)
+                waited
             }
             Request::Repeat { why } => {
-                let repeated = self.repeat_last(job, &why).await?;
+                let repeated = self.repeat_last(job, &why).await;
                 let waited = repeated.is_ok().then_some(Waited::Confirmed(String::new()));
                 let _ = answer.send(repeated);
                 // Nobody confirmed the placement that was waited for: it is asked for again.
                 if waited.is_some() {
                     self.control.show_run(|run| run.wanted = None);
                 }
-                Ok(waited)
+                waited
             }
             Request::Resume => {
                 let words = "resume is not possible: confirm what the run waits for".into();
                 let _ = answer.send(Err(Refusal::State(words)));
-                Ok(None)
+                None
             }
             Request::Stop | Request::Abort | Request::Suspend(_) => {
-                let Some(event) = self.control.run_request(&request) else { return Ok(None) };
-                let mut outcome = self.control.run_event(event).await;
-                if outcome == Ok(RunAction::Raise) {
-                    if job.plan.kind == Kind::RealHex {
-                        self.raise_or_panic(true).await;
-                    }
-                    outcome = self.control.run_event(RunEvent::Raised).await;
+                let event = self.control.run_request(&request)?;
+                let mut outcome = self.control.run_event(event);
+                if outcome == Ok(RunAction::Raise)
+                    && self.leave_contact(job, None, Height::Clear).await
+                {
+                    outcome = self.control.run_event(RunEvent::Raised);
                 }
                 let waited = match outcome {
                     Ok(RunAction::End(status)) => Some(Waited::Ended(status)),
                     _ => None,
                 };
                 let _ = answer.send(outcome.map(|_| ()));
-                Ok(waited)
+                waited
             }
             Request::Shutdown => {
                 self.control.leave();
                 let _ = answer.send(Ok(()));
-                Ok(Some(Waited::Left))
+                Some(Waited::Left)
             }
-            // A person has looked after a panic.
+            // A person has looked after a panic: the run waits as after any trip.
             Request::Reset if self.control.run() == RunState::Panicked => {
                 let reset = match self.control.rig() {
                     RigState::Tripped => self.reset().await,
                     _ => Ok(()),
                 };
-                let ended = reset.is_ok().then_some(Waited::Ended(ExitStatus::Fail));
-                let _ = answer.send(reset);
-                if ended.is_some() {
-                    let _ = self.control.run_event(RunEvent::Reset).await;
+                if reset.is_ok() {
+                    let _ = self.control.run_event(RunEvent::Reset);
                 }
-                Ok(ended)
+                let _ = answer.send(reset);
+                None
             }
             Request::Start(_)
             | Request::Confirm { .. }
@@ -205,57 +209,48 @@ impl Engine {
                 let state = self.control.run().as_str();
                 let words = format!("{} is not possible while a run is {state}", name(&request));
                 let _ = answer.send(Err(Refusal::State(words)));
-                Ok(None)
+                None
             }
             Request::Connect
             | Request::Disconnect
             | Request::Home
             | Request::Jog { .. }
             | Request::Tare
+            | Request::Mounted { .. }
             | Request::Reset => {
                 self.rig_request(Envelope { request, answer }).await;
-                Ok(None)
+                None
             }
         }
     }
 
-    /// A confirmed tip change is believed only if the cells agree.
-    pub(super) async fn check_confirmed(&mut self) -> Result<(), Refusal> {
+    /// A confirmed tip change is believed only if the cells do not contradict.
+    async fn check_confirmed(&mut self, who: &str) -> Result<(), Refusal> {
         let wanted = self.control.inbox.status.borrow().run.as_ref().and_then(|r| r.wanted.clone());
-        let connection = self.connection.as_mut().ok_or_else(no_wires)?;
         match wanted {
-            Some(Wanted::Tips { tips }) => {
-                require_tips(&mut connection.stage, tips).await.map_err(|halt| match halt {
-                    Halt::Needs(_) => Refusal::State(format!(
-                        "the cells do not show {tips} tips on arms 1 to {tips}"
-                    )),
-                    other => Refusal::State(trip_of(other).detail),
-                })
-            }
+            Some(Wanted::Tips { tips }) => self.mounted(tips, who).await,
             Some(Wanted::Placement { .. }) => Ok(()),
             None => Err(Refusal::State("nothing is waited for".into())),
         }
     }
 
     /// Takes the last manual trial back.
-    pub(super) async fn repeat_last(
-        &mut self,
-        job: &Job,
-        why: &str,
-    ) -> Result<Result<(), Refusal>, JournalError> {
+    async fn repeat_last(&mut self, job: &Job, why: &str) -> Result<(), Refusal> {
+        let failed = |e| Refusal::State(error_chain(&e));
         let waiting = self.control.run().why() == Some(PausedWhy::ManualTrial);
-        let progress = self.control.journal.progress(job.run).await?;
+        self.control.flush().await.map_err(failed)?;
+        let progress = self.control.journal.progress(job.run).await.map_err(failed)?;
         let last = self
             .wanted_trial()
             .and_then(|next| next.checked_sub(1))
             .map(|configuration| TrialKey { configuration, depth_index: 0 });
         match last {
             Some(key) if waiting && progress.stored.contains(&key) => {
-                self.control.journal.discard(job.run, key, why).await?;
-                self.control.say("repeat", json!({ "trial": key, "why": why })).await;
-                Ok(Ok(()))
+                self.control.diary.note(Note::Discard(job.run, key, why.into()));
+                self.control.say("repeat", json!({ "trial": key, "why": why }));
+                self.control.flush().await.map_err(failed)
             }
-            _ => Ok(Err(Refusal::State("there is no trial to repeat".into()))),
+            _ => Err(Refusal::State("there is no trial to repeat".into())),
         }
     }
 }
