@@ -15,7 +15,6 @@ use crate::campaign::command::Request;
 use crate::campaign::rig_state::RigState;
 use crate::rig::check::{self, CheckReport, Scope};
 use crate::rig::error::RigError;
-use crate::rig::link::StopLatch;
 
 /// One check at a time: a wire has one owner.
 static CHECKING: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
@@ -139,8 +138,7 @@ async fn checked(
     if app.campaign.status().rig.state != RigState::Disconnected {
         return Err(conflict("a check needs the wires: disconnect the rig first"));
     }
-    // MERGE: the campaign's own latch, `app.campaign.stop_switch().latch()`.
-    let latch = StopLatch::new();
+    let latch = app.campaign.stop_switch().latch();
     let scope = if enable { Scope::Enable } else { Scope::Look };
     let report = check::run_on(&app.facts.rig.config, &latch, scope).await;
     report.map_err(|error| {

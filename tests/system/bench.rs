@@ -9,7 +9,7 @@ use sim_core::sensor::Sensor;
 use virtual_rig::run::{RigArgs, VirtualRig};
 use virtual_rig::{OperatorArgs, operator_main};
 
-const SENSOR: &str = include_str!("../../experiments/sensors/ert-28.toml");
+pub const SENSOR: &str = include_str!("../../experiments/sensors/ert-28.toml");
 
 /// Longest wait for anything that a test waits for.
 pub const LIMIT: Duration = Duration::from_secs(120);
@@ -41,6 +41,23 @@ pub fn rig_args(rig: &str, speed: f64) -> RigArgs {
 /// tens of its own.
 static ONE_AT_A_TIME: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
 
+/// Waits for the machine.
+pub async fn turn() -> tokio::sync::MutexGuard<'static, ()> {
+    ONE_AT_A_TIME.lock().await
+}
+
+/// Tells a rig's control socket something, as a hand would; what it answers.
+pub async fn tell(rig: &VirtualRig, command: Value) -> Value {
+    use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
+    let wire = tokio::net::TcpStream::connect(&rig.ready.control).await.unwrap();
+    let mut wire = BufReader::new(wire);
+    wire.get_mut().write_all(format!("{command}\n").as_bytes()).await.unwrap();
+    let mut reply = String::new();
+    wire.read_line(&mut reply).await.unwrap();
+    assert!(reply.contains("\"ok\":true"), "{command}: {reply}");
+    serde_json::from_str(&reply).unwrap()
+}
+
 /// Everything of one test; its folder goes with it.
 pub struct Lab {
     /// Switched on.
@@ -56,7 +73,7 @@ pub struct Lab {
 impl Lab {
     /// Switches everything on.
     pub async fn open(name: &str, args: RigArgs) -> Self {
-        let turn = ONE_AT_A_TIME.lock().await;
+        let turn = turn().await;
         let speed = args.speed.unwrap();
         let rig = VirtualRig::switch_on(&args).await.unwrap();
         let data = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("system-{name}"));
@@ -179,13 +196,7 @@ impl Lab {
 
     /// Tells the rig's control socket something, as a hand would.
     pub async fn tell_rig(&self, command: Value) {
-        use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
-        let wire = tokio::net::TcpStream::connect(&self.rig.ready.control).await.unwrap();
-        let mut wire = BufReader::new(wire);
-        wire.get_mut().write_all(format!("{command}\n").as_bytes()).await.unwrap();
-        let mut reply = String::new();
-        wire.read_line(&mut reply).await.unwrap();
-        assert!(reply.contains("\"ok\":true"), "{command}: {reply}");
+        tell(&self.rig, command).await;
     }
 
     /// Waits until a run has stored so many trials.

@@ -4,4 +4,5 @@
 mod bench;
 mod campaign;
 mod live;
+mod safety;
 mod stop;

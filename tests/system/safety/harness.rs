@@ -1,0 +1,213 @@
+//! The campaign's thread on the virtual rig's wires, with a journal that does as it is told. What the
+//! rig truly did is asked at its control socket; what the service knows is its status.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use palpate::campaign::command::{Handle, Refusal, Request};
+use palpate::campaign::engine;
+use palpate::campaign::job::Job;
+use palpate::campaign::rig_state::RigState;
+use palpate::campaign::safe_end::Tips;
+use palpate::campaign::status::Status;
+use palpate::ids::RunUid;
+use palpate::rig::config::RigConfig;
+use palpate::schedule::experiment::Experiment;
+use palpate::schedule::plan::Plan;
+use serde_json::{Value, json};
+use sim_core::sensor::Sensor;
+use virtual_rig::run::VirtualRig;
+
+use super::journal::Scripted;
+use crate::bench::{self, LIMIT, rig_args};
+
+/// Process seconds in a wall second: each fault is over in seconds, and this computer's lateness,
+/// 5 ms of the wall, is 40 ms of the rig.
+pub const SPEED: f64 = 8.0;
+
+/// One tip setting of three configurations, down to 5 mm.
+pub fn experiment(tips: u8, more: &str) -> String {
+    format!(
+        "name = 'safety'\nseed = 5\nsensor = 's'\n[real_hex]\ntips = [{tips}]\nconfigurations = 3\n\
+         depths = 6\ndepth_step_mm = 1.0\nblock = 3\nreference_every = 0\n\
+         [measure]\nsettle_ms = 400.0\n{more}"
+    )
+}
+
+/// Everything of one test.
+pub struct Harness {
+    /// Switched on.
+    pub rig: VirtualRig,
+    /// The campaign.
+    pub handle: Handle,
+    /// What it writes to.
+    pub journal: Arc<Scripted>,
+    /// Its rig file.
+    pub config: RigConfig,
+    thread: std::thread::JoinHandle<()>,
+    _turn: tokio::sync::MutexGuard<'static, ()>,
+}
+
+impl Harness {
+    /// Switches everything on, connects and homes.
+    pub async fn homed() -> Self {
+        let turn = bench::turn().await;
+        let rig = VirtualRig::switch_on(&rig_args("virtual", SPEED)).await.unwrap();
+        let config = RigConfig::from_toml("served.toml", &rig.rig_text).unwrap();
+        let journal = Arc::new(Scripted::default());
+        let (handle, thread) = engine::spawn(config.clone(), journal.clone()).unwrap();
+        let harness = Self { rig, handle, journal, config, thread, _turn: turn };
+        harness.ask(Request::Connect).await.unwrap();
+        harness.home().await;
+        harness
+    }
+
+    /// Homes, and waits for it.
+    pub async fn home(&self) {
+        self.ask(Request::Home).await.unwrap();
+        self.until("homed", |s| s.rig.state == RigState::Homed).await;
+    }
+
+    /// Asks the campaign for something.
+    pub async fn ask(&self, request: Request) -> Result<(), Refusal> {
+        self.handle.ask(request).await
+    }
+
+    /// Mounts tips and says so; `powered` cells stay on their cables.
+    pub async fn mount(&self, tips: u8, powered: u8) {
+        self.tell(json!({ "cmd": "mount", "tips": tips, "powered": powered })).await;
+        // The module's next conversion shows it.
+        tokio::time::sleep(Duration::from_millis(50)).await;
+        self.ask(Request::Mounted { tips, who: "test".into() }).await.unwrap();
+    }
+
+    /// A job of the experiment, changed by hand.
+    pub fn job(&self, definition: &str, change: impl FnOnce(&mut Job)) -> Job {
+        let experiment = Experiment::from_toml("test.toml", definition).unwrap();
+        let sensor = Sensor::from_toml(bench::SENSOR).unwrap();
+        let plan = Plan::of("test.toml", &experiment, &sensor).unwrap();
+        let mut job = Job {
+            run: RunUid::new(),
+            scan_id: 1,
+            plan,
+            predicted_trial_s: 1.0,
+            auto_resume: false,
+            bytes_per_trial: 4000,
+            bytes_fixed: 0,
+        };
+        change(&mut job);
+        job
+    }
+
+    /// Mounts tips and starts the experiment.
+    pub async fn run(&self, tips: u8, more: &str) {
+        self.mount(tips, tips).await;
+        self.start(self.job(&experiment(tips, more), |_| {})).await;
+    }
+
+    /// Starts a job.
+    pub async fn start(&self, job: Job) {
+        self.ask(Request::Start(Arc::new(job))).await.unwrap();
+    }
+
+    /// Waits for the status to satisfy this.
+    pub async fn until(&self, what: &str, done: impl Fn(&Status) -> bool) -> Status {
+        let start = Instant::now();
+        loop {
+            let status = self.handle.status();
+            if done(&status) {
+                return status;
+            }
+            assert!(start.elapsed() < LIMIT, "{what} does not come: {status:#?}");
+            tokio::time::sleep(Duration::from_millis(2)).await;
+        }
+    }
+
+    /// Waits until so many trials are stored.
+    pub async fn stored(&self, n: u64) {
+        self.until("trials", |s| s.run.as_ref().is_some_and(|r| r.trials_stored >= n)).await;
+    }
+
+    /// Waits until the rig's tips truly press.
+    pub async fn pressing(&self) {
+        let start = Instant::now();
+        while self.truth().await["pressing"] != true {
+            assert!(start.elapsed() < LIMIT, "nothing presses: {:#?}", self.handle.status());
+        }
+    }
+
+    /// Waits for a trip and for its safe end.
+    pub async fn tripped(&self) -> Status {
+        let ended =
+            |s: &Status| s.rig.state == RigState::Tripped && s.rig.safe_end.is_some();
+        let status = self.until("a trip", ended).await;
+        // Of the run, the state that follows.
+        self.until("a halt", |s| s.run.as_ref().is_none_or(|r| r.state != "running")).await;
+        status
+    }
+
+    /// Tells the rig's control socket something.
+    pub async fn tell(&self, command: Value) -> Value {
+        bench::tell(&self.rig, command).await
+    }
+
+    /// A fault that begins at once.
+    pub async fn fault(&self, kind: &str, device: &str, more: Value) {
+        let mut fault = json!({ "cmd": "fault", "kind": kind, "device": device });
+        fault.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+        self.tell(fault).await;
+    }
+
+    /// What the bench truly does.
+    pub async fn truth(&self) -> Value {
+        self.tell(json!({ "cmd": "status" })).await
+    }
+
+    /// The tips are up and nothing moves, in truth and in the status; no axis ever moved sideways
+    /// in contact.
+    pub async fn is_safe(&self) {
+        let status = self.handle.status();
+        let end = status.rig.safe_end.clone().expect("a safe end");
+        assert_eq!(end.tips, Tips::Raised, "{end:#?}");
+        assert!(end.is_acknowledged(), "{end:#?}");
+        let truth = self.truth().await;
+        assert_eq!(truth["pressing"], false, "{truth:#}");
+        assert_eq!(truth["lateral_in_contact"], 0, "{truth:#}");
+        for axis in truth["axes"].as_array().unwrap() {
+            assert_eq!(axis["moving"], false, "{axis}");
+        }
+        let z = truth["axes"][2]["position"].as_f64().unwrap();
+        assert!(z < truth["surface_z_mm"].as_f64().unwrap() - 1.0, "{truth:#}");
+    }
+
+    /// The diary, once written, tells the trip, the safe end after it, and the failed attempt after
+    /// both: nothing was written before the rig was safe.
+    pub async fn diary_tells(&self, trip: &str) {
+        let kinds = ["trip", "safe_end", "attempt_failed"];
+        let start = Instant::now();
+        loop {
+            let found: Vec<usize> = {
+                let taken = self.journal.taken();
+                kinds.iter().filter_map(|k| taken.order.iter().rposition(|o| o == k)).collect()
+            };
+            if found.len() == kinds.len() {
+                assert!(found.is_sorted(), "{:?}", self.journal.taken().order);
+                break;
+            }
+            assert!(start.elapsed() < LIMIT, "{:?}", self.journal.taken().order);
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        let taken = self.journal.taken();
+        let (_, data, _) = taken.events.iter().find(|e| e.0 == "trip").unwrap();
+        assert_eq!(data["kind"], trip, "{data}");
+        assert_eq!(taken.events.iter().filter(|e| e.0 == "trip").count(), 1, "{:?}", taken.events);
+    }
+
+    /// Ends the thread; the diary is written to its end.
+    pub async fn close(self) {
+        self.journal.set(super::journal::Mood::Sound);
+        let _ = self.ask(Request::Shutdown).await;
+        let thread = self.thread;
+        tokio::task::spawn_blocking(move || thread.join()).await.unwrap().unwrap();
+    }
+}

@@ -1,0 +1,8 @@
+//! The rows of `docs/safety.md`, each tried on the virtual rig's wires: what trips, that every axis is
+//! stopped and the tips are up afterwards, that one cause is latched, and that the diary has it all in
+//! its order.
+
+mod harness;
+mod journal;
+mod rows;
+mod stops;

@@ -1,0 +1,266 @@
+//! What trips by itself.
+
+use std::time::Duration;
+
+use palpate::campaign::command::Request;
+use palpate::campaign::interlock::TripKind;
+use palpate::campaign::rig_state::RigState;
+use palpate::campaign::safe_end::Tips;
+use palpate::campaign::status::Status;
+use serde_json::json;
+
+use super::harness::{Harness, experiment};
+use super::journal::Mood;
+
+/// Tripped by this kind, in these words.
+fn cause(status: &Status, kind: TripKind, words: &str) {
+    let trip = status.rig.trip.as_ref().expect("a trip");
+    assert_eq!(trip.kind, kind, "{trip:?}");
+    assert!(trip.detail.contains(words), "{trip:?}");
+}
+
+/// Deepest z below the nominal surface since the peaks were cleared, mm, and the largest force, N.
+async fn peaks(harness: &Harness) -> (f64, f64) {
+    let truth = harness.truth().await;
+    let number = |key: &str| truth[key].as_f64().unwrap_or(f64::NEG_INFINITY);
+    (number("deepest_below_surface_mm"), number("peak_force_n"))
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn over_force_raises_and_the_force_stays_within_limit_and_margin() {
+    let harness = Harness::homed().await;
+    harness.run(2, "[limits]\nforce_n = 15.0\n").await;
+    let status = harness.tripped().await;
+    cause(&status, TripKind::Force, "over its limit 15 N");
+    harness.is_safe().await;
+    harness.diary_tells("force").await;
+    let (_, peak_n) = peaks(&harness).await;
+    let most = 15.0 + harness.config.limits.force_margin_n;
+    assert!(peak_n < most, "{peak_n} N, limit and margin {most} N");
+    let ms = status.rig.safe_end.unwrap().sample_to_stop_ms.unwrap();
+    assert!(ms < 1000.0 * 0.1, "{ms} ms from the sample to z's stop");
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_cell_that_stands_at_its_zero_before_the_touch_off_stops_it_early() {
+    let harness = Harness::homed().await;
+    harness.mount(1, 1).await;
+    harness.fault("frozen_cell", "cells", json!({ "arm": 1 })).await;
+    harness.tell(json!({ "cmd": "clear_peaks" })).await;
+    harness.start(harness.job(&experiment(1, ""), |_| {})).await;
+    let status = harness.tripped().await;
+    let trip = status.rig.trip.clone().unwrap();
+    assert!(matches!(trip.kind, TripKind::Stale | TripKind::Cell), "{trip:?}");
+    harness.is_safe().await;
+    let (deepest_mm, peak_n) = peaks(&harness).await;
+    assert!(deepest_mm < 2.0 && peak_n < 30.0, "{deepest_mm} mm below the surface, {peak_n} N");
+    assert!(harness.journal.taken().trials.is_empty());
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_cell_that_lost_its_tip_is_found_out_by_the_skin() {
+    // Its zero is alive with noise: nothing in the cell's own voltage shows it.
+    let harness = Harness::homed().await;
+    harness.mount(1, 1).await;
+    harness.fault("uncoupled_cell", "cells", json!({ "arm": 1 })).await;
+    harness.tell(json!({ "cmd": "clear_peaks" })).await;
+    harness.start(harness.job(&experiment(1, ""), |_| {})).await;
+    let status = harness.tripped().await;
+    cause(&status, TripKind::Cell, "the skin feels a touch");
+    harness.is_safe().await;
+    let (deepest_mm, peak_n) = peaks(&harness).await;
+    assert!(peak_n < 60.0, "{deepest_mm} mm below the surface, {peak_n} N");
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn cells_that_stop_in_the_air_between_configurations_store_no_false_zero() {
+    let harness = Harness::homed().await;
+    harness.run(2, "").await;
+    harness.stored(6).await;
+    harness.fault("frozen_cell", "cells", json!({ "arm": 1 })).await;
+    harness.fault("frozen_cell", "cells", json!({ "arm": 2 })).await;
+    harness.tripped().await;
+    harness.is_safe().await;
+    for trial in &harness.journal.taken().trials {
+        let deep = trial.depth_mm.unwrap() > 4.5;
+        let heaviest = trial.arms.iter().map(|a| a.force_n).fold(0.0, f64::max);
+        assert!(!deep || heaviest > 5.0, "{trial:?}");
+    }
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_module_that_repeats_itself_under_load_trips_and_its_last_word_is_not_stored() {
+    let harness = Harness::homed().await;
+    harness.run(2, "").await;
+    harness.stored(2).await;
+    harness.pressing().await;
+    harness.fault("hung_module", "cells", json!({})).await;
+    let before = harness.journal.taken().trials.len();
+    let status = harness.tripped().await;
+    cause(&status, TripKind::Stale, "the module repeats itself");
+    harness.is_safe().await;
+    harness.diary_tells("stale").await;
+    // The trial whose frames were under way may still have been measured before.
+    assert!(harness.journal.taken().trials.len() <= before + 1);
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_force_below_the_tare_trips() {
+    let harness = Harness::homed().await;
+    harness.run(2, "").await;
+    harness.stored(1).await;
+    harness.fault("pulling_cell", "cells", json!({ "arm": 2, "force_n": 60.0 })).await;
+    let status = harness.tripped().await;
+    cause(&status, TripKind::Cell, "below its tare");
+    harness.is_safe().await;
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lost_module_a_lost_stream_and_a_stopped_axis_each_end_in_the_safe_end() {
+    for (kind, device, more, trip) in [
+        ("no_reply", "cells", json!({ "for_s": 30.0 }), "wire"),
+        ("stall_stream", "ert", json!({ "for_s": 60.0 }), "stale"),
+        ("alarm", "x", json!({ "count": 1 }), "device"),
+    ] {
+        let harness = Harness::homed().await;
+        harness.run(2, "").await;
+        harness.stored(1).await;
+        harness.fault(kind, device, more).await;
+        harness.tripped().await;
+        harness.until("raised", |s| {
+            s.rig.safe_end.as_ref().is_some_and(|e| e.tips == Tips::Raised)
+        })
+        .await;
+        let truth = harness.truth().await;
+        assert_eq!((&truth["pressing"], &truth["lateral_in_contact"]), (&json!(false), &json!(0)));
+        harness.diary_tells(trip).await;
+        harness.close().await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_alarm_of_z_in_contact_is_for_a_person_and_the_run_goes_on_afterwards() {
+    let harness = Harness::homed().await;
+    harness.run(2, "").await;
+    harness.stored(2).await;
+    harness.pressing().await;
+    harness.fault("alarm", "z", json!({ "count": 1 })).await;
+    let status = harness.tripped().await;
+    assert!(matches!(status.rig.safe_end.unwrap().tips, Tips::NotRaised(_)));
+    harness.until("panicked", |s| s.run.as_ref().is_some_and(|r| r.state == "panicked")).await;
+    harness.tell(json!({ "cmd": "mend" })).await;
+    harness.ask(Request::Reset).await.unwrap();
+    harness.until("paused", |s| s.run.as_ref().is_some_and(|r| r.state == "paused")).await;
+    harness.home().await;
+    harness.ask(Request::Resume).await.unwrap();
+    harness.until("the end", |s| s.run.is_none()).await;
+    let taken = harness.journal.taken();
+    assert_eq!(taken.trials.len(), 18);
+    assert_eq!(taken.ends[0].0.as_str(), "success", "{:?}", taken.ends);
+    drop(taken);
+    assert_eq!(harness.truth().await["lateral_in_contact"], 0);
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn six_powered_cells_under_two_tips_are_legal_and_a_load_without_a_tip_is_not() {
+    let harness = Harness::homed().await;
+    harness.mount(2, 6).await;
+    harness.start(harness.job(&experiment(2, ""), |_| {})).await;
+    harness.stored(2).await;
+    assert_eq!(harness.handle.status().rig.tips, Some(2));
+    harness.fault("foreign_load", "cells", json!({ "arm": 5, "force_n": 20.0 })).await;
+    let status = harness.tripped().await;
+    cause(&status, TripKind::Cell, "cell 5 weighs");
+    harness.is_safe().await;
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_tip_that_is_not_there_is_named_by_the_touch_off() {
+    let harness = Harness::homed().await;
+    harness.mount(3, 3).await;
+    harness.fault("missing_tip", "cells", json!({ "arm": 2 })).await;
+    harness.start(harness.job(&experiment(3, ""), |_| {})).await;
+    let status = harness.tripped().await;
+    cause(&status, TripKind::Cell, "arm 2 touched nowhere");
+    harness.is_safe().await;
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_store_that_fails_raises_and_the_run_goes_on_when_it_is_back() {
+    for mood in [Mood::Fails, Mood::Panics] {
+        let harness = Harness::homed().await;
+        harness.run(2, "").await;
+        harness.stored(2).await;
+        harness.journal.set(mood);
+        harness.until("paused", |s| s.run.as_ref().is_some_and(|r| r.state == "paused")).await;
+        harness.is_safe().await;
+        assert_eq!(harness.handle.status().rig.state, RigState::Armed, "{mood:?}");
+        harness.journal.set(Mood::Sound);
+        harness.ask(Request::Resume).await.unwrap();
+        harness.until("the end", |s| s.run.is_none()).await;
+        let taken = harness.journal.taken();
+        let keys: std::collections::BTreeSet<_> = taken.trials.iter().map(|t| t.key).collect();
+        assert_eq!((taken.trials.len(), keys.len()), (18, 18), "{mood:?}");
+        drop(taken);
+        harness.close().await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn while_the_store_hangs_forces_are_watched_and_the_diary_is_complete_afterwards() {
+    let harness = Harness::homed().await;
+    harness.run(2, "").await;
+    harness.stored(2).await;
+    harness.journal.set(Mood::Hangs);
+    let committing = |s: &Status| {
+        let phase = s.run.as_ref().map(|r| serde_json::to_value(r.phase).unwrap());
+        phase == Some(json!("commit"))
+    };
+    harness.until("a commit", committing).await;
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    assert!(committing(&harness.handle.status()), "the stage does not move on");
+    // A load comes while the commit is pending.
+    harness.fault("drifting_cell", "cells", json!({ "arm": 1, "n_per_s": 200.0 })).await;
+    let status = harness.tripped().await;
+    cause(&status, TripKind::Force, "force on arm 1");
+    harness.is_safe().await;
+    let ms = status.rig.safe_end.unwrap().sample_to_stop_ms.unwrap();
+    assert!(ms < 100.0, "{ms} ms from the sample to z's stop while the store hangs");
+    let written = harness.journal.taken().order.len();
+    tokio::time::sleep(Duration::from_millis(200)).await;
+    assert_eq!(harness.journal.taken().order.len(), written, "the store hung all the while");
+    harness.journal.set(Mood::Sound);
+    harness.diary_tells("force").await;
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_panic_in_contact_raises_the_tips_and_the_thread_goes_on_serving() {
+    let harness = Harness::homed().await;
+    harness.mount(2, 2).await;
+    // A plan that lies about its places: the touch-off fails on it, tips down.
+    let job = harness.job(&experiment(2, ""), |job| {
+        for step in &mut job.plan.steps {
+            if let palpate::schedule::plan::Step::TouchOff { places, .. } = step {
+                places.iter_mut().for_each(|p| p.tips_mm.clear());
+            }
+        }
+    });
+    harness.start(job).await;
+    let status = harness.tripped().await;
+    cause(&status, TripKind::Service, "the campaign's thread failed");
+    harness.is_safe().await;
+    assert!(harness.handle.status().run.is_none());
+    harness.ask(Request::Reset).await.unwrap();
+    harness.home().await;
+    harness.close().await;
+}

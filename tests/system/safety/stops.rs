@@ -1,0 +1,128 @@
+//! What a person, or the system, stops.
+
+use std::time::{Duration, Instant};
+
+use palpate::campaign::command::Request;
+use palpate::campaign::rig_state::RigState;
+use palpate::campaign::safe_end::Tips;
+use palpate::campaign::status::Status;
+use serde_json::{Value, json};
+
+use super::harness::Harness;
+
+fn x(truth: &Value) -> (f64, bool) {
+    (truth["axes"][0]["position"].as_f64().unwrap(), truth["axes"][0]["moving"] == true)
+}
+
+async fn jog_x(harness: &Harness) -> f64 {
+    let (from, _) = x(&harness.truth().await);
+    let to_mm = if from > 280.0 { 10.0 } else { 550.0 };
+    harness.ask(Request::Jog { axis: "x".into(), to_mm }).await.unwrap();
+    while !x(&harness.truth().await).1 {}
+    to_mm
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_service_told_to_end_stops_a_jog_a_homing_and_a_press() {
+    let harness = Harness::homed().await;
+    let to_mm = jog_x(&harness).await;
+    harness.ask(Request::Shutdown).await.unwrap();
+    harness.until("a safe end", |s| s.rig.safe_end.is_some()).await;
+    let truth = harness.truth().await;
+    assert!(!x(&truth).1 && (x(&truth).0 - to_mm).abs() > 1.0, "{truth:#}");
+    harness.close().await;
+
+    let harness = Harness::homed().await;
+    harness.ask(Request::Home).await.unwrap();
+    tokio::time::sleep(Duration::from_millis(30)).await;
+    assert_eq!(harness.handle.status().rig.state, RigState::Disarmed, "homing is not homed");
+    harness.ask(Request::Shutdown).await.unwrap();
+    harness.until("a safe end", |s| s.rig.safe_end.is_some()).await;
+    for axis in harness.truth().await["axes"].as_array().unwrap() {
+        assert_eq!(axis["moving"], false, "{axis}");
+    }
+    harness.close().await;
+
+    let harness = Harness::homed().await;
+    harness.run(2, "").await;
+    harness.stored(1).await;
+    harness.pressing().await;
+    harness.ask(Request::Shutdown).await.unwrap();
+    harness.until("raised", |s| s.rig.safe_end.is_some()).await;
+    harness.is_safe().await;
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_e_stop_that_finds_no_wire_is_sent_the_moment_the_wire_is_back() {
+    let harness = Harness::homed().await;
+    let to_mm = jog_x(&harness).await;
+    let wall_s = 1.5;
+    let for_s = wall_s * super::harness::SPEED;
+    harness.fault("disconnect", "stage", json!({ "for_s": for_s })).await;
+    let pressed = Instant::now();
+    harness.handle.estop("test");
+    let unacknowledged = |s: &Status| {
+        s.rig.estop_stops.iter().any(|stop| stop.acknowledged_ms.is_none() && stop.error.is_some())
+    };
+    let status = harness.until("not acknowledged", unacknowledged).await;
+    assert_eq!(status.rig.estop_acknowledged_ms, None);
+    assert!(harness.ask(Request::Reset).await.is_err(), "no reset before every axis has stopped");
+    let status = harness
+        .until("acknowledged", |s| s.rig.estop_acknowledged_ms.is_some())
+        .await;
+    assert_eq!(status.rig.estop_stops.len(), 4);
+    assert!(pressed.elapsed() > Duration::from_secs_f64(0.9 * wall_s));
+    let truth = harness.truth().await;
+    assert!(truth["stops"].as_u64().unwrap() >= 4, "{truth:#}");
+    assert!(!x(&truth).1, "x stands, wherever it was sent ({to_mm}): {truth:#}");
+    harness.ask(Request::Reset).await.unwrap();
+    harness.home().await;
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_e_stop_in_a_press_stops_every_axis_and_moves_nothing_else() {
+    let harness = Harness::homed().await;
+    harness.run(2, "").await;
+    harness.stored(1).await;
+    harness.pressing().await;
+    harness.handle.estop("test");
+    let status = harness.tripped().await;
+    assert_eq!(status.rig.safe_end.unwrap().tips, Tips::HeldByEstop);
+    let truth = harness.truth().await;
+    for axis in truth["axes"].as_array().unwrap() {
+        assert_eq!(axis["moving"], false, "{axis}");
+    }
+    assert_eq!(truth["lateral_in_contact"], 0);
+    harness.diary_tells("estop").await;
+    harness.ask(Request::Reset).await.unwrap();
+    harness.home().await;
+    harness.ask(Request::Abort).await.unwrap();
+    harness.until("the end", |s| s.run.is_none()).await;
+    assert_eq!(harness.journal.taken().ends[0].0.as_str(), "abort");
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn after_an_alarm_or_a_loss_of_power_reset_and_home_are_enough() {
+    for kind in ["alarm", "power_loss"] {
+        let harness = Harness::homed().await;
+        harness.fault(kind, "x", json!({ "count": 1 })).await;
+        // Homing meets it, or brings it up.
+        let _ = harness.ask(Request::Home).await;
+        let seen = |s: &Status| matches!(s.rig.state, RigState::Homed | RigState::Tripped);
+        harness.until(kind, seen).await;
+        if harness.handle.status().rig.state == RigState::Tripped {
+            // Also after the wires were closed and opened again.
+            harness.ask(Request::Disconnect).await.unwrap();
+            harness.ask(Request::Connect).await.unwrap();
+            if harness.handle.status().rig.state == RigState::Tripped {
+                harness.ask(Request::Reset).await.unwrap();
+            }
+            harness.home().await;
+        }
+        assert_eq!(harness.handle.status().rig.state, RigState::Homed, "{kind}");
+        harness.close().await;
+    }
+}
