@@ -8,6 +8,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use palpate::api::LockFile;
 use palpate::clock::Clock;
 use palpate::rig::check::{Scope, check, run_on};
 use palpate::rig::config::{Guard, RigConfig};
@@ -232,6 +233,21 @@ async fn a_check_ends_with_stops_when_the_emergency_stop_is_latched() {
     assert_eq!(say(&rig, json!({ "cmd": "status" })).await["stops"], 4);
     let again = run_on(&config, &latch, Scope::Look).await;
     assert!(matches!(again, Err(RigError::Latched { .. })), "{again:?}");
+}
+
+#[test]
+fn a_rig_that_somebody_has_is_not_checked_by_another_process() {
+    let text = std::fs::read_to_string(file("rigs/virtual.toml")).unwrap();
+    let text = text.replacen("127.0.0.1:5020", &format!("127.0.0.1:9/{}", std::process::id()), 1);
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("held.toml");
+    std::fs::write(&path, &text).unwrap();
+    let config = RigConfig::from_toml("held.toml", &text).unwrap();
+    let _held = LockFile::of_rig(&config).unwrap();
+    let palpate = env!("CARGO_BIN_EXE_palpate");
+    let refused = Command::new(palpate).args(["rig", "check"]).arg(&path).output().unwrap();
+    let said = String::from_utf8_lossy(&refused.stderr);
+    let holder = format!("the rig virtual is in use by process {}", std::process::id());
+    assert!(!refused.status.success() && said.contains(&holder), "{said}");
 }
 
 /// A rig as `palpate run` starts it, in a data folder of its own.

@@ -26,15 +26,16 @@ pub enum CellsDevice {
 
 impl CellsDevice {
     /// Repeats of a live cell's value, in update periods, above which the module hangs; from the
-    /// module's step against the noise of a 25 lbf cell (0.02 N).
+    /// module's step against the noise of a 25 lbf cell (sd 0.022 N), with the mean in the middle
+    /// of a step, where values stay longest.
     ///
-    /// ADAM-6017: a step of 0.002 N, 3 % of all values repeat the one before: 9 in a row once in
-    /// 10^13. Waveshare: 12 bits in whole millivolts, 0.034 N, 33 to 40 % repeat: 25 in a row once
-    /// in 10^10.
+    /// ADAM-6017: a step of 0.002 N, 4 % of the values fall into it: 9 repeats once in 10^14
+    /// values. Waveshare: 12 bits, 0.034 N, 55 % fall into it: 41 repeats once in 6 x 10^10, which
+    /// is once in 20,000 nights.
     pub fn repeats_max(self) -> u32 {
         match self {
             CellsDevice::Adam6017 => 8,
-            CellsDevice::Waveshare8ch => 24,
+            CellsDevice::Waveshare8ch => 40,
         }
     }
 }

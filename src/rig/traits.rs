@@ -106,7 +106,8 @@ pub struct CellVolts {
     /// Output of the cell of arms 1 to 6, V.
     pub volts: [f64; ARMS],
     /// Over how many update periods each input has given this very value while it was read (see
-    /// `rig::repeats`); 0 after a change. `CellsConfig::is_hung` says how many are too many.
+    /// `rig::repeats`); 0 after a change. `CellsConfig::is_hung` says how many are too many of a live
+    /// cell; a dead one repeats its 0 V for ever.
     pub repeats: [u32; ARMS],
     /// When the reading arrived.
     pub at: Instant,

@@ -2,6 +2,8 @@
 
 use serde_json::json;
 use tokio::net::TcpStream;
+use tokio_modbus::prelude::{Reader, Slave};
+use tokio_modbus::slave::SlaveContext;
 
 use crate::common::{
     Control, IAI_TCP, Iai, StreamReader, on_one_bus, rtu_client, serve, switch_on, tcp_client,
@@ -25,8 +27,40 @@ async fn tips_are_mounted_in_the_air_only() {
     let status = control.status().await;
     assert_eq!((&status["tips"], &status["forces_n"][4]), (&json!(4), &json!(0.0)));
     assert_eq!(status["pressing"], true);
+    iai.go(3, surface - 20.0, 60.0).await;
+    let (peak_n, deepest_mm) = peaks(&control.status().await);
+    assert!(peak_n > 5.0 && (deepest_mm - 4.0).abs() < 0.02, "{peak_n} N, {deepest_mm} mm");
+    assert_eq!(control.say(json!({ "cmd": "clear_peaks" })).await["ok"], true);
+    let (peak_n, deepest_mm) = peaks(&control.status().await);
+    assert!(peak_n == 0.0 && (deepest_mm + 20.0).abs() < 0.02, "{peak_n} N, {deepest_mm} mm");
     assert_eq!(control.say(json!({ "cmd": "dance" })).await["ok"], false);
     assert_eq!(control.say(json!("hello")).await["ok"], false);
+}
+
+/// Largest force on a tip, N, and deepest z below the surface, mm.
+fn peaks(status: &serde_json::Value) -> (f64, f64) {
+    let number = |key: &str| status[key].as_f64().unwrap();
+    (number("peak_force_n"), number("deepest_below_surface_mm"))
+}
+
+#[tokio::test]
+async fn cells_may_stay_on_their_cables_without_tips() {
+    let rig = switch_on(IAI_TCP, 100.0, "").await;
+    let mut control = Control::open(&rig).await;
+    let mut cells = tcp_client(&rig, "cells").await;
+    cells.set_slave(Slave(1));
+    for (command, live) in [
+        (json!({ "cmd": "mount", "tips": 1, "powered": 6 }), 6),
+        (json!({ "cmd": "mount", "tips": 4 }), 4),
+    ] {
+        assert_eq!(control.say(command).await["powered"], live);
+        let counts = cells.read_input_registers(0, 6).await.unwrap().unwrap();
+        assert_eq!(counts.iter().filter(|&&c| c > 5000).count(), live, "{counts:?}");
+        assert_eq!(control.status().await["powered"], live);
+    }
+    let refused = control.say(json!({ "cmd": "mount", "tips": 3, "powered": 2 })).await;
+    assert_eq!(refused["error"], "powered must be from tips to 6");
+    assert_eq!(control.status().await["tips"], 4);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -7,7 +7,7 @@ use tokio::net::TcpStream;
 use tokio::time::timeout;
 use tokio_modbus::Request;
 use tokio_modbus::client::Context;
-use tokio_modbus::prelude::{Reader, Slave};
+use tokio_modbus::prelude::{Reader, Slave, Writer};
 use tokio_modbus::slave::SlaveContext;
 
 use crate::common::{
@@ -187,4 +187,72 @@ async fn a_dead_cell_reads_nothing() {
     assert_eq!(counts[1], 0);
     assert!(counts[0] > 5000);
     assert!(call(&mut cells, Request::ReadInputRegisters(0, 9)).await == Err(2));
+}
+
+/// Every axis homed, the indenter over the skin's middle, 20 mm above it; the surface's height, mm.
+async fn over_the_skin(iai: &mut Iai, control: &mut Control) -> f64 {
+    iai.home(1..=4).await;
+    iai.go(1, 280.0, 250.0).await;
+    iai.go(2, 290.0, 250.0).await;
+    iai.go(4, 60.0, 120.0).await;
+    let surface_z_mm = control.status().await["surface_z_mm"].as_f64().unwrap();
+    iai.go(3, surface_z_mm - 20.0, 60.0).await;
+    surface_z_mm
+}
+
+#[tokio::test]
+async fn a_module_that_hangs_in_the_air_says_so_under_load_too() {
+    let rig = switch_on(IAI_TCP, 100.0, "").await;
+    let mut control = Control::open(&rig).await;
+    let mut iai = Iai(tcp_client(&rig, "stage").await);
+    let surface_z_mm = over_the_skin(&mut iai, &mut control).await;
+    control.say(json!({ "cmd": "fault", "kind": "hung_module", "device": "cells" })).await;
+    let mut cells = tcp_client(&rig, "cells").await;
+    cells.set_slave(Slave(1));
+    let in_the_air = cells.read_input_registers(0, 6).await.unwrap().unwrap();
+    iai.go(3, surface_z_mm + 4.0, 60.0).await;
+    assert!(control.status().await["forces_n"][0].as_f64().unwrap() > 2.0);
+    assert_eq!(cells.read_input_registers(0, 6).await.unwrap().unwrap(), in_the_air);
+    assert_eq!(cells.read_holding_registers(210, 1).await.unwrap().unwrap(), [0x6017]);
+    control.say(json!({ "cmd": "mend" })).await;
+    tokio::time::sleep(Duration::from_millis(10)).await;
+    let loaded = cells.read_input_registers(0, 6).await.unwrap().unwrap();
+    assert!(loaded[0] > in_the_air[0] + 500, "{loaded:?} after {in_the_air:?}");
+}
+
+#[tokio::test]
+async fn a_tip_that_came_off_never_presses_and_its_cell_stays_alive() {
+    let rig = switch_on(IAI_TCP, 100.0, "").await;
+    let mut control = Control::open(&rig).await;
+    let mut iai = Iai(tcp_client(&rig, "stage").await);
+    let surface_z_mm = over_the_skin(&mut iai, &mut control).await;
+    let off = json!({ "cmd": "fault", "kind": "missing_tip", "device": "cells", "arm": 2 });
+    assert_eq!(control.say(off).await["ok"], true);
+    iai.go(3, surface_z_mm + 4.0, 60.0).await;
+    let forces = control.status().await["forces_n"].clone();
+    assert!(forces[0].as_f64().unwrap() > 2.0 && forces[1] == 0.0, "{forces}");
+    let mut cells = tcp_client(&rig, "cells").await;
+    cells.set_slave(Slave(1));
+    assert!(cells.read_input_registers(1, 1).await.unwrap().unwrap()[0] > 5000);
+    control.say(json!({ "cmd": "mend" })).await;
+    assert!(control.status().await["forces_n"][1].as_f64().unwrap() > 2.0);
+}
+
+#[tokio::test]
+async fn a_cut_line_drops_a_connection_without_carrying_out_what_it_asked() {
+    let rig = switch_on(IAI_TCP, 1.0, "").await;
+    let mut control = Control::open(&rig).await;
+    let mut stage = tcp_client(&rig, "stage").await;
+    stage.set_slave(Slave(1));
+    stage.write_single_coil(0x0427, true).await.unwrap().unwrap();
+    let cut = json!({ "cmd": "fault", "kind": "disconnect", "device": "stage", "for_s": 0.5 });
+    assert_eq!(control.say(cut).await["ok"], true);
+    let sent = timeout(SHORT, stage.write_single_coil(0x0403, true)).await.unwrap();
+    assert!(sent.is_err(), "dropped: {sent:?}");
+    assert_eq!(control.status().await["axes"][0]["servo"], false);
+    tokio::time::sleep(Duration::from_millis(600)).await;
+    let mut stage = tcp_client(&rig, "stage").await;
+    stage.set_slave(Slave(1));
+    stage.write_single_coil(0x0403, true).await.unwrap().unwrap();
+    assert_eq!(control.status().await["axes"][0]["servo"], true);
 }
