@@ -1,18 +1,21 @@
 //! The door: takes connections in, bounds how many there are and how long they may wait, and keeps
 //! places that nobody can fill but who wants to stop the rig.
 //! Uses: hyper for each connection, the router for each request. Never: a connection that is cut
-//! while its request is under way; an end because a connection could not be taken.
+//! while its request is under way; an end because a connection could not be taken; work on this
+//! thread that a stop would wait for.
 //!
 //! ```text
-//! accept -> seat -> hyper -> router
-//!   full: the connection that has waited longest without a request makes room (`seat`);
-//!   all busy: some more are taken in, which reach only the stop and /health
+//! this thread: accept -> seat -> hyper -> router: the stop
+//!                                   |
+//! the others:                       +---> router: all else (`work`)
 //! ```
+//! When it is full, the connection that has waited longest without a request makes room (`seat`);
+//! when all are busy, some more are taken in, which reach only the stop and /health.
 
-use std::convert::Infallible;
 use std::io;
 use std::pin::pin;
 use std::sync::Arc;
+use std::thread;
 use std::time::Duration;
 
 use axum::Router;
@@ -24,14 +27,16 @@ use hyper::service::service_fn;
 use hyper_util::rt::TokioIo;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use tokio::net::{TcpListener, TcpStream};
+use tokio::runtime;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
-use tokio::time::{MissedTickBehavior, interval, sleep};
+use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
 use tower_service::Service;
 
 use super::line::{Line, Sent};
 use super::problem::ApiError;
 use super::seat::{Asking, Seat, Seats};
+use super::work;
 
 /// How often those that have waited too long are looked for.
 const SWEEP: Duration = Duration::from_secs(1);
@@ -39,6 +44,9 @@ const SWEEP: Duration = Duration::from_secs(1);
 const RETRY: Duration = Duration::from_millis(20);
 /// Files that the process may have open, where the system lets it: connections, and what reads them.
 const FILES: u64 = 4096;
+
+/// Longest wait for requests that are under way when the service ends.
+const FAREWELL: Duration = Duration::from_secs(5);
 
 /// Raises the number of files that this process may have open towards `FILES`, as far as the system
 /// allows; a failure is only logged.
@@ -52,9 +60,40 @@ pub fn raise_file_limit() {
     }
 }
 
-/// Answers until `ending` says so, then lets requests that are under way be answered. Whoever drops
-/// the future cuts what is left.
-pub async fn serve(listener: TcpListener, router: Router, mut ending: watch::Receiver<bool>) {
+/// What carries requests out.
+#[derive(Clone)]
+struct House {
+    router: Router,
+    threads: runtime::Handle,
+}
+
+/// Starts the door's thread: it answers until `ending` says so, then lets requests that are under
+/// way be answered and cuts the rest. All but the stop is carried out on the caller's runtime.
+pub fn open(
+    listener: std::net::TcpListener,
+    router: Router,
+    ending: watch::Receiver<bool>,
+) -> io::Result<thread::JoinHandle<()>> {
+    let house = House { router, threads: runtime::Handle::current() };
+    let own = runtime::Builder::new_current_thread().enable_all().build()?;
+    let listener = {
+        let _inside = own.enter();
+        TcpListener::from_std(listener)
+    };
+    let listener = match listener {
+        Ok(listener) => listener,
+        Err(error) => {
+            own.shutdown_background();
+            return Err(error);
+        }
+    };
+    thread::Builder::new().name("door".into()).spawn(move || {
+        own.block_on(serve(listener, house, ending));
+        own.shutdown_background();
+    })
+}
+
+async fn serve(listener: TcpListener, house: House, mut ending: watch::Receiver<bool>) {
     let mut seats = Seats::default();
     let mut connections = JoinSet::new();
     let mut sweep = interval(SWEEP);
@@ -69,7 +108,7 @@ pub async fn serve(listener: TcpListener, router: Router, mut ending: watch::Rec
                 Ok((stream, _)) => {
                     refused = false;
                     let seat = seats.take();
-                    connections.spawn(attend(stream, seat, router.clone(), until.clone()));
+                    connections.spawn(attend(stream, seat, house.clone(), until.clone()));
                 }
                 // The client has gone again.
                 Err(error) if error.kind() == io::ErrorKind::ConnectionAborted => {}
@@ -87,11 +126,9 @@ pub async fn serve(listener: TcpListener, router: Router, mut ending: watch::Rec
         }
     }
     drop(listener);
-    loop {
-        tokio::select! {
-            gone = connections.join_next() => if gone.is_none() { return },
-            _ = sweep.tick() => seats.sweep(),
-        }
+    if timeout(FAREWELL, async { while connections.join_next().await.is_some() {} }).await.is_err()
+    {
+        tracing::warn!("some connections were cut");
     }
 }
 
@@ -104,13 +141,13 @@ async fn ended(ending: &mut watch::Receiver<bool>) {
 async fn attend(
     stream: TcpStream,
     seat: Arc<Seat>,
-    router: Router,
+    house: House,
     mut ending: watch::Receiver<bool>,
 ) {
     // Without it answers are only a little later.
     let _ = stream.set_nodelay(true);
     let answering = seat.clone();
-    let service = service_fn(move |request| answer(router.clone(), answering.clone(), request));
+    let service = service_fn(move |request| answer(house.clone(), answering.clone(), request));
     let io = TokioIo::new(Line { stream, seat: seat.clone() });
     let mut connection = pin!(http1::Builder::new().serve_connection(io, service).with_upgrades());
     let mut told = false;
@@ -133,16 +170,23 @@ async fn attend(
 }
 
 async fn answer(
-    mut router: Router,
+    house: House,
     seat: Arc<Seat>,
     request: Request<Incoming>,
-) -> Result<Response<Sent>, Infallible> {
+) -> io::Result<Response<Sent>> {
     let asking = Asking::begin(seat.clone());
-    let mut response = if seat.reserved() && !is_for_all_seats(request.uri().path()) {
+    let House { mut router, threads } = house;
+    let path = request.uri().path();
+    let mut response = if is_stop(path) {
+        let Ok(response) = router.call(request).await;
+        response.map(|body| Sent::new(body, asking, None))
+    } else if seat.reserved() && !path.starts_with("/health/") {
         let words = "all connections are in use; this one reaches only the stop and /health";
-        ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words).into_response()
+        let response = ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words).into_response();
+        response.map(|body| Sent::new(body, asking, None))
     } else {
-        router.call(request).await?
+        let (response, work) = work::carry_out(&threads, router, request).await?;
+        response.map(|body| Sent::new(body, asking, Some(work)))
     };
     if seat.reserved() {
         response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
@@ -150,9 +194,9 @@ async fn answer(
     if response.status() == StatusCode::SWITCHING_PROTOCOLS {
         seat.keep();
     }
-    Ok(response.map(|body| Sent::new(body, asking)))
+    Ok(response)
 }
 
-fn is_for_all_seats(path: &str) -> bool {
-    matches!(path, "/estop" | "/api/v1/estop" | "/health/live" | "/health/ready")
+fn is_stop(path: &str) -> bool {
+    matches!(path, "/estop" | "/api/v1/estop")
 }

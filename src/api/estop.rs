@@ -45,7 +45,8 @@ pub async fn estop(
     let asker = auth::identify(&app, request.headers(), request.uri().query())?;
     let name = cut(&asker.name(None), WHO_MAX_CHARS);
     app.campaign.estop(&format!("emergency stop ({name})"));
-    tokio::spawn(log(app, asker, request.into_body()));
+    let threads = app.facts.threads.clone();
+    threads.spawn(log(app, asker, request.into_body()));
     // A body that is still to come must not hold the answer up, nor be taken for another request.
     Ok(([(header::CONNECTION, "close")], Json(Latched { latched: true })))
 }

@@ -12,17 +12,19 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 
 use super::seat::{Asking, Seat};
+use super::work::Work;
 
 /// The body of an answer; its request is under way until it has been sent or given up.
 pub struct Sent {
     body: Body,
     _asking: Asking,
+    _work: Option<Work>,
 }
 
 impl Sent {
-    /// A body and the request that it answers.
-    pub fn new(body: Body, asking: Asking) -> Self {
-        Self { body, _asking: asking }
+    /// A body, the request that it answers, and what makes it.
+    pub fn new(body: Body, asking: Asking, work: Option<Work>) -> Self {
+        Self { body, _asking: asking, _work: work }
     }
 }
 

@@ -13,6 +13,7 @@ use jiff::Timestamp;
 use sim_core::calibration::Calibration;
 use sim_core::sensor::Sensor;
 use tokio::net::TcpListener;
+use tokio::runtime;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use utoipa::OpenApi;
@@ -61,6 +62,7 @@ mod send;
 mod status;
 mod trials;
 mod twins;
+mod work;
 
 pub use infer::{FrameAnswer, InferRequest, LiveAnswer, Turns, Wish};
 pub use jobs::JobOut;
@@ -142,8 +144,8 @@ pub enum ServeError {
     /// The folder of models cannot be used.
     #[error(transparent)]
     Models(#[from] InferError),
-    /// The campaign's thread does not start.
-    #[error("starting the campaign's thread: {0}")]
+    /// The campaign's thread, or the door's, does not start.
+    #[error("starting a thread: {0}")]
     Thread(#[source] std::io::Error),
 }
 
@@ -178,6 +180,7 @@ struct Facts {
     started_at: Timestamp,
     rig: RigFile,
     ending: watch::Receiver<bool>,
+    threads: runtime::Handle,
 }
 
 impl App {
@@ -332,7 +335,7 @@ pub struct Service {
     address: SocketAddr,
     app: App,
     ending: watch::Sender<bool>,
-    server: JoinHandle<()>,
+    door: std::thread::JoinHandle<()>,
     tasks: Vec<JoinHandle<()>>,
     engine: std::thread::JoinHandle<()>,
     _locks: [LockFile; 2],
@@ -366,7 +369,13 @@ impl Service {
             options.calibration.clone(),
         );
         let (ending, ended) = watch::channel(false);
-        let facts = Facts { bind: address, started_at: Timestamp::now(), rig, ending: ended };
+        let facts = Facts {
+            bind: address,
+            started_at: Timestamp::now(),
+            rig,
+            ending: ended,
+            threads: runtime::Handle::current(),
+        };
         let cache = options.data.join("cache");
         sweep_partial(&cache);
         let twins = TwinPool::new(
@@ -411,8 +420,10 @@ impl Service {
             tokio::spawn(async move { serving.restore().await }),
         ];
         let answering = app.facts.ending.clone();
-        let server = tokio::spawn(door::serve(listener, router(app.clone()), answering));
-        Ok(Self { address, app, ending, server, tasks, engine, _locks: locks })
+        let listener = listener.into_std().map_err(bind)?;
+        let door =
+            door::open(listener, router(app.clone()), answering).map_err(ServeError::Thread)?;
+        Ok(Self { address, app, ending, door, tasks, engine, _locks: locks })
     }
 
     /// Where it answers.
@@ -427,7 +438,7 @@ impl Service {
     }
 
     /// Raises the tips, leaves an open run to be gone on with, closes the database.
-    pub async fn shutdown(mut self) {
+    pub async fn shutdown(self) {
         for task in &self.tasks {
             task.abort();
         }
@@ -439,9 +450,9 @@ impl Service {
         }
         // Streams of events and frames end, so that the server can.
         self.ending.send_replace(true);
-        if tokio::time::timeout(Duration::from_secs(5), &mut self.server).await.is_err() {
-            self.server.abort();
-            tracing::warn!("some connections were cut");
+        let door = tokio::task::spawn_blocking(move || self.door.join());
+        if !matches!(door.await, Ok(Ok(()))) {
+            tracing::error!("the door's thread panicked");
         }
         self.app.store.close().await;
     }
