@@ -7,7 +7,7 @@ use std::time::Duration;
 use serde_json::json;
 
 use super::{Folder, new_run, open, time};
-use crate::campaign::journal::Journal;
+use crate::campaign::journal::{Journal, Mounting};
 use crate::store::{Inner, KeyRing, NewAction, Role, RunKind, Store, StoreError};
 
 #[tokio::test]
@@ -45,11 +45,15 @@ async fn what_was_said_last_of_the_tips_counts() {
     let store = open(&folder.file()).await;
     assert_eq!(store.last_mounted().await.unwrap(), None);
     let at = time("2026-11-20T18:00:00.5Z");
-    store.mounted(4, "Ada", at).await.unwrap();
-    store.mounted(1, "Bob", at).await.unwrap();
-    assert!(store.mounted(7, "Bob", at).await.is_err());
+    let said = |tips, live_cells, who: &str| Mounting { tips, live_cells, who: who.into() };
+    store.mounted(&said(4, 4, "Ada"), at).await.unwrap();
+    store.mounted(&said(1, 6, "Bob"), at).await.unwrap();
+    let refused = store.mounted(&said(7, 7, "Bob"), at).await.unwrap_err();
+    assert!(refused.refused, "trying again does not help: {refused}");
+    assert!(store.mounted(&said(3, 2, "Bob"), at).await.is_err(), "a tip without a cell");
     store.close().await;
-    assert_eq!(open(&folder.file()).await.last_mounted().await.unwrap(), Some(1));
+    let last = open(&folder.file()).await.last_mounted().await.unwrap();
+    assert_eq!(last, Some(said(1, 6, "Bob")));
 }
 
 /// The campaign's records wait for a disk that hangs; all other callers give up after 30 s.
@@ -90,7 +94,8 @@ async fn a_disk_that_hangs_is_waited_for_by_the_campaign_alone() {
     hanging.await.unwrap().unwrap();
     let hanging = hang();
     tokio::task::yield_now().await;
-    hurried.mounted(2, "Ada", at).await.unwrap();
+    let mounting = Mounting { tips: 2, live_cells: 2, who: "Ada".into() };
+    hurried.mounted(&mounting, at).await.unwrap();
     hanging.await.unwrap().unwrap();
 }
 

@@ -93,7 +93,6 @@ impl Harness {
             predicted_trial_s: 1.0,
             auto_resume: false,
             bytes_per_trial: 4000,
-            bytes_fixed: 0,
         };
         change(&mut job);
         job

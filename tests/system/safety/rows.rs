@@ -114,7 +114,7 @@ async fn a_force_below_the_tare_trips() {
     let harness = Harness::homed().await;
     harness.run(2, "").await;
     harness.stored(1).await;
-    harness.fault("pulling_cell", "cells", json!({ "arm": 2, "force_n": 60.0 })).await;
+    harness.fault("pulling_cell", "cells", json!({ "arm": 2, "n": 60.0 })).await;
     let status = harness.tripped().await;
     cause(&status, TripKind::Cell, "below its tare");
     harness.is_safe().await;
@@ -175,7 +175,7 @@ async fn six_powered_cells_under_two_tips_are_legal_and_a_load_without_a_tip_is_
     harness.start(harness.job(&experiment(2, ""), |_| {})).await;
     harness.stored(2).await;
     assert_eq!(harness.handle.status().rig.tips, Some(2));
-    harness.fault("foreign_load", "cells", json!({ "arm": 5, "force_n": 20.0 })).await;
+    harness.fault("foreign_load", "cells", json!({ "arm": 5, "n": 20.0 })).await;
     let status = harness.tripped().await;
     cause(&status, TripKind::Cell, "cell 5 weighs");
     harness.is_safe().await;

@@ -75,7 +75,9 @@ impl CellBank {
         let mut volts = [0.0; INPUTS];
         let t_s = self.time_s(conversion);
         for arm in 0..ARMS {
-            let mut force = forces_n[arm] + self.offsets_n[arm];
+            let uncoupled = faults.iter().any(|f| f.0 == Kind::UncoupledCell { arm });
+            let felt_n = if uncoupled { 0.0 } else { forces_n[arm] };
+            let mut force = felt_n + self.offsets_n[arm];
             for (kind, began_s) in faults {
                 if let Kind::DriftingCell { arm: a, n_per_s } = kind
                     && *a == arm

@@ -155,6 +155,11 @@ pub enum Kind {
         /// Index of the arm, from 0.
         arm: usize,
     },
+    /// A cell no longer feels its tip, which presses all the same: it weighs nothing, with its noise.
+    UncoupledCell {
+        /// Index of the arm, from 0.
+        arm: usize,
+    },
     /// Bytes of the stream are lost.
     DropBytes {
         /// Part of the packets that suffer.
@@ -298,6 +303,7 @@ impl Entry<'_> {
             "foreign_load" => Kind::ForeignLoad { arm: self.arm()?, n: self.load_n()? },
             "pulling_cell" => Kind::ForeignLoad { arm: self.arm()?, n: -self.load_n()? },
             "missing_tip" => Kind::MissingTip { arm: self.arm()? },
+            "uncoupled_cell" => Kind::UncoupledCell { arm: self.arm()? },
             "drop_bytes" => Kind::DropBytes { rate: self.rate()? },
             "flip_bytes" => Kind::FlipBytes { rate: self.rate()? },
             "double_bytes" => Kind::DoubleBytes { rate: self.rate()? },
@@ -349,8 +355,8 @@ impl Entry<'_> {
 
 const KINDS: &str = "must be no_reply, exception, disconnect, late_reply, garbled_reply, \
     stuck_axis, alarm, power_loss, stale_registers, hung_module, dead_cell, saturated_cell, \
-    frozen_cell, drifting_cell, pulling_cell, foreign_load, missing_tip, drop_bytes, flip_bytes, \
-    double_bytes or stall_stream";
+    frozen_cell, drifting_cell, pulling_cell, foreign_load, missing_tip, uncoupled_cell, \
+    drop_bytes, flip_bytes, double_bytes or stall_stream";
 
 fn check(index: usize, entry: &FaultEntry, rig: &RigFile) -> Result<Fault, FaultError> {
     let e = Entry { index, entry };
@@ -379,7 +385,8 @@ fn check(index: usize, entry: &FaultEntry, rig: &RigFile) -> Result<Fault, Fault
             | Kind::FrozenCell { .. }
             | Kind::DriftingCell { .. }
             | Kind::ForeignLoad { .. }
-            | Kind::MissingTip { .. },
+            | Kind::MissingTip { .. }
+            | Kind::UncoupledCell { .. },
             target,
         ) => (*target == Target::Cells, "cells"),
         (
