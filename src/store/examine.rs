@@ -46,8 +46,8 @@ impl Store {
     }
 
     /// Checks the structure of the whole file and the texts of its runs, and reads the newest `last`
-    /// trials with their frames against their checksums. Takes as long as the disk takes to read the file; on a connection of
-    /// its own, so that nobody waits. An error says that it could not be looked at.
+    /// trials with their frames against their checksums. Takes as long as the disk takes to read the
+    /// file, on a connection of its own, so that nobody waits. An error says that it could not be looked at.
     pub async fn examine(&self, last: u32) -> Result<Soundness, StoreError> {
         let examined = tokio::time::timeout(DEADLINE, async {
             let options = self.inner.readers.connect_options();
@@ -67,21 +67,13 @@ impl Store {
 
     /// Reads the whole file and checks its structure, its indexes and its references.
     pub async fn integrity_check(&self) -> Result<(), StoreError> {
-        let mut reading = self.read(OPERATION).await?;
-        let mut findings = pragma(&mut reading, "PRAGMA integrity_check").await?;
-        let sql = StoreError::sql(OPERATION);
-        let orphans = sqlx::query("PRAGMA foreign_key_check").fetch_all(&mut *reading).await;
-        match orphans.map_err(&sql)?.len() {
-            0 => {}
-            n => findings.push(format!("{n} rows refer to rows that are not there")),
-        }
+        let findings = structure(&mut *self.read(OPERATION).await?).await?;
         if findings.is_empty() { Ok(()) } else { Err(StoreError::Damaged { findings }) }
     }
 }
 
 async fn findings(connection: &mut SqliteConnection, last: u32) -> Result<Vec<String>, StoreError> {
-    let structure = pragma(connection, "PRAGMA quick_check").await;
-    let mut findings = structure.or_else(StoreError::into_findings)?;
+    let mut findings = structure(connection).await.or_else(StoreError::into_findings)?;
     match changed_texts(connection).await {
         Ok(changed) => findings.extend(changed),
         Err(error) => findings.extend(error.into_findings()?),
@@ -103,18 +95,24 @@ async fn findings(connection: &mut SqliteConnection, last: u32) -> Result<Vec<St
     Ok(findings)
 }
 
-/// What a check of SQLite's says but `ok`, a line each.
-async fn pragma(
-    connection: &mut SqliteConnection,
-    check: &'static str,
-) -> Result<Vec<String>, StoreError> {
-    let lines: Vec<String> = sqlx::query_scalar(check)
-        .fetch_all(connection)
+/// What is wrong with the file as SQLite sees it. Unlike its quick check this compares the indexes
+/// with their tables: what is left of a run's plan is read from an index alone. On 60,000 trials
+/// (328 MB, in memory) it takes 0.19 s, the quick check 0.15 s.
+async fn structure(connection: &mut SqliteConnection) -> Result<Vec<String>, StoreError> {
+    let sql = StoreError::sql(OPERATION);
+    let lines: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check")
+        .fetch_all(&mut *connection)
         .await
-        .map_err(StoreError::sql(OPERATION))?;
+        .map_err(&sql)?;
     // One answer may hold several lines.
     let lines = lines.iter().flat_map(|answer| answer.lines());
-    Ok(lines.filter(|line| *line != "ok").map(str::to_owned).collect())
+    let mut findings: Vec<String> = lines.filter(|line| *line != "ok").map(str::to_owned).collect();
+    let orphans = sqlx::query("PRAGMA foreign_key_check").fetch_all(connection).await;
+    match orphans.map_err(&sql)?.len() {
+        0 => {}
+        n => findings.push(format!("{n} rows refer to rows that are not there")),
+    }
+    Ok(findings)
 }
 
 /// Runs whose files are not those that they were made of: their plan would be another.

@@ -42,6 +42,7 @@ mod writer;
 mod tests;
 
 use std::collections::HashMap;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -131,13 +132,15 @@ impl Store {
             .synchronous(SqliteSynchronous::Full)
             // The log is cut back to this after a long read had let it grow.
             .pragma("journal_size_limit", LOG_BYTES.to_string());
-        match path.metadata() {
-            // SQLite would take it for a new database, and what was in it for what never was.
-            Ok(file) if file.len() == 0 => {
-                return Err(StoreError::Empty { path: path.to_owned() });
-            }
-            Ok(_) => {}
-            Err(_) => create(path, &writing).await?,
+        let is_new = matches!(path.symlink_metadata(), Err(e) if e.kind() == ErrorKind::NotFound);
+        let mut log = path.as_os_str().to_owned();
+        log.push("-wal");
+        // SQLite would take an emptied file for a new database, and what was in it for what never was.
+        if path.metadata().is_ok_and(|file| file.len() == 0) || is_new && Path::new(&log).exists() {
+            return Err(StoreError::Lost { path: path.to_owned() });
+        }
+        if is_new {
+            create(path, &writing).await?;
         }
         let writer = Writer::start(writing)?;
         writer.open(path, &MIGRATIONS).await?;
