@@ -1,5 +1,5 @@
 //! Checksums of what was measured: computed when it is stored, compared whenever it is read.
-//! PURE but for `StoreError`. Uses: crc32fast, `campaign::record`. Never: a statement; a guess at
+//! PURE. Uses: crc32fast, `campaign::record`, `store::error`. Never: a statement; a guess at
 //! what a damaged value was.
 //!
 //! SQLite keeps no checksums of its own: a bit that flips on the disk comes back as another number.

@@ -18,12 +18,12 @@ pub enum StoreError {
         #[source]
         source: sqlx::Error,
     },
-    /// The database file is there and has no contents.
+    /// The database file has no contents, or is gone while its log is there.
     #[error(
-        "the database {path} is empty: bring it back from a copy, or, if no run was ever stored in \
-         it, remove it"
+        "the database {path} is lost: the file is empty, or gone while its log ({path}-wal) is \
+         there; bring it back from a copy, or remove what is left of it to begin anew"
     )]
-    Empty {
+    Lost {
         /// The file.
         path: PathBuf,
     },
@@ -138,7 +138,7 @@ impl StoreError {
             }
             Self::Sql { .. } | Self::Late { .. } => true,
             Self::Open { .. }
-            | Self::Empty { .. }
+            | Self::Lost { .. }
             | Self::Migrate(_)
             | Self::StartWriter(_)
             | Self::NotStored { .. }

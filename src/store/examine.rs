@@ -1,4 +1,5 @@
-//! Looks the file over for damage: its structure, and the checksums of the last trials.
+//! Looks the file over for damage: its structure, the texts of its runs, the checksums of its last
+//! trials.
 //! Uses: `store::{checksum, trial_rows}`. Never: a repair, a connection that others wait for.
 
 use std::collections::HashMap;
@@ -9,8 +10,9 @@ use sqlx::ConnectOptions;
 use sqlx::sqlite::SqliteConnection;
 
 use super::checksum;
-use super::columns::Columns;
-use super::trial_rows::{SELECT_WITH_VOLTAGES, rows_of_ids};
+use super::columns::{Columns, sha256_hex};
+use super::trial_query::SELECT_WITH_VOLTAGES;
+use super::trial_rows::rows_of_ids;
 use super::{Store, StoreError};
 use crate::ids::TrialId;
 
@@ -43,9 +45,9 @@ impl Store {
         self.inner.soundness.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Checks the structure of the whole file, and reads the newest `last` trials with their frames
-    /// against their checksums. Takes as long as the disk takes to read the file; on a connection of
-    /// its own, so that nobody waits. An error says that it could not be looked at.
+    /// Checks the structure of the whole file and the texts of its runs, and reads the newest `last`
+    /// trials with their frames against their checksums. Takes as long as the disk takes to read the
+    /// file, on a connection of its own, so that nobody waits. An error says that it could not be looked at.
     pub async fn examine(&self, last: u32) -> Result<Soundness, StoreError> {
         let examined = tokio::time::timeout(DEADLINE, async {
             let options = self.inner.readers.connect_options();
@@ -65,21 +67,17 @@ impl Store {
 
     /// Reads the whole file and checks its structure, its indexes and its references.
     pub async fn integrity_check(&self) -> Result<(), StoreError> {
-        let mut reading = self.read(OPERATION).await?;
-        let mut findings = pragma(&mut reading, "PRAGMA integrity_check").await?;
-        let sql = StoreError::sql(OPERATION);
-        let orphans = sqlx::query("PRAGMA foreign_key_check").fetch_all(&mut *reading).await;
-        match orphans.map_err(&sql)?.len() {
-            0 => {}
-            n => findings.push(format!("{n} rows refer to rows that are not there")),
-        }
+        let findings = structure(&mut *self.read(OPERATION).await?).await?;
         if findings.is_empty() { Ok(()) } else { Err(StoreError::Damaged { findings }) }
     }
 }
 
 async fn findings(connection: &mut SqliteConnection, last: u32) -> Result<Vec<String>, StoreError> {
-    let structure = pragma(connection, "PRAGMA quick_check").await;
-    let mut findings = structure.or_else(StoreError::into_findings)?;
+    let mut findings = structure(connection).await.or_else(StoreError::into_findings)?;
+    match changed_texts(connection).await {
+        Ok(changed) => findings.extend(changed),
+        Err(error) => findings.extend(error.into_findings()?),
+    }
     match newest(connection, last).await {
         Ok(ids) => {
             for ids in ids.chunks(TRIALS_AT_ONCE) {
@@ -97,18 +95,46 @@ async fn findings(connection: &mut SqliteConnection, last: u32) -> Result<Vec<St
     Ok(findings)
 }
 
-/// What a check of SQLite's says but `ok`, a line each.
-async fn pragma(
-    connection: &mut SqliteConnection,
-    check: &'static str,
-) -> Result<Vec<String>, StoreError> {
-    let lines: Vec<String> = sqlx::query_scalar(check)
+/// What is wrong with the file as SQLite sees it. Unlike its quick check this compares the indexes
+/// with their tables: what is left of a run's plan is read from an index alone. On 60,000 trials
+/// (328 MB, in memory) it takes 0.19 s, the quick check 0.15 s.
+async fn structure(connection: &mut SqliteConnection) -> Result<Vec<String>, StoreError> {
+    let sql = StoreError::sql(OPERATION);
+    let lines: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check")
+        .fetch_all(&mut *connection)
+        .await
+        .map_err(&sql)?;
+    // One answer may hold several lines.
+    let lines = lines.iter().flat_map(|answer| answer.lines());
+    let mut findings: Vec<String> = lines.filter(|line| *line != "ok").map(str::to_owned).collect();
+    let orphans = sqlx::query("PRAGMA foreign_key_check").fetch_all(connection).await;
+    match orphans.map_err(&sql)?.len() {
+        0 => {}
+        n => findings.push(format!("{n} rows refer to rows that are not there")),
+    }
+    Ok(findings)
+}
+
+/// Runs whose files are not those that they were made of: their plan would be another.
+async fn changed_texts(connection: &mut SqliteConnection) -> Result<Vec<String>, StoreError> {
+    const TEXTS: [(&str, &str); 3] =
+        [("definition", "definition_sha256"), ("rig", "rig_sha256"), ("sensor", "sensor_sha256")];
+    let rows = sqlx::query("SELECT * FROM runs")
         .fetch_all(connection)
         .await
         .map_err(StoreError::sql(OPERATION))?;
-    // One answer may hold several lines.
-    let lines = lines.iter().flat_map(|answer| answer.lines());
-    Ok(lines.filter(|line| *line != "ok").map(str::to_owned).collect())
+    let mut findings = Vec::new();
+    for row in &rows {
+        let c = Columns::of(row, OPERATION);
+        let run: i64 = c.get("scan_id")?;
+        for (text, sum) in TEXTS {
+            let (kept, stored) = (c.get::<Option<&str>>(text)?, c.get::<Option<&str>>(sum)?);
+            if kept.map(sha256_hex).as_deref() != stored {
+                findings.push(format!("the {text} file of run {run} is not as it was stored"));
+            }
+        }
+    }
+    Ok(findings)
 }
 
 async fn newest(connection: &mut SqliteConnection, last: u32) -> Result<Vec<TrialId>, StoreError> {

@@ -32,6 +32,7 @@ mod models;
 mod mountings;
 mod queue;
 mod runs;
+mod trial_query;
 mod trial_rows;
 mod trials;
 mod twins;
@@ -41,6 +42,7 @@ mod writer;
 mod tests;
 
 use std::collections::HashMap;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -64,7 +66,8 @@ pub use keys::{KEYLESS, KEYLESS_SUFFIX, Key, KeyRing, KeyRow, Role};
 pub use lock::LockRow;
 pub use models::{ModelRow, PromotionRow};
 pub use runs::{Label, NewRun, RunKind, RunPage, RunRow};
-pub use trial_rows::{Contact, MAX_PAGE, Order, TrialQuery, TrialRow, tips_as_contacts};
+pub use trial_query::{MAX_PAGE, Order, TrialQuery};
+pub use trial_rows::{Contact, TrialRow, tips_as_contacts};
 pub use twins::{Fit, NewTwinModel, Twin, TwinCount, TwinModelId, TwinOutcome};
 
 use crate::clock::Clock;
@@ -117,10 +120,6 @@ impl Store {
     /// Opens the database file, creating it and bringing its tables up to date as needed.
     pub async fn open(path: &Path, clock: Clock) -> Result<Self, StoreError> {
         let open = |source| StoreError::Open { path: path.to_owned(), source };
-        // SQLite takes an empty file for a new database: what was in it would seem never to have been.
-        if path.metadata().is_ok_and(|file| file.len() == 0) {
-            return Err(StoreError::Empty { path: path.to_owned() });
-        }
         let options = SqliteConnectOptions::new()
             .filename(path)
             .busy_timeout(BUSY_TIMEOUT)
@@ -128,12 +127,21 @@ impl Store {
             .disable_statement_logging();
         let writing = options
             .clone()
-            .create_if_missing(true)
             .page_size(PAGE_BYTES)
             .journal_mode(SqliteJournalMode::Wal)
             .synchronous(SqliteSynchronous::Full)
             // The log is cut back to this after a long read had let it grow.
             .pragma("journal_size_limit", LOG_BYTES.to_string());
+        let is_new = matches!(path.symlink_metadata(), Err(e) if e.kind() == ErrorKind::NotFound);
+        let mut log = path.as_os_str().to_owned();
+        log.push("-wal");
+        // SQLite would take an emptied file for a new database, and what was in it for what never was.
+        if path.metadata().is_ok_and(|file| file.len() == 0) || is_new && Path::new(&log).exists() {
+            return Err(StoreError::Lost { path: path.to_owned() });
+        }
+        if is_new {
+            create(path, &writing).await?;
+        }
         let writer = Writer::start(writing)?;
         writer.open(path, &MIGRATIONS).await?;
         let readers = SqlitePoolOptions::new()
@@ -221,10 +229,34 @@ impl Store {
         self.inner.runs.lock().unwrap_or_else(PoisonError::into_inner).get(&run).copied()
     }
 
+    /// A run that was stored just now.
+    fn keep_facts(&self, row: RunRow) -> RunRow {
+        let (scan_id, kind, deadband_n) = (row.scan_id, row.kind, row.deadband_n);
+        self.keep(row.uid, RunFacts { scan_id, kind, deadband_n });
+        row
+    }
+
     fn keep(&self, run: RunUid, facts: RunFacts) -> RunFacts {
         self.inner.runs.lock().unwrap_or_else(PoisonError::into_inner).insert(run, facts);
         facts
     }
+}
+
+/// Makes a new database beside its place, then puts it there: a process that is killed on the way
+/// leaves none, so that an empty file is always a loss.
+async fn create(path: &Path, options: &SqliteConnectOptions) -> Result<(), StoreError> {
+    let new = path.with_added_extension("new");
+    // What a kill may have left. SQLite drops its log by itself.
+    let _ = std::fs::remove_file(&new);
+    let writer = Writer::start(options.clone().filename(&new).create_if_missing(true))?;
+    writer.open(path, &MIGRATIONS).await?;
+    writer.close().await;
+    let put = || {
+        std::fs::rename(&new, path)?;
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        std::fs::File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
+    };
+    put().map_err(|e| StoreError::Open { path: path.to_owned(), source: e.into() })
 }
 
 impl RunFacts {

@@ -13,10 +13,9 @@ impl Store {
     pub async fn enqueue(&self, new: NewRun) -> Result<RunRow, StoreError> {
         const OPERATION: &str = "queueing a run";
         let now = self.now_text();
-        self.inner
-            .writer
-            .run(OPERATION, async move |c| runs::insert(c, new, true, now, OPERATION).await)
-            .await
+        let insert =
+            async move |c: &mut SqliteConnection| runs::insert(c, new, true, now, OPERATION).await;
+        Ok(self.keep_facts(self.inner.writer.run(OPERATION, insert).await?))
     }
 
     /// The queue, the next first.

@@ -273,10 +273,9 @@ impl Store {
     pub async fn create_run(&self, new: NewRun) -> Result<RunRow, StoreError> {
         const OPERATION: &str = "creating a run";
         let now = self.now_text();
-        self.inner
-            .writer
-            .run(OPERATION, async move |c| insert(c, new, false, now, OPERATION).await)
-            .await
+        let insert =
+            async move |c: &mut SqliteConnection| insert(c, new, false, now, OPERATION).await;
+        Ok(self.keep_facts(self.inner.writer.run(OPERATION, insert).await?))
     }
 
     /// One run.

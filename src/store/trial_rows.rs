@@ -1,51 +1,23 @@
 //! Trials coming out: single rows, pages that follow an index, voltages and raw frames.
-//! Uses: `store::filter`, `campaign::record`. Never: a write, an OFFSET, a query per row.
+//! Uses: `store::{trial_query, checksum}`, `campaign::record`. Never: a write, a query per row, a value
+//! that differs from its checksum.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
+use sqlx::QueryBuilder;
 use sqlx::sqlite::{SqliteConnection, SqliteRow};
-use sqlx::{QueryBuilder, Sqlite};
 use utoipa::ToSchema;
 
 use super::checksum::{self, Numbers};
 use super::columns::Columns;
-use super::filter::Filter;
 use super::runs::{Label, RunKind};
+use super::trial_query::{SELECT, SELECT_IDS, SELECT_WITH_VOLTAGES, TrialQuery};
 use super::trials::pose;
 use super::{Store, StoreError};
 use crate::campaign::record::{ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose};
 use crate::ids::{RunUid, TrialId, TrialKey};
 
-/// The largest page.
-pub const MAX_PAGE: u32 = 10_000;
-
 const READING: &str = "reading trials";
-
-/// What a row is made of, with the fit of its newest twin; `CROSS JOIN` keeps SQLite walking the
-/// trials in their order.
-const SELECT: &str = "SELECT t.*, r.uid, r.experiment, r.kind, r.label, r.deadband_n,
-         r.tip_diameter_mm, w.rmse_v, w.fvu, m.hash AS sim_model
-     FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
-     LEFT JOIN twins w ON w.trial = t.id
-         AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)
-     LEFT JOIN twin_models m ON m.id = w.model";
-
-/// The ids alone.
-const SELECT_IDS: &str = "SELECT t.id FROM trials t
-     LEFT JOIN twins w ON w.trial = t.id
-         AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)";
-
-/// The same with the mean voltages and the twin's.
-pub(super) const SELECT_WITH_VOLTAGES: &str =
-    "SELECT t.*, r.uid, r.experiment, r.kind, r.label, r.deadband_n,
-         r.tip_diameter_mm, w.rmse_v, w.fvu, m.hash AS sim_model, v.voltages_v,
-         v.crc32 AS volts_crc32, s.voltages_v AS sim_voltages_v, s.crc32 AS sim_volts_crc32
-     FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
-     CROSS JOIN trial_voltages v ON v.trial = t.id
-     LEFT JOIN twins w ON w.trial = t.id
-         AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)
-     LEFT JOIN twin_models m ON m.id = w.model
-     LEFT JOIN twin_voltages s ON s.trial = t.id AND s.model = w.model";
 
 /// A place on the skin that was pressed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -152,77 +124,6 @@ pub struct TrialRow {
     /// Fraction of variance unexplained by its newest twin (paper, Eq. 2).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fvu: Option<f64>,
-}
-
-/// In which order trials come.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Order {
-    /// As they were stored.
-    #[default]
-    OldestFirst,
-    /// The last one first.
-    NewestFirst,
-}
-
-/// Which trials.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct TrialQuery {
-    /// Of this run only.
-    pub run: Option<RunUid>,
-    /// All of these hold.
-    pub filters: Vec<Filter>,
-    /// All of these flags are set.
-    pub flags: Vec<Flag>,
-    /// Only with, or only without, any flag.
-    pub flagged: Option<bool>,
-    /// The cursor: the last id of the page before.
-    pub after: Option<TrialId>,
-    /// The order, which the cursor follows.
-    pub order: Order,
-    /// Up to so many, at most [`MAX_PAGE`].
-    pub limit: u32,
-    /// Bring the mean voltages along.
-    pub with_voltages: bool,
-}
-
-impl TrialQuery {
-    fn build(&self, scan_id: Option<i64>) -> QueryBuilder<Sqlite> {
-        self.select(if self.with_voltages { SELECT_WITH_VOLTAGES } else { SELECT }, scan_id)
-    }
-
-    fn select(&self, select: &'static str, scan_id: Option<i64>) -> QueryBuilder<Sqlite> {
-        let mut query = QueryBuilder::new(select);
-        query.push(" WHERE TRUE");
-        if let Some(scan_id) = scan_id {
-            query.push(" AND t.run = ").push_bind(scan_id);
-        }
-        if let Some(after) = self.after {
-            let side = match self.order {
-                Order::OldestFirst => " AND t.id > ",
-                Order::NewestFirst => " AND t.id < ",
-            };
-            query.push(side).push_bind(after.0);
-        }
-        for filter in &self.filters {
-            filter.push_onto(&mut query);
-        }
-        match self.flagged {
-            Some(true) => drop(query.push(" AND t.flags <> '[]'")),
-            Some(false) => drop(query.push(" AND t.flags = '[]'")),
-            None => {}
-        }
-        for flag in &self.flags {
-            let word = serde_json::to_value(flag).unwrap_or_default();
-            query.push(" AND EXISTS (SELECT 1 FROM json_each(t.flags) WHERE value = ");
-            query.push_bind(word.as_str().unwrap_or_default().to_owned()).push(")");
-        }
-        query.push(match self.order {
-            Order::OldestFirst => " ORDER BY t.id LIMIT ",
-            Order::NewestFirst => " ORDER BY t.id DESC LIMIT ",
-        });
-        query.push_bind(i64::from(self.limit.min(MAX_PAGE)));
-        query
-    }
 }
 
 impl Store {

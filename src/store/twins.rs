@@ -8,7 +8,8 @@ use utoipa::ToSchema;
 
 use super::checksum;
 use super::columns::{Columns, volts_blob};
-use super::trial_rows::{SELECT_WITH_VOLTAGES, assemble};
+use super::trial_query::SELECT_WITH_VOLTAGES;
+use super::trial_rows::assemble;
 use super::{Store, StoreError, TrialRow};
 use crate::ids::{RunUid, TrialId};
 

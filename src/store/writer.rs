@@ -86,7 +86,8 @@ impl Writer {
         Self { deadline: Some(deadline), ..self.clone() }
     }
 
-    /// Opens the file, creating it where the options say so, and brings its tables up to date.
+    /// Opens the file, creating it where the options say so, and brings its tables up to date. Should
+    /// it vanish later, an empty one does not take its place unless they say so.
     pub(super) async fn open(
         &self,
         path: &Path,
@@ -98,8 +99,6 @@ impl Writer {
             let mut connection = connecting.map_err(|source| StoreError::Open { path, source })?;
             migrations.run(&mut connection).await.map_err(StoreError::Migrate)?;
             require_columns(&mut connection, migrations).await?;
-            // Should the file vanish later, an empty one must not take its place.
-            hand.options = hand.options.clone().create_if_missing(false);
             hand.connection = Some(connection);
             Ok(())
         })

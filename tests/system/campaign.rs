@@ -160,6 +160,20 @@ async fn a_service_that_was_ended_in_the_middle_goes_on_by_itself() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_run_that_waits_for_its_turn_keeps_it_through_a_restart() {
+    let (lab, first) = started("turns").await;
+    let second = lab.queue(SMALL).await;
+    lab.start(&second).await;
+    let row = lab.get(&format!("/api/v1/runs/{second}")).await;
+    assert!(row["waiting_since"].is_string() && row["state"] == "queued", "{row:#}");
+    lab.stored(5).await;
+    let lab = lab.restart().await;
+    complete(&lab, &first).await;
+    complete(&lab, &second).await;
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn bad_wires_are_retried_then_trip_and_the_run_goes_on_by_itself() {
     let (lab, run) = started("faults").await;
     lab.stored(2).await;

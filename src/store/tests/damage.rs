@@ -1,6 +1,8 @@
 //! Damage is found: when the file opens, when it is looked over, or when a damaged value is read.
 //! Uses: `store`. Never: a damage that is not drawn from a stated seed.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sqlx::Connection;
@@ -58,8 +60,13 @@ async fn measured(store: &Store, run: RunUid) -> Result<Vec<Measured>, StoreErro
     Ok(all)
 }
 
-/// The ways in which a file is damaged, by name.
-const WAYS: [(&str, fn(&mut Vec<u8>, &mut ChaCha8Rng)); 16] = [
+/// Single bits that are flipped, each in a file of its own.
+const FLIPS: usize = 100;
+
+/// A way in which a file is damaged, with its name.
+type Damage = (&'static str, fn(&mut Vec<u8>, &mut ChaCha8Rng));
+
+const WAYS: [Damage; 14] = [
     ("emptied", |bytes, _| bytes.clear()),
     ("no database at all", |bytes, rng| rng.fill(&mut bytes[..])),
     ("another file's text", |bytes, _| *bytes = b"not a database\n".repeat(2000)),
@@ -87,8 +94,6 @@ const WAYS: [(&str, fn(&mut Vec<u8>, &mut ChaCha8Rng)); 16] = [
         let at = 512 * rng.random_range(0..bytes.len() / 512);
         bytes[at..at + 512].fill(0);
     }),
-    ("a bit flipped", flip),
-    ("another bit flipped", flip),
 ];
 
 /// Any page but the first.
@@ -102,51 +107,85 @@ fn flip(bytes: &mut Vec<u8>, rng: &mut ChaCha8Rng) {
     bytes[at] ^= 1 << rng.random_range(0..8);
 }
 
-/// A file is refused, found damaged, or as good as it was: it never gives other trials.
-#[tokio::test]
-async fn no_damage_passes_for_a_measurement() {
-    let folder = Folder::new();
-    let run = filled(&folder).await;
-    let sound = std::fs::read(folder.file()).unwrap();
-    let store = open(&folder.file()).await;
-    assert_eq!(store.examine(2000).await.unwrap(), Soundness::Sound);
-    let whole = measured(&store, run).await.unwrap();
-    assert_eq!(whole.len(), TRIALS as usize);
-    let keys = store.progress(run).await.unwrap().stored;
-    store.close().await;
+/// A sound file, and what is in it.
+struct Original {
+    bytes: Vec<u8>,
+    run: RunUid,
+    measured: Vec<Measured>,
+    stored: BTreeSet<TrialKey>,
+    /// Where the index of the trials' keys starts: `progress` reads it and not the table.
+    keys_at: usize,
+}
 
-    let (mut refused, mut found, mut harmless) = (0, 0, 0);
-    for seed in 0..6 {
-        for (n, (way, damage)) in WAYS.iter().enumerate() {
-            let folder = Folder::new();
-            let mut bytes = sound.clone();
-            damage(&mut bytes, &mut ChaCha8Rng::seed_from_u64(seed * 100 + n as u64));
-            if bytes == sound {
-                continue;
+impl Original {
+    async fn new() -> Self {
+        let folder = Folder::new();
+        let run = filled(&folder).await;
+        let bytes = std::fs::read(folder.file()).unwrap();
+        let store = open(&folder.file()).await;
+        assert_eq!(store.examine(2000).await.unwrap(), Soundness::Sound);
+        let measured = measured(&store, run).await.unwrap();
+        let stored = store.progress(run).await.unwrap().stored;
+        assert_eq!((measured.len(), stored.len()), (TRIALS as usize, TRIALS as usize));
+        let keys = "SELECT rootpage FROM sqlite_schema WHERE name = 'sqlite_autoindex_trials_1'";
+        let keys: i64 = sqlx::query_scalar(keys).fetch_one(&store.inner.readers).await.unwrap();
+        Self { bytes, run, measured, stored, keys_at: PAGE * (keys as usize - 1) }
+    }
+
+    /// Whether the damaged file is `refused`, `found` out or `harmless`; it never gives other trials.
+    async fn verdict(&self, damaged: &[u8], what: &str) -> &'static str {
+        let folder = Folder::new();
+        std::fs::write(folder.file(), damaged).unwrap();
+        let Ok(store) = Store::open(&folder.file(), Clock::new(1.0)).await else {
+            return "refused";
+        };
+        match store.examine(2000).await.unwrap() {
+            Soundness::Damaged(findings) => {
+                assert!(!findings.is_empty(), "{what}");
+                "found"
             }
-            std::fs::write(folder.file(), bytes).unwrap();
-            let Ok(store) = Store::open(&folder.file(), Clock::new(1.0)).await else {
-                refused += 1;
-                continue;
-            };
-            match store.examine(2000).await.unwrap() {
-                Soundness::Damaged(findings) => {
-                    assert!(!findings.is_empty());
-                    found += 1;
-                }
-                Soundness::Sound => {
-                    let again = measured(&store, run).await;
-                    assert!(again.is_ok_and(|again| again == whole), "{way}, seed {seed}");
-                    let stored = store.progress(run).await.map(|progress| progress.stored);
-                    assert!(stored.is_ok_and(|stored| stored == keys), "{way}, seed {seed}: keys");
-                    harmless += 1;
-                }
-                Soundness::Unchecked => panic!("{way}, seed {seed}: it was not looked at"),
+            Soundness::Sound => {
+                let again = measured(&store, self.run).await;
+                assert!(again.is_ok_and(|again| again == self.measured), "{what}");
+                let stored = store.progress(self.run).await.map(|progress| progress.stored);
+                assert!(stored.is_ok_and(|stored| stored == self.stored), "{what}: keys");
+                "harmless"
             }
+            Soundness::Unchecked => panic!("{what}: it was not looked at"),
         }
     }
-    println!("refused {refused}, found {found}, harmless {harmless}");
-    assert!(refused > 20 && found > 20, "refused {refused}, found {found}, harmless {harmless}");
+}
+
+#[tokio::test]
+async fn no_damage_passes_for_a_measurement() {
+    let original = Original::new().await;
+    let few_bits: Damage = ("a bit flipped", flip);
+    let ways = (0..6).flat_map(|_| WAYS).chain((0..FLIPS).map(|_| few_bits));
+    let mut verdicts: BTreeMap<&str, u32> = BTreeMap::new();
+    for (seed, (way, damage)) in ways.enumerate() {
+        let mut bytes = original.bytes.clone();
+        damage(&mut bytes, &mut ChaCha8Rng::seed_from_u64(seed as u64));
+        let verdict = original.verdict(&bytes, &format!("{way}, seed {seed}")).await;
+        *verdicts.entry(verdict).or_default() += 1;
+    }
+    assert!(verdicts["refused"] > 20 && verdicts["found"] > 20, "{verdicts:?}");
+}
+
+/// What is left of a plan is read from an index: one that differs from its table is damage.
+#[tokio::test]
+async fn a_key_that_changed_in_its_index_alone_is_found() {
+    let original = Original::new().await;
+    let mut found = 0;
+    for seed in 0..40 {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut bytes = original.bytes.clone();
+        // The records of a page lie at its end.
+        let at = original.keys_at + PAGE - 1 - rng.random_range(0..500);
+        bytes[at] ^= 1 << rng.random_range(0..8);
+        let verdict = original.verdict(&bytes, &format!("index, seed {seed}")).await;
+        found += u32::from(verdict == "found");
+    }
+    assert!(found > 30, "{found} of 40");
 }
 
 /// Changes one count of the trial's first frame behind the store's back.
@@ -266,6 +305,26 @@ async fn a_negative_zero_and_what_is_absent_are_no_damage() {
     let id = store.trial(run, &trial).await.unwrap();
     assert_eq!(store.trial_by_id(id).await.unwrap().unwrap().target, None);
     assert_eq!(store.examine(1).await.unwrap(), Soundness::Sound);
+}
+
+/// Neither an emptied file nor the log of one that is gone is taken for a new database.
+#[tokio::test]
+async fn a_lost_database_is_not_begun_anew() {
+    let lost = async |folder: &Folder| {
+        let opened = Store::open(&folder.file(), Clock::new(1.0)).await;
+        assert!(matches!(opened, Err(StoreError::Lost { .. })));
+    };
+    let folder = Folder::new();
+    std::fs::write(folder.file(), "").unwrap();
+    lost(&folder).await;
+    std::fs::rename(folder.file(), folder.0.join("palpate.sqlite-wal")).unwrap();
+    lost(&folder).await;
+    assert!(!folder.file().exists());
+    std::fs::remove_file(folder.0.join("palpate.sqlite-wal")).unwrap();
+    // A process that was killed while it made a new one.
+    std::fs::write(folder.0.join("palpate.sqlite.new"), "half").unwrap();
+    open(&folder.file()).await.set_setting("kept", "yes").await.unwrap();
+    assert!(!folder.0.join("palpate.sqlite.new").exists());
 }
 
 #[tokio::test]
