@@ -64,8 +64,7 @@ impl Seats {
     }
 
     /// Tells those to go that have waited too long.
-    pub fn sweep(&self) {
-        let now = Instant::now();
+    pub fn sweep(&self, now: Instant) {
         for seat in self.all() {
             if matches!(*seat.doing(), Doing::Waits { until, .. } if until < now) {
                 seat.dismiss();
@@ -211,12 +210,11 @@ mod tests {
         seats.iter().filter(|seat| seat.reserved()).count()
     }
 
-    #[tokio::test(start_paused = true)]
-    async fn the_one_that_waited_longest_makes_room() {
+    #[test]
+    fn the_one_that_waited_longest_makes_room() {
         let mut seats = Seats::default();
         let mut sitting: Vec<_> = (0..CONNECTIONS).map(|_| seats.take()).collect();
         let busy = Asking::begin(sitting[0].clone());
-        tokio::time::advance(Duration::from_millis(1)).await;
         sitting.push(seats.take());
         assert!(seats.have_room() && reserved(&sitting) == 0);
         let leaving: Vec<bool> = sitting.iter().map(|seat| seat.is_leaving()).collect();
@@ -225,8 +223,8 @@ mod tests {
         drop(busy);
     }
 
-    #[tokio::test(start_paused = true)]
-    async fn busy_ones_leave_the_reserved_seats_to_the_stop() {
+    #[test]
+    fn busy_ones_leave_the_reserved_seats_to_the_stop() {
         let mut seats = Seats::default();
         let sitting: Vec<_> = (0..CONNECTIONS).map(|_| seats.take()).collect();
         let busy: Vec<_> = sitting.iter().cloned().map(Asking::begin).collect();
@@ -243,25 +241,24 @@ mod tests {
         assert!(seats.have_room() && !seats.take().reserved());
     }
 
-    #[tokio::test(start_paused = true)]
-    async fn heads_and_idle_connections_have_their_time_and_streams_all_of_it() {
+    #[test]
+    fn heads_and_idle_connections_have_their_time_and_streams_all_of_it() {
         let mut seats = Seats::default();
         let [silent, slow, idle, stream, socket] = std::array::from_fn(|_| seats.take());
         let _streaming = Asking::begin(stream.clone());
         Asking::begin(socket.clone()).0.keep();
         drop(Asking::begin(idle.clone()));
         drop(Asking::begin(slow.clone()));
-        let gone = |seats: &Seats| {
-            seats.sweep();
+        slow.bytes_came();
+        let start = Instant::now();
+        let gone_after = |time: Duration| {
+            seats.sweep(start + time);
             [&silent, &slow, &idle, &stream, &socket].map(|seat| seat.is_leaving())
         };
-        assert_eq!(gone(&seats), [false; 5]);
-        slow.bytes_came();
-        tokio::time::advance(HEAD / 2).await;
-        slow.bytes_came();
-        tokio::time::advance(HEAD / 2 + Duration::from_millis(1)).await;
-        assert_eq!(gone(&seats), [true, true, false, false, false]);
-        tokio::time::advance(IDLE).await;
-        assert_eq!(gone(&seats), [true, true, true, false, false]);
+        assert_eq!(gone_after(HEAD / 2), [false; 5]);
+        let late = Duration::from_millis(1);
+        assert_eq!(gone_after(HEAD + late), [true, true, false, false, false]);
+        assert_eq!(gone_after(IDLE + late), [true, true, true, false, false]);
+        assert_eq!(gone_after(10 * IDLE), [true, true, true, false, false]);
     }
 }
