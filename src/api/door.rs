@@ -122,7 +122,7 @@ async fn serve(listener: TcpListener, house: House, mut ending: watch::Receiver<
             },
             Some(_) = connections.join_next() => {}
             () = seats.one_is_freed(), if !room => {}
-            _ = sweep.tick() => seats.sweep(tokio::time::Instant::now()),
+            now = sweep.tick() => seats.sweep(now),
         }
     }
     drop(listener);

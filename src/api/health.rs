@@ -13,6 +13,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::problem::{ApiError, ProblemBody};
 use crate::campaign::rig_state::RigState;
+use crate::store::Soundness;
 
 /// A disk with less than this for the database counts as full, bytes: some hundred trials, so that
 /// the service says so before a commit fails.
@@ -42,7 +43,9 @@ pub async fn live() -> Json<Live> {
 pub async fn ready(State(app): State<App>) -> Result<StatusCode, ApiError> {
     let unavailable = |words: String| ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words);
     app.store.last_event_seq().await.map_err(|e| unavailable(e.to_string()))?;
-    // What the store found out about its own soundness is asked here.
+    if let Soundness::Damaged(findings) = app.store.soundness() {
+        return Err(unavailable(format!("the database is damaged: {}", findings.join("; "))));
+    }
     let free = app.store.free_bytes().await.map_err(|e| unavailable(e.to_string()))?;
     if free < DISK_FULL_BYTES {
         let words = format!(

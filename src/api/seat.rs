@@ -63,7 +63,7 @@ impl Seats {
         self.dismiss_one(|_| true)
     }
 
-    /// Tells those to go that have waited too long by now.
+    /// Tells those to go that have waited too long.
     pub fn sweep(&self, now: Instant) {
         for seat in self.all() {
             if matches!(*seat.doing(), Doing::Waits { until, .. } if until < now) {
@@ -215,7 +215,6 @@ mod tests {
         let mut seats = Seats::default();
         let mut sitting: Vec<_> = (0..CONNECTIONS).map(|_| seats.take()).collect();
         let busy = Asking::begin(sitting[0].clone());
-        std::thread::sleep(Duration::from_millis(1));
         sitting.push(seats.take());
         assert!(seats.have_room() && reserved(&sitting) == 0);
         let leaving: Vec<bool> = sitting.iter().map(|seat| seat.is_leaving()).collect();
@@ -250,14 +249,16 @@ mod tests {
         Asking::begin(socket.clone()).0.keep();
         drop(Asking::begin(idle.clone()));
         drop(Asking::begin(slow.clone()));
+        slow.bytes_came();
+        let start = Instant::now();
         let gone_after = |time: Duration| {
-            seats.sweep(Instant::now() + time);
+            seats.sweep(start + time);
             [&silent, &slow, &idle, &stream, &socket].map(|seat| seat.is_leaving())
         };
-        assert_eq!(gone_after(Duration::ZERO), [false; 5]);
-        slow.bytes_came();
-        slow.bytes_came();
-        assert_eq!(gone_after(HEAD), [true, true, false, false, false]);
-        assert_eq!(gone_after(IDLE), [true, true, true, false, false]);
+        assert_eq!(gone_after(HEAD / 2), [false; 5]);
+        let late = Duration::from_millis(1);
+        assert_eq!(gone_after(HEAD + late), [true, true, false, false, false]);
+        assert_eq!(gone_after(IDLE + late), [true, true, true, false, false]);
+        assert_eq!(gone_after(10 * IDLE), [true, true, true, false, false]);
     }
 }
