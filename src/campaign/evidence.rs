@@ -14,10 +14,10 @@ use crate::rig::traits::Frame;
 const WEIGHED_N: f64 = 1.0;
 /// Forces in sum that the skin must feel, N.
 const MUST_FEEL_N: f64 = 20.0;
-/// A skin that changes by less than this many times its noise feels nothing.
-const QUIET: f64 = 1.25;
+/// A skin whose change beyond its noise is less than this part of it feels nothing.
+const QUIET: f64 = 0.5;
 /// Frames in a row that must show the same touch before it counts.
-const FELT_FRAMES: u32 = 3;
+pub const FELT_FRAMES: u32 = 3;
 /// Force from which a tip is in contact, so that depth must add to it, N.
 const IN_CONTACT_N: f64 = 5.0;
 /// Force up to which an arm counts as silent, N.
@@ -29,6 +29,7 @@ const SILENT_MAX: u32 = 3;
 #[derive(Debug, Clone)]
 pub struct SkinWatch {
     untouched_v: Vec<f64>,
+    /// Root mean square of a frame's noise beside the untouched mean's, V.
     noise_v: f64,
     sequence: u32,
     /// Touched frames in a row that no cell explains, and the process time of the first, s.
@@ -51,12 +52,14 @@ impl SkinWatch {
             .iter()
             .flat_map(|v| v.iter().zip(&untouched_v).map(|(v, mean)| (f64::from(*v) - mean).powi(2)))
             .sum();
-        let noise_v = (square / ((n - 1.0) * channels.max(1) as f64)).sqrt();
+        let of_one = square / ((n - 1.0) * channels.max(1) as f64);
+        let noise_v = (of_one * (1.0 + 1.0 / n)).sqrt();
         Some(Self { untouched_v, noise_v, sequence: 0, unweighed: None })
     }
 
-    /// Root mean square of a frame's difference from the untouched skin over its channels, V.
-    pub fn change_v(&self, frame: &Frame) -> Option<f64> {
+    /// Root mean square of a frame's difference from the untouched skin over its channels, with the
+    /// noise's part taken off, V.
+    pub fn touch_v(&self, frame: &Frame) -> Option<f64> {
         let voltages = frame.voltages_v();
         if voltages.len() != self.untouched_v.len() || voltages.is_empty() {
             return None;
@@ -66,7 +69,8 @@ impl SkinWatch {
             .zip(&self.untouched_v)
             .map(|(v, before)| (f64::from(*v) - before).powi(2))
             .sum();
-        Some((square / voltages.len() as f64).sqrt())
+        let beyond = square / voltages.len() as f64 - self.noise_v * self.noise_v;
+        Some(beyond.max(0.0).sqrt())
     }
 
     /// Looks at the newest frame beside the newest forces of the attached arms, N, at a process time,
@@ -83,9 +87,9 @@ impl SkinWatch {
             return None;
         }
         self.sequence = frame.sequence;
-        let (change_v, limit_v) = (self.change_v(frame)?, limits.skin_touch_v);
+        let (touch_v, limit_v) = (self.touch_v(frame)?, limits.skin_touch_v);
         let weighed = forces_n.iter().any(|&f| f > WEIGHED_N);
-        if change_v < limit_v || weighed {
+        if touch_v < limit_v || weighed {
             self.unweighed = None;
             return None;
         }
@@ -94,9 +98,9 @@ impl SkinWatch {
         (frames >= FELT_FRAMES && now_s - since_s > update_s).then(|| {
             let most = forces_n.iter().copied().fold(0.0, f64::max);
             format!(
-                "the skin feels a touch ({:.1} mV from untouched, limit {:.1}) and no cell weighs \
-                 one (largest force {most:.2} N): does a cell stand at its zero?",
-                change_v * 1e3,
+                "the skin feels a touch ({:.1} mV from untouched, limits.skin_touch_v = {:.1} mV) \
+                 and no cell weighs one (largest force {most:.2} N): does a cell stand at its zero?",
+                touch_v * 1e3,
                 limit_v * 1e3
             )
         })
@@ -104,7 +108,7 @@ impl SkinWatch {
 
     /// Whether forces that the skin must feel leave it as it was untouched.
     pub fn is_silent(&self, frame: &Frame, forces_n: &[f64]) -> bool {
-        let quiet = self.change_v(frame).is_some_and(|change_v| change_v < QUIET * self.noise_v);
+        let quiet = self.touch_v(frame).is_some_and(|touch_v| touch_v < QUIET * self.noise_v);
         quiet && forces_n.iter().sum::<f64>() > MUST_FEEL_N
     }
 }

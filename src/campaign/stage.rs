@@ -9,7 +9,7 @@ use futures::future::join_all;
 use tokio::time::Instant;
 
 use super::control::Control;
-use super::evidence::{SilentArms, SkinWatch};
+use super::evidence::{FELT_FRAMES, SilentArms, SkinWatch};
 use super::halt::Halt;
 use super::interlock::{self, ForceLimits, TripKind};
 use super::record::{Pose, TouchOffRecord};
@@ -228,8 +228,19 @@ impl Stage {
         self.compare_with_skin(attached)
     }
 
+    /// Frames of a held load after which the skin and the cells have witnessed against each other.
+    pub fn witness_frames(&self) -> usize {
+        (self.cells_see_s() * self.config.ert.frame_rate_hz()).ceil() as usize
+            + FELT_FRAMES as usize
+    }
+
+    /// By then the cells have seen what the skin feels, process s.
+    fn cells_see_s(&self) -> f64 {
+        self.config.cells.update_ms / 1e3 + self.stopping.blind_s(&self.config)
+    }
+
     fn compare_with_skin(&mut self, forces_n: &[f64]) -> Result<(), Halt> {
-        let update_s = self.config.cells.update_ms / 1e3 + self.stopping.blind_s(&self.config);
+        let update_s = self.cells_see_s();
         let now_s = self.clock.process_s();
         let Some((watch, frame)) = self.skin.as_mut().zip(self.bench.skin.latest()) else {
             return Ok(());

@@ -11,6 +11,7 @@ use jiff::Timestamp;
 use super::control::Control;
 use super::halt::Halt;
 use super::interlock::TripKind;
+use super::measure::no_frames;
 use super::record::TouchOffRecord;
 use super::safe_end::raise_as_planned;
 use super::stage::{AxisName, Stage};
@@ -23,6 +24,8 @@ use crate::schedule::configuration::Stand;
 const TOUCH_N: f64 = 0.5;
 /// Largest force on one arm while the others are still looked for, N.
 const ENOUGH_N: f64 = 25.0;
+/// Step of a search for a surface whose height is not known, mm.
+const STEP_MM: f64 = 1.0;
 /// Height taken back between the coarse and the fine approach, mm.
 const BACK_OFF_MM: f64 = 1.5;
 /// Blur of the height by the time between two samples in the fine approach, mm.
@@ -85,6 +88,29 @@ fn deepest_search_mm(stage: &Stage, known_mm: Option<f64>) -> f64 {
     known_mm.or(place.expected_z_mm).map_or(bottom, |z| bottom.min(z + place.search_below_mm))
 }
 
+/// Looks for a surface that no touch has found yet, in steps. At each the skin is asked as well: a
+/// cell that feels nothing would let z go on, and frames of a moving load may be spoilt.
+async fn search(
+    stage: &mut Stage,
+    control: &mut Control,
+    bottom_mm: f64,
+    speed_mm_s: f64,
+    touched: impl Fn(&Sample) -> bool + Copy,
+) -> Result<bool, Halt> {
+    let [top_mm, _] = stage.config.skin.surface_z_mm;
+    let mut z_mm = top_mm - STEP_MM;
+    while z_mm < bottom_mm {
+        z_mm = (z_mm + STEP_MM).min(bottom_mm);
+        if stage.press_until(control, z_mm, speed_mm_s, touched).await? {
+            return Ok(true);
+        }
+        let skin = stage.bench.skin.clone();
+        let frames = skin.take(stage.clock.now(), stage.witness_frames());
+        stage.watch_while(control, frames).await?.map_err(|e| no_frames(stage, e))?;
+    }
+    Ok(false)
+}
+
 /// One place: heights at which the arms touched.
 async fn touch(
     stage: &mut Stage,
@@ -101,9 +127,11 @@ async fn touch(
     let (tare_v, per_volt) = (stage.tare_v, stage.config.cells.newtons_per_volt());
     let force = move |s: &Sample, i: usize| (s.volts[i] - tare_v[i]) * per_volt;
     let bottom = deepest_search_mm(stage, known_mm);
-    let felt = stage
-        .press_until(control, bottom, coarse, |s| (0..tips).any(|i| force(s, i) > TOUCH_N))
-        .await?;
+    let touched = move |s: &Sample| (0..tips).any(|i| force(s, i) > TOUCH_N);
+    let felt = match known_mm {
+        Some(_) => stage.press_until(control, bottom, coarse, touched).await?,
+        None => search(stage, control, bottom, coarse, touched).await?,
+    };
     if !felt {
         let detail = format!(
             "no cell felt the surface down to z = {bottom:.3} mm (skin.surface_z_mm, \

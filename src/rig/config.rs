@@ -369,8 +369,8 @@ pub struct RigLimits {
     /// Largest change of a cell's zero between two tares, and the most that a force may be below
     /// zero, N.
     pub tare_drift_n: f64,
-    /// Change of the skin from untouched, root mean square over its channels, V, that a cell must
-    /// weigh: a larger one while no cell weighs a touch trips.
+    /// Change of the skin from untouched, root mean square over its channels beyond their noise, V,
+    /// that a cell must weigh: a larger one while no cell weighs a touch trips.
     #[serde(default = "default_skin_touch_v")]
     pub skin_touch_v: f64,
     /// Slopes of force against depth between two steps, N/mm: less while in contact, or more, trips.
@@ -517,9 +517,9 @@ fn default_search_below_mm() -> f64 {
     4.0
 }
 
-/// Some eight times the noise of our readout (1.2 mV).
+/// What some 10 N of one tip do to the paper's skin; five times what drift and noise do.
 fn default_skin_touch_v() -> f64 {
-    0.010
+    0.003
 }
 
 /// Wide: a wall at the upper end, a cell that hardly follows at the lower.
