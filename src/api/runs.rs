@@ -10,6 +10,7 @@ use utoipa::{IntoParams, ToSchema};
 use super::App;
 use super::auth::Asker;
 use super::problem::{ApiError, Body, Params, ProblemBody};
+use crate::campaign::STOPS;
 use crate::campaign::command::Request;
 use crate::campaign::journal::Journal;
 use crate::conductor::{Armed, Started};
@@ -257,6 +258,7 @@ pub async fn arm(
 
 /// An action on a run. The answer says that it was taken up; the status says what was reached.
 #[utoipa::path(post, path = "/api/v1/runs/{run}/actions", tag = "runs", request_body = Act,
+    description = STOPS,
     params(("run" = String, Path, description = "uid or scan_id")),
     responses((status = 202, body = TakenUp), (status = 409, body = ProblemBody)))]
 pub async fn act(

@@ -44,12 +44,7 @@ pub struct Control {
 
 impl Control {
     /// A control with no wires open and no run.
-    pub fn new(
-        inbox: Inbox,
-        estop: StopSwitch,
-        diary: Diary,
-        journal: Arc<dyn Journal>,
-    ) -> Self {
+    pub fn new(inbox: Inbox, estop: StopSwitch, diary: Diary, journal: Arc<dyn Journal>) -> Self {
         Self {
             inbox,
             estop,
@@ -161,7 +156,10 @@ impl Control {
                 requested.map(Into::into),
                 why.map(Into::into),
             ));
-            self.say("state", json!({ "state": state.as_str(), "requested": requested, "why": why }));
+            self.say(
+                "state",
+                json!({ "state": state.as_str(), "requested": requested, "why": why }),
+            );
         }
     }
 

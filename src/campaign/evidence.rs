@@ -50,7 +50,9 @@ impl SkinWatch {
             (0..channels).map(|c| volts.iter().map(|v| f64::from(v[c])).sum::<f64>() / n).collect();
         let square: f64 = volts
             .iter()
-            .flat_map(|v| v.iter().zip(&untouched_v).map(|(v, mean)| (f64::from(*v) - mean).powi(2)))
+            .flat_map(|v| {
+                v.iter().zip(&untouched_v).map(|(v, mean)| (f64::from(*v) - mean).powi(2))
+            })
             .sum();
         let of_one = square / ((n - 1.0) * channels.max(1) as f64);
         let noise_v = (of_one * (1.0 + 1.0 / n)).sqrt();
@@ -205,13 +207,7 @@ mod tests {
         let noise = |c: i16| (c * 7 + sequence as i16 * 13) % 5 - 2;
         let counts = (0..784).map(|c| noise(c) + if c % 2 == 0 { level } else { -level }).collect();
         let received = Instant::now();
-        Arc::new(Frame {
-            sequence,
-            device_time_us: 0,
-            volts_per_count: 1e-3,
-            counts,
-            received,
-        })
+        Arc::new(Frame { sequence, device_time_us: 0, volts_per_count: 1e-3, counts, received })
     }
 
     fn watch() -> SkinWatch {
@@ -221,8 +217,9 @@ mod tests {
     #[test]
     fn a_touch_that_no_cell_weighs_counts_after_the_cells_update() {
         let (mut watch, limits) = (watch(), limits());
-        let mut look =
-            |n: u32, level, force| watch.unweighed_touch(&frame(n, level), &[force], f64::from(n) * 0.05, 0.1, &limits);
+        let mut look = |n: u32, level, force| {
+            watch.unweighed_touch(&frame(n, level), &[force], f64::from(n) * 0.05, 0.1, &limits)
+        };
         assert_eq!(look(4, 0, 0.0), None);
         assert_eq!(look(5, 40, 0.0), None);
         assert_eq!(look(6, 40, 0.0), None);

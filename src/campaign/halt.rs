@@ -28,11 +28,9 @@ impl Halt {
     pub fn as_trip(&self) -> Option<&Trip> {
         match self {
             Halt::Trip(trip) => Some(trip),
-            Halt::Asked
-            | Halt::Checkpoint
-            | Halt::Needs(_)
-            | Halt::Failed(_)
-            | Halt::Store(_) => None,
+            Halt::Asked | Halt::Checkpoint | Halt::Needs(_) | Halt::Failed(_) | Halt::Store(_) => {
+                None
+            }
         }
     }
 

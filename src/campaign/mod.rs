@@ -4,6 +4,10 @@
 //! PURE: `run_state`, `rig_state`, `interlock`, `evidence`, `stopping`, `resume`, `eta`, `record`,
 //! `halt`, `job`, `status`, `stuck`.
 
+/// The four stops: what each moves, what is kept, how it goes on, who may. One table for the manual,
+/// the API and the terminal.
+pub const STOPS: &str = include_str!("stops.txt");
+
 pub mod record;
 pub mod journal;
 pub mod diary;
@@ -31,3 +35,14 @@ pub mod press;
 pub mod manual;
 pub mod show;
 pub mod engine;
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_manual_has_the_four_stops_and_the_states_as_they_are() {
+        let manual = include_str!("../../docs/safety.md");
+        for table in [super::STOPS, super::rig_state::TABLE, super::run_state::TABLE] {
+            assert!(manual.contains(table), "docs/safety.md lacks:\n{table}");
+        }
+    }
+}

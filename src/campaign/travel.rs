@@ -164,7 +164,8 @@ impl Stage {
             let driven = self.driven(target.axis);
             let speed = target.speed.unwrap_or(driven.speed);
             let from = driven.axis.status().await?.position;
-            let takes_s = (target.position - from).abs() / speed + 2.0 * speed / driven.acceleration;
+            let takes_s =
+                (target.position - from).abs() / speed + 2.0 * speed / driven.acceleration;
             longest_s = longest_s.max(takes_s);
             driven.axis.start_move(target.position, speed).await?;
         }

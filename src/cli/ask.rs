@@ -12,6 +12,8 @@ use super::error::CliError;
 use super::output::{counted, duration, say, say_json};
 use super::view::{RunView, StatusView};
 use super::{At, embed};
+use crate::campaign::safe_end::{SafeEnd, Tips};
+use crate::campaign::stopping::StoppingDistance;
 
 /// Longest look for the axes' acknowledgement of an emergency stop.
 const ACKNOWLEDGED: Duration = Duration::from_secs(2);
@@ -83,18 +85,22 @@ pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
     let body = json!({ "why": args.why, "who": client.who() });
     let answer: Value = client.post("/api/v1/estop", &body).await?;
     let asked = Instant::now();
-    let mut acknowledged_ms = None;
+    let (mut acknowledged_ms, mut missing) = (None, Vec::new());
     while acknowledged_ms.is_none() && asked.elapsed() < ACKNOWLEDGED {
         tokio::time::sleep(LOOK).await;
-        acknowledged_ms = client.status().await?.rig.estop_acknowledged_ms;
+        let rig = client.status().await?.rig;
+        (acknowledged_ms, missing) = (rig.estop_acknowledged_ms, rig.not_stopped());
     }
     if args.at.json {
-        say_json(&json!({ "latched": answer["latched"], "acknowledged_ms": acknowledged_ms }));
+        say_json(&json!({ "latched": answer["latched"], "acknowledged_ms": acknowledged_ms,
+            "not_acknowledged": missing }));
         return Ok(());
     }
-    let axes = acknowledged_ms.map_or("no acknowledgement of the axes yet".into(), |ms| {
-        format!("every axis had acknowledged after {ms:.1} ms")
-    });
+    let axes = match acknowledged_ms {
+        Some(ms) => format!("every axis had acknowledged after {ms:.1} ms"),
+        None if missing.is_empty() => "no acknowledgement of the axes yet".into(),
+        None => format!("NOT ACKNOWLEDGED: {}; sent again until it is", missing.join(", ")),
+    };
     say(format_args!("stopped and latched; {axes}. `palpate rig reset` when all is well."));
     Ok(())
 }
@@ -105,6 +111,10 @@ fn status_words(status: &StatusView, twins: &Value) -> String {
     if rig.trip.is_some() {
         lines.push(format!("trip     {}", rig.trip_words()));
     }
+    for axis in rig.not_stopped() {
+        lines.push(format!("stop     NOT ACKNOWLEDGED: {axis}; sent again until it is"));
+    }
+    lines.extend(rig.safe_end.as_ref().map(safe_end_words));
     if let Some(p) = rig.pose {
         let (x, y, z, r) = (p.x_mm, p.y_mm, p.z_mm, p.radius_mm);
         lines.push(format!("pose     x {x:.2}  y {y:.2}  z {z:.2}  radius {r:.2} mm"));
@@ -115,6 +125,7 @@ fn status_words(status: &StatusView, twins: &Value) -> String {
         let limit_n = rig.force_limit_n;
         lines.push(format!("forces   {} N (limit {limit_n:.0})", forces.join("  ")));
     }
+    lines.extend(rig.stopping.as_ref().map(stopping_words));
     if let Some(lock) = &status.lock {
         lines.push(format!("lock     {}: {}", lock.holder, lock.note));
     }
@@ -123,6 +134,39 @@ fn status_words(status: &StatusView, twins: &Value) -> String {
     lines.extend(twin_words(twins));
     lines.push(format!("service  {}, {}", status.service.version, status.service.database));
     lines.join("\n")
+}
+
+fn safe_end_words(end: &SafeEnd) -> String {
+    let tips = match &end.tips {
+        Tips::Raised => "tips raised".into(),
+        Tips::HeldByEstop => "tips where they were: the stop is latched".into(),
+        Tips::NotHomed => "z has lost its zero: home, z moves up first".into(),
+        Tips::NotRaised(why) => format!("TIPS NOT RAISED: {why}"),
+    };
+    let missing: Vec<&str> =
+        end.stops.iter().filter(|s| s.acknowledged_ms.is_none()).map(|s| s.axis.as_str()).collect();
+    let axes = match missing.is_empty() {
+        true => "every axis stopped".into(),
+        false => format!("NOT STOPPED: {}", missing.join(", ")),
+    };
+    format!("safe end {axes}, {tips}, {:.0} ms", end.took_ms)
+}
+
+fn stopping_words(d: &StoppingDistance) -> String {
+    let measured = match (d.measured_ms, d.measured_mm) {
+        (Some(ms), Some(mm)) => format!("measured {ms:.1} ms and {mm:.2} mm at most"),
+        (Some(ms), None) => format!("measured {ms:.1} ms at most"),
+        _ => "none measured yet".into(),
+    };
+    format!(
+        "stopping {:.0} ms, {:.2} mm, +{:.1} N of {:.1} N margin at {:.2} mm/s; {measured} in {}",
+        d.blind_ms,
+        d.travel_mm,
+        d.added_n,
+        d.margin_n,
+        d.speed_mm_s,
+        counted(d.stops, "stop", "stops"),
+    )
 }
 
 /// Simulated twins: of the newest run with trials.

@@ -8,6 +8,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand};
+
+use crate::campaign::STOPS;
 use serde_json::json;
 
 mod access;
@@ -110,18 +112,21 @@ pub enum Command {
     /// Show and change what runs next.
     Queue(queue::QueueArgs),
     /// Pause the run under way, after its trial.
+    #[command(after_help = STOPS)]
     Pause(ask::PauseArgs),
     /// Go on after a pause or a trip.
     Resume(ask::ActArgs),
     /// End the run under way after its trial, as a success.
     Stop(ask::ActArgs),
     /// Raise the tips now and end the run under way.
+    #[command(after_help = STOPS)]
     Abort(ask::ActArgs),
     /// Say that what the run waits for has been done.
     Confirm(ask::ActArgs),
     /// Say that the last trial by hand was bad: it is done again.
     Repeat(ask::ActArgs),
     /// Emergency stop: every axis stops at once, and stays so until a reset.
+    #[command(after_help = STOPS)]
     Estop(ask::ActArgs),
     /// Show, take or give back the operator lock, which blocks starting, never stopping.
     Lock(access::LockArgs),

@@ -4,10 +4,13 @@
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use crate::campaign::estop::AxisStop;
 use crate::campaign::interlock::Trip;
 use crate::campaign::record::Pose;
 use crate::campaign::rig_state::RigState;
+use crate::campaign::safe_end::SafeEnd;
 use crate::campaign::status::{Eta, Phase};
+use crate::campaign::stopping::StoppingDistance;
 use crate::ids::{RunUid, TrialKey};
 use crate::store::LockRow;
 
@@ -45,16 +48,30 @@ pub struct RigView {
     pub forces_n: Vec<Option<f64>>,
     /// Limit on one cell, N.
     pub force_limit_n: f64,
-    /// Tips found on the cells.
+    /// Tips that a person says are mounted.
     pub tips: Option<u8>,
     /// From an e-stop's press until every axis had acknowledged, ms.
     pub estop_acknowledged_ms: Option<f64>,
+    /// While an e-stop is latched, each axis's stop.
+    pub estop_stops: Vec<AxisStop>,
+    /// How the last safe end went.
+    pub safe_end: Option<SafeEnd>,
+    /// What the force may grow by between a sample and its stop.
+    pub stopping: Option<StoppingDistance>,
 }
 
 impl RigView {
     /// The largest force on a tip, N.
     pub fn max_force_n(&self) -> Option<f64> {
         self.forces_n.iter().copied().flatten().reduce(f64::max)
+    }
+
+    /// Axes whose stop is not acknowledged, each with why: they may still move.
+    pub fn not_stopped(&self) -> Vec<String> {
+        let missing = self.estop_stops.iter().filter(|s| s.acknowledged_ms.is_none());
+        missing
+            .map(|s| format!("{} ({})", s.axis, s.error.as_deref().unwrap_or("no answer yet")))
+            .collect()
     }
 
     /// What latched it, in words.

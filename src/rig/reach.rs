@@ -46,5 +46,6 @@ pub fn bench(rig: &RigConfig) -> Bench {
         cell_update_ms: rig.cells.update_ms,
         frame_rate_hz: rig.ert.frame_rate_hz(),
         clock_rate: rig.clock_rate,
+        z_watchdog_ms: rig.axes.z.guard.watchdog_ms,
     }
 }

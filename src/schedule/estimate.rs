@@ -73,6 +73,9 @@ pub struct Bench {
     pub frame_rate_hz: f64,
     /// Process seconds in a wall second.
     pub clock_rate: f64,
+    /// z comes to a stand by itself when nobody has talked to it for so long, wall ms; absent: it
+    /// goes on to where it was sent.
+    pub z_watchdog_ms: Option<u64>,
 }
 
 /// Where the time goes, wall s.

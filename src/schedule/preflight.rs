@@ -51,6 +51,9 @@ pub struct Preflight {
     pub disk_bytes: u64,
     /// Those of them that do not grow with the trials: the twins' cache and the database's log.
     pub disk_fixed_bytes: u64,
+    /// What a service that falls silent in a press would leave, and for how long; absent where
+    /// nothing presses.
+    pub if_silent: Option<String>,
     /// What forbids the plan on this bench.
     #[schema(value_type = Vec<Object>)]
     pub problems: Vec<Problem>,
@@ -90,8 +93,24 @@ impl Preflight {
             }),
             disk_bytes: whole.disk_bytes + disk_fixed_bytes,
             disk_fixed_bytes,
+            if_silent: (plan.kind == Kind::RealHex).then(|| if_silent(plan, bench)),
             problems,
         }
+    }
+}
+
+/// No service, no stop: what the drive of z does by itself decides what stays pressed.
+fn if_silent(plan: &Plan, bench: &Bench) -> String {
+    let deepest_mm = plan.depths_mm.iter().copied().fold(0.0, f64::max);
+    match bench.z_watchdog_ms {
+        Some(ms) => format!(
+            "z stands after {ms} ms (its drive's watchdog), tips pressed up to {deepest_mm} mm, \
+             until somebody raises them"
+        ),
+        None => format!(
+            "z goes on to where it was sent (its drive has no watchdog set), tips pressed up to \
+             {deepest_mm} mm, until somebody raises them"
+        ),
     }
 }
 
@@ -171,6 +190,9 @@ impl fmt::Display for Preflight {
         }
         let fixed = bytes(self.disk_fixed_bytes);
         line(f, "disk", format!("{}, {fixed} of it cache and log", bytes(self.disk_bytes)))?;
+        if let Some(words) = &self.if_silent {
+            line(f, "service falls silent", words.clone())?;
+        }
         if self.problems.is_empty() {
             return line(f, "problems", "none".into());
         }

@@ -131,11 +131,7 @@ impl Engine {
     }
 
     /// A request while a run waits.
-    async fn waiting_request(
-        &mut self,
-        job: &Job,
-        envelope: Envelope,
-    ) -> Option<Waited> {
+    async fn waiting_request(&mut self, job: &Job, envelope: Envelope) -> Option<Waited> {
         let why = self.control.run().why();
         let needs_person = matches!(why, Some(PausedWhy::TipChange | PausedWhy::ManualTrial));
         let Envelope { request, answer } = envelope;

@@ -40,6 +40,7 @@ fn bench() -> Bench {
         cell_update_ms: 100.0,
         frame_rate_hz: 30.0,
         clock_rate: 1.0,
+        z_watchdog_ms: None,
     }
 }
 

@@ -102,7 +102,7 @@ fn page<'b>(bytes: &'b mut [u8], rng: &mut ChaCha8Rng) -> &'b mut [u8] {
     &mut bytes[PAGE * n..PAGE * (n + 1)]
 }
 
-fn flip(bytes: &mut Vec<u8>, rng: &mut ChaCha8Rng) {
+fn flip(bytes: &mut [u8], rng: &mut ChaCha8Rng) {
     let at = rng.random_range(0..bytes.len());
     bytes[at] ^= 1 << rng.random_range(0..8);
 }

@@ -137,8 +137,7 @@ impl Harness {
 
     /// Waits for a trip and for its safe end.
     pub async fn tripped(&self) -> Status {
-        let ended =
-            |s: &Status| s.rig.state == RigState::Tripped && s.rig.safe_end.is_some();
+        let ended = |s: &Status| s.rig.state == RigState::Tripped && s.rig.safe_end.is_some();
         let status = self.until("a trip", ended).await;
         // Of the run, the state that follows.
         self.until("a halt", |s| s.run.as_ref().is_none_or(|r| r.state != "running")).await;

@@ -6,9 +6,7 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 use jiff::Timestamp;
-use palpate::campaign::journal::{
-    Event, ExitStatus, Journal, JournalError, Mounting, Progress,
-};
+use palpate::campaign::journal::{Event, ExitStatus, Journal, JournalError, Mounting, Progress};
 use palpate::campaign::record::{
     AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord,
 };

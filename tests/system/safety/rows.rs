@@ -1,5 +1,6 @@
 //! What trips by itself.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use palpate::campaign::command::Request;
@@ -133,10 +134,9 @@ async fn a_lost_module_a_lost_stream_and_a_stopped_axis_each_end_in_the_safe_end
         harness.stored(1).await;
         harness.fault(kind, device, more).await;
         harness.tripped().await;
-        harness.until("raised", |s| {
-            s.rig.safe_end.as_ref().is_some_and(|e| e.tips == Tips::Raised)
-        })
-        .await;
+        harness
+            .until("raised", |s| s.rig.safe_end.as_ref().is_some_and(|e| e.tips == Tips::Raised))
+            .await;
         let truth = harness.truth().await;
         assert_eq!((&truth["pressing"], &truth["lateral_in_contact"]), (&json!(false), &json!(0)));
         harness.diary_tells(trip).await;
@@ -160,10 +160,11 @@ async fn an_alarm_of_z_in_contact_is_for_a_person_and_the_run_goes_on_afterwards
     harness.home().await;
     harness.ask(Request::Resume).await.unwrap();
     harness.until("the end", |s| s.run.is_none()).await;
-    let taken = harness.journal.taken();
-    assert_eq!(taken.trials.len(), 18);
-    assert_eq!(taken.ends[0].0.as_str(), "success", "{:?}", taken.ends);
-    drop(taken);
+    {
+        let taken = harness.journal.taken();
+        assert_eq!(taken.trials.len(), 18);
+        assert_eq!(taken.ends[0].0.as_str(), "success", "{:?}", taken.ends);
+    }
     assert_eq!(harness.truth().await["lateral_in_contact"], 0);
     harness.close().await;
 }
@@ -207,10 +208,9 @@ async fn a_store_that_fails_raises_and_the_run_goes_on_when_it_is_back() {
         harness.journal.set(Mood::Sound);
         harness.ask(Request::Resume).await.unwrap();
         harness.until("the end", |s| s.run.is_none()).await;
-        let taken = harness.journal.taken();
-        let keys: std::collections::BTreeSet<_> = taken.trials.iter().map(|t| t.key).collect();
-        assert_eq!((taken.trials.len(), keys.len()), (18, 18), "{mood:?}");
-        drop(taken);
+        let keys: Vec<_> = harness.journal.taken().trials.iter().map(|t| t.key).collect();
+        let distinct: BTreeSet<_> = keys.iter().collect();
+        assert_eq!((keys.len(), distinct.len()), (18, 18), "{mood:?}");
         harness.close().await;
     }
 }

@@ -68,9 +68,7 @@ async fn an_e_stop_that_finds_no_wire_is_sent_the_moment_the_wire_is_back() {
     let status = harness.until("not acknowledged", unacknowledged).await;
     assert_eq!(status.rig.estop_acknowledged_ms, None);
     assert!(harness.ask(Request::Reset).await.is_err(), "no reset before every axis has stopped");
-    let status = harness
-        .until("acknowledged", |s| s.rig.estop_acknowledged_ms.is_some())
-        .await;
+    let status = harness.until("acknowledged", |s| s.rig.estop_acknowledged_ms.is_some()).await;
     assert_eq!(status.rig.estop_stops.len(), 4);
     assert!(pressed.elapsed() > Duration::from_secs_f64(0.9 * wall_s));
     let truth = harness.truth().await;
