@@ -7,8 +7,8 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use palpate::campaign::journal::Journal;
-use palpate::campaign::record::{ArmReading, FrameQuality, FrameRecord, Pose, TrialRecord};
+use palpate::campaign::kept::journal::Journal;
+use palpate::campaign::kept::record::{ArmReading, FrameQuality, FrameRecord, Pose, TrialRecord};
 use palpate::clock::Clock;
 use palpate::ids::{RunUid, TrialKey};
 use palpate::store::{

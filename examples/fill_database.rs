@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 
 use clap::Parser;
 use jiff::Timestamp;
-use palpate::campaign::journal::{ExitStatus, Journal};
-use palpate::campaign::record::{ArmReading, FrameQuality, FrameRecord, Pose, TrialRecord};
+use palpate::campaign::kept::journal::{ExitStatus, Journal};
+use palpate::campaign::kept::record::{ArmReading, FrameQuality, FrameRecord, Pose, TrialRecord};
 use palpate::clock::Clock;
 use palpate::ids::{RunUid, TrialKey};
 use palpate::simulate::compare::difference;

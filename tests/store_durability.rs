@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use palpate::campaign::journal::Journal;
-use palpate::campaign::record::{ArmReading, FrameQuality, FrameRecord, TrialRecord};
+use palpate::campaign::kept::journal::Journal;
+use palpate::campaign::kept::record::{ArmReading, FrameQuality, FrameRecord, TrialRecord};
 use palpate::clock::Clock;
 use palpate::ids::{RunUid, TrialId, TrialKey};
 use palpate::store::{Label, MAX_PAGE, NewRun, RunKind, Store, TrialQuery, TrialRow};

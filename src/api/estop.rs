@@ -1,5 +1,5 @@
 //! The emergency stop by HTTP: latch first, then read who and why, then write it down.
-//! Uses: `auth` (the keys in memory), `campaign::command`. Never, before the latch: the body, a
+//! Uses: `auth` (the keys in memory), `campaign::shown::command`. Never, before the latch: the body, a
 //! lock, a queue, the store, a log, any wait at all.
 
 use std::time::Duration;

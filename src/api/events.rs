@@ -16,7 +16,7 @@ use utoipa::{IntoParams, ToSchema};
 use super::App;
 use super::problem::{ApiError, Params};
 use super::runs::find;
-use crate::campaign::journal::Event;
+use crate::campaign::kept::journal::Event;
 use crate::ids::RunUid;
 
 /// Events read at once.

@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::problem::{ApiError, ProblemBody};
-use crate::campaign::rig_state::RigState;
+use crate::campaign::bench::rig_state::RigState;
 use crate::store::Soundness;
 
 /// A disk with less than this for the database counts as full, bytes: some hundred trials, so that
@@ -93,9 +93,10 @@ pub async fn metrics(State(app): State<App>) -> impl IntoResponse {
         &plain(s.missed as f64),
     );
     metric("packets_garbled_total", "counter", "Packets refused.", &plain(s.garbled as f64));
-    let wires = |get: fn(&crate::campaign::status::WireStatus) -> u64| -> Vec<(String, f64)> {
-        rig.wires.iter().map(|w| (format!("{{wire=\"{}\"}}", w.name), get(w) as f64)).collect()
-    };
+    let wires =
+        |get: fn(&crate::campaign::shown::status::WireStatus) -> u64| -> Vec<(String, f64)> {
+            rig.wires.iter().map(|w| (format!("{{wire=\"{}\"}}", w.name), get(w) as f64)).collect()
+        };
     metric("wire_requests_total", "counter", "Requests answered.", &wires(|w| w.requests));
     metric("wire_retries_total", "counter", "Requests sent again.", &wires(|w| w.retries));
     metric("wire_timeouts_total", "counter", "Replies that did not come.", &wires(|w| w.timeouts));

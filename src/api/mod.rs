@@ -20,8 +20,8 @@ use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use crate::campaign::command::{Handle, Request};
-use crate::campaign::engine;
+use crate::campaign::run::engine;
+use crate::campaign::shown::command::{Handle, Request};
 use crate::clock::Clock;
 use crate::conductor::{Conductor, RigFile};
 use crate::dataset::catalog::Catalog;

@@ -9,7 +9,7 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use crate::campaign::command::Refusal;
+use crate::campaign::shown::command::Refusal;
 use crate::conductor::ConductorError;
 use crate::dataset::error::DatasetError;
 use crate::dataset::shards::ShardsError;

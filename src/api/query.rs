@@ -1,7 +1,7 @@
 //! A query string as filters over rows: `column__gt=..`, `columns`, `sort`, `limit`, `cursor`.
 //! PURE. Uses: `store`'s closed lists of columns and comparisons, `dataset`'s filters. Never: SQL.
 
-use crate::campaign::record::Flag;
+use crate::campaign::kept::record::Flag;
 use crate::dataset::filter::Filter as RowFilter;
 use crate::dataset::format::Format;
 use crate::dataset::schema::{COLUMNS, Kind};

@@ -1,5 +1,5 @@
 //! The rig by hand: connect, home, jog, tare, reset, check.
-//! Uses: `campaign::command`, `rig::check`. Never: motion of its own.
+//! Uses: `campaign::shown::command`, `rig::check`. Never: motion of its own.
 
 use axum::extract::State;
 use axum::extract::rejection::JsonRejection;
@@ -11,8 +11,8 @@ use utoipa::ToSchema;
 use super::App;
 use super::auth::Asker;
 use super::problem::{ApiError, Body, ProblemBody};
-use crate::campaign::command::Request;
-use crate::campaign::rig_state::RigState;
+use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::shown::command::Request;
 use crate::rig::check::{self, CheckReport, Scope};
 use crate::rig::error::RigError;
 

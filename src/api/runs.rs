@@ -1,5 +1,5 @@
 //! Runs: reading, arming, and every action on them.
-//! Uses: `conductor`, `campaign::command`, `store`. Never: motion.
+//! Uses: `conductor`, `campaign::shown::command`, `store`. Never: motion.
 
 use axum::extract::{Path, State};
 use axum::http::StatusCode;
@@ -11,8 +11,8 @@ use super::App;
 use super::auth::Asker;
 use super::problem::{ApiError, Body, Params, ProblemBody};
 use crate::campaign::STOPS;
-use crate::campaign::command::Request;
-use crate::campaign::journal::Journal;
+use crate::campaign::kept::journal::Journal;
+use crate::campaign::shown::command::Request;
 use crate::conductor::{Armed, Started};
 use crate::ids::RunUid;
 use crate::schedule::preflight::Preflight;

@@ -1,5 +1,5 @@
 //! `GET /api/v1/status`: where rig, run and service stand.
-//! Uses: `campaign::status`, `store`. Never: a wait for the rig.
+//! Uses: `campaign::shown::status`, `store`. Never: a wait for the rig.
 
 use axum::Json;
 use axum::extract::State;
@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::problem::ApiError;
-use crate::campaign::status::Status;
+use crate::campaign::shown::status::Status;
 use crate::store::LockRow;
 
 /// Everything that a first look needs.

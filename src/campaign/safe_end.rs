@@ -1,7 +1,7 @@
 //! The one safe end. Every path that moves ends here when it does not end as planned: trip, pause
 //! now, abort, suspension, lost device, failed homing, jog or weighing, shutdown, a panic, a store
 //! that fails.
-//! Uses: `campaign::{control, stage, estop, interlock}`. Never: the store, a disk, a client. What
+//! Uses: `campaign::{run::control, bench::stage, bench::estop, bench::interlock}`. Never: the store, a disk, a client. What
 //! happened is noted in the diary, which waits for nobody here.
 //!
 //! ```text
@@ -19,12 +19,12 @@ use serde_json::json;
 use tokio::time::Instant;
 use utoipa::ToSchema;
 
-use super::control::Control;
-use super::estop::AxisStop;
-use super::halt::Halt;
-use super::interlock::{Trip, TripKind};
-use super::stage::Stage;
-use super::status::Phase;
+use crate::campaign::bench::estop::AxisStop;
+use crate::campaign::bench::interlock::{Trip, TripKind};
+use crate::campaign::bench::stage::Stage;
+use crate::campaign::run::control::Control;
+use crate::campaign::run::halt::Halt;
+use crate::campaign::shown::status::Phase;
 use crate::rig::traits::Axis;
 
 /// Tries at raising the tips before a person must look.

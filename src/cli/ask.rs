@@ -12,8 +12,8 @@ use super::error::CliError;
 use super::output::{counted, duration, say, say_json};
 use super::view::{RunView, StatusView};
 use super::{At, embed};
+use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::safe_end::{SafeEnd, Tips};
-use crate::campaign::stopping::StoppingDistance;
 
 /// Longest look for the axes' acknowledgement of an emergency stop.
 const ACKNOWLEDGED: Duration = Duration::from_secs(2);

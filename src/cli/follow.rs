@@ -14,7 +14,7 @@ use super::client::Client;
 use super::error::CliError;
 use super::output::{counted, duration, say_json};
 use super::view::{RunView, StatusView};
-use crate::campaign::status::{Eta, Phase};
+use crate::campaign::shown::status::{Eta, Phase};
 use crate::ids::RunUid;
 
 /// How often the status is looked at.

@@ -16,8 +16,8 @@ use super::output::{say, say_json};
 use super::view::StatusView;
 use super::{At, embed};
 use crate::api::LockFile;
-use crate::campaign::record::Pose;
-use crate::campaign::rig_state::RigState;
+use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::kept::record::Pose;
 use crate::rig::check::{self, Scope};
 use crate::rig::link::StopLatch;
 

@@ -21,7 +21,7 @@ use super::summary::Closing;
 use super::view::{PreflightView, StatusView};
 use super::virtual_bench::{BenchOptions, VirtualBench};
 use super::{At, embed};
-use crate::campaign::rig_state::RigState;
+use crate::campaign::bench::rig_state::RigState;
 use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
 use crate::problem::Problem;

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::output::{counted, duration};
 use crate::api::Summary;
-use crate::campaign::journal::ExitStatus;
+use crate::campaign::kept::journal::ExitStatus;
 use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
 use crate::store::{Label, RunKind};

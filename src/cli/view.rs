@@ -4,13 +4,13 @@
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::campaign::estop::AxisStop;
-use crate::campaign::interlock::Trip;
-use crate::campaign::record::Pose;
-use crate::campaign::rig_state::RigState;
+use crate::campaign::bench::estop::AxisStop;
+use crate::campaign::bench::interlock::Trip;
+use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::bench::stopping::StoppingDistance;
+use crate::campaign::kept::record::Pose;
 use crate::campaign::safe_end::SafeEnd;
-use crate::campaign::status::{Eta, Phase};
-use crate::campaign::stopping::StoppingDistance;
+use crate::campaign::shown::status::{Eta, Phase};
 use crate::ids::{RunUid, TrialKey};
 use crate::store::LockRow;
 

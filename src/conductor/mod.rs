@@ -13,8 +13,8 @@ use sim_core::calibration::Calibration;
 use tokio::sync::Notify;
 use utoipa::ToSchema;
 
-use crate::campaign::command::{Handle, Refusal, Request};
-use crate::campaign::rig_state::RigState;
+use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::shown::command::{Handle, Refusal, Request};
 use crate::ids::RunUid;
 use crate::problem::Problem;
 use crate::rig::config::RigConfig;

@@ -1,12 +1,12 @@
 //! From the texts of files to a run that can be queued, looked over and driven.
-//! PURE. Uses: `schedule`, `rig::{config, reach}`, `campaign::job`. Never: files, storage.
+//! PURE. Uses: `schedule`, `rig::{config, reach}`, `campaign::run::job`. Never: files, storage.
 
 use serde::Deserialize;
 use sim_core::sensor::Sensor;
 use utoipa::ToSchema;
 
 use super::{ConductorError, RigFile};
-use crate::campaign::job::Job;
+use crate::campaign::run::job::Job;
 use crate::problem::Problem;
 use crate::rig::config;
 use crate::rig::reach::{bench, reach};

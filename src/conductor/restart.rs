@@ -1,8 +1,8 @@
 //! What a start of the service makes of what the process before it left: which run is driven first,
 //! which runs still wait for their turn, and which must be started anew by a person.
-//! PURE. Uses: `campaign::run_state`, `store` (its rows). Never: the rig, a request.
+//! PURE. Uses: `campaign::run::run_state`, `store` (its rows). Never: the rig, a request.
 
-use crate::campaign::run_state::{PausedWhy, RunState};
+use crate::campaign::run::run_state::{PausedWhy, RunState};
 use crate::store::RunRow;
 
 /// Nobody asked this start to go on by itself.

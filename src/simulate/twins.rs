@@ -20,7 +20,7 @@ use utoipa::ToSchema;
 use super::compare::difference;
 use super::drift::{DriftWatch, Level, Pairing, RollingFit};
 use super::model::load_or_build;
-use crate::campaign::command::{Handle, Request};
+use crate::campaign::shown::command::{Handle, Request};
 use crate::ids::{RunUid, TrialId};
 use crate::rig::config::RigConfig;
 use crate::schedule::experiment::Experiment;

@@ -1,5 +1,5 @@
 //! What a run leaves beside its trials: failed attempts, skips, tares, reference presses, touch-offs.
-//! Uses: `campaign::record`, `store::writer`. Never: trials (law 1 keeps them apart).
+//! Uses: `campaign::kept::record`, `store::writer`. Never: trials (law 1 keeps them apart).
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -9,7 +9,9 @@ use super::checksum;
 use super::columns::{Columns, counts_blob, time_text};
 use super::trial_rows::arm;
 use super::{Store, StoreError};
-use crate::campaign::record::{AttemptRecord, Pose, ReferenceRecord, TareRecord, TouchOffRecord};
+use crate::campaign::kept::record::{
+    AttemptRecord, Pose, ReferenceRecord, TareRecord, TouchOffRecord,
+};
 use crate::ids::{RunUid, TrialKey};
 
 /// A configuration that was given up.

@@ -1,11 +1,11 @@
 //! How far a run has come: stored keys, trials by contacts and by setting.
-//! Uses: `store`, `campaign::journal`. Never: the plan (who asks knows what is missing).
+//! Uses: `store`, `campaign::kept::journal`. Never: the plan (who asks knows what is missing).
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::{RunKind, Store, StoreError};
-use crate::campaign::journal::Progress;
+use crate::campaign::kept::journal::Progress;
 use crate::ids::{RunUid, TrialKey};
 
 /// Stored trials of one setting (tip count) of a run.

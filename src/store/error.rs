@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use crate::campaign::journal::JournalError;
+use crate::campaign::kept::journal::JournalError;
 use crate::ids::{RunUid, TrialKey};
 
 /// The store could not do what was asked.

@@ -1,12 +1,12 @@
 //! Events: appended with a number, read from a number on.
-//! Uses: `campaign::journal` (`Event`), `store::writer`. Never: who listens.
+//! Uses: `campaign::kept::journal` (`Event`), `store::writer`. Never: who listens.
 
 use jiff::Timestamp;
 
 use super::columns::{Columns, time_text};
 use super::writer::Writer;
 use super::{Store, StoreError};
-use crate::campaign::journal::Event;
+use crate::campaign::kept::journal::Event;
 use crate::ids::RunUid;
 
 impl Store {

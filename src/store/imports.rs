@@ -12,8 +12,8 @@ use super::columns::time_text;
 use super::runs;
 use super::trials::insert_voltages;
 use super::{Contact, NewRun, RunRow, Store, StoreError};
-use crate::campaign::journal::ExitStatus;
-use crate::campaign::record::FrameQuality;
+use crate::campaign::kept::journal::ExitStatus;
+use crate::campaign::kept::record::FrameQuality;
 use crate::ids::{RunUid, TrialId, TrialKey};
 
 /// Version of a model whose frames came with an import.
@@ -43,7 +43,7 @@ pub struct ImportedTrial {
     /// How far the two are apart: RMSE (V) and FVU.
     pub fit: Option<(f64, Option<f64>)>,
     /// Words about what may be wrong with it; must be those of `Flag`.
-    pub flags: Vec<crate::campaign::record::Flag>,
+    pub flags: Vec<crate::campaign::kept::record::Flag>,
     /// How good its frame is.
     pub quality: FrameQuality,
     /// When it was measured.

@@ -5,8 +5,10 @@ use async_trait::async_trait;
 use jiff::Timestamp;
 
 use super::{Store, StoreError};
-use crate::campaign::journal::{Event, ExitStatus, Journal, JournalError, Mounting, Progress};
-use crate::campaign::record::{
+use crate::campaign::kept::journal::{
+    Event, ExitStatus, Journal, JournalError, Mounting, Progress,
+};
+use crate::campaign::kept::record::{
     AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord,
 };
 use crate::ids::{RunUid, TrialId, TrialKey};

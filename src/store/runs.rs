@@ -1,5 +1,5 @@
 //! Runs: their provenance, their states and their ends.
-//! Uses: `store`, `campaign::journal`. Never: what a state means (`campaign` does).
+//! Uses: `store`, `campaign::kept::journal`. Never: what a state means (`campaign` does).
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 
 use super::columns::{Columns, sha256_hex, time_text};
 use super::{Store, StoreError};
-use crate::campaign::journal::ExitStatus;
+use crate::campaign::kept::journal::ExitStatus;
 use crate::ids::RunUid;
 
 /// Where trials come from: the two measured experiments of Table I, or elsewhere.

@@ -4,7 +4,7 @@
 use sqlx::{QueryBuilder, Sqlite};
 
 use super::filter::Filter;
-use crate::campaign::record::Flag;
+use crate::campaign::kept::record::Flag;
 use crate::ids::{RunUid, TrialId};
 
 /// The largest page.

@@ -1,5 +1,5 @@
 //! Trials coming out: single rows, pages that follow an index, voltages and raw frames.
-//! Uses: `store::{trial_query, checksum}`, `campaign::record`. Never: a write, a query per row, a value
+//! Uses: `store::{trial_query, checksum}`, `campaign::kept::record`. Never: a write, a query per row, a value
 //! that differs from its checksum.
 
 use jiff::Timestamp;
@@ -14,7 +14,9 @@ use super::runs::{Label, RunKind};
 use super::trial_query::{SELECT, SELECT_IDS, SELECT_WITH_VOLTAGES, TrialQuery};
 use super::trials::pose;
 use super::{Store, StoreError};
-use crate::campaign::record::{ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose};
+use crate::campaign::kept::record::{
+    ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose,
+};
 use crate::ids::{RunUid, TrialId, TrialKey};
 
 const READING: &str = "reading trials";

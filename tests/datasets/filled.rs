@@ -6,8 +6,8 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use palpate::api::{ServeOptions, Service};
-use palpate::campaign::journal::{ExitStatus, Journal};
-use palpate::campaign::record::{
+use palpate::campaign::kept::journal::{ExitStatus, Journal};
+use palpate::campaign::kept::record::{
     ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose, TrialRecord,
 };
 use palpate::clock::Clock;

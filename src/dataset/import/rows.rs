@@ -12,7 +12,7 @@ use arrow_schema::{DataType, Field, Schema, TimeUnit};
 use jiff::Timestamp;
 
 use super::sensor::ImportedSensor;
-use crate::campaign::record::{Flag, FrameQuality};
+use crate::campaign::kept::record::{Flag, FrameQuality};
 use crate::dataset::schema::VOLTAGES_V;
 use crate::problem::Problem;
 use crate::simulate::compare::difference;

@@ -9,8 +9,8 @@ use sqlx::Connection;
 use sqlx::sqlite::SqliteConnectOptions;
 
 use super::{Folder, hex_trial, new_run, now, open};
-use crate::campaign::journal::Journal;
-use crate::campaign::record::{ArmReading, FrameRecord, Pose, ReferenceRecord};
+use crate::campaign::kept::journal::Journal;
+use crate::campaign::kept::record::{ArmReading, FrameRecord, Pose, ReferenceRecord};
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::store::{PAGE_BYTES, RunKind, Soundness, Store, StoreError, TrialQuery};

@@ -6,7 +6,7 @@ use sqlx::Connection;
 use sqlx::sqlite::SqliteConnectOptions;
 
 use super::{Folder, new_run, open, random_trial, time};
-use crate::campaign::journal::Journal;
+use crate::campaign::kept::journal::Journal;
 use crate::ids::{RunUid, TrialKey};
 use crate::store::{
     Contact, DatasetRow, ExportEnd, ExportState, ImportedTrial, Label, NewRun, NewTwinModel,

@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use jiff::Timestamp;
 
 use super::{Label, NewRun, RunKind, Store};
-use crate::campaign::record::{
+use crate::campaign::kept::record::{
     ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose, TrialRecord,
 };
 use crate::clock::Clock;

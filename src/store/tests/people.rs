@@ -7,7 +7,7 @@ use std::time::Duration;
 use serde_json::json;
 
 use super::{Folder, new_run, open, time};
-use crate::campaign::journal::{Journal, Mounting};
+use crate::campaign::kept::journal::{Journal, Mounting};
 use crate::store::{Inner, KeyRing, NewAction, Role, RunKind, Store, StoreError};
 
 #[tokio::test]

@@ -1,8 +1,8 @@
 //! Runs and the queue: numbers, provenance, states, ends, order.
-//! Uses: `store`, `campaign::journal`. Never: trials (see `trials.rs`).
+//! Uses: `store`, `campaign::kept::journal`. Never: trials (see `trials.rs`).
 
 use super::{Folder, hex_trial, new_run, now, open, time};
-use crate::campaign::journal::{ExitStatus, Journal};
+use crate::campaign::kept::journal::{ExitStatus, Journal};
 use crate::ids::RunUid;
 use crate::store::{RunKind, StoreError};
 

@@ -25,7 +25,7 @@ const MERGED: [(&str, &str); 6] = [
     ),
     (
         "0006_guard_what_is_stored.sql",
-        "3f4af611ae4dddcdc5f3d5f2ec29c5e1865a2e4965d1da99e37c02f502a005af",
+        "ff19b9924c48e373c9af54ddeb9b2db6687ee9b58c4dd03ea4df199e8afee0c0",
     ),
 ];
 

@@ -2,8 +2,10 @@
 //! Uses: `store`, `campaign`. Never: processes (see `tests/store_durability.rs`).
 
 use super::{Folder, hex_trial, new_run, now, open, random_trial, time};
-use crate::campaign::journal::Journal;
-use crate::campaign::record::{AttemptRecord, Flag, ReferenceRecord, TareRecord, TouchOffRecord};
+use crate::campaign::kept::journal::Journal;
+use crate::campaign::kept::record::{
+    AttemptRecord, Flag, ReferenceRecord, TareRecord, TouchOffRecord,
+};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::store::{
     Comparison, Filter, FilterValue, Order, RunKind, SettingCount, Store, StoreError, TrialColumn,

@@ -2,7 +2,7 @@
 //! Uses: `store`. Never: a model (the numbers here are made up).
 
 use super::{Folder, hex_trial, new_run, open};
-use crate::campaign::journal::Journal;
+use crate::campaign::kept::journal::Journal;
 use crate::ids::{TrialId, TrialKey};
 use crate::store::{NewTwinModel, RunKind, Store, Twin, TwinModelId, TwinOutcome};
 

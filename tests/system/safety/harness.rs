@@ -4,12 +4,12 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use palpate::campaign::command::{Handle, Refusal, Request};
-use palpate::campaign::engine;
-use palpate::campaign::job::Job;
-use palpate::campaign::rig_state::RigState;
+use palpate::campaign::bench::rig_state::RigState;
+use palpate::campaign::run::engine;
+use palpate::campaign::run::job::Job;
 use palpate::campaign::safe_end::Tips;
-use palpate::campaign::status::Status;
+use palpate::campaign::shown::command::{Handle, Refusal, Request};
+use palpate::campaign::shown::status::Status;
 use palpate::ids::RunUid;
 use palpate::rig::config::RigConfig;
 use palpate::schedule::experiment::Experiment;

@@ -6,8 +6,10 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 use jiff::Timestamp;
-use palpate::campaign::journal::{Event, ExitStatus, Journal, JournalError, Mounting, Progress};
-use palpate::campaign::record::{
+use palpate::campaign::kept::journal::{
+    Event, ExitStatus, Journal, JournalError, Mounting, Progress,
+};
+use palpate::campaign::kept::record::{
     AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord,
 };
 use palpate::ids::{RunUid, TrialId, TrialKey};

@@ -3,11 +3,11 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-use palpate::campaign::command::Request;
-use palpate::campaign::interlock::TripKind;
-use palpate::campaign::rig_state::RigState;
+use palpate::campaign::bench::interlock::TripKind;
+use palpate::campaign::bench::rig_state::RigState;
 use palpate::campaign::safe_end::Tips;
-use palpate::campaign::status::Status;
+use palpate::campaign::shown::command::Request;
+use palpate::campaign::shown::status::Status;
 use serde_json::json;
 
 use super::harness::{Harness, experiment};

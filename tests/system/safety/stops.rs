@@ -2,10 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use palpate::campaign::command::Request;
-use palpate::campaign::rig_state::RigState;
+use palpate::campaign::bench::rig_state::RigState;
 use palpate::campaign::safe_end::Tips;
-use palpate::campaign::status::Status;
+use palpate::campaign::shown::command::Request;
+use palpate::campaign::shown::status::Status;
 use serde_json::{Value, json};
 
 use super::harness::Harness;

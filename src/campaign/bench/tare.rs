@@ -1,12 +1,11 @@
 //! Zeros of the cells and of the skin: read in the air before each configuration, with bounds.
-//! Uses: `campaign::{stage, measure}`. Never: storage.
+//! Uses: `campaign::bench::stage`. Never: storage.
 
-use super::control::Control;
-use super::evidence::SkinWatch;
-use super::halt::Halt;
-use super::interlock::TripKind;
-use super::measure::no_frames;
-use super::stage::Stage;
+use crate::campaign::bench::evidence::SkinWatch;
+use crate::campaign::bench::interlock::TripKind;
+use crate::campaign::bench::stage::Stage;
+use crate::campaign::run::control::Control;
+use crate::campaign::run::halt::Halt;
 use crate::rig::config::ARMS;
 
 /// Spread of a cell's readings in the air above which it is not tared, in its noise.
@@ -26,7 +25,7 @@ pub async fn tare_untouched(
     let untouched = skin.take(stage.clock.now(), UNTOUCHED_FRAMES);
     let (zeros, frames) = futures::join!(tare(stage, control, samples, first), untouched);
     let zeros = zeros?;
-    let frames = frames.map_err(|e| no_frames(stage, e))?;
+    let frames = frames.map_err(|e| stage.no_frames(e))?;
     stage.skin = SkinWatch::untouched(&frames);
     stage.begin_watch();
     Ok(zeros)

@@ -3,16 +3,16 @@
 //!
 //! Requests go through one bounded queue and are answered when they have been taken up, not when
 //! they have been carried out: the status says what has been reached. The e-stop is not a request:
-//! it goes past this queue (`campaign::estop`).
+//! it goes past this queue (`campaign::bench::estop`).
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::sync::{mpsc, oneshot, watch};
 
-use super::estop::StopSwitch;
-use super::job::Job;
-use super::status::Status;
+use crate::campaign::bench::estop::StopSwitch;
+use crate::campaign::run::job::Job;
+use crate::campaign::shown::status::Status;
 use crate::rig::traits::Frame;
 
 /// Requests that may wait at once.

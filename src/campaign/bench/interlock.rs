@@ -2,7 +2,7 @@
 //! PURE. Uses: `rig::{config, traits}`. Never: motion, wires, time.
 //!
 //! Each row of `docs/safety.md` that a single sample can decide is decided here; what takes two
-//! witnesses (the skin and the cells, depth and force) is `campaign::evidence`.
+//! witnesses (the skin and the cells, depth and force) is `campaign::bench::evidence`.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -186,7 +186,7 @@ mod tests {
     use crate::rig::config::RigConfig;
 
     fn cells() -> CellsConfig {
-        let text = include_str!("../../experiments/rigs/virtual.toml");
+        let text = include_str!("../../../experiments/rigs/virtual.toml");
         RigConfig::from_toml("virtual.toml", text).expect("the virtual rig file is sound").cells
     }
 

@@ -1,16 +1,12 @@
 //! Settling, frames and forces of one held load, and what may be wrong with them.
-//! Uses: `campaign::stage`, `rig::traits`. Never: storage, the plan.
+//! Uses: `campaign::bench::stage`, `rig::traits`. Never: storage, the plan.
 
-use std::time::Duration;
-
-use super::control::Control;
-use super::evidence::SkinWatch;
-use super::halt::Halt;
-use super::interlock::TripKind;
-use super::record::{Flag, FrameQuality, FrameRecord};
-use super::stage::Stage;
+use crate::campaign::bench::evidence::SkinWatch;
+use crate::campaign::bench::stage::Stage;
+use crate::campaign::kept::record::{Flag, FrameQuality, FrameRecord};
+use crate::campaign::run::control::Control;
+use crate::campaign::run::halt::Halt;
 use crate::rig::config::ARMS;
-use crate::rig::error::RigError;
 use crate::rig::traits::{CellVolts, Frame};
 use crate::schedule::experiment::Measure;
 
@@ -81,7 +77,7 @@ pub async fn take(
     let before = stage.weigh().await?;
     let frames = skin.take(stage.clock.now(), count);
     let frames = stage.watch_while(control, frames).await?;
-    let frames = frames.map_err(|e| no_frames(stage, e))?;
+    let frames = frames.map_err(|e| stage.no_frames(e))?;
     let after = proven(stage, control).await?;
     let volts = std::array::from_fn(|i| (before.volts[i] + after.volts[i]) / 2.0);
     let expected = usize::from(stage.config.ert.electrodes()).pow(2);
@@ -126,21 +122,6 @@ async fn proven(stage: &mut Stage, control: &mut Control) -> Result<CellVolts, H
         }
         control.attend()?;
         stage.poll_pause().await;
-    }
-}
-
-/// A stream that gives some frames fails the try; one that has stopped trips the rig.
-pub fn no_frames(stage: &Stage, error: RigError) -> Halt {
-    let limit = Duration::from_millis(stage.config.limits.frame_age_ms);
-    let newest = stage.bench.skin.latest();
-    match newest.map(|f| f.received.elapsed()) {
-        Some(age) if age <= limit => error.into(),
-        age => {
-            let age = age.map_or("none yet".into(), |a| format!("{} ms old", a.as_millis()));
-            let detail =
-                format!("ert: newest frame {age}, limit {} ms ({error})", limit.as_millis());
-            Halt::trip(TripKind::Stale, detail)
-        }
     }
 }
 

@@ -1,9 +1,9 @@
 //! What a campaign needs of a store: durable records, and what is already there.
-//! Uses: `campaign::record`, `ids`. Never: SQL (the store implements this; data flows to it while
+//! Uses: `campaign::kept::record`, `ids`. Never: SQL (the store implements this; data flows to it while
 //! the import points back).
 //!
 //! Every method returns only when its record is durable, however long that takes: the campaign
-//! writes through its diary (`campaign::diary`), which bounds its own waits. `at` is when it happened.
+//! writes through its diary (`campaign::kept::diary`), which bounds its own waits. `at` is when it happened.
 
 use std::collections::BTreeSet;
 
@@ -12,7 +12,9 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::record::{AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord};
+use crate::campaign::kept::record::{
+    AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord,
+};
 use crate::ids::{RunUid, TrialId, TrialKey};
 
 /// A record could not be made durable, or could not be read.

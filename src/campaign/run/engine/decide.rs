@@ -1,18 +1,18 @@
 //! What follows a halt: the safe end first; then retry, skip, wait or end, and what is noted of it.
-//! Uses: `campaign::{control, diary, safe_end}`. Never: pressing, a wait for the store.
+//! Uses: `campaign::{run::control, kept::diary, safe_end}`. Never: pressing, a wait for the store.
 
 use serde_json::json;
 
 use super::{Attempts, Engine, Next, Owed};
-use crate::campaign::diary::Note;
-use crate::campaign::halt::Halt;
-use crate::campaign::interlock::Trip;
-use crate::campaign::job::Job;
-use crate::campaign::journal::{ExitStatus, error_chain};
-use crate::campaign::record::AttemptRecord;
-use crate::campaign::run_state::{PausedWhy, RunAction, RunEvent, RunState};
+use crate::campaign::bench::interlock::Trip;
+use crate::campaign::kept::diary::Note;
+use crate::campaign::kept::journal::{ExitStatus, error_chain};
+use crate::campaign::kept::record::AttemptRecord;
+use crate::campaign::run::halt::Halt;
+use crate::campaign::run::job::Job;
+use crate::campaign::run::run_state::{PausedWhy, RunAction, RunEvent, RunState};
 use crate::campaign::safe_end::Height;
-use crate::campaign::status::Wanted;
+use crate::campaign::shown::status::Wanted;
 use crate::schedule::plan::Kind;
 
 impl Engine {

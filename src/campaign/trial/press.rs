@@ -1,22 +1,24 @@
 //! One configuration: travel, tare, then every depth: approach, settle, measure, commit.
-//! Uses: `campaign::{stage, tare, measure, diary}`. Never: retries, states (the engine decides), a
+//! Uses: `campaign::{bench::stage, bench::tare, trial::measure, kept::diary}`. Never: retries, states (the engine decides), a
 //! step to the next depth before the trial is durable.
 //!
 //! Paper II-B and IV-A: quasi-static, normal force only, loading direction only.
 
 use serde_json::json;
 
-use super::control::{Control, STORE_LIMIT};
-use super::diary::Note;
-use super::evidence::{self, Held, SilentArms};
-use super::halt::Halt;
-use super::interlock::TripKind;
-use super::journal::JournalError;
-use super::measure::{self, Taken};
-use super::record::{ArmReading, Flag, Pose, ReferenceRecord, TareRecord, TrialRecord};
-use super::stage::Stage;
-use super::status::Phase;
-use super::tare;
+use crate::campaign::bench::evidence::{self, Held, SilentArms};
+use crate::campaign::bench::interlock::TripKind;
+use crate::campaign::bench::stage::Stage;
+use crate::campaign::bench::tare;
+use crate::campaign::kept::diary::Note;
+use crate::campaign::kept::journal::JournalError;
+use crate::campaign::kept::record::{
+    ArmReading, Flag, Pose, ReferenceRecord, TareRecord, TrialRecord,
+};
+use crate::campaign::run::control::{Control, STORE_LIMIT};
+use crate::campaign::run::halt::Halt;
+use crate::campaign::shown::status::Phase;
+use crate::campaign::trial::measure::{self, Taken};
 use crate::ids::{RunUid, TrialKey};
 use crate::rig::config::ARMS;
 use crate::schedule::configuration::Stand;

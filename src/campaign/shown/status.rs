@@ -1,16 +1,16 @@
 //! What a campaign shows of itself: rig, run, forces, stream, estimate.
-//! PURE. Uses: `campaign::{run_state, rig_state, record}`. Never: HTTP.
+//! PURE. Uses: `campaign::{run::run_state, bench::rig_state, kept::record}`. Never: HTTP.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::estop::AxisStop;
-use super::interlock::Trip;
-use super::record::{PlacedContact, Pose, TouchOffRecord};
-use super::rig_state::RigState;
-use super::run_state::PausedWhy;
-use super::safe_end::SafeEnd;
-use super::stopping::StoppingDistance;
+use crate::campaign::bench::estop::AxisStop;
+use crate::campaign::bench::interlock::Trip;
+use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::bench::stopping::StoppingDistance;
+use crate::campaign::kept::record::{PlacedContact, Pose, TouchOffRecord};
+use crate::campaign::run::run_state::PausedWhy;
+use crate::campaign::safe_end::SafeEnd;
 use crate::ids::{RunUid, TrialKey};
 
 /// The whole status.

@@ -1,19 +1,19 @@
 //! A run that waits: for a person, or for the policy's automatic resume.
-//! Uses: `campaign::control`. Never: pressing.
+//! Uses: `campaign::run::control`. Never: pressing.
 
 use serde_json::json;
 use tokio::time::Instant;
 
 use super::{Attempts, Engine, IDLE_TICK, Next, Owed, Waited, backoff};
-use crate::campaign::command::{Envelope, Refusal, Request};
-use crate::campaign::control::name;
-use crate::campaign::diary::Note;
-use crate::campaign::job::Job;
-use crate::campaign::journal::error_chain;
-use crate::campaign::rig_state::{RigEvent, RigState};
-use crate::campaign::run_state::{PausedWhy, RunAction, RunEvent, RunState};
+use crate::campaign::bench::rig_state::{RigEvent, RigState};
+use crate::campaign::kept::diary::Note;
+use crate::campaign::kept::journal::error_chain;
+use crate::campaign::run::control::name;
+use crate::campaign::run::job::Job;
+use crate::campaign::run::run_state::{PausedWhy, RunAction, RunEvent, RunState};
 use crate::campaign::safe_end::Height;
-use crate::campaign::status::{Phase, Wanted};
+use crate::campaign::shown::command::{Envelope, Refusal, Request};
+use crate::campaign::shown::status::{Phase, Wanted};
 use crate::ids::TrialKey;
 use crate::schedule::plan::Kind;
 

@@ -95,7 +95,7 @@ pub fn step(state: RigState, event: RigEvent) -> Result<RigState, Illegal> {
 
 /// Every state and event as `docs/safety.md` has them; the test below makes it from `step`.
 #[cfg(test)]
-pub(super) const TABLE: &str = "\
+pub(in crate::campaign) const TABLE: &str = "\
 disconnected disarmed disconnected - - - - - -
 disarmed     - disconnected disarmed homed - - tripped -
 homed        - disconnected disarmed - armed - tripped -

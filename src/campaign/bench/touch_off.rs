@@ -1,5 +1,5 @@
 //! Touch-off: finds the surface, and how much longer or shorter each tip is, after a tip change.
-//! Uses: `campaign::{stage, travel, tare, safe_end}`. Never: the plan, storage.
+//! Uses: `campaign::{bench::stage, bench::travel, bench::tare, safe_end}`. Never: the plan, storage.
 //!
 //! At each place the tips go down until a cell feels something, up a little, and down again slowly
 //! enough that a cell's update period does not blur the height. The surface is the median over
@@ -8,15 +8,14 @@
 
 use jiff::Timestamp;
 
-use super::control::Control;
-use super::halt::Halt;
-use super::interlock::TripKind;
-use super::measure::no_frames;
-use super::record::TouchOffRecord;
-use super::safe_end::raise_as_planned;
-use super::stage::{AxisName, Stage};
-use super::tare;
-use super::travel::{Sample, Target};
+use crate::campaign::bench::interlock::TripKind;
+use crate::campaign::bench::stage::{AxisName, Stage};
+use crate::campaign::bench::tare;
+use crate::campaign::bench::travel::{Sample, Target};
+use crate::campaign::kept::record::TouchOffRecord;
+use crate::campaign::run::control::Control;
+use crate::campaign::run::halt::Halt;
+use crate::campaign::safe_end::raise_as_planned;
 use crate::rig::config::ARMS;
 use crate::schedule::configuration::Stand;
 
@@ -106,7 +105,7 @@ async fn search(
         }
         let skin = stage.bench.skin.clone();
         let frames = skin.take(stage.clock.now(), stage.witness_frames());
-        stage.watch_while(control, frames).await?.map_err(|e| no_frames(stage, e))?;
+        stage.watch_while(control, frames).await?.map_err(|e| stage.no_frames(e))?;
     }
     Ok(false)
 }

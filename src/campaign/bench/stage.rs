@@ -1,5 +1,5 @@
 //! The bench under guard: what was read last, which limits hold, where the tips may go.
-//! Uses: `rig::traits`, `campaign::{interlock, evidence, stopping}`. Never: the plan, storage.
+//! Uses: `rig::traits`, `campaign::{bench::interlock, bench::evidence, bench::stopping}`. Never: the plan, storage.
 //!
 //! Motions are in `travel`. Every sample of the cells goes through `check`.
 
@@ -8,16 +8,17 @@ use std::time::Duration;
 use futures::future::join_all;
 use tokio::time::Instant;
 
-use super::control::Control;
-use super::evidence::{FELT_FRAMES, SilentArms, SkinWatch};
-use super::halt::Halt;
-use super::interlock::{self, ForceLimits, TripKind};
-use super::record::{Pose, TouchOffRecord};
-use super::safe_end::Height;
-use super::stopping::{POLL_S, Stopping};
-use super::stuck::StuckChannels;
+use crate::campaign::bench::evidence::{FELT_FRAMES, SilentArms, SkinWatch};
+use crate::campaign::bench::interlock::{self, ForceLimits, TripKind};
+use crate::campaign::bench::stopping::{POLL_S, Stopping};
+use crate::campaign::bench::stuck::StuckChannels;
+use crate::campaign::kept::record::{Pose, TouchOffRecord};
+use crate::campaign::run::control::Control;
+use crate::campaign::run::halt::Halt;
+use crate::campaign::safe_end::Height;
 use crate::clock::Clock;
 use crate::rig::config::{ARMS, RigConfig};
+use crate::rig::error::RigError;
 use crate::rig::traits::{Axis, Bench, CellVolts};
 
 /// Shortest pause between two polls, wall s: an accelerated rig is not polled to death.
@@ -69,7 +70,7 @@ pub struct Stage {
 }
 
 /// An axis with what a motion needs to know of it, in the axis's unit.
-pub(super) struct Driven<'a> {
+pub(in crate::campaign) struct Driven<'a> {
     pub axis: &'a dyn Axis,
     pub tolerance: f64,
     pub speed: f64,
@@ -102,7 +103,7 @@ impl Stage {
         }
     }
 
-    pub(super) fn driven(&self, name: AxisName) -> Driven<'_> {
+    pub(in crate::campaign) fn driven(&self, name: AxisName) -> Driven<'_> {
         let axes = &self.config.axes;
         let (axis, p) = match name {
             AxisName::X => (&self.bench.x, axes.x.profile()),
@@ -199,12 +200,12 @@ impl Stage {
     }
 
     /// Begins a watched motion or hold: samples count from here.
-    pub(super) fn begin_watch(&mut self) {
+    pub(in crate::campaign) fn begin_watch(&mut self) {
         self.last_sample = None;
     }
 
     /// When the last sample was taken, once: for the time from it to the stop that it led to.
-    pub(super) fn take_last_sample(&mut self) -> Option<Instant> {
+    pub(in crate::campaign) fn take_last_sample(&mut self) -> Option<Instant> {
         self.last_sample.take()
     }
 
@@ -252,6 +253,21 @@ impl Stage {
         }
     }
 
+    /// A stream that gives some frames fails the try; one that has stopped trips the rig.
+    pub fn no_frames(&self, error: RigError) -> Halt {
+        let limit = Duration::from_millis(self.config.limits.frame_age_ms);
+        let newest = self.bench.skin.latest();
+        match newest.map(|f| f.received.elapsed()) {
+            Some(age) if age <= limit => error.into(),
+            age => {
+                let age = age.map_or("none yet".into(), |a| format!("{} ms old", a.as_millis()));
+                let limit_ms = limit.as_millis();
+                let detail = format!("ert: newest frame {age}, limit {limit_ms} ms ({error})");
+                Halt::trip(TripKind::Stale, detail)
+            }
+        }
+    }
+
     /// Forces over the tare, N.
     pub fn forces_n(&self, volts: &[f64; ARMS]) -> [f64; ARMS] {
         interlock::forces_n(&self.config.cells, volts, &self.tare_v)
@@ -288,7 +304,7 @@ impl Stage {
     }
 
     /// Raises z and waits until it stands there. `Ok(false)`: z does not know where it is.
-    pub(super) async fn raise_once(&self, height: Height) -> Result<bool, String> {
+    pub(in crate::campaign) async fn raise_once(&self, height: Height) -> Result<bool, String> {
         let words = |e: crate::rig::error::RigError| e.to_string();
         let top = self.config.axes.z.travel_mm[0];
         let up = match height {

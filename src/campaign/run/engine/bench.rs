@@ -1,22 +1,22 @@
 //! Requests that concern the rig alone: connect, home, jog, tare, reset, and the tips that a person
 //! has mounted.
-//! Uses: `campaign::{stage, travel, safe_end}`, `rig::registry`. Never: the plan.
+//! Uses: `campaign::{bench::stage, bench::travel, safe_end}`, `rig::registry`. Never: the plan.
 
 use serde_json::json;
 
 use super::{Connection, Engine, Owed, no_wires, trip_of};
-use crate::campaign::command::{Envelope, Refusal, Request};
-use crate::campaign::control::{Control, name};
-use crate::campaign::diary::Note;
-use crate::campaign::halt::Halt;
-use crate::campaign::interlock::{self, Trip, TripKind};
-use crate::campaign::journal::Mounting;
-use crate::campaign::rig_state::{RigEvent, RigState};
+use crate::campaign::bench::interlock::{self, Trip, TripKind};
+use crate::campaign::bench::rig_state::{RigEvent, RigState};
+use crate::campaign::bench::stage::{AxisName, Stage};
+use crate::campaign::bench::tare;
+use crate::campaign::bench::travel::Target;
+use crate::campaign::kept::diary::Note;
+use crate::campaign::kept::journal::Mounting;
+use crate::campaign::run::control::{Control, name};
+use crate::campaign::run::halt::Halt;
 use crate::campaign::safe_end::Height;
-use crate::campaign::show;
-use crate::campaign::stage::{AxisName, Stage};
-use crate::campaign::tare;
-use crate::campaign::travel::Target;
+use crate::campaign::shown::command::{Envelope, Refusal, Request};
+use crate::campaign::shown::show;
 use crate::clock::Clock;
 use crate::rig::config::ARMS;
 use crate::rig::error::RigError;

@@ -199,7 +199,7 @@ mod tests {
     use tokio::time::Instant;
 
     fn limits() -> RigLimits {
-        let text = include_str!("../../experiments/rigs/virtual.toml");
+        let text = include_str!("../../../experiments/rigs/virtual.toml");
         RigConfig::from_toml("virtual.toml", text).expect("the virtual rig file is sound").limits
     }
 

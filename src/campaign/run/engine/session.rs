@@ -1,27 +1,27 @@
 //! A run from its arming to its end: step after step of the plan.
-//! Uses: `campaign::{press, touch_off, manual, resume}`. Never: what follows a halt (`decide`).
+//! Uses: `campaign::{trial::press, bench::touch_off, trial::manual, run::resume}`. Never: what follows a halt (`decide`).
 
 use serde_json::json;
 use tokio::time::Instant;
 
 use super::{Attempts, Engine, Next, no_wires, trip_of};
-use crate::campaign::command::{Refusal, Request};
-use crate::campaign::diary::Note;
-use crate::campaign::eta::Pace;
-use crate::campaign::evidence::SilentArms;
-use crate::campaign::halt::Halt;
-use crate::campaign::interlock::{self, ForceLimits, TripKind};
-use crate::campaign::job::Job;
-use crate::campaign::journal::{ExitStatus, Progress};
-use crate::campaign::manual;
-use crate::campaign::press::Pressing;
-use crate::campaign::resume;
-use crate::campaign::rig_state::{RigEvent, RigState};
-use crate::campaign::run_state::RunEvent;
+use crate::campaign::bench::evidence::SilentArms;
+use crate::campaign::bench::interlock::{self, ForceLimits, TripKind};
+use crate::campaign::bench::rig_state::{RigEvent, RigState};
+use crate::campaign::bench::touch_off;
+use crate::campaign::kept::diary::Note;
+use crate::campaign::kept::journal::{ExitStatus, Progress};
+use crate::campaign::run::eta::Pace;
+use crate::campaign::run::halt::Halt;
+use crate::campaign::run::job::Job;
+use crate::campaign::run::resume;
+use crate::campaign::run::run_state::RunEvent;
 use crate::campaign::safe_end::{Height, raise_as_planned};
-use crate::campaign::show;
-use crate::campaign::status::{Phase, Wanted};
-use crate::campaign::touch_off;
+use crate::campaign::shown::command::{Refusal, Request};
+use crate::campaign::shown::show;
+use crate::campaign::shown::status::{Phase, Wanted};
+use crate::campaign::trial::manual;
+use crate::campaign::trial::press::Pressing;
 use crate::ids::TrialKey;
 use crate::schedule::plan::{Kind, Step};
 

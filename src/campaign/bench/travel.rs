@@ -1,16 +1,16 @@
 //! Motions of the stage, each watched to its end: positions, alarms, forces, requests.
-//! Uses: `campaign::{stage, control, interlock}`. Never: the plan, storage, a wait for the store.
+//! Uses: `campaign::{bench::stage, run::control, bench::interlock}`. Never: the plan, storage, a wait for the store.
 //!
 //! No lateral or radial motion unless z is measured clear of the surface.
 
 use futures::future::try_join_all;
 use tokio::time::Instant;
 
-use super::control::Control;
-use super::halt::Halt;
-use super::interlock::{self, TripKind};
-use super::record::Pose;
-use super::stage::{AxisName, GRACE, Stage};
+use crate::campaign::bench::interlock::{self, TripKind};
+use crate::campaign::bench::stage::{AxisName, GRACE, Stage};
+use crate::campaign::kept::record::Pose;
+use crate::campaign::run::control::Control;
+use crate::campaign::run::halt::Halt;
 use crate::rig::config::ARMS;
 use crate::rig::traits::{AxisStatus, CellVolts};
 

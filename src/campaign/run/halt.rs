@@ -1,9 +1,9 @@
 //! Why pressing was left: what the engine must now decide about.
-//! PURE. Uses: `campaign::{interlock, journal}`, `rig::error`. Never: motion.
+//! PURE. Uses: `campaign::{bench::interlock, kept::journal}`, `rig::error`. Never: motion.
 
-use super::interlock::{Trip, TripKind};
-use super::journal::JournalError;
-use super::status::Wanted;
+use crate::campaign::bench::interlock::{Trip, TripKind};
+use crate::campaign::kept::journal::JournalError;
+use crate::campaign::shown::status::Wanted;
 use crate::rig::error::{RigError, Severity};
 
 /// Why a step of the plan was left before its end. In every case the safe end comes next.

@@ -1,5 +1,5 @@
 //! The run's state machine: one enum, one drawing, one function.
-//! PURE. Uses: `campaign::journal`. Never: motion, storage, time.
+//! PURE. Uses: `campaign::kept::journal`. Never: motion, storage, time.
 //!
 //! ```text
 //!              start                     pause at checkpoint / need a person
@@ -21,7 +21,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::journal::ExitStatus;
+use crate::campaign::kept::journal::ExitStatus;
 
 /// Why a run waits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -220,7 +220,7 @@ pub fn step(state: RunState, event: RunEvent) -> Result<(RunState, RunAction), I
 
 /// Every state and event as `docs/safety.md` has them; the test below makes it from `step`.
 #[cfg(test)]
-pub(super) const TABLE: &str = "\
+pub(in crate::campaign) const TABLE: &str = "\
 idle       running - - - - - - - - panicked - -
 running    - pausing suspending pausing suspending - stopping aborting running panicked idle -
 pausing    - - suspending - suspending running stopping aborting paused panicked idle -

@@ -1,6 +1,6 @@
 //! Requests meet the state machines here: what is allowed, what it leads to, what is shown. All of
 //! it happens in memory; the diary writes it down afterwards.
-//! Uses: `campaign::{command, run_state, rig_state, status, diary}`. Never: motion, wires, a wait for
+//! Uses: `campaign::{shown::command, run::run_state, bench::rig_state, shown::status, kept::diary}`. Never: motion, wires, a wait for
 //! the store but where the tips are up (`flush`, `at_rest`).
 
 use std::sync::Arc;
@@ -9,15 +9,15 @@ use std::time::Duration;
 
 use serde_json::json;
 
-use super::command::{Envelope, Inbox, Refusal, Request};
-use super::diary::{Diary, Note};
-use super::estop::StopSwitch;
-use super::halt::Halt;
-use super::interlock::{Trip, TripKind};
-use super::journal::{Journal, JournalError};
-use super::rig_state::{self, RigEvent, RigState};
-use super::run_state::{self, PausedWhy, RunAction, RunEvent, RunState};
-use super::status::{Phase, RunStatus, Status};
+use crate::campaign::bench::estop::StopSwitch;
+use crate::campaign::bench::interlock::{Trip, TripKind};
+use crate::campaign::bench::rig_state::{self, RigEvent, RigState};
+use crate::campaign::kept::diary::{Diary, Note};
+use crate::campaign::kept::journal::{Journal, JournalError};
+use crate::campaign::run::halt::Halt;
+use crate::campaign::run::run_state::{self, PausedWhy, RunAction, RunEvent, RunState};
+use crate::campaign::shown::command::{Envelope, Inbox, Refusal, Request};
+use crate::campaign::shown::status::{Phase, RunStatus, Status};
 use crate::ids::RunUid;
 
 /// Longest wait for the store: for a trial to be durable, or for what was noted.

@@ -126,7 +126,7 @@ mod tests {
     use super::*;
 
     fn rig() -> RigConfig {
-        let text = include_str!("../../experiments/rigs/virtual.toml");
+        let text = include_str!("../../../experiments/rigs/virtual.toml");
         RigConfig::from_toml("virtual.toml", text).expect("the virtual rig file is sound")
     }
 

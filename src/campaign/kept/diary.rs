@@ -1,6 +1,6 @@
 //! The diary: what happened, written after it happened. Noting costs no wait; one task writes the
 //! notes in their order and tries again until the store takes them.
-//! Uses: `campaign::{journal, record}`, tokio. Never: motion, a note dropped in silence.
+//! Uses: `campaign::{kept::journal, kept::record}`, tokio. Never: motion, a note dropped in silence.
 //!
 //! Nothing that moves waits for the store, with one exception: a trial must be durable before the
 //! stage moves on (`docs/safety.md`). Trials go through the same queue, so that everything that was
@@ -17,8 +17,10 @@ use jiff::Timestamp;
 use serde_json::json;
 use tokio::sync::{mpsc, oneshot};
 
-use super::journal::{ExitStatus, Journal, JournalError, Mounting};
-use super::record::{AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord};
+use crate::campaign::kept::journal::{ExitStatus, Journal, JournalError, Mounting};
+use crate::campaign::kept::record::{
+    AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord,
+};
 use crate::ids::{RunUid, TrialKey};
 
 /// Notes that may wait for the store. A rig that stands still makes a few an hour.

@@ -1,9 +1,9 @@
 //! What is left of a plan, given what is stored: how a run starts, and how it goes on.
-//! PURE. Uses: `schedule::plan`, `campaign::journal`. Never: the rig, storage.
+//! PURE. Uses: `schedule::plan`, `campaign::kept::journal`. Never: the rig, storage.
 //!
 //! `design.md` 8, law 1: after any interruption the run goes on at the right trial.
 
-use super::journal::Progress;
+use crate::campaign::kept::journal::Progress;
 use crate::ids::TrialKey;
 use crate::schedule::plan::{PlannedConfiguration, Step};
 
@@ -88,7 +88,7 @@ mod tests {
         let text = "name = 'resume'\nseed = 3\nsensor = 's'\n\
                     [real_hex]\ntips = [1, 3]\nconfigurations = 4\ndepths = 3\n";
         let experiment = Experiment::from_toml("t.toml", text).expect("sound");
-        let sensor = include_str!("../../experiments/sensors/ert-28.toml");
+        let sensor = include_str!("../../../experiments/sensors/ert-28.toml");
         let sensor = Sensor::from_toml(sensor).expect("sound");
         Plan::of("t.toml", &experiment, &sensor).expect("sound")
     }

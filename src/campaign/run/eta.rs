@@ -1,7 +1,7 @@
 //! Time to go, from the pace of this run and, before it has one, from the plan.
-//! PURE. Uses: `campaign::status`. Never: the clock (durations are handed in).
+//! PURE. Uses: `campaign::shown::status`. Never: the clock (durations are handed in).
 
-use super::status::Eta;
+use crate::campaign::shown::status::Eta;
 
 /// Half width of a band that 90 % of normal draws lie in, in standard deviations.
 const BAND_SD: f64 = 1.645;

@@ -1,15 +1,15 @@
 //! One trial placed by hand: wait for the signal to settle, take the frames, commit.
-//! Uses: `rig::traits`, `campaign::{measure, diary}`. Never: motion; the stage is not needed.
+//! Uses: `rig::traits`, `campaign::{trial::measure, kept::diary}`. Never: motion; the stage is not needed.
 //!
 //! Paper II-C: weights on the skin; forces are nominal, nothing is weighed.
 
 use std::sync::Arc;
 
-use super::control::Control;
-use super::halt::Halt;
-use super::measure::{frame_flags, frame_quality, record};
-use super::record::{Flag, FrameQuality, PlacedContact, TrialRecord};
-use super::status::Phase;
+use crate::campaign::kept::record::{Flag, FrameQuality, PlacedContact, TrialRecord};
+use crate::campaign::run::control::Control;
+use crate::campaign::run::halt::Halt;
+use crate::campaign::shown::status::Phase;
+use crate::campaign::trial::measure::{frame_flags, frame_quality, record};
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialKey};
 use crate::rig::traits::{Frame, SkinReader};

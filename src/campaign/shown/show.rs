@@ -1,19 +1,21 @@
 //! Fills the status from what the bench and the store say.
-//! Uses: `campaign::{control, stage, status}`, `rig`. Never: motion, decisions.
+//! Uses: `campaign::{run::control, bench::stage, shown::status}`, `rig`. Never: motion, decisions.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::sync::watch;
 
-use super::control::Control;
-use super::eta::Pace;
-use super::job::Job;
-use super::journal::Progress;
-use super::rig_state::RigState;
-use super::run_state::RunState;
-use super::stage::Stage;
-use super::status::{Phase, RigStatus, RunStatus, Status, StreamStatus, WireStatus};
+use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::bench::stage::Stage;
+use crate::campaign::kept::journal::Progress;
+use crate::campaign::run::control::Control;
+use crate::campaign::run::eta::Pace;
+use crate::campaign::run::job::Job;
+use crate::campaign::run::run_state::RunState;
+use crate::campaign::shown::status::{
+    Phase, RigStatus, RunStatus, Status, StreamStatus, WireStatus,
+};
 use crate::rig::config::RigConfig;
 use crate::rig::link::LineCounts;
 use crate::rig::registry::OpenBench;
