@@ -1,6 +1,7 @@
-//! `kill -9` of the service at random instants of a running campaign: after going on, every planned
-//! trial is stored once. Processes, sockets and files as a lab has them. `PALPATE_KILLS` says how
-//! often (default 4).
+//! The service's process killed, frozen and told to end. `kill -9` at random instants of a running
+//! campaign: after going on, every planned trial is stored once (`PALPATE_KILLS` says how often,
+//! default 4). SIGSTOP in a press: the missing samples trip. SIGTERM in a jog: the axis stops. Processes,
+//! sockets and files as a lab has them.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -8,6 +9,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use rand::{RngExt, SeedableRng};
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 
 const SPEED: &str = "20";
@@ -51,6 +53,36 @@ struct Site {
 }
 
 impl Site {
+    /// A folder, and a virtual rig with the address of its control socket.
+    async fn with_rig(name: &str) -> (Self, Process, String) {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+        std::fs::remove_dir_all(&folder).ok();
+        std::fs::create_dir_all(&folder).unwrap();
+        let port = free_port();
+        let url = format!("http://127.0.0.1:{port}");
+        let site = Self { folder, url, port, http: reqwest::Client::new() };
+        let cache = Path::new(env!("CARGO_TARGET_TMPDIR")).join("skin");
+        let cache = cache.to_str().unwrap();
+        let rig = ["virtual-rig", "--ephemeral", "--speed", SPEED, "--cache", cache];
+        let (served, ready) = (site.path("served.toml"), site.path("ready.json"));
+        let rig = palpate(&[&rig[..], &["--out-rig", &served, "--ready-file", &ready]].concat());
+        let start = Instant::now();
+        loop {
+            let text = std::fs::read_to_string(&ready).unwrap_or_default();
+            if let Ok(ready) = serde_json::from_str::<Value>(&text) {
+                let control = ready["control"].as_str().unwrap().to_owned();
+                return (site, rig, control);
+            }
+            assert!(start.elapsed() < LIMIT, "the rig is not ready");
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    }
+
+    fn operator(&self, control: &str) -> Process {
+        let hands = ["virtual-operator", "--url", &self.url, "--control", control];
+        palpate(&[&hands[..], &["--speed", SPEED]].concat())
+    }
+
     fn path(&self, name: &str) -> String {
         self.folder.join(name).to_str().unwrap().to_owned()
     }
@@ -143,29 +175,9 @@ fn free_port() -> u16 {
 #[tokio::test(flavor = "multi_thread")]
 async fn killed_at_random_instants_every_planned_trial_is_stored_once() {
     let kills: u32 = std::env::var("PALPATE_KILLS").map_or(4, |n| n.parse().unwrap());
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("crash");
-    std::fs::remove_dir_all(&folder).ok();
-    std::fs::create_dir_all(&folder).unwrap();
-    let port = free_port();
-    let url = format!("http://127.0.0.1:{port}");
-    let site = Site { folder, url, port, http: reqwest::Client::new() };
-    let cache = Path::new(env!("CARGO_TARGET_TMPDIR")).join("skin");
-    let rig = ["virtual-rig", "--ephemeral", "--speed", SPEED, "--cache", cache.to_str().unwrap()];
-    let (served, ready) = (site.path("served.toml"), site.path("ready.json"));
-    let _rig = palpate(&[&rig[..], &["--out-rig", &served, "--ready-file", &ready]].concat());
-    let start = Instant::now();
-    let ready: Value = loop {
-        let text = std::fs::read_to_string(&ready).unwrap_or_default();
-        match serde_json::from_str(&text) {
-            Ok(ready) => break ready,
-            Err(_) => assert!(start.elapsed() < LIMIT, "the rig is not ready"),
-        }
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    };
-    let control = ready["control"].as_str().unwrap();
+    let (site, _rig, control) = Site::with_rig("crash").await;
     let mut service = site.serve().await;
-    let hands = ["virtual-operator", "--url", &site.url, "--control", control, "--speed", SPEED];
-    let _operator = palpate(&hands);
+    let _operator = site.operator(&control);
     // Enough trials that the last kill still finds some to do.
     let configurations = (2 * kills).max(4);
     let run = site.begin(experiment(configurations)).await;
@@ -198,4 +210,60 @@ async fn killed_at_random_instants_every_planned_trial_is_stored_once() {
     let summary = site.answer(&format!("/api/v1/runs/{run}/summary")).await;
     assert_eq!(summary["run"]["exit_status"], "success", "{summary:#}");
     assert!(!at.is_empty(), "it was never killed");
+}
+
+fn signal(process: &Process, signal: Signal) {
+    let pid = Pid::from_raw(i32::try_from(process.0.id()).unwrap()).unwrap();
+    kill_process(pid, signal).unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_service_that_was_frozen_in_a_press_trips_and_stores_nothing_of_it() {
+    let (site, _rig, control) = Site::with_rig("frozen").await;
+    let service = site.serve().await;
+    let _operator = site.operator(&control);
+    let run = site.begin(experiment(4)).await;
+    site.until("/api/v1/status", |s| s["run"]["phase"] == "settle").await;
+    let before = site.answer("/api/v1/status").await["run"]["trials_stored"].as_u64().unwrap();
+    signal(&service, Signal::STOP);
+    // Longer than limits.sample_age_ms of the virtual rig's file.
+    tokio::time::sleep(Duration::from_millis(2500)).await;
+    signal(&service, Signal::CONT);
+    let status = site.until("/api/v1/status", |s| !s["rig"]["trip"].is_null()).await;
+    assert_eq!(status["rig"]["trip"]["kind"], "stale", "{status:#}");
+    let detail = status["rig"]["trip"]["detail"].as_str().unwrap();
+    assert!(detail.contains("gap between samples"), "{detail}");
+    assert!(status["run"]["trials_stored"].as_u64().unwrap() <= before + 1, "{status:#}");
+    let raised = |s: &Value| s["rig"]["safe_end"]["tips"] == "raised";
+    site.until("/api/v1/status", raised).await;
+    assert_eq!(site.answer(&format!("/api/v1/runs/{run}")).await["exit_status"], Value::Null);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_service_told_to_end_in_a_jog_stops_the_axis_before_it_is_gone() {
+    let (site, _rig, control) = Site::with_rig("told").await;
+    let mut service = site.serve().await;
+    let rig = |action: Value| site.post("/api/v1/rig/actions", action);
+    rig(json!({ "action": "connect" })).await;
+    rig(json!({ "action": "home" })).await;
+    site.until("/api/v1/status", |s| s["rig"]["state"] == "homed").await;
+    rig(json!({ "action": "jog", "axis": "x", "to_mm": 550.0 })).await;
+    signal(&service, Signal::TERM);
+    let ended = tokio::task::spawn_blocking(move || service.0.wait().unwrap()).await.unwrap();
+    assert!(ended.success(), "{ended}");
+    let truth = tell(&control, json!({ "cmd": "status" })).await;
+    let x = &truth["axes"][0];
+    assert_eq!(x["moving"], false, "{x}");
+    assert!(x["position"].as_f64().unwrap() < 549.0, "stopped on its way: {x}");
+    assert!(truth["stops"].as_u64().unwrap() >= 4, "{truth:#}");
+}
+
+/// Asks the rig's control socket.
+async fn tell(control: &str, command: Value) -> Value {
+    use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
+    let mut wire = BufReader::new(tokio::net::TcpStream::connect(control).await.unwrap());
+    wire.get_mut().write_all(format!("{command}\n").as_bytes()).await.unwrap();
+    let mut reply = String::new();
+    wire.read_line(&mut reply).await.unwrap();
+    serde_json::from_str(&reply).unwrap()
 }

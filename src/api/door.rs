@@ -25,9 +25,10 @@ use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::TokioIo;
-use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+use rustix::process::{Resource, Rlimit, Signal, getrlimit, setrlimit};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::runtime;
+use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
@@ -57,6 +58,14 @@ pub fn raise_file_limit() {
         && let Err(error) = setrlimit(Resource::Nofile, Rlimit { current: Some(wanted), ..now })
     {
         tracing::warn!(%error, wanted, "the limit of open files stays as it is");
+    }
+}
+
+/// From now on a write beyond a limit of file sizes fails with an error, as on a full disk, instead of
+/// ending the process with tips pressed. Needs a runtime; a failure is only logged.
+pub fn outlive_file_size_limit() {
+    if let Err(error) = signal(SignalKind::from_raw(Signal::XFSZ.as_raw())) {
+        tracing::warn!(%error, "a limit of file sizes would end the process");
     }
 }
 

@@ -356,6 +356,7 @@ impl Service {
         }
         let bind = |source| ServeError::Bind { bind: options.bind, source };
         door::raise_file_limit();
+        door::outlive_file_size_limit();
         let listener = TcpListener::bind(options.bind).await.map_err(bind)?;
         let address = listener.local_addr().map_err(bind)?;
         let journal = Arc::new(store.clone());

@@ -134,4 +134,5 @@ def main() -> None:
      "estop": lambda: estop(url, int(value), more == "moving")}[what]()
 
 
-main()
+if __name__ == "__main__":
+    main()

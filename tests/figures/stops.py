@@ -1,0 +1,156 @@
+"""How long a stop takes, measured where it counts: at the rig's wires (standard library only).
+
+    python3 tests/figures/stops.py URL CONTROL estop COUNT [--key KEY] [--load] [--pid PID] [--lock DB]
+    python3 tests/figures/stops.py URL CONTROL trips COUNT
+
+`estop`: from the request's first byte to the moment at which the last axis's stop was read at the
+virtual rig (its control socket at CONTROL tells), x moving at each. With --load 200 reads a second go on;
+with --pid the service's process may write no file any more (a full disk: RLIMIT_FSIZE, `prlimit`); with
+--lock somebody else holds the database's write lock.
+`trips`: a force limit that each press exceeds; from the sample to z's acknowledged stop, as the service
+measures it, and the largest force that the rig truly saw.
+"""
+
+import json
+import pathlib
+import socket
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+
+sys.path.insert(0, str(pathlib.Path(__file__).parent))
+import latency  # noqa: E402
+
+SENSOR = pathlib.Path(__file__).parents[2] / "experiments/sensors/ert-28.toml"
+EXPERIMENT = """name = 'stops'\nseed = %d\nsensor = 's'\n[real_hex]\ntips = [2]\nconfigurations = 2\ndepths = 11
+[measure]\nsettle_ms = 100.0\n[limits]\nforce_n = 12.0\n"""
+
+
+def call(url: str, path: str, body: dict | None = None, key: str = "") -> dict:
+    headers = {"Content-Type": "application/json"} | ({"Authorization": f"Bearer {key}"} if key else {})
+    data = None if body is None else json.dumps(body).encode()
+    with urllib.request.urlopen(urllib.request.Request(url + path, data, headers), timeout=20) as answer:
+        text = answer.read().decode()
+    return json.loads(text) if text else {}
+
+
+def tell(control: str, command: dict) -> dict:
+    host, port = control.rsplit(":", 1)
+    with socket.create_connection((host, int(port))) as wire:
+        wire.sendall((json.dumps(command) + "\n").encode())
+        return json.loads(wire.makefile().readline())
+
+
+def until(url: str, what, limit_s: float = 60.0) -> dict:
+    end = time.monotonic() + limit_s
+    while not what(status := call(url, "/api/v1/status")):
+        if time.monotonic() > end:
+            raise SystemExit(f"it does not come: {json.dumps(status['rig'], indent=1)}")
+        time.sleep(0.01)
+    return status
+
+
+def act(url: str, action: str, **more) -> None:
+    call(url, "/api/v1/rig/actions", {"action": action, "who": "figures", **more})
+
+
+def homed(url: str) -> None:
+    state = call(url, "/api/v1/status")["rig"]["state"]
+    if state == "disconnected":
+        act(url, "connect")
+    elif state == "tripped":
+        act(url, "reset")
+    act(url, "home")
+    until(url, lambda s: s["rig"]["state"] == "homed")
+
+
+def estop(url: str, control: str, count: int, key: str, load: bool, pid: str, lock: str) -> None:
+    took = []
+    for n in range(count):
+        homed(url)
+        act(url, "jog", axis="x", to_mm=[30.0, 540.0][n % 2])
+        while not tell(control, {"cmd": "status"})["axes"][0]["moving"]:
+            pass
+        if pid:
+            subprocess.run(["prlimit", "--pid", pid, "--fsize=0:unlimited"], check=True)
+        if lock:
+            held = sqlite3.connect(lock, isolation_level=None)
+            held.execute("BEGIN EXCLUSIVE")
+        readers = threading.Thread(target=latency.load, args=(url, 1.5)) if load else None
+        if readers:
+            readers.start()
+            time.sleep(0.3)
+        before, sent = tell(control, {"cmd": "status"})["stops"], time.time()
+        call(url, "/api/v1/estop", {"why": "figures"}, key)
+        while True:
+            truth = tell(control, {"cmd": "status"})
+            fresh = [r for r in truth["stop_receipts"] if r["unix_s"] >= sent]
+            if {r["axis"] for r in fresh} >= {"x", "y", "z", "radial"}:
+                break
+        first = {}
+        for receipt in fresh:
+            first.setdefault(receipt["axis"], receipt["unix_s"])
+        took.append((max(first.values()) - sent) * 1e3)
+        if readers:
+            readers.join()
+        if lock:
+            held.execute("ROLLBACK")
+            held.close()
+        if pid:
+            subprocess.run(["prlimit", "--pid", pid, "--fsize=unlimited:unlimited"], check=True)
+        until(url, lambda s: s["rig"]["state"] == "tripped")
+        assert truth["stops"] > before
+    latency.spread("request to the last axis's stop at the wire", took, "ms")
+    histogram(took)
+
+
+def trips(url: str, control: str, count: int) -> None:
+    took, peaks = [], []
+    for n in range(count):
+        homed(url)
+        tell(control, {"cmd": "clear_peaks"})
+        body = {"file": "stops.toml", "definition": EXPERIMENT % n, "sensor": SENSOR.read_text()}
+        run = call(url, "/api/v1/queue", body)["uid"]
+        code = call(url, f"/api/v1/runs/{run}/arm", {})["code"]
+        call(url, f"/api/v1/runs/{run}/actions", {"action": "start", "code": code})
+        done = lambda s: s["rig"]["trip"] or (s["run"] or {}).get("paused_why") == "tip_change" or not s["run"]
+        status = until(url, done)
+        if (status["run"] or {}).get("paused_why") == "tip_change":
+            tell(control, {"cmd": "mount", "tips": 2})
+            time.sleep(0.1)
+            call(url, f"/api/v1/runs/{run}/actions", {"action": "confirm", "who": "figures"})
+            status = until(url, lambda s: s["rig"]["trip"] or not s["run"])
+        if not status["rig"]["trip"]:
+            continue
+        status = until(url, lambda s: s["rig"]["safe_end"] and s["run"]["state"] == "paused")
+        took.append(status["rig"]["safe_end"]["sample_to_stop_ms"])
+        peaks.append(tell(control, {"cmd": "status"})["peak_force_n"])
+        stopping = status["rig"]["stopping"]
+        call(url, f"/api/v1/runs/{run}/actions", {"action": "abort"})
+        until(url, lambda s: not s["run"])
+    latency.spread("sample to z's acknowledged stop", took, "ms")
+    histogram(took)
+    print(f"limit 12 N, margin {stopping['margin_n']} N, largest true force {max(peaks):.1f} N in {len(peaks)} trips")
+    print(f"computed: {stopping['blind_ms']:.0f} process ms, {stopping['travel_mm']:.2f} mm, +{stopping['added_n']:.1f} N")
+
+
+def histogram(values: list[float]) -> None:
+    for low, high in [(0, 1), (1, 2), (2, 5), (5, 10), (10, 20), (20, 50), (50, 1e9)]:
+        n = sum(low <= v < high for v in values)
+        if n:
+            print(f"  {low:>3.0f} to {high if high < 1e9 else '..'} ms  {'#' * n} {n}")
+
+
+def main() -> None:
+    url, control, what, count, *more = sys.argv[1:]
+    option = lambda name: more[more.index(name) + 1] if name in more else ""
+    if what == "estop":
+        estop(url, control, int(count), option("--key"), "--load" in more, option("--pid"), option("--lock"))
+    else:
+        trips(url, control, int(count))
+
+
+main()
