@@ -127,7 +127,9 @@ fn ended(outcome: Result<(), impl Display>) -> ExitCode {
 /// The log is on standard error; PALPATE_LOG says how much of it (`warn`, `palpate=debug`).
 fn log() {
     let filter = EnvFilter::try_from_env("PALPATE_LOG").unwrap_or_else(|_| EnvFilter::new("warn"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    // A log that cannot be written, on a full disk, must not end the thread that logs.
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    log.log_internal_errors(false).init();
 }
 
 #[cfg(test)]

@@ -37,14 +37,18 @@ pub async fn live() -> Json<Live> {
     Json(Live { service: "palpate", version, pid: std::process::id() })
 }
 
-/// The database answers, its disk is not full, and the campaign's thread lives.
+/// The database answers and was found sound, its disk is not full, and the campaign's thread lives.
 #[utoipa::path(get, path = "/health/ready", tag = "health",
     responses((status = 204), (status = 503, body = ProblemBody)))]
 pub async fn ready(State(app): State<App>) -> Result<StatusCode, ApiError> {
     let unavailable = |words: String| ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words);
     app.store.last_event_seq().await.map_err(|e| unavailable(e.to_string()))?;
-    if let Soundness::Damaged(findings) = app.store.soundness() {
-        return Err(unavailable(format!("the database is damaged: {}", findings.join("; "))));
+    match app.store.soundness() {
+        Soundness::Sound => {}
+        Soundness::Unchecked => return Err(unavailable("the database is being checked".into())),
+        Soundness::Damaged(findings) => {
+            return Err(unavailable(format!("the database is damaged: {}", findings.join("; "))));
+        }
     }
     let free = app.store.free_bytes().await.map_err(|e| unavailable(e.to_string()))?;
     if free < DISK_FULL_BYTES {

@@ -71,7 +71,8 @@ pub struct SafeEnd {
 }
 
 impl SafeEnd {
-    /// Whether nothing more is owed: the tips are up, or held where they are by an e-stop.
+    /// Whether nothing more can be done for the tips: they are up, held where they are by an e-stop,
+    /// or z must be homed first.
     pub fn is_safe(&self) -> bool {
         match self.tips {
             Tips::Raised | Tips::HeldByEstop | Tips::NotHomed => true,
@@ -114,7 +115,9 @@ pub async fn make_safe(
         sample_to_stop_ms: sample_to_stop.map(|t| t.as_secs_f64() * 1e3),
         took_ms: began.elapsed().as_secs_f64() * 1e3,
     };
-    stage.stopping.note_stop(sample_to_stop);
+    if trip.is_some() {
+        stage.stopping.note_stop(sample_to_stop);
+    }
     if let Tips::NotRaised(why) = &end.tips
         && trip.is_none()
     {
@@ -137,7 +140,7 @@ pub async fn raise(control: &Control, stage: &Stage, height: Height) -> Tips {
         if control.estop.pressed().is_some() {
             return Tips::HeldByEstop;
         }
-        match stage.raise_once(height).await {
+        match stage.raise_once(height, &control.estop).await {
             Ok(true) => return Tips::Raised,
             Ok(false) => return Tips::NotHomed,
             Err(error) => last = error,
@@ -147,7 +150,8 @@ pub async fn raise(control: &Control, stage: &Stage, height: Height) -> Tips {
 }
 
 /// As `raise`, where the plan has it: anything but raised tips is a trip.
-pub async fn raise_as_planned(control: &Control, stage: &Stage) -> Result<(), Halt> {
+pub async fn raise_as_planned(control: &Control, stage: &mut Stage) -> Result<(), Halt> {
+    stage.begin_watch();
     match raise(control, stage, Height::Clear).await {
         Tips::Raised => Ok(()),
         Tips::HeldByEstop => Err(Halt::trip(TripKind::Estop, "the emergency stop is latched")),

@@ -88,8 +88,11 @@ pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
     let (mut acknowledged_ms, mut missing) = (None, Vec::new());
     while acknowledged_ms.is_none() && asked.elapsed() < ACKNOWLEDGED {
         tokio::time::sleep(LOOK).await;
-        let rig = client.status().await?.rig;
-        (acknowledged_ms, missing) = (rig.estop_acknowledged_ms, rig.not_stopped());
+        // The stop is latched, whatever the service can say of it.
+        if let Ok(status) = client.status().await {
+            let rig = status.rig;
+            (acknowledged_ms, missing) = (rig.estop_acknowledged_ms, rig.not_stopped());
+        }
     }
     if args.at.json {
         say_json(&json!({ "latched": answer["latched"], "acknowledged_ms": acknowledged_ms,
@@ -159,8 +162,8 @@ fn stopping_words(d: &StoppingDistance) -> String {
         _ => "none measured yet".into(),
     };
     format!(
-        "stopping {:.0} ms, {:.2} mm, +{:.1} N of {:.1} N margin at {:.2} mm/s; {measured} in {}",
-        d.blind_ms,
+        "stopping {:.1} ms, {:.2} mm, +{:.1} N of {:.1} N margin at {:.2} mm/s; {measured} in {}",
+        d.sample_to_stop_ms,
         d.travel_mm,
         d.added_n,
         d.margin_n,

@@ -101,15 +101,15 @@ impl Preflight {
 
 /// No service, no stop: what the drive of z does by itself decides what stays pressed.
 fn if_silent(plan: &Plan, bench: &Bench) -> String {
-    let deepest_mm = plan.depths_mm.iter().copied().fold(0.0, f64::max);
+    let deepest_mm = plan.depths_mm.iter().copied().fold(0.0, f64::max) - plan.standoff_mm;
     match bench.z_watchdog_ms {
         Some(ms) => format!(
-            "z stands after {ms} ms (its drive's watchdog), tips pressed up to {deepest_mm} mm, \
-             until somebody raises them"
+            "z stands after {ms} ms (its drive's watchdog), tips pressed up to {deepest_mm:.2} mm \
+             below the surface, until somebody raises them"
         ),
         None => format!(
             "z goes on to where it was sent (its drive has no watchdog set), tips pressed up to \
-             {deepest_mm} mm, until somebody raises them"
+             {deepest_mm:.2} mm below the surface, until somebody raises them"
         ),
     }
 }

@@ -69,9 +69,13 @@ impl Press {
 impl StopSwitch {
     /// Latches and wakes the tasks that stop the axes. Idempotent: the first press counts.
     pub fn press(&self, why: &str) {
+        let mut slot = self.press_slot();
         self.inner.latch.latch();
-        let press = || Press { why: why.into(), at: Instant::now(), stops: BTreeMap::new() };
-        self.press_slot().get_or_insert_with(press);
+        slot.get_or_insert_with(|| Press {
+            why: why.into(),
+            at: Instant::now(),
+            stops: BTreeMap::new(),
+        });
         self.inner.pressed.send_replace(true);
     }
 
@@ -80,11 +84,17 @@ impl StopSwitch {
         self.press_slot().clone()
     }
 
-    /// Releases the latch.
-    pub fn release(&self) {
-        *self.press_slot() = None;
+    /// Releases the latch of the press that somebody has looked at (by its time; none if there was
+    /// none). False, and nothing changes, when it has been pressed anew since.
+    pub fn release(&self, seen: Option<Instant>) -> bool {
+        let mut slot = self.press_slot();
+        if slot.as_ref().map(|press| press.at) != seen {
+            return false;
+        }
+        *slot = None;
         self.inner.pressed.send_replace(false);
         self.inner.latch.clear();
+        true
     }
 
     /// The latch that the drivers consult before they send a motion.
@@ -97,10 +107,22 @@ impl StopSwitch {
     pub async fn serve(self, bench: Bench) {
         let mut pressed = self.inner.pressed.subscribe();
         while pressed.wait_for(|latched| *latched).await.is_ok() {
+            self.expect(&bench);
             let stops = bench.axes().map(|axis| self.stop_until_acknowledged(axis.as_ref()));
             futures::future::join_all(stops).await;
             if pressed.wait_for(|latched| !*latched).await.is_err() {
                 return;
+            }
+        }
+    }
+
+    /// No axis counts as stopped before it has acknowledged.
+    fn expect(&self, bench: &Bench) {
+        if let Some(press) = self.press_slot().as_mut() {
+            for axis in bench.axes() {
+                let axis = axis.name();
+                let stop = AxisStop { axis: axis.into(), acknowledged_ms: None, error: None };
+                press.stops.entry(axis).or_insert(stop);
             }
         }
     }

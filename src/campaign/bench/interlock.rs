@@ -11,7 +11,7 @@ use crate::rig::config::{ARMS, CellsConfig};
 use crate::rig::traits::CellVolts;
 
 /// Force on an arm without a tip that contradicts what was said to be mounted, N.
-const FOREIGN_N: f64 = 5.0;
+pub const FOREIGN_N: f64 = 5.0;
 
 /// What latched the rig: the quantity, its value, its limit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]

@@ -1,5 +1,5 @@
 //! The bench under guard: what its devices say, what trips, how it moves and is stopped.
-//! Uses: `rig`, `clock`. Never: a run, storage, SQL.
+//! Uses: `rig`, `clock`. Never: the plan, storage, SQL; of `run` it knows requests and halts alone.
 //!
 //! PURE: `interlock`, `evidence`, `stopping`, `rig_state`, `stuck`.
 

@@ -8,6 +8,7 @@ use std::time::Duration;
 use futures::future::join_all;
 use tokio::time::Instant;
 
+use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::evidence::{FELT_FRAMES, SilentArms, SkinWatch};
 use crate::campaign::bench::interlock::{self, ForceLimits, TripKind};
 use crate::campaign::bench::stopping::{POLL_S, Stopping};
@@ -304,7 +305,11 @@ impl Stage {
     }
 
     /// Raises z and waits until it stands there. `Ok(false)`: z does not know where it is.
-    pub(in crate::campaign) async fn raise_once(&self, height: Height) -> Result<bool, String> {
+    pub(in crate::campaign) async fn raise_once(
+        &self,
+        height: Height,
+        estop: &StopSwitch,
+    ) -> Result<bool, String> {
         let words = |e: crate::rig::error::RigError| e.to_string();
         let top = self.config.axes.z.travel_mm[0];
         let up = match height {
@@ -330,6 +335,9 @@ impl Stage {
             }
             if !now.moving && now.position <= up + z.tolerance {
                 return Ok(true);
+            }
+            if estop.pressed().is_some() {
+                return Err("the emergency stop is latched".into());
             }
             if self.clock.now() > deadline {
                 return Err(format!("z at {:.3} mm, to be raised to {up:.3}", now.position));

@@ -27,6 +27,8 @@ pub struct StoppingDistance {
     /// From a force to z's stop on the wire at the latest, process ms: the cells' update, two polls,
     /// and what this computer may be late.
     pub blind_ms: f64,
+    /// Of it, from a sample's arrival to z's stop on the wire, wall ms: what `measured_ms` is beside.
+    pub sample_to_stop_ms: f64,
     /// Travel in that time and while z decelerates, mm.
     pub travel_mm: f64,
     /// Force that this travel may add, N: travel x `limits.stiffness_n_per_mm`.
@@ -111,6 +113,8 @@ impl Stopping {
         Ok(StoppingDistance {
             speed_mm_s: speed,
             blind_ms: blind_s * 1e3,
+            sample_to_stop_ms: (self.slowest_poll_s.max(POLL_S) / rig.clock_rate + LATE_WALL_S)
+                * 1e3,
             travel_mm,
             added_n: travel_mm * limits.stiffness_n_per_mm,
             margin_n: limits.force_margin_n,

@@ -2,7 +2,7 @@
 //! Uses: `campaign::bench::stage`. Never: storage.
 
 use crate::campaign::bench::evidence::SkinWatch;
-use crate::campaign::bench::interlock::TripKind;
+use crate::campaign::bench::interlock::{FOREIGN_N, TripKind};
 use crate::campaign::bench::stage::Stage;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
@@ -58,6 +58,14 @@ pub async fn tare(
         let spread_n = spread * cells.newtons_per_volt();
         let live = cells.is_live(mean);
         if i >= tips {
+            let load_n = (mean - cells.zero_v()) * cells.newtons_per_volt();
+            if live && load_n.abs() > FOREIGN_N {
+                let detail = format!(
+                    "cell {arm} weighs {load_n:.1} N in the air and no tip is said to be on arm \
+                     {arm} (limit {FOREIGN_N} N): look which tips are mounted"
+                );
+                return Err(Halt::trip(TripKind::Cell, detail));
+            }
             if live {
                 zeros[i] = mean;
             }

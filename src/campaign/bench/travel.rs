@@ -89,6 +89,9 @@ impl Stage {
             self.require_clear().await?;
             self.skin = None;
         }
+        if !weighing {
+            self.begin_watch();
+        }
         let z_place = targets.iter().position(|t| t.axis == AxisName::Z);
         let deadline = self.start(targets).await?;
         let mut polled_s = self.clock.process_s();
@@ -193,6 +196,7 @@ impl Stage {
         let z = [Target::of(AxisName::Z, 0.0)];
         for _ in 0..ROUNDS {
             let began_s = self.clock.process_s();
+            self.poll_pause().await;
             self.poll(&z, true).await?;
             self.stopping.note_poll(self.clock.process_s() - began_s);
         }

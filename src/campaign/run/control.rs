@@ -40,6 +40,7 @@ pub struct Control {
     current: Option<RunUid>,
     suspended_for: Option<String>,
     leaving: bool,
+    estop_noted: bool,
 }
 
 impl Control {
@@ -55,6 +56,7 @@ impl Control {
             current: None,
             suspended_for: None,
             leaving: false,
+            estop_noted: false,
         }
     }
 
@@ -93,6 +95,7 @@ impl Control {
     /// Moves the rig's state.
     pub fn rig_event(&mut self, event: RigEvent) -> Result<(), Refusal> {
         let next = rig_state::step(self.rig, event).map_err(|e| Refusal::State(e.to_string()))?;
+        self.estop_noted &= next == RigState::Tripped;
         let changed = next != self.rig;
         self.rig = next;
         self.show(|status| status.rig.state = next);
@@ -102,9 +105,14 @@ impl Control {
         Ok(())
     }
 
-    /// Latches a trip in memory, then notes it. The first cause stays until it is reset.
+    /// Latches a trip in memory, then notes it. The first cause is shown until it is reset, unless a
+    /// person presses the stop: that needs a person in any case.
     pub fn latch(&mut self, trip: &Trip) {
-        let first = self.rig != RigState::Tripped;
+        let stop = trip.kind == TripKind::Estop;
+        if stop && std::mem::replace(&mut self.estop_noted, true) {
+            return;
+        }
+        let first = stop || self.rig != RigState::Tripped;
         // A trip is allowed from every state with open wires; without any there is nothing to latch.
         let _ = self.rig_event(RigEvent::Trip);
         if first {

@@ -2,13 +2,14 @@
 
 use std::time::{Duration, Instant};
 
+use palpate::campaign::bench::interlock::TripKind;
 use palpate::campaign::bench::rig_state::RigState;
 use palpate::campaign::safe_end::Tips;
 use palpate::campaign::shown::command::Request;
 use palpate::campaign::shown::status::Status;
 use serde_json::{Value, json};
 
-use super::harness::Harness;
+use super::harness::{Harness, experiment};
 
 fn x(truth: &Value) -> (f64, bool) {
     (truth["axes"][0]["position"].as_f64().unwrap(), truth["axes"][0]["moving"] == true)
@@ -123,4 +124,55 @@ async fn after_an_alarm_or_a_loss_of_power_reset_and_home_are_enough() {
         assert_eq!(harness.handle.status().rig.state, RigState::Homed, "{kind}");
         harness.close().await;
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_e_stop_outlasts_an_automatic_resume_that_was_to_come() {
+    let harness = Harness::homed().await;
+    harness.mount(2, 2).await;
+    let definition = experiment(2, "[policy]\nauto_resume_after_s = 1.0\n");
+    harness.start(harness.job(&definition, |job| job.auto_resume = true)).await;
+    harness.stored(1).await;
+    harness.fault("no_reply", "cells", json!({ "for_s": 4.0 })).await;
+    let status = harness.tripped().await;
+    assert_eq!(status.rig.trip.unwrap().kind, TripKind::Wire);
+    harness.handle.estop("test");
+    let stopped = |s: &Status| s.rig.trip.as_ref().is_some_and(|t| t.kind == TripKind::Estop);
+    harness.until("the stop is shown", stopped).await;
+    let stored = harness.journal.taken().trials.len();
+    tokio::time::sleep(Duration::from_secs(3)).await;
+    let status = harness.handle.status();
+    assert_eq!(status.rig.state, RigState::Tripped, "{:#?}", status.rig);
+    assert!(harness.ask(Request::Resume).await.is_err());
+    assert_eq!(harness.journal.taken().trials.len(), stored);
+    harness.ask(Request::Reset).await.unwrap();
+    harness.home().await;
+    harness.ask(Request::Abort).await.unwrap();
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_load_on_an_arm_without_a_tip_is_not_tared_away() {
+    let harness = Harness::homed().await;
+    harness.mount(2, 6).await;
+    harness.fault("foreign_load", "cells", json!({ "arm": 5, "n": 20.0 })).await;
+    harness.start(harness.job(&experiment(2, ""), |_| {})).await;
+    let status = harness.tripped().await;
+    let trip = status.rig.trip.unwrap();
+    assert!(trip.detail.contains("in the air and no tip"), "{trip:?}");
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn wires_are_not_closed_over_a_trip_and_opening_them_again_does_not_acknowledge_it() {
+    let harness = Harness::homed().await;
+    harness.handle.estop("test");
+    harness.until("tripped", |s| s.rig.state == RigState::Tripped).await;
+    harness.until("stopped", |s| s.rig.estop_acknowledged_ms.is_some()).await;
+    harness.ask(Request::Disconnect).await.unwrap();
+    harness.ask(Request::Connect).await.unwrap();
+    assert_eq!(harness.handle.status().rig.state, RigState::Tripped);
+    harness.ask(Request::Reset).await.unwrap();
+    harness.home().await;
+    harness.close().await;
 }

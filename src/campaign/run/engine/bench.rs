@@ -36,11 +36,7 @@ impl Engine {
         // Opening the wires answers with what went wrong; motions answer when taken up.
         let outcome = match request {
             Request::Connect => self.connect().await,
-            Request::Disconnect => {
-                self.connection = None;
-                self.owed = Owed::Nothing;
-                self.control.rig_event(RigEvent::Lost)
-            }
+            Request::Disconnect => self.disconnect(),
             Request::Reset => self.reset().await,
             Request::Home => match self.control.rig_event(RigEvent::Homing) {
                 Ok(()) => {
@@ -102,8 +98,32 @@ impl Engine {
         if ok { Ok(()) } else { Err(Refusal::State(words())) }
     }
 
+    /// Closes the wires, unless a stop or a raise is still owed to the rig over them.
+    fn disconnect(&mut self) -> Result<(), Refusal> {
+        if let Some(axis) = self.not_acknowledged() {
+            return Err(Refusal::State(format!("disconnect is not possible: {axis}")));
+        }
+        if self.owed != Owed::Nothing {
+            let words = "disconnect is not possible: the last safe end is not complete";
+            return Err(Refusal::State(words.into()));
+        }
+        self.connection = None;
+        self.control.rig_event(RigEvent::Lost)
+    }
+
+    /// An axis that has not acknowledged the e-stop, and why.
+    fn not_acknowledged(&self) -> Option<String> {
+        let stops = self.control.estop.pressed()?.stops();
+        if stops.is_empty() && self.connection.is_some() {
+            return Some("the stop has just been pressed".into());
+        }
+        let missing = stops.into_iter().find(|s| s.acknowledged_ms.is_none())?;
+        let why = missing.error.unwrap_or_else(|| "no answer yet".into());
+        Some(format!("{} has not acknowledged its stop: {why}", missing.axis))
+    }
+
     /// Opens the wires and takes control of every device. A drive in alarm is connected all the
-    /// same, into a trip: a reset clears it.
+    /// same, into a trip: a reset clears it. So is a rig whose last trip was not reset.
     pub(super) async fn connect(&mut self) -> Result<(), Refusal> {
         let clock = Clock::new(self.config.clock_rate);
         let fail = |e: RigError| Refusal::State(e.to_string());
@@ -129,8 +149,11 @@ impl Engine {
         ));
         self.connection = Some(Connection { open, stage, estop, frames });
         self.owed = Owed::Nothing;
-        self.control.show(|status| status.rig.trip = None);
+        let last = self.control.inbox.status.borrow().rig.trip.clone();
         self.control.rig_event(RigEvent::Connected)?;
+        if let Some(trip) = last {
+            self.control.latch(&trip);
+        }
         if !alarms.is_empty() {
             let detail = format!("{}; clear the cause, reset, home", alarms.join("; "));
             self.control.latch(&Trip { kind: TripKind::Device, detail });
@@ -141,15 +164,13 @@ impl Engine {
     /// Acknowledges a trip: every axis must answer, alarms are cleared, drives are taken control of
     /// again; the stop is released last. A device that does not follow leaves the rig tripped.
     pub(super) async fn reset(&mut self) -> Result<(), Refusal> {
+        if let Some(axis) = self.not_acknowledged() {
+            return Err(Refusal::State(format!("not reset: {axis}")));
+        }
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
         let bench = connection.open.bench.clone();
         let fail = |e: RigError| Refusal::State(format!("not reset: {e}"));
-        let missing = self.control.estop.pressed().map(|p| p.stops()).unwrap_or_default();
-        if let Some(stop) = missing.iter().find(|s| s.acknowledged_ms.is_none()) {
-            let why = stop.error.clone().unwrap_or_default();
-            let words = format!("not reset: {} has not acknowledged its stop: {why}", stop.axis);
-            return Err(Refusal::State(words));
-        }
+        let press = self.control.estop.pressed().map(|press| press.at);
         for axis in bench.axes() {
             axis.status().await.map_err(fail)?;
         }
@@ -158,7 +179,9 @@ impl Engine {
             axis.prepare().await.map_err(fail)?;
         }
         bench.cells.prepare().await.map_err(fail)?;
-        self.control.estop.release();
+        if !self.control.estop.release(press) {
+            return Err(Refusal::State("not reset: the stop was pressed meanwhile".into()));
+        }
         self.prepared_setting = None;
         self.control.show(|status| {
             status.rig.trip = None;

@@ -33,7 +33,10 @@ impl Engine {
             Halt::Checkpoint => {}
             Halt::Needs(wanted) => self.need(wanted),
             Halt::Failed(reason) if safe => return self.failed(job, reason, attempts),
-            Halt::Failed(reason) => self.note_attempt(job, &reason, attempts),
+            Halt::Failed(reason) => {
+                self.note_attempt(job, &reason, attempts);
+                self.suspend_for(PausedWhy::Trip, reason);
+            }
             Halt::Trip(trip) => {
                 self.note_attempt(job, &trip.detail, attempts);
                 self.suspend_for(PausedWhy::Trip, trip.detail.clone());

@@ -12,6 +12,7 @@ use std::time::Duration;
 
 use futures::FutureExt;
 use tokio::task::JoinHandle;
+use tokio::time::Instant;
 
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::interlock::{Trip, TripKind};
@@ -36,6 +37,8 @@ mod wait;
 
 /// How often an idle or waiting engine looks at its bench, wall.
 const IDLE_TICK: Duration = Duration::from_millis(200);
+/// Between two tries at a safe end that the wires did not carry.
+const OWED_AGAIN: Duration = Duration::from_millis(500);
 /// Longest wait for the store when the thread starts and ends.
 const STORE_PATIENCE: Duration = Duration::from_secs(10);
 /// Longest wait between two automatic resumes, wall.
@@ -95,8 +98,8 @@ struct Engine {
 enum Owed {
     /// Nothing.
     Nothing,
-    /// The wires were down: it is tried again once they carry.
-    Wires,
+    /// The wires were down for an axis or for the raise, since then: it is tried again once they carry.
+    Wires(Instant),
     /// The wires carry and the tips are still down: a person must look.
     Person,
 }
@@ -175,10 +178,11 @@ impl Engine {
         };
         let stage = &mut connection.stage;
         let end = safe_end::make_safe(&mut self.control, stage, trip, height).await;
-        self.owed = match (end.is_safe(), connection.stage.pose().await) {
-            (true, _) => Owed::Nothing,
-            (false, Err(_)) => Owed::Wires,
-            (false, Ok(_)) => Owed::Person,
+        self.owed = match (end.is_safe(), end.is_acknowledged()) {
+            (true, true) => Owed::Nothing,
+            (true, false) => Owed::Wires(Instant::now()),
+            (false, _) if connection.stage.pose().await.is_err() => Owed::Wires(Instant::now()),
+            (false, _) => Owed::Person,
         };
         end.is_safe()
     }
@@ -187,12 +191,15 @@ impl Engine {
     /// what the last safe end could not do while the wires were down.
     async fn look(&mut self) {
         if let Some(press) = self.control.estop.pressed()
-            && !matches!(self.control.rig(), RigState::Tripped | RigState::Disconnected)
+            && self.control.rig() != RigState::Disconnected
         {
             self.control.latch(&Trip { kind: TripKind::Estop, detail: press.why });
         }
         let Some(connection) = self.connection.as_ref() else { return };
-        if self.owed == Owed::Wires && connection.stage.pose().await.is_ok() {
+        if let Owed::Wires(tried) = self.owed
+            && tried.elapsed() > OWED_AGAIN
+            && connection.stage.pose().await.is_ok()
+        {
             self.make_safe(None, Height::Clear).await;
         }
         if let Some(connection) = self.connection.as_ref() {
@@ -204,7 +211,10 @@ impl Engine {
     async fn after_panic(&mut self, words: &str) {
         let detail = format!("the campaign's thread failed: {words}");
         let trip = Trip { kind: TripKind::Service, detail };
-        self.make_safe(Some(&trip), Height::Clear).await;
+        let safe = AssertUnwindSafe(self.make_safe(Some(&trip), Height::Clear)).catch_unwind();
+        if safe.await.is_err() {
+            tracing::error!("the safe end itself failed: look at the rig");
+        }
         if self.control.run() != RunState::Idle
             && let Some(run) = self.control.run_uid()
         {

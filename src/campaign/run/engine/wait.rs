@@ -44,6 +44,10 @@ impl Engine {
                     let ended = self.raise_when_possible(job).await;
                     if ended.is_some() {
                         ended
+                    } else if self.control.estop.pressed().is_some() {
+                        // A person has stopped the rig: nothing goes on by itself any more.
+                        try_at = None;
+                        None
                     } else if try_at.is_some_and(|at| Instant::now() >= at)
                         && matches!(self.control.run(), RunState::Paused(PausedWhy::Trip))
                     {
@@ -80,7 +84,7 @@ impl Engine {
         if job.plan.kind == Kind::RealHex {
             match self.owed {
                 Owed::Nothing if self.connection.is_some() => {}
-                Owed::Nothing | Owed::Wires => return None,
+                Owed::Nothing | Owed::Wires(_) => return None,
                 Owed::Person => {
                     let _ = self.control.run_event(RunEvent::RaiseFailed);
                     return None;
