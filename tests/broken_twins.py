@@ -1,0 +1,74 @@
+"""Does the safety harness see a fault in the safe end? Each twin is this checkout with one thing broken on
+purpose; the named tests must fail on it (standard library only; a build and a minute or two each).
+
+    python3 tests/broken_twins.py [NAME ..]
+
+A twin is made in place and taken back afterwards, also when interrupted: cargo takes sources of one
+package in two places for each other. The broken files must be committed.
+"""
+
+import pathlib
+import subprocess
+import sys
+
+ROOT = pathlib.Path(__file__).parents[1]
+SAFE_END, STAGE = "src/campaign/safe_end.rs", "src/campaign/bench/stage.rs"
+INTERLOCK, WAIT = "src/campaign/bench/interlock.rs", "src/campaign/run/engine/wait.rs"
+
+# Name: file, what stands there, what the twin has instead, tests that must fail.
+TWINS = {
+    "a write before the stop": (
+        SAFE_END, "    control.phase(Phase::Raise);\n    let began",
+        "    let _ = control.flush().await;\n    control.phase(Phase::Raise);\n    let began",
+        ["while_the_store_hangs"]),
+    "no raise": (
+        SAFE_END, "(stopped, raise(control, stage, height).await)", "(stopped, Tips::Raised)",
+        ["over_force_raises", "a_module_that_repeats", "a_panic_in_contact", "a_service_told_to_end"]),
+    "no stop of x, y and the radius": (
+        SAFE_END, "join_all(lateral.map(|axis| stop(axis.as_ref(), began)))",
+        "join_all(lateral.map(|axis| async { axis.name(); stop(bench.z.as_ref(), began).await }))",
+        ["a_service_told_to_end"]),
+    "the skin is not asked": (
+        STAGE, "Some(words) => Err(Halt::trip(TripKind::Cell, words)),\n            None => Ok(()),",
+        "_ => Ok(()),", ["a_cell_that_lost_its_tip"]),
+    "still cells pass": (
+        INTERLOCK, "    check_alive(cells, reading, tips)\n", "    let _ = check_alive;\n    Ok(())\n",
+        ["a_module_that_repeats", "cells_that_stop_in_the_air"]),
+    "an automatic resume in spite of the stop": (
+        WAIT, "} else if self.control.estop.pressed().is_some() {",
+        "} else if self.control.estop.pressed().is_some() && self.control.leaving() {",
+        ["an_e_stop_outlasts"]),
+}
+
+
+def try_twin(name: str) -> bool:
+    file, there, instead, tests = TWINS[name]
+    path = ROOT / file
+    if subprocess.run(["git", "diff", "--quiet", "HEAD", "--", file], cwd=ROOT).returncode:
+        print(f"{name}: {file} has changes that are not committed")
+        return False
+    sound = path.read_text()
+    if sound.count(there) != 1:
+        print(f"{name}: {file} has changed; the twin must be made anew")
+        return False
+    command = ["cargo", "test", "--quiet", "-p", "palpate", "--test", "system", "--", *tests]
+    try:
+        path.write_text(sound.replace(there, instead))
+        ran = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    finally:
+        path.write_text(sound)
+    if "running" not in ran.stdout:
+        print(f"{name}: it does not build\n{ran.stderr[-2000:]}")
+        return False
+    failures = ran.stdout.split("failures:")[-1]
+    passed = [t for t in tests if t not in failures]
+    print(f"{name}: {len(tests) - len(passed)} of {len(tests)} tests fail", f"PASSED: {passed}" if passed else "")
+    return not passed
+
+
+def main() -> None:
+    seen = [try_twin(name) for name in sys.argv[1:] or TWINS]
+    sys.exit(0 if all(seen) else 1)
+
+
+main()
