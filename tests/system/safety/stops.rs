@@ -133,14 +133,14 @@ async fn an_e_stop_outlasts_an_automatic_resume_that_was_to_come() {
     let definition = experiment(2, "[policy]\nauto_resume_after_s = 1.0\n");
     harness.start(harness.job(&definition, |job| job.auto_resume = true)).await;
     harness.stored(1).await;
-    harness.fault("no_reply", "cells", json!({ "for_s": 4.0 })).await;
-    let status = harness.tripped().await;
-    assert_eq!(status.rig.trip.unwrap().kind, TripKind::Wire);
+    harness.fault("no_reply", "cells", json!({ "for_s": 16.0 })).await;
+    let trip = harness.tripped().await.rig.trip.unwrap();
+    assert_eq!(trip.kind, TripKind::Wire, "{trip:?}");
     harness.handle.estop("test");
     let stopped = |s: &Status| s.rig.trip.as_ref().is_some_and(|t| t.kind == TripKind::Estop);
     harness.until("the stop is shown", stopped).await;
     let stored = harness.journal.taken().trials.len();
-    tokio::time::sleep(Duration::from_secs(3)).await;
+    tokio::time::sleep(Duration::from_secs(5)).await;
     let status = harness.handle.status();
     assert_eq!(status.rig.state, RigState::Tripped, "{:#?}", status.rig);
     assert!(harness.ask(Request::Resume).await.is_err());
