@@ -365,10 +365,14 @@ async fn waveshare_8ch_over_rtu() {
             Waveshare8ch::new(station, &cells(CellsDevice::Waveshare8ch), Clock::new(RATE));
         let found = module.prepare().await.unwrap();
         assert_eq!(found, "Waveshare 8CH, version 1.00, 0 to 5 V");
+        let update_ms = cells(CellsDevice::Waveshare8ch).update_ms;
+        let update = Duration::from_secs_f64(update_ms / 1e3 / RATE);
         for n in 0..3 {
             let reading = module.read().await.unwrap();
             assert_eq!(reading.volts, [0.5, 0.512, 1.0, 0.0, 4.5, 2.5]);
             assert_eq!(reading.repeats, [n; 6]);
+            // Longer than an update of the module: a reading within one repeats nothing.
+            tokio::time::sleep(update).await;
         }
         device.await.unwrap();
     })

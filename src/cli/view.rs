@@ -196,7 +196,10 @@ impl EventView {
             "attempt_failed" => {
                 Some(format!("attempt {} failed: {}", self.data["attempt"], text("reason")))
             }
-            "suspended" | "raise_failed" | "store" | "repeat" | "not_gone_on" | "not_begun" => {
+            "safe_end" if self.data["tips"] == "not_raised" => {
+                Some(format!("TIPS NOT RAISED: {}", text("why")))
+            }
+            "suspended" | "store" | "repeat" | "not_gone_on" | "not_begun" => {
                 Some(format!("{}: {}", self.kind.replace('_', " "), text("why")))
             }
             "recovering" => Some("recovering: looking whether the cause is gone".into()),
@@ -205,7 +208,7 @@ impl EventView {
         }
     }
 
-    /// A change of state, unless the wish behind it has been told.
+    /// A change of state, unless what asked for it has been told.
     fn state_words(&self) -> Option<String> {
         let state = self.data["state"].as_str()?;
         match self.data["why"].as_str() {

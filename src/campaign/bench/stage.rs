@@ -68,6 +68,8 @@ pub struct Stage {
     pub stopping: Stopping,
     /// The last sample of the motion or the hold that is being watched.
     last_sample: Option<Instant>,
+    /// Since when z has been held still under watch.
+    pub(super) held_since: Option<Instant>,
 }
 
 /// An axis with what a motion needs to know of it, in the axis's unit.
@@ -101,6 +103,7 @@ impl Stage {
             peak_n: 0.0,
             stopping: Stopping::default(),
             last_sample: None,
+            held_since: None,
         }
     }
 
@@ -193,10 +196,19 @@ impl Stage {
         })
     }
 
-    /// Reads the cells and checks every limit on them.
+    /// Reads the cells while z is held still, and checks every limit on them. A stream that gives no
+    /// frame of a held load leaves the skin's witness out: it trips as well.
     pub async fn weigh(&mut self) -> Result<CellVolts, Halt> {
         let reading = self.bench.cells.read().await?;
         self.check(&reading)?;
+        let limit = Duration::from_millis(self.config.limits.frame_age_ms);
+        let held = self.held_since.get_or_insert_with(Instant::now).elapsed();
+        let newest = self.bench.skin.latest().map(|frame| frame.received.elapsed());
+        if held > limit && newest.is_none_or(|age| age > limit) {
+            let limit_ms = limit.as_millis();
+            let detail = format!("ert: no frame of a held load, limits.frame_age_ms = {limit_ms}");
+            return Err(Halt::trip(TripKind::Stale, detail));
+        }
         Ok(reading)
     }
 

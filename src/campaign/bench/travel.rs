@@ -92,6 +92,7 @@ impl Stage {
         if !weighing {
             self.begin_watch();
         }
+        self.held_since = None;
         let z_place = targets.iter().position(|t| t.axis == AxisName::Z);
         let deadline = self.start(targets).await?;
         let mut polled_s = self.clock.process_s();

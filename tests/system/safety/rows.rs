@@ -244,6 +244,24 @@ async fn while_the_store_hangs_forces_are_watched_and_the_diary_is_complete_afte
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_stream_that_stalls_while_a_commit_is_pending_trips() {
+    let harness = Harness::homed().await;
+    harness.run(2, "").await;
+    harness.stored(2).await;
+    harness.journal.set(Mood::Hangs);
+    let committing = |s: &Status| {
+        let phase = s.run.as_ref().map(|r| serde_json::to_value(r.phase).unwrap());
+        phase == Some(json!("commit"))
+    };
+    harness.until("a commit", committing).await;
+    harness.fault("stall_stream", "ert", json!({ "for_s": 600.0 })).await;
+    let status = harness.tripped().await;
+    cause(&status, TripKind::Stale, "no frame of a held load");
+    harness.is_safe().await;
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_panic_in_contact_raises_the_tips_and_the_thread_goes_on_serving() {
     let harness = Harness::homed().await;
     harness.mount(2, 2).await;

@@ -171,7 +171,7 @@ impl Engine {
         }
     }
 
-    /// The safe end, with or without a run. True when nothing more is owed.
+    /// The safe end, with or without a run. True when nothing more can be done for the tips.
     async fn make_safe(&mut self, trip: Option<&Trip>, height: Height) -> bool {
         let Some(connection) = self.connection.as_mut() else {
             return true;
