@@ -438,7 +438,7 @@ impl Service {
         self.shutdown().await;
     }
 
-    /// Raises the tips, leaves an open run to be gone on with, closes the database.
+    /// Raises the tips, leaves an open run to be resumed, closes the database.
     pub async fn shutdown(self) {
         for task in &self.tasks {
             task.abort();
@@ -464,7 +464,7 @@ impl Service {
 async fn after_start(app: App, resume: bool) {
     let go_on = async {
         if let Err(error) = app.conductor.go_on(resume).await {
-            tracing::warn!(%error, "no run was gone on with");
+            tracing::warn!(%error, "no run was resumed");
         }
     };
     let examine = async {

@@ -7,7 +7,7 @@ use palpate::campaign::bench::interlock::TripKind;
 use palpate::campaign::bench::rig_state::RigState;
 use palpate::campaign::safe_end::Tips;
 use palpate::campaign::shown::command::Request;
-use palpate::campaign::shown::status::Status;
+use palpate::campaign::shown::status::{Phase, Status};
 use serde_json::json;
 
 use super::harness::{Harness, experiment};
@@ -18,6 +18,11 @@ fn cause(status: &Status, kind: TripKind, words: &str) {
     let trip = status.rig.trip.as_ref().expect("a trip");
     assert_eq!(trip.kind, kind, "{trip:?}");
     assert!(trip.detail.contains(words), "{trip:?}");
+}
+
+/// A trial waits to be durable.
+fn committing(status: &Status) -> bool {
+    status.run.as_ref().is_some_and(|run| run.phase == Phase::Commit)
 }
 
 /// Deepest z below the nominal surface since the peaks were cleared, mm, and the largest force, N.
@@ -221,10 +226,6 @@ async fn while_the_store_hangs_forces_are_watched_and_the_diary_is_complete_afte
     harness.run(2, "").await;
     harness.stored(2).await;
     harness.journal.set(Mood::Hangs);
-    let committing = |s: &Status| {
-        let phase = s.run.as_ref().map(|r| serde_json::to_value(r.phase).unwrap());
-        phase == Some(json!("commit"))
-    };
     harness.until("a commit", committing).await;
     tokio::time::sleep(Duration::from_millis(300)).await;
     assert!(committing(&harness.handle.status()), "the stage does not move on");
@@ -249,10 +250,6 @@ async fn a_stream_that_stalls_while_a_commit_is_pending_trips() {
     harness.run(2, "").await;
     harness.stored(2).await;
     harness.journal.set(Mood::Hangs);
-    let committing = |s: &Status| {
-        let phase = s.run.as_ref().map(|r| serde_json::to_value(r.phase).unwrap());
-        phase == Some(json!("commit"))
-    };
     harness.until("a commit", committing).await;
     harness.fault("stall_stream", "ert", json!({ "for_s": 600.0 })).await;
     let status = harness.tripped().await;
