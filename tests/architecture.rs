@@ -39,6 +39,9 @@ const LONGEST: usize = 620;
 /// Never looked into, besides what `.gitignore` names at the root: history, output, data.
 const SKIPPED: [&str; 3] = [".git", "target", "palpate-data"];
 
+/// What the sources rely on and did not derive; cited by path and heading.
+const REFERENCES: &str = "docs/references.md";
+
 /// Crates and modules that do something, or wait for something.
 const EFFECTS: [&str; 6] = ["async", "tokio", "sqlx", "axum", "reqwest", "tokio_serial"];
 
@@ -375,6 +378,56 @@ fn broken_links(files: &[File], exists: impl Fn(&Path) -> bool) -> Vec<String> {
     findings
 }
 
+/// A text cites what a checkout holds: documents and decisions that are there, headings of
+/// `docs/references.md` (in quotes after its path, on the same line), no issue or law by its number.
+/// Not looked at: migrations, which never change, and this file, which makes citations up.
+fn dead_citations(files: &[File]) -> Vec<String> {
+    let exempt =
+        |f: &&File| f.path.starts_with("migrations/0") || f.path == "tests/architecture.rs";
+    let is_text = |f: &&File| {
+        [".rs", ".toml", ".md", ".sql", ".txt", ".py"].iter().any(|e| f.path.ends_with(e))
+    };
+    let names: BTreeSet<&str> = files.iter().filter_map(|f| f.path.rsplit('/').next()).collect();
+    let headings: BTreeSet<&str> = files
+        .iter()
+        .filter(|f| f.path == REFERENCES)
+        .flat_map(|f| f.text.lines())
+        .filter_map(|line| line.strip_prefix("## ").or_else(|| line.strip_prefix("### ")))
+        .collect();
+    let dead = |line: &str| -> Vec<String> {
+        let documents = line.match_indices(".md").filter_map(|(at, end)| {
+            let stem = line[..at].rsplit(|c| !is_name(c) && c != '-').next()?;
+            let name = format!("{stem}{end}");
+            let whole = !stem.is_empty() && !line[at + end.len()..].starts_with(is_name);
+            (whole && !names.contains(name.as_str())).then_some(name)
+        });
+        let cited = line.match_indices(REFERENCES).filter_map(|(at, path)| {
+            let rest = line[at + path.len()..].trim_start_matches('`').strip_prefix(',')?;
+            let heading = rest.strip_prefix(" \"").and_then(|rest| rest.split('"').next());
+            let heading = heading.unwrap_or("no heading in quotes");
+            (!headings.contains(heading)).then(|| format!("{path}, {heading}"))
+        });
+        let decisions = line.match_indices("docs/decisions/").filter_map(|(at, folder)| {
+            let number = line[at + folder.len()..].split(|c: char| !c.is_ascii_digit()).next()?;
+            let path = format!("{folder}{number}");
+            (!files.iter().any(|f| f.path.starts_with(&path))).then_some(path)
+        });
+        let numbered = line.match_indices(' ').filter_map(|(at, _)| {
+            let word = line[..at].rsplit(|c| !is_name(c)).next()?.to_lowercase();
+            let next = line[at + 1..].trim_start_matches('#').chars().next()?;
+            let counts = ["issue", "issues", "law", "laws"].contains(&word.as_str());
+            (counts && next.is_ascii_digit()).then(|| format!("{word} {next}"))
+        });
+        documents.chain(cited).chain(decisions).chain(numbered).collect()
+    };
+    let places = |f: &File| -> Vec<String> {
+        let lines =
+            f.text.lines().enumerate().flat_map(|(i, l)| dead(l).into_iter().map(move |d| (i, d)));
+        lines.map(|(i, dead)| format!("{}:{}: cites {dead}", f.path, i + 1)).collect()
+    };
+    files.iter().filter(|f| is_text(f) && !exempt(f)).flat_map(places).collect()
+}
+
 // ---------------------------------------------------------------- the checkout
 
 fn none(findings: Vec<String>) {
@@ -413,6 +466,11 @@ fn nothing_names_the_machine_it_was_written_on() {
 fn links_between_documents_lead_somewhere() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     none(broken_links(&checkout(), |path| root.join(path).exists()));
+}
+
+#[test]
+fn citations_lead_somewhere() {
+    none(dead_citations(&checkout()));
 }
 
 // ---------------------------------------------------------------- the rules see what they forbid
@@ -506,4 +564,33 @@ fn a_path_of_the_machine_and_a_broken_link_are_found() {
     assert_eq!(machine_paths(&[file("docs/a.md", &text)]).len(), 1);
     let page = [file("docs/a.md", "[b](b.md), [c](../c.md#part), [web](https://example.org)")];
     assert_eq!(broken_links(&page, |path| path.ends_with("b.md")).len(), 1);
+}
+
+#[test]
+fn a_dead_citation_is_found() {
+    let with = |path: &str, text: &str| {
+        let references = file(REFERENCES, "# References\n## Devices\n### The AB-12 (RTU)\n");
+        dead_citations(&[file(path, text), references, file("docs/decisions/0003-a.md", "")])
+    };
+    for text in [
+        "//! Source: `gone.md` 4.",
+        "// `docs/references.md`, \"The AB-13\"",
+        "// docs/references.md, Devices",
+        "// (`docs/references.md`,",
+        "// (`docs/decisions/0004`)",
+        "// As issue 12 wants it (Issues #3 and 4).",
+        "// Law 1.",
+    ] {
+        assert!(!with("src/a.rs", text).is_empty(), "{text}");
+        assert!(!with("experiments/a.toml", text).is_empty(), "{text}");
+        none(with("migrations/0001_a.sql", text));
+    }
+    let two = with("src/a.rs", "//! A.\n// See gone.md and lost.md.");
+    assert_eq!(two, ["src/a.rs:2: cites gone.md", "src/a.rs:2: cites lost.md"]);
+    for text in [
+        "// (`docs/references.md`, \"The AB-12 (RTU)\"), docs/references.md, \"Devices\".",
+        "// `docs/decisions/0003`, docs/decisions/0003-a.md; references.md. An md5, a tissue 4, a.mdx.",
+    ] {
+        none(with("src/a.rs", text));
+    }
 }
