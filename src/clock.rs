@@ -3,7 +3,7 @@
 //! Never: sleeping past a stop (callers select on their own stop signals).
 //!
 //! A rig may run faster than the wall: its file's `clock_rate` says how many process seconds pass
-//! in one wall second. Deadlines of wires, staleness and watchdogs stay wall time (`design.md` 5).
+//! in one wall second. Deadlines of wires, staleness and watchdogs stay wall time.
 
 use std::time::Duration;
 

@@ -64,7 +64,7 @@ impl std::str::FromStr for RunUid {
 #[serde(transparent)]
 pub struct TrialId(pub i64);
 
-/// A trial's place in its run: what law 1 allows one of.
+/// A trial's place in its run. At most one accepted trial is stored for it.
 #[derive(
     Debug,
     Clone,

@@ -1,7 +1,8 @@
 //! The service's process killed, frozen and told to end. `kill -9` at random instants of a running
 //! campaign: after going on, every planned trial is stored once (`PALPATE_KILLS` says how often,
-//! default 4). SIGSTOP in a press: the missing samples trip. SIGTERM in a jog: the axis stops. Processes,
-//! sockets and files as a lab has them.
+//! default 4). SIGSTOP in a press: the missing samples trip. SIGTERM in a jog: the axis stops. A database
+//! that is locked for a minute, a full disk: trips and e-stops do not wait for them. Processes, sockets
+//! and files as a lab has them.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -9,18 +10,25 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use rand::{RngExt, SeedableRng};
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Resource, Rlimit, Signal, kill_process, prlimit};
 use serde_json::{Value, json};
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use sqlx::{ConnectOptions, Connection};
 
 const SPEED: &str = "20";
 /// Longest wait for a process to answer, and for the end.
 const LIMIT: Duration = Duration::from_secs(120);
 /// Two settings of so many configurations and four depths, which go on after any number of crashes.
 fn experiment(configurations: u32) -> String {
+    settling(configurations, 2000.0)
+}
+
+/// The same, with a load held for so long before it is measured.
+fn settling(configurations: u32, settle_ms: f64) -> String {
     format!(
         "name = 'crash'\nseed = 8\nsensor = 's'\n[real_hex]\ntips = [1, 3]\n\
          configurations = {configurations}\ndepths = 4\nblock = 4\nreference_every = 0\n\
-         [measure]\nsettle_ms = 2000.0\n[policy]\nmax_auto_resumes = 10000\n"
+         [measure]\nsettle_ms = {settle_ms:.1}\nsettle_max_ms = 60000.0\n[policy]\nmax_auto_resumes = 10000\n"
     )
 }
 
@@ -212,9 +220,12 @@ async fn killed_at_random_instants_every_planned_trial_is_stored_once() {
     assert!(!at.is_empty(), "it was never killed");
 }
 
+fn pid(process: &Process) -> Pid {
+    Pid::from_raw(i32::try_from(process.0.id()).unwrap()).unwrap()
+}
+
 fn signal(process: &Process, signal: Signal) {
-    let pid = Pid::from_raw(i32::try_from(process.0.id()).unwrap()).unwrap();
-    kill_process(pid, signal).unwrap();
+    kill_process(pid(process), signal).unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -256,6 +267,80 @@ async fn a_service_told_to_end_in_a_jog_stops_the_axis_before_it_is_gone() {
     assert_eq!(x["moving"], false, "{x}");
     assert!(x["position"].as_f64().unwrap() < 549.0, "stopped on its way: {x}");
     assert!(truth["stops"].as_u64().unwrap() >= 4, "{truth:#}");
+}
+
+/// A run that holds a load, its first trials stored.
+async fn pressing(site: &Site) {
+    // The load is held for two seconds of the wall.
+    site.begin(settling(4, 40_000.0)).await;
+    site.until("/api/v1/status", |s| {
+        s["run"]["trials_stored"].as_u64() > Some(0) && s["run"]["phase"] == "settle"
+    })
+    .await;
+}
+
+/// A force over its limit and then an e-stop, while nothing can be stored: both act at once.
+async fn trips_and_stops(site: &Site, control: &str) {
+    let drift = json!({ "cmd": "fault", "kind": "drifting_cell", "device": "cells", "arm": 1,
+        "n_per_s": 50.0 });
+    tell(control, drift).await;
+    let ended = |s: &Value| !s["rig"]["trip"].is_null() && !s["rig"]["safe_end"].is_null();
+    let status = site.until("/api/v1/status", ended).await;
+    let end = &status["rig"]["safe_end"];
+    assert_eq!(status["rig"]["trip"]["kind"], "force", "{status:#}");
+    assert_eq!(end["tips"], "raised", "{end:#}");
+    let stop_ms = end["sample_to_stop_ms"].as_f64().unwrap();
+    assert!(stop_ms < 100.0, "{stop_ms} ms from the sample to z's stop");
+    let asked = Instant::now();
+    site.post("/api/v1/estop", json!({ "why": "test" })).await;
+    assert!(asked.elapsed() < Duration::from_secs(1), "{:?}", asked.elapsed());
+    let stopped = |s: &Value| !s["rig"]["estop_acknowledged_ms"].is_null();
+    site.until("/api/v1/status", stopped).await;
+    let truth = tell(control, json!({ "cmd": "status" })).await;
+    assert_eq!(truth["pressing"], false, "{truth:#}");
+}
+
+/// Once the store takes records again, it holds both, in order.
+async fn told_afterwards(site: &Site) {
+    let all = |page: &Value| {
+        let events = page["events"].as_array().unwrap();
+        let trip = |kind: &str| events.iter().position(|e| e["data"]["kind"] == kind);
+        let end = events.iter().rposition(|e| e["kind"] == "safe_end");
+        trip("force").is_some() && trip("force") < end && end < trip("estop")
+    };
+    site.until("/api/v1/events?since=0&limit=1000", all).await;
+    let stop = |rows: &Value| rows.as_array().unwrap().iter().any(|a| a["action"] == "estop");
+    site.until("/api/v1/actions", stop).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_trip_and_an_e_stop_do_not_wait_for_a_database_that_is_locked_for_a_minute() {
+    let (site, _rig, control) = Site::with_rig("locked").await;
+    let _service = site.serve().await;
+    let _operator = site.operator(&control);
+    pressing(&site).await;
+    let file = Path::new(&site.path("data")).join("palpate.db");
+    let mut other: SqliteConnection =
+        SqliteConnectOptions::new().filename(file).connect().await.unwrap();
+    sqlx::raw_sql("BEGIN IMMEDIATE").execute(&mut other).await.unwrap();
+    let locked = Instant::now();
+    trips_and_stops(&site, &control).await;
+    tokio::time::sleep(Duration::from_secs(60).saturating_sub(locked.elapsed())).await;
+    other.close().await.unwrap();
+    told_afterwards(&site).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_trip_and_an_e_stop_do_not_wait_for_a_full_disk() {
+    let (site, _rig, control) = Site::with_rig("full").await;
+    let service = site.serve().await;
+    let _operator = site.operator(&control);
+    pressing(&site).await;
+    let files_up_to = |bytes| Rlimit { current: bytes, maximum: None };
+    prlimit(Some(pid(&service)), Resource::Fsize, files_up_to(Some(0))).unwrap();
+    trips_and_stops(&site, &control).await;
+    prlimit(Some(pid(&service)), Resource::Fsize, files_up_to(None)).unwrap();
+    told_afterwards(&site).await;
 }
 
 /// Asks the rig's control socket.

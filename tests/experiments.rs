@@ -15,7 +15,7 @@ use palpate::schedule::preflight::Preflight;
 use palpate::schedule::reach::Reach;
 use sim_core::sensor::Sensor;
 
-/// Aim of issue 2 for `palpate plan experiments/real-hex.toml`.
+/// The longest that `palpate plan experiments/real-hex.toml` may take.
 const PLAN_WITHIN: Duration = Duration::from_secs(2);
 
 fn folder() -> PathBuf {

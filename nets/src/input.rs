@@ -19,7 +19,7 @@ pub enum Input {
     /// `sqrt(channels) v / |v|`: what a touch looks like, whatever its force.
     Unit,
     /// `v / |v|` to its first principal components, each of variance 1, and `ln |v|`
-    /// standardised: the study's best (part 4, section 4).
+    /// standardised: the best of five (`docs/references.md`, "Feasibility study").
     Whitened {
         /// Components kept; of fewer channels as many as there are.
         components: usize,

@@ -1,5 +1,5 @@
-//! Point-Net (issue 5, study 4): for each point of the skin the logit of its being pressed and the
-//! logarithm of its force.
+//! Point-Net: for each point of the skin the logit of its being pressed and the logarithm of its
+//! force (`docs/references.md`, "Feasibility study").
 //! PURE. Uses: `initial`, `input`. Never: burn.
 
 use serde::{Deserialize, Serialize};

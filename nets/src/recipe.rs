@@ -31,7 +31,7 @@ pub struct Recipe {
     pub noise: Noise,
 }
 
-/// The nets of the paper (V) and of the study (issue 5).
+/// The nets of the paper (V), and Point-Net.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum Net {
@@ -41,7 +41,7 @@ pub enum Net {
     ReconNet(ReconNet),
     /// Real voltages to a force map (paper V-D): Recon-Net's layers on other data.
     EndToEnd(ReconNet),
-    /// Voltages to presence and force at each point (issue 5).
+    /// Voltages to presence and force at each point.
     PointNet(PointNet),
 }
 

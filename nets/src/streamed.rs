@@ -1,5 +1,5 @@
 //! Samples for Point-Net, simulated while it trains: a fixed set is memorised within a few epochs
-//! (study, part 4, section 4).
+//! (`docs/references.md`, "Feasibility study").
 //! Uses: sim-core. Never: files. A sample is a function of seed and number alone.
 
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,7 +14,7 @@ use crate::chance::{Purpose, generator};
 use crate::recipe::{RecipeError, require};
 use crate::samples::{Samples, SamplesError};
 
-/// Which contacts samples have: as Sim-Random draws them (paper IV-A), some lighter ones, since
+/// Which contacts samples have: as Sim-Random draws them (paper IV-B), some lighter ones, since
 /// Real-Unseen's weights are 5 to 10 N, and now and then none. A net that saw no untouched skin finds
 /// contacts on it, in 5 % of its frames; one that saw it as often as each number of contacts finds
 /// none, but misses more of those that are there (right count 44 % in place of 50 %).

@@ -29,7 +29,7 @@ pub enum TransferForm {
     /// As published: channels standardised, answers in volts, mean squared error.
     Plain,
     /// `y = v + |v| net(v / |v|)` with the loss `|p - y|^2 / |y|^2`: light touches count as much
-    /// as heavy ones (issue 5, study 7).
+    /// as heavy ones (`docs/references.md`, "Feasibility study").
     Residual,
 }
 

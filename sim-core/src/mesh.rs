@@ -1,5 +1,5 @@
-//! The hexagonal mesh of `design.md` section 3: a triangular lattice of nodes, its rhombic bricks,
-//! and where the points stand on it.
+//! The hexagonal mesh (`docs/references.md`, "Skin geometry"): a triangular lattice of nodes, its
+//! rhombic bricks, and where the points stand on it.
 //! Uses: `sensor`. Never: materials, forces, resistances.
 //!
 //! Nodes lie at `x = X0 + (P/2) m`, `y = Y0 + (A/2) q` with `m + q` even, wherever that is on the

@@ -7,7 +7,7 @@
 
 use crate::sensor::Piezo;
 
-/// Smallest compression inside f, mm (`field.md` 2).
+/// Smallest compression inside f, mm (`docs/references.md`, "Foam resistance").
 pub const LEAST_COMPRESSION_MM: f64 = 1e-4;
 /// Area of the specimen on which Eq. 1 was fitted, mm2 (paper III-B).
 pub const SPECIMEN_AREA_MM2: f64 = 400.0;

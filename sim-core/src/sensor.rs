@@ -1,8 +1,9 @@
 //! The sensor file: the skin's geometry, its 804 points, its 28 electrodes and its materials.
 //! Uses: serde, toml; carries an applied `skin`. Never: files (the text is handed in), mesh, physics.
 //!
-//! Geometry as inferred in `design.md` section 3, since the paper does not print it: hexagons whose
-//! longest diagonal is the tip's 20 mm tile the skin, and a tip stands on a hexagon's centre.
+//! Geometry is inferred, since the paper does not print it (`docs/references.md`, "Skin geometry"):
+//! hexagons whose longest diagonal is the tip's 20 mm tile the skin, and a tip stands on a
+//! hexagon's centre.
 
 use std::sync::Arc;
 

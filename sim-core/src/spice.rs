@@ -2,9 +2,9 @@
 //! Uses: `network`, `circuit`. Never: files, the foam's law, solving.
 //!
 //! `ngspice -b FILE` prints `v(e0) = ..` to `v(e27) = ..` with 15 digits: V_j while electrode K is
-//! the sink, before gain. Traps (`stack.md` part 1 section 2): `print` with `numdgt=15`, since `echo`
-//! rounds to 6 digits; gmin=1e-30, since its default 1e-12 S weighs as much as an untouched foam
-//! resistor (6e-13 S); no resistor for a conductance of 0.
+//! the sink, before gain. Traps (`docs/references.md`, "Netlists for ngspice"): `print` with
+//! `numdgt=15`, since `echo` rounds to 6 digits; gmin=1e-30, since its default 1e-12 S weighs as
+//! much as an untouched foam resistor (6e-13 S); no resistor for a conductance of 0.
 
 use std::fmt::Write as _;
 

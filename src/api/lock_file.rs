@@ -1,4 +1,4 @@
-//! Lock files: one process has a data folder, one process has a rig (`design.md` 6).
+//! Lock files: one process has a data folder, one process has a rig.
 //! Uses: the system's file locks, which a crash releases. Never: a stale file that must be deleted.
 
 use std::fs::File;

@@ -14,7 +14,7 @@ use sim_core::calibration::Calibration;
 use sim_core::sensor::Sensor;
 use tokio::net::TcpListener;
 use tokio::runtime;
-use tokio::sync::watch;
+use tokio::sync::{Semaphore, watch};
 use tokio::task::JoinHandle;
 use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
@@ -32,8 +32,9 @@ use crate::infer::serving::Serving;
 use crate::jobs::Jobs;
 use crate::simulate::model::sweep_partial;
 use crate::simulate::twins::TwinPool;
-use crate::store::{KeyRing, NewAction, Soundness, Store, StoreError};
+use crate::store::{KeyRing, Soundness, Store, StoreError};
 
+mod audit;
 mod auth;
 mod datasets;
 mod door;
@@ -181,34 +182,12 @@ struct Facts {
     rig: RigFile,
     ending: watch::Receiver<bool>,
     threads: runtime::Handle,
+    logged_later: Arc<Semaphore>,
 }
 
 impl App {
     fn loopback(&self) -> bool {
         self.facts.bind.ip().is_loopback()
-    }
-
-    /// Logs an action and what came of it, and hands the outcome on.
-    async fn logged<T>(
-        &self,
-        asker: &Asker,
-        action: &str,
-        about: (Option<crate::ids::RunUid>, Option<&str>, Option<&str>),
-        outcome: Result<T, ApiError>,
-    ) -> Result<T, ApiError> {
-        let (run, who, why) = about;
-        let new = NewAction {
-            run,
-            action: action.into(),
-            who: asker.name(who),
-            why: why.map(Into::into),
-            accepted: outcome.is_ok(),
-            detail: outcome.as_ref().err().map(|e| e.detail().into()),
-        };
-        if let Err(error) = self.store.log_action(new).await {
-            tracing::error!(%error, action, "an action was not logged");
-        }
-        outcome
     }
 
     /// Refuses while somebody else holds the operator lock; `who` is what the asker claims to be.
@@ -376,6 +355,7 @@ impl Service {
             rig,
             ending: ended,
             threads: runtime::Handle::current(),
+            logged_later: Arc::new(Semaphore::new(audit::LOGGED_LATER_MAX)),
         };
         let cache = options.data.join("cache");
         sweep_partial(&cache);

@@ -94,6 +94,8 @@ pub async fn make_safe(
     trip: Option<&Trip>,
     height: Height,
 ) -> SafeEnd {
+    // An earlier end says nothing about this one.
+    control.show(|status| status.rig.safe_end = None);
     if let Some(trip) = trip {
         control.latch(trip);
     }

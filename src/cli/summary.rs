@@ -20,7 +20,7 @@ const REAL_HEX_PRESSED: u64 = 198_000;
 /// Real-Random of Table I.
 const REAL_RANDOM: [u64; 6] = [0, 50, 50, 50, 0, 0];
 
-/// The last line of `palpate run --json` (`design.md` 6).
+/// The last line of `palpate run --json`. Scripts rely on these names: they stay.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Finished {
     /// Always `finished`.

@@ -1,4 +1,4 @@
-//! Columns of the trials table (`design.md` 6), as datasets, exports and imports have them.
+//! Columns of the trials table, as datasets, exports and imports have them.
 //! PURE. Uses: `simulate::schema`. Never: rows, files.
 
 use std::sync::{Arc, LazyLock};

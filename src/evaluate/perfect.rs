@@ -122,8 +122,8 @@ mod tests {
         Scores::of(&perfect(&map(spec), frames, threshold_n).unwrap(), 1)
     }
 
-    /// An independent study (2026-11, in Python) of 600 such frames found -32.8 % and 60.7 mm with
-    /// the threshold of 5 N, which a third of the weights is under; -0.5 % and 0.2 mm with 2.5 N.
+    /// 600 such frames gave -32.8 % and 60.7 mm with the threshold of 5 N, which a third of the
+    /// weights is under; -0.5 % and 0.2 mm with 2.5 N (`docs/references.md`, "Feasibility study").
     #[test]
     fn a_perfect_map_of_light_weights_is_far_from_perfect_by_the_papers_rule() {
         let frames = unseen(600);

@@ -1,5 +1,5 @@
 //! What a method says of a frame.
-//! PURE. Never: what a method does not know (it is absent, `design.md` 8, law 8).
+//! PURE. Never: a value for what a method does not know (it is absent).
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;

@@ -1,4 +1,4 @@
-//! Contacts fitted to a frame through the exact model of a skin (issue 5, `stack.md` part 4).
+//! Contacts fitted to a frame through the exact model of a skin.
 //! Uses: sim-core's `inverse::contacts`, `infer::points` (proposals), std threads while a skin is made
 //! ready. Never: files.
 

@@ -1,4 +1,5 @@
-//! Point-Net's answer as contacts (`stack.md` part 4, section 4): what each point says, pooled.
+//! Point-Net's answer as contacts: what each point says, pooled
+//! (`docs/references.md`, "Feasibility study").
 //! Uses: `infer::registry`. Never: the exact model, files.
 //!
 //! From the most probable point down: its probability and those of the free points within 36 mm are

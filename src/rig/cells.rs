@@ -12,7 +12,7 @@ const DEAD_SHARE: f64 = 0.05;
 /// Part of the supply at which the amplified output ends.
 const SATURATED_SHARE: f64 = 0.9;
 
-/// An analog input module that we read (`field.md` 4).
+/// An analog input module that we read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CellsDevice {
@@ -40,7 +40,7 @@ impl CellsDevice {
     }
 }
 
-/// FC22 amplified load cells on an analog input module.
+/// FC22 amplified load cells on an analog input module (`docs/references.md`, "FC22 load cells").
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CellsConfig {

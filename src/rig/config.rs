@@ -128,7 +128,7 @@ pub struct AxesConfig {
     pub radial: RotaryAxis,
 }
 
-/// A register map that we drive (`field.md` 4).
+/// A register map that we drive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AxisDevice {
@@ -349,7 +349,7 @@ impl ErtConfig {
     }
 }
 
-/// What trips the rig (`design.md` 8, law 3).
+/// What trips the rig: compared with every sample; a stale sample is over its limit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RigLimits {

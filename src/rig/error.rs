@@ -118,7 +118,7 @@ pub enum RigError {
     },
 }
 
-/// What a failure asks for (`stack.md` part 2, section 3, fault table).
+/// What a failure asks for (`docs/references.md`, "Exceptions and lost replies").
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Severity {
     /// Weather on the wire: the driver has already retried; stop, read again, then trip.

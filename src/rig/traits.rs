@@ -144,7 +144,7 @@ impl Frame {
     }
 
     /// Largest magnitude of the sum over one injection's values, V: zero up to noise, because the
-    /// values are differences around a ring (`design.md` 2, frame).
+    /// values are differences around a ring.
     pub fn largest_injection_sum_v(&self) -> f64 {
         let electrodes = (self.counts.len() as f64).sqrt().round() as usize;
         self.counts

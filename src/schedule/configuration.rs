@@ -1,9 +1,10 @@
 //! Where the indenter can stand: centre point, radius, attached arms; and how it is drawn.
 //! PURE. Uses: sim-core's sensor, `chance`. Never: the rig's reach (`lint` knows that).
 //!
-//! Paper II-B and IV-A, `design.md` 2 and 3. Arm i points at 60 (i - 1) degrees, arm 1 along +x, so
-//! at a radius of k pitches every arm's tip is k steps along the point lattice. Steps are counted
-//! in whole numbers (rows, and half-pitches along x); nothing is compared within a tolerance.
+//! Paper II-B and IV-A; lattice: `docs/references.md`, "Skin geometry". Arm i points at 60 (i - 1)
+//! degrees, arm 1 along +x, so at a radius of k pitches every arm's tip is k steps along the point
+//! lattice. Steps are counted in whole numbers (rows, and half-pitches along x); nothing is
+//! compared within a tolerance.
 
 use serde::{Deserialize, Serialize};
 use sim_core::sensor::{Point, Sensor};

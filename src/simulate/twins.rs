@@ -384,7 +384,7 @@ fn twin(recipe: &Recipe, trial: &TrialRow, work: &mut Workspace) -> Twin {
 }
 
 /// What pressed: every attached tip whose force stands above the cells' noise, or the placed
-/// weights (`design.md` 2, "twin"). `None` where that is not known of each contact.
+/// weights. `None` where that is not known of each contact.
 pub fn contacts(trial: &TrialRow, kind: RunKind, force_noise_n: f64) -> Option<Vec<Contact>> {
     let contact = |x_mm, y_mm, force_n| Contact { x_mm, y_mm, force_n };
     match kind {

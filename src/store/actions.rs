@@ -5,13 +5,15 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::columns::Columns;
+use super::columns::{Columns, time_text};
 use super::{Store, StoreError};
 use crate::ids::RunUid;
 
 /// An action to be logged.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NewAction {
+    /// When it was asked for.
+    pub at: Timestamp,
     /// The run it was meant for, if any.
     pub run: Option<RunUid>,
     /// One word: `start`, `pause`, `estop`, `jog`, ...
@@ -49,30 +51,37 @@ pub struct ActionRow {
 }
 
 impl Store {
-    /// Logs an action and returns its number.
-    pub async fn log_action(&self, action: NewAction) -> Result<i64, StoreError> {
+    /// Logs an action. Logging it again, after a failure, does not double it.
+    ///
+    /// # Errors
+    /// When it is unknown whether the action is stored, and when its run does not exist.
+    pub async fn log_action(&self, action: NewAction) -> Result<(), StoreError> {
         const OPERATION: &str = "logging an action";
         let scan_id = match action.run {
             Some(run) => Some(self.facts(run, OPERATION).await?.scan_id),
             None => None,
         };
-        let now = self.now_text();
         self.inner
             .writer
             .run(OPERATION, async move |connection| {
-                sqlx::query_scalar(
+                sqlx::query(
                     "INSERT INTO actions (at, run, action, who, why, accepted, detail)
-                     VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7) RETURNING id",
+                     SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7 WHERE NOT EXISTS (
+                       SELECT 1 FROM actions
+                       WHERE id > (SELECT max(id) - 1000 FROM actions) AND at = ?1
+                         AND run IS ?2 AND action = ?3 AND who = ?4 AND why IS ?5
+                         AND accepted = ?6 AND detail IS ?7)",
                 )
-                .bind(now)
+                .bind(time_text(action.at))
                 .bind(scan_id)
                 .bind(action.action)
                 .bind(action.who)
                 .bind(action.why)
                 .bind(action.accepted)
                 .bind(action.detail)
-                .fetch_one(connection)
+                .execute(connection)
                 .await
+                .map(drop)
                 .map_err(StoreError::sql(OPERATION))
             })
             .await

@@ -1,5 +1,6 @@
 //! What a run leaves beside its trials: failed attempts, skips, tares, reference presses, touch-offs.
-//! Uses: `campaign::kept::record`, `store::writer`. Never: trials (law 1 keeps them apart).
+//! Uses: `campaign::kept::record`, `store::writer`. Never: trials (what was not accepted
+//! must never count as one).
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};

@@ -27,6 +27,20 @@ pub enum StoreError {
         /// The file.
         path: PathBuf,
     },
+    /// The database's log was changed after it was written: opening it would drop stored transactions.
+    #[error(
+        "the log {path}-wal is damaged at byte {at_byte}: {transactions} stored transactions or more \
+         from there on cannot be read. Copy both files away and bring them back from a copy; \
+         `sqlite3 {path} 'PRAGMA wal_checkpoint(TRUNCATE)'` keeps what is before the damage"
+    )]
+    DamagedLog {
+        /// The database file.
+        path: PathBuf,
+        /// The first byte of the frame of the log that is not as it was written.
+        at_byte: usize,
+        /// Stored transactions from there on, at least.
+        transactions: usize,
+    },
     /// The tables cannot be brought up to date.
     #[error("bringing the tables of the database up to date failed")]
     Migrate(#[source] sqlx::migrate::MigrateError),
@@ -130,7 +144,7 @@ impl StoreError {
 
     /// True when a write that ended like this may still have been stored: the disk, the file or the
     /// connection failed, and no rule of ours refused it. (A failed fsync was seen to leave its row
-    /// behind: `stack.md` part 2, section 3.)
+    /// behind: `docs/references.md`, "SQLite".)
     pub fn outcome_unknown(&self) -> bool {
         match self {
             Self::Sql { source: sqlx::Error::Database(e), .. } => {
@@ -139,6 +153,7 @@ impl StoreError {
             Self::Sql { .. } | Self::Late { .. } => true,
             Self::Open { .. }
             | Self::Lost { .. }
+            | Self::DamagedLog { .. }
             | Self::Migrate(_)
             | Self::StartWriter(_)
             | Self::NotStored { .. }

@@ -6,9 +6,9 @@
 //! campaign, api --jobs--> writer thread, one connection, WAL, synchronous=FULL --> palpate.sqlite
 //!                                                     read-only connections <-----/
 //! ```
-//! One trial is one transaction; its key is unique in the file (`design.md` 8, law 1). Reads never
-//! wait for the writer, nor the writer for reads (law 5). What was measured carries checksums, which
-//! every read compares.
+//! One trial is one transaction; its key is unique in the file, so that none is lost or doubled.
+//! Reads never wait for the writer, nor the writer for reads: acquisition waits for nobody. What
+//! was measured carries checksums, which every read compares.
 //!
 //! Methods of `Journal` wait for the disk as long as it takes, since the campaign has deadlines of
 //! its own; all others give up after 30 s.
@@ -28,6 +28,7 @@ mod jobs;
 mod journal;
 mod keys;
 mod lock;
+mod log;
 mod models;
 mod mountings;
 mod queue;
@@ -75,7 +76,7 @@ use crate::ids::RunUid;
 use crate::schedule::estimate::LOG_BYTES;
 use writer::Writer;
 
-/// A page holds about five trials' voltages (`stack.md` part 2: a fifth smaller than 4096).
+/// A page holds about five trials' voltages (a fifth smaller than in 4096: `docs/decisions/0001`).
 const PAGE_BYTES: u32 = 16_384;
 
 /// How long SQLite waits for another process's lock.
@@ -138,6 +139,11 @@ impl Store {
         // SQLite would take an emptied file for a new database, and what was in it for what never was.
         if path.metadata().is_ok_and(|file| file.len() == 0) || is_new && Path::new(&log).exists() {
             return Err(StoreError::Lost { path: path.to_owned() });
+        }
+        // SQLite drops what follows a damaged place as if it had never been stored.
+        let damage = std::fs::read(&log).ok().and_then(|log| log::damage(&log));
+        if let Some(log::LogDamage { at_byte, transactions }) = damage {
+            return Err(StoreError::DamagedLog { path: path.to_owned(), at_byte, transactions });
         }
         if is_new {
             create(path, &writing).await?;

@@ -13,7 +13,7 @@ use super::{Contact, RunFacts, Store, StoreError};
 use crate::campaign::kept::record::{ArmReading, FrameRecord, PlacedContact, Pose, TrialRecord};
 use crate::ids::{RunUid, TrialId, TrialKey};
 
-/// The most contacts of a trial (`design.md` 2).
+/// The most contacts of a trial: the indenter has six arms.
 const CONTACTS_MAX: usize = 6;
 
 /// Rows of one statement.

@@ -1,5 +1,5 @@
 //! Simulated twins: which trials have none of a model yet, and how well the model fits the others.
-//! Uses: `store`. Never: a job row; a twin is pending while it is not there (law 1).
+//! Uses: `store`. Never: a job row; a twin is pending while it is absent (`docs/decisions/0008`).
 
 use serde::{Deserialize, Serialize};
 use sqlx::QueryBuilder;

@@ -2,7 +2,7 @@
 //! Uses: sqlx, `store::error`. Never: a wait on a reader, a browser, or the runtime of a caller.
 //!
 //! A job is a whole transaction. It runs to its end even when its caller has gone, and a caller on
-//! a busy runtime cannot hold up the next one (law 5).
+//! a busy runtime cannot hold up the next one.
 
 use std::collections::BTreeSet;
 use std::path::Path;

@@ -1,5 +1,6 @@
 //! Hex8: the 8-node isoparametric brick, 2x2x2 Gauss points, full integration, no B-bar.
-//! Uses: nothing. Never: B-bar, incompatible modes (they change the calibration, `field.md` 2).
+//! Uses: nothing. Never: B-bar, incompatible modes: they change the calibration
+//! (`docs/references.md`, "Materials").
 //!
 //! `x = sum N_i x_i`, `N_i = (1 + r r_i)(1 + s s_i)(1 + t t_i) / 8` on [-1, 1]^3; node order: bottom
 //! face counter-clockwise, then the top face. `K = sum_g B' D B det J`. Repeated nodes make a

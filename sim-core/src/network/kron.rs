@@ -4,8 +4,8 @@
 //! Star-mesh transform (Grassmann-Taksar-Heyman): the top layer is one more node, and a node k is
 //! removed by `d = sum_j a_jk`, `a_ij += a_ik a_jk / d`, where the sum runs over all nodes still
 //! there. It is Cholesky with positive signs, and the pivot a sum: every entry keeps nearly full
-//! relative precision, though the condition number reaches 1e13 on an untouched skin (`stack.md`
-//! part 1 section 3).
+//! relative precision, though the condition number reaches 1e13 on an untouched skin
+//! (`docs/references.md`, "Resistor network").
 //! Multifrontal: each part of the dissection is a small dense front (column-major, below the
 //! diagonal only, last row = top); what remains of it is added to its parent's front.
 //! A factor that is kept also gives potentials everywhere: `back`.

@@ -2,8 +2,9 @@
 //! Uses: `circuit`, the block that `network::kron` leaves. Never: the foam, the mesh.
 //!
 //! `Z = E' A^-1 E`: potential at j, below the top, per ampere drawn at k. With electrode k at 0 V
-//! and the top at V0: `V_j(k) = V0 (Z_kk - Z_jk) / Z_kk` (`stack.md` part 1 section 2). A lead adds
-//! to Z_kk of its own electrode. Frame: `v[n k + j] = gain (V_j - V_(j+1 mod n))`.
+//! and the top at V0: `V_j(k) = V0 (Z_kk - Z_jk) / Z_kk`
+//! (`docs/references.md`, "Resistor network"). A lead adds to Z_kk of its own electrode. Frame:
+//! `v[n k + j] = gain (V_j - V_(j+1 mod n))`.
 
 use crate::circuit::ReadoutCircuit;
 

@@ -5,7 +5,7 @@
 //! `d = sum_i a_ik`, `l_i = a_ik / sqrt(d)`, `a_ij += l_i l_j`, where i and j run over all nodes
 //! still there. It is Cholesky with positive signs and a sum for a pivot: every entry keeps nearly
 //! its full relative precision, even in f32, though the condition number reaches 1e13 on an
-//! untouched skin (`stack.md` part 1 section 3).
+//! untouched skin (`docs/references.md`, "Resistor network").
 //!
 //! Sums are linear in the columns that they sum, so the boundary of a front can be replaced by one
 //! row of its sums while the pivots are worked out; then each tile of the boundary is divided by

@@ -18,7 +18,7 @@ fn frame(contacts: &[sim_core::forward::Contact]) -> Vec<f64> {
 fn single_presses_have_the_studys_signal() {
     let point = point_at(270.0, 280.0);
     for (force_n, expected_mv) in [(5.0, 1.05), (10.0, 2.6), (20.0, 8.5), (40.0, 53.0)] {
-        // Mean over some points: the study does not say where it pressed.
+        // `docs/references.md`, "Feasibility study". Mean over some points: it does not say where.
         let places = [(150.0, 150.0), (400.0, 400.0), (200.0, 420.0), (350.0, 200.0)];
         let points = places.iter().map(|&(x, y)| point_at(x, y)).chain([point]);
         let all: Vec<f64> = points.map(|p| 1e3 * sd(&frame(&[press(p, force_n)]))).collect();

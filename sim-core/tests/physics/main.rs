@@ -1,5 +1,6 @@
-//! The physics against closed forms, other methods and the numbers of the studies. One binary, so
-//! that the elastic solve (seconds) is done once.
+//! The physics against closed forms, other methods and earlier prototypes
+//! (`docs/references.md`, "Feasibility study"). One binary, so that the elastic solve (seconds) is
+//! done once.
 
 use std::sync::{Arc, OnceLock};
 

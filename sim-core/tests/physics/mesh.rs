@@ -1,4 +1,4 @@
-//! The mesh by counting (`design.md` section 3).
+//! The mesh by counting (`docs/references.md`, "Skin geometry").
 
 use std::collections::HashMap;
 

@@ -13,7 +13,7 @@ use sim_core::spice::{LoadedCircuit, netlist};
 use super::tools::{Folder, available};
 use super::{model, point_at, press, sensor};
 
-/// The largest relative difference that is allowed (issue 3).
+/// The largest relative difference that is allowed.
 const AIM: f64 = 1e-9;
 
 /// One to six different points, 0.1 to 80 N each, evenly in the logarithm.

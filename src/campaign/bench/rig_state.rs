@@ -8,7 +8,7 @@
 //!        +-- lost (from any) ------|--- reset --- tripped <--trip-- (disarmed, homed, armed)
 //! ```
 //! A trip latches: only a reset by a person (or by the policy that a person armed) leaves it, and
-//! the rig is homed again before it may be armed (`design.md` 2 and 8, law 2).
+//! the rig is homed again before it may be armed: nothing moves on a position that is not known.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;

@@ -2,7 +2,7 @@
 //! PURE. Uses: `ids`. Never: the rig, the store, the clock.
 //!
 //! Skin coordinates (from the skin's corner) are used for contacts, machine coordinates for poses.
-//! What was not measured is absent, never zero (`design.md` 8, law 8).
+//! What was not measured is absent, never zero: a zero is a measurement.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -116,7 +116,7 @@ impl Flag {
     }
 }
 
-/// An accepted attempt: what law 1 stores exactly once per key.
+/// An accepted attempt: stored exactly once per key.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrialRecord {
     /// Its place in the run.

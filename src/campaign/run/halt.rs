@@ -41,7 +41,7 @@ impl Halt {
 }
 
 impl From<RigError> for Halt {
-    /// The drivers have retried already (`design.md` 2): what still fails trips, except frames that
+    /// The drivers have retried already, within a count: what still fails trips, except frames that
     /// did not come, which fail the try.
     fn from(error: RigError) -> Self {
         let detail = error.to_string();

@@ -1,7 +1,7 @@
 //! What is left of a plan, given what is stored: how a run starts, and how it goes on.
 //! PURE. Uses: `schedule::plan`, `campaign::kept::journal`. Never: the rig, storage.
 //!
-//! `design.md` 8, law 1: after any interruption the run goes on at the right trial.
+//! After any interruption the run goes on at the right trial: none lost, none doubled.
 
 use crate::campaign::kept::journal::Progress;
 use crate::ids::TrialKey;

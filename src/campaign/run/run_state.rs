@@ -16,7 +16,7 @@
 //!
 //!      any --- raise failed ---> panicked      panicked --- reset ---> paused (trip)
 //! ```
-//! `requested` is what was asked for last; the state is what has been reached (`design.md` 2).
+//! `requested` is what was asked for last; the state is what has been reached.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;

@@ -58,7 +58,7 @@ pub struct RigStatus {
     /// While an e-stop is latched, each axis's stop: one that is not acknowledged is sent again
     /// until it is.
     pub estop_stops: Vec<AxisStop>,
-    /// How the last safe end went.
+    /// How the last safe end went; null before the first one and while one is under way.
     pub safe_end: Option<SafeEnd>,
     /// What the force may grow by between a sample and its stop: computed, and measured beside.
     pub stopping: Option<StoppingDistance>,

@@ -1,8 +1,8 @@
 //! The register map of the ADAM-6017, as requests and meanings.
 //! PURE. Uses: `link::Request`. Never: ports, newtons.
 //!
-//! Source: `field.md` 4: values 0 to 65535 over the channel's range in registers 0 to 7, type codes
-//! in 200 to 207, the model's number in 210.
+//! Source: `docs/references.md`, "ADAM-6017": values 0 to 65535 over the channel's range in
+//! registers 0 to 7, type codes in 200 to 207, the model's number in 210.
 
 use crate::rig::link::Request;
 

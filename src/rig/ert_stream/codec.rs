@@ -1,7 +1,7 @@
 //! Packets of the voltage stream, out of bytes of which any may be lost, doubled or flipped.
 //! PURE. Uses: cobs, crc32fast. Never: ports, clocks.
 //!
-//! Packet (`design.md` 5), little-endian, COBS-coded and ended by 0x00:
+//! Packet (`docs/references.md`, "ERT stream packets"), little-endian, COBS-coded, ended by 0x00:
 //! `u8 version = 1, u8 kind = 1, u16 electrodes, u32 sequence, u64 device_time_us,
 //! f32 volts_per_count, i16 counts[electrodes^2], u32 crc32` (IEEE, over all before it).
 //! Kind 2 is a line of text between version, kind and the checksum.

@@ -1,7 +1,7 @@
 //! The voltage stream of the skin's readout: packets over TCP or a serial port, never asked for.
 //! Uses: `rig::link` (ports), `clock`. Never: sends a byte, keeps anything but the newest frames.
 //!
-//! Source: `design.md` 5, ERT stream.
+//! Source: `docs/references.md`, "ERT stream packets".
 
 pub mod codec;
 mod driver;

@@ -1,10 +1,10 @@
 //! The register map of IAI controllers, as requests and meanings.
 //! PURE. Uses: `link::Request`, `words`. Never: ports, waits, units other than counts of 0.01 mm.
 //!
-//! Source: `field.md` 4; where it is silent, a line is marked `[unverified]` and must be checked
-//! against the manual before the drive is trusted: the word order (high first), the alarm code at
-//! 0x9002, the coil 0x0427 that hands control from the PIO to Modbus and the bit of DSSE that says
-//! who has it, and what ends a pause.
+//! Source: `docs/references.md`, "IAI controllers". What is unverified there is marked
+//! `[unverified]` here and must be checked against the manual before the drive is trusted: the word
+//! order (high first), the alarm code at 0x9002, the coil 0x0427 that hands control from the PIO to
+//! Modbus and the bit of DSSE that says who has it, and what ends a pause.
 
 use crate::rig::axis::{DriveState, MoveOrder};
 use crate::rig::link::Request;

@@ -1,7 +1,7 @@
 //! IAI SCON/PCON/ERC2 electric actuators: stage axes in 0.01 mm (0.01 degree on a rotary).
 //! Uses: `rig::axis`, `rig::station`. Never: another device's registers.
 //!
-//! Source: `field.md` 4 (vendor's "SCON Serial Communication Protocol [Modbus Version]").
+//! Source: `docs/references.md`, "IAI controllers".
 
 pub mod codec;
 mod driver;

@@ -1,8 +1,8 @@
 //! The register map of Leadshine EM2RS drives, as requests and meanings.
 //! PURE. Uses: `link::Request`, `words`. Never: ports, waits, units other than pulses and rpm.
 //!
-//! Source: `field.md` 4. Positions are pulses, high word first; speeds are whole rpm; accelerations
-//! are milliseconds per 1000 rpm.
+//! Source: `docs/references.md`, "Leadshine EM2RS drives". Positions are pulses, high word first;
+//! speeds are whole rpm; accelerations are milliseconds per 1000 rpm.
 
 use crate::rig::axis::{DriveState, MoveOrder};
 use crate::rig::link::Request;

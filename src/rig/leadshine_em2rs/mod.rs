@@ -1,7 +1,7 @@
 //! Leadshine / StepperOnline EM2RS, DM556RS, DM882RS: stepping drives in PR mode over RS-485.
 //! Uses: `rig::axis`, `rig::station`. Never: another device's registers.
 //!
-//! Source: `field.md` 4. RTU, 38400 baud and 8N1 from the factory.
+//! Source: `docs/references.md`, "Leadshine EM2RS drives". RTU, 38400 baud, 8N1 from the factory.
 
 pub mod codec;
 mod driver;

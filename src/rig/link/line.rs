@@ -6,9 +6,9 @@
 //! After a lost or garbled reply the connection is closed and opened again, since a late reply
 //! would be taken for the answer to the next request (tokio-modbus #324; on RTU nothing numbers
 //! the replies at all). Exceptions 1 to 4 are returned at once, 5 and 6 are waited out within a
-//! deadline, 8, 0xA and 0xB are retried once over a fresh connection (`stack.md` part 2, section
-//! 3). A motion whose reply was lost is handed back, because only its driver can look whether it
-//! was received.
+//! deadline, 8, 0xA and 0xB are retried once over a fresh connection
+//! (`docs/references.md`, "Exceptions and lost replies"). A motion whose reply was lost is handed
+//! back, because only its driver can look whether it was received.
 
 use std::collections::VecDeque;
 use std::sync::Arc;

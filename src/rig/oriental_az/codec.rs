@@ -1,10 +1,11 @@
 //! The register map of Oriental Motor AZ drivers, as requests and meanings.
 //! PURE. Uses: `link::Request`, `words`. Never: ports, waits, units other than steps.
 //!
-//! Source: `field.md` 4; all values are 32-bit, high word at the lower address. Bits of the output
-//! status are the drive's default remote outputs `[unverified]`: check them against the manual and
-//! the drive's own set-up before trusting them. So is the register of the communication timeout,
-//! which `field.md` does not name, and that it takes effect at once and until power-off.
+//! Source: `docs/references.md`, "Oriental Motor AZ drivers"; all values are 32-bit, high word at
+//! the lower address. Bits of the output status are the drive's default remote outputs
+//! `[unverified]`: check them against the manual and the drive's own set-up before trusting them.
+//! So is the register of the communication timeout, and that it takes effect at once and until
+//! power-off.
 
 use crate::rig::axis::{DriveState, GuardRequest, MoveOrder};
 use crate::rig::config::Guard;

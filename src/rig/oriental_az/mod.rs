@@ -1,7 +1,8 @@
 //! Oriental Motor AZ (AZD-KD): absolute-encoder stepping motors, driven by direct data operation.
 //! Uses: `rig::axis`, `rig::station`. Never: another device's registers.
 //!
-//! Source: `field.md` 4 (HM-60262E). RTU, 115200 baud and even parity from the factory.
+//! Source: `docs/references.md`, "Oriental Motor AZ drivers". RTU, 115200 baud and even parity from
+//! the factory.
 
 pub mod codec;
 mod driver;

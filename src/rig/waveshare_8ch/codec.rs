@@ -1,8 +1,8 @@
 //! The register map of the Waveshare 8CH, as requests and meanings.
 //! PURE. Uses: `link::Request`. Never: ports, newtons.
 //!
-//! Source: `field.md` 4: values in input registers 0 to 7, millivolts in the voltage modes; mode of
-//! channel n in holding register 0x1000 + n; version in 0x8000.
+//! Source: `docs/references.md`, "Waveshare 8CH": values in input registers 0 to 7, millivolts in
+//! the voltage modes; mode of channel n in holding register 0x1000 + n; version in 0x8000.
 
 use crate::rig::link::Request;
 

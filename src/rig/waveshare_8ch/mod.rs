@@ -1,7 +1,8 @@
 //! Waveshare Modbus RTU Analog Input 8CH (version A): eight 12-bit inputs, here for the load cells.
 //! Uses: `rig::station`. Never: newtons (the tare is the campaign's).
 //!
-//! Source: `field.md` 4. 9600 8N1 and address 1 from the factory; the jumper is open for volts.
+//! Source: `docs/references.md`, "Waveshare 8CH". 9600 8N1 and address 1 from the factory; the
+//! jumper is open for volts.
 
 pub mod codec;
 mod driver;

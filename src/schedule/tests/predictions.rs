@@ -111,7 +111,7 @@ fn scripts_find_the_fields_that_the_contract_names() {
         assert!(json[key].as_f64().unwrap() > 0.0, "{key}");
     }
     let (disk, fixed) = (json["disk_bytes"].as_u64(), json["disk_fixed_bytes"].as_u64());
-    // The paper's skin has 3503 nodes (`design.md` 3): 49 MB of unit responses.
+    // The paper's skin has 3503 nodes in our layout: 49 MB of unit responses.
     assert_eq!(fixed, Some((64 << 20) + 4 * 3503 * 3503));
     assert!(disk.unwrap() > fixed.unwrap() + 264 * 2 * 784 * 2, "the counts of its frames");
     assert_eq!(json["problems"], serde_json::json!([]));

@@ -1,7 +1,7 @@
-//! Which contacts a Sim-Random trial has (paper IV-A, Table I), from seed and trial number alone.
+//! Which contacts a Sim-Random trial has (paper IV-B, Table I), from seed and trial number alone.
 //! PURE. Uses: `schedule::chance`, sim-core's sensor. Never: the order in which trials are made.
 //!
-//! The paper (IV-A): "The number of contact points was randomly selected from one to six, the
+//! The paper (IV-B): "The number of contact points was randomly selected from one to six, the
 //! points were selected randomly, and the force magnitude at each point was randomly chosen from
 //! the range of 5N to 40N", on "different combinations of the 804 predefined contact points".
 //! Read as follows, each draw independent of the others:

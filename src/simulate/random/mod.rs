@@ -1,4 +1,4 @@
-//! Sim-Random (paper IV-A): free trials in bulk, as Parquet shards whose bytes follow from their
+//! Sim-Random (paper IV-B): free trials in bulk, as Parquet shards whose bytes follow from their
 //! definition alone.
 //! Uses: sim-core, `simulate::schema`, threads. Never: a clock, the order in which threads finish.
 //!

@@ -308,6 +308,69 @@ async fn a_negative_zero_and_what_is_absent_are_no_damage() {
     assert_eq!(store.examine(1).await.unwrap(), Soundness::Sound);
 }
 
+/// The database of a process that was killed: its file and its log, which holds every trial.
+async fn killed(folder: &Folder) -> (Vec<u8>, Vec<u8>) {
+    let store = open(&folder.file()).await;
+    let run = store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid;
+    for n in 0..22 {
+        store.trial(run, &hex_trial(n / 11, n % 11, &[f64::from(n), 7.5])).await.unwrap();
+    }
+    let log = std::fs::read(folder.0.join("palpate.sqlite-wal")).unwrap();
+    (std::fs::read(folder.file()).unwrap(), log)
+}
+
+#[tokio::test]
+async fn a_damaged_log_is_refused_and_one_that_a_crash_tore_is_not() {
+    let folder = Folder::new();
+    let (file, log) = killed(&folder).await;
+    let all = TrialQuery { limit: 1000, ..Default::default() };
+    let reopened = async |log: &[u8]| {
+        let folder = Folder::new();
+        std::fs::write(folder.file(), &file).unwrap();
+        std::fs::write(folder.0.join("palpate.sqlite-wal"), log).unwrap();
+        let opened = Store::open(&folder.file(), Clock::new(1.0)).await;
+        if opened.is_err() {
+            let kept = std::fs::read(folder.0.join("palpate.sqlite-wal")).unwrap();
+            assert_eq!(kept, log, "what is damaged is left as it is");
+        }
+        match opened {
+            Ok(store) => Ok(store.trials(&all).await.unwrap().len()),
+            Err(error) => Err(error.to_string()),
+        }
+    };
+    assert_eq!(reopened(&log).await, Ok(22));
+    // Torn: the end is missing, or is not what was to be written.
+    let frame = 24 + PAGE;
+    assert_eq!(reopened(&log[..log.len() - 5]).await, Ok(21));
+    let mut torn = log.clone();
+    torn[log.len() - 9000..].fill(0);
+    assert_eq!(reopened(&torn).await, Ok(21));
+    // Cut at any frame: whole transactions are kept.
+    for frames in [1, 2, 5, 20] {
+        assert!(reopened(&log[..32 + frame * frames]).await.is_ok());
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    // Damage in the last transaction looks as if it were torn. A frame that commits gives the size
+    // of the database.
+    let commits = |n: &usize| log[32 + frame * n..][4..8] != [0; 4];
+    let mut ends = (0..(log.len() - 32) / frame).filter(commits);
+    let before_the_last = 32 + frame * (1 + ends.nth_back(1).unwrap());
+    for _ in 0..60 {
+        let mut damaged = log.clone();
+        let at = rng.random_range(0..before_the_last);
+        damaged[at] ^= 1 << rng.random_range(0..8);
+        let refused = reopened(&damaged).await.unwrap_err();
+        assert!(refused.contains("is damaged at byte"), "byte {at}: {refused}");
+    }
+    // A round of the log that was begun anew over an older one.
+    let mut rewound = log.clone();
+    rewound[32 + 8 * frame..][8..16].fill(0x55);
+    for later in rewound[32..].chunks_exact_mut(frame).skip(8) {
+        later[8..16].fill(0x55);
+    }
+    assert!(reopened(&rewound).await.is_ok());
+}
+
 /// Neither an emptied file nor the log of one that is gone is taken for a new database.
 #[tokio::test]
 async fn a_lost_database_is_not_begun_anew() {

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use serde_json::json;
 
-use super::{Folder, new_run, open, time};
+use super::{Folder, new_run, now, open, time};
 use crate::campaign::kept::journal::{Journal, Mounting};
 use crate::store::{Inner, KeyRing, NewAction, Role, RunKind, Store, StoreError};
 
@@ -105,6 +105,7 @@ async fn actions_are_logged_newest_first() {
     let store = open(&folder.file()).await;
     let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
     let action = |name: &str, accepted: bool| NewAction {
+        at: now(),
         run: accepted.then_some(run),
         action: name.into(),
         who: "local".into(),
@@ -112,8 +113,11 @@ async fn actions_are_logged_newest_first() {
         accepted,
         detail: (!accepted).then(|| "run is not paused".into()),
     };
-    assert_eq!(store.log_action(action("pause", true)).await.unwrap(), 1);
-    assert_eq!(store.log_action(action("resume", false)).await.unwrap(), 2);
+    store.log_action(action("pause", true)).await.unwrap();
+    let refused = action("resume", false);
+    store.log_action(refused.clone()).await.unwrap();
+    // As after a failure with an unknown outcome.
+    store.log_action(refused).await.unwrap();
     let all = store.actions(None, 10, None).await.unwrap();
     assert_eq!(all.iter().map(|a| a.action.as_str()).collect::<Vec<_>>(), ["resume", "pause"]);
     assert_eq!((all[0].accepted, all[0].run, all[1].run), (false, None, Some(run)));

@@ -2,8 +2,9 @@
 //! own pace and held in between.
 //! PURE. Uses: `config`, `fault`. Never: registers (that is `device`), clocks.
 //!
-//! Ratiometric: V = supply x (0.1 + 0.8 F / full scale) (`field.md` 4). A cell that is not on its
-//! cable reads 0 V; one on its cable has a live zero, whether a tip is mounted on it or not.
+//! Ratiometric: V = supply x (0.1 + 0.8 F / full scale) (`docs/references.md`, "FC22 load cells").
+//! A cell that is not on its cable reads 0 V; one on its cable has a live zero, whether a tip is
+//! mounted on it or not.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

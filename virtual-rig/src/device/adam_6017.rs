@@ -1,6 +1,6 @@
 //! Advantech ADAM-6017: eight analog inputs, 16 bit over the chosen range, Modbus TCP.
-//! Registers from `field.md` 4: 0 to 7 the values (0 to 65535 over the range), 200 + channel the
-//! range codes, 210 the model. PURE. Never: what the inputs mean.
+//! Registers from `docs/references.md`, "ADAM-6017": 0 to 7 the values (0 to 65535 over the range),
+//! 200 + channel the range codes, 210 the model. PURE. Never: what the inputs mean.
 
 use super::{INPUTS, read_each};
 use crate::modbus::{Exception, Reply, Request};

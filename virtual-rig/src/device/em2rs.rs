@@ -1,6 +1,6 @@
 //! Leadshine EM2RS (StepperOnline DM556RS and DM882RS): PR mode, positions in pulses.
-//! Registers from `field.md` 4; position words stand high first. What a trigger register reads back
-//! is (unverified). PURE.
+//! Registers from `docs/references.md`, "Leadshine EM2RS drives"; position words stand high first.
+//! What a trigger register reads back is (unverified). PURE.
 //! Never: clocks, wires; jog, velocity paths, chained paths and saved parameters are left out.
 
 use super::{counts, high, long, low, read_each};

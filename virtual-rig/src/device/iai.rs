@@ -1,7 +1,7 @@
 //! IAI SCON/PCON: positions in hundredths, coils for servo, homing and pause, one block of
 //! registers whose low position word starts the move.
-//! Registers from `field.md` 4 (IAI's "SCON Serial Communication Protocol [Modbus Version]");
-//! what stands only in memory is marked (unverified). PURE.
+//! Registers from `docs/references.md`, "IAI controllers"; what stands only in memory is marked
+//! (unverified). PURE.
 //! Never: clocks, wires; push motion, position tables and PIO patterns are left out.
 
 use super::{counts, high, long, low, read_each};

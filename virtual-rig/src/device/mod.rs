@@ -1,4 +1,5 @@
-//! The devices of the rig as register maps, written from their documents (`field.md` 4).
+//! The devices of the rig as register maps, written from their documents
+//! (`docs/references.md`, "Devices").
 //! A map turns requests into what a drive or an input module does; it knows no wire.
 //! PURE. Uses: `drive`, `modbus`. Never: sockets, clocks, faults.
 

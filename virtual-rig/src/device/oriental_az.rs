@@ -1,8 +1,8 @@
 //! Oriental Motor AZ: direct data operation in one block of eight 32-bit values.
-//! Registers from `field.md` 4 (HM-60262E); the high word stands at the lower address. Output and
-//! input bits are the factory assignment (unverified). So are the communication timeout's register
-//! and what it does: the motor decelerates to a stand; the alarm that a driver may raise as well is
-//! left out. PURE.
+//! Registers from `docs/references.md`, "Oriental Motor AZ drivers"; the high word stands at the
+//! lower address. Output and input bits are the factory assignment (unverified). So are the
+//! communication timeout's register and what it does: the motor decelerates to a stand; the alarm
+//! that a driver may raise as well is left out. PURE.
 //! Never: clocks, wires; stored data operation, push and wrap motion are left out.
 
 use super::{counts, high, long, low, read_each};

@@ -1,7 +1,7 @@
 //! Waveshare Modbus RTU Analog Input 8CH, version A: 12 bit, values in millivolts.
-//! Registers from `field.md` 4: FC04 0x0000 to 0x0007 values; FC03, FC06, FC10 0x1000 + channel the
-//! mode (0 is 0 to 5 V, 1 is 1 to 5 V, 2 and 3 currents, 4 raw counts); 0x4000 address; 0x8000
-//! version. PURE. Never: what the inputs mean.
+//! Registers from `docs/references.md`, "Waveshare 8CH": FC04 0x0000 to 0x0007 values; FC03, FC06,
+//! FC16 0x1000 + channel the mode (0 is 0 to 5 V, 1 is 1 to 5 V, 2 and 3 currents, 4 raw counts);
+//! 0x4000 address; 0x8000 version. PURE. Never: what the inputs mean.
 
 use super::{INPUTS, read_each};
 use crate::modbus::{Exception, Reply, Request};

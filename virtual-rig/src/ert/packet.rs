@@ -1,5 +1,5 @@
-//! Packets of the voltage stream, as `design.md` 5 lays them out: little-endian, a CRC32 over all
-//! before it, COBS, a zero at the end.
+//! Packets of the voltage stream (`docs/references.md`, "ERT stream packets"): little-endian, a
+//! CRC32 over all before it, COBS, a zero at the end.
 //! PURE. Uses: crc32fast. Never: sockets, reading packets back.
 //!
 //! An accelerated rig sends thousands of frames a second, so a packet costs a few microseconds.

@@ -1,4 +1,4 @@
-//! How hard each tip presses at a depth of the stage (`field.md` section 2).
+//! How hard each tip presses at a depth of the stage (`docs/references.md`, "Tip forces").
 //! Uses: gap, chance. Never: the foam's finite elements (this is the rig's recipe, fitted to the
 //! paper's Table I), voltages.
 //!

@@ -1,4 +1,5 @@
-//! The skin against the figures of the studies: signal of the gap, counts of the recipe, noise.
+//! The skin against earlier figures (`docs/references.md`, "Feasibility study"): signal of the gap,
+//! counts of the recipe, noise.
 
 use std::sync::OnceLock;
 use std::time::Instant;
@@ -22,7 +23,7 @@ fn gap_a() -> Gap {
 }
 
 /// The seed of the tests. Median FVU of gap A over seeds 1 to 8: 0.17, 0.16, 0.09, 0.13, 0.15, 0.25,
-/// 0.16, 0.12; the study had one skin, at 0.10. Seed 3 is the one like it.
+/// 0.16, 0.12; the feasibility study had one skin, at 0.10. Seed 3 is the one like it.
 const SEED: u64 = 3;
 
 /// That skin; the unit responses stay in the temporary folder for the next test run.

@@ -1,10 +1,11 @@
 //! The few directions in which frames differ: 784 voltages become some tens of numbers.
 //! Uses: the batch model for sample frames, the error model. Never: a measured frame's meaning.
 //!
-//! Light frames have 27 directions above the noise, the heaviest some tens more (`stack.md` part 4
-//! section 1). In units of each channel's noise an orthonormal basis keeps white noise white; the
-//! basis is turned so that the model's relative error is uncorrelated too. Then every number of a
-//! frame has a variance of its own, whatever the signal, and normal equations are cheap.
+//! Light frames have 27 directions above the noise, the heaviest some tens more
+//! (`docs/references.md`, "Feasibility study"). In units of each channel's noise an orthonormal
+//! basis keeps white noise white; the basis is turned so that the model's relative error is
+//! uncorrelated too. Then every number of a frame has a variance of its own, whatever the signal,
+//! and normal equations are cheap.
 
 use faer::{Mat, Side};
 

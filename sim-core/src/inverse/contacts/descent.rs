@@ -6,8 +6,9 @@
 //! ln F. Evidence is Laplace's: the optimum's height times the width that data and prior leave it,
 //! over the prior's width. So a contact has to lower the misfit by twice the logarithm of the skin's
 //! area over `2 pi sd_x sd_y`, and of the prior's width in ln F over its sd: about 14 for one known
-//! to 10 mm. That is a threshold like the Bayesian information criterion's (3 ln 784 = 20; the study
-//! took 2 ln 784 = 13), which follows the case instead of being chosen.
+//! to 10 mm. That is a threshold like the Bayesian information criterion's (3 ln 784 = 20; earlier
+//! 2 ln 784 = 13: `docs/references.md`, "Feasibility study"), but it follows the
+//! case instead of being chosen.
 
 use super::basis::dot;
 use super::shapes::Place;

@@ -3,8 +3,8 @@
 //! end.
 //!
 //! It runs on a thread and a runtime of its own, so that no HTTP read can delay a motion
-//! (`design.md` 4). What it does in which order is the plan's; what is left of it is `resume`'s;
-//! which state follows is `run_state`'s and `rig_state`'s. Here they are put to work.
+//! (`docs/decisions/0002`). What it does in which order is the plan's; what is left of it is
+//! `resume`'s; which state follows is `run_state`'s and `rig_state`'s. Here they are put to work.
 
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;

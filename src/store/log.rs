@@ -1,0 +1,66 @@
+//! Damage in SQLite's write-ahead log that SQLite itself passes over: it reads the log up to the first
+//! frame whose checksum is wrong and takes the rest for the remains of a crash, without a word.
+//! PURE: bytes in, a finding out. Uses: std. Format: `https://sqlite.org/fileformat2.html`, section 4.
+//!
+//! With `synchronous = FULL` a transaction is on the disk before the next one begins. A crash can
+//! therefore spoil the last transaction of the log only, which nobody was told is stored. Two
+//! committed transactions at or after a wrong frame mean that stored data was changed.
+//! Damage in the last transaction cannot be told from a crash and is not found.
+
+/// Bytes of the log's header, and of the header of each frame.
+const HEADER: usize = 32;
+const FRAME_HEADER: usize = 24;
+
+/// Where a log is damaged.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LogDamage {
+    /// The first byte of the frame (or header) that is not as it was written.
+    pub at_byte: usize,
+    /// Transactions from there on, all of which were stored.
+    pub transactions: usize,
+}
+
+/// Looks a log over; `None` for one that is whole, torn by a crash at its end, or empty.
+pub fn damage(log: &[u8]) -> Option<LogDamage> {
+    let frames = |page: usize| log[HEADER..].chunks_exact(FRAME_HEADER + page);
+    let header = log.get(..HEADER)?;
+    let page = word(header, 8) as usize;
+    let big_endian = word(header, 0) & 1 == 1;
+    let mut sum = checksum(big_endian, (0, 0), &header[..24]);
+    let known = word(header, 0) & !1 == 0x377f_0682 && page.is_power_of_two() && page >= 512;
+    if !known || sum != (word(header, 24), word(header, 28)) {
+        // The header is on the disk before the first frame is written.
+        let written = log[HEADER..].iter().any(|byte| *byte != 0);
+        return written.then_some(LogDamage { at_byte: 0, transactions: 1 });
+    }
+    let salt = &header[16..24];
+    let is_sound = |frame: &&[u8]| {
+        sum = checksum(big_endian, sum, &frame[..8]);
+        sum = checksum(big_endian, sum, &frame[FRAME_HEADER..]);
+        &frame[8..16] == salt && sum == (word(frame, 16), word(frame, 20))
+    };
+    let sound = frames(page).take_while(is_sound).count();
+    // Frames of an earlier round of the log have another salt.
+    let commits = |frame: &&[u8]| &frame[8..16] == salt && word(frame, 4) != 0;
+    let transactions = frames(page).skip(sound).filter(commits).count();
+    let at_byte = HEADER + sound * (FRAME_HEADER + page);
+    (transactions > 1).then_some(LogDamage { at_byte, transactions })
+}
+
+/// A big-endian number.
+fn word(bytes: &[u8], at: usize) -> u32 {
+    bytes[at..at + 4].iter().fold(0, |number, byte| number << 8 | u32::from(*byte))
+}
+
+/// The log's running checksum over whole pairs of 32-bit words.
+fn checksum(big_endian: bool, (mut a, mut b): (u32, u32), bytes: &[u8]) -> (u32, u32) {
+    let read = |word: &[u8; 4]| match big_endian {
+        true => u32::from_be_bytes(*word),
+        false => u32::from_le_bytes(*word),
+    };
+    for pair in bytes.as_chunks::<4>().0.as_chunks::<2>().0 {
+        a = a.wrapping_add(read(&pair[0])).wrapping_add(b);
+        b = b.wrapping_add(read(&pair[1])).wrapping_add(a);
+    }
+    (a, b)
+}
