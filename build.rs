@@ -5,7 +5,6 @@ use std::process::Command;
 
 fn main() {
     println!("cargo::rerun-if-changed=.git/logs/HEAD");
-    println!("cargo::rerun-if-changed=migrations");
     let said =
         Command::new("git").args(["describe", "--always", "--dirty", "--abbrev=40"]).output();
     if let Ok(said) = said

@@ -7,13 +7,11 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use palpate::campaign::kept::journal::Journal;
-use palpate::campaign::kept::record::{ArmReading, FrameQuality, FrameRecord, Pose, TrialRecord};
 use palpate::clock::Clock;
 use palpate::ids::{RunUid, TrialKey};
-use palpate::store::{
-    Comparison, Filter, FilterValue, Label, NewRun, RunKind, Store, TrialColumn, TrialQuery,
-};
+use palpate::journal::Journal;
+use palpate::record::{ArmReading, FrameQuality, FrameRecord, Pose, TrialRecord};
+use palpate::store::{Condition, Label, NewRun, RunKind, Store, TrialQuery};
 
 type Failure = Box<dyn std::error::Error>;
 
@@ -127,11 +125,8 @@ async fn main() -> Result<(), Failure> {
         read_all(&store, TrialQuery { run: Some(run), ..Default::default() }).await?;
     let with_voltages = TrialQuery { run: Some(run), with_voltages: true, ..Default::default() };
     let (_, with_voltages_s) = read_all(&store, with_voltages).await?;
-    let number = |value| FilterValue::Number(value);
-    let filters = vec![
-        Filter::Compare(TrialColumn::ContactCount, Comparison::Equal, number(5.0)),
-        Filter::Compare(TrialColumn::MaxForceN, Comparison::Greater, number(35.0)),
-    ];
+    let that = |text| Condition::parse(text).map_err(std::io::Error::other);
+    let filters = vec![that("contact_count=5")?, that("max_force_n__gt=35")?];
     let (hits, hits_s) = read_all(&store, TrialQuery { filters, ..Default::default() }).await?;
     let begun = Instant::now();
     let counts = store.contact_counts(run).await?;

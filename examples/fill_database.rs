@@ -13,10 +13,10 @@ use std::time::{Duration, Instant};
 
 use clap::Parser;
 use jiff::Timestamp;
-use palpate::campaign::kept::journal::{ExitStatus, Journal};
-use palpate::campaign::kept::record::{ArmReading, FrameQuality, FrameRecord, Pose, TrialRecord};
 use palpate::clock::Clock;
 use palpate::ids::{RunUid, TrialKey};
+use palpate::journal::{ExitStatus, Journal};
+use palpate::record::{ArmReading, FrameQuality, FrameRecord, Pose, TrialRecord};
 use palpate::simulate::compare::difference;
 use palpate::simulate::model::load_or_build;
 use palpate::store::{Label, NewRun, NewTwinModel, RunKind, Store, Twin, TwinOutcome};

@@ -1,22 +1,14 @@
 //! Palpate: touches a robot skin overnight, learns from it, and tells where and how hard it is
-//! touched. The modules below stand in the order in which data flows; imports only look back.
+//! touched. The modules below are listed in the order in which data flows through them; each chapter
+//! is a crate, and crates only use those before them.
 
-pub mod clock;
-pub mod ids;
-pub mod problem;
-pub mod syntax;
+pub use palpate_words::{chance, clock, commit, ids, journal, problem, record, syntax};
 
-pub mod schedule;
-pub mod rig;
-pub mod campaign;
-pub mod store;
-pub mod calibrate;
-pub mod simulate;
-pub mod dataset;
-pub mod learn;
-pub mod infer;
-pub mod evaluate;
-pub mod jobs;
-pub mod conductor;
-pub mod api;
+pub use palpate_bench::{campaign, rig, schedule};
+pub use palpate_data::dataset;
+pub use palpate_model::{calibrate, simulate};
+pub use palpate_service::{api, conductor, twins};
+pub use palpate_store as store;
+pub use palpate_touch::{evaluate, infer, jobs, learn};
+
 pub mod cli;

@@ -77,6 +77,7 @@ struct VirtualRigArgs {
 }
 
 fn main() -> ExitCode {
+    palpate::commit::set(option_env!("PALPATE_COMMIT"));
     let command = CommandLine::parse().command;
     log();
     match command {

@@ -13,8 +13,8 @@ import subprocess
 import sys
 
 ROOT = pathlib.Path(__file__).parents[1]
-SAFE_END, STAGE = "src/campaign/safe_end.rs", "src/campaign/bench/stage.rs"
-INTERLOCK, WAIT = "src/campaign/bench/interlock.rs", "src/campaign/run/engine/wait.rs"
+SAFE_END, STAGE = "src/bench/campaign/safe_end.rs", "src/bench/campaign/bench/stage.rs"
+INTERLOCK, WAIT = "src/bench/campaign/bench/interlock.rs", "src/bench/campaign/run/engine/wait.rs"
 
 # Name: file, what stands there, what the twin has instead, tests that must fail.
 TWINS = {
@@ -39,6 +39,9 @@ TWINS = {
         WAIT, "} else if self.control.estop.pressed().is_some() {",
         "} else if self.control.estop.pressed().is_some() && self.control.leaving() {",
         ["an_e_stop_outlasts"]),
+    "an automatic resume again after any trip": (
+        WAIT, "before < job.plan.policy.max_auto_resumes && self.trip_may_pass()", "true",
+        ["an_automatic_resume_that_meets_an_alarm"]),
 }
 
 

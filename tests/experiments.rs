@@ -189,7 +189,7 @@ fn an_unreachable_centre_is_one_error() {
     assert_eq!(
         unreachable("", |r| r.x_travel_mm = [0.0, 440.0]),
         "rigs/virtual.toml: axes.x.travel_mm = [0, 440]: must hold machine x 59.16 to 466.20 mm, \
-         where real-hex.toml stands: 509 of its 24563 configurations are out of reach"
+         the positions of real-hex.toml: 509 of its 24563 configurations are out of reach"
     );
     assert!(
         unreachable("", |r| r.skin_origin_mm[1] = -80.0).contains("axes.y.travel_mm = [0, 580]")

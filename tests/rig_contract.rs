@@ -22,6 +22,8 @@ use virtual_rig::run::{RigArgs, VirtualRig};
 
 /// Process seconds in a wall second.
 const SPEED: f64 = 20.0;
+/// An accelerated rig needs the machine for itself.
+static TURN: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
 /// The longest that a motion or a homing of the virtual rig takes, wall time.
 const LIMIT: Duration = Duration::from_secs(20);
 
@@ -87,6 +89,7 @@ async fn until(axis: &Arc<dyn Axis>, what: &str, done: impl Fn(&AxisStatus) -> b
 }
 
 async fn keeps_the_contract(name: &str) {
+    let _turn = TURN.lock().await;
     let latch = StopLatch::new();
     let (rig, config, open, clock) = rig(name, &latch).await;
     let seen = check(&config, &open, &clock, Scope::Look).await;
@@ -195,6 +198,7 @@ async fn leadshine_and_waveshare_over_rtu() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_drive_with_a_watchdog_stops_when_the_service_falls_silent() {
+    let _turn = TURN.lock().await;
     let text = std::fs::read_to_string(file("rigs/oriental-az-rtu.toml")).unwrap();
     let guard = "[axes.z]\nguard = { watchdog_ms = 500, torque_percent = 60 }";
     let guarded = Path::new(env!("CARGO_TARGET_TMPDIR")).join("guarded.toml");
@@ -222,6 +226,7 @@ async fn a_drive_with_a_watchdog_stops_when_the_service_falls_silent() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_check_ends_with_stops_when_the_emergency_stop_is_latched() {
+    let _turn = TURN.lock().await;
     let latch = StopLatch::new();
     let (rig, config, _open, _clock) = rig("virtual", &latch).await;
     let pressed = async {

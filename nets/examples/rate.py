@@ -1,11 +1,11 @@
-"""Samples a second that each net learns: ours, PyTorch with its default Adam, and with fused Adam.
+"""Samples per second that each net learns: ours, PyTorch with its default Adam, and with fused Adam.
 
     python nets/examples/rate.py RATE_BINARY [--rounds N] [--seconds S] [--threads T] [NET ..]
 
-The three take turns, round after round, so that whatever else the machine does strikes all alike;
-the medians over rounds are printed, and the ratios of the medians. On a machine that others use,
---cpu counts seconds of the processor instead of the clock's, with one thread each. Inputs are in memory, the nets'
-layers, losses and batches the same. Needs torch.
+The three alternate, round after round, so that other load on the machine affects all of them equally;
+the medians over rounds are printed, and the ratios of the medians. On a shared machine, --cpu counts
+seconds of the processor instead of the clock's, with one thread each. Inputs are in memory; layers,
+losses and batches are the same. Needs torch.
 """
 import argparse, json, statistics, subprocess, sys, time
 import torch

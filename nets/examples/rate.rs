@@ -1,6 +1,6 @@
-//! How many samples a second each net learns, beside PyTorch: `rate NET BATCH SECONDS [THREADS]`
-//! prints one JSON line, by the clock and by the processor's time (Linux). `rate.py` beside it runs
-//! this and PyTorch in turn.
+//! Samples per second that each net learns, for a comparison with PyTorch: `rate NET BATCH SECONDS
+//! [THREADS]` prints one JSON line, by the clock and by the processor's time (Linux). `rate.py` in
+//! the same folder runs this and PyTorch in turn.
 //! Uses: the clock, which the crate itself does not.
 
 use std::time::{Duration, Instant};
@@ -10,7 +10,7 @@ use nets::recipe::Recipe;
 use nets::samples::{Samples, SamplesError};
 use nets::train::{Flow, Observer, Plan, Progress, train};
 
-/// The same few hundred samples again and again: reading costs next to nothing.
+/// The same few hundred samples repeatedly: reading costs almost no time.
 struct Repeated {
     inputs: Vec<f32>,
     targets: Vec<f32>,
@@ -41,11 +41,11 @@ impl Samples for Repeated {
     }
 }
 
-/// Counts samples over a time that begins after some batches.
+/// Counts samples over an interval that begins after some batches.
 struct Count {
     begun: Option<(Instant, f64, u64)>,
     lasts: Duration,
-    /// Samples a second: of the clock, of the processor.
+    /// Samples per second: by the clock, by the processor's time.
     rates: [f64; 2],
 }
 
@@ -64,11 +64,11 @@ impl Observer for Count {
     fn keep(&mut self, _: Vec<u8>) {}
 }
 
-/// Time that the processor gave to all threads of this process; 0 where that is not known.
+/// Processor time of all threads of this process, s; 0 if it is unknown.
 fn processor_s() -> f64 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     // User and system time, in hundredths of a second, are fields 14 and 15; the second field, the
-    // name in brackets, may hold spaces.
+    // name in brackets, may contain spaces.
     let after_name = stat.rsplit(')').next().unwrap_or_default();
     let ticks = after_name.split_whitespace().skip(11).take(2).map(|t| t.parse().unwrap_or(0.0));
     ticks.sum::<f64>() / 100.0

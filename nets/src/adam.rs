@@ -1,8 +1,8 @@
 //! Adam (Kingma and Ba 2015, algorithm 1), in the order of operations of PyTorch.
 //! Uses: burn, rayon. Never: schedules, nets.
 //!
-//! burn's own Adam makes some fifteen passes over each matrix and a new one each time. In host
-//! memory one pass moves weight and moments in place, which halves the time of a step of
+//! burn's own Adam makes about fifteen passes over each matrix and allocates a new one each time.
+//! In host memory one pass updates weight and moments in place, which halves the time of a step of
 //! Transfer-Net; on other devices the same formula is tensor operations, which burn fuses.
 
 use burn::tensor::{Device, Tensor, TensorData};
@@ -11,15 +11,15 @@ use rayon::prelude::*;
 use crate::model::Model;
 use crate::recipe::Optimiser;
 
-/// Numbers that one thread moves at a time.
+/// Number of values that one thread updates at a time.
 const CHUNK: usize = 1 << 14;
 
 /// State of the optimiser.
 pub(crate) struct Adam {
     settings: Optimiser,
-    /// Whether tensors lie in host memory.
+    /// Whether tensors are in host memory.
     host: bool,
-    /// Steps taken.
+    /// Number of steps taken.
     steps: u64,
     /// For each parameter the means of gradient and squared gradient.
     moments: Vec<[Tensor<2>; 2]>,
@@ -37,7 +37,7 @@ struct Step {
 }
 
 impl Adam {
-    /// For parameters of these shapes, from nothing.
+    /// Starts with zero moments, for parameters of these shapes.
     pub fn new(
         settings: Optimiser,
         shapes: impl Iterator<Item = [usize; 2]>,
@@ -48,13 +48,13 @@ impl Adam {
         Self { settings, host, steps: 0, moments: shapes.map(zeros).collect() }
     }
 
-    /// Steps taken, and the moments, in order of the parameters.
+    /// Returns the number of steps, and the moments in the order of the parameters.
     pub fn state(&self) -> (u64, Vec<Vec<f32>>) {
         let read = |t: &Tensor<2>| t.to_data().try_to_vec::<f32>().expect("moments are f32");
         (self.steps, self.moments.iter().flatten().map(read).collect())
     }
 
-    /// Goes back to a state; each moment as long as it was.
+    /// Restores a state; the lengths of the moments must match.
     pub fn set_state(&mut self, steps: u64, moments: Vec<Vec<f32>>) {
         self.steps = steps;
         for (moment, numbers) in self.moments.iter_mut().flatten().zip(moments) {
@@ -91,7 +91,7 @@ impl Adam {
 }
 
 impl Step {
-    /// In host memory, in one pass over buffers that nobody else holds.
+    /// In host memory, in one pass over buffers with no other owner.
     fn in_place(self, moved: [Tensor<2>; 3], gradient: Tensor<2>) -> (Tensor<2>, [Tensor<2>; 2]) {
         let device = gradient.device();
         let [mut weight, mut first, mut second] = moved.map(Tensor::into_data);

@@ -1,5 +1,5 @@
-//! The same answers, losses, gradients and first steps of Adam as PyTorch, from the same weights
-//! and samples: `tests/make_torch.py` wrote them to `tests/torch.json`.
+//! Tests: answers, losses, gradients and first steps of Adam equal PyTorch's, for the same weights
+//! and samples. `tests/make_torch.py` wrote those to `tests/torch.json`.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use serde::Deserialize;
@@ -12,7 +12,7 @@ use crate::recipe::Recipe;
 use crate::statistics::Statistics;
 use crate::train::first;
 
-/// What PyTorch gave for one net.
+/// PyTorch's results for one net.
 #[derive(Deserialize)]
 struct Case {
     recipe: String,
@@ -22,11 +22,11 @@ struct Case {
     numbers: Vec<f32>,
     inputs: Vec<f32>,
     targets: Vec<f32>,
-    /// Of the untrained network.
+    /// Answers of the untrained network.
     answers: Vec<f32>,
-    /// Before each step, as minimised.
+    /// Minimised loss before each step.
     losses: Vec<f64>,
-    /// Gradients of the first loss, in the place of the numbers; none where nothing is trained.
+    /// Gradients of the first loss, in the order of the numbers; none where nothing is trained.
     gradients: Vec<Option<f32>>,
     /// All numbers after the last step.
     after: Vec<f32>,
@@ -36,7 +36,7 @@ fn cases() -> Vec<Case> {
     serde_json::from_str(include_str!("../tests/torch.json")).unwrap()
 }
 
-/// Largest difference over the largest number.
+/// Largest difference, relative to the largest number.
 fn apart(found: &[f32], wanted: &[f32]) -> f32 {
     assert_eq!(found.len(), wanted.len());
     let size = wanted.iter().fold(0.0f32, |m, x| m.max(x.abs()));
@@ -100,7 +100,7 @@ fn gradients_are_those_of_pytorch() {
     }
 }
 
-/// Numbers after as many steps as the case has losses.
+/// Numbers after all steps of the case.
 fn after(case: &Case, host: bool) -> Vec<f32> {
     let mut begun = begin(case);
     let device = Device::flex();

@@ -1,5 +1,5 @@
-//! Batches of an epoch, read ahead by a thread: their order, their noise, nothing that is not
-//! finite.
+//! Batches of an epoch, read ahead by a thread: their order, their noise, the check that all
+//! numbers are finite.
 //! Uses: `samples`, `noise`, `chance`. Never: burn, more than a few batches in memory.
 
 use std::sync::mpsc::{Receiver, sync_channel};
@@ -10,13 +10,13 @@ use crate::chance::{Purpose, generator};
 use crate::noise::NoiseSource;
 use crate::samples::{Samples, SamplesError, read_finite};
 
-/// Batches that wait for the trainer; as many as one that is read and one that is learned come
-/// besides.
+/// Number of batches that wait for the trainer, in addition to the one being read and the one being
+/// learned.
 const AHEAD: usize = 2;
 
-/// Some samples.
+/// A batch of samples.
 pub(crate) struct Batch {
-    /// How many.
+    /// Number of samples.
     pub len: usize,
     /// `[len, channels]`.
     pub inputs: Vec<f32>,
@@ -24,26 +24,26 @@ pub(crate) struct Batch {
     pub targets: Vec<f32>,
 }
 
-/// Which samples, and in what order.
+/// Selection and order of the samples of an epoch.
 #[derive(Clone, Copy)]
 pub(crate) struct Pass<'a> {
-    /// Where samples come from.
+    /// Source of the samples.
     pub from: &'a dyn Samples,
     /// Noise that is added.
     pub noise: &'a NoiseSource,
     /// Samples in a batch; the last one of an epoch may have fewer.
     pub batch: usize,
-    /// Seed of the order; none: as they are numbered.
+    /// Seed of the order; `None`: in the order of their numbers.
     pub shuffle: Option<u64>,
-    /// Which epoch: decides order and noise.
+    /// Number of the epoch, from 0: determines order and noise.
     pub epoch: u64,
-    /// Batches that are left out at the start.
+    /// Number of batches that are skipped at the start.
     pub skip: u64,
 }
 
 impl Pass<'_> {
-    /// Numbers of all samples. A dataset's are shuffled (8 bytes a sample are all that is held
-    /// of them); a stream's go on where the last epoch ended.
+    /// Numbers of all samples. Those of a dataset are shuffled (8 bytes per sample are held in
+    /// memory); those of a stream continue where the last epoch ended.
     fn order(&self) -> Vec<u64> {
         let len = self.from.len();
         if self.from.is_stream() && self.shuffle.is_some() {
@@ -67,15 +67,18 @@ impl Pass<'_> {
         Ok(Batch { len: samples.len(), inputs, targets })
     }
 
-    /// Hands each batch to `learn`, in order, while a thread reads the next ones. Ends with the
-    /// first error, of either, or when `learn` says `false`.
+    /// Passes each batch to `learn`, in order, while a thread reads the next ones. Ends with the
+    /// first error, of either, or when `learn` returns `false`.
+    ///
+    /// # Errors
+    /// The error of `learn`, or that of the first batch that could not be read.
     pub fn each<E: From<SamplesError>>(
         self,
         mut learn: impl FnMut(Batch) -> Result<bool, E>,
     ) -> Result<bool, E> {
         let (send, receive) = sync_channel(AHEAD);
         std::thread::scope(|scope| {
-            // The receiver goes with this closure: a reader that waits to send then ends.
+            // The receiver is dropped with this closure: a reader blocked in a send then ends.
             let receive: Receiver<Result<Batch, SamplesError>> = receive;
             scope.spawn(move || {
                 let order = self.order();

@@ -1,10 +1,10 @@
-//! Chance of a training: a generator for each purpose and number, so that none shifts another.
+//! Chance of a training: a generator per purpose and number, so that none shifts another.
 //! PURE. Never: unseeded chance, state between calls.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-/// What chance is drawn for.
+/// Purpose of a generator.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Purpose {
     /// First weights.
@@ -13,13 +13,13 @@ pub(crate) enum Purpose {
     Order,
     /// Noise on a sample in an epoch.
     Noise,
-    /// Samples that statistics are measured on.
+    /// Samples for the statistics of the data.
     Statistics,
     /// Contacts of a streamed sample.
     Contacts,
 }
 
-/// The generator of a purpose; `number` and `part` tell its uses apart.
+/// Returns the generator of a purpose; `number` and `part` distinguish its uses.
 pub(crate) fn generator(seed: u64, purpose: Purpose, number: u64, part: u64) -> ChaCha8Rng {
     let mut key = [0; 32];
     for (bytes, word) in key.chunks_exact_mut(8).zip([seed, purpose as u64, number, part]) {

@@ -1,4 +1,4 @@
-//! A training between two steps, as bytes: what goes on from it gives what would have come.
+//! A training between two steps, as bytes: a resumed training gives the same result.
 //! PURE. Uses: toml for the head. Never: files.
 //!
 //! `palpate-nets`, a version, the length of the head (both u32, little-endian), the head as TOML,
@@ -24,33 +24,33 @@ pub struct EpochLoss {
     pub validation: f64,
 }
 
-/// What a training is of: what must agree for a checkpoint to go on.
+/// Identity of a training: a checkpoint can be resumed only if all of this is equal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Subject {
-    /// What it follows.
+    /// Recipe of the training.
     pub recipe: Recipe,
-    /// Names of its data, as the caller gives them.
+    /// Names of its data, as the caller states them.
     pub data: String,
-    /// Channels of an input.
+    /// Number of channels of an input.
     pub channels: usize,
-    /// Numbers of a target.
+    /// Length of a target.
     pub target: usize,
-    /// Training samples in an epoch.
+    /// Number of training samples in an epoch.
     pub samples: u64,
-    /// Validation samples.
+    /// Number of validation samples.
     pub validation_samples: u64,
 }
 
-/// Where a training is.
+/// Position of a training.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Place {
-    /// The epoch under way, and the batches of it that are learned.
+    /// Number of the current epoch, from 0.
     pub epoch: u32,
-    /// Of this epoch.
+    /// Number of batches of this epoch that are learned.
     pub batches: u64,
-    /// Sum over them of their loss, minimised unit.
+    /// Sum of their losses, as minimised.
     pub loss_sum: f64,
-    /// Losses of the epochs before.
+    /// Losses of the earlier epochs.
     pub curve: Vec<EpochLoss>,
 }
 
@@ -63,27 +63,27 @@ struct Head {
     moments: Vec<u64>,
 }
 
-/// Numbers of a training between two steps.
+/// State of a training between two steps.
 pub(crate) struct State {
-    /// Where it is.
+    /// Position in the recipe's epochs.
     pub place: Place,
-    /// Of the network.
+    /// Numbers of the network.
     pub network: Vec<f32>,
-    /// Of the network with the least validation loss.
+    /// Numbers of the network with the least validation loss.
     pub best: Vec<f32>,
-    /// Steps that the optimiser took.
+    /// Number of steps of the optimiser.
     pub steps: u64,
-    /// Its moments.
+    /// Moments of the optimiser.
     pub moments: Vec<Vec<f32>>,
 }
 
-/// Bytes that are no checkpoint, or one of something else.
+/// Why bytes are not a checkpoint of this training.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CheckpointError {
-    /// Cut short, or not a checkpoint of this version.
+    /// Damaged, or not a checkpoint of this version.
     #[error("checkpoint: {0}")]
     Bytes(&'static str),
-    /// Of another training.
+    /// A checkpoint of another training.
     #[error("checkpoint: of another training: {}", .0.join("; "))]
     Other(
         /// Each field that differs, with both values.
@@ -130,23 +130,23 @@ pub(crate) fn read(bytes: &[u8], subject: &Subject) -> Result<State, CheckpointE
     })
 }
 
-/// Refuses numbers that are not as many as a network has.
+/// Checks that the lengths match those of a network.
 pub(crate) fn fits(state: &State, network: &Network) -> Result<(), CheckpointError> {
     let fits = state.network.len() == network.numbers().len();
-    if fits { Ok(()) } else { Err(CheckpointError::Bytes("its network is of another size")) }
+    if fits { Ok(()) } else { Err(CheckpointError::Bytes("the size of its network differs")) }
 }
 
-/// Head and numbers, as many as the head says.
+/// Splits into the head and the numbers that it announces.
 fn split(bytes: &[u8]) -> Result<(Head, Vec<f32>), CheckpointError> {
     use CheckpointError::Bytes;
-    let rest = bytes.strip_prefix(MAGIC).ok_or(Bytes("these bytes are none"))?;
+    let rest = bytes.strip_prefix(MAGIC).ok_or(Bytes("the bytes are not a checkpoint"))?;
     let (version, rest) = word(rest)?;
     if version != VERSION {
-        return Err(Bytes("written by another version"));
+        return Err(Bytes("it was written by another version"));
     }
     let (len, rest) = word(rest)?;
     let (head, rest) = rest.split_at_checked(len as usize).ok_or(CUT)?;
-    let head = std::str::from_utf8(head).map_err(|_| Bytes("its head is no text"))?;
+    let head = std::str::from_utf8(head).map_err(|_| Bytes("its head is not text"))?;
     let head: Head = toml::from_str(head).map_err(|_| Bytes("its head lacks a field"))?;
     let moments: u64 = head.moments.iter().sum();
     if rest.len() as u64 != 4 * (2 * head.numbers + moments) {
@@ -156,14 +156,14 @@ fn split(bytes: &[u8]) -> Result<(Head, Vec<f32>), CheckpointError> {
     Ok((head, numbers))
 }
 
-const CUT: CheckpointError = CheckpointError::Bytes("it was cut short");
+const CUT: CheckpointError = CheckpointError::Bytes("it is truncated");
 
 fn word(bytes: &[u8]) -> Result<(u32, &[u8]), CheckpointError> {
     let (word, rest) = bytes.split_first_chunk().ok_or(CUT)?;
     Ok((u32::from_le_bytes(*word), rest))
 }
 
-/// Fields that are not the same, with the value wanted and the one found.
+/// Fields that differ, with the expected and the found value.
 fn differences(wanted: &Subject, found: &Subject) -> Vec<String> {
     let table = |s: &Subject| {
         let mut fields = Vec::new();

@@ -1,19 +1,19 @@
-//! Where training computes: threads of this machine, or a GPU.
+//! Device of a training: threads of this machine, or a GPU.
 //! Uses: burn, rayon. Never: nets.
 
 use burn::tensor::Device;
 
 use crate::train::TrainError;
 
-/// Where tensors lie and who computes on them.
+/// Location of the tensors and device that computes on them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Compute {
     /// This machine's processor.
     Cpu {
-        /// Threads; 0: as many as there are cores.
+        /// Number of threads; 0: the number of cores.
         threads: usize,
     },
-    /// An NVIDIA GPU of this number.
+    /// The NVIDIA GPU with this index.
     #[cfg(feature = "cuda")]
     Cuda(usize),
     /// The first GPU that wgpu finds.
@@ -22,7 +22,7 @@ pub enum Compute {
 }
 
 impl Compute {
-    /// Whether tensors lie in host memory.
+    /// Whether tensors are in host memory.
     pub(crate) fn is_host(self) -> bool {
         matches!(self, Self::Cpu { .. })
     }
@@ -37,7 +37,7 @@ impl Compute {
         }
     }
 
-    /// Does work on threads of its own, as many as it says.
+    /// Runs work on a dedicated pool of threads.
     pub(crate) fn run<T: Send>(self, work: impl FnOnce() -> T + Send) -> Result<T, TrainError> {
         let threads = match self {
             Self::Cpu { threads } => threads,

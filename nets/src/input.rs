@@ -1,4 +1,4 @@
-//! How a net sees a frame: the layers at its front, which are measured once and not trained.
+//! Normalisation of frames: the layers at the front of a net, measured once and not trained.
 //! PURE. Uses: `statistics`. Never: burn.
 
 use serde::{Deserialize, Serialize};
@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use crate::network::Layer;
 use crate::statistics::Statistics;
 
-/// Least norm of a frame that is divided by, V: that of readout noise of 36 uV, so that an
-/// untouched skin's frame is small and not blown up to one.
+/// Lower limit of the norm that divides a frame, V: that of readout noise of 36 uV, so that the
+/// frame of an untouched skin stays small instead of being scaled to one.
 pub const NORM_FLOOR_V: f32 = 1e-3;
 
 /// Normalisation of frames.
@@ -16,21 +16,21 @@ pub const NORM_FLOOR_V: f32 = 1e-3;
 pub enum Input {
     /// Each channel to mean 0 and standard deviation 1.
     Standardised,
-    /// `sqrt(channels) v / |v|`: what a touch looks like, whatever its force.
+    /// `sqrt(channels) v / |v|`: the pattern of a touch, independent of its force.
     Unit,
     /// `v / |v|` to its first principal components, each of variance 1, and `ln |v|`
     /// standardised: the best of five (`docs/references.md`, "Feasibility study").
     Whitened {
-        /// Components kept; of fewer channels as many as there are.
+        /// Number of components; at most the number of channels.
         components: usize,
     },
 }
 
 impl Input {
-    /// Layers of the normalisation, the same number for every frame.
+    /// Number of layers of a normalisation.
     pub const LAYERS: usize = 2;
 
-    /// Numbers that come out, of so many channels.
+    /// Number of outputs for `channels` inputs.
     pub fn width(self, channels: usize) -> usize {
         match self {
             Self::Standardised | Self::Unit => channels,

@@ -1,4 +1,4 @@
-//! What nets minimise. Each is a mean over the batch.
+//! The losses that nets minimise. Each is a mean over the batch.
 //! Uses: burn. Never: data, nets.
 
 use burn::tensor::{Tensor, activation};
@@ -13,23 +13,23 @@ use crate::transfer_net::TransferForm;
 pub(crate) enum Loss {
     /// Mean of `(p - y)^2` over all numbers: V^2 of Transfer-Net, N^2 of Recon-Net.
     MeanSquare {
-        /// Size of targets, in which it is minimised, so that Adam's epsilon stays small beside
-        /// gradients.
+        /// Size of targets, by which the minimised loss is scaled, so that Adam's epsilon stays
+        /// small compared with gradients.
         unit: f32,
     },
     /// `|p - y|^2 / |y|^2`.
     Relative,
-    /// Targets are the force at each point, N, and 0 where there is none. Binary cross entropy of
-    /// presence summed over points, and the weighted squared error of `ln` force summed over the
-    /// pressed ones.
+    /// Targets are the force at each point, N, 0 without contact. Binary cross entropy of presence
+    /// summed over points, and the weighted squared error of `ln` force summed over the pressed
+    /// points.
     Points {
-        /// Of the second sum.
+        /// Weight of the second sum.
         force_weight: f64,
     },
 }
 
 impl Loss {
-    /// Of a net, whose targets have a size.
+    /// The loss of a net; `target_size` is the root mean square of its targets.
     pub fn of(net: &Net, target_size: f32) -> Self {
         match net {
             Net::TransferNet(net) if net.form == TransferForm::Residual => Self::Relative,
@@ -40,7 +40,7 @@ impl Loss {
         }
     }
 
-    /// What is minimised, one number.
+    /// The minimised value, one number.
     pub fn value(self, answers: Tensor<2>, targets: Tensor<2>) -> Tensor<1> {
         match self {
             Self::MeanSquare { unit } => {
@@ -57,7 +57,7 @@ impl Loss {
         }
     }
 
-    /// The loss in its own unit, from what is minimised.
+    /// Converts a minimised value to the loss in its own unit.
     pub fn in_units(self, minimised: f64) -> f64 {
         match self {
             Self::MeanSquare { unit } => minimised * f64::from(unit).powi(2),
@@ -71,7 +71,7 @@ fn points(answers: Tensor<2>, forces: Tensor<2>, force_weight: f64) -> Tensor<1>
     let logits = answers.clone().slice([0..batch, 0..points]);
     let log_forces = answers.slice([0..batch, points..2 * points]);
     let pressed = forces.clone().sign();
-    // Where nothing presses the logarithm is of 1, and counts for nothing.
+    // Without contact the logarithm is ln 1 and has no weight.
     let true_logs = (forces + pressed.clone().neg().add_scalar(1.0)).log();
     // ln(1 + e^z) - z t, without overflow.
     let log_one_more = activation::relu(logits.clone()) + logits.clone().abs().neg().exp().log1p();

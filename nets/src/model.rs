@@ -1,8 +1,8 @@
 //! A network as tensors: forward through burn, with gradients, and back to plain numbers.
 //! Uses: burn, `network`, `upsample`. Never: losses, data, the order of training.
 //!
-//! An image is kept as rows of pixels, `[batch height width, channels]`: what convolutions do to
-//! channels is then one matrix product. Every parameter is a matrix.
+//! An image is stored as rows of pixels, `[batch height width, channels]`: a convolution is then
+//! one matrix product. Every parameter is a matrix.
 
 use burn::tensor::{Device, Gradients, Tensor, TensorData, activation};
 
@@ -15,34 +15,34 @@ const RUNNING: f64 = 0.1;
 /// A network whose numbers are on a device.
 pub(crate) struct Model {
     network: Network,
-    /// Layers at the front that are not trained.
+    /// Number of layers at the front that are not trained.
     fixed: usize,
     device: Device,
-    /// For each layer its matrices, which training moves: weight `[inputs, ..]` and `[1, ..]`.
+    /// For each layer its trained matrices: weight `[inputs, ..]` and bias `[1, ..]`.
     parameters: Vec<Vec<Tensor<2>>>,
-    /// For each layer what training never moves by gradients.
+    /// For each layer its matrices without gradients.
     constants: Vec<Vec<Tensor<2>>>,
 }
 
-/// What the parameters do in a pass.
+/// Kind of a forward pass.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Pass {
-    /// Learn: batch moments, no rectifier at the end.
+    /// Training: batch moments, no rectifier at the end.
     Learn,
-    /// Answer as in learning, without learning: running moments.
+    /// Validation: as in training, with running moments and without gradients.
     Judge,
-    /// Answer as the network states.
+    /// Inference: as the network is defined.
     Answer,
 }
 
-/// Rows and what image they are pixels of, `[height, width]`.
+/// Rows, and the shape of the images of which they are pixels, `[height, width]`.
 struct Rows {
     x: Tensor<2>,
     image: Option<[usize; 2]>,
 }
 
 impl Model {
-    /// Puts a network on a device; its first `fixed` layers do not learn.
+    /// Puts a network on a device; its first `fixed` layers are not trained.
     pub fn new(network: Network, fixed: usize, device: &Device) -> Self {
         let mut model = Self {
             fixed,
@@ -62,7 +62,7 @@ impl Model {
         model
     }
 
-    /// The numbers as they are now.
+    /// Returns the network with its current numbers.
     pub fn network(&self) -> Network {
         let mut network = self.network.clone();
         let tensors = self.parameters.iter().zip(&self.constants);
@@ -91,7 +91,7 @@ impl Model {
         trained.map(|p| p.grad_remove(of).expect("every parameter is in the loss")).collect()
     }
 
-    /// Replaces all trained matrices, in order; they come and go without gradients.
+    /// Replaces all trained matrices, in order; they are passed and returned without gradients.
     pub fn move_parameters(&mut self, mut to: impl FnMut(Tensor<2>) -> Tensor<2>) {
         for parameters in &mut self.parameters[self.fixed..] {
             let old = std::mem::take(parameters).into_iter();
@@ -105,13 +105,13 @@ impl Model {
         self.forward(frames, &parameters, Pass::Learn)
     }
 
-    /// Answers that a loss is measured on, without gradients.
+    /// Answers for the validation loss, without gradients.
     pub fn judge(&mut self, frames: Tensor<2>) -> Tensor<2> {
         let parameters = self.without_gradients();
         self.forward(frames, &parameters, Pass::Judge)
     }
 
-    /// Answers as the network states them.
+    /// Answers as the network is defined.
     pub fn answer(&mut self, frames: Tensor<2>) -> Tensor<2> {
         let parameters = self.without_gradients();
         self.forward(frames, &parameters, Pass::Answer)
@@ -215,8 +215,8 @@ impl Model {
         Rows { x, image }
     }
 
-    /// Normalises channels by the batch's moments while learning, which it remembers, else by the
-    /// remembered ones.
+    /// Normalises channels by the batch's moments while training, and updates the running moments;
+    /// otherwise by the running moments.
     fn batch_norm(
         &mut self,
         nth: usize,
@@ -244,13 +244,13 @@ impl Model {
         (x - mean) * factor + p[1].clone()
     }
 
-    /// The device of the numbers.
+    /// The device of the tensors.
     pub fn device(&self) -> &Device {
         &self.device
     }
 }
 
-/// With its layer's bias, where it has one.
+/// Adds the layer's bias, if it has one.
 fn biased(x: Tensor<2>, p: &[Tensor<2>]) -> Tensor<2> {
     match p.get(1) {
         Some(bias) => x + bias.clone(),
@@ -258,7 +258,7 @@ fn biased(x: Tensor<2>, p: &[Tensor<2>]) -> Tensor<2> {
     }
 }
 
-/// Marks matrices as parameters that gradients are wanted of.
+/// Marks matrices as parameters with gradients.
 pub(crate) fn learn(matrices: Vec<Tensor<2>>) -> Vec<Tensor<2>> {
     matrices.into_iter().map(|m| m.autodiff().require_grad()).collect()
 }
@@ -268,7 +268,7 @@ pub(crate) fn norm(x: &Tensor<2>, floor: f32) -> Tensor<2> {
     (x.clone() * x.clone()).sum_dim(1).sqrt().clamp_min(floor)
 }
 
-/// From pixels to one row for each image, channel by channel.
+/// Converts pixels to one row per image, channel by channel.
 fn to_planes(x: Tensor<2>, [batch, height, width]: [usize; 3]) -> Tensor<2> {
     let channels = x.dims()[1];
     if channels == 1 {
@@ -285,7 +285,7 @@ fn row(numbers: &[f32]) -> Matrix {
     (numbers.to_vec(), [1, numbers.len()])
 }
 
-/// A weight, and its bias where there is one.
+/// A weight, and its bias if there is one.
 fn weights(weight: Vec<f32>, shape: [usize; 2], bias: &[f32]) -> Vec<Matrix> {
     let bias = (!bias.is_empty()).then(|| row(bias));
     [(weight, shape)].into_iter().chain(bias).collect()
@@ -299,7 +299,7 @@ fn transposed(numbers: &[f32], [rows, columns]: [usize; 2]) -> Vec<f32> {
     out
 }
 
-/// A layer's trained and kept matrices, in the order that [`Model::layer`] reads them.
+/// A layer's trained and constant matrices, in the order in which [`Model::layer`] reads them.
 fn matrices(layer: &Layer) -> [Vec<Matrix>; 2] {
     match layer {
         Layer::Dense { inputs, outputs, weight, bias } => {

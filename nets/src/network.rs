@@ -1,7 +1,7 @@
-//! A net as plain numbers: what is trained, written as ONNX, and read back to go on training.
+//! A net as plain numbers: the form that is trained, written as ONNX, and read back.
 //! Never: burn, files.
 
-/// A step of a net. Tensors are row-major, a batch first.
+/// A layer of a net. Tensors are row-major, batch first.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Layer {
     /// `y = W x + b`.
@@ -10,17 +10,17 @@ pub enum Layer {
         inputs: usize,
         /// Length of y.
         outputs: usize,
-        /// W, `[outputs][inputs]`, as PyTorch keeps it.
+        /// W, `[outputs][inputs]`, as PyTorch stores it.
         weight: Vec<f32>,
-        /// b.
+        /// b, `[outputs]`.
         bias: Vec<f32>,
     },
     /// `max(0, x)`.
     Relu,
     /// `x Phi(x)`, with the error function.
     Gelu,
-    /// `scale (x - mean) / sqrt(variance + epsilon) + shift` in each channel, with the moments that
-    /// training left.
+    /// `scale (x - mean) / sqrt(variance + epsilon) + shift` in each channel, with the moments of
+    /// the training.
     BatchNorm {
         /// Factor, per channel.
         scale: Vec<f32>,
@@ -30,106 +30,107 @@ pub enum Layer {
         mean: Vec<f32>,
         /// Variance, per channel.
         variance: Vec<f32>,
-        /// Keeps the root away from zero.
+        /// Added to the variance, so that the root is not zero.
         epsilon: f32,
     },
-    /// From a vector to `[channels][height][width]`.
+    /// Reshapes a vector to `[channels][height][width]`.
     Image {
-        /// Channels.
+        /// Number of channels.
         channels: usize,
-        /// Rows.
+        /// Number of rows.
         height: usize,
-        /// Columns.
+        /// Number of columns.
         width: usize,
     },
     /// Transposed convolution in two dimensions, the same along both.
     ConvTranspose {
-        /// Channels in.
+        /// Number of input channels.
         inputs: usize,
-        /// Channels out.
+        /// Number of output channels.
         outputs: usize,
-        /// Side of the kernel.
+        /// Side of the kernel, pixels.
         kernel: usize,
-        /// Stride.
+        /// Stride, pixels.
         stride: usize,
-        /// Padding.
+        /// Padding, pixels.
         padding: usize,
-        /// `[inputs][outputs][kernel][kernel]`, as PyTorch keeps it.
+        /// `[inputs][outputs][kernel][kernel]`, as PyTorch stores it.
         weight: Vec<f32>,
-        /// Per channel out; empty where there is none.
+        /// One per output channel; empty without a bias.
         bias: Vec<f32>,
     },
-    /// Convolution in two dimensions that keeps height and width (stride 1, padding kernel / 2).
+    /// Convolution in two dimensions that preserves height and width (stride 1, padding kernel /
+    /// 2).
     Conv {
-        /// Channels in.
+        /// Number of input channels.
         inputs: usize,
-        /// Channels out.
+        /// Number of output channels.
         outputs: usize,
-        /// Side of the kernel, odd.
+        /// Side of the kernel, pixels, odd.
         kernel: usize,
         /// `[outputs][inputs][kernel][kernel]`.
         weight: Vec<f32>,
-        /// Per channel out; empty where there is none.
+        /// One per output channel; empty without a bias.
         bias: Vec<f32>,
     },
     /// From `[channels r^2][height][width]` to `[channels][height r][width r]` (ONNX DepthToSpace,
     /// mode CRD; PyTorch's PixelShuffle).
     PixelShuffle {
-        /// r.
+        /// r, the factor of height and width.
         factor: usize,
     },
     /// `(x - mean) / sd`, per number.
     Standardise {
-        /// Mean.
+        /// Mean, per number.
         mean: Vec<f32>,
-        /// Standard deviation, > 0.
+        /// Standard deviation, per number, > 0.
         sd: Vec<f32>,
     },
     /// `x scale + shift`, one number each for all.
     Scale {
-        /// Factor.
+        /// Factor on every number.
         scale: f32,
-        /// Term.
+        /// Term added to every number.
         shift: f32,
     },
-    /// `x / max(|x|, floor)`, Euclidean; with `log`, one more number: `ln max(|x|, floor)`, times
-    /// `log_scale`.
+    /// `x / max(|x|, floor)`, Euclidean; with `log_scale`, one further number:
+    /// `log_scale ln max(|x|, floor)`.
     UnitNorm {
-        /// Smallest norm that is divided by.
+        /// Lower limit of the norm in the quotient.
         floor: f32,
         /// Factor on the logarithm of the norm that is appended; `None` appends none.
         log_scale: Option<f32>,
     },
 }
 
-/// How a net's steps become its answer.
+/// Relation of a net's answer to its last layer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Form {
-    /// The last step's result.
+    /// The result of the last layer.
     Plain,
-    /// `x + max(|x|, floor) times the last step's result`: what differs from the input, in units of
-    /// its size.
+    /// `x + max(|x|, floor) r` with the result r of the last layer: the difference from the input,
+    /// in units of its norm.
     Residual {
-        /// Smallest norm that is multiplied with.
+        /// Lower limit of the norm in the product.
         floor: f32,
     },
 }
 
-/// A net, from frames to what it was trained for, with normalisation inside.
+/// A net, from frames to answers, with the normalisation included.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Network {
-    /// Numbers in.
+    /// Length of an input.
     pub inputs: usize,
     /// Shape of one answer: `[784]`, `[160, 160]`, `[2, 804]`.
     pub output: Vec<usize>,
-    /// Steps.
+    /// Layers in order.
     pub layers: Vec<Layer>,
-    /// What is made of the last one.
+    /// Relation of the answer to the last layer.
     pub form: Form,
 }
 
 impl Network {
-    /// Shows every number of every layer to `see`, in one order for all networks of a shape.
+    /// Passes every number of every layer to `see`, in the same order for all networks of a shape.
     pub fn each_number(&mut self, see: &mut dyn FnMut(&mut [f32])) {
         for layer in &mut self.layers {
             match layer {
@@ -171,7 +172,7 @@ impl Network {
         });
     }
 
-    /// Factor of the last [`Layer::Scale`]: the size of what the net was trained to answer.
+    /// Factor of the last [`Layer::Scale`]: the size of the targets in training.
     pub(crate) fn target_size(&self) -> f32 {
         let scale = |layer: &Layer| match layer {
             Layer::Scale { scale, .. } => Some(*scale),
@@ -180,7 +181,7 @@ impl Network {
         self.layers.iter().rev().find_map(scale).unwrap_or(1.0)
     }
 
-    /// The layers without their numbers: two networks of a shape have the same.
+    /// Returns the layers without their numbers: equal for two networks of the same shape.
     pub fn shape(&self) -> Network {
         let mut shape = self.clone();
         shape.each_number(&mut |x| x.fill(0.0));

@@ -10,12 +10,13 @@ use crate::recipe::Noise;
 #[derive(Debug, Clone)]
 pub(crate) struct NoiseSource {
     seed: u64,
-    /// Standard deviation of each channel, V; empty where there is none.
+    /// Standard deviation of each channel, V; empty without noise.
     sd_v: Vec<f32>,
 }
 
 impl NoiseSource {
-    /// Of a recipe; `sd_v` is what its level multiplies, nothing where there is no level.
+    /// Noise of a recipe; `sd_v` is multiplied by its level, and may be `None` if the level is
+    /// zero.
     pub fn new(seed: u64, noise: Noise, sd_v: Option<&[f32]>, channels: usize) -> Self {
         let of = |channel: usize| {
             let scaled = sd_v.map_or(0.0, |sd_v| noise.level * f64::from(sd_v[channel]));
@@ -26,7 +27,7 @@ impl NoiseSource {
         Self { seed, sd_v: if none { Vec::new() } else { sd_v } }
     }
 
-    /// Adds an epoch's noise to a sample's frame.
+    /// Adds the noise of an epoch to a sample's frame.
     pub fn add(&self, epoch: u64, sample: u64, frame: &mut [f32]) {
         if self.sd_v.is_empty() {
             return;

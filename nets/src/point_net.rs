@@ -1,5 +1,5 @@
-//! Point-Net: for each point of the skin the logit of its being pressed and the logarithm of its
-//! force (`docs/references.md`, "Feasibility study").
+//! Point-Net: for each point of the skin the logit of the presence of a contact and the logarithm
+//! of its force (`docs/references.md`, "Feasibility study").
 //! PURE. Uses: `initial`, `input`. Never: burn.
 
 use serde::{Deserialize, Serialize};
@@ -11,20 +11,21 @@ use crate::recipe::{RecipeError, WEIGHTS_MAX, require};
 use crate::statistics::Statistics;
 use crate::streamed::Draws;
 
-/// What a Point-Net is. Its answer is `[2, points]`: logits, then `ln` of the force in newtons.
+/// Parameters of a Point-Net. Its answer is `[2, points]`: logits, then `ln` of the force in
+/// newtons.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PointNet {
-    /// Principal components that it sees.
+    /// Number of principal components in the input.
     pub components: usize,
-    /// Hidden layers.
+    /// Number of hidden layers.
     pub hidden: usize,
-    /// Neurons of a hidden layer.
+    /// Number of neurons of a hidden layer.
     pub width: usize,
-    /// Weight of the squared error of `ln` force, summed over the pressed points, beside the cross
-    /// entropy of presence, summed over all points.
+    /// Weight of the squared error of `ln` force, summed over the pressed points, compared with the
+    /// cross entropy of presence, summed over all points.
     pub force_weight: f64,
-    /// Contacts of the samples that are simulated while it trains.
+    /// Distribution of contacts in the samples that are simulated during training.
     pub draws: Draws,
 }
 
@@ -40,7 +41,7 @@ const RARE: f32 = -5.4;
 const TYPICAL: f32 = 2.7;
 
 impl PointNet {
-    /// Its normalisation.
+    /// Normalisation of its frames.
     pub fn input(&self) -> Input {
         Input::Whitened { components: self.components }
     }
@@ -56,7 +57,7 @@ impl PointNet {
         self.draws.check()
     }
 
-    /// A net that knows nothing yet, for so many points.
+    /// The net before the first step, for `points` points.
     pub(crate) fn first(
         &self,
         statistics: &Statistics,

@@ -1,4 +1,4 @@
-//! What a training is: the net, its optimiser, its noise, when it ends. One TOML file.
+//! The recipe of a training: the net, its optimiser, its noise, its end. One TOML file.
 //! PURE. Uses: serde. Never: data, weights.
 
 use serde::{Deserialize, Serialize};
@@ -8,25 +8,25 @@ use crate::point_net::PointNet;
 use crate::recon_net::ReconNet;
 use crate::transfer_net::TransferNet;
 
-/// Everything that decides the trained bytes, but for the data.
+/// Everything that determines the trained bytes, except for the data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Recipe {
-    /// Of the first weights, the order of samples and the noise.
+    /// Seed of the first weights, the order of samples and the noise.
     pub seed: u64,
-    /// Passes over the training data; for a stream, over as many samples as it counts.
+    /// Number of passes over the training data; for a stream, over its `len` samples.
     pub epochs: u32,
-    /// Samples in a step.
+    /// Number of samples in a step.
     pub batch: usize,
-    /// Epochs without a better validation loss after which training ends; none: never.
+    /// Number of epochs without a better validation loss after which training ends; `None`: never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub patience: Option<u32>,
     /// The net and its loss.
     pub net: Net,
-    /// How weights follow gradients.
+    /// Optimiser of the weights.
     #[serde(default)]
     pub optimiser: Optimiser,
-    /// What is added to the inputs.
+    /// Noise that is added to the inputs.
     #[serde(default)]
     pub noise: Noise,
 }
@@ -46,7 +46,7 @@ pub enum Net {
 }
 
 impl Net {
-    /// How it sees frames.
+    /// Normalisation of its frames.
     pub fn input(&self) -> Input {
         match self {
             Self::TransferNet(net) => net.input(),
@@ -66,32 +66,32 @@ pub struct Optimiser {
     pub beta1: f64,
     /// Decay of the mean squared gradient.
     pub beta2: f64,
-    /// Keeps the quotient finite.
+    /// Added to the denominator, which keeps the quotient finite.
     pub epsilon: f64,
-    /// How the step size goes on.
+    /// Step size during the training.
     pub schedule: Schedule,
 }
 
 impl Default for Optimiser {
-    /// The paper's (V-A), and PyTorch's where it is silent.
+    /// The paper's values (V-A), and PyTorch's defaults for the others.
     fn default() -> Self {
         let schedule = Schedule::Constant;
         Self { learning_rate: 1e-3, beta1: 0.7, beta2: 0.999, epsilon: 1e-8, schedule }
     }
 }
 
-/// The step size over a training.
+/// Step size as a function of the step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Schedule {
-    /// Always the same.
+    /// The same in every step.
     Constant,
     /// Half a cosine, from the first step size to zero at the end of the last epoch.
     Cosine,
 }
 
 impl Optimiser {
-    /// Step size of a step, the first being 0, of so many in all.
+    /// Step size of a step, from 0, of `steps` steps in total.
     pub fn rate(&self, step: u64, steps: u64) -> f64 {
         match self.schedule {
             Schedule::Constant => self.learning_rate,
@@ -103,38 +103,38 @@ impl Optimiser {
     }
 }
 
-/// Gaussian noise on every channel, drawn anew in each epoch (paper V-C).
+/// Gaussian noise on every channel, redrawn in each epoch (paper V-C).
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Noise {
-    /// Factor on each channel's standard deviation, which the plan gives: the paper's 0, 0.1, 0.5.
+    /// Factor on each channel's standard deviation, which the plan states: the paper's 0, 0.1, 0.5.
     pub level: f64,
-    /// Standard deviation that all channels have besides, V: the readout's white noise.
+    /// Additional standard deviation of all channels, V: the readout's white noise.
     pub white_v: f64,
 }
 
-/// A recipe that cannot be followed: the field, what it is, what it must be.
+/// Why a recipe is invalid: the field, its value, its limit.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RecipeError {
-    /// Not TOML, or not these fields.
+    /// The text is not TOML, or does not have these fields.
     #[error("recipe: {0}")]
     Text(#[from] toml::de::Error),
-    /// A value outside its limits.
+    /// A value is outside its limits.
     #[error("recipe: {field} is {found}, must be {limit}")]
     Value {
-        /// Path of the field.
+        /// Dotted path of the field.
         field: &'static str,
-        /// What it is.
+        /// Value of the field, as text.
         found: String,
-        /// What it must be.
+        /// Allowed values.
         limit: &'static str,
     },
 }
 
-/// Most weights between two layers: with gradients and Adam's moments 4 GB.
+/// Largest number of weights between two layers: with gradients and Adam's moments 4 GB.
 pub(crate) const WEIGHTS_MAX: usize = 1 << 28;
 
-/// Refuses a value.
+/// Returns an error for a value unless a condition holds.
 pub(crate) fn require(
     holds: bool,
     field: &'static str,
@@ -147,22 +147,29 @@ pub(crate) fn require(
 
 impl Recipe {
     /// Reads and checks a recipe.
+    ///
+    /// # Errors
+    /// `RecipeError::Text` if the text is not a recipe; `RecipeError::Value` if a value is outside
+    /// its limits.
     pub fn from_toml(text: &str) -> Result<Self, RecipeError> {
         let recipe: Self = toml::from_str(text)?;
         recipe.check()?;
         Ok(recipe)
     }
 
-    /// The recipe as TOML, every default written out.
+    /// Returns the recipe as TOML, including every default.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a recipe is plain numbers and names")
     }
 
-    /// Refuses values that no training can have.
+    /// Checks the limits of all values.
+    ///
+    /// # Errors
+    /// `RecipeError::Value` with the first value outside its limits.
     pub fn check(&self) -> Result<(), RecipeError> {
         let Optimiser { learning_rate, beta1, beta2, epsilon, .. } = self.optimiser;
         let share = |x: f64| (0.0..1.0).contains(&x);
-        require(self.seed <= i64::MAX as u64, "seed", self.seed, "below 2^63, as TOML has it")?;
+        require(self.seed <= i64::MAX as u64, "seed", self.seed, "below 2^63, the limit of TOML")?;
         require(self.epochs > 0, "epochs", self.epochs, "at least 1")?;
         require((1..=1 << 16).contains(&self.batch), "batch", self.batch, "1..65536")?;
         require(self.patience != Some(0), "patience", 0, "at least 1")?;

@@ -1,6 +1,6 @@
 //! Recon-Net (paper V-B): voltages to a force map, newtons per pixel. The paper's layers are not
-//! public; these are ours: a dense layer draws a small image with many channels, and transposed
-//! convolutions double its sides until it is the map.
+//! public; these are the project's: a dense layer draws a small image with many channels, and
+//! transposed convolutions double its sides until it has the size of the map.
 //! PURE. Uses: `initial`, `input`. Never: burn.
 
 use serde::{Deserialize, Serialize};
@@ -11,39 +11,41 @@ use crate::network::{Form, Layer, Network};
 use crate::recipe::{RecipeError, WEIGHTS_MAX, require};
 use crate::statistics::Statistics;
 
-/// Inputs by which the size of a net without a hidden layer is judged: those of the paper's sensor.
+/// Number of inputs that the size check of a net without a hidden layer assumes: the paper's
+/// sensor.
 const TYPICAL_INPUTS: usize = 784;
 
-/// Weights between two channels, where a kernel of 3 makes four pixels.
+/// Largest number of weights between two channels: a kernel of 3 that produces four pixels.
 const LARGEST_KERNEL: usize = 36;
 
-/// What a Recon-Net is. It learns without a bound; the trained net ends in a rectifier, which can
-/// but lessen the error, since no true force is negative.
+/// Parameters of a Recon-Net. It is trained without a bound; the trained net ends in a rectifier,
+/// which can only decrease the error, since no true force is negative.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ReconNet {
-    /// Pixels along a side of the map: 160, 64 or 32 in the paper.
+    /// Number of pixels along a side of the map: 160, 64 or 32 in the paper.
     pub side: usize,
-    /// Normalisation.
+    /// Normalisation of frames.
     pub input: Input,
-    /// Neurons of a dense rectified layer between input and first image; 0: none.
+    /// Number of neurons of a dense rectified layer between input and first image; 0: no such
+    /// layer.
     pub hidden: usize,
-    /// Channels of the first image and of each that follows, the map itself left out. Its sides are
-    /// the map's over two to the power of their number.
+    /// Channels of the first image and of each following one, except for the map itself. The side
+    /// of the first image is the map's over two to the power of their number.
     pub channels: Vec<usize>,
-    /// How an image's sides are doubled.
+    /// Layers that double an image's sides.
     pub upsampling: Upsampling,
     /// Whether channels are normalised over the batch after each layer.
     pub batch_norm: bool,
 }
 
-/// Layers that double the sides of an image.
+/// Kinds of layers that double the sides of an image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Upsampling {
-    /// Transposed convolution, kernel 2: a pixel becomes four, which share nothing with others'.
+    /// Transposed convolution, kernel 2: a pixel becomes four, without overlap.
     Apart,
-    /// Transposed convolution, kernel 4: what neighbouring pixels become overlaps.
+    /// Transposed convolution, kernel 4: the results of neighbouring pixels overlap.
     Overlapping,
     /// Convolution, kernel 3, to four times the channels, which become four pixels.
     Shuffled,
@@ -85,7 +87,7 @@ impl ReconNet {
         require(weights <= WEIGHTS_MAX, "weights", weights, "at most 2^28: fewer net.channels")
     }
 
-    /// A net that knows nothing yet.
+    /// The net before the first step.
     pub(crate) fn first(&self, statistics: &Statistics, initial: &mut Initial) -> Network {
         let inputs = statistics.mean.len();
         let mut layers = self.input.layers(statistics);
@@ -126,7 +128,7 @@ impl ReconNet {
     }
 }
 
-/// Takes away a bias that a batch normalisation would cancel.
+/// Removes a bias that a batch normalisation would cancel.
 fn forget_bias(layer: &mut Layer) {
     if let Layer::ConvTranspose { bias, .. } | Layer::Conv { bias, .. } = layer {
         bias.clear();

@@ -1,29 +1,29 @@
-//! Where samples come from: a dataset's rows, or simulations made while a net trains.
+//! Sources of samples: a dataset's rows, or simulations made while a net trains.
 //! PURE. Never: the order of samples, memory of them.
 
-/// Numbered samples, each an input and a target of fixed lengths. Read by one thread at a time,
-/// not always the same.
+/// Numbered samples, each an input and a target of fixed lengths. Read by one thread at a time, but
+/// not always by the same one.
 pub trait Samples: Sync {
-    /// Samples in an epoch.
+    /// Number of samples in an epoch.
     fn len(&self) -> u64;
 
-    /// Whether there are none.
+    /// Whether there are no samples.
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Numbers of an input: channels.
+    /// Length of an input: the number of channels.
     fn input_len(&self) -> usize;
 
-    /// Numbers of a target.
+    /// Length of a target.
     fn target_len(&self) -> usize;
 
-    /// Whether samples go on beyond `len`: each epoch then reads new ones, in order.
+    /// Whether samples continue beyond `len`: each epoch then reads new ones, in order.
     fn is_stream(&self) -> bool {
         false
     }
 
-    /// Writes the samples of these numbers, in this order, one after the other.
+    /// Writes the samples with these numbers, in this order, one after the other.
     fn read(
         &self,
         samples: &[u64],
@@ -32,28 +32,28 @@ pub trait Samples: Sync {
     ) -> Result<(), SamplesError>;
 }
 
-/// Samples that could not be read, and why.
+/// Why samples could not be read.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SamplesError {
-    /// Their source failed.
+    /// The source failed.
     #[error("samples: {message}")]
     Source {
-        /// In the source's words.
+        /// Message of the source.
         message: String,
     },
-    /// A number is not finite.
+    /// A value is not finite.
     #[error("sample {sample}: {side} number {number} is not finite")]
     NotFinite {
-        /// Number of the sample.
+        /// Number of the sample, from 0.
         sample: u64,
         /// `"input"` or `"target"`.
         side: &'static str,
-        /// Its place in the input or target.
+        /// Index of the value in the input or target.
         number: usize,
     },
 }
 
-/// Reads samples and refuses numbers that are not finite.
+/// Reads samples and checks that all values are finite.
 pub(crate) fn read_finite(
     from: &dyn Samples,
     samples: &[u64],

@@ -1,4 +1,4 @@
-//! What normalisation needs to know of the data: moments, principal components, size of targets.
+//! Statistics of the data for normalisation: moments, principal components, size of targets.
 //! Uses: faer for the eigenvectors. Never: all of the data, validation data.
 
 use faer::{Mat, Side};
@@ -9,12 +9,12 @@ use crate::input::{Input, NORM_FLOOR_V};
 use crate::noise::NoiseSource;
 use crate::samples::{Samples, SamplesError, read_finite};
 
-/// Most samples that are measured, drawn from the seed.
+/// Largest number of samples that are measured, drawn from the seed.
 pub const MEASURED_MAX: u64 = 8192;
-/// Samples held at once.
+/// Number of samples in memory at a time.
 const CHUNK: usize = 64;
 
-/// Of the training data.
+/// Statistics of the training data.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Statistics {
     /// Mean of each input channel.
@@ -59,7 +59,7 @@ impl Moments {
 }
 
 impl Statistics {
-    /// Of data that nobody looked at: gives networks their shape, and nothing else.
+    /// Placeholder without data: determines the shape of networks, and nothing else.
     pub(crate) fn unknown(input: Input, channels: usize) -> Self {
         let whitening = match input {
             Input::Whitened { .. } => {
@@ -73,7 +73,7 @@ impl Statistics {
     }
 
     /// Measures up to [`MEASURED_MAX`] samples with the noise of the first epoch: components that
-    /// hold nothing but noise must be seen as large as it makes them.
+    /// contain only noise must have the variance of that noise.
     pub(crate) fn measure(
         from: &dyn Samples,
         input: Input,
@@ -131,13 +131,13 @@ impl Statistics {
     }
 }
 
-/// Euclidean norm, at least the floor.
+/// Euclidean norm, at least [`NORM_FLOOR_V`].
 fn norm(frame: &[f32]) -> f64 {
     let square: f64 = frame.iter().map(|&v| f64::from(v).powi(2)).sum();
     square.sqrt().max(f64::from(NORM_FLOOR_V))
 }
 
-/// Numbers of the samples that are measured: all of few, else drawn with replacement.
+/// Numbers of the samples to measure: all if there are few, else drawn with replacement.
 fn pick(from: &dyn Samples, seed: u64) -> Vec<u64> {
     if from.len() <= MEASURED_MAX {
         return (0..from.len()).collect();
@@ -162,7 +162,7 @@ fn whitening(
         .self_adjoint_eigen(Side::Lower)
         .map_err(|_| SamplesError::Source { message: message() })?;
     let (values, vectors) = (decomposed.S().column_vector(), decomposed.U());
-    // Below this a component is rounding.
+    // A smaller component is rounding error.
     let least = values[channels - 1].max(f64::MIN_POSITIVE) * 1e-10;
     let (mut weight, mut bias) = (Vec::new(), Vec::new());
     for nth in 0..components.min(channels) {

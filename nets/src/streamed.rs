@@ -1,4 +1,4 @@
-//! Samples for Point-Net, simulated while it trains: a fixed set is memorised within a few epochs
+//! Samples for Point-Net, simulated during training: a fixed set is memorised within a few epochs
 //! (`docs/references.md`, "Feasibility study").
 //! Uses: sim-core. Never: files. A sample is a function of seed and number alone.
 
@@ -14,22 +14,23 @@ use crate::chance::{Purpose, generator};
 use crate::recipe::{RecipeError, require};
 use crate::samples::{Samples, SamplesError};
 
-/// Which contacts samples have: as Sim-Random draws them (paper IV-B), some lighter ones, since
-/// Real-Unseen's weights are 5 to 10 N, and now and then none. A net that saw no untouched skin finds
-/// contacts on it, in 5 % of its frames; one that saw it as often as each number of contacts finds
-/// none, but misses more of those that are there (right count 44 % in place of 50 %).
+/// Distribution of the contacts of samples: as in Sim-Random (paper IV-B), with some lighter ones,
+/// since Real-Unseen's weights are 5 to 10 N, and some samples without contact. A net trained
+/// without the untouched skin finds contacts on it, in 5 % of its frames; one trained with the
+/// untouched skin as often as with each number of contacts finds none, but misses more real ones
+/// (right count 44 % instead of 50 %).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Draws {
-    /// Fewest and most contacts, each number equally likely.
+    /// Smallest and largest number of contacts, each number equally likely.
     pub contacts: [usize; 2],
-    /// Least and largest force of a contact, N, uniform.
+    /// Smallest and largest force of a contact, N, uniform.
     pub force_n: [f64; 2],
-    /// Share of the samples without any contact, besides those that `contacts` may have.
+    /// Share of the samples without contact, in addition to those that `contacts` may produce.
     pub untouched_share: f64,
-    /// Share of the samples all whose contacts are light.
+    /// Share of the samples with light contacts only.
     pub light_share: f64,
-    /// Least and largest force of those, N, uniform.
+    /// Smallest and largest force of a light contact, N, uniform.
     pub light_force_n: [f64; 2],
 }
 
@@ -45,7 +46,7 @@ impl Default for Draws {
     }
 }
 
-/// Most contacts of a sample: the model is checked up to it.
+/// Largest number of contacts of a sample; the model is checked up to it.
 const CONTACTS_MAX: usize = 6;
 
 impl Draws {
@@ -96,7 +97,7 @@ pub struct Streamed {
 }
 
 impl Streamed {
-    /// A stream of a seed, `len` samples to an epoch. `points` are those of the model's skin.
+    /// A stream of a seed, with `len` samples per epoch. `points` are those of the model's skin.
     pub fn new(
         model: Arc<BatchModel>,
         points: &[Point],
@@ -144,7 +145,7 @@ impl Samples for Streamed {
             trials.push(contacts.collect::<Vec<_>>());
         }
         let trials: Vec<&[Contact]> = trials.iter().map(Vec::as_slice).collect();
-        // Work is scratch memory: what a thread that failed left in it is written over.
+        // Work is scratch memory: contents left by a failed thread are overwritten.
         let mut work = self.work.lock().unwrap_or_else(PoisonError::into_inner);
         self.model
             .voltages(&trials, inputs, &mut work)

@@ -1,4 +1,4 @@
-//! Training: batches, losses and steps, until the epochs are over or nothing gets better.
+//! Training: batches, losses and steps, until all epochs are done or the loss no longer decreases.
 //! Uses: burn, everything else of this crate. Never: files, the clock.
 
 use burn::tensor::{Tensor, TensorData};
@@ -17,122 +17,126 @@ use crate::recipe::{Net, Recipe, RecipeError, require};
 use crate::samples::{Samples, SamplesError};
 use crate::statistics::Statistics;
 
-/// Most numbers of a batch: a few batches are held at a time, and what is made of them is larger.
+/// Largest number of values in a batch: a few batches are in memory, and activations are larger.
 const BATCH_MAX: usize = 1 << 26;
 
-/// Noise of validation samples is that of an epoch that no training reaches: always the same.
+/// Number of the epoch whose noise validation samples get; no training reaches it.
 const VALIDATION: u64 = u64::MAX;
 
-/// A training that could begin.
+/// Everything that determines a training.
 #[derive(Debug, Clone)]
 pub struct Plan {
-    /// What it follows.
+    /// Recipe of the training.
     pub recipe: Recipe,
-    /// Names of its data (dataset, model of a stream): a checkpoint of other data is refused.
+    /// Names of its data (dataset, model of a stream): a checkpoint of other data is rejected.
     pub data: String,
     /// Standard deviation of each channel, V, that the recipe's noise level multiplies: of a
     /// Transfer-Net's residuals (Fig. 10A).
     pub noise_sd_v: Option<Vec<f32>>,
-    /// Where weights begin and the normalisation that stays; none: drawn from the seed, measured on
-    /// the training samples.
+    /// Initial network, whose normalisation stays; `None`: weights are drawn from the seed, the
+    /// normalisation is measured on the training samples.
     pub start: Option<Network>,
-    /// Where it computes. One thread gives the same bytes for the same plan and data.
+    /// Device. With one thread, the same plan and data give the same bytes.
     pub compute: Compute,
 }
 
-/// What a training tells while it runs.
+/// Progress of a training.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Progress {
-    /// The epoch under way, from 0.
+    /// The current epoch, from 0.
     pub epoch: u32,
-    /// Epochs of the recipe.
+    /// Number of epochs of the recipe.
     pub epochs: u32,
-    /// Batches of the epoch that are learned, and that it has.
+    /// Number of learned batches of the epoch, and of all its batches.
     pub batches: [u64; 2],
-    /// Samples learned since the training began, checkpoints included, and those of all epochs.
+    /// Number of samples learned since the start, including before checkpoints, and of all epochs.
     pub samples: [u64; 2],
-    /// Mean loss of the epoch so far, in its own unit.
+    /// Mean loss of the epoch's learned batches, in its own unit.
     pub train_loss: f64,
-    /// Loss on the validation samples, when the epoch has just ended.
+    /// Loss on the validation samples; present at the end of an epoch.
     pub validation_loss: Option<f64>,
-    /// The epoch with the least validation loss.
+    /// Losses of the epoch with the least validation loss.
     pub best: Option<EpochLoss>,
 }
 
-/// What a training shall do next.
+/// Next step of a training.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Flow {
-    /// Go on.
+    /// Continue.
     Continue,
-    /// Hand over a checkpoint, then go on.
+    /// Pass a checkpoint to the observer, then continue.
     Checkpoint,
-    /// Hand over a checkpoint, then end.
+    /// Pass a checkpoint to the observer, then end.
     Stop,
 }
 
-/// Who watches a training.
+/// Observer of a training.
 pub trait Observer {
-    /// After every batch, and after each epoch with its validation loss.
+    /// Called after every batch, and after each epoch with its validation loss.
     fn see(&mut self, progress: &Progress) -> Flow;
 
-    /// A checkpoint that was asked for; give it to [`train`] to go on.
+    /// Receives a requested checkpoint; [`train`] resumes from it.
     fn keep(&mut self, checkpoint: Vec<u8>);
 }
 
 /// Why a training ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum End {
-    /// All epochs are over.
+    /// All epochs are done.
     Epochs,
-    /// The recipe's patience is.
+    /// The validation loss did not decrease for the recipe's patience.
     Patience,
-    /// The observer wished it.
+    /// The observer requested it.
     Stopped,
 }
 
-/// What training made.
+/// Result of a training.
 #[derive(Debug, Clone)]
 pub struct Trained {
-    /// The network with the least validation loss; the last one where no epoch ended.
+    /// The network with the least validation loss; the last one if no epoch was completed.
     pub network: Network,
-    /// Losses of each epoch that ended.
+    /// Losses of each completed epoch.
     pub curve: Vec<EpochLoss>,
-    /// Why it ended.
+    /// Why the training ended.
     pub end: End,
 }
 
-/// Why there is no trained net.
+/// Why a training failed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum TrainError {
-    /// The recipe cannot be followed, with these data.
+    /// The recipe is invalid, also for these data.
     #[error(transparent)]
     Recipe(#[from] RecipeError),
-    /// The data cannot be read, or hold what is no number.
+    /// The data cannot be read, or a value is not finite.
     #[error(transparent)]
     Samples(#[from] SamplesError),
-    /// The checkpoint is of something else.
+    /// The checkpoint is not one of this training.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// The network to start from is not what the recipe describes.
+    /// The layers of the initial network are not those of the recipe.
     #[error("start: {0}")]
     Start(&'static str),
-    /// The loss is no number any more.
+    /// The loss is not finite.
     #[error(
         "training: the loss is not finite in epoch {epoch}, batch {batch}: a smaller \
              learning rate may help"
     )]
     Diverged {
-        /// The epoch, from 0.
+        /// Number of the epoch, from 0.
         epoch: u32,
-        /// The batch, from 0.
+        /// Number of the batch, from 0.
         batch: u64,
     },
-    /// No threads to compute on.
+    /// The threads could not be started.
     #[error("training: its threads could not be started: {0}")]
     Threads(String),
 }
 
 /// Trains a net, from the beginning or from a checkpoint of the same plan and data.
+///
+/// # Errors
+/// `TrainError` if recipe, data, checkpoint or initial network do not match, a sample cannot be
+/// read, or the loss is not finite.
 pub fn train(
     plan: &Plan,
     train: &dyn Samples,
@@ -144,8 +148,11 @@ pub fn train(
     plan.compute.run(|| Training::new(plan, train, validation, checkpoint)?.run(observer))?
 }
 
-/// Answers of a network through burn, one after the other, of frames one after the other: what
-/// other runtimes are compared with.
+/// Computes the answers of a network through burn, one after the other, for frames one after the
+/// other: the reference for other runtimes.
+///
+/// # Errors
+/// `TrainError::Threads` if the threads could not be started.
 pub fn answer(network: &Network, frames: &[f32], compute: Compute) -> Result<Vec<f32>, TrainError> {
     compute.run(|| {
         let device = compute.device();
@@ -160,23 +167,23 @@ fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     tensor.into_data().try_to_vec().expect("answers are f32")
 }
 
-/// Refuses data that the net cannot be trained on.
+/// Checks that the net can be trained on the data.
 fn check(plan: &Plan, train: &dyn Samples, validation: &dyn Samples) -> Result<(), RecipeError> {
     let (channels, target) = (train.input_len(), train.target_len());
     require(!train.is_empty(), "training samples", 0, "at least 1")?;
     require(!validation.is_empty(), "validation samples", 0, "at least 1")?;
     let alike = validation.input_len() == channels && validation.target_len() == target;
-    require(alike, "validation samples", "of other lengths", "like the training samples")?;
+    require(alike, "validation samples", "of other lengths", "as long as the training samples")?;
     require(channels > 0, "channels", channels, "at least 1")?;
     let held = plan.recipe.batch.saturating_mul(channels + target);
-    let limit = "so few that a batch has at most 2^26 numbers, channels and target";
+    let limit = "at most 2^26 numbers per batch, channels and target";
     require(held <= BATCH_MAX, "batch", plan.recipe.batch, limit)?;
     if let Some(sd_v) = &plan.noise_sd_v {
         let limit = "one for each channel";
         require(sd_v.len() == channels, "noise standard deviations", sd_v.len(), limit)?;
     }
     let given = plan.recipe.noise.level == 0.0 || plan.noise_sd_v.is_some();
-    let limit = "0 where no residuals of a Transfer-Net are given";
+    let limit = "0 without the residuals of a Transfer-Net";
     require(given, "noise.level", plan.recipe.noise.level, limit)?;
     match &plan.recipe.net {
         Net::TransferNet(_) => {
@@ -190,7 +197,7 @@ fn check(plan: &Plan, train: &dyn Samples, validation: &dyn Samples) -> Result<(
     }
 }
 
-/// The net as it is before the first step.
+/// The net before the first step.
 pub(crate) fn first(recipe: &Recipe, statistics: &Statistics, target: usize) -> Network {
     let mut initial = Initial::new(recipe.seed);
     match &recipe.net {
@@ -200,7 +207,7 @@ pub(crate) fn first(recipe: &Recipe, statistics: &Statistics, target: usize) -> 
     }
 }
 
-/// A training under way.
+/// A running training.
 struct Training<'a> {
     recipe: &'a Recipe,
     subject: Subject,
@@ -290,7 +297,7 @@ impl<'a> Training<'a> {
         Ok(self.end(End::Epochs))
     }
 
-    /// Learns what is left of the epoch; `false` when it shall stop.
+    /// Learns the remaining batches of the epoch; returns `false` if it must stop.
     fn epoch(&mut self, observer: &mut dyn Observer) -> Result<bool, TrainError> {
         let noise = self.noise.clone();
         let pass = Pass {
@@ -327,7 +334,7 @@ impl<'a> Training<'a> {
         Ok(())
     }
 
-    /// The loss on the validation samples.
+    /// Computes the loss on the validation samples.
     fn judge(&mut self) -> Result<f64, TrainError> {
         let noise = self.noise.clone();
         let pass = Pass {
@@ -356,7 +363,7 @@ impl<'a> Training<'a> {
         })
     }
 
-    /// Batches of an epoch.
+    /// Number of batches of an epoch.
     fn batches(&self) -> u64 {
         self.train.len().div_ceil(self.recipe.batch as u64)
     }
@@ -390,7 +397,7 @@ impl<'a> Training<'a> {
         }
     }
 
-    /// Shows progress and does what is wished; `false` when it shall stop.
+    /// Reports progress and follows the observer; returns `false` if the training must stop.
     fn follow(&self, observer: &mut dyn Observer, progress: &Progress) -> bool {
         let flow = observer.see(progress);
         if flow != Flow::Continue {

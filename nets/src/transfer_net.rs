@@ -1,5 +1,5 @@
-//! Transfer-Net (paper V-A): real voltages to simulated ones, five hidden layers of as many
-//! rectified neurons as there are channels.
+//! Transfer-Net (paper V-A): real voltages to simulated ones, five hidden layers of rectified
+//! neurons, as many as channels.
 //! PURE. Uses: `initial`, `input`. Never: burn.
 
 use serde::{Deserialize, Serialize};
@@ -10,19 +10,19 @@ use crate::network::{Form, Layer, Network};
 use crate::recipe::{RecipeError, WEIGHTS_MAX, require};
 use crate::statistics::Statistics;
 
-/// What a Transfer-Net is.
+/// Parameters of a Transfer-Net.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TransferNet {
-    /// What it answers, and its loss.
+    /// Relation of its answer to the input, and its loss.
     pub form: TransferForm,
-    /// Hidden layers.
+    /// Number of hidden layers.
     pub hidden: usize,
-    /// Neurons of a hidden layer; 0: as many as channels.
+    /// Number of neurons of a hidden layer; 0: the number of channels.
     pub width: usize,
 }
 
-/// Two forms of one net.
+/// Forms of the net's answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum TransferForm {
@@ -40,7 +40,7 @@ impl Default for TransferNet {
 }
 
 impl TransferNet {
-    /// Its normalisation.
+    /// Normalisation of its frames.
     pub fn input(&self) -> Input {
         match self.form {
             TransferForm::Plain => Input::Standardised,
@@ -55,7 +55,7 @@ impl TransferNet {
         require(weights <= WEIGHTS_MAX, "net.hidden x net.width^2", weights, "at most 2^28")
     }
 
-    /// A net that knows nothing yet.
+    /// The net before the first step.
     pub(crate) fn first(&self, statistics: &Statistics, initial: &mut Initial) -> Network {
         let channels = statistics.mean.len();
         let width = if self.width == 0 { channels } else { self.width };

@@ -1,26 +1,26 @@
 //! Transposed convolution as one matrix product, kernel a multiple of the stride.
 //! Uses: burn. Never: other layers.
 //!
-//! An output pixel is a block's pixel `(py, px)` of `stride x stride`; a kernel of `m` strides
-//! spreads an input pixel over `m x m` blocks. The product gives every input pixel its `m x m`
-//! blocks; blocks that fall on the same place are added.
+//! An output pixel is pixel `(py, px)` of a block of `stride x stride`; a kernel of `m` strides
+//! spreads an input pixel over `m x m` blocks. The product determines the `m x m` blocks of every
+//! input pixel; overlapping blocks are added.
 
 use burn::tensor::Tensor;
 use burn::tensor::module::conv2d;
 use burn::tensor::ops::ConvOptions;
 
-/// Of a transposed convolution.
+/// Shape of a transposed convolution.
 #[derive(Clone, Copy)]
 pub(crate) struct Shape {
     /// Batch, height, width of the input.
     pub image: [usize; 3],
-    /// Channels out.
+    /// Number of output channels.
     pub outputs: usize,
-    /// Side of the kernel, a multiple of the stride.
+    /// Side of the kernel, pixels, a multiple of the stride.
     pub kernel: usize,
-    /// Stride.
+    /// Stride, pixels.
     pub stride: usize,
-    /// Pixels cut from each side.
+    /// Number of pixels cut from each side.
     pub padding: usize,
 }
 
@@ -42,7 +42,7 @@ fn pairs(n: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..n).flat_map(move |a| (0..n).map(move |b| (a, b)))
 }
 
-/// From rows of pixels to rows of pixels, and the new `[height, width]`. `weight` is
+/// Maps rows of pixels to rows of pixels, and returns the new `[height, width]`. `weight` is
 /// `[inputs, outputs kernel^2]` in [`order`].
 pub(crate) fn conv_transpose(
     x: Tensor<2>,
@@ -78,7 +78,7 @@ pub(crate) fn conv_transpose(
     (cut.reshape([batch * tall * broad, outputs]), [tall, broad])
 }
 
-/// Convolution with an odd kernel that keeps height and width; `weight` is
+/// Convolution with an odd kernel that preserves height and width; `weight` is
 /// `[inputs kernel^2, outputs]`, the taps of an input together.
 pub(crate) fn conv(
     x: Tensor<2>,
@@ -94,7 +94,7 @@ pub(crate) fn conv(
     planes.permute([0, 2, 3, 1]).reshape([batch * height * width, outputs])
 }
 
-/// From `channels r^2` to `channels`, each side `r` times as long.
+/// From `channels r^2` to `channels`, each side `r` times as long (ONNX DepthToSpace, mode CRD).
 pub(crate) fn shuffle(
     x: Tensor<2>,
     [batch, height, width]: [usize; 3],

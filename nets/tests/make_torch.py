@@ -1,5 +1,5 @@
-"""Writes torch.json: for small nets of each kind what PyTorch answers, its losses, gradients and
-first steps of Adam. Run once, by hand, where the nets' layers change:
+"""Writes torch.json: for small nets of each kind PyTorch's answers, losses, gradients and
+first steps of Adam. Run it manually after a change of the nets' layers:
 
     python nets/tests/make_torch.py > nets/tests/torch.json
 
@@ -53,7 +53,7 @@ def whitened(components):
 
 
 def numbers(modules, of):
-    """Numbers of layers in our order; `of` picks a parameter's values or its gradient."""
+    """Numbers of layers in our order; `of` selects a parameter's values or its gradient."""
     out = []
     put = lambda t: out.extend(t.detach().flatten().tolist())
     for m in modules:
@@ -113,7 +113,7 @@ def case(recipe, modules, target, targets, loss, residual=False, rectified=False
 
 
 def short(case):
-    """Nine digits tell every f32 apart."""
+    """Nine digits distinguish every f32."""
     cut = lambda x: float(f"{x:.9g}") if isinstance(x, float) else x
     return {k: [cut(x) for x in v] if isinstance(v, list) else v for k, v in case.items()}
 

@@ -1,5 +1,5 @@
-//! The stream of simulated samples: a function of seed and number, drawn as it says, and good
-//! enough to learn from.
+//! The stream of simulated samples: a function of seed and number, with the stated distribution,
+//! and suitable for training.
 
 use std::collections::BTreeSet;
 use std::sync::{Arc, OnceLock};
@@ -17,7 +17,7 @@ use sim_core::sensor::Sensor;
 const POINTS: usize = 804;
 const CHANNELS: usize = 784;
 
-/// The paper's skin, solved once.
+/// Model of the paper's skin, solved once.
 fn model() -> &'static ForwardModel {
     static MODEL: OnceLock<ForwardModel> = OnceLock::new();
     MODEL.get_or_init(|| {
@@ -87,12 +87,12 @@ fn contacts_are_drawn_as_the_recipe_says() {
     // 120 untouched with a standard deviation of 11; 3880 / 6 = 647 of each number, with one of 23.
     assert!((75..=165).contains(&counts[0]), "{counts:?}");
     assert!(counts[1..].iter().all(|c| (555..=740).contains(c)), "{counts:?}");
-    // A quarter of the touched, and heavy ones that happen to be: (7/35)^n / 6 summed is 4 % of the
+    // A quarter of the touched, and heavy ones by chance: the sum of (7/35)^n / 6 is 4 % of the
     // others.
     assert!((965..=1220).contains(&light), "{light}");
 }
 
-/// Remembers validation losses.
+/// Stores validation losses.
 struct Losses(Vec<f64>);
 
 impl Observer for Losses {
@@ -113,7 +113,7 @@ fn point_net_learns_from_a_stream_that_never_repeats() {
     let mut losses = Losses(Vec::new());
     train(&plan, &stream(5, 4000), &stream(6, 500), None, &mut losses).unwrap();
     let [first, .., last] = losses.0[..] else { panic!("{:?}", losses.0) };
-    // What a net says that knows no more than how many points are pressed how hard on average:
+    // Answer of a net that knows only the mean number of pressed points and their mean force:
     // 3.4 (1 + ln(804 / 3.4)) = 22.0 of entropy, and 3.4 x 0.47 of spread of ln force.
     assert!(first < 24.0 && last < 21.5 && last < first, "{:?}", losses.0);
 }

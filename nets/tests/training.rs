@@ -1,4 +1,4 @@
-//! What a training must do, whichever net it trains: learn, end, go on, refuse.
+//! Training of every kind of net: it learns, ends, resumes, rejects.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -38,7 +38,7 @@ impl Samples for Rows {
     }
 }
 
-/// Frames of a few hundredths of a volt, and what `target` makes of each.
+/// Frames of a few hundredths of a volt, and `target` of each.
 fn rows(count: usize, target: impl Fn(&[f32], usize) -> Vec<f32>) -> Rows {
     let wave = |row: usize, c: usize| ((row * 7 + c * 3) as f32 * 0.71).sin() * 0.03;
     let inputs: Vec<Vec<f32>> =
@@ -47,7 +47,7 @@ fn rows(count: usize, target: impl Fn(&[f32], usize) -> Vec<f32>) -> Rows {
     Rows { inputs, targets }
 }
 
-/// What a skin whose sensitivity differs from channel to channel would do.
+/// Response of a skin whose sensitivity differs from channel to channel.
 fn bent(x: &[f32], _: usize) -> Vec<f32> {
     x.iter().enumerate().map(|(c, v)| v * (1.0 + 0.2 * (c as f32).sin()) + 3.0 * v * v).collect()
 }
@@ -85,7 +85,7 @@ const RECON: &str = "seed = 2\nepochs = 600\nbatch = 5\n[net]\nkind = 'recon-net
 const POINTS: &str = "seed = 3\nepochs = 300\nbatch = 5\n[net]\nkind = 'point-net'\nhidden = 2\n\
                       width = 64\ncomponents = 6\n";
 
-/// Stops where told, keeps what it is given.
+/// Stops at a given batch; stores checkpoints.
 #[derive(Default)]
 struct Watch {
     checkpoint_at: Option<u64>,
@@ -130,7 +130,7 @@ fn every_net_learns_ten_rows_by_heart() {
     }
 }
 
-/// A short training of each kind, with noise and early stopping in play.
+/// A short training of each kind, with noise and early stopping.
 fn short() -> Vec<(Plan, Rows)> {
     let short = |toml: &str, rows| {
         let toml = toml.replace("epochs = 300", "epochs = 4\npatience = 3");
@@ -164,8 +164,8 @@ fn the_same_plan_gives_the_same_bytes_and_another_seed_others() {
 fn going_on_from_any_checkpoint_gives_what_would_have_come() {
     for (plan, rows) in short() {
         let whole = run(&plan, &rows);
-        // Of 4 epochs, 3 batches each and one look after each epoch: the first batch, an epoch's
-        // last batch, an epoch's end, amid the last epoch.
+        // Of 4 epochs, 3 batches each and one call after each epoch: the first batch, an epoch's
+        // last batch, an epoch's end, in the middle of the last epoch.
         for at in [1, 3, 4, 14] {
             let mut watch = Watch { checkpoint_at: Some(at), stop: true, ..Watch::default() };
             let stopped = train(&plan, &rows, &rows, None, &mut watch).unwrap();
@@ -194,7 +194,7 @@ fn a_checkpoint_of_another_training_is_refused_by_the_fields_that_differ() {
         train(plan, &rows, &rows, Some(bytes), &mut Watch::default()).unwrap_err()
     };
     let TrainError::Checkpoint(CheckpointError::Other(fields)) = refused(&other, bytes) else {
-        panic!("it was taken");
+        panic!("it was accepted");
     };
     let names: Vec<&str> = fields.iter().map(|f| f.split(' ').next().unwrap()).collect();
     assert_eq!(names, ["data", "recipe.optimiser.learning_rate", "recipe.patience"], "{fields:?}");
@@ -218,7 +218,7 @@ fn training_ends_when_nothing_gets_better_and_keeps_the_best() {
     let best = losses.iter().copied().fold(f64::INFINITY, f64::min);
     let at = losses.iter().position(|&l| l == best).unwrap();
     assert_eq!(losses.len(), at + 1 + 4, "{losses:?}");
-    // The network that is handed over is the one of that epoch.
+    // The returned network is the one of that epoch.
     let frames: Vec<f32> = other.inputs.concat();
     let answers = answer(&trained.network, &frames, plan.compute).unwrap();
     let relative = |(p, y): (&[f32], &Vec<f32>)| -> f64 {
@@ -301,7 +301,7 @@ fn a_trained_net_is_trained_further_with_its_own_normalisation() {
     assert!(matches!(found, TrainError::Start(_)), "{found}");
 }
 
-/// Counts how many samples are in memory at once: those read and not yet learned.
+/// Counts the samples in memory: those read and not yet learned.
 struct Counted<'a> {
     rows: &'a Rows,
     len: u64,

@@ -1,4 +1,4 @@
-//! How much a tip between the nodes is blurred: foam conductance and size of the frame, against the
+//! Blur of a tip between the nodes: foam conductance and size of the frame, compared with the
 //! same tip on the nodes around it. `cargo run -p sim-core --example between_points`
 
 use std::sync::Arc;

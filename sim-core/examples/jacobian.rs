@@ -1,4 +1,4 @@
-//! The adjoint Jacobian against one-sided differences: time and agreement.
+//! The adjoint Jacobian compared with one-sided differences: time and agreement.
 //! `cargo run -p sim-core --example jacobian`
 
 use std::sync::Arc;

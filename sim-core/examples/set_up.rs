@@ -1,4 +1,4 @@
-//! How long the unit responses take from nothing and from the cache, and the peak of memory.
+//! Time of the unit responses without and with the cache, and the peak of memory.
 //! `cargo run -p sim-core --example set_up`
 
 use std::time::Instant;
@@ -31,7 +31,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Linux only; elsewhere nothing is printed.
+/// Prints the peak of memory; Linux only, elsewhere it prints nothing.
 fn print_peak() {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     if let Some(line) = status.lines().find(|line| line.starts_with("VmHWM")) {

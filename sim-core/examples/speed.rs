@@ -1,4 +1,4 @@
-//! How fast a frame is, side by side in one run: `cargo run -p sim-core --example speed`.
+//! Time per frame of each method, in one run: `cargo run -p sim-core --example speed`.
 //! Uses: all of sim-core, faer, ngspice where it is installed. Never: more than one thread.
 //!
 //! Every figure is the least of many repetitions on one core, so that other work on the machine
@@ -29,7 +29,7 @@ use sim_core::sensor::Sensor;
 
 /// Contacts per trial.
 const COUNTS: [usize; 3] = [1, 3, 6];
-/// Trials per repetition of the batch paths: whole vectors in every kernel.
+/// Trials per repetition of the batch paths: a multiple of the lanes of every kernel.
 const TRIALS: usize = 64;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -67,7 +67,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     rows.push(("faer: 28 separate factorisations, as the paper; network only".into(), faer[1]));
     match ngspice_us(&model, &network, &trials, &mut work)? {
         Some(us) => rows.push(("ngspice, 28 x one injection; network only".into(), us)),
-        None => println!("\nngspice is not installed: left out"),
+        None => println!("\nngspice is not installed: skipped"),
     }
     print_table(&rows);
     println!(
@@ -114,7 +114,7 @@ fn random_trials(sensor: &Sensor, contacts: usize) -> Vec<Vec<Contact>> {
     (0..TRIALS).map(|_| (0..contacts).map(|_| contact()).collect()).collect()
 }
 
-/// The least time of some repetitions.
+/// Least time of some repetitions, us.
 fn least_us(repetitions: usize, mut work: impl FnMut()) -> f64 {
     let once = |_| {
         let start = Instant::now();
@@ -160,7 +160,7 @@ fn conductances(
     SparseColMat::try_new_from_triplets(n, n, &triplets).map_err(|e| format!("{e:?}").into())
 }
 
-/// One numeric factor and 28 solves, the analysis done before; the better of faer's two layouts.
+/// One numeric factorisation and 28 solves after the analysis; the faster of faer's two layouts.
 fn one_factor_us(
     network: &SheetNetwork,
     matrix: &SparseColMat<usize, f64>,
@@ -217,7 +217,8 @@ fn factor_us(
     }))
 }
 
-/// For each injection its own system, with that electrode as ground, analysed and factorised anew.
+/// Solves each injection as a separate system, with that electrode as ground: analysis and
+/// factorisation are repeated.
 fn factor_per_injection_us(
     network: &SheetNetwork,
     to_top_s: &[f64],
@@ -227,7 +228,7 @@ fn factor_per_injection_us(
         .electrodes
         .iter()
         .map(|&electrode| {
-            // Ground is taken by a conductance far above all others.
+            // Ground is represented by a conductance far above all others.
             let mut to_ground = to_top_s.to_vec();
             to_ground[electrode as usize] += 1e6;
             conductances(network, &to_ground)

@@ -11,10 +11,13 @@ use crate::material::isotropic_mpa;
 use crate::mesh::{BrickSheet, Mesh};
 use crate::solve::SolveError;
 
-/// Outlines that agree to this share one element matrix, mm.
+/// Grid on which outlines are compared: bricks with the same outline share one element matrix, mm.
 const SAME_OUTLINE_MM: f64 = 1e-7;
 
 /// Assembles the upper triangle of the stiffness matrix over the free displacements, N/mm.
+///
+/// # Errors
+/// `SolveError::Assemble` if the sparse matrix cannot be built.
 pub fn stiffness(
     mesh: &Mesh,
     boundary: &FixedBottom,

@@ -1,8 +1,9 @@
 //! The fixed bottom: which displacements are free, and their numbers.
 //! Uses: `mesh`, `order`. Never: values other than zero.
 //!
-//! The bench under the skin is rigid and the bottom nodes are fixed (paper III-A). Free ones are
-//! numbered in the order of their elimination: nested dissection of the plane, a node's together.
+//! The support under the skin is rigid and the bottom nodes are fixed (paper III-A). Free
+//! displacements are numbered in the order of elimination: nested dissection of the plane, with the
+//! displacements of a node together.
 
 use crate::mesh::Mesh;
 use crate::order::dissect;
@@ -11,12 +12,12 @@ use crate::order::dissect;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FixedBottom {
     free_levels: usize,
-    /// Place of each node of the plane in the order.
+    /// Position of each node of the plane in the order.
     place: Vec<usize>,
 }
 
 impl FixedBottom {
-    /// The numbering of a mesh.
+    /// Numbers the free displacements of a mesh.
     pub fn new(mesh: &Mesh) -> Self {
         let mut neighbours = vec![Vec::new(); mesh.plane_nodes()];
         for cell in &mesh.cells {
@@ -32,7 +33,7 @@ impl FixedBottom {
         Self { free_levels: mesh.levels() - 1, place }
     }
 
-    /// Free displacements in all.
+    /// Number of free displacements.
     pub fn unknowns(&self) -> usize {
         3 * self.free_levels * self.place.len()
     }

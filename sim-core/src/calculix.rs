@@ -32,7 +32,7 @@ pub fn deck(title: &str, mesh: &Mesh, forces: &[NodeForce]) -> String {
     deck.level_set(mesh, "FOAMTOP", mesh.foam_levels[1]);
     deck.line(format_args!("*BOUNDARY\nFIXED, 1, 3"));
     deck.line(format_args!("*STEP\n*STATIC"));
-    // Forces of neighbouring contacts on one node are summed here: a line for each node.
+    // Forces of neighbouring contacts on one node are summed: one line per node.
     let mut on_node: BTreeMap<u32, f64> = BTreeMap::new();
     for force in forces {
         *on_node.entry(force.node).or_default() += force.force_n;

@@ -1,11 +1,11 @@
-//! A calibration: what measurements say about a skin's foam and layers, and whose id simulations
-//! carry. Uses: `sensor`, `responses` (which meshes are alike), serde and toml. Never: fitting,
-//! files (the text is handed in), a clock.
+//! A calibration: measured values of a skin's foam and layers, with the id that simulations carry.
+//! Uses: `sensor`, `responses` (identity of meshes), serde and toml. Never: fitting, files (the
+//! text is passed in), a clock.
 //!
-//! A compression test gives a, b and c of Eq. 1 (paper III-B), indentations give the moduli (III-A),
-//! measured trials give what differs from place to place. The first two stand alone, the third holds
-//! on top of them, and [`Calibration::over`] joins them. The id is `cal-` and the start of
-//! the sha256 over the file's content, so that an edited file is noticed.
+//! A compression test determines a, b and c of Eq. 1 (paper III-B), indentations determine the
+//! moduli (III-A), measured trials determine the differences between positions. The first two are
+//! independent, the third is valid on top of them, and [`Calibration::over`] joins them. The id is
+//! `cal-` and the start of the sha256 over the file's content, so that an edit is detected.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ use crate::responses::UnitResponses;
 use crate::sensor::{Sensor, SensorError};
 use crate::skin::{SkinCalibration, SkinValueError};
 
-/// What is wrong with a calibration, or with using it.
+/// Why a calibration is invalid or cannot be applied.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum CalibrationError {
     /// The text is not TOML, or has a key or a type that a calibration does not have.
@@ -29,34 +29,34 @@ pub enum CalibrationError {
         key: String,
         /// The value found, as text.
         value: String,
-        /// What is allowed.
+        /// Allowed values.
         limit: String,
     },
     /// The id is not that of the content: the file was edited or damaged.
     #[error("id = {found}: the content's id is {needed}; calibrate again, do not edit")]
     Id {
-        /// The id in the file.
+        /// Id in the file; `none` if there is none.
         found: String,
-        /// The content's.
+        /// Id of the content.
         needed: String,
     },
-    /// It was made for another sensor.
+    /// The calibration was made for another sensor.
     #[error("sensor = {found}: the calibration is of another sensor than {needed}")]
     OtherSensor {
-        /// The calibration's.
+        /// Name of the sensor in the calibration.
         found: String,
-        /// The one at hand.
+        /// Name of the sensor it is applied to.
         needed: String,
     },
     /// The moduli were fitted on another mesh: point loads make them depend on it.
     #[error("foam.mesh = {found}: the moduli are of another mesh than {needed}")]
     OtherMesh {
-        /// The calibration's.
+        /// Mesh id in the calibration, see [`mesh_id`].
         found: String,
-        /// The one at hand.
+        /// Mesh id of the sensor it is applied to.
         needed: String,
     },
-    /// With the calibrated values the sensor is not sound.
+    /// The sensor with the calibrated values is invalid.
     #[error("calibrated sensor: {0}")]
     Sensor(#[from] SensorError),
 }
@@ -65,7 +65,7 @@ pub enum CalibrationError {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Fitted {
-    /// The estimate.
+    /// Estimated value.
     pub value: f64,
     /// Lower end of the interval.
     pub low_95: f64,
@@ -73,13 +73,13 @@ pub struct Fitted {
     pub high_95: f64,
 }
 
-/// How far a model is from measurements, and relative to how much these vary.
+/// Difference of a model from measurements, absolute and relative to their variation.
 ///
 /// The paper states "a normalized root-mean-square error (RMSE) of 24.1%" for the displacement
-/// (III-A) and "a normalized RMSE of 28.3%" for the voltages (III-C), and does not say in its main
-/// text by what it divides. Both usual readings are given. For voltages the first agrees with the
-/// rest of the paper: it is the square root of the FVU of Eq. 2, and 28.3 % is an FVU of 0.08 where
-/// Fig. 7 has medians of about 0.1.
+/// (III-A) and "a normalized RMSE of 28.3%" for the voltages (III-C); its main text does not define
+/// the normalisation. Both usual definitions are stated. For voltages the first agrees with the
+/// rest of the paper: it is the square root of the FVU of Eq. 2, and 28.3 % is an FVU of 0.08,
+/// where Fig. 7 has medians of about 0.1.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Accuracy {
@@ -89,19 +89,19 @@ pub struct Accuracy {
     pub nrmse_by_sd: f64,
     /// The same over the range (largest minus smallest) of the measurements.
     pub nrmse_by_range: f64,
-    /// Values compared.
+    /// Number of values compared.
     pub values: usize,
 }
 
-/// Eq. 1 as a compression test gives it.
+/// Coefficients of Eq. 1 from a compression test.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PiezoCalibration {
     /// sha256 of the measurements' file.
     pub data_sha256: String,
-    /// Rows in it.
+    /// Number of rows in the file.
     pub rows: usize,
-    /// Smallest and largest compression measured, mm: outside, the law is extrapolated.
+    /// Smallest and largest compression measured, mm; the law is extrapolated outside.
     pub compression_mm: [f64; 2],
     /// Residual standard deviation of ln(resistance).
     pub residual_sd_ln: f64,
@@ -109,21 +109,21 @@ pub struct PiezoCalibration {
     pub a_ohm: Fitted,
     /// b, 1/mm.
     pub b_per_mm: Fitted,
-    /// c, ohm; absent where the test ends before the resistance levels off and the sensor file's is
-    /// kept.
+    /// c, ohm; absent if the test ends before the resistance levels off: the value of the sensor
+    /// file remains.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub c_ohm: Option<Fitted>,
 }
 
-/// The moduli as single-point indentations give them.
+/// Moduli from single-point indentations.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FoamCalibration {
     /// sha256 of the measurements' file.
     pub data_sha256: String,
-    /// Rows in it.
+    /// Number of rows in the file.
     pub rows: usize,
-    /// The mesh that the moduli belong to, see [`mesh_id`].
+    /// Id of the mesh on which the moduli were fitted, see [`mesh_id`].
     pub mesh: String,
     /// Largest force measured, N.
     pub force_n: f64,
@@ -133,36 +133,39 @@ pub struct FoamCalibration {
     pub top_mpa: f64,
     /// Young's modulus of the foam, MPa.
     pub foam_mpa: Fitted,
-    /// Factor on both fabrics' moduli in the sensor file; absent where the data do not identify it
-    /// and the sensor file's are kept.
+    /// Factor on the moduli of both fabrics in the sensor file; absent if the data do not identify
+    /// it: the values of the sensor file remain.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fabric_factor: Option<Fitted>,
-    /// Displacement of the model against the measured one, mm.
+    /// Displacement of the model compared with the measured one, mm.
     pub displacement: Accuracy,
 }
 
-/// What is known about a skin. Values replace those of the sensor file; the rest stays.
+/// Calibrated values of a skin. They replace those of the sensor file; other values remain.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Calibration {
-    /// Name of the sensor file it was made with.
+    /// Name of the sensor of the sensor file used.
     pub sensor: String,
-    /// From a compression test.
+    /// From a compression test; absent if none was used.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub piezo: Option<PiezoCalibration>,
-    /// From indentations.
+    /// From indentations; absent if none were used.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub foam: Option<FoamCalibration>,
-    /// Voltages of single contacts under this calibration against measured ones, V.
+    /// Voltages of single contacts under this calibration compared with measured ones, V.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub voltage: Option<Accuracy>,
-    /// From measured trials: one skin, place by place, on top of the parts above.
+    /// From measured trials: fields of one skin, on top of the parts above.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub skin: Option<SkinCalibration>,
 }
 
-/// Name of what moduli depend on besides themselves: lattice, layers, element, solver. The start of
-/// the unit responses' key with every modulus set to 1 MPa.
+/// Id of everything that moduli depend on in addition to the measurements: lattice, layers,
+/// element, solver. It is the start of the unit responses' key with every modulus set to 1 MPa.
+///
+/// # Errors
+/// `SensorError` if the sensor is invalid with these moduli.
 pub fn mesh_id(sensor: &Sensor) -> Result<String, SensorError> {
     let mut file = sensor.file.clone();
     for layer in [&mut file.layers.bottom, &mut file.layers.foam, &mut file.layers.top] {
@@ -173,6 +176,10 @@ pub fn mesh_id(sensor: &Sensor) -> Result<String, SensorError> {
 
 impl Calibration {
     /// Parses and checks a calibration file's text.
+    ///
+    /// # Errors
+    /// `Syntax` if the text is not a calibration file; `Value` if a value is outside its limits;
+    /// `Id` if the id is not that of the content.
     pub fn from_toml(text: &str) -> Result<Self, CalibrationError> {
         let syntax = |e: toml::de::Error| CalibrationError::Syntax(e.to_string());
         let mut table: toml::Table = toml::from_str(text).map_err(syntax)?;
@@ -187,22 +194,31 @@ impl Calibration {
         Ok(calibration)
     }
 
-    /// The file's text; what [`Self::from_toml`] reads back as the same.
+    /// Returns the file's text; [`Self::from_toml`] restores the same calibration from it.
+    ///
+    /// # Errors
+    /// `CalibrationError::Syntax` if the content cannot be written as TOML.
     pub fn to_toml(&self) -> Result<String, CalibrationError> {
         Ok(format!("id = \"{}\"\n{}", self.id()?, self.content()?))
     }
 
-    /// `cal-` and the start of the sha256 over the content.
+    /// Returns the id: `cal-` and the start of the sha256 over the content.
+    ///
+    /// # Errors
+    /// `CalibrationError::Syntax` if the content cannot be written as TOML.
     pub fn id(&self) -> Result<String, CalibrationError> {
         let mut digest = Digest::new("calibration 1");
         digest.word(&self.content()?);
         Ok(format!("cal-{}", hex(&digest.finish()[..8])))
     }
 
-    /// This one, and from an earlier one the moduli and Eq. 1 that this one does not have. The
-    /// voltages' accuracy belongs to a combination: it is dropped where the earlier one adds something.
-    /// An earlier skin is dropped: it was fitted with other values. This one's skin is taken to be
-    /// fitted with the earlier values that are joined here.
+    /// Returns this calibration, completed with the moduli and Eq. 1 of an earlier one where it has
+    /// none. The accuracy of the voltages belongs to a combination: it is dropped if a part is
+    /// added. The skin of the earlier calibration is dropped: it was fitted with other values. This
+    /// calibration's skin is assumed to be fitted with the earlier values that are joined here.
+    ///
+    /// # Errors
+    /// `CalibrationError::OtherSensor` if the two are of different sensors.
     pub fn over(mut self, earlier: &Self) -> Result<Self, CalibrationError> {
         if earlier.sensor != self.sensor {
             let (found, needed) = (earlier.sensor.clone(), self.sensor);
@@ -218,7 +234,12 @@ impl Calibration {
         Ok(self)
     }
 
-    /// The sensor with the calibrated values in place of its own, and this calibration's id.
+    /// Returns the sensor with the calibrated values in place of its own, and this calibration's
+    /// id.
+    ///
+    /// # Errors
+    /// `OtherSensor` or `OtherMesh` if the calibration is of another sensor or mesh; `Sensor` or
+    /// `Value` if the result is invalid.
     pub fn apply(&self, sensor: &Sensor) -> Result<Sensor, CalibrationError> {
         let mut file = sensor.file.clone();
         if self.sensor != file.name {
@@ -397,7 +418,7 @@ mod tests {
         assert_eq!(piezo().over(&skin()).unwrap().skin, None);
     }
 
-    /// What is said of a skin with something wrong in it.
+    /// Error text of a skin after an invalid change.
     fn refused(change: impl Fn(&mut SkinCalibration)) -> String {
         let mut wrong = skin();
         change(wrong.skin.as_mut().unwrap());
@@ -425,7 +446,7 @@ mod tests {
 
     #[test]
     fn the_id_is_of_the_content_and_stays_what_it_is() {
-        // Files in the world carry it: a change of this number is a change of the format.
+        // Existing files contain it: a change of this number is a change of the format.
         assert_eq!(piezo().id().unwrap(), "cal-c5258dd7737cff82");
         assert_ne!(piezo().id().unwrap(), foam().id().unwrap());
         let edited = piezo().to_toml().unwrap().replace("1.5", "1.6");
@@ -453,7 +474,7 @@ mod tests {
         thicker.layers.foam.elements = 4;
         let thicker = Sensor::new(thicker).unwrap();
         assert!(matches!(foam().apply(&thicker), Err(CalibrationError::OtherMesh { .. })));
-        // Moduli do not make a mesh.
+        // Moduli are not part of the mesh id.
         let mut softer = sensor().file;
         softer.layers.foam.youngs_mpa = 0.06;
         assert!(foam().apply(&Sensor::new(softer).unwrap()).is_ok());

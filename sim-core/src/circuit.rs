@@ -1,4 +1,4 @@
-//! The readout circuit: where the electrodes stand, what is in series with them, source and gain.
+//! The readout circuit: positions of the electrodes, their series resistances, source and gain.
 //! Uses: `sensor`. Never: the foam.
 
 use crate::digest::Digest;
@@ -7,14 +7,14 @@ use crate::sensor::Sensor;
 /// One electrode.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ElectrodeSite {
-    /// Place on the skin, mm.
+    /// Position on the skin along x, mm.
     pub x_mm: f64,
-    /// Place on the skin, mm.
+    /// Position on the skin along y, mm.
     pub y_mm: f64,
-    /// Contact (spreading) resistance to the sheet, ohm: shared over the nodes of its triangle by
-    /// their weights. 0 only where the electrode stands on a node, which it then is.
+    /// Contact (spreading) resistance to the sheet, ohm: shared among the nodes of its triangle by
+    /// their weights. 0 only if the electrode is on a node, which then is the electrode.
     pub contact_ohm: f64,
-    /// Resistance of the lead, ohm; carries current only while this electrode is the sink.
+    /// Resistance of the lead, ohm; it carries current only while this electrode is the sink.
     pub lead_ohm: f64,
 }
 
@@ -30,7 +30,7 @@ pub struct ReadoutCircuit {
 }
 
 impl ReadoutCircuit {
-    /// The sensor file's: ideal electrodes on their nodes.
+    /// The circuit of the sensor file: ideal electrodes on their nodes.
     pub fn nominal(sensor: &Sensor) -> Self {
         let ideal = |&[x_mm, y_mm]: &[f64; 2]| ElectrodeSite {
             x_mm,

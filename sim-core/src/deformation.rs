@@ -28,7 +28,10 @@ pub struct Deformation {
 }
 
 impl Deformation {
-    /// Assembles the skin and solves for one load: about a second.
+    /// Assembles the skin and solves for one load; takes about 1 s.
+    ///
+    /// # Errors
+    /// `SolveError` if the stiffness matrix cannot be assembled, factorised or solved.
     pub fn solve(mesh: &Mesh, forces: &[NodeForce]) -> Result<Self, SolveError> {
         let boundary = FixedBottom::new(mesh);
         let factor = Factor::new(&assemble::stiffness(mesh, &boundary)?)?;
@@ -55,7 +58,7 @@ impl Deformation {
         self.displacement_mm[level * self.plane_nodes + node]
     }
 
-    /// How far the foam is compressed at a node of the plane, mm; < 0 where it is lifted.
+    /// Compression of the foam at a node of the plane, mm; < 0 where it is lifted.
     pub fn compression_mm(&self, node: usize) -> f64 {
         let [bottom, top] = self.foam_levels.map(|level| self.at(level, node)[2]);
         bottom - top

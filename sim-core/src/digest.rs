@@ -7,7 +7,7 @@ use sha2::{Digest as _, Sha256};
 pub(crate) struct Digest(Sha256);
 
 impl Digest {
-    /// Starts with a word that names what is digested, and its version.
+    /// Starts with a word that names the content and its version.
     pub(crate) fn new(name: &str) -> Self {
         let mut digest = Self(Sha256::new());
         digest.word(name);
@@ -40,13 +40,13 @@ impl Digest {
         self.0.update(bytes);
     }
 
-    /// The digest.
+    /// Returns the digest.
     pub(crate) fn finish(self) -> [u8; 32] {
         self.0.finalize().into()
     }
 }
 
-/// Lower-case hexadecimal.
+/// Bytes as lower-case hexadecimal.
 pub(crate) fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|b| format!("{b:02x}")).collect()
 }

@@ -1,27 +1,27 @@
-//! How one skin differs from the nominal one, node by node: materials, sheet, foam law.
+//! Differences of one skin from the nominal one, node by node: materials, sheet, foam law.
 //! Uses: `mesh` for the counts. Never: chance (a reality gap or a calibration fills these in).
 
 use crate::digest::Digest;
 use crate::mesh::Mesh;
 
-/// A monotone map from linear to real foam compression, sampled evenly and joined by straight lines;
-/// beyond its last sample it goes on with the last slope.
+/// A monotone map from linear to real foam compression, sampled evenly and interpolated linearly;
+/// beyond its last sample it is extrapolated with the last slope.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DisplacementLut {
     step_mm: f64,
     samples_mm: Vec<f64>,
 }
 
-/// What is wrong with a displacement table.
+/// Why a displacement table is invalid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum LutError {
-    /// It needs a positive step and two samples.
+    /// The step is not positive, or there are fewer than two samples.
     #[error("displacement table: needs a positive step and at least two samples")]
     TooShort,
-    /// It must start at zero, be finite and never fall.
+    /// A sample is not finite or below the one before it, or the first is not zero.
     #[error("displacement table: sample {index} = {value_mm} mm breaks the rise from zero")]
     NotRising {
-        /// Index of the sample.
+        /// Index of the sample, from 0.
         index: usize,
         /// Its value, mm.
         value_mm: f64,
@@ -29,7 +29,10 @@ pub enum LutError {
 }
 
 impl DisplacementLut {
-    /// From samples at 0, `step_mm`, 2 `step_mm`, ..
+    /// Builds the table from samples at 0, `step_mm`, 2 `step_mm`, ..
+    ///
+    /// # Errors
+    /// `LutError::TooShort` or `LutError::NotRising`, as described there.
     pub fn new(step_mm: f64, samples_mm: Vec<f64>) -> Result<Self, LutError> {
         if !(step_mm > 0.0 && step_mm.is_finite()) || samples_mm.len() < 2 {
             return Err(LutError::TooShort);
@@ -45,13 +48,16 @@ impl DisplacementLut {
         Ok(Self { step_mm, samples_mm })
     }
 
-    /// From a law, sampled up to `end_mm`.
+    /// Builds the table from a law, sampled up to `end_mm`.
+    ///
+    /// # Errors
+    /// `LutError`, as [`Self::new`].
     pub fn sample(step_mm: f64, end_mm: f64, law: impl Fn(f64) -> f64) -> Result<Self, LutError> {
         let count = (end_mm / step_mm).ceil().max(1.0) as usize;
         Self::new(step_mm, (0..=count).map(|i| law(i as f64 * step_mm)).collect())
     }
 
-    /// Real compression of a linear one, mm.
+    /// Real compression for a linear one, mm.
     #[inline]
     pub fn apply(&self, linear_mm: f64) -> f64 {
         let place = linear_mm / self.step_mm;
@@ -60,7 +66,7 @@ impl DisplacementLut {
         low + (high - low) * (place - cell as f64)
     }
 
-    /// Slope of [`Self::apply`]; at a sample, that of the piece after it.
+    /// Slope of [`Self::apply`]; at a sample, that of the following piece.
     pub fn slope(&self, linear_mm: f64) -> f64 {
         let cell = ((linear_mm / self.step_mm) as usize).min(self.samples_mm.len() - 2);
         (self.samples_mm[cell + 1] - self.samples_mm[cell]) / self.step_mm
@@ -70,17 +76,17 @@ impl DisplacementLut {
 /// Natural logarithms of factors on the nominal values (0 = nominal), and the foam's law.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NodeFields {
-    /// On a of Eq. 1, per node.
+    /// Factor on a of Eq. 1, per node.
     pub ln_a: Vec<f64>,
-    /// On b of Eq. 1, per node.
+    /// Factor on b of Eq. 1, per node.
     pub ln_b: Vec<f64>,
-    /// On c of Eq. 1, per node.
+    /// Factor on c of Eq. 1, per node.
     pub ln_c: Vec<f64>,
-    /// On the foam's compression, per node.
+    /// Factor on the foam's compression, per node.
     pub ln_compliance: Vec<f64>,
-    /// On the sheet's conductance, per triangle.
+    /// Factor on the sheet's conductance, per triangle.
     pub ln_sheet_conductance: Vec<f64>,
-    /// The foam's law after the compliance; `None` = linear.
+    /// The foam's law, applied after the compliance; `None` is linear.
     pub displacement: Option<DisplacementLut>,
 }
 
@@ -90,9 +96,9 @@ pub struct NodeFields {
 pub struct FieldLength {
     /// Name of the field.
     pub field: &'static str,
-    /// Values found.
+    /// Number of values found.
     pub found: usize,
-    /// Values needed.
+    /// Number of values needed.
     pub needed: usize,
 }
 
@@ -111,6 +117,9 @@ impl NodeFields {
     }
 
     /// Checks the lengths against a mesh.
+    ///
+    /// # Errors
+    /// `FieldLength` with the first field whose length is wrong.
     pub fn check(&self, mesh: &Mesh) -> Result<(), FieldLength> {
         let (nodes, triangles) = (mesh.plane_nodes(), mesh.triangles.len());
         for (field, values, needed) in [

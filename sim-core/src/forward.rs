@@ -1,4 +1,4 @@
-//! The forward model: forces on the skin in, a frame of voltages out.
+//! The forward model: from forces on the skin to a frame of voltages.
 //! Uses: all of this crate. Never: files, chance.
 //!
 //! `forces -> compression (superposed unit responses, clamped at 0 after the sum) -> fields ->
@@ -19,16 +19,16 @@ use crate::responses::UnitResponses;
 use crate::sensor::{ResistancePer, Sensor};
 use crate::tip::{Share, Spreading, TipLattice};
 
-/// A contact is taken for one on a point within this distance by those who need a point's number,
-/// mm; the model itself takes every contact where it is.
+/// Distance within which a contact counts as one on a point, mm, for callers that need the number
+/// of the point; the model itself uses the exact position of every contact.
 pub const POINT_TOLERANCE_MM: f64 = 0.5;
 
-/// One contact of a tip's size.
+/// One contact with the tip's diameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
-    /// Place on the skin, mm.
+    /// Position on the skin along x, mm.
     pub x_mm: f64,
-    /// Place on the skin, mm.
+    /// Position on the skin along y, mm.
     pub y_mm: f64,
     /// Force, N, >= 0.
     pub force_n: f64,
@@ -37,63 +37,63 @@ pub struct Contact {
 /// A force on one node.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VertexForce {
-    /// The node, and row of the unit responses.
+    /// The node, which is also the row of the unit responses.
     pub row: usize,
     /// Force, N, >= 0.
     pub force_n: f64,
 }
 
-/// Why there is no forward model.
+/// Why a forward model cannot be built.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelError {
     /// The mesh does not fit the sensor.
     #[error(transparent)]
     Mesh(#[from] MeshError),
-    /// The unit responses are another sensor's.
+    /// The unit responses are those of another sensor.
     #[error("forward model: the unit responses belong to another sensor")]
     OtherResponses,
-    /// The foam's law of a calibrated skin falls.
+    /// The foam's law of a calibrated skin decreases.
     #[error(transparent)]
     Foam(#[from] LutError),
-    /// A field's length does not fit.
+    /// The length of a field does not match the mesh.
     #[error(transparent)]
     Fields(#[from] FieldLength),
-    /// An electrode does not fit.
+    /// An electrode is invalid.
     #[error(transparent)]
     Electrode(#[from] ElectrodeError),
 }
 
-/// A contact that the model does not take.
+/// Why the model rejects a contact.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum ContactError {
-    /// The tip would not stand wholly on the skin.
+    /// The tip would not be wholly on the skin.
     #[error(
-        "contact {contact}: {field} = {value_mm} is outside {least_mm} to {most_mm} mm, \
-         where a tip stands wholly on the skin"
+        "contact {contact}: {field} = {value_mm} is outside {least_mm} to {most_mm} mm: \
+         a tip must be wholly on the skin"
     )]
     OffSkin {
-        /// Index of the contact.
+        /// Index of the contact, from 0.
         contact: usize,
-        /// `x_mm` or `y_mm`.
+        /// Coordinate outside its range: `x_mm` or `y_mm`.
         field: &'static str,
-        /// Its value, mm.
+        /// Value of the coordinate, mm.
         value_mm: f64,
         /// Smallest legal value, mm: a tip's radius.
         least_mm: f64,
         /// Largest legal value, mm.
         most_mm: f64,
     },
-    /// Its force is negative or not a number.
+    /// The force is negative or not finite.
     #[error("contact {contact}: force_n = {force_n} is not a finite number >= 0 N")]
     Force {
-        /// Index of the contact.
+        /// Index of the contact, from 0.
         contact: usize,
-        /// Its force, N.
+        /// Force of the contact, N.
         force_n: f64,
     },
 }
 
-/// Eq. 1 at one node, with everything per node folded in.
+/// Eq. 1 at one node, with all factors of the node included.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct NodeLaw {
     pub a_ohm: f64,
@@ -102,7 +102,7 @@ pub(crate) struct NodeLaw {
     pub compliance: f64,
 }
 
-/// The forward model of one skin. `Send + Sync`; each thread brings its own [`Workspace`].
+/// The forward model of one skin. `Send + Sync`; each thread needs its own [`Workspace`].
 #[derive(Debug, Clone)]
 pub struct ForwardModel {
     sensor: Sensor,
@@ -112,11 +112,11 @@ pub struct ForwardModel {
     circuit: ReadoutCircuit,
     lattice: TipLattice,
     spreading: Spreading,
-    /// Rows of the unit responses under each point's vertices.
+    /// Rows of the unit responses for each point's vertices.
     point_rows: Vec<[usize; 6]>,
     pub(crate) laws: Vec<NodeLaw>,
     pub(crate) reduction: KronReduction,
-    /// Nodes of the network: the mesh's, and electrodes of their own.
+    /// Nodes of the network: those of the mesh, and electrodes that are separate nodes.
     network_nodes: usize,
     pub(crate) electrode_nodes: Vec<u32>,
     hash: String,
@@ -152,8 +152,11 @@ impl Workspace {
 }
 
 impl ForwardModel {
-    /// The skin of a sensor: the calibrated one where a calibration of the skin is applied to it,
-    /// else the nominal one of its file.
+    /// Builds the model of a sensor's skin: the calibrated skin if a calibration of the skin is
+    /// applied to the sensor, else the nominal one of its file.
+    ///
+    /// # Errors
+    /// `ModelError` if the mesh, the unit responses, the foam's law or an electrode does not match.
     pub fn new(sensor: &Sensor, responses: Arc<UnitResponses>) -> Result<Self, ModelError> {
         let mesh = Mesh::new(sensor)?;
         let (fields, circuit) = match sensor.skin() {
@@ -163,7 +166,10 @@ impl ForwardModel {
         Self::with(sensor, responses, fields, circuit)
     }
 
-    /// A skin that differs from the nominal one.
+    /// Builds the model of a skin that differs from the nominal one.
+    ///
+    /// # Errors
+    /// `ModelError` if the mesh, the unit responses, a field or an electrode does not match.
     pub fn with(
         sensor: &Sensor,
         responses: Arc<UnitResponses>,
@@ -193,7 +199,10 @@ impl ForwardModel {
         })
     }
 
-    /// The same skin with other electrodes.
+    /// Returns the same skin with other electrodes.
+    ///
+    /// # Errors
+    /// `ModelError::Electrode` if an electrode is invalid.
     pub fn with_circuit(&self, circuit: ReadoutCircuit) -> Result<Self, ModelError> {
         let network = network(&self.sensor, &self.mesh, &self.fields, &circuit)?;
         let hash =
@@ -208,7 +217,7 @@ impl ForwardModel {
         })
     }
 
-    /// The same skin with another way to load the nodes around a tip.
+    /// Returns the same skin with another method of sharing a tip's force among the nodes.
     pub fn with_spreading(mut self, spreading: Spreading) -> Self {
         self.hash =
             model_hash(&self.sensor, &self.responses, &self.fields, &self.circuit, spreading);
@@ -216,22 +225,22 @@ impl ForwardModel {
         self
     }
 
-    /// The sensor.
+    /// The sensor of the model.
     pub fn sensor(&self) -> &Sensor {
         &self.sensor
     }
 
-    /// The mesh.
+    /// The mesh of the skin.
     pub fn mesh(&self) -> &Mesh {
         &self.mesh
     }
 
-    /// The unit responses.
+    /// The unit responses of the sensor.
     pub fn responses(&self) -> &Arc<UnitResponses> {
         &self.responses
     }
 
-    /// The fields.
+    /// The fields of the skin.
     pub fn fields(&self) -> &NodeFields {
         &self.fields
     }
@@ -241,29 +250,36 @@ impl ForwardModel {
         &self.circuit
     }
 
-    /// The resistor network without the foam, as [`Workspace::to_top_s`] counts its nodes.
+    /// The resistor network without the foam; nodes are numbered as in [`Workspace::to_top_s`].
+    ///
+    /// # Errors
+    /// `ElectrodeError` if an electrode is invalid.
     pub fn network(&self) -> Result<SheetNetwork, ElectrodeError> {
         network(&self.sensor, &self.mesh, &self.fields, &self.circuit)
     }
 
-    /// Rows of the unit responses under a point's six vertices.
+    /// Rows of the unit responses for a point's six vertices.
     pub fn point_rows(&self, point: usize) -> &[usize; 6] {
         &self.point_rows[point]
     }
 
-    /// Multiply-adds that the reduction of the network takes, per frame.
+    /// Multiply-adds per frame in the reduction of the network.
     pub fn multiply_adds(&self) -> usize {
         self.reduction.multiply_adds()
     }
 
-    /// Name of the model: `sim-` and the start of a sha256 over all that its frames depend on.
+    /// Name of the model: `sim-` and the start of a sha256 over everything that determines its
+    /// frames.
     pub fn model_hash(&self) -> &str {
         &self.hash
     }
 
-    /// The frame of contacts anywhere on the skin, V after gain: `[n * k + j]` = V_j - V_(j+1 mod n)
-    /// while electrode k is the sink. No contacts: the untouched skin. [`crate::tip`] says how a tip
-    /// between the nodes loads them.
+    /// Computes the frame of contacts anywhere on the skin, V after gain: `[n * k + j]` = V_j -
+    /// V_(j+1 mod n) while electrode k is the sink. No contacts: the untouched skin. [`crate::tip`]
+    /// describes how a tip between the nodes loads them.
+    ///
+    /// # Errors
+    /// `ContactError` with the first contact that [`Self::check`] rejects.
     pub fn voltages<'w>(
         &self,
         contacts: &[Contact],
@@ -273,7 +289,7 @@ impl ForwardModel {
         Ok(self.solve(work))
     }
 
-    /// The frame of any forces on nodes (tilted tips), V after gain.
+    /// Computes the frame of arbitrary forces on nodes (tilted tips), V after gain.
     pub fn voltages_of_vertex_forces<'w>(
         &self,
         forces: &[VertexForce],
@@ -283,7 +299,11 @@ impl ForwardModel {
         self.solve(work)
     }
 
-    /// Refuses a contact off the skin, or with a force that is none.
+    /// Checks the position and the force of a contact; `contact` is its index for the error.
+    ///
+    /// # Errors
+    /// `ContactError::OffSkin` if the tip is not wholly on the skin; `ContactError::Force` if the
+    /// force is negative or not finite.
     pub fn check(&self, contact: usize, c: &Contact) -> Result<(), ContactError> {
         let least_mm = self.sensor.file.tip_diameter_mm / 2.0;
         for (field, value_mm, extent_mm) in [
@@ -301,7 +321,10 @@ impl ForwardModel {
         Ok(())
     }
 
-    /// The forces on nodes of the surface that contacts amount to.
+    /// Nodal forces on the surface that are equivalent to contacts.
+    ///
+    /// # Errors
+    /// `ContactError` with the first contact that [`Self::check`] rejects.
     pub fn node_forces(&self, contacts: &[Contact]) -> Result<Vec<NodeForce>, ContactError> {
         let mut shares = Vec::new();
         let mut forces = Vec::new();
@@ -316,7 +339,7 @@ impl ForwardModel {
         Ok(forces)
     }
 
-    /// Leaves the compression of the nominal skin under contacts, before the clamp.
+    /// Stores the compression of the nominal skin under contacts, before the clamp, in `work`.
     pub(crate) fn load(
         &self,
         contacts: &[Contact],
@@ -335,17 +358,17 @@ impl ForwardModel {
         Ok(())
     }
 
-    /// The lattice under the tips.
+    /// The lattice on which tips are placed.
     pub fn lattice(&self) -> &TipLattice {
         &self.lattice
     }
 
-    /// A contact's shares on the nodes.
+    /// Appends the shares of a contact's force on the nodes to `shares`.
     pub(crate) fn spread(&self, contact: &Contact, shares: &mut Vec<Share>) {
         self.lattice.spread(self.spreading, contact.x_mm, contact.y_mm, shares);
     }
 
-    /// Sum of unit responses, each times its node's load, at every node.
+    /// Sums the unit responses, each times its node's load, at every node.
     pub(crate) fn superpose(&self, loads: impl Iterator<Item = (usize, f64)>, sum: &mut Vec<f64>) {
         sum.clear();
         sum.resize(self.mesh.plane_nodes(), 0.0);
@@ -356,7 +379,7 @@ impl ForwardModel {
         }
     }
 
-    /// From the nominal skin's compression to this one's, and to conductances.
+    /// Converts the compression of the nominal skin to that of this skin, and to conductances.
     pub(crate) fn conduct(&self, work: &mut Workspace) {
         work.to_top_s.clear();
         work.to_top_s.resize(self.network_nodes, 0.0);

@@ -1,12 +1,12 @@
-//! The frame's derivative: by contacts (place, force) and by the skin's fields and circuit.
+//! The frame's derivative: by contacts (position, force) and by the skin's fields and circuit.
 //! Uses: `forward`, `tip`, `piezo`, `network::adjoint`. Never: differences of frames.
 //!
 //! One elimination and one back-substitution per load, whatever the number of parameters; then each
 //! parameter costs a sum over the nodes that it moves, and the gradient of a misfit over all
 //! parameters of all fields at once costs about as much as one frame.
 //!
-//! Where the model has a kink the derivative is that of one side: a node at or below the clamps
-//! (uplift; the least compression inside f) does not move with load or compliance; at a sample of a
+//! Where the model has a kink the derivative is one-sided: a node at or below the clamps (uplift;
+//! the smallest compression inside f) does not change with load or compliance; at a sample of a
 //! displacement table the next piece counts; on an edge of the lattice, one of its two triangles.
 
 use crate::circuit::ReadoutCircuit;
@@ -46,7 +46,7 @@ pub enum Field {
 }
 
 impl Field {
-    /// All fields.
+    /// All fields, in the order of their declaration.
     pub const ALL: [Self; 9] = [
         Self::LnA,
         Self::LnB,
@@ -59,7 +59,7 @@ impl Field {
         Self::ElectrodeY,
     ];
 
-    /// Values of the field on a model.
+    /// Number of values of the field on a model.
     pub fn len(self, model: &ForwardModel) -> usize {
         match self {
             Self::LnA | Self::LnB | Self::LnC | Self::LnCompliance => model.mesh().plane_nodes(),
@@ -71,12 +71,12 @@ impl Field {
     }
 }
 
-/// A direction in one field: by how much each of its values moves, the others not at all.
+/// A direction in one field: the change of some of its values; the others are fixed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mode {
-    /// The field.
+    /// The field whose values change.
     pub field: Field,
-    /// Index in the field, and how far it moves. Cost is in proportion to their number.
+    /// Index in the field, and change of that value. The cost is proportional to their number.
     pub entries: Vec<(u32, f64)>,
 }
 
@@ -87,7 +87,7 @@ pub struct FieldGradient {
 }
 
 impl FieldGradient {
-    /// Zeros for a model.
+    /// Returns zeros for a model.
     pub fn zeros(model: &ForwardModel) -> Self {
         Self { values: Field::ALL.map(|field| vec![0.0; field.len(model)]) }
     }
@@ -102,7 +102,7 @@ impl FieldGradient {
     }
 }
 
-/// How one node's conductance to the top moves, S per unit.
+/// Derivatives of one node's conductance to the top, S per unit.
 #[derive(Debug, Clone, Copy, Default)]
 struct NodeSlopes {
     /// Per mm of the nominal skin's compression before the clamp.
@@ -142,17 +142,17 @@ impl NodeSlopes {
     }
 }
 
-/// Memory of a linearisation; each thread brings its own.
+/// Memory of a linearisation; each thread needs its own.
 #[derive(Debug, Default)]
 pub struct JacobianWork {
     forward: Workspace,
     factor: KronFactor,
     potentials: Potentials,
     slopes: Vec<NodeSlopes>,
-    /// Nodes that move with the load.
+    /// Nodes whose conductance changes with the load.
     moving: Vec<u32>,
     shares: Vec<Share>,
-    /// Slopes of the compression before the clamp with a contact's parameters, at those nodes.
+    /// Slopes of the compression before the clamp by a contact's parameters, at those nodes.
     load_slopes: Vec<[f64; CONTACT_PARAMETERS]>,
     direction: Direction,
     pull: Pull,
@@ -170,6 +170,9 @@ pub struct Linearised<'a> {
 impl ForwardModel {
     /// Derivative of the frame with respect to every contact's x (V/mm), y (V/mm) and force (V/N):
     /// `[channels * (3 * contact + parameter) + channel]`, channels as in [`Self::voltages`].
+    ///
+    /// # Errors
+    /// `ContactError` with the first contact that the model rejects.
     pub fn jacobian<'w>(
         &self,
         contacts: &[Contact],
@@ -179,7 +182,10 @@ impl ForwardModel {
         Ok(&work.columns)
     }
 
-    /// Factorises the model at a load. Its frame is that of [`Self::voltages`], to the last bit.
+    /// Factorises the model at a load. Its frame is bitwise equal to that of [`Self::voltages`].
+    ///
+    /// # Errors
+    /// `ContactError` with the first contact that the model rejects.
     pub fn linearise<'a>(
         &'a self,
         contacts: &'a [Contact],
@@ -220,7 +226,7 @@ impl Linearised<'_> {
         self.work.forward.to_top_s()
     }
 
-    /// Derivative by the contacts, as [`ForwardModel::jacobian`] gives it.
+    /// Derivative by the contacts, as [`ForwardModel::jacobian`] returns it.
     pub fn contacts(&mut self) -> &[f64] {
         let JacobianWork {
             forward,
@@ -328,7 +334,7 @@ impl Linearised<'_> {
     /// Gradient of `sum(residual * frame)` by every parameter of every field (J' r).
     ///
     /// # Panics
-    /// If the residual has not the frame's length, or the gradient is another model's.
+    /// If the length of the residual is not that of the frame, or the gradient is another model's.
     pub fn pull(&mut self, residual: &[f64], gradient: &mut FieldGradient) {
         let JacobianWork { forward, potentials, slopes, pull, .. } = &mut *self.work;
         let model = self.model;
@@ -376,7 +382,7 @@ pub(crate) fn circuit_resistors(model: &ForwardModel, mode: &Mode) -> Vec<Resist
     resistors
 }
 
-/// What moves with one value of a field that is not the foam's, per unit of it.
+/// Changes by one value of a field that is not the foam's, per unit of it.
 struct CircuitParts {
     /// Resistors, with the change of their conductance.
     resistors: [Option<Resistor>; 3],
@@ -397,7 +403,7 @@ fn circuit_parts(model: &ForwardModel, field: Field, index: usize) -> CircuitPar
     let ideal = model.circuit().electrodes[index].contact_ohm == 0.0;
     match field {
         Field::LeadOhm => parts.lead_ohm = 1.0,
-        // In series with its own lead, and without current otherwise.
+        // In series with the electrode's lead, and without current otherwise.
         Field::ContactOhm if ideal => parts.lead_ohm = 1.0,
         Field::ContactOhm | Field::ElectrodeX | Field::ElectrodeY if !ideal => {
             parts.resistors = electrode_slopes(model, field, index);
@@ -407,7 +413,7 @@ fn circuit_parts(model: &ForwardModel, field: Field, index: usize) -> CircuitPar
     parts
 }
 
-/// Slopes of the resistors between an electrode of its own and the sheet.
+/// Slopes of the resistors between an electrode that is a separate node and the sheet.
 fn electrode_slopes(model: &ForwardModel, field: Field, electrode: usize) -> [Option<Resistor>; 3] {
     let (mesh, circuit): (&Mesh, &ReadoutCircuit) = (model.mesh(), model.circuit());
     let site = circuit.electrodes[electrode];

@@ -1,11 +1,11 @@
-//! The electromechanical model of an ERT skin, as the paper builds it (III): forces deform three
-//! bonded layers, compression sets the foam's resistance, a resistor network gives the voltages.
+//! The electromechanical model of an ERT skin (paper, III): forces deform three bonded layers,
+//! compression determines the foam's resistance, a resistor network determines the voltages.
 //! Uses: faer for the elastic solve. Never: async, files, clock, database, unseeded chance.
 //!
 //! Data flows one way: `sensor -> mesh -> (element, material, order, boundary, assemble, solve) ->
 //! responses -> fields, piezo, tip -> network -> forward -> jacobian, batch`. `deformation`, `spice`
 //! and `calculix` are for comparison, `surface` and `calibration` tie the model to measurements;
-//! `inverse` goes back from measurements to loads and skins.
+//! `inverse` estimates loads and skins from measurements.
 
 pub mod sensor;
 pub mod mesh;

@@ -17,7 +17,7 @@ pub fn isotropic_mpa(youngs_mpa: f64, poisson: f64) -> [[f64; 6]; 6] {
     d
 }
 
-/// Modulus under uniaxial strain (all sideways motion held), MPa.
+/// Modulus under uniaxial strain (no lateral motion), MPa.
 pub fn confined_modulus_mpa(youngs_mpa: f64, poisson: f64) -> f64 {
     youngs_mpa * (1.0 - poisson) / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
 }

@@ -1,35 +1,35 @@
 //! The hexagonal mesh (`docs/references.md`, "Skin geometry"): a triangular lattice of nodes, its
-//! rhombic bricks, and where the points stand on it.
+//! rhombic bricks, and the positions of the points on it.
 //! Uses: `sensor`. Never: materials, forces, resistances.
 //!
-//! Nodes lie at `x = X0 + (P/2) m`, `y = Y0 + (A/2) q` with `m + q` even, wherever that is on the
+//! Nodes are at `x = X0 + (P/2) m`, `y = Y0 + (A/2) q` with `m + q` even, wherever that is on the
 //! skin (A = the hexagon's side, P = A sqrt 3). A third of them, the points' sub-lattice, touch six
 //! rhombi; the others touch three. A rhombus is the two triangles on either side of an edge between
-//! two three-valent nodes; at the rim some triangles stay alone and become collapsed bricks.
+//! two three-valent nodes; at the rim some triangles have no partner and become collapsed bricks.
 
 use std::collections::HashMap;
 
 use crate::sensor::{Layer, Sensor};
 
-/// A place that the mesh cannot hold, though the sensor file names it.
+/// Why a sensor file has no mesh.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum MeshError {
     /// A point's centre is not a six-valent node.
     #[error("meshing: point {point} at ({x_mm:.3}, {y_mm:.3}) mm is not a six-valent node")]
     PointOffNode {
-        /// Index of the point.
+        /// Index of the point, from 0.
         point: usize,
-        /// Its place, mm.
+        /// Position of the point along x, mm.
         x_mm: f64,
-        /// Its place, mm.
+        /// Position of the point along y, mm.
         y_mm: f64,
     },
-    /// A vertex of a point's hexagon is not on the skin.
+    /// A vertex of a point's hexagon is not a node.
     #[error("meshing: vertex {vertex} of point {point} is not on the skin")]
     VertexOffSkin {
-        /// Index of the point.
+        /// Index of the point, from 0.
         point: usize,
-        /// Index of the hexagon's vertex.
+        /// Index of the hexagon's vertex, 0 to 5.
         vertex: usize,
     },
 }
@@ -39,11 +39,11 @@ pub enum MeshError {
 pub struct PointNodes {
     /// The node under the tip's centre.
     pub centre: u32,
-    /// The nodes under the hexagon's vertices, counter-clockwise from +y. A tip loads these.
+    /// The nodes under the hexagon's vertices, counter-clockwise from +y. A tip loads these nodes.
     pub vertices: [u32; 6],
 }
 
-/// Where a place lies on the mesh: three nodes and their barycentric weights (sum 1).
+/// Position on the mesh: three nodes and their barycentric weights (sum 1).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeshPlace {
     /// Nodes of the triangle.
@@ -59,21 +59,21 @@ pub struct BrickSheet {
     pub height_mm: f64,
     /// Young's modulus, MPa.
     pub youngs_mpa: f64,
-    /// Poisson's ratio.
+    /// Poisson's ratio, in [0, 0.5).
     pub poisson: f64,
 }
 
 /// The mesh: a plane of nodes and cells, repeated through the layers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mesh {
-    /// Place of each node in the plane, mm.
+    /// Position of each node in the plane, mm.
     pub nodes_mm: Vec<[f64; 2]>,
     /// Triangles of the resistive sheet, counter-clockwise; the six-valent node first.
     pub triangles: Vec<[u32; 3]>,
     /// Brick outlines, counter-clockwise; the rhombi first, then the collapsed rim triangles, whose
     /// first and last node are the same.
     pub cells: Vec<[u32; 4]>,
-    /// How many of `cells` are rhombi.
+    /// Number of `cells` that are rhombi.
     pub rhombi: usize,
     /// Bricks through the thickness, from the bottom up.
     pub sheets: Vec<BrickSheet>,
@@ -89,11 +89,14 @@ type Lattice = (i32, i32);
 /// The six neighbours of a node, counter-clockwise from +y.
 const NEIGHBOURS: [Lattice; 6] = [(0, 2), (-1, 1), (-1, -1), (0, -2), (1, -1), (1, 1)];
 
-/// Places closer than this are the same, mm.
+/// Positions closer than this are the same, mm.
 const SAME_PLACE_MM: f64 = 1e-6;
 
 impl Mesh {
-    /// Lays the mesh over a sensor.
+    /// Meshes the skin of a sensor.
+    ///
+    /// # Errors
+    /// `MeshError` if a point or a vertex of its hexagon is not on a suitable node.
     pub fn new(sensor: &Sensor) -> Result<Self, MeshError> {
         let lattice = LatticeNodes::new(sensor);
         let triangles = triangles(&lattice);
@@ -115,12 +118,12 @@ impl Mesh {
         })
     }
 
-    /// Nodes in one level.
+    /// Number of nodes in one level.
     pub fn plane_nodes(&self) -> usize {
         self.nodes_mm.len()
     }
 
-    /// Node levels through the thickness.
+    /// Number of node levels through the thickness.
     pub fn levels(&self) -> usize {
         self.sheets.len() + 1
     }
@@ -159,8 +162,8 @@ impl Mesh {
         })
     }
 
-    /// The triangle that holds a place, or the nearest place on the mesh. A place on a node has that
-    /// node with weight 1.
+    /// Returns the triangle that contains a position, or the nearest position on the mesh. A
+    /// position on a node has that node with weight 1.
     pub fn locate(&self, x_mm: f64, y_mm: f64) -> MeshPlace {
         let mut best = MeshPlace { nodes: [0; 3], weights: [1.0, 0.0, 0.0] };
         let mut best_depth = f64::NEG_INFINITY;
@@ -186,8 +189,8 @@ impl Mesh {
         best
     }
 
-    /// Slopes of a located place's weights in x and y, 1/mm; on an edge, those of its triangle.
-    /// Beyond the rim, where weights are clamped, those of the clamped weights.
+    /// Slopes of a located position's weights in x and y, 1/mm; on an edge, those of its triangle.
+    /// Outside the mesh, where weights are clamped, those of the clamped weights.
     pub fn weight_slopes(&self, place: &MeshPlace, x_mm: f64, y_mm: f64) -> [[f64; 2]; 3] {
         let [a, b, c] = place.nodes.map(|n| self.nodes_mm[n as usize]);
         let whole = 2.0 * self.triangle_area_mm2(&place.nodes);
@@ -270,7 +273,7 @@ impl LatticeNodes {
         self.index.get(&(m + dm, q + dq)).copied()
     }
 
-    /// The lattice place at a position, if it is one.
+    /// Lattice coordinates of the node at a position, if there is one.
     fn at(&self, x_mm: f64, y_mm: f64) -> Option<Lattice> {
         let m = ((x_mm - self.origin_mm[0]) / self.step_mm[0]).round() as i32;
         let q = ((y_mm - self.origin_mm[1]) / self.step_mm[1]).round() as i32;
@@ -279,7 +282,7 @@ impl LatticeNodes {
     }
 }
 
-/// Whether a lattice place belongs to the points' sub-lattice.
+/// Whether lattice coordinates belong to the points' sub-lattice.
 fn is_six_valent((m, q): Lattice) -> bool {
     (q - 3 * m.rem_euclid(2)).rem_euclid(6) == 0
 }
@@ -305,8 +308,8 @@ fn triangles(lattice: &LatticeNodes) -> Vec<[u32; 3]> {
     out
 }
 
-/// Pairs triangles over their edge between three-valent nodes; the left-over ones collapse at their
-/// six-valent node. Returns the cells and how many of them are rhombi.
+/// Pairs triangles over their edge between three-valent nodes; the unpaired ones collapse at their
+/// six-valent node. Returns the cells and the number of rhombi.
 fn cells(triangles: &[[u32; 3]]) -> (Vec<[u32; 4]>, usize) {
     let mut by_edge: HashMap<[u32; 2], u32> = HashMap::new();
     for &[centre, a, b] in triangles {

@@ -1,28 +1,28 @@
-//! Nested dissection: in which order the nodes of a plane net are removed.
-//! Uses: nothing but places and neighbours. Never: values (the order holds for every load).
+//! Nested dissection: the order in which the nodes of a plane net are removed.
+//! Uses: positions and neighbours only. Never: values (the order is valid for every load).
 //!
 //! The set is cut by a straight line; the nodes on one side that touch the other are the separator
-//! and go last; both sides are cut again. The line is the best of six directions and five places.
+//! and come last; both sides are cut in turn. The line is the best of six directions and five
+//! positions.
 
 /// A group of nodes that are removed together.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Part {
-    /// Its nodes.
+    /// Nodes of the group.
     pub nodes: Vec<u32>,
-    /// Parts (indices, all smaller than its own) whose remainders meet in this one.
+    /// Parts (indices, all smaller than its own) whose remainders are added to this one.
     pub children: Vec<usize>,
 }
 
-/// Sets of at most this size are not cut again.
+/// Sets of at most this size are not divided further.
 const LEAF: usize = 14;
-/// Directions of the cuts.
+/// Number of directions of the cuts.
 const DIRECTIONS: usize = 6;
-/// Where to cut: share of the set on the lower side.
+/// Positions of the cut: share of the set on the lower side.
 const SHARES: [f64; 5] = [0.40, 0.45, 0.50, 0.55, 0.60];
 
-/// Orders all nodes but the kept ones. `neighbours[i]` are the nodes that share a resistor or a
-/// brick with i.
-/// The parts come children first; the last one is the root.
+/// Orders all nodes except the kept ones. `neighbours[i]` are the nodes that share a resistor or a
+/// brick with i. Children come before their parent; the last part is the root.
 pub fn dissect(places_mm: &[[f64; 2]], neighbours: &[Vec<u32>], kept: &[u32]) -> Vec<Part> {
     let mut side = vec![Side::Outside; places_mm.len()];
     let set: Vec<u32> = (0..places_mm.len() as u32).filter(|n| !kept.contains(n)).collect();
@@ -59,7 +59,7 @@ fn cut(work: &mut Dissection<'_>, set: Vec<u32>) -> usize {
     work.parts.len() - 1
 }
 
-/// The cut with the smallest separator, lopsidedness counted against it.
+/// The cut with the smallest separator, with a penalty for unequal sides.
 fn best_cut(work: &mut Dissection<'_>, set: &[u32]) -> Option<[Vec<u32>; 3]> {
     let mut best: Option<(f64, [Vec<u32>; 3])> = None;
     for direction in 0..DIRECTIONS {

@@ -1,9 +1,9 @@
 //! The foam as a resistor (paper Eq. 1): `f(x) = a / (exp(b x) - 1) + c`.
-//! Uses: `sensor::Piezo`. Never: how x came about.
+//! Uses: `sensor::Piezo`. Never: the origin of x.
 //!
 //! x: compression, mm, > 0; a, c: ohm; b: 1/mm. f(0) is infinite: x counts as at least 1e-4 mm
-//! inside f (1.6e12 ohm with the paper's numbers, harmless beside a 1e4 ohm/sq sheet), so that an
-//! untouched skin is a legal input.
+//! inside f (1.6e12 ohm with the paper's numbers, negligible compared with a sheet of 1e4 ohm/sq),
+//! so that an untouched skin is a valid input.
 
 use crate::sensor::Piezo;
 
@@ -25,16 +25,16 @@ pub(crate) fn conductance_s(a_ohm: f64, b_per_mm: f64, c_ohm: f64, compression_m
     1.0 / (a_ohm / (b_per_mm * x).exp_m1() + c_ohm)
 }
 
-/// How a node's conductance changes, at one compression.
+/// Derivatives of a node's conductance at one compression.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ConductanceSlopes {
-    /// With the compression, S/mm; 0 at and below the least one.
+    /// By the compression, S/mm; 0 at and below the smallest one.
     pub per_mm: f64,
-    /// With ln a, S.
+    /// By ln a, S.
     pub per_ln_a: f64,
-    /// With ln b, S.
+    /// By ln b, S.
     pub per_ln_b: f64,
-    /// With ln c, S.
+    /// By ln c, S.
     pub per_ln_c: f64,
 }
 

@@ -1,4 +1,4 @@
-//! Unit responses: how far the foam is compressed at every node when one newton presses on one node.
+//! Unit responses: compression of the foam at every node under one newton on one node.
 //! Uses: `mesh`, `assemble`, `boundary`, `solve`. Never: files (the cache is bytes).
 //!
 //! The skin is linear and its mesh fixed, so a load is a weighted sum of these rows. There is one
@@ -12,12 +12,12 @@ use crate::mesh::{Mesh, MeshError};
 use crate::sensor::Sensor;
 use crate::solve::{Factor, SolveError};
 
-/// Right-hand sides solved together.
+/// Number of right-hand sides solved together.
 const BLOCK: usize = 64;
 /// First bytes of a cache; the last digit is the layout's version.
 const MAGIC: &[u8; 8] = b"palp-ur2";
 
-/// Why there are no unit responses.
+/// Why unit responses are not available.
 #[derive(Debug, thiserror::Error)]
 pub enum ResponsesError {
     /// The mesh does not fit the sensor.
@@ -26,7 +26,7 @@ pub enum ResponsesError {
     /// The elastic solve failed.
     #[error(transparent)]
     Solve(#[from] SolveError),
-    /// A cache's bytes are not those of a cache, or are damaged.
+    /// The bytes are not those of a cache, or are damaged.
     #[error("reading cached unit responses: {0}")]
     Damaged(Damage),
     /// A cache belongs to another sensor, mesh or element.
@@ -39,13 +39,13 @@ pub enum ResponsesError {
     },
 }
 
-/// What is wrong with a cache's bytes.
+/// Damage of a cache's bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Damage {
-    /// The first bytes are not a cache's.
+    /// The first bytes are not those of a cache.
     #[error("not a cache of unit responses")]
     Magic,
-    /// Too short or too long for what the header says.
+    /// The length does not match the header.
     #[error("wrong length")]
     Length,
     /// The checksum does not match the content.
@@ -76,14 +76,19 @@ impl UnitResponses {
         digest.finish()
     }
 
-    /// Solves them: seconds of work, on all cores; the result does not depend on how many.
+    /// Solves for the table: seconds of work, on all cores; the result does not depend on their
+    /// number.
+    ///
+    /// # Errors
+    /// `ResponsesError::Mesh` if the mesh does not fit the sensor; `Solve` if the elastic solve
+    /// fails.
     pub fn solve(sensor: &Sensor) -> Result<Self, ResponsesError> {
         let mesh = Mesh::new(sensor)?;
         let rows = solve_rows(&mesh)?;
         Ok(Self { key: Self::key(sensor), nodes: mesh.plane_nodes(), rows })
     }
 
-    /// Rows, and values in a row: the mesh's nodes.
+    /// Number of rows, and of values in a row: the mesh's nodes.
     pub fn nodes(&self) -> usize {
         self.nodes
     }
@@ -93,17 +98,17 @@ impl UnitResponses {
         &self.rows[row * self.nodes..][..self.nodes]
     }
 
-    /// The key of the sensor that these belong to.
+    /// The key of the sensor of these responses.
     pub fn own_key(&self) -> &[u8; 32] {
         &self.key
     }
 
-    /// Whether these belong to a sensor.
+    /// Whether these are the responses of a sensor.
     pub fn fits(&self, sensor: &Sensor) -> bool {
         self.key == Self::key(sensor)
     }
 
-    /// As bytes: magic, key, nodes, rows, CRC-32 over all before.
+    /// Returns the bytes of a cache: magic, key, nodes, rows, CRC-32 over everything before it.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(52 + 4 * self.rows.len());
         bytes.extend_from_slice(MAGIC);
@@ -117,7 +122,11 @@ impl UnitResponses {
         bytes
     }
 
-    /// From bytes, for a sensor: refuses damaged bytes and another sensor's.
+    /// Reads the bytes of a cache for a sensor.
+    ///
+    /// # Errors
+    /// `ResponsesError::Damaged` if the bytes are not an intact cache; `OtherKey` if they are
+    /// another sensor's.
     pub fn from_bytes(bytes: &[u8], sensor: &Sensor) -> Result<Self, ResponsesError> {
         let damaged = ResponsesError::Damaged;
         let (content, sum) = bytes.split_last_chunk::<4>().ok_or(damaged(Damage::Length))?;
@@ -146,14 +155,14 @@ impl UnitResponses {
 /// A loaded node and its row of the table.
 type Slot<'a> = (usize, &'a mut [f32]);
 
-/// One row per node; blocks of right-hand sides are shared out over threads.
+/// Solves one row per node; blocks of right-hand sides are distributed over threads.
 fn solve_rows(mesh: &Mesh) -> Result<Vec<f32>, ResponsesError> {
     let boundary = FixedBottom::new(mesh);
     let factor = Factor::new(&assemble::stiffness(mesh, &boundary)?)?;
     let nodes = mesh.plane_nodes();
     let surface = mesh.levels() - 1;
     let mut rows = vec![0f32; nodes * nodes];
-    // Loads that reach the same parts of the factor are solved together.
+    // Loads that use the same parts of the factor are solved together.
     let mut slots: Vec<Slot<'_>> = rows.chunks_exact_mut(nodes).enumerate().collect();
     slots.sort_by_key(|(node, _)| boundary.unknown(surface, *node, 2));
     let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);

@@ -1,9 +1,10 @@
 //! The sensor file: the skin's geometry, its 804 points, its 28 electrodes and its materials.
-//! Uses: serde, toml; carries an applied `skin`. Never: files (the text is handed in), mesh, physics.
+//! Uses: serde, toml; carries an applied `skin`. Never: files (the text is passed in), mesh,
+//! physics.
 //!
-//! Geometry is inferred, since the paper does not print it (`docs/references.md`, "Skin geometry"):
-//! hexagons whose longest diagonal is the tip's 20 mm tile the skin, and a tip stands on a
-//! hexagon's centre.
+//! Geometry is inferred, since the paper does not state it (`docs/references.md`, "Skin geometry"):
+//! hexagons whose longest diagonal is the tip's 20 mm tile the skin, and a tip is centred on a
+//! hexagon.
 
 use std::sync::Arc;
 
@@ -11,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::skin::SkinCalibration;
 
-/// What is wrong with a sensor file.
+/// Why a sensor file is invalid.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum SensorError {
     /// The text is not TOML, or has a key or a type that a sensor file does not have.
@@ -24,16 +25,16 @@ pub enum SensorError {
         key: String,
         /// The value found, as text.
         value: String,
-        /// What is allowed.
+        /// Allowed values.
         limit: String,
     },
 }
 
-/// The sensor file as it is written.
+/// Contents of the sensor file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SensorFile {
-    /// Name that datasets carry.
+    /// Name of the sensor, which datasets carry.
     pub name: String,
     /// Extent of the skin along x, mm.
     pub width_mm: f64,
@@ -63,7 +64,7 @@ pub struct PointLattice {
     pub columns: u32,
     /// y of row 0, mm.
     pub first_row_y_mm: f64,
-    /// Points left out, as `[row, column]`.
+    /// Points without a position on the skin, as `[row, column]`.
     pub left_out: Vec<[u32; 2]>,
 }
 
@@ -99,9 +100,9 @@ pub struct Layer {
     pub thickness_mm: f64,
     /// Young's modulus, MPa.
     pub youngs_mpa: f64,
-    /// Poisson's ratio.
+    /// Poisson's ratio, in [0, 0.5).
     pub poisson: f64,
-    /// Bricks through the thickness.
+    /// Number of bricks through the thickness.
     pub elements: u32,
 }
 
@@ -109,17 +110,18 @@ pub struct Layer {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Piezo {
-    /// ohm.
+    /// Coefficient a, ohm.
     pub a_ohm: f64,
-    /// 1/mm.
+    /// Coefficient b, 1/mm.
     pub b_per_mm: f64,
-    /// ohm.
+    /// Coefficient c, ohm.
     pub c_ohm: f64,
-    /// How the specimen's resistance becomes a node's.
+    /// Conversion of the specimen's resistance to that of a node.
     pub resistance_per: ResistancePer,
 }
 
-/// Reading of "an array of parallel variable resistors with these same properties" (paper III-B).
+/// Interpretation of "an array of parallel variable resistors with these same properties" (paper
+/// III-B).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ResistancePer {
@@ -154,7 +156,7 @@ pub struct Point {
     pub y_mm: f64,
 }
 
-/// A checked sensor: the file, and what follows from it.
+/// A checked sensor: the file, and the points and electrodes that follow from it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sensor {
     /// The file it came from.
@@ -167,6 +169,10 @@ pub struct Sensor {
 
 impl Sensor {
     /// Parses and checks a sensor file's text.
+    ///
+    /// # Errors
+    /// `SensorError::Syntax` if the text is not a sensor file; `SensorError::Value` if a value is
+    /// outside its limits.
     pub fn from_toml(text: &str) -> Result<Self, SensorError> {
         let file: SensorFile =
             toml::from_str(text).map_err(|e| SensorError::Syntax(e.to_string()))?;
@@ -174,6 +180,10 @@ impl Sensor {
     }
 
     /// Checks a sensor file and lays out its points and electrodes.
+    ///
+    /// # Errors
+    /// `SensorError::Value` if a value is outside its limits, or a point or electrode is off the
+    /// skin.
     pub fn new(file: SensorFile) -> Result<Self, SensorError> {
         check(&file)?;
         let points = lay_out_points(&file);
@@ -182,7 +192,7 @@ impl Sensor {
         for (i, p) in sensor.points.iter().enumerate() {
             if !sensor.holds_tip(p.x_mm, p.y_mm) {
                 let value = format!("point {i} at ({:.2}, {:.2}) mm", p.x_mm, p.y_mm);
-                return Err(bad("points", value, "a tip on every point must stand on the skin"));
+                return Err(bad("points", value, "a tip on every point must be on the skin"));
             }
         }
         for (k, [x, y]) in sensor.electrodes.iter().enumerate() {
@@ -190,24 +200,24 @@ impl Sensor {
                 || !(0.0..=sensor.file.height_mm).contains(y)
             {
                 let value = format!("electrode {k} at ({x:.2}, {y:.2}) mm");
-                return Err(bad("electrodes", value, "must lie on the skin"));
+                return Err(bad("electrodes", value, "must be on the skin"));
             }
         }
         Ok(sensor)
     }
 
-    /// The same sensor, with the id of the calibration that its values come from, and what that says
-    /// about this very skin.
+    /// Returns the same sensor, with the id of the calibration of its values, and the calibration
+    /// of the individual skin.
     pub(crate) fn calibrated(self, id: String, skin: Option<Arc<SkinCalibration>>) -> Self {
         Self { calibration: Some(id), skin, ..self }
     }
 
-    /// Id of the calibration that was applied to the file's values, if one was.
+    /// Id of the calibration that was applied to the file's values, if any.
     pub fn calibration(&self) -> Option<&str> {
         self.calibration.as_deref()
     }
 
-    /// What an applied calibration says about this very skin, if it does.
+    /// Calibration of the individual skin, if one was applied.
     pub fn skin(&self) -> Option<&SkinCalibration> {
         self.skin.as_deref()
     }
@@ -237,17 +247,17 @@ impl Sensor {
         &self.electrodes
     }
 
-    /// Voltages in a frame: electrodes squared.
+    /// Number of voltages in a frame: electrodes squared.
     pub fn channels(&self) -> usize {
         self.electrodes.len() * self.electrodes.len()
     }
 
-    /// Index of the point within `tolerance_mm` of a place, if there is one.
+    /// Index of the point within `tolerance_mm` of a position, if there is one.
     pub fn point_near(&self, x_mm: f64, y_mm: f64, tolerance_mm: f64) -> Option<usize> {
         self.points.iter().position(|p| (p.x_mm - x_mm).hypot(p.y_mm - y_mm) <= tolerance_mm)
     }
 
-    /// Whether a tip centred there stands wholly on the skin.
+    /// Whether a tip centred at a position is wholly on the skin.
     pub fn holds_tip(&self, x_mm: f64, y_mm: f64) -> bool {
         let r = self.file.tip_diameter_mm / 2.0;
         (r..=self.file.width_mm - r).contains(&x_mm)

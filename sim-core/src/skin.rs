@@ -1,9 +1,9 @@
-//! One skin as a calibration found it: fields on grids, electrodes, resistances, readout offsets.
+//! One skin as calibrated: fields on grids, electrodes, resistances, readout offsets.
 //! Uses: `mesh`, `fields`, `circuit`, serde. Never: fitting (`inverse::skin` does), files.
 //!
-//! A field is given by its values at the corners of a rectangular grid over the whole skin and is
+//! A field is defined by its values at the corners of a rectangular grid over the whole skin and is
 //! bilinear between them. All numbers are rounded, see [`rounded`], so that a file stays short and
-//! the model that it describes is the one whose accuracy it states.
+//! describes exactly the model whose accuracy it states.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,12 +12,12 @@ use crate::fields::{DisplacementLut, LutError, NodeFields};
 use crate::mesh::Mesh;
 use crate::sensor::Sensor;
 
-/// Decimals that calibrated values keep (ln of factors, mm, ohm; offsets in mV).
+/// Calibrated values are rounded to 1 / this (ln of factors, mm, ohm; offsets in mV).
 const DECIMALS: f64 = 1e4;
-/// Largest absolute value of a field: beyond it the logarithm of a factor is no material's.
+/// Largest absolute value of a field: the logarithm of a factor beyond the range of materials.
 const LARGEST_LN: f64 = 20.0;
 
-/// A value as a calibration holds it: four decimals.
+/// Rounds a value to the four decimals of a calibration.
 pub fn rounded(value: f64) -> f64 {
     (value * DECIMALS).round() / DECIMALS
 }
@@ -32,7 +32,7 @@ pub struct SkinGrid {
 }
 
 impl SkinGrid {
-    /// The grid whose corners are at most so far apart, mm.
+    /// Returns the coarsest grid whose corners are at most `spacing_mm` apart.
     pub fn of_spacing(sensor: &Sensor, spacing_mm: f64) -> Self {
         let corners = |extent_mm: f64| 1 + (extent_mm / spacing_mm).ceil().max(1.0) as usize;
         Self { columns: corners(sensor.file.width_mm), rows: corners(sensor.file.height_mm) }
@@ -43,13 +43,14 @@ impl SkinGrid {
         self.columns * self.rows
     }
 
-    /// Place of a corner (row by row from y = 0), mm.
+    /// Position of a corner (row by row from y = 0), mm.
     pub fn place_mm(&self, sensor: &Sensor, corner: usize) -> [f64; 2] {
         let step = self.step_mm(sensor);
         [step[0] * (corner % self.columns) as f64, step[1] * (corner / self.columns) as f64]
     }
 
-    /// The corners around a place, with bilinear weights (sum 1; outside, of the nearest place).
+    /// The corners around a position, with bilinear weights (sum 1; outside, of the nearest
+    /// position).
     pub fn weights(&self, sensor: &Sensor, [x_mm, y_mm]: [f64; 2]) -> [(usize, f64); 4] {
         let step = self.step_mm(sensor);
         let along = |mm: f64, step: f64, corners: usize| {
@@ -74,32 +75,32 @@ impl SkinGrid {
     }
 }
 
-/// What was expected of a field before any trial was seen: standard deviations of the logarithm of
-/// a factor, over skins (its mean) and over places (two Gaussian processes).
+/// Prior of a field: standard deviations of the logarithm of a factor, over skins (its mean) and
+/// over positions (two Gaussian processes).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FieldPrior {
-    /// Of the whole skin's mean.
+    /// Standard deviation of the whole skin's mean.
     pub overall_sd: f64,
-    /// Of the smooth part.
+    /// Standard deviation of the smooth part.
     pub smooth_sd: f64,
     /// Its correlation length l, mm: `exp(-d^2 / (2 l^2))`.
     pub smooth_mm: f64,
-    /// Of the local part.
+    /// Standard deviation of the local part.
     pub local_sd: f64,
-    /// Its correlation length, mm.
+    /// Correlation length of the local part, mm.
     pub local_mm: f64,
 }
 
 impl FieldPrior {
-    /// Spacing of a grid that can show the field, at least `finest_mm`: its shortest correlation
-    /// length.
+    /// Spacing of a grid that resolves the field: its shortest correlation length, mm, at least
+    /// `finest_mm`.
     pub fn spacing_mm(&self, finest_mm: f64) -> f64 {
         let shortest_mm = if self.local_sd > 0.0 { self.local_mm } else { self.smooth_mm };
         finest_mm.max(shortest_mm)
     }
 
-    /// Covariance of the field's values at two places so far apart, mm.
+    /// Covariance of the field's values at two positions at a distance, mm.
     pub fn covariance(&self, distance_mm: f64) -> f64 {
         let part = |sd: f64, length_mm: f64| {
             let t = distance_mm / length_mm;
@@ -115,21 +116,21 @@ impl FieldPrior {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SkinField {
-    /// Corners along x.
+    /// Number of corners along x.
     pub columns: usize,
-    /// What was expected.
+    /// Prior of the fit.
     pub prior: FieldPrior,
     /// Natural logarithm of a factor on the sensor's value at each corner, row by row from y = 0.
     pub values: Vec<f64>,
 }
 
 impl SkinField {
-    /// Its grid.
+    /// The grid of its values.
     pub fn grid(&self) -> SkinGrid {
         SkinGrid { columns: self.columns, rows: self.values.len() / self.columns.max(1) }
     }
 
-    /// Its value at a place, mm.
+    /// Value at a position, mm.
     pub fn at(&self, sensor: &Sensor, place_mm: [f64; 2]) -> f64 {
         let corners = self.grid().weights(sensor, place_mm);
         corners.iter().map(|&(corner, weight)| weight * self.values[corner]).sum()
@@ -144,17 +145,17 @@ impl SkinField {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SkinFields {
-    /// The foam's law, the same everywhere.
+    /// The foam's law, the same at all positions.
     pub foam: SkinFoam,
-    /// On a of Eq. 1.
+    /// Factor on a of Eq. 1.
     pub ln_a: SkinField,
-    /// On b of Eq. 1.
+    /// Factor on b of Eq. 1.
     pub ln_b: SkinField,
-    /// On c of Eq. 1.
+    /// Factor on c of Eq. 1.
     pub ln_c: SkinField,
-    /// On the foam's compression.
+    /// Factor on the foam's compression.
     pub ln_compliance: SkinField,
-    /// On the sheet's conductance.
+    /// Factor on the sheet's conductance.
     pub ln_sheet_conductance: SkinField,
 }
 
@@ -170,7 +171,10 @@ impl SkinFields {
         ]
     }
 
-    /// The fields at the mesh's nodes and triangles.
+    /// Evaluates the fields at the mesh's nodes and triangles.
+    ///
+    /// # Errors
+    /// `LutError` if the foam's law is not a valid displacement table.
     pub fn over(&self, sensor: &Sensor, mesh: &Mesh) -> Result<NodeFields, LutError> {
         let over_nodes = |field: &SkinField| field.over(sensor, mesh.nodes_mm.iter().copied());
         let centres = mesh.triangles.iter().map(|t| mesh.triangle_centre_mm(t));
@@ -185,18 +189,21 @@ impl SkinFields {
     }
 }
 
-/// The foam's law: its real compression against the linear one, by straight pieces.
+/// The foam's law: its real compression as a piecewise linear function of the linear one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SkinFoam {
     /// Length of a piece, mm of linear compression.
     pub step_mm: f64,
-    /// Natural logarithm of each piece's slope; beyond the last it goes on with that.
+    /// Natural logarithm of each piece's slope; beyond the last it is extrapolated with that slope.
     pub ln_slopes: Vec<f64>,
 }
 
 impl SkinFoam {
-    /// The law as the model takes it.
+    /// Returns the law in the form of the model.
+    ///
+    /// # Errors
+    /// `LutError` if the step is not positive, there are no pieces, or a sample is not finite.
     pub fn law(&self) -> Result<DisplacementLut, LutError> {
         let mut samples_mm = vec![0.0];
         for ln in &self.ln_slopes {
@@ -210,18 +217,18 @@ impl SkinFoam {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SkinElectrodes {
-    /// x, mm.
+    /// Positions along x, mm.
     pub x_mm: Vec<f64>,
-    /// y, mm.
+    /// Positions along y, mm.
     pub y_mm: Vec<f64>,
-    /// Contact (spreading) resistance, ohm, > 0.
+    /// Contact (spreading) resistances, ohm, > 0.
     pub contact_ohm: Vec<f64>,
-    /// Lead resistance, ohm.
+    /// Lead resistances, ohm, >= 0.
     pub lead_ohm: Vec<f64>,
 }
 
 impl SkinElectrodes {
-    /// The readout circuit: source and gain are the sensor file's.
+    /// Returns the readout circuit: source and gain are those of the sensor file.
     pub fn circuit(&self, sensor: &Sensor) -> ReadoutCircuit {
         let site = |k: usize| ElectrodeSite {
             x_mm: self.x_mm[k],
@@ -236,60 +243,60 @@ impl SkinElectrodes {
     }
 }
 
-/// Fraction of variance unexplained (Eq. 2) over some trials.
+/// Fraction of variance unexplained (Eq. 2) over several trials.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FvuSummary {
-    /// Median.
+    /// Median over trials.
     pub median: f64,
-    /// Mean.
+    /// Mean over trials.
     pub mean: f64,
 }
 
-/// Where a fit came from, and how good it is on trials that it has not seen.
+/// Data of a fit, and its accuracy on held-out trials.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SkinEvidence {
-    /// The run whose trials were used.
+    /// Id of the run whose trials were used.
     pub run: String,
-    /// The rig's label: `real`, or what it stands for.
+    /// Label of the rig.
     pub label: String,
     /// sha256 over the trials used (contacts, forces, voltages).
     pub data_sha256: String,
     /// Hash of the model that the fit started from.
     pub model: String,
-    /// Trials fitted.
+    /// Number of trials fitted.
     pub trials: usize,
-    /// Trials held out, none of a configuration that was fitted.
+    /// Number of trials held out, none of a configuration that was fitted.
     pub held_out: usize,
-    /// Trials that counted for less than half: far from the model beyond what others are.
+    /// Number of trials whose weight is below one half: outliers with respect to the model.
     pub doubted: usize,
     /// Standard deviation of a reading, V.
     pub noise_v: f64,
-    /// Error of the model itself, as a share of a frame.
+    /// Relative error of the model, as a share of a frame's norm.
     pub model_error: f64,
-    /// Held-out trials before: the model that the fit started from.
+    /// FVU on held-out trials before the fit, with the model that it started from.
     pub before: FvuSummary,
-    /// Held-out trials after.
+    /// FVU on held-out trials after the fit.
     pub after: FvuSummary,
 }
 
-/// What is known about one skin, place by place.
+/// Calibration of one skin by position.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SkinCalibration {
-    /// Offset of each channel of the readout, mV: subtracted from measured frames by those who
-    /// compare them; not part of the model's frames. Empty where it was not looked for.
+    /// Offset of each channel of the readout, mV: to be subtracted from measured frames; not part
+    /// of the model's frames. Empty if it was not estimated.
     pub offsets_mv: Vec<f64>,
-    /// Where it came from.
+    /// Data and accuracy of the fit.
     pub evidence: SkinEvidence,
-    /// The electrodes.
+    /// The fitted electrodes.
     pub electrodes: SkinElectrodes,
-    /// The fields.
+    /// The fitted fields.
     pub fields: SkinFields,
 }
 
-/// A value that no skin has.
+/// A value that is invalid for a skin.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("skin.{key} = {value}: {limit}")]
 pub struct SkinValueError {
@@ -297,12 +304,15 @@ pub struct SkinValueError {
     pub key: String,
     /// The value found, as text.
     pub value: String,
-    /// What is allowed.
+    /// Allowed values.
     pub limit: String,
 }
 
 impl SkinCalibration {
-    /// Checks all that does not need the sensor: grids, lengths, ranges.
+    /// Checks everything that does not depend on the sensor: grids, lengths, ranges.
+    ///
+    /// # Errors
+    /// `SkinValueError` with the first value outside its limits.
     pub fn check(&self) -> Result<(), SkinValueError> {
         for (name, field) in self.fields.named() {
             let name = format!("fields.{name}");
@@ -353,6 +363,9 @@ impl SkinCalibration {
     }
 
     /// Checks it against the sensor that it is applied to.
+    ///
+    /// # Errors
+    /// `SkinValueError` if the number of electrodes differs, or one is outside the skin.
     pub fn check_for(&self, sensor: &Sensor) -> Result<(), SkinValueError> {
         let (found, needed) = (self.electrodes.x_mm.len(), sensor.electrodes_mm().len());
         if found != needed {
@@ -364,7 +377,7 @@ impl SkinCalibration {
             ("electrodes.y_mm", &self.electrodes.y_mm, sensor.file.height_mm),
         ] {
             if let Some(wrong) = values.iter().find(|v| **v > most_mm) {
-                return Err(bad(name, wrong, &format!("must lie on the skin, up to {most_mm} mm")));
+                return Err(bad(name, wrong, &format!("must be on the skin, up to {most_mm} mm")));
             }
         }
         Ok(())

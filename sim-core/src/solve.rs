@@ -1,6 +1,6 @@
 //! The elastic solve: one sparse Cholesky factor, many right-hand sides.
-//! Uses: faer's sparse LLT and dense kernels. Never: faer's thread pool (blocks are solved side by
-//! side instead, so that the result does not depend on the number of threads).
+//! Uses: faer's sparse LLT and dense kernels. Never: faer's thread pool (blocks are solved in
+//! parallel instead, so that the result does not depend on the number of threads).
 //!
 //! The factor's columns come in blocks ("supernodes"). Right-hand sides are stored row by row, so
 //! that scattering a block's rows moves whole cache lines; on the way down, blocks that the load
@@ -20,7 +20,7 @@ use faer::sparse::linalg::cholesky::{
 use faer::sparse::{CreationError, FaerError, SparseColMat};
 use faer::{Accum, Conj, MatMut, MatRef, Par, Side, Spec};
 
-/// Why the elastic solve did not work.
+/// Why the elastic solve failed.
 #[derive(Debug, thiserror::Error)]
 pub enum SolveError {
     /// The matrix could not be built.
@@ -29,7 +29,7 @@ pub enum SolveError {
     /// The factor's structure could not be found.
     #[error("analysing the stiffness matrix: {0:?}")]
     Analyse(FaerError),
-    /// The matrix is not positive definite: a material or a brick is unsound.
+    /// The matrix is not positive definite: a material or a brick is invalid.
     #[error("factorising the stiffness matrix: {0:?}")]
     Factorise(LltError),
     /// Not enough memory for the factor.
@@ -45,6 +45,9 @@ pub struct Factor {
 
 impl Factor {
     /// Factorises a matrix whose upper triangle is given; unknowns are eliminated in their order.
+    ///
+    /// # Errors
+    /// `SolveError` if the analysis or the factorisation fails, or memory is exhausted.
     pub fn new(upper: &SparseColMat<usize, f64>) -> Result<Self, SolveError> {
         let symbolic = factorize_symbolic_cholesky(
             upper.symbolic(),
@@ -76,6 +79,9 @@ impl Factor {
     }
 
     /// Solves for `columns` right-hand sides in place: row-major, `unknowns * columns` values.
+    ///
+    /// # Errors
+    /// `SolveError::Memory` if memory is exhausted.
     pub fn solve(&self, block: &mut [f64], columns: usize) -> Result<(), SolveError> {
         match self.symbolic.raw() {
             SymbolicCholeskyRaw::Supernodal(symbolic) => {
@@ -103,7 +109,7 @@ impl Factor {
     }
 }
 
-/// One block of `L y = b`: its own unknowns, then what they take from later ones.
+/// One block of `L y = b`: its own unknowns, then their contributions to later ones.
 fn down(
     factor: SupernodalLltRef<'_, usize, f64>,
     s: usize,
@@ -130,7 +136,7 @@ fn down(
     }
 }
 
-/// One block of `L' x = y`: what later unknowns take from it, then its own.
+/// One block of `L' x = y`: the contributions of later unknowns, then its own.
 fn up(
     factor: SupernodalLltRef<'_, usize, f64>,
     s: usize,

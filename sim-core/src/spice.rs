@@ -2,16 +2,16 @@
 //! Uses: `network`, `circuit`. Never: files, the foam's law, solving.
 //!
 //! `ngspice -b FILE` prints `v(e0) = ..` to `v(e27) = ..` with 15 digits: V_j while electrode K is
-//! the sink, before gain. Traps (`docs/references.md`, "Netlists for ngspice"): `print` with
-//! `numdgt=15`, since `echo` rounds to 6 digits; gmin=1e-30, since its default 1e-12 S weighs as
-//! much as an untouched foam resistor (6e-13 S); no resistor for a conductance of 0.
+//! the sink, before gain. Pitfalls (`docs/references.md`, "Netlists for ngspice"): `print` with
+//! `numdgt=15`, since `echo` rounds to 6 digits; gmin=1e-30, since its default 1e-12 S is as large
+//! as an untouched foam resistor (6e-13 S); no resistor for a conductance of 0.
 
 use std::fmt::Write as _;
 
 use crate::circuit::ReadoutCircuit;
 use crate::network::SheetNetwork;
 
-/// One loaded skin: everything that the circuit consists of.
+/// The complete circuit of one loaded skin.
 #[derive(Debug, Clone, Copy)]
 pub struct LoadedCircuit<'a> {
     /// Comment in the first line.
@@ -24,31 +24,31 @@ pub struct LoadedCircuit<'a> {
     pub to_top_s: &'a [f64],
 }
 
-/// A circuit that cannot be written down.
+/// Why a netlist cannot be written.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum SpiceError {
-    /// There is no such electrode.
+    /// There is no electrode with this index.
     #[error("netlist: sink = {sink}: must be from 0 to {last}")]
     Sink {
-        /// The electrode asked for.
+        /// The requested electrode.
         sink: usize,
-        /// The last one that there is.
+        /// Index of the last electrode.
         last: usize,
     },
-    /// The foam's conductances are another network's.
+    /// The number of the foam's conductances is not that of the network's nodes.
     #[error("netlist: {found} foam conductances for {needed} nodes")]
     Nodes {
-        /// Conductances given.
+        /// Number of conductances passed in.
         found: usize,
-        /// Nodes of the network.
+        /// Number of nodes of the network.
         needed: usize,
     },
-    /// A foam conductance is negative or not a number.
+    /// A foam conductance is negative or not finite.
     #[error("netlist: foam conductance at node {node} = {conductance_s} S: must be a number >= 0")]
     Conductance {
         /// Node of the network.
         node: usize,
-        /// The value, S.
+        /// Value of the conductance, S.
         conductance_s: f64,
     },
 }
@@ -56,7 +56,10 @@ pub enum SpiceError {
 /// The netlist of a loaded skin with electrode `sink` at 0 V and the source at the top layer.
 ///
 /// Nodes: `top`; `e0`, `e1`, .. the electrodes; `n<i>` every other node i of the network. A lead
-/// resistance stands between the sink's terminal `e<K>` and its place on the sheet, `s<K>`.
+/// resistance is between the sink's terminal `e<K>` and its position on the sheet, `s<K>`.
+///
+/// # Errors
+/// `SpiceError` if the sink, the number of conductances or a conductance is invalid.
 pub fn netlist(skin: &LoadedCircuit<'_>, sink: usize) -> Result<String, SpiceError> {
     check(skin, sink)?;
     let names = node_names(skin, sink);

@@ -1,12 +1,14 @@
-//! How far the skin's surface sinks under a tip: what an indentation test measures.
+//! Sinking of the skin's surface under a tip, the quantity that an indentation test measures.
 //! Uses: `mesh`, `assemble`, `boundary`, `solve`. Never: measurements, foam compression alone.
 //!
-//! A tip on a point loads its six vertices alike (paper III-A). Its own displacement is the mean
-//! sinking of those six nodes of the skin's top face: top fabric, foam and bottom fabric together.
+//! A tip on a point loads its six vertices equally (paper III-A). The tip's displacement is the
+//! mean sinking of those six nodes of the skin's top face: top fabric, foam and bottom fabric
+//! together.
 //!
-//! The stiffness is a sum over layers, `K = E_foam K_foam + E_fabric K_fabric`, so that the sinking's
-//! derivative by ln(E_foam) is one more solve with the same factor: `K u' = -E_foam K_foam u`. The
-//! derivative by ln(E_fabric) is `-u - u'`, since u scales as 1/E where all moduli scale together.
+//! The stiffness is a sum over layers, `K = E_foam K_foam + E_fabric K_fabric`, so that the
+//! derivative of the sinking by ln(E_foam) is one further solve with the same factor: `K u' =
+//! -E_foam K_foam u`. The derivative by ln(E_fabric) is `-u - u'`, since u scales as 1/E if all
+//! moduli scale together.
 
 use faer::sparse::SparseColMat;
 
@@ -17,7 +19,7 @@ use crate::responses::ResponsesError;
 use crate::sensor::Sensor;
 use crate::solve::Factor;
 
-/// Points whose loads are solved together.
+/// Number of points whose loads are solved together.
 const BLOCK: usize = 64;
 
 /// Sinking of the top face, mm per N (> 0 is down), for a tip on each of some points.
@@ -26,29 +28,32 @@ pub struct SurfaceSinking {
     units: Vec<Unit>,
 }
 
-/// One newton on one point.
+/// Response to one newton on one point.
 #[derive(Debug, Clone, PartialEq)]
 struct Unit {
     /// The nodes that the tip loads.
     loaded: [u32; 6],
-    /// Of every node of the top face: sinking, and its derivative by ln(foam modulus), mm per N.
+    /// For every node of the top face: sinking, and its derivative by ln(foam modulus), mm per N.
     nodes: Vec<Sinking>,
 }
 
-/// How far a place sinks.
+/// Sinking of one position.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Sinking {
-    /// mm per N, > 0 is down.
+    /// Sinking, mm per N, > 0 is down.
     pub mm_per_n: f64,
     /// Its derivative by the logarithm of the foam's modulus, mm per N.
     pub by_ln_foam: f64,
 }
 
 impl SurfaceSinking {
-    /// Solves for tips on points, given by index; a second or two, and more for hundreds of points.
+    /// Solves for tips on points, given by index; takes 1 s to 2 s, longer for hundreds of points.
     ///
     /// # Panics
     /// If an index is not one of the sensor's points.
+    ///
+    /// # Errors
+    /// `ResponsesError` if the mesh does not fit the sensor or the elastic solve fails.
     pub fn solve(sensor: &Sensor, points: &[usize]) -> Result<Self, ResponsesError> {
         let mesh = Mesh::new(sensor)?;
         let boundary = FixedBottom::new(&mesh);
@@ -82,13 +87,13 @@ impl SurfaceSinking {
         Ok(Self { units })
     }
 
-    /// How far the tip on the n-th asked point sinks: the mean of its six loaded nodes.
+    /// Sinking of the tip on the n-th requested point: the mean of its six loaded nodes.
     pub fn of_tip(&self, n: usize) -> Sinking {
         let unit = &self.units[n];
         unit.mean(unit.loaded.map(|node| (node, 1.0 / 6.0)))
     }
 
-    /// How far a place of the top face sinks under a tip on the n-th asked point.
+    /// Sinking of a position of the top face under a tip on the n-th requested point.
     pub fn at(&self, n: usize, place: &MeshPlace) -> Sinking {
         self.units[n].mean(std::array::from_fn::<_, 3, _>(|k| (place.nodes[k], place.weights[k])))
     }
@@ -106,7 +111,7 @@ impl Unit {
     }
 }
 
-/// The mesh with fabrics of no stiffness.
+/// The mesh with fabrics of zero stiffness.
 fn foam_alone(mesh: &Mesh) -> Mesh {
     let mut mesh = mesh.clone();
     let [bottom, top] = mesh.foam_levels;

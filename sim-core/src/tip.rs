@@ -1,22 +1,22 @@
-//! Where a tip's force goes when it stands anywhere on the skin.
+//! Distribution of a tip's force among the nodes, for a tip anywhere on the skin.
 //! Uses: `sensor`, `mesh`. Never: the size of the force.
 //!
 //! A tip is six equal forces at the corners of its hexagon (paper III-A), in the lattice's
 //! orientation. A force between nodes is shared by the linear shape functions of its lattice
-//! triangle: force and moment are kept, the shares are continuous in the tip's place, and on a node
-//! one share is exactly 1. Their slopes jump at the triangles' edges; on an edge the slope is that of
-//! one of the two triangles.
+//! triangle: force and moment are preserved, the shares are continuous in the tip's position, and
+//! on a node one share is exactly 1. Their slopes jump at the triangles' edges; on an edge the
+//! slope is that of one of the two triangles.
 //!
-//! Linear shares blur the dent, and the foam's law is steep: in a triangle's middle a 40 N tip would
-//! draw a quarter less current than on a node (`examples/between_points.rs`). The blur is the shares'
-//! second moment, `h2 q` with `q = w1 w2 + w2 w3 + w3 w1` and h the lattice's side. [`Spreading::Sharp`]
-//! takes it back: every node's share `w` becomes `w (1 + q)` on itself and `-w q / 6` on each of its six
-//! neighbours, the lattice's Laplacian. Force and moment stay, on a node nothing changes, and it stays
-//! linear in the force.
+//! Linear shares blur the dent, and the foam's law is steep: in a triangle's middle a 40 N tip
+//! would draw a quarter less current than on a node (`examples/between_points.rs`). The blur is the
+//! shares' second moment, `h2 q` with `q = w1 w2 + w2 w3 + w3 w1` and h the lattice's side.
+//! [`Spreading::Sharp`] removes it: every node's share `w` becomes `w (1 + q)` on itself and `-w q
+//! / 6` on each of its six neighbours, the lattice's Laplacian. Force and moment are preserved, on
+//! a node nothing changes, and the result stays linear in the force.
 //!
 //! The mesh ends up to 5.9 mm before the skin's left and right edge. A corner of the hexagon beyond
-//! the outermost column of nodes loads that column at the same height; the notches that the lattice
-//! leaves at the upper and lower edge are closed by a triangle of the three nodes around them. Nodes
+//! the outermost column of nodes loads that column at the same height; the notches of the lattice
+//! at the upper and lower edge are closed by a triangle of the three nodes around them. Nodes
 //! without six neighbours are not sharpened.
 
 use crate::mesh::Mesh;
@@ -26,23 +26,25 @@ use crate::sensor::Sensor;
 /// counter-clockwise from +y.
 const HEXAGON: [[i32; 2]; 6] = [[0, 2], [-1, 1], [-1, -1], [0, -2], [1, -1], [1, 1]];
 
-/// A tip closer than this to a node stands on it, in lattice steps.
+/// A tip closer than this to a node counts as on it, in lattice steps.
 const ON_NODE: f64 = 1e-7;
 
-/// How a force between nodes is shared among them.
+/// Distribution of a force between nodes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Spreading {
-    /// By linear shape functions: up to twelve nodes carry a tip, none pulls, the dent is blurred.
+    /// By linear shape functions: up to twelve nodes carry a tip, no share is negative, the dent is
+    /// blurred.
     Linear,
-    /// By linear shape functions without their second moment: up to 27 nodes, some pull a little.
+    /// By linear shape functions without their second moment: up to 27 nodes, some shares are
+    /// slightly negative.
     #[default]
     Sharp,
 }
 
-/// What one node carries of a tip's force.
+/// Share of a tip's force on one node.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Share {
-    /// The node.
+    /// Node of the mesh.
     pub node: u32,
     /// Share of one sixth of the tip's force: those of a tip add up to 6.
     pub sixths: f64,
@@ -50,7 +52,7 @@ pub struct Share {
     pub slope_per_mm: [f64; 2],
 }
 
-/// The mesh's lattice as a grid, so that a place's triangle is found without a search.
+/// The mesh's lattice as a grid, so that the triangle of a position is found without a search.
 #[derive(Debug, Clone)]
 pub struct TipLattice {
     origin_mm: [f64; 2],
@@ -58,15 +60,15 @@ pub struct TipLattice {
     /// Lattice coordinates of the outermost nodes.
     low: [i32; 2],
     high: [i32; 2],
-    /// Node at `rows * (m - low m) + (q - low q)`; `u32::MAX` where there is none.
+    /// Node at `rows * (m - low m) + (q - low q)`; `u32::MAX` if there is none.
     grid: Vec<u32>,
 }
 
-/// A lattice place with its weight and the weight's slopes per lattice step.
+/// A lattice position with its weight and the weight's slopes per lattice step.
 type Corner = ([i32; 2], f64, [f64; 2]);
 
 impl TipLattice {
-    /// Of a sensor and its mesh.
+    /// Builds the lattice of a sensor and its mesh.
     pub fn new(sensor: &Sensor, mesh: &Mesh) -> Self {
         let origin_mm = [sensor.first_column_x_mm(), sensor.file.points.first_row_y_mm];
         let step_mm = [sensor.pitch_mm() / 2.0, sensor.side_mm() / 2.0];
@@ -116,8 +118,8 @@ impl TipLattice {
         shares.retain(|s| s.sixths != 0.0 || s.slope_per_mm != [0.0; 2]);
     }
 
-    /// The three nodes around a place, each with its linear weight (sum 1) and the weight's slope in
-    /// x and y, 1/mm. `None` where the lattice lacks a corner.
+    /// The three nodes around a position, each with its linear weight (sum 1) and the weight's
+    /// slope in x and y, 1/mm. `None` if the lattice lacks a corner.
     pub fn around(&self, x_mm: f64, y_mm: f64) -> [Option<Share>; 3] {
         let place = [
             (x_mm - self.origin_mm[0]) / self.step_mm[0],
@@ -129,7 +131,7 @@ impl TipLattice {
         })
     }
 
-    /// Takes the second moment of a triangle's shares away.
+    /// Removes the second moment of a triangle's shares.
     fn sharpen(&self, triangle: &[Corner; 3], first: usize, shares: &mut Vec<Share>) {
         let pairs = [(0, 1), (1, 2), (2, 0)].map(|(a, b)| (triangle[a], triangle[b]));
         let q: f64 = pairs.iter().map(|(a, b)| a.1 * b.1).sum();
@@ -149,8 +151,9 @@ impl TipLattice {
         }
     }
 
-    /// The three nodes that share a force at a place (in lattice steps). Beyond the outermost nodes
-    /// the place is moved a hair inside them, and the share no longer depends on that coordinate.
+    /// The three nodes that share a force at a position (in lattice steps). Beyond the outermost
+    /// nodes the position is moved just inside them, and the share no longer depends on that
+    /// coordinate.
     fn corners(&self, place: [f64; 2]) -> [Corner; 3] {
         let mut free = [1.0; 2];
         let inside: [f64; 2] = std::array::from_fn(|i| {
@@ -170,9 +173,9 @@ impl TipLattice {
         }
     }
 
-    /// Replaces the corner that lies one step beyond the upper or lower edge: linear in the triangle
-    /// of the node towards the skin and the two beside it. In the skin's corners one of those two is
-    /// missing as well, and the node towards the skin takes the weight.
+    /// Replaces the corner that is one step beyond the upper or lower edge: linear in the triangle
+    /// of the node towards the skin and the two next to it. In the skin's corners one of those two
+    /// is missing as well, and the node towards the skin carries its weight.
     fn close_notch(&self, mut corners: [Corner; 3], missing: usize) -> [Corner; 3] {
         let ([m, q], weight, slope) = corners[missing];
         let inward = if q < self.low[1] { 1 } else { -1 };
@@ -217,8 +220,8 @@ impl TipLattice {
     }
 }
 
-/// The lattice triangle of a place, with barycentric weights. The steps (1, 1) and (0, 2) span the
-/// lattice; their rhombus is cut along its short diagonal.
+/// The lattice triangle of a position, with barycentric weights. The steps (1, 1) and (0, 2) span
+/// the lattice; their rhombus is cut along its short diagonal.
 fn triangle([u, v]: [f64; 2]) -> [Corner; 3] {
     let (along, up) = (u, (v - u) / 2.0);
     let (i, j) = (along.floor(), up.floor());

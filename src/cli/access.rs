@@ -1,5 +1,5 @@
-//! `palpate lock` and `palpate key`: who may start and edit, and who may ask at all.
-//! Uses: `client`. Never: a key's text anywhere but in the one answer that makes it.
+//! `palpate lock` and `palpate key`: rights to start and edit, and to send requests at all.
+//! Uses: `client`. Never: a key's text except in the answer that creates it.
 
 use clap::{Args, Subcommand, ValueEnum};
 use reqwest::Method;
@@ -17,10 +17,10 @@ pub struct LockArgs {
     /// Take the lock with this note; without it the lock is shown.
     #[arg(conflicts_with = "clear")]
     pub note: Option<String>,
-    /// Give the lock back.
+    /// Release the lock.
     #[arg(long)]
     pub clear: bool,
-    /// Where the server is, or the data.
+    /// Server, or data folder.
     #[command(flatten)]
     pub at: At,
 }
@@ -28,22 +28,22 @@ pub struct LockArgs {
 /// Options of `key`.
 #[derive(Debug, Clone, Args)]
 pub struct KeyArgs {
-    /// What to do; lists the keys if absent.
+    /// Action on the keys; lists them if absent.
     #[command(subcommand)]
     pub command: Option<KeyCommand>,
-    /// Where the server is, or the data.
+    /// Server, or data folder.
     #[command(flatten)]
     pub at: At,
 }
 
-/// What can be done with keys.
+/// Actions on the keys.
 #[derive(Debug, Clone, Subcommand)]
 pub enum KeyCommand {
-    /// Make a key; its text is shown this once.
+    /// Create a key; its text is shown only once.
     Create {
-        /// Whose, or what for.
+        /// Name of the holder or purpose.
         name: String,
-        /// What its holder may do.
+        /// Rights of the holder.
         #[arg(long, value_enum, default_value_t = RoleName::Operator)]
         role: RoleName,
     },
@@ -51,19 +51,19 @@ pub enum KeyCommand {
     List,
     /// Revoke a key.
     Revoke {
-        /// Its number.
+        /// Number of the key.
         id: i64,
     },
 }
 
-/// What the holder of a key may do; each may do what the ones before may.
+/// Rights of a key; each role includes the ones before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum RoleName {
-    /// Look, and stop.
+    /// Read, and stop.
     Viewer,
-    /// Run and move.
+    /// Start runs and move the rig.
     Operator,
-    /// Manage keys, break the lock.
+    /// Manage keys, release another person's lock.
     Admin,
 }
 
@@ -77,7 +77,10 @@ impl RoleName {
     }
 }
 
-/// `palpate lock`.
+/// Runs `palpate lock`.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached or started, or refuses the request.
 pub async fn lock(args: LockArgs) -> Result<(), CliError> {
     let LockArgs { note, clear, at } = args;
     let json = at.json;
@@ -99,7 +102,10 @@ pub async fn lock(args: LockArgs) -> Result<(), CliError> {
     .await
 }
 
-/// `palpate key`.
+/// Runs `palpate key`.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached or started, or refuses the request.
 pub async fn key(args: KeyArgs) -> Result<(), CliError> {
     let (json, command) = (args.at.json, args.command.unwrap_or(KeyCommand::List));
     embed::with_server(&args.at, move |client| async move {

@@ -1,6 +1,6 @@
-//! `palpate status`, `pause`, `resume`, `stop`, `abort`, `confirm`, `repeat`, `estop`: questions and
-//! requests to the server that drives the rig.
-//! Uses: `client`. Never: a server of its own (there would be nothing to ask).
+//! `palpate status`, `pause`, `resume`, `stop`, `abort`, `confirm`, `repeat`, `estop`: questions
+//! and requests to the server that drives the rig.
+//! Uses: `client`. Never: a server in this process (it would have no rig and no run).
 
 use std::time::Duration;
 
@@ -15,18 +15,18 @@ use super::{At, embed};
 use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::safe_end::{SafeEnd, Tips};
 
-/// Longest look for the axes' acknowledgement of an emergency stop.
+/// Longest wait for the axes' acknowledgement of an emergency stop.
 const ACKNOWLEDGED: Duration = Duration::from_secs(2);
-/// Between two looks.
+/// Interval of polling.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Options of a request to the run under way.
+/// Options of a request to the active run.
 #[derive(Debug, Clone, Args)]
 pub struct ActArgs {
-    /// Why, for the log of actions.
+    /// Reason, for the log of actions.
     #[arg(long, value_name = "TEXT")]
     pub why: Option<String>,
-    /// Where the server is.
+    /// Server of the rig.
     #[command(flatten)]
     pub at: At,
 }
@@ -34,15 +34,18 @@ pub struct ActArgs {
 /// Options of `pause`.
 #[derive(Debug, Clone, Args)]
 pub struct PauseArgs {
-    /// Raise now, instead of after the trial.
+    /// Raise the tips now, instead of after the trial.
     #[arg(long)]
     pub now: bool,
-    /// As for every request.
+    /// Options of every request.
     #[command(flatten)]
     pub act: ActArgs,
 }
 
-/// `palpate status`.
+/// Runs `palpate status`.
+///
+/// # Errors
+/// `CliError` if the server cannot be reached.
 pub async fn status(at: &At) -> Result<(), CliError> {
     let client = embed::server(at).await?;
     if at.json {
@@ -55,7 +58,11 @@ pub async fn status(at: &At) -> Result<(), CliError> {
     Ok(())
 }
 
-/// A request to the run under way.
+/// Sends an action to the active run.
+///
+/// # Errors
+/// `CliError::Idle` without an active run; other variants if the server cannot be reached or
+/// refuses.
 pub async fn act(args: &ActArgs, action: &str, mut more: Value) -> Result<(), CliError> {
     let client = embed::server(&args.at).await?;
     let run = client.status().await?.run.ok_or(CliError::Idle)?;
@@ -66,20 +73,26 @@ pub async fn act(args: &ActArgs, action: &str, mut more: Value) -> Result<(), Cl
     if args.at.json {
         say_json(&json!({ "run": run.uid, "action": action, "taken_up": true }));
     } else {
-        say(format_args!("run {}: {action} taken up", run.scan_id));
+        say(format_args!("run {}: {action} accepted", run.scan_id));
     }
     Ok(())
 }
 
-/// `palpate pause`.
+/// Runs `palpate pause`.
+///
+/// # Errors
+/// As [`act`].
 pub async fn pause(args: &PauseArgs) -> Result<(), CliError> {
     let when = if args.now { "now" } else { "checkpoint" };
     act(&args.act, "pause", json!({ "when": when })).await
 }
 
-/// `palpate estop`: one call, then the axes' acknowledgement as far as it shows.
+/// Runs `palpate estop`: one request, then the axes' acknowledgement as far as it is known.
+///
+/// # Errors
+/// `CliError` if the request for the stop fails; the acknowledgement is only reported.
 pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
-    // No look whether somebody is there: the stop is the first thing that is sent.
+    // The server is not probed first: the stop must be the first request.
     let url = args.at.url().unwrap_or_else(|| super::DEFAULT_URL.into());
     let client = super::client::Client::new(&url)?;
     let body = json!({ "why": args.why, "who": client.who() });
@@ -88,7 +101,7 @@ pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
     let (mut acknowledged_ms, mut missing) = (None, Vec::new());
     while acknowledged_ms.is_none() && asked.elapsed() < ACKNOWLEDGED {
         tokio::time::sleep(LOOK).await;
-        // The stop is latched, whatever the service can say of it.
+        // The stop is latched, whether or not the service reports on it.
         if let Ok(status) = client.status().await {
             let rig = status.rig;
             (acknowledged_ms, missing) = (rig.estop_acknowledged_ms, rig.not_stopped());
@@ -102,9 +115,9 @@ pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
     let axes = match acknowledged_ms {
         Some(ms) => format!("every axis had acknowledged after {ms:.1} ms"),
         None if missing.is_empty() => "no acknowledgement of the axes yet".into(),
-        None => format!("NOT ACKNOWLEDGED: {}; sent again until it is", missing.join(", ")),
+        None => format!("NOT ACKNOWLEDGED: {}; the stop is sent again", missing.join(", ")),
     };
-    say(format_args!("stopped and latched; {axes}. `palpate rig reset` when all is well."));
+    say(format_args!("stopped and latched; {axes}. Check the rig, then run `palpate rig reset`."));
     Ok(())
 }
 
@@ -115,7 +128,7 @@ fn status_words(status: &StatusView, twins: &Value) -> String {
         lines.push(format!("trip     {}", rig.trip_words()));
     }
     for axis in rig.not_stopped() {
-        lines.push(format!("stop     NOT ACKNOWLEDGED: {axis}; sent again until it is"));
+        lines.push(format!("stop     NOT ACKNOWLEDGED: {axis}; the stop is sent again"));
     }
     lines.extend(rig.safe_end.as_ref().map(safe_end_words));
     if let Some(p) = rig.pose {
@@ -142,7 +155,7 @@ fn status_words(status: &StatusView, twins: &Value) -> String {
 fn safe_end_words(end: &SafeEnd) -> String {
     let tips = match &end.tips {
         Tips::Raised => "tips raised".into(),
-        Tips::HeldByEstop => "tips where they were: the stop is latched".into(),
+        Tips::HeldByEstop => "tips not moved: the stop is latched".into(),
         Tips::NotHomed => "z has lost its zero: home, z moves up first".into(),
         Tips::NotRaised(why) => format!("TIPS NOT RAISED: {why}"),
     };
@@ -172,12 +185,12 @@ fn stopping_words(d: &StoppingDistance) -> String {
     )
 }
 
-/// Simulated twins: of the newest run with trials.
+/// Simulated twins of the newest run with trials, as text.
 fn twin_words(twins: &Value) -> Option<String> {
     let newest = twins["runs"].get(0)?;
     let (trials, pending) = (newest["trials"].as_u64()?, newest["pending"].as_u64()?);
     let fit = twins["pool"]["rolling"]["median_fvu"].as_f64();
-    let fit = fit.map_or_else(String::new, |fvu| format!(", median FVU of late {fvu:.2}"));
+    let fit = fit.map_or_else(String::new, |fvu| format!(", recent median FVU {fvu:.2}"));
     let failed = twins["pool"]["last_error"].as_str();
     let failed = failed.map_or_else(String::new, |why| format!("; {why}"));
     Some(format!("twins    {} of {trials}{fit}{failed}", trials - pending))
@@ -185,7 +198,7 @@ fn twin_words(twins: &Value) -> Option<String> {
 
 fn run_words(run: &RunView) -> Vec<String> {
     let requested =
-        run.requested_state.as_ref().map_or_else(String::new, |r| format!(", asked to be {r}"));
+        run.requested_state.as_ref().map_or_else(String::new, |r| format!(", requested {r}"));
     let (id, name, state) = (run.scan_id, &run.experiment, &run.state);
     let mut lines = vec![format!("run      {id}, {name}: {state}{requested}")];
     if let Some(words) = &run.waiting_for {

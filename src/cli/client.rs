@@ -1,5 +1,5 @@
-//! The service as the command line sees it: requests with deadlines, refusals as errors.
-//! Uses: reqwest, `view`. Never: the service's insides, retries that could start something twice.
+//! Client of the service: requests with deadlines, refusals as errors.
+//! Uses: reqwest, `view`. Never: the service's internals, retries that could start something twice.
 
 use std::path::Path;
 use std::time::Duration;
@@ -20,13 +20,13 @@ use crate::ids::RunUid;
 use crate::problem::Problem;
 use crate::store::{RunPage, RunRow};
 
-/// Environment variable that holds the key.
+/// Environment variable with the API key.
 pub const KEY_VARIABLE: &str = "PALPATE_KEY";
-/// Longest wait for an answer; connecting a rig is the slowest.
+/// Longest wait for an answer; connecting a rig takes longest.
 const ANSWER: Duration = Duration::from_secs(60);
-/// Longest wait when looking whether a server is there.
+/// Longest wait when probing for a server.
 const LOOK: Duration = Duration::from_secs(2);
-/// Runs looked through at once.
+/// Number of runs per page.
 const PAGE: u32 = 200;
 
 /// A client of one service. Clones share its connections.
@@ -40,19 +40,25 @@ pub struct Client {
 }
 
 impl Client {
-    /// A client of the service at a URL, with the key of the environment.
+    /// Client of the service at a URL, with the key of the environment.
+    ///
+    /// # Errors
+    /// `CliError::Http` if the HTTP client cannot be created.
     pub fn new(url: &str) -> Result<Self, CliError> {
         let key = std::env::var(KEY_VARIABLE).ok().filter(|k| !k.is_empty());
         Self::with(url, key)
     }
 
-    /// A client of a service in this process, which needs no key and would not know ours.
+    /// Client of a service in this process, which needs no key.
+    ///
+    /// # Errors
+    /// `CliError::Http` if the HTTP client cannot be created.
     pub fn of_own(url: &str) -> Result<Self, CliError> {
         Self::with(url, None)
     }
 
     fn with(url: &str, key: Option<String>) -> Result<Self, CliError> {
-        // A lab's rig is on the lab's net: a proxy for the world outside is never in between.
+        // A rig is on the local network: proxies are not used.
         let http = reqwest::Client::builder()
             .no_proxy()
             .build()
@@ -63,22 +69,22 @@ impl Client {
         Ok(Self { url, http, key, who, answer_within: ANSWER })
     }
 
-    /// The same client, ready to wait so long for an answer.
+    /// Returns the same client with another deadline for answers.
     pub fn patient(&self, answer_within: Duration) -> Self {
         Self { answer_within, ..self.clone() }
     }
 
-    /// Where the service is.
+    /// URL of the service.
     pub fn url(&self) -> &str {
         &self.url
     }
 
-    /// Who asks, for the log of actions.
+    /// Name of the client, for the log of actions.
     pub fn who(&self) -> &str {
         &self.who
     }
 
-    /// Whether a palpate server answers there.
+    /// Whether a palpate server answers at the URL.
     pub async fn is_there(&self) -> bool {
         let url = format!("{}/health/live", self.url);
         let Ok(answer) = self.http.get(url).timeout(LOOK).send().await else { return false };
@@ -86,27 +92,42 @@ impl Client {
         body["service"] == "palpate"
     }
 
-    /// Rig, run and service.
+    /// Returns the status of rig, run and service.
+    ///
+    /// # Errors
+    /// As [`Self::send`].
     pub async fn status(&self) -> Result<StatusView, CliError> {
         self.get("/api/v1/status").await
     }
 
-    /// One run, by uid or scan_id.
+    /// Returns one run, by uid or scan_id.
+    ///
+    /// # Errors
+    /// As [`Self::send`].
     pub async fn run(&self, run: impl std::fmt::Display) -> Result<RunRow, CliError> {
         self.get(&format!("/api/v1/runs/{run}")).await
     }
 
-    /// What came of a run.
+    /// Returns the summary of a run.
+    ///
+    /// # Errors
+    /// As [`Self::send`].
     pub async fn summary(&self, run: RunUid) -> Result<Summary, CliError> {
         self.get(&format!("/api/v1/runs/{run}/summary")).await
     }
 
-    /// Events of a run after a number.
+    /// Returns the events of a run after the event number `since`.
+    ///
+    /// # Errors
+    /// As [`Self::send`].
     pub async fn events(&self, run: RunUid, since: i64) -> Result<EventPageView, CliError> {
         self.get(&format!("/api/v1/events?since={since}&run={run}")).await
     }
 
-    /// The newest run that `fits`, among all.
+    /// Returns the newest of all runs that `fits` accepts.
+    ///
+    /// # Errors
+    /// As [`Self::send`].
     pub async fn find_run(
         &self,
         fits: impl Fn(&RunRow) -> bool,
@@ -122,35 +143,53 @@ impl Client {
         }
     }
 
-    /// Arms a run: the code that starts it, and its preflight.
+    /// Arms a run; returns the code that starts it, and its preflight.
+    ///
+    /// # Errors
+    /// As [`Self::send`].
     pub async fn arm(&self, run: RunUid) -> Result<ArmedView, CliError> {
         self.post(&format!("/api/v1/runs/{run}/arm"), &json!({ "who": self.who })).await
     }
 
     /// Starts an armed run.
+    ///
+    /// # Errors
+    /// As [`Self::send`].
     pub async fn start(&self, run: RunUid, code: &str) -> Result<TakenUpView, CliError> {
         let body = json!({ "action": "start", "code": code, "who": self.who });
         self.post(&format!("/api/v1/runs/{run}/actions"), &body).await
     }
 
-    /// An action on a run; `more` are its other fields.
+    /// Sends an action on a run; `more` are its other fields.
+    ///
+    /// # Errors
+    /// As [`Self::send`].
     pub async fn act(&self, run: RunUid, action: &str, more: Value) -> Result<(), CliError> {
         let path = format!("/api/v1/runs/{run}/actions");
         self.send(Method::POST, &path, Some(&self.body(action, more))).await.map(|_| ())
     }
 
-    /// An action on the rig; `more` are its other fields.
+    /// Sends an action on the rig; `more` are its other fields.
+    ///
+    /// # Errors
+    /// As [`Self::send`].
     pub async fn act_on_rig(&self, action: &str, more: Value) -> Result<(), CliError> {
         let body = self.body(action, more);
         self.send(Method::POST, "/api/v1/rig/actions", Some(&body)).await.map(|_| ())
     }
 
-    /// Reads an answer.
+    /// Sends a GET request and reads the answer.
+    ///
+    /// # Errors
+    /// As [`Self::ask`].
     pub async fn get<T: DeserializeOwned>(&self, path: &str) -> Result<T, CliError> {
         self.ask(Method::GET, path, None::<&Value>).await
     }
 
-    /// Sends a body, reads an answer.
+    /// Sends a POST request with a body and reads the answer.
+    ///
+    /// # Errors
+    /// As [`Self::ask`].
     pub async fn post<T: DeserializeOwned>(
         &self,
         path: &str,
@@ -159,14 +198,20 @@ impl Client {
         self.ask(Method::POST, path, Some(body)).await
     }
 
-    /// Deletes something, in our name.
+    /// Sends a DELETE request in the client's name.
+    ///
+    /// # Errors
+    /// As [`Self::send`].
     pub async fn delete(&self, path: &str) -> Result<(), CliError> {
         let who: String = self.who.bytes().map(|b| format!("%{b:02X}")).collect();
         let path = format!("{path}?who={who}");
         self.send(Method::DELETE, &path, None::<&Value>).await.map(|_| ())
     }
 
-    /// Sends a request, reads an answer.
+    /// Sends a request and reads the answer.
+    ///
+    /// # Errors
+    /// As [`Self::send`]; `CliError::Http` if the answer has another form.
     pub async fn ask<T: DeserializeOwned>(
         &self,
         method: Method,
@@ -178,7 +223,11 @@ impl Client {
         answer.json().await.map_err(|source| CliError::Http { operation, source })
     }
 
-    /// Sends a request; what is refused is an error.
+    /// Sends a request.
+    ///
+    /// # Errors
+    /// `CliError::NoServer` without a connection; `Http` without an answer; `Refused` or `Problems`
+    /// if the service refuses.
     pub async fn send(
         &self,
         method: Method,
@@ -195,6 +244,9 @@ impl Client {
     }
 
     /// Sends a request for a part of a file.
+    ///
+    /// # Errors
+    /// As [`Self::send`].
     pub async fn send_ranged(
         &self,
         method: Method,
@@ -206,7 +258,10 @@ impl Client {
         self.carry_out(operation, request.header(reqwest::header::RANGE, range)).await
     }
 
-    /// Sends a file with texts beside it, each with its own file name where it has one.
+    /// Uploads a file with texts, each with a file name if it has one.
+    ///
+    /// # Errors
+    /// As [`Self::ask`]; `CliError::File` if the file cannot be read.
     pub async fn upload<T: DeserializeOwned>(
         &self,
         path: &str,
@@ -237,7 +292,10 @@ impl Client {
         answer.json().await.map_err(|source| CliError::Http { operation, source })
     }
 
-    /// Sends a text, reads an answer.
+    /// Sends a POST request with a text and reads the answer.
+    ///
+    /// # Errors
+    /// As [`Self::ask`].
     pub async fn post_text<T: DeserializeOwned>(
         &self,
         path: &str,
@@ -250,7 +308,10 @@ impl Client {
         answer.json().await.map_err(|source| CliError::Http { operation, source })
     }
 
-    /// Reads the messages of a WebSocket until `take` wants no more, or it ends.
+    /// Reads the messages of a WebSocket until `take` returns `false`, or the stream ends.
+    ///
+    /// # Errors
+    /// `CliError::Socket` if the connection fails.
     pub async fn messages(
         &self,
         path: &str,
@@ -281,7 +342,7 @@ impl Client {
                 _ => {}
             }
         }
-        // Who has read enough does not wait for a farewell.
+        // The reader does not wait for the other side's close message.
         socket.close(None).await.ok();
         Ok(())
     }
@@ -324,7 +385,7 @@ impl Client {
     }
 }
 
-/// A problem body as an error: values outside their limits are bad input.
+/// Converts a problem body to an error: values outside their limits are bad input.
 fn refusal(operation: String, status: u16, body: &Value) -> CliError {
     let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
     let problems: Vec<Problem> = body["errors"]

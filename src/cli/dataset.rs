@@ -1,5 +1,5 @@
-//! `palpate dataset`: what there is, what it is made of, files out and trials in.
-//! Uses: `client`. Never: rows of its own (the service reads and writes them).
+//! `palpate dataset`: lists, shows, makes and exports datasets; imports trials.
+//! Uses: `client`. Never: rows in this process (the service reads and writes them).
 
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -21,11 +21,11 @@ use super::{At, embed};
 use crate::dataset::export::ExportRequest;
 use crate::dataset::format::Format;
 
-/// Between two looks at how far an export is.
+/// Interval of polling an export's progress.
 const LOOK: Duration = Duration::from_millis(200);
-/// Longest wait for a dataset to be made, or an import to be stored.
+/// Longest wait until a dataset is made, or an import is stored.
 const MAKING: Duration = Duration::from_secs(3600);
-/// Tries of a download whose connection breaks.
+/// Number of attempts of a download whose connection breaks.
 const TRIES: u32 = 5;
 
 /// Options of `dataset`.
@@ -37,30 +37,30 @@ pub struct DatasetArgs {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// Show the datasets that were made, and the names that can be asked for.
+    /// Show the existing datasets, and the names that can be requested.
     List(At),
-    /// Show a dataset: parts, contacts, what was left out and why, columns.
+    /// Show a dataset: parts, contacts, excluded trials with reasons, columns.
     Show(ShowArgs),
-    /// Make the dataset of a definition file on what is stored now.
+    /// Make the dataset of a definition file from the trials stored now.
     Make(MakeArgs),
     /// Write a dataset to a file.
     ///
-    /// The service writes it first and says how far it is, also after a restart; then the file is
-    /// fetched, gone on with where a connection broke, and its sha256 checked.
+    /// The service writes it first, resumes after a restart and reports its progress; then the file
+    /// is downloaded, resumed if a connection breaks, and its sha256 checked.
     Export(ExportArgs),
-    /// Take in trials measured elsewhere, as a run of their own.
+    /// Import trials measured elsewhere, as a separate run.
     ///
     /// FILE is Parquet with the columns of the trials table, of which `voltages_v` and `contacts`
-    /// must be there. Contacts may lack force or place. Exit code 2 where a value cannot be used: each
-    /// problem names row, column, value and limit, and nothing is stored.
+    /// are required. Contacts may lack force or position. Exit code 2 if a value cannot be used:
+    /// each problem names row, column, value and limit, and nothing is stored.
     Import(ImportArgs),
 }
 
 #[derive(Debug, Args)]
 struct ShowArgs {
-    /// Its id or name; `run-N` is all trials of a run.
+    /// Id or name; `run-N` is all trials of a run.
     name: String,
-    /// Where it comes from: runs, models, calibrations, shards, code.
+    /// Show the lineage: runs, models, calibrations, shards, code.
     #[arg(long)]
     lineage: bool,
     #[command(flatten)]
@@ -78,9 +78,9 @@ struct MakeArgs {
 
 #[derive(Debug, Args)]
 struct ExportArgs {
-    /// Its id or name; `run-N` is all trials of a run.
+    /// Id or name; `run-N` is all trials of a run.
     name: String,
-    /// parquet, arrow, csv, ndjson or npz.
+    /// Format: parquet, arrow, csv, ndjson or npz.
     #[arg(long, default_value = "parquet")]
     format: Format,
     /// A condition on rows, such as `contact_count__gte=3` or `split=train`; may be repeated.
@@ -92,7 +92,7 @@ struct ExportArgs {
     /// A force map for each row, as pixel x diameter in mm: 4x20.
     #[arg(long, value_name = "PIXELxDIAMETER")]
     map: Option<String>,
-    /// Only these values of each frame, the end left out: 0:28.
+    /// Only these values of each frame, the end excluded: 0:28.
     #[arg(long, value_name = "FIRST:END")]
     slice: Option<String>,
     /// The file [default: NAME.FORMAT here].
@@ -106,10 +106,10 @@ struct ExportArgs {
 struct ImportArgs {
     /// Parquet file.
     file: PathBuf,
-    /// Its sensor file: TOML with name, channels, width_mm and height_mm, or one of Palpate's.
+    /// Sensor file: TOML with name, channels, width_mm and height_mm, or one of Palpate's.
     #[arg(long, value_name = "SENSOR.toml")]
     sensor: PathBuf,
-    /// measured, virtual or simulated.
+    /// Label: measured, virtual or simulated.
     #[arg(long, default_value = "measured")]
     label: String,
     /// Name of the experiment [default: the file's].
@@ -119,7 +119,7 @@ struct ImportArgs {
     at: At,
 }
 
-/// What the command line reads of an export.
+/// Fields of an export that are read.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 struct ExportView {
     id: String,
@@ -133,7 +133,10 @@ struct ExportView {
     url: Option<String>,
 }
 
-/// Does what was asked.
+/// Runs `palpate dataset`.
+///
+/// # Errors
+/// `CliError` if the server cannot be reached or refuses, or a file cannot be read or written.
 pub async fn dataset(args: DatasetArgs) -> Result<(), CliError> {
     match args.what {
         What::List(at) => {
@@ -177,11 +180,11 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
         ));
     }
     if made.is_empty() {
-        say("no dataset was made yet");
+        say("there are no datasets");
     }
     let names: Vec<&str> =
         found["definitions"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
-    say(format_args!("made when asked for: {}, run-N", names.join(", ")));
+    say(format_args!("made on request: {}, run-N", names.join(", ")));
     Ok(())
 }
 
@@ -212,7 +215,7 @@ async fn make(client: &Client, args: &MakeArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-/// A dataset for people.
+/// Prints a dataset for people.
 fn describe(row: &Value, url: &str) {
     let length = bytes(row["bytes"].as_f64().unwrap_or_default());
     say(format_args!(
@@ -224,7 +227,7 @@ fn describe(row: &Value, url: &str) {
     let report = &row["report"];
     table("part", &report["parts"]);
     table("contacts", &report["contact_counts"]);
-    table("left out", &report["left_out"]);
+    table("excluded", &report["left_out"]);
     say("  pandas.read_parquet(..), polars.scan_parquet(..) or DuckDB's read_parquet(..) of");
     say(format_args!("  {url}{}", text(&row["url"])));
 }
@@ -267,7 +270,7 @@ async fn export(client: &Client, args: &ExportArgs) -> Result<(), CliError> {
     Ok(())
 }
 
-/// Shows how far an export is, until it is over.
+/// Shows the progress of an export until it has ended.
 async fn follow(client: &Client, asked: ExportView) -> Result<ExportView, CliError> {
     let bar = progress_bar("rows");
     let (mut now, mut rows) = (asked, 0);
@@ -293,7 +296,7 @@ async fn follow(client: &Client, asked: ExportView) -> Result<ExportView, CliErr
     }
 }
 
-/// Fetches the file of an export, going on where a connection broke.
+/// Downloads the file of an export, and resumes if a connection breaks.
 async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), CliError> {
     let failed = |source| CliError::File { path: out.into(), source };
     let partial = out.with_extension("partial");
@@ -328,7 +331,7 @@ async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), Cli
     bar.finish_and_clear();
     let found = crate::dataset::file::hex(&hash.finalize());
     if Some(&found) != done.sha256.as_ref() {
-        let detail = format!("the file that came has the sha256 {found}");
+        let detail = format!("the downloaded file has the sha256 {found}");
         return Err(CliError::Refused { operation: format!("GET {url}"), status: 500, detail });
     }
     file.seek(SeekFrom::End(0)).and_then(|_| file.sync_all()).map_err(failed)?;
@@ -367,7 +370,7 @@ async fn import(client: &Client, args: &ImportArgs) -> Result<(), CliError> {
         .filter_map(Value::as_str)
         .collect();
     if !left_out.is_empty() {
-        say(format_args!("  columns that nothing was made of: {}", left_out.join(", ")));
+        say(format_args!("  unused columns: {}", left_out.join(", ")));
     }
     say(format_args!("  its dataset: palpate dataset show {}", text(&made["dataset"])));
     Ok(())

@@ -1,5 +1,6 @@
-//! A server that is there, or one in this process for as long as a command lasts.
-//! Uses: `api`, `client`. Never: a second process on a data folder (the service's lock sees to it).
+//! A running server, or one in this process for the duration of a command.
+//! Uses: `api`, `client`. Never: a second process on a data folder (prevented by the service's
+//! lock).
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
@@ -12,12 +13,14 @@ use super::files::{RigFiles, read_sensor_text};
 use super::{At, DEFAULT_URL};
 use crate::api::{ServeOptions, Service};
 
-/// Threads for simulated twins, unless said otherwise: one keeps up with a rig at a hundred times
-/// real speed, and leaves the other processors alone.
+/// Default number of threads for simulated twins: one keeps up with a rig at a hundred times real
+/// speed, and leaves the other processors idle.
 pub const TWIN_WORKERS: usize = 1;
 
-/// The server that the options name, or the default one, if it answers. A server that was named
-/// and does not answer is an error.
+/// Returns the server that the options name, or the default one, if it answers.
+///
+/// # Errors
+/// `CliError::NoServer` if a named server does not answer.
 pub async fn find(at: &At) -> Result<Option<Client>, CliError> {
     let named = at.url();
     let client = Client::new(named.as_deref().unwrap_or(DEFAULT_URL))?;
@@ -30,12 +33,18 @@ pub async fn find(at: &At) -> Result<Option<Client>, CliError> {
     }
 }
 
-/// The server, which must be there.
+/// Returns the server, which must be running.
+///
+/// # Errors
+/// `CliError::NoServer` if it does not answer.
 pub async fn server(at: &At) -> Result<Client, CliError> {
     find(at).await?.ok_or_else(|| CliError::NoServer { url: DEFAULT_URL.into() })
 }
 
-/// Options of a service in this process: a free port of the loopback.
+/// Options of a service in this process, on a free port of the loopback.
+///
+/// # Errors
+/// `CliError` if the carried sensor file is invalid.
 pub fn options(data: PathBuf, rig: &RigFiles) -> Result<ServeOptions, CliError> {
     let (sensor, sensor_text) = read_sensor_text(None)?;
     Ok(ServeOptions {
@@ -51,7 +60,10 @@ pub fn options(data: PathBuf, rig: &RigFiles) -> Result<ServeOptions, CliError> 
     })
 }
 
-/// Does `work` with the server that is there, or with one started for it.
+/// Runs `work` with a running server, or with one started for it.
+///
+/// # Errors
+/// `CliError` if no server can be reached or started, or the error of `work`.
 pub async fn with_server<T, F>(at: &At, work: impl FnOnce(Client) -> F) -> Result<T, CliError>
 where
     F: Future<Output = Result<T, CliError>> + Send + 'static,
@@ -63,8 +75,11 @@ where
     }
 }
 
-/// Starts a service, does `work` as its client, and ends it: the tips are raised, the database is
-/// closed, whatever the work came to.
+/// Starts a service, runs `work` as its client, and ends the service whatever the result: the tips
+/// are raised, the database is closed.
+///
+/// # Errors
+/// `CliError::Serve` if the service cannot start, or the error of `work`.
 pub async fn host<T, F>(
     options: ServeOptions,
     work: impl FnOnce(Client) -> F,
@@ -84,7 +99,7 @@ where
     let (done, finished) = oneshot::channel();
     let work = work(client);
     let task = tokio::spawn(async move {
-        // Dropped at the end, also when the work panics.
+        // Dropped at the end, also if the work panics.
         let _done: oneshot::Sender<()> = done;
         work.await
     });

@@ -1,4 +1,4 @@
-//! Why a command cannot do what it was asked, and with which exit code it says so.
+//! Errors of commands, with their exit codes.
 //! Uses: `problem`, the errors of `api` and `rig`. Never: printing, HTTP status codes as decisions.
 
 use std::io;
@@ -16,126 +16,127 @@ use crate::rig::error::RigError;
 use crate::simulate::model::ModelUnavailable;
 use crate::simulate::random::error::RandomError;
 
-/// Why a command ended without doing what it was asked.
+/// Why a command failed.
 #[derive(Debug, thiserror::Error)]
 pub enum CliError {
-    /// Files, options or requests hold values that cannot be used.
+    /// Values in files, options or requests are invalid.
     #[error("{}", lines(.0))]
     Problems(Vec<Problem>),
-    /// Nobody answers there.
+    /// No server answers at the URL.
     #[error(
-        "no palpate server at {url}; start one with `palpate serve`, or name it with --url or PALPATE_URL"
+        "no palpate server at {url}; start one with `palpate serve`, or name it with --url or \
+         PALPATE_URL"
     )]
     NoServer {
-        /// Where it was looked for.
+        /// URL of the expected server.
         url: String,
     },
-    /// A request had no answer, or one that makes no sense.
+    /// A request had no answer, or an invalid one.
     #[error("{operation}: {source}")]
     Http {
-        /// What was asked.
+        /// Method and path of the request.
         operation: String,
-        /// Why it failed.
+        /// Error of the HTTP client.
         source: reqwest::Error,
     },
-    /// A stream of messages broke.
+    /// A WebSocket failed.
     #[error("{operation}: {source}")]
     Socket {
-        /// What was asked.
+        /// Method and path of the request.
         operation: String,
-        /// Why it broke.
+        /// Error of the WebSocket.
         source: Box<tokio_tungstenite::tungstenite::Error>,
     },
-    /// The service refuses.
+    /// The service refused the request.
     #[error("{operation}: {detail}")]
     Refused {
-        /// What was asked.
+        /// Method and path of the request.
         operation: String,
-        /// HTTP status.
+        /// HTTP status code.
         status: u16,
-        /// The service's words.
+        /// Reason, as stated by the service.
         detail: String,
     },
     /// A file could not be read or written.
     #[error("{path}: {source}", path = path.display())]
     File {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Error of the operating system.
         source: io::Error,
     },
     /// The service could not be started in this process.
     #[error("starting the service: {0}")]
     Serve(#[from] ServeError),
-    /// The runtime, the signals or the terminal could not be had.
+    /// The runtime, the signals or the terminal are not available.
     #[error("{operation}: {source}")]
     System {
-        /// What was wanted.
+        /// The failed operation.
         operation: &'static str,
-        /// Why it failed.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// A child process did not come up.
+    /// A child process did not start.
     #[error("{name}: {why}; its log is {log}", log = log.display())]
     Child {
-        /// Which.
+        /// Name of the process.
         name: &'static str,
-        /// In words.
+        /// Cause, as text.
         why: String,
-        /// Where it wrote what it said.
+        /// Path of its log.
         log: PathBuf,
     },
-    /// Another process has the rig.
+    /// Another process holds the rig.
     #[error(transparent)]
     Locked(#[from] LockFileError),
     /// The rig cannot be opened.
     #[error("opening the rig: {0}")]
     Rig(#[from] RigError),
-    /// There is no model of the skin.
+    /// The model of the skin is not available.
     #[error(transparent)]
     Model(#[from] ModelUnavailable),
     /// Sim-Random's shards could not be made.
     #[error(transparent)]
     SimRandom(#[from] RandomError),
     /// The rig is tripped.
-    #[error("the rig is tripped: {detail}; look at it, then `palpate rig reset`")]
+    #[error("the rig is tripped: {detail}; check the rig, then run `palpate rig reset`")]
     Tripped {
-        /// What tripped it.
+        /// Cause of the trip.
         detail: String,
     },
-    /// Nothing runs.
-    #[error("no run is under way")]
+    /// No run is active.
+    #[error("no run is active")]
     Idle,
-    /// Something did not happen in time.
+    /// A deadline has passed.
     #[error("{what} did not happen within {after_s} s")]
     Late {
-        /// What was waited for.
+        /// The expected event.
         what: String,
         /// The deadline, s.
         after_s: u64,
     },
-    /// A real rig moves only after a yes.
-    #[error("rig {rig} is real: it moves after a yes at the terminal, or with --yes")]
+    /// The motion of a real rig was not confirmed.
+    #[error("rig {rig} is real: confirm its motion at the terminal or with --yes")]
     NotConfirmed {
-        /// Its name.
+        /// Name of the rig.
         rig: String,
     },
     /// A signal came before the run started.
     #[error("interrupted before the run started")]
     Interrupted,
-    /// The rig check found something wrong.
+    /// The rig check found problems.
     #[error("the rig check found {0} problems")]
     Unsound(usize),
     /// A figure could not be drawn.
     #[error(transparent)]
     Figure(#[from] FigureError),
-    /// The model cannot be fitted, for another reason than its input.
+    /// The fit failed for another reason than its input.
     #[error(transparent)]
     Calibrate(CalibrateError),
-    /// A run gives no calibrated skin.
+    /// The trials of a run do not yield a calibrated skin.
     #[error(transparent)]
     Skin(#[from] SkinError),
-    /// A calibration does not fit what it is used with.
+    /// A calibration does not match its use.
     #[error("calibration: {0}")]
     Calibration(#[from] CalibrationError),
     /// A file made by this program could not be written as text.
@@ -144,12 +145,12 @@ pub enum CliError {
 }
 
 impl CliError {
-    /// A problem with one option or argument.
+    /// Error for one option or argument.
     pub fn argument(key: &str, value: impl std::fmt::Display, limit: impl Into<String>) -> Self {
         Self::Problems(vec![Problem::new("command line", key, value, limit)])
     }
 
-    /// 2 for bad input, 1 for everything else.
+    /// Exit code: 2 for bad input, 1 for everything else.
     pub fn exit_code(&self) -> ExitCode {
         match self {
             CliError::Problems(_)

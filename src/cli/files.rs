@@ -1,4 +1,4 @@
-//! Experiment, sensor and rig files from the disk, checked; and the ones this program carries.
+//! Experiment, sensor and rig files, read and checked; and the files carried in the program.
 //! Uses: `schedule`, `rig::config`, sim-core's sensor. Never: the network, motion.
 
 use std::path::{Path, PathBuf};
@@ -29,35 +29,38 @@ pub const DEFAULT_SENSOR: &str = include_str!("../../experiments/sensors/ert-28.
 /// The default skin's seed.
 pub const DEFAULT_SKIN_SEED: u64 = 3;
 
-/// An experiment with everything that its file names, checked.
+/// An experiment with all files that it names, checked.
 pub struct ExperimentFiles {
-    /// The file as it was named.
+    /// Path as given.
     pub file: String,
-    /// Its text.
+    /// Text of the experiment file.
     pub definition: String,
     /// Text of its sensor file.
     pub sensor_text: String,
-    /// As types.
+    /// Parsed experiment.
     pub experiment: Experiment,
-    /// As types.
+    /// Parsed sensor.
     pub sensor: Sensor,
-    /// What it decides.
+    /// Plan of the experiment.
     pub plan: Plan,
 }
 
 /// A rig file, checked.
 #[derive(Debug, Clone)]
 pub struct RigFiles {
-    /// The file as it was named.
+    /// Path as given.
     pub file: String,
-    /// Its text.
+    /// Text of the rig file.
     pub text: String,
-    /// As types.
+    /// Parsed configuration.
     pub config: RigConfig,
 }
 
 impl ExperimentFiles {
-    /// Reads an experiment file and its sensor file, and decides the plan.
+    /// Reads an experiment file and its sensor file, and makes the plan.
+    ///
+    /// # Errors
+    /// `CliError::Problems` with all problems of the files.
     pub fn read(path: &Path) -> Result<Self, CliError> {
         let file = path.display().to_string();
         let definition = read_input(path)?;
@@ -69,26 +72,29 @@ impl ExperimentFiles {
         Ok(Self { file, definition, sensor_text, experiment, sensor, plan })
     }
 
-    /// What a person reads before arming.
+    /// The preflight on a rig.
     pub fn preflight(&self, rig: &RigFiles) -> Preflight {
         let reach = reach(&rig.file, &rig.config);
         let problems = lint(&self.file, &self.experiment, &self.sensor, &reach);
         Preflight::of(&self.plan, &bench(&rig.config), problems)
     }
 
-    /// sha256 of the definition's text, as runs carry it.
+    /// sha256 of the definition's text, as runs store it.
     pub fn definition_sha256(&self) -> String {
         hex(&self.definition)
     }
 
-    /// sha256 of the sensor file's text, as runs carry it.
+    /// sha256 of the sensor file's text, as runs store it.
     pub fn sensor_sha256(&self) -> String {
         hex(&self.sensor_text)
     }
 }
 
 impl RigFiles {
-    /// Reads a rig file, or takes the carried one.
+    /// Reads a rig file, or returns the carried one.
+    ///
+    /// # Errors
+    /// `CliError::Problems` with all problems of the file.
     pub fn read(path: Option<&Path>) -> Result<Self, CliError> {
         match path {
             Some(path) => Self::parse(path.display().to_string(), read_input(path)?),
@@ -97,18 +103,27 @@ impl RigFiles {
     }
 
     /// Checks a rig file's text.
+    ///
+    /// # Errors
+    /// `CliError::Problems` with all problems of the text.
     pub fn parse(file: String, text: String) -> Result<Self, CliError> {
         let config = RigConfig::from_toml(&file, &text).map_err(CliError::Problems)?;
         Ok(Self { file, text, config })
     }
 }
 
-/// Writes a file, with the folders above it.
+/// Writes a text file, and creates its folders.
+///
+/// # Errors
+/// `CliError::File` if it cannot be written.
 pub fn write(path: &Path, text: &str) -> Result<(), CliError> {
     write_bytes(path, text.as_bytes())
 }
 
-/// Writes a file, and the folders that it is in.
+/// Writes a file, and creates its folders.
+///
+/// # Errors
+/// `CliError::File` if it cannot be written.
 pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
     let failed = |source| CliError::File { path: path.into(), source };
     if let Some(folder) = path.parent() {
@@ -117,14 +132,17 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
     std::fs::write(path, bytes).map_err(failed)
 }
 
-/// A file that a person named: what is wrong with it is bad input.
+/// Reads a file named on the command line.
+///
+/// # Errors
+/// `CliError::Problems` if it cannot be read: that is bad input.
 pub fn read_input(path: &Path) -> Result<String, CliError> {
     std::fs::read_to_string(path).map_err(|e| {
         CliError::Problems(vec![Problem::whole(&path.display().to_string(), e.to_string())])
     })
 }
 
-/// A file that another file names.
+/// Reads a file named in another file.
 fn read_named(file: &str, key: &str, value: &str, path: &Path) -> Result<String, CliError> {
     std::fs::read_to_string(path).map_err(|e| {
         let limit = format!("{}: {e}", path.display());
@@ -132,12 +150,18 @@ fn read_named(file: &str, key: &str, value: &str, path: &Path) -> Result<String,
     })
 }
 
-/// Reads a sensor file, or takes the carried one.
+/// Reads a sensor file, or returns the carried one.
+///
+/// # Errors
+/// `CliError::Problems` if the file cannot be read or is invalid.
 pub fn read_sensor(path: Option<&Path>) -> Result<Sensor, CliError> {
     read_sensor_text(path).map(|(sensor, _)| sensor)
 }
 
-/// The same, with its text.
+/// As [`read_sensor`], with the text.
+///
+/// # Errors
+/// `CliError::Problems` if the file cannot be read or is invalid.
 pub fn read_sensor_text(path: Option<&Path>) -> Result<(Sensor, String), CliError> {
     let (file, text) = match path {
         Some(path) => (path.display().to_string(), read_input(path)?),

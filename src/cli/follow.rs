@@ -1,6 +1,6 @@
-//! Following a run to its end: a progress bar and notable events for people, a line per event for
+//! Follows a run to its end: a progress bar and notable events for people, one line per event for
 //! scripts, and Ctrl-C as a request to the run.
-//! Uses: `client`, indicatif. Never: deciding for the run (it is asked, and then watched).
+//! Uses: `client`, indicatif. Never: decisions for the run (it is requested, and then observed).
 
 use std::io::IsTerminal;
 use std::time::Duration;
@@ -17,13 +17,13 @@ use super::view::{RunView, StatusView};
 use crate::campaign::shown::status::{Eta, Phase};
 use crate::ids::RunUid;
 
-/// How often the status is looked at.
+/// Interval of polling the status.
 const LOOK: Duration = Duration::from_millis(200);
-/// How often progress is told where there is no terminal.
+/// Interval of progress lines without a terminal.
 const TELL: Duration = Duration::from_secs(10);
-/// The service has been silent for so long: it is gone.
+/// Time without an answer after which the service counts as ended.
 const SILENT_MAX: Duration = Duration::from_secs(15);
-/// Longest wait for a started run to show.
+/// Longest wait for a started run to appear in the status.
 const TAKEN_UP: Duration = Duration::from_secs(30);
 
 /// The signals that end a command.
@@ -33,17 +33,20 @@ pub struct Signals {
     hang_up: Signal,
 }
 
-/// A signal.
+/// Kinds of signals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Asked {
     /// Ctrl-C.
     Interrupt,
-    /// The system wants us gone, or the terminal is gone.
+    /// The system requests the end of the process, or the terminal was closed.
     Terminate,
 }
 
 impl Signals {
-    /// Catches them from now on.
+    /// Starts to catch the signals.
+    ///
+    /// # Errors
+    /// `CliError::System` if a handler cannot be installed.
     pub fn catch() -> Result<Self, CliError> {
         let one = |kind| {
             signal(kind)
@@ -56,7 +59,7 @@ impl Signals {
         })
     }
 
-    /// The next one.
+    /// Waits for the next signal.
     pub async fn next(&mut self) -> Asked {
         tokio::select! {
             _ = self.interrupt.recv() => Asked::Interrupt,
@@ -71,24 +74,24 @@ impl Signals {
 pub enum Left {
     /// The run has ended.
     Ended,
-    /// It is open and nobody drives it, or we leave.
+    /// The run is open and not driven, or this program leaves it; with the reason.
     Open(&'static str),
 }
 
-/// What is followed, and how.
+/// Run to follow, and mode of output.
 #[derive(Debug, Clone, Copy)]
 pub struct Watch {
-    /// The run, which has been started.
+    /// Id of the started run.
     pub run: RunUid,
-    /// Events up to this number are old news.
+    /// Number of the last event that was already shown.
     pub since: i64,
-    /// It stands behind another run.
+    /// Whether it waits behind another run.
     pub waiting: bool,
-    /// A script reads: a line for every event on standard output.
+    /// Print one line per event on standard output, for scripts.
     pub json: bool,
-    /// Nobody is there to do what the run wants but the virtual operator.
+    /// Whether the virtual operator handles requests of the run.
     pub by_itself: bool,
-    /// Abort when it has waited for a person for so long.
+    /// Longest wait for a person, after which the run is aborted.
     pub patience: Option<Duration>,
 }
 
@@ -100,19 +103,22 @@ pub struct Follower {
     started: Instant,
     seen: bool,
     interrupts: u32,
-    /// Since when it waits for a person.
+    /// Time since which the run waits for a person.
     waits: Option<Instant>,
 }
 
 impl Follower {
-    /// A follower of a run that has been started.
+    /// Follower of a started run.
     pub fn new(client: Client, watch: Watch) -> Self {
         let screen = Screen::new(watch.json);
         let started = Instant::now();
         Self { client, watch, screen, started, seen: false, interrupts: 0, waits: None }
     }
 
-    /// Watches until the run has ended, or is left.
+    /// Follows the run until it has ended, or is left.
+    ///
+    /// # Errors
+    /// `CliError` if the service does not answer, or the run does not start.
     pub async fn follow(mut self, signals: &mut Signals) -> Result<Left, CliError> {
         let mut tick = interval(LOOK);
         tick.set_missed_tick_behavior(MissedTickBehavior::Skip);
@@ -138,7 +144,7 @@ impl Follower {
                     self.screen.close();
                     return Err(error);
                 }
-                Err(error) => tracing::warn!(%error, "the service was not heard"),
+                Err(error) => tracing::warn!(%error, "the service did not answer"),
             }
         }
     }
@@ -182,7 +188,7 @@ impl Follower {
                 if self.watch.json {
                     say_json(&event);
                 }
-                // What the virtual operator does by itself is no news.
+                // Actions of the virtual operator are not shown.
                 let routine = self.watch.by_itself && event.kind == "wanted";
                 if let Some(words) = event.words().filter(|_| !routine) {
                     self.screen.note(&words);
@@ -194,11 +200,11 @@ impl Follower {
         }
     }
 
-    /// What a person types after a trip.
+    /// Commands for a person after a trip.
     fn way_on(&self) -> String {
         let at = format!("--url {}", self.client.url());
         format!(
-            "  if it does not go on by itself: palpate rig reset {at}; palpate rig home {at}; \
+            "  if it does not resume automatically: palpate rig reset {at}; palpate rig home {at}; \
              palpate resume {at}; or Ctrl-C to end"
         )
     }
@@ -212,18 +218,18 @@ impl Follower {
         let since = *self.waits.get_or_insert_with(Instant::now);
         if self.watch.patience.is_some_and(|most| since.elapsed() > most) {
             self.waits = None;
-            self.screen.note("nobody came: aborting");
-            let why = json!({ "why": "nobody came within --patience" });
+            self.screen.note("no person confirmed within --patience: aborting");
+            let why = json!({ "why": "no person confirmed within --patience" });
             self.client.act(self.watch.run, "abort", why).await?;
         }
         Ok(())
     }
 
-    /// The first Ctrl-C asks the run to stop, the second to abort, the third leaves it; so does
-    /// the system's request to go.
+    /// The first Ctrl-C requests a stop, the second an abort, the third leaves the run; so does a
+    /// request of the system.
     async fn asked(&mut self, asked: Asked) -> Option<Left> {
         if asked == Asked::Terminate {
-            return Some(Left::Open("this program was told to end"));
+            return Some(Left::Open("this program received a signal to end"));
         }
         self.interrupts += 1;
         let (action, words) = match self.interrupts {
@@ -240,12 +246,12 @@ impl Follower {
     }
 }
 
-/// Standard error as a person sees it, standard output as a script reads it.
+/// Output: standard error for people, standard output for scripts.
 struct Screen {
     bar: ProgressBar,
     terminal: bool,
     json: bool,
-    /// When something was told, and what the run waited for then.
+    /// Time of the last progress line, and what the run waited for then.
     told: Option<(Instant, Option<String>)>,
     stored: Option<u64>,
 }
@@ -275,7 +281,7 @@ impl Screen {
         }
     }
 
-    /// Time to tell, and not the same wait again.
+    /// Whether a progress line is due; the same wait is not repeated.
     fn is_due(&self, run: &RunView) -> bool {
         self.told.as_ref().is_none_or(|(at, waited_for)| {
             let same_wait = run.waiting_for.is_some() && *waited_for == run.waiting_for;
@@ -284,7 +290,7 @@ impl Screen {
     }
 
     fn waits_in_queue(&mut self, position: Option<u32>) {
-        let place = position.map_or_else(String::new, |p| format!(", place {p}"));
+        let place = position.map_or_else(String::new, |p| format!(", position {p}"));
         self.bar.set_message(format!("waits in the queue{place}"));
     }
 

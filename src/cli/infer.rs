@@ -1,4 +1,4 @@
-//! `palpate infer`: contacts of frames in a file; `palpate live`: of the rig's frames as they come.
+//! `palpate infer`: contacts of frames in a file; `palpate live`: contacts of the rig's frames.
 //! Uses: `client`. Never: models (the service answers).
 
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use crate::api::{FrameAnswer, InferRequest, LiveAnswer, Wish};
 use crate::infer::answer::{FoundContact, Method};
 use crate::problem::Problem;
 
-/// Frames of a request.
+/// Number of frames per request.
 const FRAMES_AT_ONCE: usize = 64;
 
 /// Options of `infer`.
@@ -23,19 +23,19 @@ pub struct InferArgs {
     /// JSON lines: each an array of voltages, or an object with voltages_v; - for standard input.
     #[arg(value_name = "FILE|-")]
     file: PathBuf,
-    /// paper, fast or exact.
+    /// Method: paper, fast or exact.
     #[arg(long, value_parser = method)]
     method: Method,
-    /// A model's id or name, in place of the one that serves.
+    /// Id or name of a model, instead of the serving one.
     #[arg(long, value_name = "MODEL")]
     model: Option<String>,
-    /// A Transfer-Net's id or name before it, in place of the one that serves.
+    /// Id or name of a Transfer-Net before it, instead of the serving one.
     #[arg(long, value_name = "MODEL")]
     transfer: Option<String>,
-    /// With the force map (--json shows it): the net's own, or the contacts drawn as Map 1.
+    /// Include the force map (shown with --json): the net's own, or the contacts drawn as Map 1.
     #[arg(long)]
     map: bool,
-    /// Each frame is the mean of so many.
+    /// Number of frames of which each frame is the mean.
     #[arg(long, value_name = "N", default_value_t = 1.0)]
     averaged: f64,
     #[command(flatten)]
@@ -45,13 +45,13 @@ pub struct InferArgs {
 /// Options of `live`.
 #[derive(Debug, Args)]
 pub struct LiveArgs {
-    /// paper, fast or exact [default: the best that something serves for].
+    /// Method: paper, fast or exact [default: the best one with serving models].
     #[arg(long, value_parser = method)]
     method: Option<Method>,
-    /// With the force map (--json shows it): the net's own, or the contacts drawn as Map 1.
+    /// Include the force map (shown with --json): the net's own, or the contacts drawn as Map 1.
     #[arg(long)]
     map: bool,
-    /// End after so many frames.
+    /// End after this number of frames.
     #[arg(long, value_name = "N")]
     frames: Option<u64>,
     #[command(flatten)]
@@ -64,6 +64,9 @@ fn method(name: &str) -> Result<Method, String> {
 }
 
 /// Runs `palpate infer`.
+///
+/// # Errors
+/// `CliError` if the file is invalid, or the service cannot be reached or refuses.
 pub async fn infer(args: InferArgs) -> Result<(), CliError> {
     let frames = frames(&args.file)?;
     let at = args.at.clone();
@@ -91,7 +94,7 @@ pub async fn infer(args: InferArgs) -> Result<(), CliError> {
     .await
 }
 
-/// Frames of a file, V.
+/// Reads the frames of a file, V.
 fn frames(path: &Path) -> Result<Vec<Vec<f32>>, CliError> {
     let file = path.display().to_string();
     let text = read_input(path)?;
@@ -110,7 +113,7 @@ fn frames(path: &Path) -> Result<Vec<Vec<f32>>, CliError> {
     lines.map(frame).collect()
 }
 
-/// An answer for people.
+/// Formats an answer for people.
 fn words(answer: &FrameAnswer) -> String {
     let FrameAnswer { reading, model, method, latency_us } = answer;
     let averaged = reading.averaged.filter(|frames| *frames > 1.0);
@@ -125,7 +128,7 @@ fn words(answer: &FrameAnswer) -> String {
         words += &format!("\n  {}", contact_words(contact));
     }
     for outside in &reading.outside {
-        words += &format!("\n  outside of what it was trained on: {outside}");
+        words += &format!("\n  outside the trained range: {outside}");
     }
     words
 }
@@ -146,6 +149,9 @@ fn contact_words(contact: &FoundContact) -> String {
 }
 
 /// Runs `palpate live`.
+///
+/// # Errors
+/// `CliError` if the server cannot be reached or refuses.
 pub async fn live(args: LiveArgs) -> Result<(), CliError> {
     let client = embed::server(&args.at).await?;
     let method = args.method.map_or(String::new(), |method| format!("&method={}", method.name()));

@@ -1,5 +1,6 @@
-//! The command line: what can be asked, and who answers.
-//! With a server up it is that server's client; otherwise it starts one for as long as it lasts.
+//! The command line: commands and their execution.
+//! It is a client of a running server; without one it starts a server for the duration of the
+//! command.
 //! Uses: every stage through `api`, and the pure ones. Never: the virtual rig's code (`main` starts
 //! it), decisions about motion.
 
@@ -41,120 +42,121 @@ pub use error::CliError;
 pub use files::DEFAULT_SKIN_SEED;
 use files::{DEFAULT_GAP, DEFAULT_RIG, DEFAULT_SENSOR};
 
-/// Where a server is looked for.
+/// Default URL of the server.
 pub const DEFAULT_URL: &str = "http://127.0.0.1:8080";
-/// Folder of the database, unless said otherwise.
+/// Default folder of the database.
 const DEFAULT_DATA: &str = "palpate-data";
 
-/// Where the server is, where the data are, and who reads the answer.
+/// Server, data folder and form of the output.
 #[derive(Debug, Clone, Default, Args)]
 pub struct At {
-    /// The server [env: PALPATE_URL] [default: http://127.0.0.1:8080]; its key is in PALPATE_KEY.
+    /// URL of the server [env: PALPATE_URL] [default: http://127.0.0.1:8080]; its key is in
+    /// PALPATE_KEY.
     #[arg(long, value_name = "URL", global = true)]
     pub url: Option<String>,
-    /// Folder of the database for a server of this command's own [env: PALPATE_DATA] [default:
+    /// Folder of the database for a server that this command starts [env: PALPATE_DATA] [default:
     /// palpate-data].
     #[arg(long, value_name = "DIR", global = true)]
     pub data: Option<PathBuf>,
-    /// JSON on standard output, for scripts.
+    /// Print JSON on standard output, for scripts.
     #[arg(long, global = true)]
     pub json: bool,
 }
 
 impl At {
-    /// The server's URL, where one was named.
+    /// URL of the server, if one was named.
     pub fn url(&self) -> Option<String> {
         let from_env = || std::env::var("PALPATE_URL").ok().filter(|u| !u.is_empty());
         self.url.clone().or_else(from_env)
     }
 
-    /// The data folder.
+    /// Path of the data folder.
     pub fn data(&self) -> PathBuf {
         data_or_default(self.data.clone())
     }
 }
 
-/// The data folder that was named, of the environment, or the default one.
+/// Data folder: the named one, that of the environment, or the default one.
 pub fn data_or_default(named: Option<PathBuf>) -> PathBuf {
     let from_env = || std::env::var_os("PALPATE_DATA").filter(|d| !d.is_empty());
     named.or_else(|| from_env().map(PathBuf::from)).unwrap_or_else(|| PathBuf::from(DEFAULT_DATA))
 }
 
-/// What can be asked.
+/// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Run the service and its page until Ctrl-C or SIGTERM.
     ///
-    /// Without --rig it knows the virtual rig at the addresses where `palpate virtual-rig` listens;
-    /// it answers, shows and exports also while no rig is there. An address beyond this machine
-    /// needs a key first: palpate key create NAME.
+    /// Without --rig it uses the virtual rig at the addresses where `palpate virtual-rig` listens;
+    /// it answers, shows and exports also without a rig. To listen on an address beyond this
+    /// machine, create a key first: palpate key create NAME.
     Serve(serve::ServeArgs),
     /// Queue, arm and run an experiment to its end.
     ///
-    /// With a server up, its rig runs the experiment. Otherwise a server is started for it: with
-    /// the rig of --rig, or, without one, with a virtual rig and a virtual operator. An interrupted
-    /// run of the same files is gone on with where it stopped. Ctrl-C stops after the trial, twice
-    /// aborts. Exit code: 0 success, 1 failed or aborted, 2 bad input.
+    /// The rig of a running server runs the experiment. Without a server one is started: with the
+    /// rig of --rig, or else with a virtual rig and a virtual operator. An interrupted run of the
+    /// same files is resumed. Ctrl-C stops after the trial, a second one aborts. Exit code: 0
+    /// success, 1 failed or aborted, 2 bad input.
     Run(run::RunArgs),
-    /// Show what an experiment would do, and whether the rig can do it; nothing moves.
+    /// Show the plan of an experiment, and whether the rig can run it; nothing moves.
     ///
-    /// Exit code 2 where something forbids it: each problem names file, key, value and limit.
+    /// Exit code 2 if something forbids it: each problem names file, key, value and limit.
     Plan(plan::PlanArgs),
-    /// Fit the model to measurements of this skin, and write a calibration file.
+    /// Fit the model to measurements of a skin, and write a calibration file.
     ///
-    /// Exit code 2 where a table holds what cannot be used: each problem names line, column, value
-    /// and limit.
+    /// Exit code 2 if a table contains an invalid value: each problem names line, column, value and
+    /// limit.
     Calibrate(calibrate::CalibrateArgs),
     /// Simulate frames of contacts; nothing moves.
     Simulate(simulate::SimulateArgs),
-    /// Show where rig, run and service stand.
+    /// Show the state of rig, run and service.
     Status(At),
-    /// Show and change what runs next.
+    /// Show and change the queue of runs.
     Queue(queue::QueueArgs),
-    /// Pause the run under way, after its trial.
+    /// Pause the active run, after its trial.
     #[command(after_help = STOPS)]
     Pause(ask::PauseArgs),
-    /// Go on after a pause or a trip.
+    /// Resume after a pause or a trip.
     Resume(ask::ActArgs),
-    /// End the run under way after its trial, as a success.
+    /// End the active run after its trial, as a success.
     Stop(ask::ActArgs),
-    /// Raise the tips now and end the run under way.
+    /// Raise the tips now and end the active run.
     #[command(after_help = STOPS)]
     Abort(ask::ActArgs),
-    /// Say that what the run waits for has been done.
+    /// Confirm that the requested work is done.
     Confirm(ask::ActArgs),
-    /// Say that the last trial by hand was bad: it is done again.
+    /// Repeat the last manual trial, which was faulty.
     Repeat(ask::ActArgs),
-    /// Emergency stop: every axis stops at once, and stays so until a reset.
+    /// Emergency stop: every axis stops at once, until a reset.
     #[command(after_help = STOPS)]
     Estop(ask::ActArgs),
-    /// Show, take or give back the operator lock, which blocks starting, never stopping.
+    /// Show, take or release the operator lock, which blocks starting, never stopping.
     Lock(access::LockArgs),
-    /// Make, show and revoke keys of the API.
+    /// Create, show and revoke keys of the API.
     Key(access::KeyArgs),
-    /// Check and move the rig by hand.
+    /// Check the rig and move it manually.
     Rig(rig::RigArgs),
-    /// Datasets: what there is, files out, trials measured elsewhere in.
+    /// List, show, make and export datasets; import trials.
     Dataset(dataset::DatasetArgs),
-    /// Train a net by a recipe, on a dataset; the model is kept in the service.
+    /// Train a net by a recipe, on a dataset; the model is stored in the service.
     ///
-    /// The service trains, and goes on after a restart. Exit code 2 where the recipe holds what cannot
-    /// be used: each problem names key, value and limit.
+    /// The service trains, and resumes after a restart. Exit code 2 if the recipe contains an
+    /// invalid value: each problem names key, value and limit.
     Train(train::TrainArgs),
-    /// Trainings and evaluations: what waits, runs and is over.
+    /// List, show and stop trainings and evaluations.
     Job(train::JobArgs),
-    /// Models: what there is, how good they are, which serve.
+    /// List, show, add and promote models.
     Model(model::ModelArgs),
-    /// Say where and how hard frames of a file were touched.
+    /// Estimate contacts from frames in a file.
     Infer(infer::InferArgs),
-    /// Say where and how hard the rig's skin is being touched, frame by frame.
+    /// Estimate contacts on the rig's skin, frame by frame.
     Live(infer::LiveArgs),
-    /// Say how good the model is.
+    /// Score simulation, nets and methods.
     Evaluate(evaluate::EvaluateArgs),
 }
 
-/// Does what was asked. Errors are on standard error, in words; the exit code is 0, 1, or 2 for
-/// bad input.
+/// Runs a command. Errors are printed on standard error; the exit code is 0, 1, or 2 for bad
+/// input.
 pub fn main(command: Command) -> ExitCode {
     let outcome = match command {
         Command::Plan(args) => plan::plan(&args),
@@ -172,7 +174,7 @@ fn on_runtime(command: Command) -> Result<ExitCode, CliError> {
         .build()
         .map_err(|source| CliError::System { operation: "starting the runtime", source })?;
     let outcome = runtime.block_on(answer(command));
-    // A thread may still wait at the terminal for an answer that nobody needs any more.
+    // A thread may still wait for input at the terminal that is no longer needed.
     runtime.shutdown_background();
     outcome
 }
@@ -211,15 +213,18 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
 /// Files of a virtual rig.
 #[derive(Debug, Clone)]
 pub struct VirtualRigFiles {
-    /// Rig file.
+    /// Path of the rig file.
     pub rig: PathBuf,
-    /// Gap file.
+    /// Path of the gap file.
     pub gap: PathBuf,
-    /// Sensor file.
+    /// Path of the sensor file.
     pub sensor: PathBuf,
 }
 
-/// The files that were named, and for the rest the carried ones, written into a folder.
+/// Returns the named files; the other ones are the carried files, written to a folder.
+///
+/// # Errors
+/// `CliError::File` if a carried file cannot be written.
 pub fn virtual_rig_files(
     folder: &Path,
     named: [Option<PathBuf>; 3],

@@ -1,5 +1,5 @@
-//! `palpate model`: what models there are, what is known of them, and which serve.
-//! Uses: `client`. Never: models of its own (the service keeps them).
+//! `palpate model`: lists, shows, promotes and adds models.
+//! Uses: `client`. Never: models in this process (the service stores them).
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -25,33 +25,33 @@ pub struct ModelArgs {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// Show the models, newest first, their scores, and which serve.
+    /// Show the models, newest first, with their scores, and which serve.
     List(At),
-    /// Show what is known of a model.
+    /// Show the facts of a model.
     Show(One),
-    /// Let a model (by id or name), or a calibration (by id), serve from the next frame on.
+    /// Make a model (by id or name), or a calibration (by id), serve from the next frame on.
     ///
-    /// It is loaded and warmed first: no frame is dropped. Its place follows from what it does:
+    /// It is loaded and warmed first: no frame is dropped. Its slot follows from its task:
     /// transfer, map, points; a calibration is the skin of the exact method.
     Promote(Promote),
-    /// Let what served before serve again.
+    /// Restore the previous promotion of a slot.
     RollBack(RollBack),
-    /// Show what serves, and what did.
+    /// Show the serving models, and earlier promotions.
     Serving(At),
-    /// Write a model's ONNX file, and beside it (FILE.json) what is known of it: manifest and scores.
+    /// Write a model's ONNX file, and its manifest and scores to FILE.json.
     Onnx(Onnx),
-    /// Take in a model trained elsewhere: an ONNX file and what is known of it.
+    /// Add a model trained elsewhere: an ONNX file and its facts.
     ///
-    /// FACTS is TOML with task, label, sensor, channels, output_shape and code, and for nets that
-    /// give maps force_map, as in a manifest's table `model`.
+    /// FACTS is TOML with task, label, sensor, channels, output_shape and code, and for nets with
+    /// force maps force_map, as in a manifest's table `model`.
     Add(Add),
-    /// Keep a calibration file in the service, so that it can be promoted.
+    /// Store a calibration file in the service, so that it can be promoted.
     AddCalibration(AddCalibration),
 }
 
 #[derive(Debug, Args)]
 struct One {
-    /// Its id or name.
+    /// Id or name of the model.
     model: String,
     #[command(flatten)]
     at: At,
@@ -59,9 +59,9 @@ struct One {
 
 #[derive(Debug, Args)]
 struct Promote {
-    /// A model's id or name, or a calibration's id.
+    /// Id or name of a model, or id of a calibration.
     what: String,
-    /// Why.
+    /// Reason, for the log of actions.
     #[arg(long, value_name = "WORDS")]
     why: Option<String>,
     #[command(flatten)]
@@ -70,10 +70,10 @@ struct Promote {
 
 #[derive(Debug, Args)]
 struct RollBack {
-    /// transfer, map, points or skin.
+    /// Slot: transfer, map, points or skin.
     #[arg(value_parser = slot)]
     slot: Slot,
-    /// Why.
+    /// Reason, for the log of actions.
     #[arg(long, value_name = "WORDS")]
     why: Option<String>,
     #[command(flatten)]
@@ -82,9 +82,9 @@ struct RollBack {
 
 #[derive(Debug, Args)]
 struct Onnx {
-    /// Its id or name.
+    /// Id or name of the model.
     model: String,
-    /// Where to.
+    /// Path of the ONNX file to write.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     #[command(flatten)]
@@ -96,10 +96,10 @@ struct Add {
     /// The ONNX file.
     #[arg(value_name = "ONNX")]
     file: PathBuf,
-    /// What is known of it, TOML.
+    /// File with its facts, TOML.
     #[arg(long, value_name = "FILE")]
     facts: PathBuf,
-    /// What it is called.
+    /// Name of the model.
     #[arg(long, value_name = "NAME")]
     name: String,
     /// Its sensor file [default: ert-28].
@@ -123,10 +123,14 @@ fn slot(name: &str) -> Result<Slot, String> {
     found.ok_or_else(|| format!("must be {}", Slot::ALL.map(Slot::name).join(", ")))
 }
 
-/// Longest wait for a promotion: a skin is made ready in most of a minute, on a busy machine in more.
+/// Longest wait for a promotion: the preparation of a skin takes most of a minute, or longer under
+/// load.
 const PROMOTING: Duration = Duration::from_secs(900);
 
-/// Runs the command.
+/// Runs `palpate model`.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached or started, refuses, or a file cannot be used.
 pub async fn model(args: ModelArgs) -> Result<(), CliError> {
     let at = match &args.what {
         What::List(at) | What::Serving(at) => at,
@@ -231,7 +235,7 @@ fn tell(serves: &ServesOut, as_json: bool) {
     say(format_args!("{:<9} {}", serves.slot.name(), serves.what.as_deref().unwrap_or("nothing")));
 }
 
-/// A model and its last score, on a line.
+/// A model and its last score, on one line.
 fn line(model: &ModelOut) -> String {
     let label = model.manifest["label"].as_str().unwrap_or_default();
     let serves = if model.serves { "serves" } else { "" };

@@ -1,16 +1,16 @@
-//! Lines for people and for scripts, and numbers as people read them.
-//! Uses: nothing. Never: HTTP, decisions. A reader that has gone away is not an error.
+//! Output lines for people and for scripts, and numbers with units.
+//! Uses: nothing. Never: HTTP, decisions. A closed standard output is not an error.
 
 use std::io::{self, Write};
 
 use serde::Serialize;
 
-/// One line, or several, on standard output.
+/// Prints one or several lines on standard output.
 pub fn say(text: impl std::fmt::Display) {
     let _ = writeln!(io::stdout().lock(), "{text}");
 }
 
-/// One JSON object on a line of standard output.
+/// Prints one JSON object as a line on standard output.
 pub fn say_json(value: &impl Serialize) {
     match serde_json::to_string(value) {
         Ok(line) => {
@@ -21,7 +21,7 @@ pub fn say_json(value: &impl Serialize) {
     }
 }
 
-/// `25 h 12 min`, `12 min 5 s`, `4.2 s`.
+/// Formats a duration: `25 h 12 min`, `12 min 5 s`, `4.2 s`.
 pub fn duration(seconds: f64) -> String {
     let whole = seconds.max(0.0).round() as u64;
     match whole {
@@ -35,7 +35,7 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// `0.21 GB`, `3.4 MB`, `12 kB`.
+/// Formats a size: `0.21 GB`, `3.4 MB`, `12 kB`.
 pub fn bytes(count: f64) -> String {
     match count {
         1e8.. => format!("{:.2} GB", count / 1e9),
@@ -44,7 +44,7 @@ pub fn bytes(count: f64) -> String {
     }
 }
 
-/// `1 retry`, `3 retries`.
+/// Formats a count with its noun: `1 retry`, `3 retries`.
 pub fn counted(count: u64, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }

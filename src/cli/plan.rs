@@ -1,4 +1,5 @@
-//! `palpate plan`: preflight and ordered schedule of an experiment; nothing moves, nobody is asked.
+//! `palpate plan`: preflight and ordered schedule of an experiment; nothing moves, no server is
+//! used.
 //! Uses: `files`, `schedule`. Never: the network, the clock: the same files give the same bytes.
 
 use std::path::PathBuf;
@@ -22,15 +23,18 @@ pub struct PlanArgs {
     /// Rig file to plan for [default: the virtual rig].
     #[arg(long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
-    /// Show the ordered schedule, too.
+    /// Show the ordered schedule as well.
     #[arg(long)]
     pub steps: bool,
-    /// One JSON object on standard output.
+    /// Print one JSON object on standard output.
     #[arg(long)]
     pub json: bool,
 }
 
-/// Runs the command.
+/// Runs `palpate plan`.
+///
+/// # Errors
+/// `CliError::Problems` if a file is invalid.
 pub fn plan(args: &PlanArgs) -> Result<ExitCode, CliError> {
     let read = ExperimentFiles::read(&args.experiment)
         .and_then(|files| RigFiles::read(args.rig.as_deref()).map(|rig| (files, rig)));
@@ -79,7 +83,7 @@ fn step_words(step: &Step) -> String {
                 .iter()
                 .map(|c| format!("{} N at ({:.1}, {:.1})", c.force_n, c.x_mm, c.y_mm))
                 .collect();
-            format!("trial {} by hand: {}", placement.index, weights.join(", "))
+            format!("manual trial {}: {}", placement.index, weights.join(", "))
         }
     }
 }

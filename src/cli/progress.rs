@@ -1,4 +1,4 @@
-//! A progress bar for work that is counted, and lines for a log where nobody watches.
+//! A progress bar for counted work, and log lines without a terminal.
 //! Uses: indicatif. Never: standard output.
 
 use std::io::IsTerminal;
@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// A bar on standard error, in units of this name; hidden where that is no terminal.
+/// A bar on standard error, in units of this name; hidden if that is not a terminal.
 pub fn progress_bar(unit: &str) -> ProgressBar {
     if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
@@ -19,19 +19,19 @@ pub fn progress_bar(unit: &str) -> ProgressBar {
     ProgressBar::new(0).with_style(style)
 }
 
-/// Shortest time between two lines of a log.
+/// Shortest interval between two lines of a log.
 const LINES_APART: Duration = Duration::from_secs(30);
 
-/// Says now and then, on standard error, how far long work is, where no bar is seen.
+/// Prints the progress of long work on standard error at intervals, if no bar is visible.
 pub struct LogLines(Option<Instant>);
 
 impl LogLines {
-    /// For work that shows this bar.
+    /// Log lines for the work of this bar.
     pub fn instead_of(bar: &ProgressBar) -> Self {
         Self(bar.is_hidden().then(Instant::now))
     }
 
-    /// Says it, if the last line is old enough.
+    /// Prints a line, if the last one is old enough.
     pub fn say(&mut self, words: impl FnOnce() -> String) {
         if let Some(last) = &mut self.0
             && last.elapsed() >= LINES_APART

@@ -1,4 +1,4 @@
-//! `palpate queue`: what runs next.
+//! `palpate queue`: the runs that wait.
 //! Uses: `client`, `files`. Never: starting anything.
 
 use std::path::PathBuf;
@@ -18,18 +18,18 @@ use crate::store::RunRow;
 /// Options of `queue`.
 #[derive(Debug, Clone, Args)]
 pub struct QueueArgs {
-    /// What to do; lists the queue if absent.
+    /// Action on the queue; lists it if absent.
     #[command(subcommand)]
     pub command: Option<QueueCommand>,
-    /// Where the server is, or the data.
+    /// Server, or data folder.
     #[command(flatten)]
     pub at: At,
 }
 
-/// What can be done with the queue.
+/// Actions on the queue.
 #[derive(Debug, Clone, Subcommand)]
 pub enum QueueCommand {
-    /// Show the runs that wait, the next one first.
+    /// Show the waiting runs, the next one first.
     List,
     /// Queue an experiment; nothing starts.
     Add {
@@ -37,21 +37,24 @@ pub enum QueueCommand {
         #[arg(value_name = "EXPERIMENT.toml")]
         experiment: PathBuf,
     },
-    /// Move a run to a place in the queue, from 1.
+    /// Move a run to a position in the queue, from 1.
     Move {
-        /// Its uid or number.
+        /// Uid or number of the run.
         run: String,
-        /// Its new place.
+        /// New position, from 1.
         position: u32,
     },
-    /// Take a run out of the queue.
+    /// Remove a run from the queue.
     Remove {
-        /// Its uid or number.
+        /// Uid or number of the run.
         run: String,
     },
 }
 
-/// Runs the command.
+/// Runs `palpate queue`.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached or started, refuses, or a file is invalid.
 pub async fn queue(args: QueueArgs) -> Result<(), CliError> {
     let (json, command) = (args.at.json, args.command.unwrap_or(QueueCommand::List));
     embed::with_server(&args.at, move |client| async move {

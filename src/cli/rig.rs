@@ -1,5 +1,6 @@
-//! `palpate rig`: check, connect, home, jog, tare and reset by hand.
-//! Uses: `client`; for a check of a file `api::LockFile` and `rig::check`. Never: motion of its own.
+//! `palpate rig`: manual check, connection, homing, jog, tare and reset.
+//! Uses: `client`; for a check of a file `api::LockFile` and `rig::check`. Never: motion in this
+//! process.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -17,17 +18,17 @@ use super::view::StatusView;
 use super::{At, embed};
 use crate::api::LockFile;
 use crate::campaign::bench::rig_state::RigState;
-use crate::campaign::kept::record::Pose;
+use crate::record::Pose;
 use crate::rig::check::{self, Scope};
 use crate::rig::link::StopLatch;
 
 /// Longest wait for homing.
 pub const HOMING: Duration = Duration::from_secs(300);
-/// Longest wait for the wires, for a tare, and for what needs no motion.
+/// Longest wait for the wires, for a tare, and for actions without motion.
 const SOON: Duration = Duration::from_secs(60);
 /// Longest wait for a jog.
 const JOGGING: Duration = Duration::from_secs(120);
-/// Between two looks at the rig.
+/// Interval of polling the rig.
 const LOOK: Duration = Duration::from_millis(100);
 /// A jog has arrived when the axis is this close, mm.
 const ARRIVED_MM: f64 = 0.2;
@@ -35,26 +36,26 @@ const ARRIVED_MM: f64 = 0.2;
 /// Options of `rig`.
 #[derive(Debug, Clone, Args)]
 pub struct RigArgs {
-    /// What to do.
+    /// Manual action.
     #[command(subcommand)]
     pub command: RigCommand,
-    /// Where the server is.
+    /// Server of the rig.
     #[command(flatten)]
     pub at: At,
 }
 
-/// What can be done with a rig by hand.
+/// Manual actions on a rig.
 #[derive(Debug, Clone, Subcommand)]
 pub enum RigCommand {
-    /// Talk to every device and say what is found; nothing moves, nothing is switched on.
+    /// Check every device and report what is found; nothing moves, nothing is switched on.
     ///
-    /// With a rig file its wires are opened by this command, unless somebody else has that rig;
-    /// without one the server is asked.
+    /// With a rig file this command opens its wires, unless another process holds that rig; without
+    /// one the server does the check.
     Check {
         /// Rig file.
         #[arg(value_name = "RIG.toml")]
         file: Option<PathBuf>,
-        /// Also take control of the drives and switch their servos on, which stay on.
+        /// Also take control of the drives and switch their servos on; they stay on.
         #[arg(long)]
         enable: bool,
     },
@@ -66,7 +67,7 @@ pub enum RigCommand {
     Home,
     /// Move one axis to a position.
     Jog {
-        /// Which.
+        /// Axis to move.
         #[arg(value_enum)]
         axis: AxisName,
         /// Absolute target, mm.
@@ -75,9 +76,9 @@ pub enum RigCommand {
     },
     /// Read the load cells' zeros.
     Tare,
-    /// Say how many tips you have mounted, on arms 1 to n; the cells must not contradict.
+    /// State the number of mounted tips, on arms 1 to n; the cells must not contradict.
     Tips {
-        /// How many.
+        /// Number of tips.
         #[arg(value_parser = clap::value_parser!(u8).range(0..=6))]
         tips: u8,
     },
@@ -85,7 +86,7 @@ pub enum RigCommand {
     Reset,
 }
 
-/// The axes by hand.
+/// Axes of a jog.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum AxisName {
     /// Along the skin's width.
@@ -118,7 +119,10 @@ impl AxisName {
     }
 }
 
-/// Runs the command.
+/// Runs `palpate rig`.
+///
+/// # Errors
+/// `CliError` if the server cannot be reached or refuses, the rig trips, or a deadline passes.
 pub async fn rig(args: RigArgs) -> Result<ExitCode, CliError> {
     let RigArgs { command, at } = args;
     if let RigCommand::Check { file, enable } = command {
@@ -177,7 +181,10 @@ async fn by_hand(client: &Client, command: RigCommand) -> Result<StatusView, Cli
     }
 }
 
-/// Looks at the rig until it is as wanted; a trip on the way is an error.
+/// Polls the rig until `wanted` accepts its status.
+///
+/// # Errors
+/// `CliError::Tripped` after a trip; `Late` after the deadline; other variants if a request fails.
 pub async fn until_rig(
     client: &Client,
     what: &str,
@@ -234,7 +241,7 @@ async fn check_server(at: &At, enable: bool) -> Result<ExitCode, CliError> {
 
 fn say_how_to_enable(wanted: bool) {
     if wanted {
-        say("Ask with --enable to take control of the drives and switch their servos on.");
+        say("Use --enable to take control of the drives and switch their servos on.");
     }
 }
 
@@ -246,7 +253,7 @@ fn verdict(problems: usize, json: bool) -> Result<ExitCode, CliError> {
     }
 }
 
-/// The server's report in short; `--json` has all of it.
+/// Summary of the server's report; `--json` prints all of it.
 fn report_words(report: &Value) -> String {
     let text = |value: &Value| match value {
         Value::String(text) => text.clone(),

@@ -1,5 +1,5 @@
-//! `palpate run`: one experiment from its file to its closing summary, as a client of the service,
-//! with the service and a stand-in lab in tow where there is none.
+//! `palpate run`: one experiment from its file to its closing summary, as a client of the service;
+//! without a server it starts one, with a virtual rig if needed.
 //! Uses: `embed`, `virtual_bench`, `follow`, `summary`. Never: the rig (the service has it).
 
 use std::io::{BufRead, IsTerminal, Write};
@@ -28,7 +28,7 @@ use crate::problem::Problem;
 use crate::rig::config::RigConfig;
 use crate::store::RunRow;
 
-/// How fast the stand-in lab runs unless asked otherwise.
+/// Default speed of the virtual rig.
 const DEFAULT_SPEED: f64 = 20.0;
 /// Longest wait for another simulated twin after the run's end.
 const TWINS_STALLED: Duration = Duration::from_secs(30);
@@ -41,34 +41,34 @@ pub struct RunArgs {
     /// Experiment file.
     #[arg(value_name = "EXPERIMENT.toml")]
     pub experiment: PathBuf,
-    /// Rig file of the bench to run on; with --virtual, the bench to stand in for.
+    /// Rig file of the bench to run on; with --virtual, the bench to simulate.
     #[arg(long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
-    /// Run on a virtual rig, in a server of its own.
+    /// Run on a virtual rig, in a separate server.
     #[arg(long = "virtual")]
     pub on_virtual: bool,
-    /// Virtual rig: process seconds in a wall second [default: 20].
+    /// Virtual rig: process seconds per wall second [default: 20].
     #[arg(long, value_name = "N")]
     pub speed: Option<f64>,
-    /// Virtual rig: file that says how its skin differs from the model [default: gap-a].
+    /// Virtual rig: file with the differences of its skin from the model [default: gap-a].
     #[arg(long, value_name = "FILE")]
     pub gap: Option<PathBuf>,
-    /// Virtual rig: a seed is a skin [default: 3].
+    /// Virtual rig: seed of its skin [default: 3].
     #[arg(long, value_name = "N")]
     pub skin_seed: Option<u64>,
-    /// Virtual rig: script of what shall go wrong, and when.
+    /// Virtual rig: script of faults, with their times.
     #[arg(long, value_name = "SCRIPT")]
     pub fault: Option<PathBuf>,
-    /// Start a new run, even if an interrupted one of the same files could be gone on with.
+    /// Start a new run, even if an interrupted one of the same files could be resumed.
     #[arg(long)]
     pub new: bool,
-    /// Abort when the run has waited for a person for so long [default: wait].
+    /// Abort when the run has waited for a person for this duration, s [default: wait].
     #[arg(long, value_name = "SECONDS")]
     pub patience: Option<u32>,
     /// Move a real rig without asking at the terminal.
     #[arg(long, short)]
     pub yes: bool,
-    /// Where the server is, and the data.
+    /// Server, and data folder.
     #[command(flatten)]
     pub at: At,
 }
@@ -82,17 +82,17 @@ impl RunArgs {
             || self.fault.is_some()
     }
 
-    /// Options that contradict each other, or that a server's own rig makes void.
+    /// Checks for options that contradict each other, or that a running server does not support.
     fn check(&self, server: Option<&Client>) -> Result<(), CliError> {
         if self.rig.is_some() && self.names_virtual() && !self.on_virtual {
-            let limit = "stands in for --rig only with --virtual";
+            let limit = "must not be combined with --rig, except with --virtual";
             return Err(CliError::argument("--speed, --gap, --skin-seed, --fault", "given", limit));
         }
         if let Some(client) = server
             && (self.rig.is_some() || self.names_virtual())
         {
             let limit = format!(
-                "the server at {} has a rig of its own: stop it, or leave this out",
+                "the server at {} has its own rig: stop it, or omit this option",
                 client.url()
             );
             return Err(CliError::argument(
@@ -118,21 +118,25 @@ impl RunArgs {
     }
 }
 
-/// What the client's part needs, wherever the service is.
+/// Inputs of the client, wherever the service runs.
 struct Order {
     files: ExperimentFiles,
     new: bool,
     yes: bool,
     json: bool,
-    /// The virtual operator is at work.
+    /// Whether the virtual operator works.
     by_itself: bool,
     patience: Option<Duration>,
 }
 
-/// Runs the command.
+/// Runs `palpate run`.
+///
+/// # Errors
+/// `CliError` if an input is invalid, the rig or a server is not available, or the run cannot
+/// start.
 pub async fn run(args: RunArgs) -> Result<ExitCode, CliError> {
     let files = ExperimentFiles::read(&args.experiment)?;
-    // With --virtual the lab and its server are this command's own.
+    // With --virtual this command has its own bench and server.
     let server = if args.on_virtual { None } else { embed::find(&args.at).await? };
     args.check(server.as_ref())?;
     let rig = RigFiles::read(args.rig.as_deref())?;
@@ -170,7 +174,7 @@ pub async fn run(args: RunArgs) -> Result<ExitCode, CliError> {
     Ok(if closing.is_success() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Refuses what the rig cannot do before anything is started.
+/// Rejects an experiment that the rig cannot run, before anything is started.
 fn sound(files: &ExperimentFiles, rig: &RigFiles) -> Result<(), CliError> {
     let problems = files.preflight(rig).problems;
     if problems.is_empty() { Ok(()) } else { Err(CliError::Problems(problems)) }
@@ -196,13 +200,13 @@ async fn with_virtual_rig(
     let closing = embed::host(service, |client| {
         let operator = bench.send_operator(client.url());
         async move {
-            // The channel holds one: this send does not wait.
+            // The channel has a capacity of one: this send does not wait.
             let _ = send.send(operator?);
             drive(client, order).await
         }
     })
     .await;
-    // The service has raised the tips by now: the lab may close.
+    // The service has raised the tips: the virtual bench may end.
     if let Ok(operator) = sent.try_recv() {
         operator.go_home().await;
     }
@@ -210,7 +214,7 @@ async fn with_virtual_rig(
     closing
 }
 
-/// Brings the rig up, starts the run and follows it, as any client would.
+/// Brings the rig up, starts the run and follows it, like any client.
 async fn drive(client: Client, order: Order) -> Result<Closing, CliError> {
     let mut signals = Signals::catch()?;
     let started = tokio::select! {
@@ -220,7 +224,7 @@ async fn drive(client: Client, order: Order) -> Result<Closing, CliError> {
     let Begun { run, since, waiting } = started;
     let uid = run.uid;
     if !order.json && waiting {
-        say(format!("run {} starts when the run under way has ended", run.scan_id));
+        say(format!("run {} starts when the active run has ended", run.scan_id));
     }
     let watch = Watch {
         run: uid,
@@ -240,13 +244,13 @@ async fn drive(client: Client, order: Order) -> Result<Closing, CliError> {
     Ok(Closing::of(summary, status.service.database, status.rig.clock_rate, why).with_fit(fit))
 }
 
-/// How well the simulated twins fit, once they are all there. The trials are what counts: without
-/// twins in time the run has ended all the same.
+/// Fit of the simulated twins, once all are made. The trials are what counts: if twins are late,
+/// the run has ended nevertheless.
 async fn fit(client: &Client, run: RunUid) -> Option<SimulationReport> {
     let waited = wait_for_twins(client, run, TWINS_STALLED).await;
     waited.inspect_err(|error| tracing::warn!(%error, "twins are missing")).ok()?;
     let report = client.get(&format!("/api/v1/runs/{run}/evaluation/simulation")).await;
-    report.inspect_err(|error| tracing::warn!(%error, "the fit is not known")).ok()
+    report.inspect_err(|error| tracing::warn!(%error, "the fit of the twins is unknown")).ok()
 }
 
 /// A run that was started.
@@ -260,7 +264,7 @@ async fn begin(client: &Client, order: &Order) -> Result<Begun, CliError> {
     let status = bring_up(client, order).await?;
     let (run, fresh) = match resumable(client, order, &status).await? {
         Some(run) => {
-            note(order, &format!("run {} goes on where it stopped", run.scan_id));
+            note(order, &format!("run {} resumes where it stopped", run.scan_id));
             (run, false)
         }
         None => (enqueue(client, &order.files).await?, true),
@@ -268,7 +272,7 @@ async fn begin(client: &Client, order: &Order) -> Result<Begun, CliError> {
     match start(client, order, &run, &status).await {
         Ok((since, waiting)) => Ok(Begun { run, since, waiting }),
         Err(error) => {
-            // What we queued and could not start would surprise whoever comes next.
+            // A queued run that could not start would surprise the next person.
             if fresh && let Err(left) = client.delete(&format!("/api/v1/queue/{}", run.uid)).await {
                 tracing::warn!(error = %left, "the run stays in the queue");
             }
@@ -277,7 +281,7 @@ async fn begin(client: &Client, order: &Order) -> Result<Begun, CliError> {
     }
 }
 
-/// Connects and homes, as far as the rig is not there yet.
+/// Connects and homes the rig, if it is not connected or homed.
 async fn bring_up(client: &Client, order: &Order) -> Result<StatusView, CliError> {
     let mut status = client.status().await?;
     if status.run.is_some() {
@@ -303,7 +307,7 @@ async fn bring_up(client: &Client, order: &Order) -> Result<StatusView, CliError
     Ok(status)
 }
 
-/// A real rig moves after a yes.
+/// Asks for the confirmation that a real rig may move.
 async fn confirm_motion(order: &Order, status: &StatusView) -> Result<(), CliError> {
     if order.yes || status.rig.label == "virtual" {
         return Ok(());
@@ -314,7 +318,7 @@ async fn confirm_motion(order: &Order, status: &StatusView) -> Result<(), CliErr
     }
     eprint!("rig {rig} ({}) will move. Is it clear? [y/N] ", status.rig.label);
     let _ = std::io::stderr().flush();
-    // A thread of its own, so that Ctrl-C is heard meanwhile.
+    // A separate thread, so that Ctrl-C is handled meanwhile.
     let answer = tokio::task::spawn_blocking(|| {
         let mut answer = String::new();
         std::io::stdin().lock().read_line(&mut answer).map(|_| answer)
@@ -325,8 +329,8 @@ async fn confirm_motion(order: &Order, status: &StatusView) -> Result<(), CliErr
     }
 }
 
-/// An interrupted run of the same files on the same rig. A virtual rig has other addresses each
-/// time, so the rig files are compared by name and label.
+/// An interrupted run of the same files on the same rig. The addresses of a virtual rig change, so
+/// rig files are compared by name and label.
 async fn resumable(
     client: &Client,
     order: &Order,
@@ -356,7 +360,7 @@ async fn enqueue(client: &Client, files: &ExperimentFiles) -> Result<RunRow, Cli
     client.post("/api/v1/queue", &submission(client, files)).await
 }
 
-/// The body that queues an experiment.
+/// Body of the request that queues an experiment.
 pub fn submission(client: &Client, files: &ExperimentFiles) -> serde_json::Value {
     json!({
         "file": files.file,
@@ -366,7 +370,7 @@ pub fn submission(client: &Client, files: &ExperimentFiles) -> serde_json::Value
     })
 }
 
-/// Arms and starts; answers with the number of the last event before it, and whether it waits.
+/// Arms and starts; returns the number of the last event before it, and whether it waits.
 async fn start(
     client: &Client,
     order: &Order,
@@ -401,7 +405,7 @@ fn preflight_words(run: &RunRow, preflight: &PreflightView, status: &StatusView)
     )
 }
 
-/// A line for a person, beside whatever a script reads.
+/// Prints a line for people, in addition to the output for scripts.
 fn note(order: &Order, words: &str) {
     if order.json {
         tracing::info!("{words}");

@@ -1,4 +1,4 @@
-//! `palpate serve`: the service until it is told to end.
+//! `palpate serve`: the service until a signal ends it.
 //! Uses: `api`. Never: anything that a client could do.
 
 use std::net::SocketAddr;
@@ -18,7 +18,7 @@ use crate::api::{ServeOptions, Service};
 /// Options of `serve`.
 #[derive(Debug, Clone, Args)]
 pub struct ServeArgs {
-    /// Where it listens.
+    /// Address to listen on.
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
     pub bind: SocketAddr,
     /// Folder of the database [env: PALPATE_DATA] [default: palpate-data].
@@ -27,21 +27,24 @@ pub struct ServeArgs {
     /// Rig file [default: the virtual rig].
     #[arg(long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
-    /// Leave interrupted runs alone, even those that may go on by themselves.
+    /// Do not resume interrupted runs automatically.
     #[arg(long)]
     pub no_resume: bool,
-    /// Calibration that simulated twins are made with [default: the sensor file's values].
+    /// Calibration for simulated twins [default: the sensor file's values].
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
     /// Sensor file of the skin under the rig, for live answers [default: ert-28].
     #[arg(long, value_name = "FILE")]
     pub sensor: Option<PathBuf>,
-    /// Threads that compute simulated twins; 0 for none.
+    /// Number of threads that compute simulated twins; 0 for none.
     #[arg(long, value_name = "N", default_value_t = TWIN_WORKERS)]
     pub twin_workers: usize,
 }
 
-/// Runs the command.
+/// Runs `palpate serve`.
+///
+/// # Errors
+/// `CliError` if a file is invalid, or the service cannot start.
 pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
     let rig = RigFiles::read(args.rig.as_deref())?;
     let mut signals = Signals::catch()?;

@@ -1,5 +1,5 @@
-//! What came of a run: for scripts the last line, for people the closing summary with the paper's
-//! Table I beside it.
+//! Result of a run: for scripts the last line, for people the closing summary with the paper's
+//! Table I for comparison.
 //! Uses: `api::Summary`. Never: numbers that were not measured.
 
 use std::fmt;
@@ -8,19 +8,19 @@ use serde::Serialize;
 
 use super::output::{counted, duration};
 use crate::api::Summary;
-use crate::campaign::kept::journal::ExitStatus;
 use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
+use crate::journal::ExitStatus;
 use crate::store::{Label, RunKind};
 
 /// Real-Hex of Table I: trials with 1 to 6 contacts.
 const REAL_HEX: [u64; 6] = [20_092, 21_313, 19_712, 14_487, 15_944, 2_126];
-/// Pressed for it: six settings of 33,000 (paper IV-A). The rest had no contact over 5 N.
+/// Presses for it: six settings of 33,000 (paper IV-A). The rest had no contact over 5 N.
 const REAL_HEX_PRESSED: u64 = 198_000;
 /// Real-Random of Table I.
 const REAL_RANDOM: [u64; 6] = [0, 50, 50, 50, 0, 0];
 
-/// The last line of `palpate run --json`. Scripts rely on these names: they stay.
+/// The last line of `palpate run --json`. Scripts rely on these names: they must not change.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Finished {
     /// Always `finished`.
@@ -29,17 +29,17 @@ pub struct Finished {
     pub run: RunUid,
     /// `success`, `abort` or `fail`.
     pub exit_status: ExitStatus,
-    /// Why it ended so.
+    /// Reason of the end.
     pub reason: String,
     /// Trials in its plan.
     pub trials_planned: u64,
     /// Trials stored.
     pub trials_stored: u64,
-    /// Trials of configurations that were given up.
+    /// Trials of skipped configurations.
     pub trials_skipped: u64,
-    /// Failed attempts.
+    /// Number of failed attempts.
     pub retries: u64,
-    /// From its first start to its end, wall s; absent while it is not over.
+    /// From its first start to its end, wall s; absent while it is open.
     pub duration_s: Option<f64>,
     /// The database file.
     pub database: String,
@@ -49,13 +49,13 @@ pub struct Finished {
     pub experiment: String,
     /// `measured` or `virtual`.
     pub label: Label,
-    /// Whether it can be gone on with.
+    /// Whether it can be resumed.
     pub resumable: bool,
-    /// Process seconds in a wall second.
+    /// Process seconds per wall second.
     pub clock_rate: f64,
     /// Stored trials with 0 to 6 contacts.
     pub contact_counts: [u64; 7],
-    /// Trials with a simulated twin, where that is known.
+    /// Trials with a simulated twin, if known.
     pub twins: Option<u64>,
     /// Median fraction of variance that the twins leave unexplained, trials with contacts.
     pub median_fvu: Option<f64>,
@@ -64,7 +64,7 @@ pub struct Finished {
 /// How a followed run ended, for scripts and for people.
 #[derive(Debug, Clone)]
 pub struct Closing {
-    /// For scripts.
+    /// Last line for scripts.
     pub finished: Finished,
     summary: Summary,
     data: String,
@@ -72,7 +72,7 @@ pub struct Closing {
 }
 
 impl Closing {
-    /// Closes a run. `why_left` says why it was left open, if it was.
+    /// Summary of a run. `why_left` is the reason if it was left open.
     pub fn of(summary: Summary, database: String, clock_rate: f64, why_left: Option<&str>) -> Self {
         let run = &summary.run;
         let exit_status = run.exit_status.unwrap_or(ExitStatus::Abort);
@@ -100,21 +100,21 @@ impl Closing {
         Self { finished, summary, data: String::new(), follow_url: None }
     }
 
-    /// Adds how well the simulated twins fit.
+    /// Adds the fit of the simulated twins.
     pub fn with_fit(mut self, fit: Option<SimulationReport>) -> Self {
         self.finished.twins = fit.as_ref().map(|fit| fit.trials + fit.flagged);
         self.finished.median_fvu = fit.and_then(|fit| fit.median_fvu);
         self
     }
 
-    /// Adds what to type next: the data folder, or the server where the run lies.
+    /// Adds the next commands: with the data folder, or the server that has the run.
     pub fn with_next(mut self, data: &std::path::Path, server: Option<&str>) -> Self {
         self.data = data.display().to_string();
         self.follow_url = server.map(Into::into);
         self
     }
 
-    /// Whether the run came to a good end.
+    /// Whether the run ended as a success.
     pub fn is_success(&self) -> bool {
         self.finished.exit_status == ExitStatus::Success
     }
@@ -143,7 +143,7 @@ impl fmt::Display for Closing {
         }
         if let Some(twins) = done.twins {
             let fit = done.median_fvu.map_or_else(String::new, |fvu| {
-                format!(", median FVU {fvu:.3} where there is contact")
+                format!(", median FVU {fvu:.3} of trials with contact")
             });
             line(f, "twins", format!("{twins} of {} simulated{fit}", done.trials_stored))?;
         }
@@ -162,7 +162,7 @@ impl Closing {
         self.finished.label.as_str()
     }
 
-    /// Trials by contacts, beside the paper's scaled to as many trials.
+    /// Table of trials by contacts, with the paper's scaled to the same number of trials.
     fn table(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let stored: u64 = self.finished.contact_counts.iter().sum();
         if stored == 0 {
@@ -172,7 +172,7 @@ impl Closing {
         let (name, paper) = match kind {
             RunKind::RealHex => ("Real-Hex", scaled(&REAL_HEX, REAL_HEX_PRESSED, stored)),
             RunKind::RealRandom => ("Real-Random", scaled(&REAL_RANDOM, 150, stored)),
-            // Nothing of the kind is in Table I.
+            // Table I has no trials of this kind.
             RunKind::Imported => return Ok(()),
         };
         let column = format!("run {} ({})", self.finished.scan_id, self.label());
@@ -186,8 +186,8 @@ impl Closing {
                 self.summary.settings.iter().map(|s| s.tips.to_string()).collect();
             writeln!(
                 f,
-                "  Table I sums six settings of 33000 presses (1 to 6 tips), scaled here to {stored} \
-                 trials;\n  this run has tips {}; contacts under {} N are not counted.",
+                "  Table I sums six settings of 33000 presses (1 to 6 tips), scaled here to \
+                 {stored} trials;\n  this run has tips {}; contacts under {} N are not counted.",
                 tips.join(", "),
                 self.summary.run.deadband_n
             )?;
@@ -199,7 +199,7 @@ impl Closing {
         writeln!(f, "\nnext:")?;
         let url = self.follow_url.as_deref().unwrap_or(super::DEFAULT_URL);
         if self.finished.resumable {
-            writeln!(f, "  the same command again           goes on where it stopped")?;
+            writeln!(f, "  the same command again           resumes where it stopped")?;
         }
         if self.follow_url.is_none() {
             writeln!(f, "  palpate serve --data {}", self.data)?;
@@ -215,7 +215,7 @@ impl Closing {
     }
 }
 
-/// Table I's counts with the trials without contact in front, scaled from `pressed` to `stored`.
+/// Table I's counts, preceded by the trials without contact, scaled from `pressed` to `stored`.
 fn scaled(counts: &[u64; 6], pressed: u64, stored: u64) -> [f64; 7] {
     let none = pressed.saturating_sub(counts.iter().sum());
     let share = stored as f64 / pressed as f64;

@@ -1,4 +1,5 @@
-//! `palpate train`: asks for a training and shows it; `palpate job`: those that wait, run and are over.
+//! `palpate train`: requests a training and shows it; `palpate job`: waiting, running and ended
+//! jobs.
 //! Uses: `client`. Never: nets (the service trains).
 
 use std::path::Path;
@@ -18,15 +19,15 @@ use crate::api::{JobOut, ModelOut};
 use crate::jobs::Progress;
 use crate::store::JobState;
 
-/// Between two looks at how far a job is.
+/// Interval of polling a job's progress.
 const LOOK: Duration = Duration::from_millis(250);
 
-/// Maps of no more pixels along a side are drawn in fewer steps than a recipe's default: from a first
-/// image of 8 or 4 pixels, as larger ones are of 10.
+/// Largest side of maps, pixels, that are drawn with fewer layers than a recipe's default: from a
+/// first image of 8 or 4 pixels, as larger maps are from one of 10.
 const FEW_PIXELS: i64 = 64;
 const FEWER_CHANNELS: [i64; 3] = [128, 64, 32];
 
-/// The recipes that are in the binary, by their names.
+/// The recipes carried in the program, by name.
 const CARRIED: [(&str, &str); 5] = [
     ("transfer-net", include_str!("../../experiments/recipes/transfer-net.toml")),
     (
@@ -47,55 +48,58 @@ pub struct TrainArgs {
     recipe: String,
     #[command(flatten)]
     changes: Changes,
-    /// Show the recipe and do nothing.
+    /// Show the recipe without training.
     #[arg(long)]
     show: bool,
-    /// Ask, and do not wait for the end.
+    /// Request the training, and do not wait for its end.
     #[arg(long)]
     no_wait: bool,
     #[command(flatten)]
     at: At,
 }
 
-/// What is changed of a recipe.
+/// Changes of a recipe.
 #[derive(Debug, Clone, Default, Args)]
 pub struct Changes {
-    /// What its model is called.
+    /// Name of the model.
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
-    /// A dataset's name or id.
+    /// Name or id of a dataset.
     #[arg(long, value_name = "NAME")]
     pub dataset: Option<String>,
-    /// A condition on its rows, `COLUMN__lte=VALUE`; may come more than once.
+    /// A condition on its rows, `COLUMN__lte=VALUE`; may be repeated.
     #[arg(long = "where", value_name = "CONDITION")]
     pub conditions: Vec<String>,
     /// Pixel and diameter of the force maps, mm.
     #[arg(long, value_name = "4x20")]
     pub map: Option<String>,
-    /// Of the first weights, the order of samples and the noise.
+    /// Seed of the first weights, the order of samples and the noise.
     #[arg(long, value_name = "N")]
     pub seed: Option<i64>,
-    /// Passes over the data.
+    /// Number of passes over the data.
     #[arg(long, value_name = "N")]
     pub epochs: Option<i64>,
-    /// Most rows that are learned from, evenly taken.
+    /// Largest number of rows for training, taken evenly.
     #[arg(long, value_name = "N")]
     pub rows: Option<i64>,
-    /// Samples in a batch.
+    /// Number of samples in a batch.
     #[arg(long, value_name = "N")]
     pub batch: Option<i64>,
-    /// Share of the noise of --noise-of that is added.
+    /// Factor on the noise of --noise-of.
     #[arg(long, value_name = "0.1")]
     pub noise: Option<f64>,
     /// The Transfer-Net whose residuals are the noise.
     #[arg(long, value_name = "MODEL")]
     pub noise_of: Option<String>,
-    /// Learn all epochs, whether they help or not.
+    /// Learn all epochs, without early stopping.
     #[arg(long)]
     pub all_epochs: bool,
 }
 
-/// The text of a recipe file, or of a carried one, with changes.
+/// Text of a recipe file, or of a carried recipe, with changes.
+///
+/// # Errors
+/// `CliError::Problems` if the recipe cannot be read, or a change does not apply.
 pub fn recipe_text(named: &str, changes: &Changes) -> Result<String, CliError> {
     let carried = CARRIED.iter().find(|(name, _)| *name == named);
     let text = match carried {
@@ -159,6 +163,9 @@ impl Changes {
 }
 
 /// Runs `palpate train`.
+///
+/// # Errors
+/// `CliError` if the recipe is invalid, the service refuses, or the training fails.
 pub async fn train(args: TrainArgs) -> Result<(), CliError> {
     let recipe = recipe_text(&args.recipe, &args.changes)?;
     if args.show {
@@ -192,7 +199,10 @@ pub async fn train(args: TrainArgs) -> Result<(), CliError> {
     .await
 }
 
-/// Shows how far a job is, until it is over; one that gave nothing is an error.
+/// Shows the progress of a job until it has ended.
+///
+/// # Errors
+/// `CliError::Refused` if the job failed or was stopped; other variants if a request fails.
 pub async fn follow(client: &Client, asked: JobOut) -> Result<JobOut, CliError> {
     let bar = job_bar();
     let mut lines = LogLines::instead_of(&bar);
@@ -208,8 +218,8 @@ pub async fn follow(client: &Client, asked: JobOut) -> Result<JobOut, CliError> 
             });
         }
         if now.state == JobState::Waiting {
-            bar.set_message("waits for its turn");
-            lines.say(|| format!("{} waits for its turn", now.id));
+            bar.set_message("waits in the queue");
+            lines.say(|| format!("{} waits in the queue", now.id));
         }
         match now.state {
             JobState::Done => {
@@ -268,23 +278,26 @@ pub struct JobArgs {
 enum JobWhat {
     /// Show trainings and evaluations, the last first.
     List(At),
-    /// Show one, and what came of it.
+    /// Show one job and its result.
     Show(OneJob),
-    /// End one that waits or runs.
+    /// Stop a waiting or running job.
     Stop(OneJob),
-    /// Write the losses of a training that runs, a JSON object for each epoch.
+    /// Print the losses of a running training, one JSON object per epoch.
     Losses(OneJob),
 }
 
 #[derive(Debug, Args)]
 struct OneJob {
-    /// Its id.
+    /// Id of the job.
     job: String,
     #[command(flatten)]
     at: At,
 }
 
 /// Runs `palpate job`.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached or refuses.
 pub async fn job(args: JobArgs) -> Result<(), CliError> {
     let at = match &args.what {
         JobWhat::List(at) => at.clone(),

@@ -1,5 +1,5 @@
-//! What the command line reads of the service's answers.
-//! Uses: serde, the vocabulary of `campaign`. Never: what it does not show or decide by.
+//! The parts of the service's answers that the command line reads.
+//! Uses: serde, the vocabulary of `campaign`. Never: fields that are not shown or used.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -8,55 +8,55 @@ use crate::campaign::bench::estop::AxisStop;
 use crate::campaign::bench::interlock::Trip;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stopping::StoppingDistance;
-use crate::campaign::kept::record::Pose;
 use crate::campaign::safe_end::SafeEnd;
 use crate::campaign::shown::status::{Eta, Phase};
 use crate::ids::{RunUid, TrialKey};
+use crate::record::Pose;
 use crate::store::LockRow;
 
 /// `GET /api/v1/status`.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct StatusView {
-    /// The rig.
+    /// Rig part of the status.
     pub rig: RigView,
-    /// The run under way.
+    /// The active run.
     pub run: Option<RunView>,
-    /// The service.
+    /// Service part of the status.
     pub service: ServiceView,
     /// The operator lock, while it is held.
     pub lock: Option<LockRow>,
-    /// Runs that wait in the queue.
+    /// Number of runs that wait in the queue.
     pub queue_length: usize,
 }
 
-/// The rig's part.
+/// Rig part of the status.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct RigView {
     /// Name from the rig file.
     pub name: String,
     /// `measured` or `virtual`.
     pub label: String,
-    /// State reached.
+    /// State of the rig.
     pub state: RigState,
-    /// What latched it.
+    /// Latched trip, if any.
     pub trip: Option<Trip>,
-    /// Process seconds in a wall second.
+    /// Process seconds per wall second.
     pub clock_rate: f64,
-    /// Where it stands.
+    /// Position of the stage and the arms.
     pub pose: Option<Pose>,
     /// Forces of attached arms, N.
     pub forces_n: Vec<Option<f64>>,
-    /// Limit on one cell, N.
+    /// Limit on the force of one cell, N.
     pub force_limit_n: f64,
-    /// Tips that a person says are mounted.
+    /// Number of mounted tips, as stated by a person.
     pub tips: Option<u8>,
-    /// From an e-stop's press until every axis had acknowledged, ms.
+    /// Time from an e-stop until every axis had acknowledged, ms.
     pub estop_acknowledged_ms: Option<f64>,
-    /// While an e-stop is latched, each axis's stop.
+    /// State of each axis's stop, while an e-stop is latched.
     pub estop_stops: Vec<AxisStop>,
-    /// How the last safe end went.
+    /// Result of the last safe end.
     pub safe_end: Option<SafeEnd>,
-    /// What the force may grow by between a sample and its stop.
+    /// Largest growth of the force between a sample and its stop.
     pub stopping: Option<StoppingDistance>,
 }
 
@@ -66,7 +66,7 @@ impl RigView {
         self.forces_n.iter().copied().flatten().reduce(f64::max)
     }
 
-    /// Axes whose stop is not acknowledged, each with why: they may still move.
+    /// Axes whose stop is not acknowledged, each with its cause: they may still move.
     pub fn not_stopped(&self) -> Vec<String> {
         let missing = self.estop_stops.iter().filter(|s| s.acknowledged_ms.is_none());
         missing
@@ -74,79 +74,79 @@ impl RigView {
             .collect()
     }
 
-    /// What latched it, in words.
+    /// Cause of the trip, as text.
     pub fn trip_words(&self) -> String {
         self.trip.as_ref().map_or_else(|| "for no stated reason".into(), |t| t.detail.clone())
     }
 }
 
-/// The run's part.
+/// Run part of the status.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct RunView {
-    /// Id.
+    /// Uid of the run.
     pub uid: RunUid,
     /// Number for people.
     pub scan_id: i64,
     /// Name of the experiment.
     pub experiment: String,
-    /// State reached.
+    /// State of the run.
     pub state: String,
-    /// State asked for.
+    /// Requested state.
     pub requested_state: Option<String>,
-    /// Why it waits.
+    /// Reason of a pause.
     pub paused_why: Option<String>,
-    /// What it waits for, in words.
+    /// What the run waits for, as text.
     pub waiting_for: Option<String>,
-    /// What it is doing.
+    /// Current phase.
     pub phase: Phase,
-    /// The trial under way.
+    /// The current trial.
     pub trial: Option<TrialKey>,
     /// Trials in the plan.
     pub trials_planned: u64,
-    /// Trials stored.
+    /// Number of stored trials.
     pub trials_stored: u64,
-    /// Trials given up.
+    /// Number of trials of skipped configurations.
     pub trials_skipped: u64,
-    /// Failed attempts.
+    /// Number of failed attempts.
     pub retries: u64,
-    /// Time to go.
+    /// Estimated remaining time.
     pub eta: Option<Eta>,
 }
 
-/// The service's part.
+/// Service part of the status.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct ServiceView {
     /// Version of the program.
     pub version: String,
-    /// The database file.
+    /// Path of the database file.
     pub database: String,
 }
 
 /// `POST /api/v1/runs/{run}/arm`.
 #[derive(Debug, Clone, Deserialize)]
 pub struct ArmedView {
-    /// Starts the run.
+    /// Code that starts the run.
     pub code: String,
-    /// What the run is.
+    /// Preflight of the run.
     pub preflight: PreflightView,
 }
 
-/// What is shown of a preflight before a start.
+/// Fields of a preflight that are shown before a start.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct PreflightView {
-    /// Trials planned.
+    /// Number of planned trials.
     pub trials: u64,
-    /// Configurations planned.
+    /// Number of planned configurations.
     pub configurations: u64,
-    /// Likely duration, wall s.
+    /// Predicted duration, wall s.
     pub duration_s: f64,
-    /// If all goes quickly, wall s.
+    /// Lower end of the predicted duration, wall s.
     pub duration_low_s: f64,
-    /// If all goes slowly, wall s.
+    /// Upper end of the predicted duration, wall s.
     pub duration_high_s: f64,
-    /// Bytes stored.
+    /// Predicted size of the stored data, bytes.
     pub disk_bytes: u64,
-    /// Times a person is waited for.
+    /// Number of times that the run waits for a person.
     pub waits_for_person: u64,
 }
 
@@ -160,30 +160,30 @@ pub struct TakenUpView {
 /// `GET /api/v1/events`.
 #[derive(Debug, Clone, Deserialize)]
 pub struct EventPageView {
-    /// In order.
+    /// Events in order.
     pub events: Vec<EventView>,
-    /// Hand this in as `since` for what follows.
+    /// Value of `since` for the next page.
     pub next: i64,
 }
 
 /// One event.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EventView {
-    /// One word.
+    /// Kind of the event.
     #[serde(rename(serialize = "event"))]
     pub kind: String,
-    /// Number.
+    /// Number of the event.
     pub seq: i64,
-    /// The run it belongs to.
+    /// Run of the event, if any.
     pub run: Option<RunUid>,
-    /// Wall time.
+    /// Wall time, RFC 3339.
     pub at: String,
-    /// What it says.
+    /// Data of the event.
     pub data: Value,
 }
 
 impl EventView {
-    /// What it says to a person who watches the run; none for what the progress shows anyway.
+    /// Text for a person who follows the run; `None` for events that the progress shows.
     pub fn words(&self) -> Option<String> {
         let text = |key: &str| self.data[key].as_str().unwrap_or("?").to_owned();
         match self.kind.as_str() {
@@ -202,13 +202,13 @@ impl EventView {
             "suspended" | "store" | "repeat" | "not_gone_on" | "not_begun" => {
                 Some(format!("{}: {}", self.kind.replace('_', " "), text("why")))
             }
-            "recovering" => Some("recovering: looking whether the cause is gone".into()),
+            "recovering" => Some("recovering: checking whether the cause is gone".into()),
             "state" => self.state_words(),
             _ => None,
         }
     }
 
-    /// A change of state, unless what asked for it has been told.
+    /// Text of a change of state, unless its cause has been shown.
     fn state_words(&self) -> Option<String> {
         let state = self.data["state"].as_str()?;
         match self.data["why"].as_str() {
@@ -219,7 +219,7 @@ impl EventView {
         }
     }
 
-    /// Where a person puts which weight.
+    /// Positions of the weights to place.
     fn weights(&self) -> String {
         let contacts = self.data["wanted"]["contacts"].as_array();
         contacts

@@ -1,6 +1,6 @@
-//! The stand-in lab as two child processes of this program: the rig and its operator.
-//! Uses: tokio's processes, `files`. Never: the virtual rig's code (its command line is all we
-//! know), a child that outlives us: each ends when the pipe to its standard input closes.
+//! The virtual bench as two child processes of this program: the rig and its operator.
+//! Uses: tokio's processes, `files`. Never: the virtual rig's code (only its command line is used),
+//! a child that outlives this process: each ends when the pipe to its standard input closes.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -18,48 +18,48 @@ use super::error::CliError;
 use super::files::{DEFAULT_GAP, RigFiles, write};
 use crate::rig::config::Label;
 
-/// Longest wait for the rig: its first start solves the skin's responses.
+/// Longest wait for the rig: its first start solves the skin's unit responses.
 const READY: Duration = Duration::from_secs(120);
-/// Longest wait for a child to end by itself.
+/// Longest wait for a child to end after its input is closed.
 const END: Duration = Duration::from_secs(3);
-/// Lines of a child's log that are shown when it fails.
+/// Number of lines of a child's log that are shown when it fails.
 const LOG_LINES: usize = 8;
 
-/// What the stand-in lab is made of.
+/// Options of the virtual bench.
 #[derive(Debug, Clone)]
 pub struct BenchOptions {
     /// Folder of the files, logs and caches.
     pub data: PathBuf,
-    /// The rig file to stand in for; its wires get free ports.
+    /// Rig file to simulate; its wires get free ports.
     pub rig: RigFiles,
     /// The skin's sensor file.
     pub sensor_text: String,
-    /// How the skin differs from the model; the carried one if absent.
+    /// File with the differences of the skin from the model; the carried one if absent.
     pub gap: Option<PathBuf>,
-    /// A seed is a skin.
+    /// Seed of the skin.
     pub seed: u64,
-    /// Process seconds in a wall second.
+    /// Process seconds per wall second.
     pub speed: f64,
-    /// What shall go wrong.
+    /// Script of faults.
     pub fault: Option<PathBuf>,
 }
 
-/// The rig, switched on.
+/// A running virtual rig.
 pub struct VirtualBench {
-    /// Its rig file, with the addresses as served.
+    /// Its rig file, with the actual addresses.
     pub rig: RigFiles,
     control: String,
     speed: f64,
     folder: PathBuf,
     child: Child,
-    // Kept, so that the rig can always write.
+    // Kept open, so that the rig can always write.
     _stdout: BufReader<ChildStdout>,
 }
 
-/// The operator, at work.
+/// A running virtual operator.
 pub struct VirtualOperator(Child);
 
-/// The line that says that the rig listens.
+/// The line by which the rig reports that it listens.
 #[derive(Debug, Deserialize)]
 struct Ready {
     control: String,
@@ -67,6 +67,9 @@ struct Ready {
 
 impl VirtualBench {
     /// Writes the rig's files, starts it, and waits until it listens.
+    ///
+    /// # Errors
+    /// `CliError::Child` or `Late` if it does not start; `File` if a file cannot be written.
     pub async fn switch_on(options: &BenchOptions, quiet: bool) -> Result<Self, CliError> {
         let folder = options.data.join("virtual-rig");
         let served = folder.join("served.toml");
@@ -86,25 +89,28 @@ impl VirtualBench {
         Ok(Self { rig, control, speed, folder, child, _stdout: stdout })
     }
 
-    /// Sends the operator to work at a service.
+    /// Starts the operator as a client of a service.
+    ///
+    /// # Errors
+    /// `CliError::Child` or `System` if it does not start.
     pub fn send_operator(&self, url: &str) -> Result<VirtualOperator, CliError> {
         let mut command = this_program("virtual-operator")?;
         command.args(["--url", url, "--control", &self.control, "--with-parent"]);
         command.arg("--speed").arg(self.speed.to_string());
-        // The service in this process needs no key, and no proxy leads to it.
+        // The service in this process needs no key and no proxy.
         command.env_remove(KEY_VARIABLE).env("NO_PROXY", "127.0.0.1");
         let log = self.folder.join("operator.log");
         start("virtual operator", &mut command, &log, Stdio::null()).map(VirtualOperator)
     }
 
-    /// Switches the rig off.
+    /// Ends the rig.
     pub async fn switch_off(mut self) {
         end(&mut self.child).await;
     }
 }
 
 impl VirtualOperator {
-    /// Sends the operator home.
+    /// Ends the operator.
     pub async fn go_home(mut self) {
         end(&mut self.0).await;
     }
@@ -112,7 +118,7 @@ impl VirtualOperator {
 
 fn rig_command(options: &BenchOptions, folder: &Path, served: &Path) -> Result<Command, CliError> {
     let (rig, sensor) = (folder.join("rig.toml"), folder.join("sensor.toml"));
-    // Nothing that a stand-in gives may be called measured.
+    // Data of a virtual rig must not be labelled as measured.
     let mut config = options.rig.config.clone();
     config.label = Label::Virtual;
     write(&rig, &toml::to_string(&config)?)?;
@@ -152,7 +158,7 @@ fn start(
     stdout: Stdio,
 ) -> Result<Child, CliError> {
     let said = File::create(log).map_err(|source| CliError::File { path: log.into(), source })?;
-    // A group of its own: Ctrl-C at the terminal is ours to handle, the rig must stay on.
+    // A separate process group: this program handles Ctrl-C, the rig must keep running.
     command.process_group(0).kill_on_drop(true);
     command.stdin(Stdio::piped()).stdout(stdout).stderr(said);
     command.spawn().map_err(|e| failed(name, &e.to_string(), log))
@@ -168,7 +174,7 @@ async fn ready_line(stdout: &mut BufReader<ChildStdout>, log: &Path) -> Result<R
         Ok(Err(e)) => Err(failed(name, &e.to_string(), log)),
         Ok(Ok(0)) => Err(failed(name, &format!("ended at its start{}", tail(log)), log)),
         Ok(Ok(_)) => serde_json::from_str(&line)
-            .map_err(|e| failed(name, &format!("said {}: {e}", line.trim()), log)),
+            .map_err(|e| failed(name, &format!("printed {}: {e}", line.trim()), log)),
     }
 }
 
@@ -176,7 +182,7 @@ fn failed(name: &'static str, why: &str, log: &Path) -> CliError {
     CliError::Child { name, why: why.into(), log: log.into() }
 }
 
-/// The end of a log, for an error.
+/// Last lines of a log, for an error.
 fn tail(log: &Path) -> String {
     let text = std::fs::read_to_string(log).unwrap_or_default();
     let lines: Vec<&str> = text.lines().collect();
@@ -184,7 +190,7 @@ fn tail(log: &Path) -> String {
     if last.is_empty() { String::new() } else { format!(": {}", last.join("; ")) }
 }
 
-/// Closes the child's pipe, which ends it; a child that stays is killed.
+/// Closes the child's pipe, which ends it; a child that remains is killed.
 async fn end(child: &mut Child) {
     drop(child.stdin.take());
     if timeout(END, child.wait()).await.is_err() {

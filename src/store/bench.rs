@@ -1,5 +1,5 @@
 //! What a run leaves beside its trials: failed attempts, skips, tares, reference presses, touch-offs.
-//! Uses: `campaign::kept::record`, `store::writer`. Never: trials (what was not accepted
+//! Uses: `record`, `store::writer`. Never: trials (what was not accepted
 //! must never count as one).
 
 use jiff::Timestamp;
@@ -10,10 +10,8 @@ use super::checksum;
 use super::columns::{Columns, counts_blob, time_text};
 use super::trial_rows::arm;
 use super::{Store, StoreError};
-use crate::campaign::kept::record::{
-    AttemptRecord, Pose, ReferenceRecord, TareRecord, TouchOffRecord,
-};
 use crate::ids::{RunUid, TrialKey};
+use crate::record::{AttemptRecord, Pose, ReferenceRecord, TareRecord, TouchOffRecord};
 
 /// A configuration that was given up.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]

@@ -1,5 +1,5 @@
 //! Checksums of what was measured: computed when it is stored, compared whenever it is read.
-//! PURE. Uses: crc32fast, `campaign::kept::record`, `store::error`. Never: a statement; a guess at
+//! PURE. Uses: crc32fast, `record`, `store::error`. Never: a statement; a guess at
 //! what a damaged value was.
 //!
 //! SQLite keeps no checksums of its own: a bit that flips on the disk comes back as another number.
@@ -9,10 +9,8 @@ use jiff::Timestamp;
 
 use super::columns::{Columns, counts_blob, time_text};
 use super::{Contact, StoreError, TrialRow};
-use crate::campaign::kept::record::{
-    ArmReading, Flag, FrameQuality, FrameRecord, Pose, TrialRecord,
-};
 use crate::ids::TrialKey;
+use crate::record::{ArmReading, Flag, FrameQuality, FrameRecord, Pose, TrialRecord};
 
 /// Of a frame: its counts as they are stored, then sequence, device time and scale, little-endian.
 pub(super) fn of_frame(frame: &FrameRecord) -> u32 {

@@ -1,12 +1,12 @@
 //! How far a run has come: stored keys, trials by contacts and by setting.
-//! Uses: `store`, `campaign::kept::journal`. Never: the plan (who asks knows what is missing).
+//! Uses: `store`, `journal`. Never: the plan (who asks knows what is missing).
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::{RunKind, Store, StoreError};
-use crate::campaign::kept::journal::Progress;
 use crate::ids::{RunUid, TrialKey};
+use crate::journal::Progress;
 
 /// Stored trials of one setting (tip count) of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]

@@ -3,8 +3,8 @@
 
 use std::path::PathBuf;
 
-use crate::campaign::kept::journal::JournalError;
 use crate::ids::{RunUid, TrialKey};
+use crate::journal::JournalError;
 
 /// The store could not do what was asked.
 #[derive(Debug, thiserror::Error)]

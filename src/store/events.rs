@@ -1,13 +1,13 @@
 //! Events: appended with a number, read from a number on.
-//! Uses: `campaign::kept::journal` (`Event`), `store::writer`. Never: who listens.
+//! Uses: `journal` (`Event`), `store::writer`. Never: who listens.
 
 use jiff::Timestamp;
 
 use super::columns::{Columns, time_text};
 use super::writer::Writer;
 use super::{Store, StoreError};
-use crate::campaign::kept::journal::Event;
 use crate::ids::RunUid;
+use crate::journal::Event;
 
 impl Store {
     /// Appends an event that happens now, and returns it with its number.

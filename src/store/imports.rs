@@ -12,9 +12,9 @@ use super::columns::time_text;
 use super::runs;
 use super::trials::insert_voltages;
 use super::{Contact, NewRun, RunRow, Store, StoreError};
-use crate::campaign::kept::journal::ExitStatus;
-use crate::campaign::kept::record::FrameQuality;
 use crate::ids::{RunUid, TrialId, TrialKey};
+use crate::journal::ExitStatus;
+use crate::record::FrameQuality;
 
 /// Version of a model whose frames came with an import.
 pub const IMPORTED_MODEL: &str = "imported";
@@ -43,7 +43,7 @@ pub struct ImportedTrial {
     /// How far the two are apart: RMSE (V) and FVU.
     pub fit: Option<(f64, Option<f64>)>,
     /// Words about what may be wrong with it; must be those of `Flag`.
-    pub flags: Vec<crate::campaign::kept::record::Flag>,
+    pub flags: Vec<crate::record::Flag>,
     /// How good its frame is.
     pub quality: FrameQuality,
     /// When it was measured.

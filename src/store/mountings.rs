@@ -5,7 +5,7 @@ use jiff::Timestamp;
 
 use super::columns::{Columns, time_text};
 use super::{Store, StoreError};
-use crate::campaign::kept::journal::Mounting;
+use crate::journal::Mounting;
 
 impl Store {
     pub(super) async fn insert_mounting(

@@ -1,5 +1,5 @@
 //! Runs: their provenance, their states and their ends.
-//! Uses: `store`, `campaign::kept::journal`. Never: what a state means (`campaign` does).
+//! Uses: `store`, `journal`. Never: what a state means (`campaign` does).
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -8,8 +8,8 @@ use utoipa::ToSchema;
 
 use super::columns::{Columns, sha256_hex, time_text};
 use super::{Store, StoreError};
-use crate::campaign::kept::journal::ExitStatus;
 use crate::ids::RunUid;
+use crate::journal::ExitStatus;
 
 /// Where trials come from: the two measured experiments of Table I, or elsewhere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]

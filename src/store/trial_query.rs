@@ -1,11 +1,11 @@
 //! Which trials, in which order: a query and the statement that it becomes.
-//! Uses: `store::filter`, sqlx's builder. Never: a connection, an OFFSET.
+//! Uses: `store::condition`, sqlx's builder. Never: a connection, an OFFSET.
 
 use sqlx::{QueryBuilder, Sqlite};
 
-use super::filter::Filter;
-use crate::campaign::kept::record::Flag;
+use super::condition::Condition;
 use crate::ids::{RunUid, TrialId};
+use crate::record::Flag;
 
 /// The largest page.
 pub const MAX_PAGE: u32 = 10_000;
@@ -20,9 +20,11 @@ pub(super) const SELECT: &str = "SELECT t.*, r.uid, r.experiment, r.kind, r.labe
      LEFT JOIN twin_models m ON m.id = w.model";
 
 /// The ids alone.
-pub(super) const SELECT_IDS: &str = "SELECT t.id FROM trials t
+pub(super) const SELECT_IDS: &str =
+    "SELECT t.id FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
      LEFT JOIN twins w ON w.trial = t.id
-         AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)";
+         AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)
+     LEFT JOIN twin_models m ON m.id = w.model";
 
 /// The same with the mean voltages and the twin's.
 pub(super) const SELECT_WITH_VOLTAGES: &str =
@@ -47,12 +49,12 @@ pub enum Order {
 }
 
 /// Which trials.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct TrialQuery {
     /// Of this run only.
     pub run: Option<RunUid>,
     /// All of these hold.
-    pub filters: Vec<Filter>,
+    pub filters: Vec<Condition>,
     /// All of these flags are set.
     pub flags: Vec<Flag>,
     /// Only with, or only without, any flag.

@@ -1,5 +1,5 @@
 //! Trials coming out: single rows, pages that follow an index, voltages and raw frames.
-//! Uses: `store::{trial_query, checksum}`, `campaign::kept::record`. Never: a write, a query per row, a value
+//! Uses: `store::{trial_query, checksum}`, `record`. Never: a write, a query per row, a value
 //! that differs from its checksum.
 
 use jiff::Timestamp;
@@ -14,10 +14,8 @@ use super::runs::{Label, RunKind};
 use super::trial_query::{SELECT, SELECT_IDS, SELECT_WITH_VOLTAGES, TrialQuery};
 use super::trials::pose;
 use super::{Store, StoreError};
-use crate::campaign::kept::record::{
-    ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose,
-};
 use crate::ids::{RunUid, TrialId, TrialKey};
+use crate::record::{ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose};
 
 const READING: &str = "reading trials";
 
@@ -126,6 +124,13 @@ pub struct TrialRow {
     /// Fraction of variance unexplained by its newest twin (paper, Eq. 2).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fvu: Option<f64>,
+}
+
+impl TrialRow {
+    /// How far z was off its target, mm; absent for weights placed manually.
+    pub fn depth_error_mm(&self) -> Option<f64> {
+        Some(self.reached?.z_mm - self.target?.z_mm)
+    }
 }
 
 impl Store {

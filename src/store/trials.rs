@@ -1,5 +1,5 @@
 //! Trials going in and being taken back: each one transaction, each key once.
-//! Uses: `campaign::kept::record`, `store::writer`. Never: a judgement on a trial (`campaign` made it).
+//! Uses: `record`, `store::writer`. Never: a judgement on a trial (`campaign` made it).
 
 use sqlx::query_builder::Separated;
 use sqlx::sqlite::SqliteConnection;
@@ -10,8 +10,8 @@ use super::columns::{counts_blob, time_text, volts_blob};
 use super::runs::RunKind;
 use super::trial_rows::row_of_key;
 use super::{Contact, RunFacts, Store, StoreError};
-use crate::campaign::kept::record::{ArmReading, FrameRecord, PlacedContact, Pose, TrialRecord};
 use crate::ids::{RunUid, TrialId, TrialKey};
+use crate::record::{ArmReading, FrameRecord, PlacedContact, Pose, TrialRecord};
 
 /// The most contacts of a trial: the indenter has six arms.
 const CONTACTS_MAX: usize = 6;

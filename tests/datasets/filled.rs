@@ -6,12 +6,12 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use palpate::api::{ServeOptions, Service};
-use palpate::campaign::kept::journal::{ExitStatus, Journal};
-use palpate::campaign::kept::record::{
-    ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose, TrialRecord,
-};
 use palpate::clock::Clock;
 use palpate::ids::{RunUid, TrialKey};
+use palpate::journal::{ExitStatus, Journal};
+use palpate::record::{
+    ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose, TrialRecord,
+};
 use palpate::store::{
     Label, NewRun, NewTwinModel, RunKind, Store, TrialQuery, Twin, TwinModelId, TwinOutcome,
 };

@@ -5,12 +5,12 @@
 use std::io::Write;
 use std::process::{Command, Output, Stdio};
 
+use palpate::chance::Chance;
 use palpate::dataset::force_map::{ForceMap, TABLE_IV};
 use palpate::evaluate::anova::{Factor, Factorial};
 use palpate::evaluate::matching::matched;
 use palpate::evaluate::score::Scores;
 use palpate::evaluate::touch::Touch;
-use palpate::schedule::chance::Chance;
 use palpate::simulate::compare::difference;
 use palpate::store::Contact;
 use serde_json::{Value, json};

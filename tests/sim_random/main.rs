@@ -182,9 +182,9 @@ fn a_folder_of_another_definition_is_refused_by_the_field_that_differs() {
     made(&out, &few);
     let before = files(&out);
     for (option, value, field) in [
-        ("--seed", "2", "draws.seed is 1 there and 2 here"),
-        ("--contacts", "1..5", "draws.contacts is [1,6] there and [1,5] here"),
-        ("--shard-trials", "10", "shard_trials is 1500 there and 10 here"),
+        ("--seed", "2", "draws.seed = 1, requested 2"),
+        ("--contacts", "1..5", "draws.contacts = [1,6], requested [1,5]"),
+        ("--shard-trials", "10", "shard_trials = 1500, requested 10"),
     ] {
         let output = run(&out, &[&few[..], &[option, value]].concat());
         let said = String::from_utf8(output.stderr).unwrap();

@@ -1,4 +1,5 @@
-//! The rig alone, as a process: `cargo run -p virtual-rig --example virtual_rig -- --rig FILE ..`.
+//! The rig as a separate process:
+//! `cargo run -p virtual-rig --example virtual_rig -- --rig FILE ..`.
 //! Uses: the crate's entry point. Never: the service.
 
 use clap::Parser;

@@ -1,5 +1,5 @@
-//! The rig's own clock: process seconds since it was switched on, `rate` of them in a wall second.
-//! The only place of this crate that asks what time it is.
+//! The clock of the rig: process seconds since power-up, `rate` of them per wall second. The only
+//! place of this crate that reads the time.
 //! Never: waiting.
 
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -12,7 +12,7 @@ pub struct RigClock {
 }
 
 impl RigClock {
-    /// A clock that starts now.
+    /// Creates a clock that starts now.
     pub fn start(rate: f64) -> Self {
         Self { origin: Instant::now(), rate }
     }
@@ -22,12 +22,12 @@ impl RigClock {
         self.origin.elapsed().as_secs_f64() * self.rate
     }
 
-    /// Process seconds in a wall second.
+    /// Process seconds per wall second.
     pub fn rate(&self) -> f64 {
         self.rate
     }
 
-    /// Wall time until a process time; zero if it has passed.
+    /// Wall time until a process time; zero if it is over.
     pub fn wall_until(&self, process_s: f64) -> Duration {
         Duration::from_secs_f64(((process_s - self.process_s()) / self.rate).clamp(0.0, 3600.0))
     }

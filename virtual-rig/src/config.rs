@@ -1,6 +1,6 @@
-//! What the virtual rig takes from a rig file: wires, devices, geometry. Written for this crate
-//! alone and read loosely: keys that only the service needs are ignored.
-//! Uses: serde, toml. Never: the service's own types, ports, clocks.
+//! The parts of a rig file that the virtual rig needs: wires, devices, geometry. Written only for
+//! this crate; keys that only the service needs are ignored.
+//! Uses: serde, toml. Never: the service's types, ports, clocks.
 
 use std::collections::BTreeMap;
 
@@ -9,7 +9,7 @@ use serde::Deserialize;
 /// Number of arms of the indenter (paper II-B).
 pub const ARMS: usize = 6;
 
-/// What is wrong with a rig file, seen from the rig's side.
+/// Error in a rig file, as far as the virtual rig reads it.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     /// The text is not TOML or lacks a key.
@@ -18,50 +18,50 @@ pub enum ConfigError {
     /// A device names a wire that the file does not have.
     #[error("{device}.line = {line}: must be one of [lines]")]
     UnknownLine {
-        /// Key of the device.
+        /// Key of the device, as in the rig file.
         device: String,
-        /// Wire it names.
+        /// Name of the wire that it refers to.
         line: String,
     },
-    /// Two devices answer to one address on one wire.
+    /// Two devices have the same address on one wire.
     #[error("{first} and {second} share unit {unit} on line {line}")]
     SharedUnit {
-        /// The one device.
+        /// Key of the first device.
         first: String,
-        /// The other.
+        /// Key of the second device.
         second: String,
-        /// Their wire.
+        /// Name of their wire.
         line: String,
-        /// Their address.
+        /// Modbus address that they share.
         unit: u8,
     },
-    /// A value that no bench could have.
+    /// A value is outside its limits.
     #[error("{key} = {value}: {limit}")]
     Value {
         /// Dotted key.
         key: String,
-        /// The value found.
+        /// Value that was found.
         value: String,
-        /// What is allowed.
+        /// Allowed values.
         limit: &'static str,
     },
 }
 
-/// The rig file, as far as the stand-in needs it.
+/// Contents of a rig file, as far as the virtual rig needs them.
 #[derive(Debug, Clone, Deserialize)]
 pub struct RigFile {
-    /// Process seconds in a wall second, unless the command line says otherwise.
+    /// Process seconds per wall second; the command line can override it.
     #[serde(default = "one")]
     pub clock_rate: f64,
     /// Wires by name.
     pub lines: BTreeMap<String, Line>,
     /// The four actuators.
     pub axes: Axes,
-    /// Law of the rotary actuator's slot.
+    /// Law of the slots of the rotary actuator.
     pub slot: Slot,
-    /// Where the skin lies on the stage.
+    /// Position of the skin on the stage.
     pub skin: Placement,
-    /// The load cells' module.
+    /// Module of the load cells.
     pub cells: Cells,
     /// The voltage stream.
     pub ert: Ert,
@@ -71,14 +71,14 @@ pub struct RigFile {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum Line {
-    /// A TCP listener.
+    /// TCP listener.
     ModbusTcp {
         /// `host:port`.
         address: String,
     },
-    /// A pseudo-terminal.
+    /// Pseudo-terminal.
     ModbusRtu {
-        /// Device path.
+        /// Path of the serial device.
         path: String,
     },
 }
@@ -86,11 +86,11 @@ pub enum Line {
 /// The four actuators.
 #[derive(Debug, Clone, Deserialize)]
 pub struct Axes {
-    /// Along the skin's width.
+    /// Stage axis along the width of the skin.
     pub x: AxisFile,
-    /// Along the skin's height.
+    /// Stage axis along the height of the skin.
     pub y: AxisFile,
-    /// Downward.
+    /// Stage axis toward the skin, positive downward.
     pub z: AxisFile,
     /// The rotary actuator.
     pub radial: AxisFile,
@@ -99,16 +99,16 @@ pub struct Axes {
 /// An axis in its own unit: mm, or degrees for the rotary one.
 #[derive(Debug, Clone, Deserialize)]
 pub struct AxisFile {
-    /// Register map.
+    /// Register map of the drive.
     pub device: AxisDevice,
-    /// Wire.
+    /// Name of the wire.
     pub line: String,
-    /// Modbus address.
+    /// Modbus address of the drive.
     pub unit: u8,
-    /// Device counts in one unit.
+    /// Device counts per unit.
     #[serde(alias = "counts_per_mm", alias = "counts_per_deg")]
     pub counts_per_unit: f64,
-    /// Travel, lower and upper end.
+    /// Travel, lower and upper end, units.
     #[serde(alias = "travel_mm", alias = "travel_deg")]
     pub travel: [f64; 2],
     /// Travelling speed, units/s.
@@ -131,25 +131,25 @@ pub enum AxisDevice {
     LeadshineEm2rs,
 }
 
-/// Radius = at zero + slope x angle, with play.
+/// Law of the slots with backlash: radius = radius at zero + slope x angle.
 #[derive(Debug, Clone, Copy, Deserialize)]
 pub struct Slot {
     /// Radius at angle 0, mm.
     pub radius_at_zero_mm: f64,
-    /// Slope, mm per degree.
+    /// Slope, mm/deg.
     pub mm_per_deg: f64,
-    /// Play, mm.
+    /// Backlash, mm.
     pub backlash_mm: f64,
 }
 
-/// Where the skin lies.
+/// Position of the skin on the stage.
 #[derive(Debug, Clone, Copy, Deserialize)]
 pub struct Placement {
-    /// Machine x of the skin's corner, mm.
+    /// Machine x of the corner of the skin, mm.
     pub origin_x_mm: f64,
-    /// Machine y of the skin's corner, mm.
+    /// Machine y of the corner of the skin, mm.
     pub origin_y_mm: f64,
-    /// Machine z between which the surface lies, mm.
+    /// Range of machine z that contains the surface, mm.
     pub surface_z_mm: [f64; 2],
 }
 
@@ -165,58 +165,58 @@ pub enum CellsDevice {
     Waveshare8ch,
 }
 
-/// The load cells' module.
+/// Module of the load cells.
 #[derive(Debug, Clone, Deserialize)]
 pub struct Cells {
-    /// Register map.
+    /// Register map of the module.
     pub device: CellsDevice,
-    /// Wire.
+    /// Name of the wire.
     pub line: String,
-    /// Modbus address.
+    /// Modbus address of the module.
     pub unit: u8,
-    /// Input channel of arms 1 to 6.
+    /// Input channels of arms 1 to 6.
     pub channels: [u8; ARMS],
     /// Update period, process ms.
     pub update_ms: f64,
-    /// Supply of the ratiometric cells, V.
+    /// Supply voltage of the ratiometric cells, V.
     pub supply_v: f64,
     /// Full scale of a cell, N.
     pub full_scale_n: f64,
 }
 
-/// The wire of the voltage stream.
+/// Connection of the voltage stream.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum Ert {
-    /// A serial server.
+    /// TCP listener of a serial server.
     Tcp {
         /// `host:port`.
         address: String,
-        /// Electrodes in a packet.
+        /// Number of electrodes in a packet.
         electrodes: u16,
-        /// Frames a process second.
+        /// Frames per process second.
         frame_rate_hz: f64,
     },
-    /// A serial port.
+    /// Serial port.
     Serial {
-        /// Device path.
+        /// Path of the serial device.
         path: String,
-        /// Electrodes in a packet.
+        /// Number of electrodes in a packet.
         electrodes: u16,
-        /// Frames a process second.
+        /// Frames per process second.
         frame_rate_hz: f64,
     },
 }
 
 impl Ert {
-    /// Frames a process second.
+    /// Frames per process second.
     pub fn frame_rate_hz(&self) -> f64 {
         match self {
             Ert::Tcp { frame_rate_hz, .. } | Ert::Serial { frame_rate_hz, .. } => *frame_rate_hz,
         }
     }
 
-    /// Electrodes in a packet.
+    /// Number of electrodes in a packet.
     pub fn electrodes(&self) -> u16 {
         match self {
             Ert::Tcp { electrodes, .. } | Ert::Serial { electrodes, .. } => *electrodes,
@@ -224,21 +224,21 @@ impl Ert {
     }
 }
 
-/// The axes, in the order in which this crate counts them.
+/// The axes in index order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum AxisName {
-    /// Along the skin's width.
+    /// Stage axis along the width of the skin.
     X,
-    /// Along the skin's height.
+    /// Stage axis along the height of the skin.
     Y,
-    /// Downward.
+    /// Stage axis toward the skin, positive downward.
     Z,
-    /// The rotary actuator.
+    /// Rotary actuator of the slots.
     Radial,
 }
 
 impl AxisName {
-    /// All four, in index order.
+    /// All four axes, in index order.
     pub const ALL: [AxisName; 4] = [AxisName::X, AxisName::Y, AxisName::Z, AxisName::Radial];
 
     /// Index in [`AxisName::ALL`].
@@ -246,7 +246,7 @@ impl AxisName {
         self as usize
     }
 
-    /// The axis as rig files and fault scripts write it.
+    /// Name of the axis, as in rig files and fault scripts.
     pub fn as_str(self) -> &'static str {
         match self {
             AxisName::X => "x",
@@ -258,14 +258,17 @@ impl AxisName {
 }
 
 impl RigFile {
-    /// Parses a rig file's text and checks what the stand-in relies on.
+    /// Parses the text of a rig file and checks the values that the virtual rig needs.
+    ///
+    /// # Errors
+    /// `ConfigError` for the first problem.
     pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
         let file: Self = toml::from_str(text)?;
         file.check()?;
         Ok(file)
     }
 
-    /// An axis's part of the file.
+    /// Settings of one axis.
     pub fn axis(&self, name: AxisName) -> &AxisFile {
         match name {
             AxisName::X => &self.axes.x,
@@ -275,7 +278,7 @@ impl RigFile {
         }
     }
 
-    /// Every Modbus device: its key, wire and address.
+    /// All Modbus devices: key, wire and address.
     pub fn devices(&self) -> Vec<(String, &str, u8)> {
         let mut devices: Vec<(String, &str, u8)> = AxisName::ALL
             .iter()

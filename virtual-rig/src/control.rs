@@ -1,11 +1,12 @@
-//! The operator's hands and the tester's eyes: a socket with one JSON object a line.
-//! Uses: `lab`, `fault`. Never: Modbus; nothing here could be done over a rig's own wires.
+//! The control socket for operators and tests, with one JSON object per line.
+//! Uses: `lab`, `fault`. Never: Modbus; nothing here is possible over the wires of a real rig.
 //!
-//! `{"cmd":"mount","tips":4}` (with `"powered":6` the cells of arms 5 and 6 stay on their cables),
+//! `{"cmd":"mount","tips":4}` (with `"powered":6` the cells of arms 5 and 6 stay connected),
 //! `{"cmd":"place","weights":[{"x_mm":..,"y_mm":..,"force_n":..}]}`,
-//! `{"cmd":"clear"}` (weights away), `{"cmd":"fault","kind":..}` (as in a script; without a start it
-//! begins at once), `{"cmd":"mend"}` (all faults away), `{"cmd":"status"}`, `{"cmd":"clear_peaks"}`
-//! (the largest force and the deepest z begin anew). The answer is `{"ok":true,..}` or
+//! `{"cmd":"clear"}` (removes the weights), `{"cmd":"fault","kind":..}` (as in a script; without a
+//! start it begins immediately), `{"cmd":"mend"}` (removes all faults), `{"cmd":"status"}`,
+//! `{"cmd":"clear_peaks"}` (resets the largest force and the deepest z). The reply is
+//! `{"ok":true,..}` or
 //! `{"ok":false,"error":".."}`.
 
 use std::io;
@@ -22,9 +23,9 @@ use crate::bench::Weight;
 use crate::fault;
 use crate::lab::Lab;
 
-/// Longest line that is read, bytes.
+/// Longest accepted line, bytes.
 const LINE_MAX: u64 = 64 * 1024;
-/// Connections at a time.
+/// Largest number of simultaneous connections.
 const CONNECTIONS_MAX: usize = 32;
 /// Pause after a failed accept.
 const AGAIN: Duration = Duration::from_millis(50);
@@ -74,7 +75,7 @@ async fn converse(lab: &Lab, mut stream: TcpStream) -> io::Result<()> {
     }
 }
 
-/// Answers one line.
+/// Returns the reply to one line.
 fn answer(lab: &Lab, line: &str) -> Value {
     match carry_out(lab, line) {
         Ok(mut reply) => {
@@ -87,7 +88,7 @@ fn answer(lab: &Lab, line: &str) -> Value {
     }
 }
 
-/// The error is what the operator is told: it goes no further as a value.
+/// Executes a command. The error is the text of the reply.
 fn carry_out(lab: &Lab, line: &str) -> Result<Value, String> {
     let mut object: Value = serde_json::from_str(line).map_err(|e| e.to_string())?;
     if object.get("cmd").and_then(Value::as_str) == Some("fault") {

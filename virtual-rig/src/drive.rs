@@ -1,56 +1,56 @@
-//! One motor with its counter, servo, homing and alarms: what every register map drives.
-//! PURE. Uses: `kinematics`. Never: registers, clocks (times are handed in).
+//! One motor with its counter, servo, homing and alarms, as used by every register map.
+//! PURE. Uses: `kinematics`. Never: registers, clocks (times are passed in).
 //!
 //! Positions of the motor are true positions in the axis's unit (mm or degrees). The counter reads
-//! zero at power-up wherever the motor stands, and true positions once homed.
+//! zero at power-up at any position of the motor, and true positions once homed.
 
 use crate::kinematics::{Pace, Trajectory};
 
-/// Beyond the soft travel by this much stands the iron, units.
+/// Distance of the mechanical end stops from the soft travel, units.
 const HARD_STOP_MARGIN: f64 = 2.0;
-/// Search for the index mark at the end of homing, s.
+/// Duration of the search for the index mark at the end of homing, s.
 const INDEX_SEARCH_S: f64 = 0.3;
-/// Homing goes at this part of the travelling speed.
+/// Speed of homing, as a fraction of the travelling speed.
 const HOMING_SPEED_PART: f64 = 0.25;
 
-/// Why a drive has stopped itself.
+/// Reason why a drive has stopped its motor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Alarm {
-    /// A move was asked for with the motor off.
+    /// A motion was commanded with the motor off.
     ServoOff,
-    /// A move was asked for before homing.
+    /// A motion was commanded before homing.
     NotHomed,
-    /// A target or a speed outside what the drive can do.
+    /// A target or a speed is outside the range of the drive.
     BadCommand,
-    /// The motor does not follow, or ran into the iron.
+    /// The motor does not follow, or has reached a mechanical end stop.
     Deviation,
-    /// Asked for by a fault script, with the device's own code.
+    /// Raised by a fault script, with the code of the device.
     Scripted(u16),
 }
 
 /// Limits and speeds of the mechanics, in the axis's unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mechanism {
-    /// Travel, lower and upper end.
+    /// Travel, lower and upper end, units.
     pub travel: [f64; 2],
-    /// Travelling speed that the rig file states; the motor can do half as much again.
+    /// Travelling speed of the rig file, units/s; the motor can reach 1.5 times as much.
     pub speed: f64,
-    /// Acceleration that the rig file states; the motor can do twice as much.
+    /// Acceleration of the rig file, units/s^2; the motor can reach twice as much.
     pub acceleration: f64,
 }
 
 impl Mechanism {
-    /// Fastest the motor can go.
+    /// Largest speed of the motor, units/s.
     pub fn top_speed(&self) -> f64 {
         1.5 * self.speed
     }
 
-    /// Hardest it can accelerate.
+    /// Largest acceleration of the motor, units/s^2.
     pub fn top_acceleration(&self) -> f64 {
         2.0 * self.acceleration
     }
 
-    /// The iron ends.
+    /// Positions of the mechanical end stops, units.
     fn iron(&self) -> [f64; 2] {
         [self.travel[0] - HARD_STOP_MARGIN, self.travel[1] + HARD_STOP_MARGIN]
     }
@@ -82,7 +82,7 @@ pub struct Drive {
 }
 
 impl Drive {
-    /// A drive at power-up: somewhere, not homed, the counter at zero.
+    /// Creates a drive at power-up: at `position`, not homed, the counter at zero.
     pub fn power_up(mechanism: Mechanism, position: f64, servo: bool) -> Self {
         let pace = Pace {
             speed: mechanism.speed,
@@ -105,7 +105,7 @@ impl Drive {
         }
     }
 
-    /// Lets time-bound changes take effect: homing done, a jam or the iron noticed.
+    /// Applies changes that depend on time: end of homing, detection of a jam or of an end stop.
     pub fn refresh(&mut self, t_s: f64) {
         if self.homing_until_s.is_some_and(|end| t_s >= end) && self.jam.is_none() {
             self.homing_until_s = None;
@@ -122,89 +122,89 @@ impl Drive {
         }
     }
 
-    /// True position.
+    /// True position, units.
     pub fn position(&self, t_s: f64) -> f64 {
         self.jam.map_or_else(|| self.motion.position(t_s), |j| j.position)
     }
 
-    /// True velocity.
+    /// True velocity, units/s.
     pub fn velocity(&self, t_s: f64) -> f64 {
         if self.jam.is_some() { 0.0 } else { self.motion.velocity(t_s) }
     }
 
-    /// Smallest and largest true position between two times without a command between them.
+    /// Smallest and largest true position between two times without a command between them, units.
     pub fn range(&self, from_s: f64, to_s: f64) -> [f64; 2] {
         self.jam.map_or_else(|| self.motion.range(from_s, to_s), |j| [j.position; 2])
     }
 
-    /// Where the present motion will end, as things stand.
+    /// Position at which the present motion will end, units.
     pub fn resting_position(&self) -> f64 {
         self.jam.map_or_else(|| self.motion.target(), |j| j.position)
     }
 
-    /// What the motor's counter shows.
+    /// Value of the motor's counter, units.
     pub fn counter(&self, t_s: f64) -> f64 {
         self.position(t_s) - self.counter_zero
     }
 
-    /// What the drive has been told to be at by now.
+    /// Counter value that is commanded at this time, units.
     pub fn commanded_counter(&self, t_s: f64) -> f64 {
         self.motion.position(t_s) - self.counter_zero
     }
 
-    /// Counter value at which the present command will end.
+    /// Counter value at which the present command will end, units.
     pub fn commanded_end_counter(&self) -> f64 {
         self.motion.target() - self.counter_zero
     }
 
-    /// Whether the drive believes itself under way.
+    /// Whether the drive considers the motor to be moving.
     pub fn moving(&self, t_s: f64) -> bool {
         let jammed_short =
             self.jam.is_some_and(|j| (j.position - self.motion.target()).abs() > 1e-6);
         self.motion.moving(t_s) || jammed_short || self.homing_until_s.is_some()
     }
 
-    /// Whether the motor truly turns at any time between two times.
+    /// Whether the motor turns at any time after `from_s`, without a command in between.
     pub fn turns_between(&self, from_s: f64) -> bool {
         self.jam.is_none() && self.motion.moving(from_s)
     }
 
-    /// Motor on.
+    /// Whether the motor is on.
     pub fn servo(&self) -> bool {
         self.servo
     }
 
-    /// Homing has been done.
+    /// Whether homing is complete.
     pub fn homed(&self) -> bool {
         self.homed
     }
 
-    /// Homing is under way.
+    /// Whether homing is active.
     pub fn homing(&self) -> bool {
         self.homing_until_s.is_some()
     }
 
-    /// What has stopped it.
+    /// Active alarm; none without one.
     pub fn alarm(&self) -> Option<Alarm> {
         self.alarm
     }
 
-    /// Motions begun so far: tells one motion from the next.
+    /// Number of motions started, which distinguishes one motion from the next.
     pub fn motions(&self) -> u64 {
         self.motions
     }
 
-    /// Stop commands received so far.
+    /// Number of stop commands received.
     pub fn stops(&self) -> u64 {
         self.stops
     }
 
-    /// The mechanics.
+    /// Limits and speeds of the mechanics.
     pub fn mechanism(&self) -> &Mechanism {
         &self.mechanism
     }
 
-    /// Switches the motor; a moving motor brakes first.
+    /// Switches the motor on or off; a moving motor brakes first.
     pub fn set_servo(&mut self, t_s: f64, on: bool) {
         if self.servo && !on {
             self.brake(t_s);
@@ -212,7 +212,7 @@ impl Drive {
         self.servo = on;
     }
 
-    /// Starts an absolute move to a counter value.
+    /// Starts an absolute motion to a counter value.
     pub fn start_move(&mut self, t_s: f64, counter: f64, pace: Pace) {
         let target = counter + self.counter_zero;
         let top = self.mechanism.top_acceleration();
@@ -236,13 +236,13 @@ impl Drive {
         self.homing_until_s = Some(self.motion.end_s() + INDEX_SEARCH_S);
     }
 
-    /// A stop command: counted, and obeyed.
+    /// Executes a stop command and counts it.
     pub fn stop(&mut self, t_s: f64) {
         self.stops += 1;
         self.brake(t_s);
     }
 
-    /// Makes the present position the counter's zero.
+    /// Makes the present position the zero of the counter.
     pub fn set_zero(&mut self, t_s: f64) {
         self.counter_zero = self.position(t_s);
         self.homed = true;
@@ -262,7 +262,7 @@ impl Drive {
         self.alarm = None;
     }
 
-    /// Blocks or frees the motor. A freed motor goes on to where it was sent.
+    /// Blocks or frees the motor. A freed motor continues to its target.
     pub fn set_jam(&mut self, t_s: f64, jammed: bool, alarm_after_s: Option<f64>) {
         match (self.jam, jammed) {
             (None, true) => {
@@ -280,7 +280,7 @@ impl Drive {
         }
     }
 
-    /// Loses power and has it back: where it stands, not homed, the counter at zero.
+    /// Simulates a loss and return of power: same position, not homed, the counter at zero.
     pub fn power_cycle(&mut self, t_s: f64, servo: bool) {
         let position = self.position(t_s);
         let kept = (self.motions + 1, self.stops);
@@ -302,7 +302,7 @@ impl Drive {
         self.motions += 1;
     }
 
-    /// Decelerates to a stand, without a command.
+    /// Decelerates to standstill, without a command.
     pub fn brake(&mut self, t_s: f64) {
         let (p, v) = (self.motion.position(t_s), self.motion.velocity(t_s));
         let (p, v) = self.jam.map_or((p, v), |j| (j.position, 0.0));

@@ -1,8 +1,8 @@
-//! Motion of one axis with finite speed and acceleration, in closed form: stretches of constant
-//! acceleration, so that a position at any time is computed and nothing ticks.
-//! PURE. Uses: nothing. Never: clocks (times are handed in), devices.
+//! Motion of one axis with finite speed and acceleration in closed form: segments of constant
+//! acceleration, so that a position at any time is computed without time steps.
+//! PURE. Uses: nothing. Never: clocks (times are passed in), devices.
 
-/// How fast an axis may go about a move.
+/// Speed and accelerations of a motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pace {
     /// Cruising speed, units/s.
@@ -13,7 +13,7 @@ pub struct Pace {
     pub deceleration: f64,
 }
 
-/// A stretch of constant acceleration.
+/// A segment of constant acceleration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Stretch {
     from_s: f64,
@@ -33,7 +33,7 @@ impl Stretch {
     }
 }
 
-/// A path through time that ends at rest.
+/// A trajectory that ends at rest.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trajectory {
     stretches: Vec<Stretch>,
@@ -42,13 +42,13 @@ pub struct Trajectory {
 }
 
 impl Trajectory {
-    /// Standing still since ever.
+    /// Creates a trajectory that is always at rest.
     pub fn at_rest(position: f64) -> Self {
         Self { stretches: Vec::new(), end_s: f64::NEG_INFINITY, target: position }
     }
 
-    /// From a position and velocity at `t_s` to rest at `target`. A target that can no longer be
-    /// reached without turning round is overrun, as a drive does.
+    /// Creates a trajectory from a position and velocity at `t_s` to rest at `target`. A target
+    /// that can no longer be reached without reversing is overrun, as by a drive.
     pub fn to_target(t_s: f64, position: f64, velocity: f64, target: f64, pace: Pace) -> Self {
         let mut path = Self { stretches: Vec::with_capacity(4), end_s: t_s, target: position };
         let braking = velocity * velocity.abs() / (2.0 * pace.deceleration);
@@ -63,14 +63,14 @@ impl Trajectory {
         path
     }
 
-    /// From a position and velocity at `t_s` to rest as soon as possible.
+    /// Creates a trajectory from a position and velocity at `t_s` to rest as soon as possible.
     pub fn to_stand(t_s: f64, position: f64, velocity: f64, deceleration: f64) -> Self {
         let mut path = Self { stretches: Vec::with_capacity(1), end_s: t_s, target: position };
         path.brake_from(velocity, deceleration);
         path
     }
 
-    /// Position at a time not before the start.
+    /// Position at a time not before the start, units.
     pub fn position(&self, t_s: f64) -> f64 {
         if t_s >= self.end_s {
             return self.target;
@@ -78,7 +78,7 @@ impl Trajectory {
         self.stretch_at(t_s).map_or(self.target, |s| s.position(t_s))
     }
 
-    /// Velocity at a time not before the start.
+    /// Velocity at a time not before the start, units/s.
     pub fn velocity(&self, t_s: f64) -> f64 {
         if t_s >= self.end_s {
             return 0.0;
@@ -86,22 +86,22 @@ impl Trajectory {
         self.stretch_at(t_s).map_or(0.0, |s| s.velocity(t_s))
     }
 
-    /// Whether motion is under way at a time.
+    /// Whether the axis moves at a time.
     pub fn moving(&self, t_s: f64) -> bool {
         t_s < self.end_s
     }
 
-    /// When it comes to rest.
+    /// Time at which it comes to rest, s.
     pub fn end_s(&self) -> f64 {
         self.end_s
     }
 
-    /// Where it comes to rest.
+    /// Position at which it comes to rest, units.
     pub fn target(&self) -> f64 {
         self.target
     }
 
-    /// Smallest and largest position between two times.
+    /// Smallest and largest position between two times, units.
     pub fn range(&self, from_s: f64, to_s: f64) -> [f64; 2] {
         let (a, b) = (self.position(from_s), self.position(to_s));
         let mut range = [a.min(b), a.max(b)];
@@ -121,7 +121,7 @@ impl Trajectory {
         self.stretches.iter().rev().find(|s| s.from_s <= t_s).or(self.stretches.first())
     }
 
-    /// Appends a stretch that lasts `dt_s` from the present end.
+    /// Appends a segment that lasts `dt_s` from the present end.
     fn push(&mut self, velocity: f64, acceleration: f64, dt_s: f64) {
         if dt_s <= 0.0 {
             return;
@@ -136,7 +136,7 @@ impl Trajectory {
         self.push(velocity, -deceleration.copysign(velocity), velocity.abs() / deceleration);
     }
 
-    /// Appends a run from the present end, whose velocity never has to change sign.
+    /// Appends a motion from the present end, whose velocity does not change its sign.
     fn run_to(&mut self, velocity: f64, target: f64, pace: Pace) {
         let way = target - self.target;
         let sign = if way == 0.0 { velocity.signum() } else { way.signum() };

@@ -1,5 +1,5 @@
-//! The bench with its clock and solver, as all wires share it.
-//! Uses: `bench`, `clock`, `solver`. Never: sockets; the lock is held for computing only.
+//! The bench with its clock and solver, as shared by all wires.
+//! Uses: `bench`, `clock`, `solver`. Never: sockets; the lock is held only for computation.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -11,54 +11,54 @@ use crate::clock::{RigClock, unix_s};
 use crate::config::RigFile;
 use crate::solver::Solver;
 
-/// What the stream has done.
+/// Counters of the stream.
 #[derive(Debug, Default)]
 pub struct StreamCounters {
-    /// Frames sent to at least one reader.
+    /// Number of frames sent to at least one reader.
     pub sent: AtomicU64,
-    /// Frames not sent because their load was not solved yet.
+    /// Number of frames not sent because their load was not solved yet.
     pub unsolved: AtomicU64,
-    /// Readers right now.
+    /// Number of readers at present.
     pub readers: AtomicU64,
 }
 
-/// The same, at one moment.
+/// Values of the counters at one time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct StreamReport {
-    /// Frames sent to at least one reader.
+    /// Number of frames sent to at least one reader.
     pub sent: u64,
-    /// Frames not sent because their load was not solved yet.
+    /// Number of frames not sent because their load was not solved yet.
     pub unsolved: u64,
-    /// Readers right now.
+    /// Number of readers at present.
     pub readers: u64,
 }
 
-/// The whole lab.
+/// The bench with everything that its wires share.
 pub struct Lab {
-    /// The rig file in force.
+    /// Rig file in use.
     pub rig: RigFile,
-    /// The rig's own clock.
+    /// Clock of the rig.
     pub clock: RigClock,
-    /// The skin's solver.
+    /// Solver of the skin.
     pub solver: Solver,
-    /// What the stream has done.
+    /// Counters of the stream.
     pub stream: StreamCounters,
     bench: Mutex<Bench>,
 }
 
 impl Lab {
-    /// Switches a bench on.
+    /// Combines a bench with its clock and solver.
     pub fn new(rig: RigFile, clock: RigClock, solver: Solver, bench: Bench) -> Self {
         let (bench, stream) = (Mutex::new(bench), StreamCounters::default());
         Self { rig, clock, solver, stream, bench }
     }
 
-    /// The bench, for a moment.
+    /// Locks the bench.
     pub fn bench(&self) -> MutexGuard<'_, Bench> {
         self.bench.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Carries out one request that has just come over a wire.
+    /// Executes one request that has just arrived over a wire.
     pub fn serve(&self, line: &str, unit: u8, pdu: &[u8]) -> Served {
         let received = unix_s();
         let (served, expected) = {
@@ -72,7 +72,7 @@ impl Lab {
         served
     }
 
-    /// The stream's counters.
+    /// Returns the values of the stream's counters.
     pub fn stream_report(&self) -> StreamReport {
         let read = |n: &AtomicU64| n.load(Ordering::Relaxed);
         StreamReport {

@@ -1,10 +1,10 @@
-//! The stand-in lab: real wires, real physics behind them, and a virtual operator.
+//! The virtual rig: simulated devices and skin behind real wires, with a virtual operator.
 //! Register tables and packets are written from the devices' documents and share no codec with the
 //! service. Uses: sim-core's skin, tokio's sockets. Never: the service's own code.
 //!
-//! Reading order: `config` (what hangs on which wire), `kinematics` and `drive` (a motor),
-//! `device` (register maps), `bench` (the whole lab as one value), `modbus`, `ert`, `control`
-//! (its wires), `fault` (what goes wrong), `run` and `operator` (the two processes).
+//! Reading order: `config` (devices and wires), `kinematics` and `drive` (a motor), `device`
+//! (register maps), `bench` (the rig as one value), `modbus`, `ert`, `control` (its wires), `fault`
+//! (faults), `run` and `operator` (the two processes).
 
 pub mod config;
 pub mod clock;

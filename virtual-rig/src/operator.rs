@@ -1,6 +1,6 @@
-//! The virtual operator: a process that does with its hands what a run asks for (mounts tips, puts
-//! weights down) and says so over the service's public API, as a person would.
-//! Uses: reqwest, the rig's control socket. Never: the service's insides, the rig's own wires.
+//! The virtual operator: a process that does what a run requests from a person (mounts tips, places
+//! weights) and confirms it over the public API of the service.
+//! Uses: reqwest, the control socket of the rig. Never: internals of the service, wires of the rig.
 
 use std::io;
 use std::time::{Duration, Instant};
@@ -15,20 +15,21 @@ use tokio::time::timeout;
 use crate::bench::Weight;
 use crate::run::{RunError, end_of_life};
 
-/// Environment variable that holds the operator's key.
+/// Environment variable with the API key of the operator.
 const KEY_VARIABLE: &str = "PALPATE_KEY";
-/// How often a person would look, wall.
+/// Period at which the status is checked, wall.
 const LOOK: Duration = Duration::from_millis(100);
-/// And how often at most when the rig's clock runs fast.
+/// Shortest period, if the clock of the rig runs fast.
 const LOOK_MIN: Duration = Duration::from_millis(5);
-/// The service has been away for so long: go home.
+/// Time without a reply of the service after which the operator ends.
 const AWAY_MAX: Duration = Duration::from_secs(10);
-/// Longest wait for one answer, of the service or of the control socket.
+/// Longest wait for one reply of the service or of the control socket.
 const ANSWER: Duration = Duration::from_secs(5);
-/// The same wish still shows after so long: the confirmation was lost, or the trial is repeated.
+/// Time after which a request that is still shown is handled again: the confirmation was lost, or
+/// the trial is repeated.
 const AGAIN: Duration = Duration::from_secs(1);
 
-/// `palpate virtual-operator`: mounts tips, sets weights, confirms.
+/// `palpate virtual-operator`: mounts tips, places weights, confirms.
 #[derive(Debug, Clone, Args)]
 pub struct OperatorArgs {
     /// Base URL of the service.
@@ -37,21 +38,21 @@ pub struct OperatorArgs {
     /// Address of the rig's control socket.
     #[arg(long, value_name = "ADDRESS")]
     pub control: String,
-    /// Process seconds in a wall second: a fast rig wants a fast operator.
+    /// Process seconds per wall second: a fast rig needs a fast operator.
     #[arg(long, value_name = "N", default_value_t = 1.0)]
     pub speed: f64,
-    /// Name under which actions are logged.
+    /// Name that is logged with its actions.
     #[arg(long, default_value = "virtual operator")]
     pub who: String,
-    /// End when standard input closes: a child dies with its parent.
+    /// End when standard input closes, that is when the parent process ends.
     #[arg(long)]
     pub with_parent: bool,
 }
 
-/// Why the operator cannot work.
+/// Reason why the operator cannot work.
 #[derive(Debug, thiserror::Error)]
 pub enum OperatorError {
-    /// The runtime or the signals could not be had.
+    /// The runtime or the signal handlers could not be created.
     #[error(transparent)]
     Start(#[from] RunError),
     /// The HTTP client could not be built.
@@ -59,7 +60,7 @@ pub enum OperatorError {
     Client(#[source] reqwest::Error),
 }
 
-/// Why one look or one action failed; the next look is the retry.
+/// Reason why one status check or action failed; the next check is the retry.
 #[derive(Debug, thiserror::Error)]
 enum HandError {
     #[error("service: {0}")]
@@ -72,7 +73,7 @@ enum HandError {
     Rig(String),
 }
 
-/// What the service says about itself, as far as the operator reads it.
+/// Status of the service, as far as the operator reads it.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 struct Status {
     #[serde(default)]
@@ -89,7 +90,7 @@ struct Run {
     wanted: Option<Value>,
 }
 
-/// What a paused run waits for.
+/// Request of a paused run to a person.
 #[derive(Debug, Clone, PartialEq)]
 enum Wish {
     Tips(usize),
@@ -97,7 +98,7 @@ enum Wish {
 }
 
 impl Run {
-    /// What the run waits for, if it is something that hands can do.
+    /// Request of the run, if it is one that the operator can handle.
     fn wish(&self) -> Option<Wish> {
         #[derive(Deserialize)]
         struct Tips {
@@ -121,7 +122,10 @@ impl Run {
     }
 }
 
-/// Works until a signal, until the parent goes, or until the service has been away for 10 s.
+/// Works until a signal, until the parent ends, or until the service has not replied for 10 s.
+///
+/// # Errors
+/// The runtime, the signal handlers or the HTTP client cannot be created.
 pub fn operator_main(args: OperatorArgs) -> Result<(), OperatorError> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
@@ -155,7 +159,7 @@ impl Operator {
         Ok(Self { args, key, client, control: None, weights_down: false, confirmed: None })
     }
 
-    /// Looks and acts until the service has been away for `away_max`.
+    /// Checks and acts until the service has not replied for `away_max`.
     async fn work(&mut self, away_max: Duration) {
         let look = LOOK.div_f64(self.args.speed.max(1.0)).max(LOOK_MIN);
         let mut seen = Instant::now();
@@ -247,7 +251,7 @@ impl Operator {
         }
     }
 
-    /// Says one line to the rig and hears one.
+    /// Sends one command to the rig and reads its reply.
     async fn tell_rig(&mut self, command: &Value) -> Result<(), HandError> {
         let reply = timeout(ANSWER, self.exchange(command)).await;
         let reply = reply.map_err(io::Error::other).and_then(|r| r);
@@ -284,7 +288,7 @@ mod tests {
 
     type Heard = Arc<Mutex<Vec<String>>>;
 
-    /// A control socket that agrees with everything.
+    /// A control socket that accepts every command.
     async fn willing_rig(heard: Heard) -> String {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap().to_string();

@@ -1,6 +1,6 @@
-//! The rig's process: reads its files, opens every wire, says that it is ready, and ends when it is
-//! told to, or when its parent goes.
-//! Uses: everything of this crate but the operator. Never: physics, registers.
+//! The process of the rig: reads its files, opens every wire, reports that it is ready, and ends on
+//! a signal or with its parent.
+//! Uses: everything of this crate except the operator. Never: physics, registers.
 
 use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
@@ -26,125 +26,125 @@ use crate::skin::{Gap, GapError, Readout, Skin, SkinError};
 use crate::solver::Solver;
 use crate::{control, wire};
 
-/// Send buffer of a stream's reader, bytes: what lags behind it is dropped, not queued.
+/// Send buffer of a reader of the stream, bytes; data beyond it are dropped, not queued.
 const STREAM_BUFFER: u32 = 64 * 1024;
-/// Connections that may wait to be accepted.
+/// Largest number of connections that wait to be accepted.
 const BACKLOG: u32 = 64;
-/// Threads of the wires.
+/// Number of threads for the wires.
 const WORKERS: usize = 2;
 
-/// `palpate virtual-rig`: a stand-in lab behind real wires.
+/// `palpate virtual-rig`: a virtual rig behind real wires.
 #[derive(Debug, Clone, Args)]
 pub struct RigArgs {
-    /// Rig file: which devices, on which wires.
+    /// Rig file: devices and their wires.
     #[arg(long, value_name = "FILE")]
     pub rig: PathBuf,
-    /// Gap file: how this skin differs from the model.
+    /// Gap file: difference between this skin and the model.
     #[arg(long, value_name = "FILE")]
     pub gap: PathBuf,
-    /// Sensor file: the skin's geometry and materials.
+    /// Sensor file: geometry and materials of the skin.
     #[arg(long, value_name = "FILE")]
     pub sensor: PathBuf,
-    /// A seed is a skin.
+    /// Seed of the skin: each seed is a different skin.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// Process seconds in a wall second; the rig file's clock_rate if absent.
+    /// Process seconds per wall second; absent: the clock_rate of the rig file.
     #[arg(long, value_name = "N")]
     pub speed: Option<f64>,
-    /// Serve every TCP wire at a free port of this machine and every serial one at a new
-    /// pseudo-terminal, whatever the rig file says.
+    /// Serve every TCP wire at a free local port and every serial wire at a new pseudo-terminal,
+    /// independent of the rig file.
     #[arg(long)]
     pub ephemeral: bool,
-    /// Write the rig file with the addresses as really served.
+    /// Write the rig file with the addresses that are served.
     #[arg(long, value_name = "FILE")]
     pub out_rig: Option<PathBuf>,
-    /// Fault script: what shall go wrong, and when.
+    /// Fault script: which faults occur, and when.
     #[arg(long, value_name = "SCRIPT")]
     pub fault: Option<PathBuf>,
-    /// Where the control socket listens.
+    /// Address of the control socket.
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:0")]
     pub control: String,
-    /// Where solved response fields are kept between starts.
+    /// Folder in which solved response fields are cached.
     #[arg(long, value_name = "DIR")]
     pub cache: Option<PathBuf>,
-    /// Write the line that says that everything listens to a file, too.
+    /// Write the line that reports readiness to this file, too.
     #[arg(long, value_name = "FILE")]
     pub ready_file: Option<PathBuf>,
-    /// End when standard input closes: a child dies with its parent.
+    /// End when standard input closes, that is when the parent process ends.
     #[arg(long)]
     pub with_parent: bool,
 }
 
-/// Why the rig cannot be switched on.
+/// Reason why the rig cannot be started.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// A file could not be read or written.
     #[error("{path}: {source}", path = path.display())]
     File {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Cause reported by the operating system.
         source: io::Error,
     },
-    /// The rig file is no rig.
+    /// The rig file is not valid.
     #[error("{path}: {source}", path = path.display())]
     Rig {
-        /// Which.
+        /// Path of the rig file.
         path: PathBuf,
-        /// Why.
+        /// Error in the rig file.
         source: ConfigError,
     },
-    /// The sensor file is no sensor.
+    /// The sensor file is not valid.
     #[error("{path}: {source}", path = path.display())]
     Sensor {
-        /// Which.
+        /// Path of the sensor file.
         path: PathBuf,
-        /// Why.
+        /// Error in the sensor file.
         source: SensorError,
     },
-    /// The gap file is no gap.
+    /// The gap file is not valid.
     #[error("{path}: {source}", path = path.display())]
     Gap {
-        /// Which.
+        /// Path of the gap file.
         path: PathBuf,
-        /// Why.
+        /// Error in the gap file.
         source: GapError,
     },
     /// The skin could not be built.
     #[error("skin: {0}")]
     Skin(#[from] SkinError),
-    /// The fault script is no fault script.
+    /// The fault script is not valid.
     #[error("{path}: {source}", path = path.display())]
     Fault {
-        /// Which.
+        /// Path of the fault script.
         path: PathBuf,
-        /// Why.
+        /// Error in the fault script.
         source: FaultError,
     },
-    /// The rig's readout and the skin do not go together.
+    /// The readout of the rig and the sensor have different numbers of electrodes.
     #[error("ert.electrodes = {rig}: the sensor has {sensor}")]
     Electrodes {
-        /// Of the rig file.
+        /// Number of electrodes in the rig file.
         rig: u16,
-        /// Of the sensor file.
+        /// Number of electrodes of the sensor.
         sensor: usize,
     },
-    /// No process time would pass.
+    /// The speed is not a positive number.
     #[error("--speed {0}: must be a positive number")]
     Speed(f64),
     /// A TCP wire could not be opened.
     #[error("listening at {address}: {source}")]
     Listen {
-        /// Where.
+        /// Address that was requested.
         address: String,
-        /// Why.
+        /// Cause reported by the operating system.
         source: io::Error,
     },
     /// A pseudo-terminal could not be opened.
     #[error("pseudo-terminal: {0}")]
     Pty(#[from] tokio_serial::Error),
-    /// The configured serial path is something else already.
-    #[error("{0}: exists and is no link to a pseudo-terminal; use --ephemeral")]
+    /// The configured serial path exists and is not a link to a pseudo-terminal.
+    #[error("{0}: exists and is not a link to a pseudo-terminal; use --ephemeral")]
     Occupied(PathBuf),
     /// The rig file with the served addresses could not be written as TOML.
     #[error("served rig file: {0}")]
@@ -152,15 +152,15 @@ pub enum RunError {
     /// A thread or the runtime could not be started.
     #[error("starting: {0}")]
     Start(#[source] io::Error),
-    /// Signals cannot be caught.
+    /// Signal handlers could not be installed.
     #[error("signals: {0}")]
     Signals(#[source] io::Error),
 }
 
-/// What the rig says when everything listens.
+/// Message of the rig when all its sockets listen.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Ready {
-    /// Always true.
+    /// Always `true`.
     pub ready: bool,
     /// Address of the control socket.
     pub control: String,
@@ -168,24 +168,24 @@ pub struct Ready {
     pub lines: BTreeMap<String, String>,
     /// Address or path of the voltage stream.
     pub ert: String,
-    /// Process seconds in a wall second.
+    /// Process seconds per wall second.
     pub speed: f64,
-    /// Path of the served rig file, if it was asked for.
+    /// Path of the served rig file, if one was requested.
     pub rig: Option<PathBuf>,
 }
 
-/// A rig that is switched on; dropping it switches it off.
+/// A running rig; dropping it stops it.
 pub struct VirtualRig {
-    /// What listens where.
+    /// Addresses of its wires.
     pub ready: Ready,
-    /// The rig file's text with the addresses as served.
+    /// Text of the rig file with the addresses that are served.
     pub rig_text: String,
     _stream: Stream,
     _wires: JoinSet<()>,
     _links: Vec<Link>,
 }
 
-/// A link at a configured serial path; goes when the rig goes.
+/// A link at a configured serial path, removed when the rig ends.
 struct Link(PathBuf);
 
 impl Drop for Link {
@@ -194,7 +194,10 @@ impl Drop for Link {
     }
 }
 
-/// Runs the rig until a signal, or until its parent goes. Prints one JSON line when it is ready.
+/// Runs the rig until a signal, or until its parent ends. Prints one JSON line when it is ready.
+///
+/// # Errors
+/// `RunError` if a file is not valid, a wire cannot be opened, or the skin cannot be built.
 pub fn rig_main(args: RigArgs) -> Result<(), RunError> {
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(WORKERS)
@@ -218,19 +221,22 @@ pub fn rig_main(args: RigArgs) -> Result<(), RunError> {
         drop(rig);
         Ok(())
     });
-    // A skin that is still being built is of no use to anybody.
+    // A skin that is still being built is not needed any more.
     runtime.shutdown_background();
     outcome
 }
 
-/// Resolves at SIGTERM, at ctrl-c, or when the parent's pipe closes.
+/// Resolves at SIGTERM, at ctrl-c, or when the pipe of the parent closes.
+///
+/// # Errors
+/// `RunError::Signals` if the signal handlers cannot be installed.
 pub(crate) fn end_of_life(with_parent: bool) -> Result<impl Future<Output = ()> + use<>, RunError> {
     use tokio::signal::unix::{SignalKind, signal};
     let mut terminate = signal(SignalKind::terminate()).map_err(RunError::Signals)?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(RunError::Signals)?;
     let (gone, mut parent) = tokio::sync::mpsc::channel::<()>(1);
     let _watched = with_parent.then(|| {
-        // Standard input has no asynchronous read that a runtime could give up.
+        // Standard input has no asynchronous read that the runtime could cancel.
         std::thread::spawn(move || {
             let mut scratch = [0; 256];
             while matches!(io::stdin().read(&mut scratch), Ok(1..)) {}
@@ -250,7 +256,7 @@ fn read_file(path: &Path) -> Result<String, RunError> {
     std::fs::read_to_string(path).map_err(|source| RunError::File { path: path.into(), source })
 }
 
-/// Writes whole or not at all: a reader never sees half a file.
+/// Writes the whole file or nothing: a reader never reads an incomplete file.
 fn write_file(path: &Path, text: &str) -> Result<(), RunError> {
     let half = path.with_extension("part");
     std::fs::write(&half, text)
@@ -260,6 +266,9 @@ fn write_file(path: &Path, text: &str) -> Result<(), RunError> {
 
 impl VirtualRig {
     /// Reads the files, builds the skin and opens every wire.
+    ///
+    /// # Errors
+    /// `RunError` if a file is not valid, a wire cannot be opened, or the skin cannot be built.
     pub async fn switch_on(args: &RigArgs) -> Result<Self, RunError> {
         let rig_text = read_file(&args.rig)?;
         let mut rig = RigFile::from_toml(&rig_text)
@@ -318,7 +327,7 @@ impl VirtualRig {
     }
 }
 
-/// Every wire, open and not yet served.
+/// All wires, open and not served yet.
 struct Doors {
     control: TcpListener,
     control_at: String,
@@ -384,7 +393,7 @@ async fn listen(
 ) -> Result<(TcpListener, String), RunError> {
     let failed = |source| RunError::Listen { address: address.to_owned(), source };
     let nothing = || failed(io::Error::new(io::ErrorKind::NotFound, "no such host"));
-    // A bench's own addresses are not this machine's.
+    // The addresses of a real bench do not belong to this machine.
     let address = if ephemeral { "127.0.0.1:0" } else { address };
     let mut found = lookup_host(address).await.map_err(failed)?;
     let at = found.next().ok_or_else(nothing)?;
@@ -402,13 +411,13 @@ async fn listen(
     open().map_err(failed)
 }
 
-/// Opens a pseudo-terminal; unless `ephemeral`, a link at `path` leads to it.
+/// Opens a pseudo-terminal; unless `ephemeral`, with a link to it at `path`.
 fn open_pty(
     path: &str,
     ephemeral: bool,
     links: &mut Vec<Link>,
 ) -> Result<(SerialStream, String), RunError> {
-    // The near end of the slave is closed again: then the master learns whether anybody is there.
+    // The slave side is closed again, so that the master detects whether another process opens it.
     let (master, slave) = SerialStream::pair()?;
     let name = slave.name().ok_or_else(|| {
         RunError::Start(io::Error::new(io::ErrorKind::NotFound, "pseudo-terminal without a name"))
@@ -429,7 +438,7 @@ fn open_pty(
     Ok((master, path.to_owned()))
 }
 
-/// The rig file's text with the addresses and the clock rate as served.
+/// Text of the rig file with the addresses and the clock rate that are served.
 fn served_rig(text: &str, doors: &Doors, speed: f64) -> Result<String, RunError> {
     let mut table: toml::Table = toml::from_str(text).unwrap_or_default();
     table.insert("clock_rate".into(), toml::Value::Float(speed));

@@ -1,5 +1,5 @@
-//! Solves the skin under a held load, once, on a thread of its own; until then there is no frame
-//! of that load.
+//! Solves the skin under a held load, once, on its own thread. Until then there is no frame of that
+//! load.
 //! Uses: `skin`, std threads. Never: time, frames.
 
 use std::collections::VecDeque;
@@ -12,11 +12,12 @@ use std::time::Duration;
 use crate::bench::Load;
 use crate::skin::Skin;
 
-/// Loads whose voltages are kept.
+/// Number of loads whose voltages are stored.
 const KEPT: usize = 32;
-/// Loads that may wait; the newest is solved first and the others are asked for again if needed.
+/// Number of loads that may wait; the newest is solved first, and the others are requested again if
+/// needed.
 const WAITING: usize = 16;
-/// How often the thread looks whether it is still wanted.
+/// Period at which the thread checks whether a handle still exists.
 const PATIENCE: Duration = Duration::from_millis(200);
 
 /// Voltages of a held load, V, injection-major.
@@ -24,7 +25,7 @@ pub type Solved = Arc<Vec<f64>>;
 
 type Known = Mutex<VecDeque<(Arc<Load>, Solved)>>;
 
-/// The solver's near end.
+/// Handle of the solver.
 #[derive(Clone)]
 pub struct Solver {
     requests: SyncSender<Arc<Load>>,
@@ -32,8 +33,11 @@ pub struct Solver {
 }
 
 impl Solver {
-    /// Starts the thread, and waits for the untouched skin. The thread ends when the last near end
-    /// is dropped.
+    /// Starts the thread, and waits for the untouched skin. The thread ends when the last handle is
+    /// dropped.
+    ///
+    /// # Errors
+    /// The operating system's error if the thread cannot be created.
     pub fn start(skin: Skin) -> io::Result<Self> {
         let (requests, inbox) = sync_channel(WAITING);
         let known: Arc<Known> = Arc::default();
@@ -44,14 +48,15 @@ impl Solver {
         Ok(Self { requests, known })
     }
 
-    /// Asks for a load. A full queue forgets it: the stream asks again while it needs it.
+    /// Requests a load. A full queue drops the request: the stream repeats it as long as it needs
+    /// the load.
     pub fn request(&self, load: Arc<Load>) {
         if self.solved(&load).is_none() {
             self.requests.try_send(load).ok();
         }
     }
 
-    /// The voltages of a load, once solved.
+    /// Voltages of a load, V; none before it is solved.
     pub fn solved(&self, load: &Load) -> Option<Solved> {
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         let at = known.iter().position(|(l, _)| **l == *load)?;

@@ -1,5 +1,5 @@
 //! The Modbus wires: TCP listeners and pseudo-terminals in front of the lab.
-//! Uses: tokio's sockets, tokio-serial, `modbus`, `lab`. Never: registers' meaning.
+//! Uses: tokio's sockets, tokio-serial, `modbus`, `lab`. Never: meanings of registers.
 
 use std::io;
 use std::sync::Arc;
@@ -16,16 +16,16 @@ use crate::fault::{Part, WireFault};
 use crate::lab::Lab;
 use crate::modbus::{Exception, rtu, tcp};
 
-/// Connections of one TCP line at a time.
+/// Largest number of simultaneous connections of one TCP line.
 const CONNECTIONS_MAX: usize = 64;
-/// Silence after which what is in the buffer is all there will be.
+/// Silence after which the buffer contains the whole frame.
 const SILENCE: Duration = Duration::from_millis(20);
-/// Pause before looking again whether somebody has opened the pseudo-terminal.
+/// Pause before the next check whether a process has opened the pseudo-terminal.
 const NOBODY: Duration = Duration::from_millis(10);
-/// A client that does not take its answer for so long is let go.
+/// Time without progress after which a client is disconnected.
 const WRITE_PATIENCE: Duration = Duration::from_secs(5);
 
-/// What becomes of the bytes of an answer.
+/// What happens to the bytes of a reply.
 enum Delivery {
     Send(Vec<u8>),
     SendLate(Vec<u8>, Duration),
@@ -85,7 +85,7 @@ async fn send(wire: &mut (impl AsyncWriteExt + Unpin), bytes: &[u8]) -> io::Resu
 }
 
 fn deliver_tcp(adu: &tcp::Adu, served: Served) -> Delivery {
-    // Behind a gateway, an address without a device is the gateway's to report.
+    // An address without a device is reported by the gateway.
     let function = adu.pdu.first().copied().unwrap_or(0);
     let nobody = || vec![function | 0x80, Exception::NoTarget.code()];
     let pdu = served.answer.unwrap_or_else(nobody);
@@ -128,7 +128,7 @@ fn deliver_rtu(adu: &rtu::Adu, served: Served) -> Delivery {
     }
 }
 
-/// Flips a bit of the byte that stands `before_end` before the last one.
+/// Flips a bit of the byte at `before_end` before the last one.
 fn flip_last(bytes: &mut [u8], before_end: usize) {
     let at = bytes.len().saturating_sub(1 + before_end);
     bytes[at] ^= 0x10;
@@ -145,13 +145,13 @@ pub async fn serve_rtu(lab: Arc<Lab>, line: String, mut master: SerialStream) {
             Err(_) => None,
         };
         match read {
-            // Nobody has the other end open.
+            // No process has opened the other end.
             Some(Err(_) | Ok(0)) => {
                 buffer.clear();
                 tokio::time::sleep(NOBODY).await;
                 continue;
             }
-            // After a garbled frame a device listens again when the line has been silent.
+            // After a garbled frame a device receives again after a silence of the line.
             Some(Ok(_)) if quiet => {
                 buffer.clear();
                 continue;

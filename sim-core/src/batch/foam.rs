@@ -9,10 +9,11 @@ use crate::forward::NodeLaw;
 use crate::network::lane::{Lane32, ROUND};
 use crate::piezo::LEAST_COMPRESSION_MM;
 
-/// Nodes that are worked out together; a multiple of every lane count.
+/// Nodes that are evaluated together; a multiple of every lane count.
 pub(super) const BLOCK: usize = 16;
 
-/// Beyond this b x the foam is its c to more digits than f32 has, and E still far from its largest.
+/// Limit of b x: beyond it the foam's resistance is c to f32 accuracy, and E is still far from its
+/// largest value.
 const MOST_EXPONENT: f64 = 60.0;
 
 /// The laws of all nodes in the order of their removal, padded to whole blocks.
@@ -26,7 +27,7 @@ pub(super) struct Foam {
 }
 
 impl Foam {
-    /// Of the laws of the mesh's nodes; `order` may hold more nodes, which have no foam.
+    /// Builds the laws of the mesh's nodes; further nodes in `order` have no foam.
     pub(super) fn new(
         order: &[u32],
         laws: &[NodeLaw],
@@ -54,8 +55,8 @@ impl Foam {
         self.a_ohm.len()
     }
 
-    /// Conductances of a block of nodes (S) in place of their nominal compressions (mm, before the
-    /// clamp).
+    /// Replaces the nominal compressions of a block of nodes (mm, before the clamp) by their
+    /// conductances (S).
     #[inline(always)]
     pub(super) fn conduct<L: Lane32>(&self, block: usize, values: &mut [f32; BLOCK]) {
         let first = block * BLOCK;
@@ -76,8 +77,8 @@ impl Foam {
 
 /// `exp(y) - 1` of 0 <= y <= 80, relative error below 3e-7.
 ///
-/// y = n ln 2 + r with |r| <= ln 2 / 2; expm1(r) by its Taylor series, whose first term left out is
-/// below 2e-8 of it; then 2^n expm1(r) + (2^n - 1), of which the last bracket is exact.
+/// y = n ln 2 + r with |r| <= ln 2 / 2; expm1(r) by its Taylor series, truncated where the next
+/// term is below 2e-8 of it; then 2^n expm1(r) + (2^n - 1), whose last bracket is exact.
 #[inline(always)]
 fn expm1<L: Lane32>(y: L) -> L {
     let number = |value: f64| L::splat(value);

@@ -1,11 +1,11 @@
-//! Which instructions the lanes are made of: a choice at run time, named in manifests.
+//! The vector instructions of the lanes: selected at run time, named in manifests.
 //! Uses: `network::lane` and its x86 kinds. Never: the model.
 
 use crate::network::lane::{Lane32, LaneJob, Portable};
 #[cfg(target_arch = "x86_64")]
 use crate::network::lane_x86;
 
-/// Which instructions the lanes are made of. Between kernels the last digits of a frame may differ.
+/// Vector instructions of the lanes. The last digits of a frame may differ between kernels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kernel {
     /// Sixteen lanes, AVX-512.
@@ -17,15 +17,15 @@ pub enum Kernel {
 }
 
 impl Kernel {
-    /// All there are, the fastest first.
+    /// All kernels, the fastest first.
     pub const ALL: [Self; 3] = [Self::Avx512F32x16, Self::Avx2F32x8, Self::PortableF32x8];
 
-    /// The fastest that this processor has.
+    /// Returns the fastest kernel that this processor supports.
     pub fn detect() -> Self {
         Self::ALL.into_iter().find(|kernel| kernel.is_here()).unwrap_or(Self::PortableF32x8)
     }
 
-    /// Whether this processor has it.
+    /// Whether this processor supports the kernel.
     pub fn is_here(self) -> bool {
         match self {
             #[cfg(target_arch = "x86_64")]
@@ -38,7 +38,7 @@ impl Kernel {
         }
     }
 
-    /// Its name, for manifests.
+    /// Name of the kernel in manifests.
     pub fn name(self) -> &'static str {
         match self {
             Self::Avx512F32x16 => "avx512-f32x16",
@@ -47,7 +47,7 @@ impl Kernel {
         }
     }
 
-    /// Trials side by side.
+    /// Number of trials in one vector.
     pub fn lanes(self) -> usize {
         match self {
             Self::Avx512F32x16 => 16,
@@ -55,13 +55,13 @@ impl Kernel {
         }
     }
 
-    /// Does `count` multiply-adds in each lane, nothing else, and gives a number that depends on all
-    /// of them. Whoever takes the time knows the processor's peak.
+    /// Does `count` multiply-adds in each lane and returns a number that depends on all of them.
+    /// The time of this call determines the processor's peak rate.
     pub fn multiply_adds(self, count: usize) -> f32 {
         self.run(Peak { count })
     }
 
-    /// Does a job in this kernel's lanes, or in portable ones where the processor lacks them.
+    /// Runs a job in this kernel's lanes, or in portable ones if the processor does not support it.
     pub(super) fn run<J: LaneJob>(self, job: J) -> J::Output {
         match self {
             #[cfg(target_arch = "x86_64")]
@@ -73,7 +73,7 @@ impl Kernel {
     }
 }
 
-/// The job of [`Kernel::multiply_adds`]: twelve sums that do not wait for each other.
+/// The job of [`Kernel::multiply_adds`]: twelve independent sums.
 struct Peak {
     count: usize,
 }

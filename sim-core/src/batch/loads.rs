@@ -1,32 +1,32 @@
-//! The skin's unit responses for quick superposition: one row per point, in the order of removal.
-//! Uses: `responses`, `network::lane`. Never: forces beyond a factor.
+//! The skin's unit responses for fast superposition: one row per point, in the order of removal.
+//! Uses: `responses`, `network::lane`. Never: forces other than as a factor.
 //!
-//! A row is what one newton on a point does to every node, mm. Its blocks of sixteen nodes that hold
-//! nothing of weight are left out: the response dies off within some ten tips' widths.
+//! A row is the compression at every node under one newton on a point, mm. Its blocks of sixteen
+//! nodes with negligible values are skipped: the response decays within about ten tip widths.
 
 use super::foam::BLOCK;
 use crate::forward::ForwardModel;
 use crate::network::lane::Lane32;
 
-/// Responses below this are left out, mm/N: 6 x 240 N of them are a hundredth of the least
-/// compression that Eq. 1 tells from none.
+/// Responses below this are skipped, mm/N: the sum of 6 x 240 N of them is a hundredth of the
+/// smallest compression that Eq. 1 distinguishes from zero.
 const LEAST_RESPONSE_MM_PER_N: f64 = 1e-9;
 
-/// A point's place and its row.
+/// Position of a point and its row.
 #[derive(Debug)]
 struct PointRow {
     place_mm: [f64; 2],
     blocks: Vec<u16>,
-    /// mm/N, a block after the other.
+    /// mm/N, block after block.
     values: Vec<f32>,
 }
 
-/// The rows of all points, by place.
+/// The rows of all points, sorted by position.
 #[derive(Debug)]
 pub(super) struct PointRows(Vec<PointRow>);
 
 impl PointRows {
-    /// Of a model's points; `order` is that of the removal.
+    /// Builds the rows of a model's points; `order` is the order of removal.
     pub(super) fn new(model: &ForwardModel, order: &[u32]) -> Self {
         let points = model.sensor().points();
         let mut rows: Vec<PointRow> = points
@@ -38,7 +38,7 @@ impl PointRows {
         Self(rows)
     }
 
-    /// Number of the row of the point at exactly this place.
+    /// Number of the row of the point at exactly this position.
     pub(super) fn find(&self, x_mm: f64, y_mm: f64) -> Option<usize> {
         self.0.binary_search_by(|row| compare(&row.place_mm, &[x_mm, y_mm])).ok()
     }

@@ -1,9 +1,9 @@
 //! Many trials at once: the forward model in lanes of f32, one trial in each.
 //! Uses: `forward`, `network` (plan, lanes, reduction, readout). Never: threads, files.
 //!
-//! The same physics as [`ForwardModel`], term by term; frames differ from its f64 ones by less than
-//! 2e-6 of the electrode voltages that they are differences of. A trial's bytes depend on the kernel
-//! alone, not on the trials beside it.
+//! The same physics as [`ForwardModel`], term by term; frames differ from its f64 frames by less
+//! than 2e-6 of the electrode voltages that they are differences of. The bytes of a trial depend
+//! on the kernel alone, not on the other trials of the batch.
 
 mod foam;
 mod kernel;
@@ -23,30 +23,30 @@ use crate::network::reduce::reduce;
 /// Trials that are read out together; divides every lane count.
 const READ_OUT: usize = 8;
 
-/// Why there are no frames.
+/// Why the frames of a batch cannot be computed.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum BatchError {
-    /// A trial has a contact that the model does not take.
+    /// A contact of a trial is rejected by the model.
     #[error("trial {trial}: {source}")]
     Trial {
         /// Index of the trial.
         trial: usize,
-        /// What is wrong with it.
+        /// Error of its contact.
         source: ContactError,
     },
-    /// The output does not hold one frame for each trial.
+    /// The length of the output is not one frame per trial.
     #[error("batch: {trials} trials need room for {needed} voltages, there is room for {found}")]
     Output {
-        /// Trials given.
+        /// Number of trials.
         trials: usize,
-        /// Voltages that they have.
+        /// Number of voltages of these trials.
         needed: usize,
-        /// Voltages that fit.
+        /// Length of the output, voltages.
         found: usize,
     },
 }
 
-/// The forward model of one skin, for many trials. `Send + Sync`; each thread brings its own
+/// The forward model of one skin, for many trials. `Send + Sync`; each thread needs its own
 /// [`BatchWork`].
 #[derive(Debug)]
 pub struct BatchModel {
@@ -57,16 +57,16 @@ pub struct BatchModel {
     points: PointRows,
 }
 
-/// What one trial's contacts do to the skin.
+/// Load of one trial.
 #[derive(Default)]
 struct TrialLoad {
     /// Nominal compression, before the clamp.
     compression_mm: Vec<[f32; BLOCK]>,
-    /// Blocks that are not as in the untouched skin.
+    /// Blocks whose compression is not zero.
     touched: Vec<bool>,
 }
 
-/// Memory of evaluations; fits any model and kernel.
+/// Memory of evaluations; may be reused with any model and kernel.
 #[derive(Default)]
 pub struct BatchWork {
     one: Workspace,
@@ -80,8 +80,8 @@ pub struct BatchWork {
 }
 
 impl BatchModel {
-    /// Lays out a model's tables for a kernel. On a processor without it, see [`Kernel::is_here`],
-    /// the portable one takes its place.
+    /// Lays out a model's tables for a kernel. The portable kernel is used if the processor does
+    /// not support it, see [`Kernel::is_here`].
     pub fn new(model: &ForwardModel, kernel: Kernel) -> Self {
         let kernel = if kernel.is_here() { kernel } else { Kernel::PortableF32x8 };
         let network = model.network().expect("the model was built from this network");
@@ -100,14 +100,18 @@ impl BatchModel {
         self.kernel
     }
 
-    /// Voltages in a frame.
+    /// Number of voltages in a frame.
     pub fn frame_len(&self) -> usize {
         self.plan.kept() * self.plan.kept()
     }
 
-    /// The frames of trials, V after gain, one after the other, each as [`ForwardModel::voltages`]
-    /// gives it. Contacts on points are quick; others take an f64 superposition each. After an error
-    /// `out_v` holds nothing of use.
+    /// Computes the frames of trials, V after gain, one after the other, each as
+    /// [`ForwardModel::voltages`] returns it. Contacts on points are fast; each other contact takes
+    /// an f64 superposition. After an error the contents of `out_v` are undefined.
+    ///
+    /// # Errors
+    /// `BatchError::Output` if `out_v` does not hold one frame per trial; `BatchError::Trial` if a
+    /// contact is rejected.
     pub fn voltages(
         &self,
         trials: &[&[Contact]],
@@ -119,7 +123,7 @@ impl BatchModel {
             let found = out_v.len();
             return Err(BatchError::Output { trials: trials.len(), needed, found });
         }
-        // Each stage is a job of its own: what the compiler puts into vectors stays small.
+        // Each stage is a separate job, so that the code to vectorise stays small.
         self.kernel.run(Rest { foam: &self.foam, work });
         let lanes = self.kernel.lanes();
         let frames = out_v.chunks_mut(lanes * self.frame_len());
@@ -135,7 +139,7 @@ impl BatchModel {
     }
 }
 
-/// Works out the conductances of the untouched skin.
+/// Computes the conductances of the untouched skin.
 struct Rest<'a> {
     foam: &'a Foam,
     work: &'a mut BatchWork,
@@ -154,7 +158,7 @@ impl LaneJob for Rest<'_> {
     }
 }
 
-/// Works out the conductances of trials, one in each lane; lanes without a trial are untouched.
+/// Computes the conductances of trials, one in each lane; lanes without a trial are untouched.
 struct Load<'a> {
     batch: &'a BatchModel,
     trials: &'a [&'a [Contact]],
@@ -214,7 +218,7 @@ impl LaneJob for Reduce<'_> {
 /// Turns the reduced network of each lane into its frame, in f64.
 struct ReadOut<'a> {
     batch: &'a BatchModel,
-    /// Lanes of the kernel that reduced.
+    /// Lanes of the kernel that did the reduction.
     lanes: usize,
     work: &'a mut BatchWork,
     frames: &'a mut [f32],
@@ -233,7 +237,7 @@ impl LaneJob for ReadOut<'_> {
     }
 }
 
-/// Works out one trial's compression.
+/// Computes the compression of one trial.
 #[inline(always)]
 fn superpose<L: Lane32>(
     batch: &BatchModel,
@@ -263,7 +267,7 @@ fn superpose<L: Lane32>(
     Ok(())
 }
 
-/// From some lanes of the reduced network, the first of them `first`, to their frames, in f64.
+/// Converts lanes of the reduced network, from lane `first` on, to their frames, in f64.
 #[inline(always)]
 fn read_out(
     batch: &BatchModel,

@@ -22,7 +22,7 @@ const CORNERS: [[f64; 3]; 8] = [
 /// Stiffness matrix, 24 x 24, N/mm; degree of freedom `3 * node + axis`.
 pub type Stiffness = [[f64; 24]; 24];
 
-/// Shape functions at a place of the reference cube.
+/// Shape functions at a position of the reference cube.
 pub fn shape(place: [f64; 3]) -> [f64; 8] {
     CORNERS.map(|c| (0..3).map(|a| 1.0 + c[a] * place[a]).product::<f64>() / 8.0)
 }
@@ -35,7 +35,7 @@ pub fn shape_gradient(place: [f64; 3]) -> [[f64; 3]; 8] {
     })
 }
 
-/// Derivatives of the shape functions in space (1/mm) and det J (mm3), at a reference place.
+/// Derivatives of the shape functions in space (1/mm) and det J (mm3), at a reference position.
 pub fn spatial_gradient(nodes_mm: &[[f64; 3]; 8], place: [f64; 3]) -> ([[f64; 3]; 8], f64) {
     let reference = shape_gradient(place);
     let mut j = [[0.0; 3]; 3];
@@ -68,7 +68,7 @@ fn strain_columns(g: [f64; 3]) -> [[f64; 3]; 6] {
     ]
 }
 
-/// Stiffness of a brick: corner places in mm, D in MPa.
+/// Stiffness of a brick: corner positions in mm, D in MPa.
 pub fn stiffness(nodes_mm: &[[f64; 3]; 8], d_mpa: &[[f64; 6]; 6]) -> Stiffness {
     let mut k = [[0.0; 24]; 24];
     let gauss = 1.0 / 3f64.sqrt();

@@ -1,4 +1,4 @@
-//! Finite elements, one a file.
+//! Finite elements, one per file.
 //! Uses: nothing. Never: the mesh or the materials' names.
 
 pub mod hex8;

@@ -1,6 +1,6 @@
 //! Physics-based one-step reconstruction: a linear model of the frame, inverted with a penalty.
-//! Uses: the forward model, faer's SVD. Never: iterations on the non-linear model, the choice of
-//! what a force map looks like.
+//! Uses: the forward model, faer's SVD. Never: iterations on the non-linear model, the form of a
+//! force map.
 //!
 //! The baseline of the paper's Supplement S-VI and Fig. 12: `f = argmin |J f - v|^2 + lambda |R f|^2`
 //! with R the identity (Tikhonov) or `R'R = diag(J'J)` (NOSER, Cheney et al. 1990). Columns of J are
@@ -13,57 +13,57 @@ use faer::Mat;
 use crate::forward::{Contact, ContactError, ForwardModel, Workspace};
 use crate::jacobian::{CONTACT_PARAMETERS, JacobianWork};
 
-/// Penalties that are compared, from the largest squared singular value down.
+/// Number of penalties that are compared, from the largest squared singular value down.
 const PENALTIES: usize = 121;
-/// How far down, in powers of ten.
+/// Range of the compared penalties, in powers of ten.
 const DECADES: f64 = 12.0;
 
-/// Why there is no reconstruction.
+/// Why a reconstruction is impossible.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum LinearError {
-    /// The load is not one that the model takes.
+    /// The model rejects the load.
     #[error("linear model: {0}")]
     Load(#[from] ContactError),
     /// The singular values did not converge.
     #[error("linear model: singular values did not converge")]
     SingularValues,
-    /// No point moves the frame at this load.
+    /// No point changes the frame at this load.
     #[error(
         "linear model: no point moves the frame at this load; press the points, or take a secant"
     )]
     Flat,
-    /// The frame has another length.
+    /// The frame has the wrong length.
     #[error("linear reconstruction: a frame of {found} voltages, {needed} needed")]
     Length {
-        /// Voltages found.
+        /// Number of voltages found.
         found: usize,
-        /// Voltages needed.
+        /// Number of voltages needed.
         needed: usize,
     },
-    /// A voltage is no number.
+    /// A voltage is not finite.
     #[error("linear reconstruction: voltage {channel} is not a finite number")]
     NotFinite {
-        /// Its channel.
+        /// Index of its channel.
         channel: usize,
     },
-    /// The penalty is no number.
+    /// The penalty is not a finite number > 0.
     #[error("linear reconstruction: penalty = {penalty} is not a finite number > 0")]
     Penalty {
-        /// The penalty.
+        /// The penalty found.
         penalty: f64,
     },
 }
 
-/// What is penalised.
+/// The norm that is penalised.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Regularisation {
-    /// All forces alike.
+    /// All forces with the same weight.
     Tikhonov,
-    /// Each force by how strongly it moves the frame.
+    /// Each force in proportion to its effect on the frame.
     Noser,
 }
 
-/// How the penalty is chosen.
+/// Choice of the penalty.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Penalty {
     /// Least generalised cross-validation score (Golub, Heath, Wahba 1979).
@@ -78,13 +78,16 @@ pub enum Penalty {
 #[derive(Debug, Clone, PartialEq)]
 pub struct PointSlopes {
     columns: Vec<f64>,
-    /// Frame and forces about which they are taken.
+    /// Frame about which the slopes are taken, V.
     about_v: Vec<f64>,
     about_n: Vec<f64>,
 }
 
 impl PointSlopes {
-    /// From the untouched skin to a force on each point alone, N.
+    /// Slopes from the untouched skin to a force on each point alone, N.
+    ///
+    /// # Errors
+    /// `LinearError::Load` if the model rejects the force.
     pub fn secant(model: &ForwardModel, force_n: f64) -> Result<Self, LinearError> {
         let mut work = Workspace::default();
         let about_v = model.voltages(&[], &mut work)?.to_vec();
@@ -98,7 +101,10 @@ impl PointSlopes {
         Ok(Self { columns, about_n: vec![0.0; points.len()], about_v })
     }
 
-    /// At a load with the same force on every point, N.
+    /// Slopes at a load with the same force on every point, N.
+    ///
+    /// # Errors
+    /// `LinearError::Load` if the model rejects the force.
     pub fn tangent(model: &ForwardModel, force_n: f64) -> Result<Self, LinearError> {
         let of = |p: &crate::sensor::Point| Contact { x_mm: p.x_mm, y_mm: p.y_mm, force_n };
         let load: Vec<Contact> = model.sensor().points().iter().map(of).collect();
@@ -116,7 +122,7 @@ impl PointSlopes {
     }
 }
 
-/// A linear model ready to be inverted.
+/// A decomposed linear model.
 #[derive(Debug, Clone)]
 pub struct OneStep {
     about_v: Vec<f64>,
@@ -132,24 +138,28 @@ pub struct OneStep {
 /// Forces that explain a frame to first order.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reconstruction {
-    /// On each of the sensor's points, N; negative ones are left as they come.
+    /// Force on each of the sensor's points, N; may be negative.
     pub forces_n: Vec<f64>,
     /// The penalty, as a share of the largest squared singular value.
     pub penalty: f64,
-    /// Length of what is left of the frame, V.
+    /// Length of the residual of the frame, V.
     pub residual_v: f64,
 }
 
 /// A frame in terms of the left vectors.
 struct Along {
-    /// Its numbers.
+    /// Components along the left vectors.
     parts: Vec<f64>,
-    /// Square of what no force reaches.
+    /// Squared norm of the part that no force explains, V^2.
     outside_v2: f64,
 }
 
 impl OneStep {
-    /// Decomposes the slopes: a second or two.
+    /// Decomposes the slopes; takes 1 s to 2 s.
+    ///
+    /// # Errors
+    /// `LinearError::Flat` if no point changes the frame; `LinearError::SingularValues` without
+    /// convergence.
     pub fn new(slopes: &PointSlopes, regularisation: Regularisation) -> Result<Self, LinearError> {
         let (channels, points) = (slopes.about_v.len(), slopes.about_n.len());
         let length = |point: usize| slopes.of(point).iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -160,7 +170,7 @@ impl OneStep {
         }
         let roots: Vec<f64> = match regularisation {
             Regularisation::Tikhonov => vec![1.0; points],
-            // A point that moves nothing is not to be divided by nothing.
+            // Avoids a division by zero for a point without effect.
             Regularisation::Noser => lengths.iter().map(|l| l.max(1e-6 * longest)).collect(),
         };
         let scaled = Mat::from_fn(channels, points, |i, j| slopes.of(j)[i] / roots[j]);
@@ -179,7 +189,10 @@ impl OneStep {
         })
     }
 
-    /// The forces of a frame, V.
+    /// Returns the forces of a frame, V.
+    ///
+    /// # Errors
+    /// `Length` or `NotFinite` if the frame is invalid; `Penalty` if a given share is not positive.
     pub fn solve(&self, frame_v: &[f64], penalty: Penalty) -> Result<Reconstruction, LinearError> {
         let along = self.along(frame_v)?;
         let largest = self.values[0].powi(2);
@@ -203,6 +216,9 @@ impl OneStep {
 
     /// Generalised cross-validation at a penalty (a share of the largest squared singular value):
     /// `|J f - v|^2 / trace(I - A)^2`, A the map from the frame to its fit.
+    ///
+    /// # Errors
+    /// `Length` or `NotFinite` if the frame is invalid.
     pub fn gcv(&self, frame_v: &[f64], share: f64) -> Result<f64, LinearError> {
         let along = self.along(frame_v)?;
         Ok(self.gcv_of(&along, share * self.values[0].powi(2)))
@@ -241,7 +257,7 @@ impl OneStep {
         self.lengths(along, penalty_v2).0 / (free * free)
     }
 
-    /// Shares that are compared.
+    /// Shares of the largest squared singular value that are compared.
     fn shares() -> impl Iterator<Item = f64> {
         let step = DECADES / (PENALTIES - 1) as f64;
         (0..PENALTIES).map(move |i| 10f64.powf(-step * i as f64))
@@ -253,7 +269,7 @@ impl OneStep {
         scored.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(1.0, |best| best.0)
     }
 
-    /// Where the L-curve turns most sharply, by the circle through three neighbours.
+    /// Penalty at the sharpest corner of the L-curve, by the circle through three neighbours.
     fn corner(&self, along: &Along) -> f64 {
         let largest = self.values[0].powi(2);
         let curve: Vec<(f64, [f64; 2])> = Self::shares()
@@ -267,8 +283,8 @@ impl OneStep {
     }
 }
 
-/// Signed curvature of three points in a row; > 0 turns right (from a falling residual to a growing
-/// force).
+/// Signed curvature of three consecutive points; > 0 turns right (from a falling residual to a
+/// growing force).
 fn curvature([a, b, c]: [[f64; 2]; 3]) -> f64 {
     let side = |p: [f64; 2], q: [f64; 2]| (p[0] - q[0]).hypot(p[1] - q[1]);
     let twice_area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);

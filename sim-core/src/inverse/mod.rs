@@ -1,4 +1,4 @@
-//! From frames back to what made them: contacts, and skins.
+//! From frames back to their causes: contacts, and skins.
 //! Uses: the forward model and its derivative. Never: files, clock, unseeded chance.
 
 pub mod contacts;

@@ -1,14 +1,14 @@
-//! How a frame changes with the network's conductances and leads: the adjoint method.
-//! Uses: `kron`, `readout`, `circuit`. Never: how conductances depend on anything.
+//! Derivative of a frame by the network's conductances and leads: the adjoint method.
+//! Uses: `kron`, `readout`, `circuit`. Never: the dependence of conductances on parameters.
 //!
 //! With `U = A^-1 E` (potential below the top at every node, per ampere drawn at each electrode), a
 //! conductance `dg` from node i to the top changes `Z` by `-dg u_i u_i'`, and one between a and b by
 //! `-dg (u_a - u_b)(u_a - u_b)'`. One elimination and one back-substitution give U.
 //!
-//! Digits: on a light load all of U is one huge number (1e8 ohm and more) that does not reach the
-//! frame, beside differences of 1e4 ohm that do. So `U = common + D`, and D is what is solved for:
-//! electrodes at `Z - common`, the top at `-common`. The frame's change is then a sum of terms of
-//! its own size.
+//! Rounding: on a light load all of U contains one huge common number (1e8 ohm and more) that does
+//! not affect the frame, in addition to differences of 1e4 ohm that do. So `U = common + D`, and D
+//! is computed: electrodes at `Z - common`, the top at `-common`. The frame's change is then a sum
+//! of terms of its own magnitude.
 
 use super::back::KronFactor;
 use super::kron::KronReduction;
@@ -20,7 +20,7 @@ use crate::circuit::ReadoutCircuit;
 
 /// Side of the squares in which products are summed.
 const TILE: usize = 4;
-/// Rows that are summed together: they stay in the first cache.
+/// Number of rows that are summed together: they fit into the first-level cache.
 const BLOCK: usize = 128;
 
 /// Potentials at every node per ampere drawn at each electrode.
@@ -34,7 +34,7 @@ pub struct Potentials {
 }
 
 impl Potentials {
-    /// Solves for them, after `reduction.factor` and `readout.evaluate`.
+    /// Solves for the potentials, after `reduction.factor` and `readout.evaluate`.
     pub fn solve(
         &mut self,
         reduction: &KronReduction,
@@ -57,12 +57,12 @@ impl Potentials {
         reduction.solve_columns(factor, &self.kept, top, self.width, &mut self.relative_ohm);
     }
 
-    /// Values in a row: the electrodes, and padding that nobody reads.
+    /// Number of values in a row: the electrodes, and unused padding.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// A node's potentials less the common one, ohm.
+    /// A node's potentials minus the common one, ohm.
     pub fn row(&self, node: usize) -> &[f64] {
         &self.relative_ohm[node * self.width..][..self.width]
     }
@@ -73,9 +73,9 @@ impl Potentials {
 pub struct Direction {
     /// Rows of potentials (or of differences of them), one for each conductance that changes.
     rows: Vec<f64>,
-    /// Change of each, S.
+    /// Change of each conductance, S.
     conductances_s: Vec<f64>,
-    /// Sum over conductances to the top, S, and of them times their rows.
+    /// Sum of the changes of conductances to the top, S; in `to_top_v`, each times its row.
     to_top_s: f64,
     to_top_v: Vec<f64>,
     lead_ohm: Vec<f64>,
@@ -84,7 +84,7 @@ pub struct Direction {
 }
 
 impl Direction {
-    /// Starts again from no change.
+    /// Resets to no change.
     pub fn clear(&mut self, potentials: &Potentials) {
         self.rows.clear();
         self.conductances_s.clear();
@@ -95,7 +95,7 @@ impl Direction {
         self.lead_ohm.resize(potentials.electrodes, 0.0);
     }
 
-    /// The conductance from a node to the top changes by `change_s`.
+    /// Adds a change of the conductance from a node to the top, S.
     pub fn to_top(&mut self, potentials: &Potentials, node: usize, change_s: f64) {
         let row = potentials.row(node);
         self.rows.extend_from_slice(row);
@@ -106,20 +106,20 @@ impl Direction {
         }
     }
 
-    /// The conductance between two nodes changes by `change_s`.
+    /// Adds a change of the conductance between two nodes, S.
     pub fn between(&mut self, potentials: &Potentials, a: usize, b: usize, change_s: f64) {
         let ends = potentials.row(a).iter().zip(potentials.row(b));
         self.rows.extend(ends.map(|(a, b)| a - b));
         self.conductances_s.push(change_s);
     }
 
-    /// An electrode's lead changes by `change_ohm`.
+    /// Adds a change of an electrode's lead, ohm.
     pub fn lead(&mut self, electrode: usize, change_ohm: f64) {
         self.lead_ohm[electrode] += change_ohm;
     }
 
-    /// The same nodes with other changes of their conductances to the top (S, in the order in which
-    /// they came).
+    /// Replaces the changes of the conductances to the top (S), in the order in which they were
+    /// added.
     pub fn replace_to_top(&mut self, changes_s: impl Iterator<Item = f64>) {
         self.conductances_s.clear();
         self.conductances_s.extend(changes_s);
@@ -147,7 +147,7 @@ impl Direction {
         let z = readout.impedance_ohm();
         for k in 0..n {
             let own = z[n * k + k] + circuit.electrodes[k].lead_ohm;
-            // -dZ_kk, and with it what changes the sink's share.
+            // -dZ_kk, and the terms that change the sink's share.
             let fall = common * (common * self.to_top_s + 2.0 * self.to_top_v[k]) + product(k, k);
             let lead = self.lead_ohm[k];
             let volts = &mut out[n * k..][..n];
@@ -168,8 +168,8 @@ impl Direction {
     }
 }
 
-/// `out[width * j + k] = sum_i weights_i rows_ij rows_ik` for whole tiles with j <= k. The same bits on
-/// every processor: vectors change neither a term nor the order of a sum.
+/// `out[width * j + k] = sum_i weights_i rows_ij rows_ik` for whole tiles with j <= k. Bitwise
+/// equal on every processor: vectors change neither a term nor the order of a sum.
 fn weighted_products(rows: &[f64], weights: &[f64], width: usize, out: &mut Vec<f64>) {
     out.clear();
     out.resize(width * width, 0.0);
@@ -228,9 +228,9 @@ fn tile(row: &[f64], at: usize) -> &[f64; TILE] {
 #[derive(Debug, Default)]
 pub struct Pull {
     width: usize,
-    /// Per node: what pairs with its row of potentials.
+    /// Per node: the factors of its row of potentials.
     partners: Vec<f64>,
-    /// What pairs with the common potential.
+    /// The factors of the common potential.
     common: Vec<f64>,
     per_lead: Vec<f64>,
     coefficients: Vec<f64>,
@@ -279,7 +279,7 @@ impl Pull {
         }
     }
 
-    /// Per siemens from a node to the top.
+    /// Derivative by a conductance from a node to the top, per siemens.
     pub fn to_top(&self, potentials: &Potentials, node: usize) -> f64 {
         let partners = &self.partners[node * self.width..][..self.width];
         let terms = potentials.row(node).iter().zip(partners).zip(&self.common);
@@ -288,7 +288,7 @@ impl Pull {
             .sum::<f64>()
     }
 
-    /// Per siemens between two nodes.
+    /// Derivative by a conductance between two nodes, per siemens.
     pub fn between(&self, potentials: &Potentials, a: usize, b: usize) -> f64 {
         let partners = |node: usize| &self.partners[node * self.width..][..self.width];
         let potential = potentials.row(a).iter().zip(potentials.row(b)).map(|(a, b)| a - b);
@@ -296,7 +296,7 @@ impl Pull {
         -potential.zip(partner).map(|(d, p)| d * p).sum::<f64>()
     }
 
-    /// Per ohm of an electrode's lead.
+    /// Derivative by an electrode's lead, per ohm.
     pub fn lead(&self, electrode: usize) -> f64 {
         self.per_lead[electrode]
     }

@@ -1,27 +1,27 @@
 //! Back-substitution: potentials everywhere from those of the electrodes and the top layer.
-//! Uses: a factor that `kron` kept. Never: a subtraction.
+//! Uses: a stored factor of `kron`. Never: a subtraction.
 //!
-//! A removed node's potential is the mean of those still there when it went, weighted by `a_kj / d`;
-//! the fronts are gone through in reverse.
+//! The potential of a removed node is the mean of those that remained at its removal, weighted by
+//! `a_kj / d`; the fronts are processed in reverse order.
 
 use super::kron::{KronReduction, TILE, four};
 
-/// What [`KronReduction::factor`] leaves behind: the pivots' columns of all fronts, one after the
+/// Factor stored by [`KronReduction::factor`]: the pivots' columns of all fronts, one after the
 /// other, each with `1 / sqrt(d)` on its diagonal.
 #[derive(Debug, Default)]
 pub struct KronFactor {
     pub(super) columns: Vec<f64>,
     /// Potentials in one front, row-major.
     front: Vec<f64>,
-    /// Potentials at every place of the order, row-major.
+    /// Potentials in the order of removal, row-major.
     ordered: Vec<f64>,
 }
 
 impl KronReduction {
-    /// Potentials at all nodes (row-major, indexed by the network's nodes, `width` columns) that
-    /// follow from those of the electrodes (`kept`, row-major in their order) and of the top layer
-    /// (`top`, the same in every column), with no current fed in elsewhere. Each is a weighted mean of
-    /// the given ones, without a subtraction. `width` is a multiple of four.
+    /// Computes the potentials at all nodes (row-major, indexed by the network's nodes, `width`
+    /// columns) from those of the electrodes (`kept`, row-major in their order) and of the top
+    /// layer (`top`, the same in every column), without current fed in elsewhere. Each is a
+    /// weighted mean of the given ones, without a subtraction. `width` is a multiple of four.
     pub fn solve_columns(
         &self,
         factor: &mut KronFactor,
@@ -40,7 +40,7 @@ impl KronReduction {
             let begin = end - front.pivots * lead;
             let block = &columns[begin..end];
             end = begin;
-            // Here the last row comes first, so that a pivot's sum runs over all that is known.
+            // The last row comes first here, so that a pivot's sum runs over all known rows.
             local.clear();
             local.resize(width, top);
             for &place in front.remains.iter().rev() {
@@ -92,7 +92,7 @@ fn solve_pivots<const P: usize>(
     }
 }
 
-/// Part of [`solve_pivots`]: a function of its own, so that the sums stay in registers.
+/// Part of [`solve_pivots`]; a separate function, so that the sums stay in registers.
 #[inline(never)]
 fn later_sums<const P: usize>(
     columns: &[&[f64]; P],

@@ -1,14 +1,14 @@
-//! Exact removal of all nodes but the electrodes and the top layer, without a subtraction.
-//! Uses: `order`. Never: a diagonal entry (that is where the digits would be lost).
+//! Exact removal of all nodes except the electrodes and the top layer, without a subtraction.
+//! Uses: `order`. Never: a diagonal entry (it would lose the digits).
 //!
-//! Star-mesh transform (Grassmann-Taksar-Heyman): the top layer is one more node, and a node k is
-//! removed by `d = sum_j a_jk`, `a_ij += a_ik a_jk / d`, where the sum runs over all nodes still
-//! there. It is Cholesky with positive signs, and the pivot a sum: every entry keeps nearly full
+//! Star-mesh transform (Grassmann-Taksar-Heyman): the top layer is one further node, and a node k
+//! is removed by `d = sum_j a_jk`, `a_ij += a_ik a_jk / d`, where the sum runs over all remaining
+//! nodes. It is Cholesky with positive signs, and the pivot a sum: every entry keeps nearly full
 //! relative precision, though the condition number reaches 1e13 on an untouched skin
 //! (`docs/references.md`, "Resistor network").
 //! Multifrontal: each part of the dissection is a small dense front (column-major, below the
-//! diagonal only, last row = top); what remains of it is added to its parent's front.
-//! A factor that is kept also gives potentials everywhere: `back`.
+//! diagonal only, last row = top); its remainder is added to its parent's front.
+//! A stored factor also determines the potentials everywhere: `back`.
 
 use std::sync::Arc;
 
@@ -16,25 +16,25 @@ use super::back::KronFactor;
 use super::{Resistor, SheetNetwork};
 use crate::order::{Part, dissect};
 
-/// Pivots that update the rest of a front together.
+/// Number of pivots that update the rest of a front together.
 const PANEL: usize = 8;
-/// Columns and rows are updated in squares of this side.
+/// Columns and rows are updated in squares of this side length.
 pub(super) const TILE: usize = 4;
 
 /// One dense front.
 #[derive(Debug, Clone)]
 pub(super) struct Front {
-    /// Nodes removed here.
+    /// Number of nodes removed here.
     pub(super) pivots: usize,
-    /// Place of the first of them in the order.
+    /// Position of the first of them in the order.
     pub(super) first: usize,
-    /// Rows: pivots, then the nodes that remain; the top is one more.
+    /// Number of rows: pivots, then the nodes that remain; the top is one further row.
     pub(super) rows: usize,
-    /// Resistors that start at a pivot: place in the front, conductance (S).
+    /// Resistors that start at a pivot: index in the front's block, conductance (S).
     resistors: Vec<(u32, f64)>,
     /// Per child, in the order of the stack from its top: row here of each of its rows, top last.
     children: Vec<Vec<u32>>,
-    /// Places in the order of the rows after the pivots.
+    /// Positions in the order of the rows after the pivots.
     pub(super) remains: Vec<u32>,
 }
 
@@ -45,18 +45,18 @@ impl Front {
     }
 }
 
-/// The plan of the removal; holds for every load of the same network.
+/// The plan of the removal; valid for every load of the same network.
 #[derive(Debug, Clone)]
 pub struct KronReduction {
-    /// Of all nodes but the kept ones, and the root that holds those.
+    /// Parts of all nodes except the kept ones, and the root that contains those.
     parts: Arc<[Part]>,
     pub(super) fronts: Vec<Front>,
-    /// Node at each place of the order, the kept ones last.
+    /// Node at each position of the order, the kept ones last.
     pub(super) order: Vec<u32>,
     pub(super) kept: usize,
 }
 
-/// Memory of a reduction.
+/// Memory of a reduction; may be reused.
 #[derive(Debug, Default)]
 pub struct KronWork {
     front: Vec<f64>,
@@ -65,18 +65,19 @@ pub struct KronWork {
 }
 
 impl KronReduction {
-    /// Plans the removal of all nodes of a network but its electrodes.
+    /// Plans the removal of all nodes of a network except its electrodes.
     pub fn new(network: &SheetNetwork) -> Self {
         let neighbours = neighbours(network);
         let mut parts = dissect(&network.places_mm, &neighbours, &network.electrodes);
-        // The electrodes are the last front, where nothing is removed.
+        // The electrodes are the last front, in which nothing is removed.
         let root = Part { nodes: Vec::new(), children: vec![parts.len() - 1] };
         parts.push(root);
         Self::in_order(parts.into(), network, &neighbours)
     }
 
-    /// The plan of a network that differs in values, or in where the electrodes hang on; the nodes
-    /// between are the same and joined alike. Their order, which takes most of the time, is kept.
+    /// Returns the plan of a network with other values, or other nodes at which the electrodes
+    /// connect; the remaining nodes and their connections are the same. The order of the nodes,
+    /// whose search takes most of the time, is reused.
     pub fn of_another(&self, network: &SheetNetwork) -> Self {
         let same = self.order.len() == network.places_mm.len()
             && self.order.ends_with(&network.electrodes);
@@ -102,7 +103,7 @@ impl KronReduction {
         Self { parts, fronts, order, kept: kept.len() }
     }
 
-    /// Multiply-adds of one reduction, counted on the plan.
+    /// Number of multiply-adds of one reduction, counted on the plan.
     pub fn multiply_adds(&self) -> usize {
         let of = |f: &Front| -> usize {
             (0..f.pivots).map(|k| (f.rows - k) * (f.rows - k + 1) / 2).sum()
@@ -117,7 +118,7 @@ impl KronReduction {
         self.eliminate(to_top_s, work, |_| ())
     }
 
-    /// [`Self::reduce`] that keeps its factor: the same block, to the last bit.
+    /// As [`Self::reduce`], and stores the factor: the block is bitwise equal.
     pub fn factor<'w>(
         &self,
         to_top_s: &[f64],
@@ -128,7 +129,7 @@ impl KronReduction {
         self.eliminate(to_top_s, work, |pivots| factor.columns.extend_from_slice(pivots))
     }
 
-    /// `keep` sees each front's pivot columns after their removal.
+    /// `keep` is called with each front's pivot columns after their removal.
     fn eliminate<'w>(
         &self,
         to_top_s: &[f64],
@@ -177,7 +178,7 @@ impl KronReduction {
     }
 }
 
-/// The nodes that share a resistor with each.
+/// For each node, the nodes that share a resistor with it.
 fn neighbours(network: &SheetNetwork) -> Vec<Vec<u32>> {
     let mut neighbours = vec![Vec::new(); network.places_mm.len()];
     for r in &network.resistors {
@@ -200,9 +201,9 @@ fn extend_add(block: &mut [f64], lead: usize, rows: &[u32], update: &[f64]) {
     }
 }
 
-/// Removes the first `pivots` nodes of a front of `rows` nodes and the top, and leaves their
+/// Removes the first `pivots` nodes of a front of `rows` nodes and the top, and stores their
 /// `1 / sqrt(d)` on the diagonal. Other entries on and above it, and in the padding columns, are
-/// scratch: nothing reads them.
+/// scratch and never read.
 fn remove_pivots(block: &mut [f64], lead: usize, rows: usize, pivots: usize) {
     let mut start = 0;
     while start < pivots {
@@ -267,7 +268,7 @@ fn factor_panel(panel: &mut [f64], lead: usize, start: usize) {
     }
 }
 
-/// Sum in eight strands, which a processor adds side by side.
+/// Sum as eight independent sums, which a processor adds in parallel.
 fn sum(values: &[f64]) -> f64 {
     let (strands, tail) = values.as_chunks::<8>();
     let mut sums = [0.0; 8];
@@ -286,7 +287,7 @@ fn add_scaled(target: &mut [f64], factor: f64, source: &[f64]) {
     }
 }
 
-/// Lays out the fronts: rows, resistors, and where each child's remainder goes.
+/// Lays out the fronts: rows, resistors, and the target of each child's remainder.
 fn fronts(
     parts: &[Part],
     place: &[u32],

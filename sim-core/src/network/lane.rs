@@ -1,29 +1,28 @@
-//! A lane vector: one number of each of several loads, worked on side by side.
+//! A lane vector: one number of each of several loads, processed in parallel.
 //! Uses: std alone. Never: a sum or a comparison across lanes (a load's result must not depend on
 //! its neighbours).
 //!
 //! The kernels of this crate are written once over [`Lane`]. `f64` is a vector of one; [`Portable`]
-//! is an array that the compiler may map to whatever vectors there are; `lane_x86` has AVX2 and
-//! AVX-512.
+//! is an array that the compiler may map to any vectors; `lane_x86` has AVX2 and AVX-512.
 
 use super::reduce::ReduceWork;
 
-/// Numbers of several loads side by side.
+/// Numbers of several loads, one per lane.
 pub(crate) trait Lane: Copy + Send + Sync + 'static {
-    /// One load's number.
+    /// Type of one load's number.
     type Number: Copy;
-    /// How many loads.
+    /// Number of loads.
     const LANES: usize;
-    /// Columns of a 4 x 4 tile whose sums the registers hold at once: 2 or 4.
+    /// Number of columns of a 4 x 4 tile whose sums fit into the registers at once: 2 or 4.
     const COLUMNS_AT_ONCE: usize;
 
-    /// The same number in every lane.
+    /// Returns the same number in every lane.
     fn splat(value: f64) -> Self;
 
-    /// From the first `LANES` numbers of a slice.
+    /// Reads the first `LANES` numbers of a slice.
     fn load(numbers: &[Self::Number]) -> Self;
 
-    /// To the first `LANES` numbers of a slice.
+    /// Writes the first `LANES` numbers of a slice.
     fn store(self, numbers: &mut [Self::Number]);
 
     /// The sum.
@@ -32,7 +31,7 @@ pub(crate) trait Lane: Copy + Send + Sync + 'static {
     /// The product.
     fn mul(self, other: Self) -> Self;
 
-    /// `self * factor + addend`, rounded once where the processor can.
+    /// `self * factor + addend`, rounded once if the processor supports it.
     fn mul_add(self, factor: Self, addend: Self) -> Self;
 
     /// `1 / self`, but at most 1e36: zero times it is zero.
@@ -42,7 +41,7 @@ pub(crate) trait Lane: Copy + Send + Sync + 'static {
     fn sqrt(self) -> Self;
 }
 
-/// Lanes of f32, with what the foam's law needs beside.
+/// Lanes of f32, with the additional operations of the foam's law.
 pub(crate) trait Lane32: Lane<Number = f32> {
     /// The quotient.
     fn div(self, other: Self) -> Self;
@@ -60,23 +59,23 @@ pub(crate) trait Lane32: Lane<Number = f32> {
     fn own(work: &mut LaneWork) -> &mut ReduceWork<Self>;
 }
 
-/// Adding this rounds an f32 (below 2^22) to a whole number, which then stands in its lowest bits.
+/// Adding this rounds an f32 (below 2^22) to a whole number, which is then in its lowest bits.
 pub(crate) const ROUND: f32 = 12_582_912.0;
 
-/// Below this a sum of conductances counts as none.
+/// A smaller sum of conductances counts as zero, S.
 pub(super) const LEAST_SUM_S: f64 = 1e-36;
 
-/// Something to be done in lanes of whichever kind.
+/// A job that can run in lanes of every kind.
 pub(crate) trait LaneJob {
-    /// What comes of it.
+    /// Result of the job.
     type Output;
 
-    /// Does it. Implementations are `#[inline(always)]`, as is all that they call in lanes: only
-    /// then does the compiler know the processor's features in them.
+    /// Runs the job. Implementations are `#[inline(always)]`, as is everything that they call in
+    /// lanes: only then does the compiler use the processor's features in them.
     fn run<L: Lane32>(self) -> Self::Output;
 }
 
-/// Memory for each kind of lanes; only what is used is ever filled.
+/// Memory for each kind of lanes; only the kinds in use are filled.
 #[derive(Default)]
 pub(crate) struct LaneWork {
     portable: ReduceWork<Portable>,
@@ -132,7 +131,7 @@ impl Lane for f64 {
     }
 }
 
-/// Eight f32 without any one processor's instructions.
+/// Eight f32 without instructions of a particular processor.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(32))]
 pub(crate) struct Portable([f32; 8]);

@@ -1,10 +1,10 @@
 //! Lane vectors of x86: AVX-512, and AVX2 with FMA. The only file of this crate with `unsafe`.
-//! Uses: std's intrinsics. Never: a type that comes to life where the processor lacks it.
+//! Uses: std's intrinsics. Never: a value of a lane type on a processor without its instructions.
 //!
-//! Why it is sound: an intrinsic may only run on a processor that has it. The two types are named in
-//! no other file but as the owners of memory in `lane`, which holds no value of them until a job
-//! runs; a job runs in them only through [`on_avx512`] and [`on_avx2`], which ask the processor
-//! first. The rest of `unsafe` here is two loads and two stores, of references to arrays.
+//! Soundness: an intrinsic may only run on a processor that supports it. No other file names the
+//! two types except `lane`, as owners of memory, which holds no value of them until a job runs; a
+//! job runs in them only through [`on_avx512`] and [`on_avx2`], which check the processor first.
+//! The other uses of `unsafe` here are two loads and two stores, of references to arrays.
 #![expect(unsafe_code, reason = "vector instructions; every one of this crate is in this file")]
 #![allow(clippy::wildcard_imports, reason = "thirty-two intrinsics, recognised by their names")]
 
@@ -13,17 +13,17 @@ use std::arch::x86_64::*;
 use super::lane::{LEAST_SUM_S, Lane, Lane32, LaneJob, LaneWork};
 use super::reduce::ReduceWork;
 
-/// Whether the processor has AVX-512 (foundation) and FMA.
+/// Whether the processor supports AVX-512 (foundation) and FMA.
 pub(crate) fn has_avx512() -> bool {
     is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("fma")
 }
 
-/// Whether the processor has AVX2 and FMA.
+/// Whether the processor supports AVX2 and FMA.
 pub(crate) fn has_avx2() -> bool {
     is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")
 }
 
-/// Does a job in lanes of sixteen. Panics where the processor cannot.
+/// Runs a job in lanes of sixteen. Panics if the processor does not support them.
 pub(crate) fn on_avx512<J: LaneJob>(job: J) -> J::Output {
     #[target_feature(enable = "avx512f,avx2,fma")]
     fn run<J: LaneJob>(job: J) -> J::Output {
@@ -34,7 +34,7 @@ pub(crate) fn on_avx512<J: LaneJob>(job: J) -> J::Output {
     unsafe { run(job) }
 }
 
-/// Does a job in lanes of eight. Panics where the processor cannot.
+/// Runs a job in lanes of eight. Panics if the processor does not support them.
 pub(crate) fn on_avx2<J: LaneJob>(job: J) -> J::Output {
     #[target_feature(enable = "avx2,fma")]
     fn run<J: LaneJob>(job: J) -> J::Output {

@@ -1,10 +1,10 @@
 //! The resistor network: sheet, foam resistors to the top layer, electrodes; solved exactly.
-//! Uses: `mesh`, `circuit`. Never: how the foam's conductances came about.
+//! Uses: `mesh`, `circuit`. Never: the origin of the foam's conductances.
 //!
-//! Unknowns are the sheet's nodes (and electrodes that are not nodes), beside one more: the top
-//! layer. `order` and `kron` remove all nodes but the electrodes and the top without a subtraction;
-//! `plan`, `lane` and `reduce` do the same for many loads side by side; `readout` turns what is left
-//! into the impedances Z and the voltages.
+//! Unknowns are the sheet's nodes (and electrodes that are separate nodes), and one further: the
+//! top layer. `order` and `kron` remove all nodes except the electrodes and the top without a
+//! subtraction; `plan`, `lane` and `reduce` do the same for many loads in parallel; `readout`
+//! converts the result to the impedances Z and the voltages.
 
 pub mod adjoint;
 pub mod back;
@@ -23,53 +23,57 @@ use crate::mesh::Mesh;
 /// A resistor between two nodes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Resistor {
-    /// One end.
+    /// Node at one end.
     pub a: u32,
-    /// The other end.
+    /// Node at the other end.
     pub b: u32,
     /// Conductance, S, > 0.
     pub conductance_s: f64,
 }
 
-/// Everything in the network but the foam.
+/// The network without the foam.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SheetNetwork {
-    /// Place of each node, mm: the mesh's nodes, then electrodes that are nodes of their own.
+    /// Position of each node, mm: the mesh's nodes, then electrodes that are separate nodes.
     pub places_mm: Vec<[f64; 2]>,
-    /// Resistors, no pair twice.
+    /// Resistors, at most one per pair of nodes.
     pub resistors: Vec<Resistor>,
     /// Node of each electrode.
     pub electrodes: Vec<u32>,
 }
 
-/// An electrode that the network cannot hold.
+/// Why the network cannot contain an electrode.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum ElectrodeError {
-    /// An ideal electrode must stand on a node.
+    /// An ideal electrode is not on a node.
     #[error("network: electrode {electrode} is off every node and needs a contact resistance")]
     IdealOffNode {
-        /// Index of the electrode.
+        /// Index of the electrode, from 0.
         electrode: usize,
     },
-    /// Two electrodes would be the same node.
-    #[error("network: electrode {electrode} stands on another one's node")]
+    /// Two electrodes are on the same node.
+    #[error("network: electrode {electrode} is on the node of another one")]
     SharedNode {
-        /// Index of the second electrode.
+        /// Index of the second electrode, from 0.
         electrode: usize,
     },
-    /// A resistance is negative or not a number.
+    /// A resistance is negative or not finite.
     #[error("network: electrode {electrode} has a resistance of {ohm} ohm")]
     Resistance {
-        /// Index of the electrode.
+        /// Index of the electrode, from 0.
         electrode: usize,
-        /// The value.
+        /// Value of the resistance, ohm.
         ohm: f64,
     },
 }
 
 impl SheetNetwork {
-    /// The sheet of a mesh (`sheet_s`: conductance per square of each triangle, S) with a circuit's
-    /// electrodes on it.
+    /// Builds the sheet of a mesh (`sheet_s`: conductance per square of each triangle, S) with a
+    /// circuit's electrodes on it.
+    ///
+    /// # Errors
+    /// `ElectrodeError` with the first electrode that is off a node, on another one's node, or has
+    /// an invalid resistance.
     pub fn new(
         mesh: &Mesh,
         sheet_s: &[f64],

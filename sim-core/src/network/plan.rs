@@ -1,15 +1,15 @@
-//! The plan of the reduction: in which order nodes go, and where every number of a front lies.
-//! Uses: `order`. Never: loads (one plan serves every load of a network, in every lane type).
+//! The plan of the reduction: the order of the nodes, and the location of every number of a front.
+//! Uses: `order`. Never: loads (one plan is valid for every load of a network, in every lane type).
 //!
 //! Multifrontal: each part of the dissection is a small dense front. Its rows are its own nodes
 //! (`pivots`, removed here), one row for the sum over all the others, then those others (the
-//! `boundary`, the top layer always last). What removing the pivots adds between boundary nodes is
-//! the front's remainder, which its parent takes over.
+//! `boundary`, the top layer always last). The conductances that the removal of the pivots adds
+//! between boundary nodes are the front's remainder, which is added to its parent.
 
 use super::SheetNetwork;
 use crate::order::{Part, dissect};
 
-/// Rows and columns are worked on in squares of this side.
+/// Rows and columns are processed in squares of this side length.
 pub(super) const TILE: usize = 4;
 
 /// One dense front.
@@ -19,32 +19,32 @@ pub(super) const TILE: usize = 4;
 /// strictly below the diagonal, without padding.
 #[derive(Debug)]
 pub(super) struct Front {
-    /// Nodes removed here.
+    /// Number of nodes removed here.
     pub pivots: usize,
-    /// Place of the first of them in the order.
+    /// Position of the first of them in the order.
     pub first: usize,
-    /// Boundary nodes, the top included.
+    /// Number of boundary nodes, the top included.
     pub boundary: usize,
     /// Resistors that end at a pivot: entry among the pivots' columns, conductance (S).
     pub resistors: Vec<(u32, f64)>,
     /// The parts whose remainders meet here, the last one first.
     pub children: Vec<Child>,
-    /// Levels below the root, modulo 2: which of the two stacks takes the remainder.
+    /// Number of levels below the root, modulo 2: selects one of the two stacks for the remainder.
     pub parity: usize,
 }
 
-/// Where a child's remainder goes, number by number: the columns of its nodes that are pivots here
+/// Target of a child's remainder, number by number: the columns of its nodes that are pivots here
 /// come first.
 #[derive(Debug)]
 pub(super) struct Child {
-    /// Entries among the pivots' columns.
+    /// Target entries in the pivots' columns.
     pub pivots: Vec<u32>,
-    /// Numbers of the front's remainder.
+    /// Target numbers in the front's remainder.
     pub remainder: Vec<u32>,
 }
 
 impl Child {
-    /// Numbers in the child's remainder.
+    /// Length of the child's remainder.
     pub fn len(&self) -> usize {
         self.pivots.len() + self.remainder.len()
     }
@@ -56,17 +56,17 @@ impl Front {
         (self.pivots + 1).next_multiple_of(TILE)
     }
 
-    /// Columns of pivots, padded to whole tiles.
+    /// Number of columns of pivots, padded to whole tiles.
     pub fn columns(&self) -> usize {
         self.pivots.next_multiple_of(TILE)
     }
 
-    /// Tiles of four rows.
+    /// Number of tiles of four rows.
     pub fn tiles(&self) -> usize {
         (self.boundary_row() + self.boundary).div_ceil(TILE)
     }
 
-    /// Numbers in the remainder.
+    /// Length of the remainder.
     pub fn remainder(&self) -> usize {
         packed(self.boundary)
     }
@@ -75,7 +75,7 @@ impl Front {
         (row / TILE * self.columns() + column) * TILE + row % TILE
     }
 
-    /// The row of a node in the front, given its place in the order; `boundary` is ascending.
+    /// The row of a node in the front, given its position in the order; `boundary` is ascending.
     fn row(&self, place: u32, boundary: &[u32]) -> usize {
         match (place as usize).checked_sub(self.first) {
             Some(pivot) if pivot < self.pivots => pivot,
@@ -84,12 +84,12 @@ impl Front {
     }
 }
 
-/// Entries strictly below the diagonal of a square block.
+/// Number of entries strictly below the diagonal of a square block.
 pub(super) fn packed(side: usize) -> usize {
     side * side.saturating_sub(1) / 2
 }
 
-/// Number of an entry below the diagonal of a block that is stored by columns.
+/// Index of an entry below the diagonal of a block that is stored by columns.
 pub(super) fn packed_entry(side: usize, row: usize, column: usize) -> usize {
     packed(side) - packed(side - column) + row - column - 1
 }
@@ -98,16 +98,16 @@ pub(super) fn packed_entry(side: usize, row: usize, column: usize) -> usize {
 #[derive(Debug)]
 pub struct ReductionPlan {
     pub(super) fronts: Vec<Front>,
-    /// Most numbers that each of the two stacks of remainders holds at a time.
+    /// Largest length of each of the two stacks of remainders.
     pub(super) stacks: [usize; 2],
-    /// Resistors between electrodes: number in the root's remainder, conductance (S).
+    /// Resistors between electrodes: index in the root's remainder, conductance (S).
     pub(super) between_kept: Vec<(u32, f64)>,
     order: Vec<u32>,
     kept: usize,
 }
 
 impl ReductionPlan {
-    /// Plans the removal of all nodes of a network but its electrodes.
+    /// Plans the removal of all nodes of a network except its electrodes.
     pub fn new(network: &SheetNetwork) -> Self {
         let nodes = network.places_mm.len();
         let mut neighbours = vec![Vec::new(); nodes];
@@ -117,7 +117,7 @@ impl ReductionPlan {
         }
         let kept = &network.electrodes;
         let mut parts = dissect(&network.places_mm, &neighbours, kept);
-        // The electrodes are the last front, where nothing is removed.
+        // The electrodes are the last front, in which nothing is removed.
         let root = Part { nodes: Vec::new(), children: vec![parts.len() - 1] };
         parts.push(root);
         let order: Vec<u32> = parts.iter().flat_map(|p| &p.nodes).chain(kept).copied().collect();
@@ -160,7 +160,7 @@ impl ReductionPlan {
         self.kept
     }
 
-    /// Multiply-adds that one reduction needs, without padding.
+    /// Number of multiply-adds of one reduction, without padding.
     pub fn multiply_adds(&self) -> usize {
         let of = |f: &Front| -> usize {
             let rows = f.pivots + f.boundary;
@@ -170,8 +170,8 @@ impl ReductionPlan {
     }
 }
 
-/// Per part, the later nodes that it touches once its own are gone: places in the order, ascending,
-/// without the top. The last part touches all that are kept.
+/// Per part, the later nodes that are its neighbours once its nodes are removed: positions in the
+/// order, ascending, without the top. Those of the last part are all kept nodes.
 fn boundaries(
     parts: &[Part],
     place: &[u32],
@@ -199,7 +199,7 @@ fn boundaries(
     boundaries
 }
 
-/// The fronts, still without resistors.
+/// Lays out the fronts, without resistors.
 fn lay_out(parts: &[Part], boundaries: &[Vec<u32>]) -> Vec<Front> {
     let mut fronts: Vec<Front> = Vec::with_capacity(parts.len());
     let mut first = 0;
@@ -243,7 +243,7 @@ fn child(front: &Front, boundary: &[u32], of_child: &[u32]) -> Child {
     child
 }
 
-/// The greatest heights of the two stacks.
+/// The largest heights of the two stacks.
 fn stack_sizes(fronts: &[Front]) -> [usize; 2] {
     let (mut heights, mut greatest) = ([0; 2], [0; 2]);
     for front in fronts {

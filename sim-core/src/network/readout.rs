@@ -1,5 +1,5 @@
-//! From the reduced network to a frame: impedances Z, electrode voltages, adjacent differences.
-//! Uses: `circuit`, the block that `network::kron` leaves. Never: the foam, the mesh.
+//! Converts the reduced network to a frame: impedances Z, electrode voltages, adjacent differences.
+//! Uses: `circuit`, the block of `network::kron`. Never: the foam, the mesh.
 //!
 //! `Z = E' A^-1 E`: potential at j, below the top, per ampere drawn at k. With electrode k at 0 V
 //! and the top at V0: `V_j(k) = V0 (Z_kk - Z_jk) / Z_kk`
@@ -8,11 +8,11 @@
 
 use crate::circuit::ReadoutCircuit;
 
-/// Numbers of `N` loads side by side.
+/// Numbers of `N` loads, one per lane.
 type Lanes<const N: usize> = [f64; N];
 
-/// Memory and results of the last stage, for `N` loads side by side; all square blocks are row-major,
-/// `n * n`.
+/// Memory and results of the last stage, for `N` loads in parallel; all square blocks are
+/// row-major, `n * n`.
 #[derive(Debug, Default)]
 pub struct ReadoutWork<const N: usize = 1> {
     lower: Vec<Lanes<N>>,
@@ -38,7 +38,7 @@ impl ReadoutWork {
         self.frame_v.as_flattened()
     }
 
-    /// Works out Z, the voltages and the frame from the block of [`super::kron::KronReduction`]
+    /// Computes Z, the voltages and the frame from the block of [`super::kron::KronReduction`]
     /// (column-major, `n + 1` rows, conductances below the diagonal, those to the top last).
     pub fn evaluate(&mut self, reduced: &[f64], circuit: &ReadoutCircuit) {
         self.evaluate_lanes(reduced.as_chunks().0, circuit);
@@ -46,8 +46,8 @@ impl ReadoutWork {
 }
 
 impl<const N: usize> ReadoutWork<N> {
-    /// [`ReadoutWork::evaluate`] for each lane. A lane's numbers do not depend on its neighbours.
-    /// Gives the frames: `[n * k + j]`, V after gain.
+    /// As [`ReadoutWork::evaluate`], for each lane. The numbers of a lane do not depend on its
+    /// neighbours. Returns the frames: `[n * k + j]`, V after gain.
     #[inline(always)] // so that a kernel's vectors serve here too
     pub fn evaluate_lanes(
         &mut self,
@@ -67,7 +67,7 @@ impl<const N: usize> ReadoutWork<N> {
         let rows = impedance_ohm.chunks_exact(n).zip(electrodes_v.chunks_exact_mut(n));
         for (k, ((z, voltages), frame)) in rows.zip(frame_v.chunks_exact_mut(n)).enumerate() {
             let own = z[k].map(|z| z + circuit.electrodes[k].lead_ohm);
-            // Without a path to the top at all nothing flows.
+            // Without a path to the top there is no current.
             let flows = own.map(|own| own.is_finite() && own > 0.0);
             let volts_per_ohm = own.map(|own| circuit.source_v / own);
             for (v, z) in voltages.iter_mut().zip(z) {
@@ -84,8 +84,8 @@ impl<const N: usize> ReadoutWork<N> {
         frame_v
     }
 
-    /// Cholesky without subtraction: `lower[column]` holds l_ik > 0 below the diagonal, and
-    /// `1 / sqrt(d)` on it; the last row (top) takes part in d.
+    /// Cholesky without subtraction: `lower[column]` contains l_ik > 0 below the diagonal, and
+    /// `1 / sqrt(d)` on it; the last row (top) contributes to d.
     #[inline(always)]
     fn factor(&mut self, reduced: &[Lanes<N>], n: usize) {
         let lead = n + 1;
@@ -151,7 +151,7 @@ fn add_scaled<const N: usize>(target: &mut [Lanes<N>], factor: Lanes<N>, source:
     }
 }
 
-/// Scalar product in four strands, which a processor adds side by side.
+/// Scalar product as four independent sums, which a processor adds in parallel.
 #[inline(always)]
 fn dot<const N: usize>(a: &[Lanes<N>], b: &[Lanes<N>]) -> Lanes<N> {
     let ((a, a_tail), (b, b_tail)) = (a.as_chunks::<4>(), b.as_chunks::<4>());

@@ -1,15 +1,16 @@
-//! The reduction itself: all nodes but the electrodes and the top layer go, without a subtraction.
-//! Uses: `plan`, any `lane`. Never: a diagonal entry (that is where the digits would be lost).
+//! The reduction: removes all nodes except the electrodes and the top layer, without a subtraction.
+//! Uses: `plan`, any `lane`. Never: a diagonal entry (it would lose the digits).
 //!
-//! Star-mesh transform (Grassmann-Taksar-Heyman): the top layer is one more node, and node k goes by
-//! `d = sum_i a_ik`, `l_i = a_ik / sqrt(d)`, `a_ij += l_i l_j`, where i and j run over all nodes
-//! still there. It is Cholesky with positive signs and a sum for a pivot: every entry keeps nearly
+//! Star-mesh transform (Grassmann-Taksar-Heyman): the top layer is one further node, and node k is
+//! removed by `d = sum_i a_ik`, `l_i = a_ik / sqrt(d)`, `a_ij += l_i l_j`, where i and j run over
+//! all remaining nodes. It is Cholesky with positive signs and a sum for a pivot: every entry keeps
+//! nearly
 //! its full relative precision, even in f32, though the condition number reaches 1e13 on an
 //! untouched skin (`docs/references.md`, "Resistor network").
 //!
-//! Sums are linear in the columns that they sum, so the boundary of a front can be replaced by one
-//! row of its sums while the pivots are worked out; then each tile of the boundary is divided by
-//! them on its own, in the first-level cache; then the remainder is written tile by tile.
+//! Sums are linear in the columns, so the boundary of a front can be replaced by one row of its
+//! sums while the pivots are computed; then each tile of the boundary is divided by them
+//! separately, in the first-level cache; then the remainder is written tile by tile.
 
 use super::lane::Lane;
 use super::plan::{Front, ReductionPlan, TILE, packed, packed_entry};
@@ -21,11 +22,11 @@ type Tile<L> = [Rows<L>; TILE];
 
 /// Memory of a reduction.
 pub(crate) struct ReduceWork<L> {
-    /// The pivots' columns of the present front, by tiles.
+    /// The pivots' columns of the current front, by tiles.
     panel: Vec<Rows<L>>,
-    /// `1 / sqrt(d)` of the present front's pivots.
+    /// `1 / sqrt(d)` of the current front's pivots.
     roots: Vec<Rows<L>>,
-    /// Remainders that wait for their parents; parents and children alternate.
+    /// Remainders that have not been added to their parents; parents and children alternate.
     stacks: [Vec<L>; 2],
 }
 
@@ -36,8 +37,8 @@ impl<L> Default for ReduceWork<L> {
 }
 
 /// Removes the nodes. `to_top`: conductance of each node to the top layer, S, >= 0, in the plan's
-/// order, a node's lanes side by side. The result is the electrodes' block with the top as its last row: by columns, strictly
-/// below the diagonal.
+/// order, with the lanes of a node adjacent. The result is the electrodes' block with the top as
+/// its last row: by columns, strictly below the diagonal.
 #[inline(always)]
 pub(crate) fn reduce<'w, L: Lane>(
     plan: &ReductionPlan,
@@ -98,8 +99,8 @@ fn grow<T: Copy>(values: &mut Vec<T>, size: usize, fill: T) {
     }
 }
 
-/// Fills a front's columns: resistors, foam, what the children left. The last child's remainder
-/// ends where `remainders` ends.
+/// Fills a front's columns: resistors, foam, remainders of the children. The last child's remainder
+/// is at the end of `remainders`.
 #[inline(always)]
 fn assemble<L: Lane>(front: &Front, panel: &mut [Rows<L>], to_top: &[L::Number], remainders: &[L]) {
     panel.fill([L::splat(0.0); TILE]);
@@ -121,7 +122,7 @@ fn assemble<L: Lane>(front: &Front, panel: &mut [Rows<L>], to_top: &[L::Number],
     }
 }
 
-/// Adds each value where it belongs.
+/// Adds each value to its target.
 #[inline(always)]
 fn add<L: Lane>(targets: &mut [L], places: &[u32], values: &[L]) {
     for (&place, &value) in places.iter().zip(values) {
@@ -146,7 +147,7 @@ fn sum_boundary<L: Lane>(front: &Front, panel: &mut [Rows<L>]) {
 
 /// Divides the pivots' own rows, and the row of sums, by the pivots; fills `roots`.
 ///
-/// Columns that only fill up the last tile are zero and stay so.
+/// Columns that only pad the last tile are zero and stay so.
 #[inline(always)]
 fn factor_pivots<L: Lane>(front: &Front, panel: &mut [Rows<L>], roots: &mut [Rows<L>]) {
     let columns = front.columns();
@@ -156,7 +157,7 @@ fn factor_pivots<L: Lane>(front: &Front, panel: &mut [Rows<L>], roots: &mut [Row
         let (block, below) = own[block * columns..].split_at_mut(columns);
         let (before, square) = block.split_at_mut(start);
         let square = first_tile(square);
-        // What earlier pivots add; the sums of the rows below the block.
+        // Contributions of earlier pivots; the sums of the rows below the block.
         *square = accumulate(*square, before, before);
         let mut sums = [L::splat(0.0); TILE];
         for tile in below.chunks_exact_mut(columns) {
@@ -175,10 +176,10 @@ fn factor_pivots<L: Lane>(front: &Front, panel: &mut [Rows<L>], roots: &mut [Row
     }
 }
 
-/// Factors a tile on the diagonal, with one more row: the sums of all rows below. Gives
+/// Factors a tile on the diagonal, with one further row: the sums of all rows below. Returns
 /// `1 / sqrt(d)`.
 ///
-/// A pivot must wait for `1 / d` of the one before; the roots are taken when all are known.
+/// A pivot needs `1 / d` of the previous one; the roots are computed when all are known.
 #[inline(always)]
 #[expect(clippy::needless_range_loop, reason = "rows and columns of one square, by their numbers")]
 fn factor_square<L: Lane>(square: &mut Tile<L>, mut sums: Rows<L>) -> Rows<L> {

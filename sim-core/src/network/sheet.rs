@@ -20,7 +20,7 @@ pub fn resistors(mesh: &Mesh, sheet_s: &[f64]) -> Vec<Resistor> {
     edges.into_iter().map(|((a, b), conductance_s)| Resistor { a, b, conductance_s }).collect()
 }
 
-/// What a triangle of `sigma` S per square adds to the resistors on its edges.
+/// Resistors on the edges of a triangle of `sigma` S per square.
 pub fn of_triangle(mesh: &Mesh, triangle: &[u32; 3], sigma: f64) -> [Resistor; 3] {
     let area = mesh.triangle_area_mm2(triangle);
     std::array::from_fn(|corner| {

@@ -1,4 +1,4 @@
-//! The batch path against the f64 path: accuracy over all loads, bytes, extremes, errors.
+//! The batch path compared with the f64 path: accuracy over all loads, bytes, extremes, errors.
 
 use std::sync::OnceLock;
 
@@ -21,7 +21,7 @@ fn kernels() -> impl Iterator<Item = Kernel> {
     Kernel::ALL.into_iter().filter(|kernel| kernel.is_here())
 }
 
-/// The nominal skin in each kernel that this processor has.
+/// The nominal skin in each kernel that this processor supports.
 fn batches() -> &'static [BatchModel] {
     static BATCHES: OnceLock<Vec<BatchModel>> = OnceLock::new();
     BATCHES.get_or_init(|| kernels().map(|kernel| BatchModel::new(model(), kernel)).collect())
@@ -52,8 +52,8 @@ fn frames(batch: &BatchModel, trials: &[Vec<Contact>]) -> Vec<f32> {
     out
 }
 
-/// The largest error of frames against the f64 path: a value is a difference of two electrode
-/// voltages, and counts relative to the greater of them.
+/// The largest error of frames compared with the f64 path: a value is a difference of two electrode
+/// voltages, and its error is relative to the greater of them.
 fn error(model: &ForwardModel, trials: &[Vec<Contact>], frames: &[f32]) -> f64 {
     let mut work = Workspace::default();
     let mut worst = 0f64;
@@ -82,8 +82,8 @@ fn every_kernel_agrees_with_the_exact_path_at_every_load() {
     }
 }
 
-/// Frames of the f32 path as one would write it without care: a sparse Cholesky factor with a
-/// diagonal and subtractions, in the same precision, and the same last stage in f64.
+/// Frames of a naive f32 path: a sparse Cholesky factor with a diagonal and subtractions, in the
+/// same precision, and the same last stage in f64.
 fn plain_f32_frames(trials: &[Vec<Contact>]) -> Vec<f32> {
     let network = model().network().unwrap();
     let mut work = Workspace::default();
@@ -104,7 +104,7 @@ fn plain_f32_frames(trials: &[Vec<Contact>]) -> Vec<f32> {
         for (k, &electrode) in network.electrodes.iter().enumerate() {
             rhs[(electrode as usize, k)] = 1.0;
         }
-        // In f32 a lightly touched skin may not even look positive definite.
+        // In f32 the matrix of a lightly touched skin may not be positive definite numerically.
         let z = matrix.sp_cholesky(Side::Lower).map(|factor| factor.solve(&rhs));
         let z_at = |j: usize, k: usize| {
             let row = network.electrodes[j] as usize;
@@ -179,12 +179,12 @@ fn a_trials_bytes_do_not_depend_on_its_neighbours() {
     for batch in batches() {
         let name = batch.kernel().name();
         let all = frames(batch, &trials);
-        // One by one, and shifted against the lanes.
+        // One by one, and shifted with respect to the lanes.
         for (trial, expected) in trials.iter().zip(all.chunks_exact(784)) {
             assert_eq!(frames(batch, std::slice::from_ref(trial)), expected, "{name}");
         }
         assert_eq!(frames(batch, &trials[5..]), all[5 * 784..], "{name}");
-        // The order of a trial's neighbours, too.
+        // The order of a trial's neighbours, as well.
         let turned: Vec<_> = trials.iter().rev().cloned().collect();
         let turned = frames(batch, &turned);
         for (a, b) in turned.chunks_exact(784).rev().zip(all.chunks_exact(784)) {
@@ -237,7 +237,7 @@ fn an_empty_batch_is_legal_and_bad_ones_are_refused() {
 
 #[test]
 fn contacts_beside_the_points_go_the_slow_way_and_are_right() {
-    // A tenth of a millimetre off: no table row is exactly there.
+    // A tenth of a millimetre off: no table row has exactly this position.
     let off = |point: usize, force_n: f64| {
         let on = press(point, force_n);
         Contact { x_mm: on.x_mm + 0.1, y_mm: on.y_mm - 0.1, ..on }

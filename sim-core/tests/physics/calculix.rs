@@ -1,8 +1,9 @@
-//! The displacement field against CalculiX, which has the same brick (C3D8) and another solver.
+//! The displacement field compared with CalculiX, which has the same brick (C3D8) and another
+//! solver.
 //!
-//! CalculiX prints 7 digits. What is measured is by how much a displacement lies outside of what its
-//! printed value can mean (half a unit of the last digit), relative to the largest displacement:
-//! over 21,018 values that shows differences far below a printed digit.
+//! CalculiX prints 7 digits. The measure is the distance of a displacement from the interval that
+//! its printed value represents (half a unit of the last digit), relative to the largest
+//! displacement: over 21,018 values that shows differences far below a printed digit.
 
 use std::path::Path;
 use std::process::Command;
@@ -46,7 +47,7 @@ fn solve(folder: &Path, mesh: &Mesh, forces: &[NodeForce]) -> Vec<Printed> {
     printed
 }
 
-/// `node  ux  uy  uz`; other lines give nothing.
+/// `node  ux  uy  uz`; other lines are skipped.
 fn printed_line(line: &str) -> Vec<Printed> {
     let words: Vec<&str> = line.split_whitespace().collect();
     let Some((node, values)) = words.split_first() else { return Vec::new() };
@@ -59,7 +60,7 @@ fn printed_line(line: &str) -> Vec<Printed> {
     values.iter().enumerate().map(number).collect()
 }
 
-/// Largest difference relative to the largest displacement: as it is, and beyond the printed digits.
+/// Largest difference relative to the largest displacement: total, and beyond the printed digits.
 fn differences(mesh: &Mesh, ours: &Deformation, printed: &[Printed]) -> [f64; 2] {
     let most = printed.iter().map(|p| p.value_mm.abs()).fold(0.0, f64::max);
     assert!(most > 0.5, "the load moves something: {most} mm");

@@ -1,5 +1,5 @@
-//! Contacts fitted to frames: known ones come back, what is said of their accuracy is true, and bad
-//! frames are refused.
+//! Contacts fitted to frames: known ones are found, the stated accuracy is true, and bad frames are
+//! rejected.
 
 use std::sync::OnceLock;
 
@@ -20,7 +20,7 @@ fn fitter() -> &'static ContactFitter {
     static FITTER: OnceLock<ContactFitter> = OnceLock::new();
     FITTER.get_or_init(|| {
         let error = ErrorModel::white(CHANNELS, NOISE_V).unwrap();
-        // The model is true here: the evidence decides, without odds against a contact more.
+        // The model is exact here: the evidence decides, without odds against a further contact.
         let options = FitOptions { ln_odds: 0.0, ..FitOptions::default() };
         ContactFitter::new(model(), &error, options).unwrap()
     })
@@ -195,7 +195,7 @@ fn a_still_load_is_looked_at_again_as_its_frames_add_up() {
         }
         fits.push(fit);
     }
-    // What one frame cannot show is found all the same, and nothing is looked for at every frame.
+    // Contacts too weak for one frame are found, and no search runs at every frame.
     assert_eq!((fits[0].contacts.len(), fits[29].contacts.len()), (3, 4), "{:?}", fits[29]);
     assert!(searches.len() <= 4 && searches.contains(&25), "{searches:?}");
     let observation = Observation { frame_v: &mean_v, frames: 30.0 };

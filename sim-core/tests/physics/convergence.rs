@@ -1,9 +1,9 @@
-//! How fast the elastic solve comes nearer to a smooth solution that is known: mesh, element,
-//! material, assembly, boundary and solve together.
+//! Convergence of the elastic solve to a known smooth solution: mesh, element, material, assembly,
+//! boundary and solve together.
 //!
-//! The load is the one that belongs to the known field (`F_i = integral of B_i' D e(u)`), so that
-//! body forces and tractions need not be worked out. Halving the bricks must divide the error of the
-//! displacement by 4 (order 2) and that of the strain by 2 (order 1).
+//! The load is the one of the known field (`F_i = integral of B_i' D e(u)`), so that body forces
+//! and tractions are not needed. Halving the bricks must divide the error of the displacement by 4
+//! (order 2) and that of the strain by 2 (order 1).
 
 use sim_core::assemble;
 use sim_core::boundary::FixedBottom;
@@ -63,7 +63,7 @@ fn known_strain([x, y, z]: [f64; 3]) -> [f64; 6] {
     [z * cos, z * z * s, x * y, xy, yz, zx]
 }
 
-/// Weights and places of the 3 x 3 x 3 Gauss rule.
+/// Weights and positions of the 3 x 3 x 3 Gauss rule.
 fn gauss() -> Vec<(f64, [f64; 3])> {
     let points = [(5.0 / 9.0, -0.6f64.sqrt()), (8.0 / 9.0, 0.0), (5.0 / 9.0, 0.6f64.sqrt())];
     let mut rule = Vec::new();
@@ -90,7 +90,7 @@ fn all_bricks(mesh: &Mesh) -> Vec<Brick> {
     (0..mesh.sheets.len()).flat_map(|l| mesh.cells.iter().map(move |c| brick(l, c))).collect()
 }
 
-/// Root mean square errors of displacement and strain. `load_poisson` belongs to the load.
+/// Root mean square errors of displacement and strain. `load_poisson` is that of the load.
 fn errors(mesh: &Mesh, load_poisson: f64) -> [f64; 2] {
     let boundary = FixedBottom::new(mesh);
     let d = isotropic_mpa(1.0, load_poisson);
@@ -138,7 +138,7 @@ fn errors(mesh: &Mesh, load_poisson: f64) -> [f64; 2] {
     [(displacement / volume).sqrt(), (strain / volume).sqrt()]
 }
 
-/// Values at the corners, interpolated to a place of the reference cube.
+/// Values at the corners, interpolated to a position of the reference cube.
 fn place(corners: &[[f64; 3]; 8], at: [f64; 3]) -> [f64; 3] {
     let n = hex8::shape(at);
     std::array::from_fn(|axis| n.iter().zip(corners).map(|(n, c)| n * c[axis]).sum())

@@ -1,4 +1,4 @@
-//! The elastic skin: closed form, stiffness of a point, sameness of points, the cache's bytes.
+//! The elastic skin: closed form, stiffness of a point, equality of points, the cache's bytes.
 
 use sim_core::assemble;
 use sim_core::boundary::FixedBottom;
@@ -34,15 +34,15 @@ fn all_points_are_equal_to_four_digits() {
         worst = worst.max((c / centre - 1.0).abs()).max((v / vertex - 1.0).abs());
     }
     assert!(worst < 5e-5, "{worst:e}");
-    // The measure tells places apart: a vertex is not a centre.
+    // The measure distinguishes positions: a vertex is not a centre.
     assert!((vertex / centre - 1.0).abs() > 0.1);
 }
 
-/// Sinking of the top face per MPa under even pressure with sideways motion held, mm.
+/// Sinking of the top face per MPa under even pressure without lateral motion, mm.
 fn confined_sinking(mesh: &Mesh) -> f64 {
     let boundary = FixedBottom::new(mesh);
     let full = assemble::stiffness(mesh, &boundary).unwrap();
-    // Sideways motion is held by leaving those unknowns out.
+    // Lateral motion is suppressed by removing those unknowns.
     let n = boundary.unknowns();
     let keep: Vec<usize> = (0..n).filter(|u| u % 3 == 2).collect();
     let mut triplets = Vec::new();
@@ -108,7 +108,7 @@ fn confined_compression_follows_the_closed_form() {
     };
     let sinking = confined_sinking(mesh);
     assert!((sinking / closed(1.0) - 1.0).abs() < 1e-9, "{sinking} {}", closed(1.0));
-    // A broken twin: a foam a thousandth stiffer is told apart.
+    // A broken twin: a foam stiffer by a thousandth is detected.
     assert!((sinking / closed(1.001) - 1.0).abs() > 1e-4);
 }
 

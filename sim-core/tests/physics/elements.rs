@@ -1,4 +1,4 @@
-//! The brick: nodality, patch test, rigid motion; each check is seen to fail on a broken twin.
+//! The brick: nodality, patch test, rigid motion; each check fails on a broken twin.
 
 use sim_core::element::hex8::{self, Stiffness};
 use sim_core::material::isotropic_mpa;
@@ -21,8 +21,8 @@ fn bricks() -> [[[f64; 3]; 8]; 2] {
     [skew, wedge]
 }
 
-/// Largest force, relative to the stiffness, that a linear displacement field leaves at the nodes
-/// beyond what its constant stress accounts for.
+/// Largest nodal force of a linear displacement field, relative to the stiffness, beyond that of
+/// its constant stress.
 fn patch_error(nodes: &[[f64; 3]; 8], k: &Stiffness, d: &[[f64; 6]; 6]) -> f64 {
     // u = G x: with a constant strain, the nodal forces are V-weighted integrals of B' s.
     let gradient = [[1e-3, 2e-3, -5e-4], [3e-4, -1e-3, 7e-4], [-2e-4, 4e-4, 2e-3]];

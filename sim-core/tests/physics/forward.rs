@@ -18,7 +18,8 @@ fn frame(contacts: &[sim_core::forward::Contact]) -> Vec<f64> {
 fn single_presses_have_the_studys_signal() {
     let point = point_at(270.0, 280.0);
     for (force_n, expected_mv) in [(5.0, 1.05), (10.0, 2.6), (20.0, 8.5), (40.0, 53.0)] {
-        // `docs/references.md`, "Feasibility study". Mean over some points: it does not say where.
+        // `docs/references.md`, "Feasibility study". Mean over some points: their positions are
+        // unknown.
         let places = [(150.0, 150.0), (400.0, 400.0), (200.0, 420.0), (350.0, 200.0)];
         let points = places.iter().map(|&(x, y)| point_at(x, y)).chain([point]);
         let all: Vec<f64> = points.map(|p| 1e3 * sd(&frame(&[press(p, force_n)]))).collect();
@@ -78,14 +79,14 @@ fn an_untouched_skin_is_legal_and_right() {
     let v = model().voltages(&[], &mut work).unwrap().to_vec();
     assert!(v.iter().all(|v| v.is_finite()));
     // Every foam resistor is f(1e-4 mm), so the source drives 12 V through 3503 of them in
-    // parallel: Z_kk is that resistance, but for the sheet's part in 1e5.
+    // parallel: Z_kk is that resistance, except for the sheet's part of 1e-5.
     let rest_ohm = resistance_ohm(&sensor().file.piezo, 0.0);
     assert!((rest_ohm / 1.571e12 - 1.0).abs() < 1e-3, "{rest_ohm:e}");
     for k in 0..28 {
         let z = work.readout().impedance_ohm()[29 * k];
         assert!((z / (rest_ohm / 3503.0) - 1.0).abs() < 1e-4, "{z:e}");
     }
-    // A millionth of a newton is the same as none: x is below the clamp.
+    // A millionth of a newton equals zero: x is below the clamp.
     assert_eq!(v, frame(&[press(400, 1e-6)]));
     assert!(1e6 * sd(&v) < 100.0 && sd(&v) > 0.0, "{} uV", 1e6 * sd(&v));
 }
@@ -105,7 +106,7 @@ fn more_force_draws_more_current_everywhere() {
 
 #[test]
 fn loads_add_before_the_clamp() {
-    // Around a press the foam rises a little; two presses may not count that as zero each.
+    // Around a press the foam rises a little; two presses must not clamp that to zero separately.
     let (a, b) = (point_at(270.0, 280.0), point_at(304.6, 280.0));
     let mut work = Workspace::default();
     model().voltages(&[press(a, 40.0), press(b, 40.0)], &mut work).unwrap();
@@ -141,7 +142,7 @@ fn vertex_forces_and_neutral_fields_give_the_same_frame() {
     let mut work = Workspace::default();
     assert_eq!(same.voltages_of_vertex_forces(&forces, &mut work), nominal);
 
-    // Each field moves the frame, and the hash; a wrong length is refused.
+    // Each field changes the frame, and the hash; a wrong length is rejected.
     let mut other = fields.clone();
     other.ln_a.iter_mut().for_each(|v| *v = 0.1);
     let moved = ForwardModel::with(sensor(), responses(), other, circuit.clone()).unwrap();
@@ -160,7 +161,7 @@ fn contact_and_lead_resistances_reduce_the_seen_voltages_as_they_should() {
     model().voltages(&contact, &mut work).unwrap();
     let (z, ideal) =
         (work.readout().impedance_ohm().to_vec(), work.readout().electrodes_v().to_vec());
-    // A lead and a contact resistance on a node are the same thing: both add to Z_kk only.
+    // A lead and a contact resistance on a node are equivalent: both add to Z_kk only.
     let ohm = 2e4;
     for lead in [true, false] {
         let mut circuit = ReadoutCircuit::nominal(sensor());
@@ -194,7 +195,7 @@ fn a_skin_with_other_electrodes_is_the_one_made_anew() {
     let before = of(&circuit);
     circuit.electrodes[3].x_mm += 17.0;
     circuit.electrodes[9].contact_ohm = 12.0;
-    // The last one stands on a node instead of hanging on by a resistance.
+    // The last one is a node itself, without a resistance.
     for contact_ohm in [30.0, 0.0] {
         circuit.electrodes[20].contact_ohm = contact_ohm;
         let (moved, anew) = (before.with_circuit(circuit.clone()).unwrap(), of(&circuit));
@@ -214,7 +215,7 @@ fn a_displacement_table_is_linear_between_its_samples() {
     assert_eq!(lut.apply(0.0), 0.0);
     assert_eq!(lut.apply(0.25), 0.125);
     assert_eq!(lut.apply(2.0), 4.0);
-    assert!((lut.apply(5.0) - (16.0 + 7.5)).abs() < 1e-12, "goes on with its last slope");
+    assert!((lut.apply(5.0) - (16.0 + 7.5)).abs() < 1e-12, "is extrapolated with its last slope");
     assert_eq!(
         DisplacementLut::new(1.0, vec![0.0, 2.0, 1.0]),
         Err(LutError::NotRising { index: 2, value_mm: 1.0 })

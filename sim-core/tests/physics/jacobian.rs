@@ -1,4 +1,5 @@
-//! The derivative against differences of frames, and against what must hold whatever the numbers.
+//! The derivative compared with differences of frames, and with identities that hold for all
+//! values.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -57,22 +58,22 @@ fn moved(contacts: &[Contact], contact: usize, parameter: usize, by: f64) -> Vec
     contacts
 }
 
-/// Nodes that are pressed beyond the clamps.
+/// Nodes that are pressed above the clamps.
 fn pressed(model: &ForwardModel, contacts: &[Contact]) -> Vec<bool> {
     let mut work = Workspace::default();
     model.voltages(contacts, &mut work).unwrap();
     work.compression_mm().iter().map(|&x| x > 1e-4).collect()
 }
 
-/// Distance of a column from differences of frames with a step, less what these round off themselves
-/// (frames hold their digits to 1e-11 and better), by the column's length.
+/// Distance of a column from differences of frames with a step, minus the rounding error of these
+/// (frames are accurate to 1e-11), relative to the column's length.
 fn error(column: &[f64], numbers: &[f64], frame: &[f64], step: f64) -> f64 {
     let rounding = 2e-11 * norm(frame) / step;
     ((apart(column, numbers) * norm(column) - rounding) / norm(column)).max(0.0)
 }
 
-/// Errors of all smooth columns over random trials; a column is smooth if no node passes a clamp and
-/// no tip an edge of the lattice within the step.
+/// Errors of all smooth columns over random trials; a column is smooth if no node crosses a clamp
+/// and no tip an edge of the lattice within the step.
 fn contact_errors(model: &ForwardModel, trials: usize, broken: bool) -> (Vec<f64>, usize) {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let mut work = JacobianWork::default();
@@ -254,8 +255,8 @@ fn whole(model: &ForwardModel, field: Field) -> Mode {
     Mode { field, entries }
 }
 
-/// All resistances times one factor, or all forces and the compliance by inverse ones, leave the
-/// frame as it is. Returns what is left of the two sums, by the size of their terms.
+/// All resistances times one factor, or all forces and the compliance by inverse ones, do not
+/// change the frame. Returns the residuals of the two sums, relative to the size of their terms.
 fn sum_rules(model: &ForwardModel, contacts: &[Contact], work: &mut JacobianWork) -> [f64; 2] {
     let mut linear = model.linearise(contacts, work).unwrap();
     let mut modes = [Field::LnA, Field::LnC, Field::LnSheetConductance, Field::LnCompliance]

@@ -1,4 +1,4 @@
-//! The one-step reconstruction against dense algebra done another way.
+//! The one-step reconstruction compared with dense algebra by another method.
 
 use std::sync::OnceLock;
 

@@ -1,4 +1,4 @@
-//! The physics against closed forms, other methods and earlier prototypes
+//! The physics compared with closed forms, other methods and earlier prototypes
 //! (`docs/references.md`, "Feasibility study"). One binary, so that the elastic solve (seconds) is
 //! done once.
 
@@ -51,7 +51,7 @@ fn press(point: usize, force_n: f64) -> Contact {
     Contact { x_mm: p.x_mm, y_mm: p.y_mm, force_n }
 }
 
-/// Index of the point nearest to a place, mm.
+/// Index of the point nearest to a position, mm.
 fn point_at(x_mm: f64, y_mm: f64) -> usize {
     let distance = |i: &usize| {
         let p = sensor().points()[*i];

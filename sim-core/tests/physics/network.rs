@@ -1,4 +1,4 @@
-//! The resistor network against dense and sparse solvers of another kind.
+//! The resistor network compared with other dense and sparse solvers.
 
 use faer::linalg::solvers::Solve;
 use faer::sparse::{SparseColMat, Triplet};
@@ -13,7 +13,7 @@ use sim_core::network::{ElectrodeError, Resistor, SheetNetwork};
 
 use super::{model, point_at, press};
 
-/// A triangular patch of side x side nodes with random resistors, and electrodes here and there.
+/// A triangular patch of side x side nodes with random resistors and electrodes.
 fn random_net(side: usize, electrodes: usize, seed: u64) -> (SheetNetwork, Vec<f64>) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let index = |x: usize, y: usize| (y * side + x) as u32;

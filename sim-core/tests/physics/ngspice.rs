@@ -1,4 +1,4 @@
-//! The voltages against ngspice, which solves the same network in another way.
+//! The voltages compared with ngspice, which solves the same network by another method.
 
 use std::path::Path;
 use std::process::Command;
@@ -39,7 +39,7 @@ fn spice_voltages(folder: &Path, text: &str) -> Vec<f64> {
     voltages
 }
 
-/// Largest relative difference between ours and ngspice's over the electrodes that are not the sink.
+/// Largest relative difference between ours and ngspice's over the electrodes except the sink.
 fn difference(
     folder: &Path,
     network: &SheetNetwork,

@@ -1,4 +1,4 @@
-//! The running mean of still frames: its noise falls, and a new load starts it again.
+//! The running mean of constant frames: its noise decreases, and a new load restarts it.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

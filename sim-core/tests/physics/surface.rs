@@ -1,4 +1,4 @@
-//! The skin's surface under a tip, against the unit responses and against differences.
+//! The skin's surface under a tip, compared with the unit responses and with differences.
 
 use sim_core::mesh::Mesh;
 use sim_core::sensor::Sensor;
@@ -25,7 +25,7 @@ fn the_tip_sinks_by_the_foams_compression_and_a_little_more() {
     };
     let mean = nodes.vertices.iter().map(|&v| compression(v)).sum::<f64>() / 6.0;
     let tip = SurfaceSinking::solve(sensor(), &[point]).unwrap().of_tip(0).mm_per_n;
-    // Fabrics 300 times as stiff as the foam hardly thin out.
+    // Fabrics 300 times as stiff as the foam hardly become thinner.
     assert!(tip > mean && tip < 1.02 * mean, "tip {tip}, foam {mean} mm/N");
 }
 
@@ -51,7 +51,7 @@ fn softer_moduli_sink_in_proportion_and_the_derivative_is_that_of_differences() 
         let homogeneous = -s.mm_per_n - s.by_ln_foam;
         assert!((by_fabric - homogeneous).abs() < 1e-5 * s.mm_per_n.abs(), "{by_fabric} {s:?}");
     }
-    // A stiffer fabric flattens the dent: less under the tip, and not the same share beside it.
+    // A stiffer fabric flattens the dent: less under the tip, and not the same share next to it.
     let share = |n: usize| (-here[n].mm_per_n - here[n].by_ln_foam) / here[n].mm_per_n;
     assert!(share(0) < 0.0 && (share(0) - share(1)).abs() > 0.05, "{} {}", share(0), share(1));
 }

@@ -1,4 +1,4 @@
-//! Tips anywhere on the skin: what the nodes carry, and what the frames show.
+//! Tips anywhere on the skin: loads of the nodes, and frames.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -13,7 +13,7 @@ fn shares(spreading: Spreading, x_mm: f64, y_mm: f64) -> Vec<Share> {
     shares
 }
 
-/// Force (sixths), its moment's centre (mm) and how far it spreads, mm.
+/// Sum of the shares (sixths) and the centre of their moment, mm.
 fn sums(shares: &[Share]) -> (f64, [f64; 2]) {
     let place = |s: &Share| model().mesh().nodes_mm[s.node as usize];
     let force = shares.iter().map(|s| s.sixths).sum::<f64>();
@@ -72,7 +72,7 @@ fn sharp_shares_have_no_second_moment_and_linear_ones_do() {
     let mut blur = 0.0f64;
     for _ in 0..500 {
         let (x, y) = (rng.random_range(60.0..480.0), rng.random_range(60.0..500.0));
-        // The hexagon's own: its corners are 10 mm from the centre.
+        // The blur of the hexagon itself: its corners are 10 mm from the centre.
         assert!((moment(Spreading::Sharp, x, y) - 100.0).abs() < 1e-6);
         blur = blur.max(moment(Spreading::Linear, x, y) - 100.0);
     }
@@ -152,7 +152,7 @@ fn a_contact_off_the_skin_or_pulling_is_refused_by_name() {
     let error = refuse(Contact { y_mm: 9.9, ..c });
     assert_eq!(
         error.to_string(),
-        "contact 1: y_mm = 9.9 is outside 10 to 550 mm, where a tip stands wholly on the skin"
+        "contact 1: y_mm = 9.9 is outside 10 to 550 mm: a tip must be wholly on the skin"
     );
     let error = refuse(Contact { x_mm: f64::NAN, ..c });
     assert!(matches!(error, ContactError::OffSkin { contact: 1, field: "x_mm", .. }), "{error}");

@@ -1,10 +1,10 @@
-//! Programs that we did not write, and folders for what they read and write.
-//! Without the program a test says that it was left out; with `PALPATE_REQUIRE_TOOLS=1` it fails.
+//! External programs, and folders for their files.
+//! Without the program a test reports that it was skipped; with `PALPATE_REQUIRE_TOOLS=1` it fails.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// Whether a program can be started; says so where it cannot.
+/// Whether a program can be started; reports if not.
 pub fn available(program: &str) -> bool {
     let quiet =
         Command::new(program).arg("-v").stdout(Stdio::null()).stderr(Stdio::null()).status();
@@ -17,7 +17,7 @@ pub fn available(program: &str) -> bool {
     false
 }
 
-/// A folder that goes when it is dropped.
+/// A folder that is removed when it is dropped.
 pub struct Folder(PathBuf);
 
 impl Folder {

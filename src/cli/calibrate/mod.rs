@@ -1,6 +1,6 @@
-//! `palpate calibrate`: fits the model to a lab's measurements and writes a calibration file.
-//! Uses: `calibrate`, `simulate` (the model that voltages are compared with), files; `skin` also the
-//! service, for a run's trials. Never: the rig.
+//! `palpate calibrate`: fits the model to measurements and writes a calibration file.
+//! Uses: `calibrate`, `simulate` (the model that voltages are compared with), files; `skin` also
+//! the service, for a run's trials. Never: the rig.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -36,12 +36,12 @@ enum What {
     /// Fit the moduli of foam and fabrics to single-point indentations.
     ///
     /// The table has the columns point, or x_mm and y_mm; force_n; displacement_mm; and, where the
-    /// displacement is not the tip's own, gauge_x_mm and gauge_y_mm.
+    /// displacement is not that of the tip, gauge_x_mm and gauge_y_mm.
     Foam(Common),
-    /// Fit one skin, place by place, to the trials of a run.
+    /// Fit the fields of one skin to the trials of a run.
     ///
-    /// Fields of a, b, c, compliance and sheet, the electrodes' places and resistances, and the
-    /// readout's offsets. Says how far held-out trials are from the model before and after.
+    /// Fields of a, b, c, compliance and sheet, positions and resistances of the electrodes, and
+    /// the readout's offsets. Reports the fit of held-out trials before and after.
     Skin(skin::SkinArgs),
 }
 
@@ -53,11 +53,11 @@ struct Common {
     /// Sensor file [default: ert-28].
     #[arg(long, value_name = "FILE")]
     sensor: Option<PathBuf>,
-    /// Earlier calibration, whose other part is kept.
+    /// Earlier calibration whose other part is kept.
     #[arg(long, value_name = "FILE")]
     from: Option<PathBuf>,
-    /// Measured frames of single contacts (JSON lines of contacts and voltages_v): says how far the
-    /// calibrated model's voltages are off.
+    /// Measured frames of single contacts (JSON lines of contacts and voltages_v), with which the
+    /// calibrated model's voltages are compared.
     #[arg(long, value_name = "FILE")]
     frames: Option<PathBuf>,
     /// Write the calibration file.
@@ -69,12 +69,15 @@ struct Common {
     /// Folder of the cache of solved skins [env: PALPATE_DATA] [default: palpate-data].
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// One JSON object on standard output.
+    /// Print one JSON object on standard output.
     #[arg(long)]
     json: bool,
 }
 
-/// Runs the command.
+/// Runs `palpate calibrate`.
+///
+/// # Errors
+/// `CliError` if an input is invalid, the fit fails, or a file cannot be written.
 pub async fn calibrate(args: CalibrateArgs) -> Result<ExitCode, CliError> {
     match &args.what {
         What::Skin(args) => skin::skin(args.clone()).await,
@@ -83,7 +86,7 @@ pub async fn calibrate(args: CalibrateArgs) -> Result<ExitCode, CliError> {
     }
 }
 
-/// What a table of measurements is fitted with.
+/// Kind of a table's fit.
 #[derive(Debug, Clone, Copy)]
 enum Law {
     Piezo,
@@ -124,14 +127,20 @@ fn of_table(law: Law, common: &Common) -> Result<ExitCode, CliError> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// A calibration file that fits the sensor; what is wrong with it is bad input.
+/// Reads a calibration file and checks that it fits the sensor.
+///
+/// # Errors
+/// `CliError::Problems` if the file is invalid or of another sensor.
 pub fn read_calibration(path: &Path, sensor: &Sensor) -> Result<Calibration, CliError> {
     let calibration = parse_calibration(path)?;
     calibration.apply(sensor).map_err(|e| calibration_problem(path, e))?;
     Ok(calibration)
 }
 
-/// A calibration file of any sensor.
+/// Reads a calibration file of any sensor.
+///
+/// # Errors
+/// `CliError::Problems` if the file cannot be read or is invalid.
 pub fn parse_calibration(path: &Path) -> Result<Calibration, CliError> {
     Calibration::from_toml(&read_input(path)?).map_err(|e| calibration_problem(path, e))
 }
@@ -145,7 +154,7 @@ fn calibration_problem(path: &Path, error: CalibrationError) -> CliError {
     CliError::Problems(vec![problem])
 }
 
-/// Compares measured frames with the calibrated model; returns how many were left out.
+/// Compares measured frames with the calibrated model; returns the number of skipped lines.
 fn judge_voltages(
     common: &Common,
     sensor: &Sensor,
@@ -176,7 +185,7 @@ fn answer(common: &Common, whole: &Calibration, left_out: usize) -> Result<(), C
         say_fitted("b", &p.b_per_mm, "1/mm");
         match &p.c_ohm {
             Some(c) => say_fitted("c", c, "ohm"),
-            None => say("  c: kept; compress until the resistance levels off"),
+            None => say("  c: not fitted; compress until the resistance levels off"),
         }
         let factor = p.residual_sd_ln.exp();
         say(format_args!("  scatter: a factor of {factor:.3} (one standard deviation)"));
@@ -186,7 +195,7 @@ fn answer(common: &Common, whole: &Calibration, left_out: usize) -> Result<(), C
         say_fitted("foam", &f.foam_mpa, "MPa");
         match &f.fabric_factor {
             Some(factor) => say_fitted("fabrics, times the sensor file's", factor, ""),
-            None => say("  fabrics: kept; tips alone do not tell them from the foam, gauges do"),
+            None => say("  fabrics: not fitted; only gauges distinguish them from the foam"),
         }
         say_accuracy("displacement", &f.displacement, 1.0, "mm", "24.1 %");
     }
@@ -195,7 +204,7 @@ fn answer(common: &Common, whole: &Calibration, left_out: usize) -> Result<(), C
     }
     if left_out > 0 {
         let lines = counted(left_out as u64, "frame", "frames");
-        say(format_args!("{lines} left out: not of exactly one contact"));
+        say(format_args!("{lines} skipped: not exactly one contact"));
     }
     match &common.out {
         Some(path) => say(format_args!("written to {}", path.display())),
@@ -214,7 +223,7 @@ fn say_fitted(name: &str, fitted: &Fitted, unit: &str) {
 fn say_accuracy(name: &str, accuracy: &Accuracy, scale: f64, unit: &str, paper: &str) {
     say(format_args!(
         "{name}, single contacts: RMSE {:.3} {unit}; {:.1} % of the measurements' standard \
-         deviation, {:.1} % of their range (paper: {paper}, by what is not said)",
+         deviation, {:.1} % of their range (paper: {paper}, normalisation not stated)",
         scale * accuracy.rmse,
         100.0 * accuracy.nrmse_by_sd,
         100.0 * accuracy.nrmse_by_range,

@@ -1,6 +1,6 @@
-//! `palpate calibrate skin`: one skin, place by place, from the trials of a run.
-//! Uses: `client`, `calibrate::skin`, `simulate` (what pressed in a trial, the elastic solve). Never:
-//! trials but through the API, a fit on the threads that answer.
+//! `palpate calibrate skin`: the fields of one skin, from the trials of a run.
+//! Uses: `client`, `calibrate::skin`, `simulate` (contacts of a trial, the elastic solve). Never:
+//! trials except through the API, a fit on the threads that answer.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -25,26 +25,26 @@ use super::{calibration_problem, parse_calibration};
 use crate::calibrate::CalibrateError;
 use crate::calibrate::skin::{CalibratedSkin, Candidate, Choice, Source, calibrate, choose};
 use crate::calibrate::skin_plot;
+use crate::dataset::pressed::contacts;
 use crate::problem::Problem;
 use crate::rig::config::RigConfig;
 use crate::simulate::model::{ModelUnavailable, unit_responses};
-use crate::simulate::twins::contacts;
 use crate::store::{RunKind, RunRow, TrialRow};
 
-/// Trials of a page without frames.
+/// Trials per page, without frames.
 const PAGE: usize = 5000;
-/// Trials of a page with frames, named by their ids.
+/// Trials per page with frames, requested by their ids.
 const FRAMES: usize = 200;
-/// Most threads of a fit, unless said otherwise: a campaign may be under way.
+/// Largest default number of threads of a fit: a campaign may be active.
 const THREADS: usize = 8;
 
 /// Options of `calibrate skin`.
 #[derive(Debug, Clone, Args)]
 pub struct SkinArgs {
-    /// uid or scan_id.
+    /// Id of the run: uid or scan_id.
     #[arg(long, value_name = "RUN")]
     run: String,
-    /// Most trials to fit; a quarter as many more are held out.
+    /// Largest number of trials to fit; a quarter of that number is held out in addition.
     #[arg(long, value_name = "N", default_value_t = 1200)]
     trials: usize,
     /// Earlier calibration of Eq. 1 and moduli, on top of which the skin is fitted.
@@ -63,7 +63,10 @@ pub struct SkinArgs {
     at: At,
 }
 
-/// Runs the command.
+/// Runs `palpate calibrate skin`.
+///
+/// # Errors
+/// `CliError` if the run or an input is invalid, the fit fails, or a file cannot be written.
 pub async fn skin(args: SkinArgs) -> Result<ExitCode, CliError> {
     let at = args.at.clone();
     embed::with_server(&at, move |client| fit_run(client, args)).await?;
@@ -113,8 +116,8 @@ async fn fit_run(client: Client, args: SkinArgs) -> Result<(), CliError> {
     answer(&args, &run, &whole, &fitted)
 }
 
-/// The sensor that the fit starts from: the run's own file with what an earlier calibration says of
-/// Eq. 1 and moduli; and that calibration without its skin.
+/// The sensor that the fit starts from: that of the run with an earlier calibration of Eq. 1 and
+/// moduli; and that calibration without its skin.
 fn start(run: &RunRow, args: &SkinArgs) -> Result<(Sensor, Option<Calibration>), CliError> {
     let sensor = Sensor::from_toml(&run.sensor).map_err(|e| {
         let file = format!("sensor file of run {}", run.scan_id);
@@ -129,7 +132,7 @@ fn start(run: &RunRow, args: &SkinArgs) -> Result<(Sensor, Option<Calibration>),
     Ok((applied, Some(earlier)))
 }
 
-/// All sound trials of a run: where its tips stood, what pressed.
+/// All trials of a run without a flag: positions of the tips, contacts.
 async fn candidates(client: &Client, run: &RunRow) -> Result<Vec<Candidate>, CliError> {
     let force_noise_n = match &run.rig {
         Some(rig) => {
@@ -155,7 +158,7 @@ async fn candidates(client: &Client, run: &RunRow) -> Result<Vec<Candidate>, Cli
     }
 }
 
-/// The chosen trials with their frames: to fit, to judge by.
+/// The chosen trials with their frames: fitted ones, held-out ones.
 async fn frames(
     client: &Client,
     run: &RunRow,
@@ -197,7 +200,7 @@ fn threads(asked: Option<usize>) -> usize {
     asked.unwrap_or_else(here).max(1)
 }
 
-/// Fits, with a bar where somebody watches.
+/// Runs the fit, with a progress bar on a terminal.
 fn fit(
     sensor: &Sensor,
     cache: &std::path::Path,
@@ -254,9 +257,7 @@ fn answer(
     say(format_args!("  FVU held out, mean:   {:.4} -> {:.4}", before.mean, after.mean));
     if evidence.doubted > 0 {
         let doubted = counted(evidence.doubted as u64, "trial", "trials");
-        say(format_args!(
-            "  {doubted} counted for less than half: far off, beyond what others are"
-        ));
+        say(format_args!("  {doubted} with a weight below one half: outliers"));
     }
     match &args.out {
         Some(path) => say(format_args!("written to {}", path.display())),

@@ -15,7 +15,7 @@ use crate::evaluate::request::Scored;
 use crate::evaluate::table::{self, COLUMNS};
 use crate::evaluate::touch::Metric;
 
-/// The coarser of the two pixels; the finer one is the scale's.
+/// The coarser of the two pixels; the finer one depends on the scale.
 pub const COARSE_MM: u32 = 20;
 pub const DIAMETERS_MM: [u32; 2] = [20, 60];
 /// The paper's four criteria, as reports name them.
@@ -27,6 +27,9 @@ const CRITERIA: [(&str, &str, Metric); 4] = [
 ];
 
 /// Trains and scores the twelve conditions.
+///
+/// # Errors
+/// `CliError` if a training or an evaluation fails.
 pub async fn factorial(lab: Lab) -> Result<Sheet, CliError> {
     let transfer = lab.transfer_to_6().await?;
     let factor = |name: &str, levels: Vec<String>| Factor { name: name.into(), levels };
@@ -82,7 +85,7 @@ pub async fn factorial(lab: Lab) -> Result<Sheet, CliError> {
                 );
                 analyses.push(json!({ "criterion": key, "anova": anova }));
             }
-            // A condition in which nothing was found has no pairs.
+            // A condition without any estimate has no pairs.
             Err(why) => text += &format!("\n## {words}\n\nnot analysed: {why}\n"),
         }
     }
@@ -104,7 +107,7 @@ fn bar(name: &str, moments: &Moments) -> Option<Bar> {
     Some(Bar { name: name.into(), mean: moments.mean()?, sd: moments.sd().unwrap_or(0.0) })
 }
 
-/// Estimated marginal means of the main effects.
+/// Table of the estimated marginal means of the main effects.
 fn means(anova: &Anova) -> String {
     let main = anova.means.iter().filter(|mean| mean.levels.iter().flatten().count() == 1);
     let row = |mean: &crate::evaluate::anova::MarginalMean| {
@@ -124,7 +127,7 @@ fn means(anova: &Anova) -> String {
     table::markdown(&head, &main.map(row).collect::<Vec<_>>())
 }
 
-/// The marginal means that the paper's text quotes, and ours at the same levels.
+/// Table of the marginal means in the paper's text, and ours at the same levels.
 fn beside_published(anova: &Anova, metric: Metric) -> String {
     let row = |published: &Marginal| {
         let Held { pixel_mm, diameter_mm, noise_percent } = published.held;

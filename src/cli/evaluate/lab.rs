@@ -1,5 +1,5 @@
-//! What the tables have in common: nets trained once for a recipe, methods scored, files left.
-//! Uses: `client`, `cli::train`. Never: a net trained twice by one recipe on one dataset.
+//! Common parts of the tables: trained nets by recipe, scored methods, result files.
+//! Uses: `client`, `cli::train`. Never: two trainings of one recipe on one dataset.
 
 use std::path::PathBuf;
 
@@ -18,10 +18,10 @@ use crate::dataset::file::hex;
 use crate::dataset::force_map::ForceMapSpec;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Scored};
 
-/// How much is trained and scored.
+/// Extent of training and scoring.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Scale {
-    /// Minutes on two processors: few epochs, few rows. The numbers show that it works.
+    /// Minutes on two processors: few epochs, few rows. The numbers only show that it works.
     Small,
     /// Hours on two processors.
     Medium,
@@ -30,7 +30,7 @@ pub enum Scale {
 }
 
 impl Scale {
-    /// Its name.
+    /// Name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Small => "small",
@@ -39,7 +39,7 @@ impl Scale {
         }
     }
 
-    /// Epochs and rows of a Transfer-Net; no rows: all.
+    /// Number of epochs and rows of a Transfer-Net; `None`: all rows.
     pub fn transfer(self) -> (i64, Option<i64>) {
         match self {
             Self::Small => (12, Some(20_000)),
@@ -48,8 +48,8 @@ impl Scale {
         }
     }
 
-    /// How a net is trained that gives maps of this pixel, mm. A map of 4 mm takes 25 times as long as
-    /// one of 20 mm; small batches learn more in the same minute.
+    /// Training of a net for maps with this pixel, mm. A map of 4 mm takes 25 times as long as one
+    /// of 20 mm; with small batches the loss decreases faster per minute.
     pub fn maps(self, pixel_mm: f64) -> MapTraining {
         let (epochs, rows, batch) = match self {
             Self::Small if pixel_mm < 10.0 => (2, Some(4_000), Some(16)),
@@ -61,13 +61,13 @@ impl Scale {
         MapTraining { epochs, rows, batch }
     }
 
-    /// The finer pixel of the paper's factorial design, mm. A net of 4 mm learns next to nothing in
-    /// the minutes of the small scale, which therefore takes 10 mm.
+    /// The finer pixel of the paper's factorial design, mm. The small scale uses 10 mm, since a net
+    /// of 4 mm learns almost nothing in a few minutes.
     pub fn fine_mm(self) -> u32 {
         if self == Self::Small { 10 } else { 4 }
     }
 
-    /// Rows that are scored.
+    /// Largest number of scored rows; `None`: all.
     pub fn scored(self) -> Option<u64> {
         match self {
             Self::Small => Some(2_000),
@@ -77,29 +77,29 @@ impl Scale {
     }
 }
 
-/// How a net that gives maps is trained.
+/// Training of a net for maps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MapTraining {
     epochs: i64,
-    /// None: all.
+    /// Largest number of rows; `None`: all.
     rows: Option<i64>,
-    /// None: the recipe's.
+    /// Batch size; `None`: that of the recipe.
     batch: Option<i64>,
 }
 
 /// Options of a table.
 #[derive(Debug, Clone, Args)]
 pub struct LabArgs {
-    /// How much is trained and scored.
+    /// Extent of training and scoring.
     #[arg(long, value_enum, default_value = "small")]
     pub scale: Scale,
-    /// Epochs, in place of the scale's.
+    /// Number of epochs, instead of that of the scale.
     #[arg(long, value_name = "N")]
     pub epochs: Option<i64>,
-    /// Rows that are learned from, in place of the scale's.
+    /// Number of rows for training, instead of that of the scale.
     #[arg(long, value_name = "N")]
     pub rows: Option<i64>,
-    /// Rows that are scored, in place of the scale's.
+    /// Number of scored rows, instead of that of the scale.
     #[arg(long, value_name = "N")]
     pub scored: Option<u64>,
     /// Seed of every training.
@@ -115,26 +115,30 @@ pub struct LabArgs {
     pub at: At,
 }
 
-/// A service, and what is asked of it.
+/// A service with the options of a table.
 pub struct Lab {
     client: Client,
-    /// The options.
+    /// Options of the table.
     pub args: LabArgs,
 }
 
-/// A table that is done: words for people, numbers for scripts, pictures.
+/// A completed table: text for people, numbers for scripts, figures.
 pub struct Sheet {
     /// Name of its files.
     pub name: String,
     /// Text, Markdown.
     pub text: String,
-    /// Numbers.
+    /// Numbers, for JSON.
     pub numbers: Value,
-    /// SVG pictures by their names.
+    /// SVG figures by their names.
     pub pictures: Vec<(String, String)>,
 }
 
-/// Does `work` with a lab and shows what came of it.
+/// Runs `work` with a lab and shows its result.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached or started, a file cannot be written, or `work`
+/// fails.
 pub async fn with_lab<F>(
     args: LabArgs,
     work: impl FnOnce(Lab) -> F + Send + 'static,
@@ -168,7 +172,10 @@ where
 }
 
 impl Lab {
-    /// The model of a recipe with changes: trained now, or before.
+    /// Returns the model of a recipe with changes: an existing one, or a newly trained one.
+    ///
+    /// # Errors
+    /// `CliError` if the recipe is invalid or the training fails.
     pub async fn trained(&self, recipe: &str, changes: Changes) -> Result<ModelOut, CliError> {
         let named = Changes { seed: Some(self.args.seed), all_epochs: true, ..changes };
         let text = recipe_text(recipe, &named)?;
@@ -178,7 +185,7 @@ impl Lab {
             Some(name) => self.dataset(&name).await?,
             None => String::new(),
         };
-        // The name says what it was trained by and on: an equal wish finds it.
+        // The name contains recipe and data: an equal request finds the model.
         let digest = hex(&Sha256::digest(format!("{text}{dataset}")));
         let stem = named.name.clone().unwrap_or_else(|| "model".into());
         let name = format!("{stem}-{}", &digest[..8]);
@@ -195,7 +202,10 @@ impl Lab {
         self.client.get(&format!("/api/v1/models/{id}")).await
     }
 
-    /// The Transfer-Net of the options, trained on these rows of a dataset.
+    /// Returns the Transfer-Net of the options, trained on these rows of a dataset.
+    ///
+    /// # Errors
+    /// As [`Self::trained`].
     pub async fn transfer(
         &self,
         stem: &str,
@@ -205,12 +215,18 @@ impl Lab {
         self.transfer_by(&self.args.transfer, stem, dataset, conditions).await
     }
 
-    /// The Transfer-Net of the paper's pipeline, trained on all numbers of contacts.
+    /// Returns the Transfer-Net of the paper's pipeline, trained on all numbers of contacts.
+    ///
+    /// # Errors
+    /// As [`Self::trained`].
     pub async fn transfer_to_6(&self) -> Result<ModelOut, CliError> {
         self.transfer("transfer-to-6", R2S, &[to(6)]).await
     }
 
-    /// A Transfer-Net of a recipe, trained on these rows of a dataset.
+    /// Returns a Transfer-Net of a recipe, trained on these rows of a dataset.
+    ///
+    /// # Errors
+    /// As [`Self::trained`].
     pub async fn transfer_by(
         &self,
         recipe: &str,
@@ -230,7 +246,10 @@ impl Lab {
         self.trained(recipe, changes).await
     }
 
-    /// A net that gives maps: `recon-net` or `end-to-end`, of this map, with this noise.
+    /// Returns a net for maps: `recon-net` or `end-to-end`, with this map and this noise.
+    ///
+    /// # Errors
+    /// As [`Self::trained`].
     pub async fn maps(
         &self,
         recipe: &str,
@@ -255,7 +274,10 @@ impl Lab {
         self.trained(recipe, changes).await
     }
 
-    /// What came of an evaluation.
+    /// Runs an evaluation and returns its report.
+    ///
+    /// # Errors
+    /// `CliError` if the evaluation fails.
     pub async fn scored(&self, request: &EvaluationRequest) -> Result<EvaluationReport, CliError> {
         let asked: JobOut = self.client.post("/api/v1/evaluations", request).await?;
         let id = asked.id.clone();
@@ -268,7 +290,7 @@ impl Lab {
         })
     }
 
-    /// A wish with this lab's rows and seed.
+    /// A request with this lab's rows and seed.
     pub fn wish(&self, scored: Scored, dataset: &str, part: Option<&str>) -> EvaluationRequest {
         EvaluationRequest {
             scored,
@@ -288,33 +310,39 @@ impl Lab {
         }
     }
 
-    /// A dataset's id, made if need be.
+    /// Returns the id of a dataset, which is made if needed.
+    ///
+    /// # Errors
+    /// `CliError` if the dataset cannot be made.
     pub async fn dataset(&self, name: &str) -> Result<String, CliError> {
         let row: Value =
             self.client.patient(MAKING).get(&format!("/api/v1/datasets/{name}")).await?;
         Ok(row["id"].as_str().unwrap_or_default().to_owned())
     }
 
-    /// What a dataset's split never divides.
+    /// Returns the unit of a dataset's split, which is never divided.
+    ///
+    /// # Errors
+    /// `CliError` if the dataset cannot be read.
     pub async fn split_by(&self, name: &str) -> Result<String, CliError> {
         let row: Value =
             self.client.patient(MAKING).get(&format!("/api/v1/datasets/{name}")).await?;
         Ok(row["definition"]["split"]["by"].as_str().unwrap_or("nothing").to_owned())
     }
 
-    /// The service.
+    /// Client of the service.
     pub fn client(&self) -> &Client {
         &self.client
     }
 
-    /// Says what goes on, to people alone.
+    /// Prints progress for people; silent with `--json`.
     pub fn say(&self, words: &str) {
         if !self.args.at.json {
             eprintln!("{words}");
         }
     }
 
-    /// Under every table: at which scale, on what.
+    /// Caption of every table: its scale and data.
     pub fn scale_words(&self, label: &str) -> String {
         let budget = |epochs: i64, rows: Option<i64>| {
             let rows = self.args.rows.or(rows);
@@ -341,7 +369,7 @@ impl Lab {
 /// The dataset of Transfer-Nets.
 pub const R2S: &str = "r2s-transfer";
 
-/// The condition of up to so many contacts.
+/// The condition of at most `contacts` contacts.
 pub fn to(contacts: u32) -> String {
     format!("contact_count__lte={contacts}")
 }
@@ -349,5 +377,5 @@ pub fn to(contacts: u32) -> String {
 /// The paper's pixels, mm.
 const PIXELS_MM: [f64; 3] = [4.0, 10.0, 20.0];
 
-/// Longest wait for a dataset to be made.
+/// Longest wait until a dataset is made.
 const MAKING: std::time::Duration = std::time::Duration::from_secs(3600);

@@ -12,7 +12,10 @@ use crate::evaluate::request::Scored;
 use crate::evaluate::score::{Mean, Score};
 use crate::evaluate::table::{Beside, COLUMNS, markdown, published_row, score_row};
 
-/// Trains and scores the twelve.
+/// Trains and scores the nets of the twelve maps.
+///
+/// # Errors
+/// `CliError` if a training or an evaluation fails.
 pub async fn maps(lab: Lab) -> Result<Sheet, CliError> {
     let (mut rows, mut numbers, mut scores) = (Vec::new(), Vec::new(), Vec::new());
     let mut label = String::new();

@@ -1,5 +1,5 @@
 //! A method scored on a dataset, with its confidence intervals.
-//! Uses: `lab`. Never: numbers of its own.
+//! Uses: `lab`. Never: computed numbers (the service has them).
 
 use clap::Args;
 use serde_json::json;
@@ -12,37 +12,37 @@ use crate::evaluate::table::{Beside, COLUMNS, markdown, score_row};
 /// Options of `evaluate method`.
 #[derive(Debug, Clone, Args)]
 pub struct MethodArgs {
-    /// paper, fast, exact, tikhonov or noser.
+    /// Method: paper, fast, exact, tikhonov or noser.
     #[arg(value_name = "METHOD", value_parser = scored)]
     method: Scored,
-    /// A dataset's name or id.
+    /// Name or id of a dataset.
     #[arg(long, value_name = "NAME", default_value = "real-unseen")]
     dataset: String,
-    /// train, validation or test; all rows without.
+    /// Part: train, validation or test; all rows if absent.
     #[arg(long, value_name = "PART")]
     part: Option<String>,
-    /// A condition on its rows; may come more than once.
+    /// A condition on its rows; may be repeated.
     #[arg(long = "where", value_name = "CONDITION")]
     conditions: Vec<String>,
-    /// A Transfer-Net.
+    /// Id or name of a Transfer-Net.
     #[arg(long, value_name = "MODEL")]
     with_transfer: Option<String>,
-    /// A net that gives maps.
+    /// Id or name of a net for maps.
     #[arg(long, value_name = "MODEL")]
     map: Option<String>,
-    /// A Point-Net.
+    /// Id or name of a Point-Net.
     #[arg(long, value_name = "MODEL")]
     points: Option<String>,
-    /// A calibration that the service keeps.
+    /// Id of a calibration stored in the service.
     #[arg(long, value_name = "CAL")]
     skin: Option<String>,
-    /// Read the first frame of each trial alone, not the mean of all.
+    /// Read only the first frame of each trial, instead of the mean of all.
     #[arg(long)]
     first_frame: bool,
     /// Least force of a peak, N.
     #[arg(long, value_name = "N", default_value_t = 5.0)]
     threshold_n: f64,
-    /// Leave out contacts of exact whose place is known no better than this, mm.
+    /// Skip contacts of exact whose position has a larger standard deviation than this, mm.
     #[arg(long, value_name = "MM")]
     place_sd_mm: Option<f64>,
     #[command(flatten)]
@@ -55,7 +55,10 @@ fn scored(name: &str) -> Result<Scored, String> {
     scored.filter(|scored| *scored != Scored::Voltages).ok_or_else(|| words.into())
 }
 
-/// Scores a method.
+/// Runs `palpate evaluate method`.
+///
+/// # Errors
+/// `CliError` if the evaluation fails or a file cannot be written.
 pub async fn method(args: MethodArgs) -> Result<(), CliError> {
     with_lab(args.lab.clone(), move |lab| score(lab, args)).await
 }
@@ -88,7 +91,7 @@ async fn score(lab: Lab, args: MethodArgs) -> Result<Sheet, CliError> {
     Ok(Sheet { name: "method".into(), text, numbers, pictures: Vec::new() })
 }
 
-/// A method's rows: over all, and by the number of contacts.
+/// Rows of a method: over all frames, and by the number of contacts.
 pub fn rows(name: &str, report: &EvaluationReport) -> Vec<Vec<String>> {
     let Some(scores) = &report.contacts else { return Vec::new() };
     let mut rows = vec![score_row(name, &scores.all, Beside::Interval)];
@@ -106,7 +109,7 @@ fn perfect(report: &EvaluationReport) -> Option<Vec<String>> {
     Some(score_row(&name, &scores.all, Beside::Interval))
 }
 
-/// A row for each map that these reports are of.
+/// One row for each map of these reports.
 pub fn perfects<'a>(reports: impl Iterator<Item = &'a EvaluationReport>) -> Vec<Vec<String>> {
     let mut rows: Vec<Vec<String>> = Vec::new();
     for row in reports.filter_map(perfect) {
@@ -117,7 +120,7 @@ pub fn perfects<'a>(reports: impl Iterator<Item = &'a EvaluationReport>) -> Vec<
     rows
 }
 
-/// Which models read, and what one should know before believing them.
+/// Models of a report, and its restrictions.
 pub fn read_by(report: &EvaluationReport) -> String {
     let by = report.models.iter().chain(&report.calibration).cloned().collect::<Vec<_>>();
     let by = if by.is_empty() { "the nominal model".into() } else { by.join(", ") };
@@ -127,7 +130,7 @@ pub fn read_by(report: &EvaluationReport) -> String {
 
 fn left_out(report: &EvaluationReport) -> String {
     let Some(limit_mm) = report.place_sd_mm else { return String::new() };
-    format!("Without contacts whose place is known no better than {limit_mm} mm.\n")
+    format!("Without contacts whose position has a standard deviation above {limit_mm} mm.\n")
 }
 
 fn latency(report: &EvaluationReport) -> String {

@@ -1,5 +1,5 @@
-//! `palpate evaluate`: how good simulation, nets and methods are, beside the paper's numbers.
-//! Uses: `client`, `evaluate`. Never: numbers of its own (the service trains and scores, this shows).
+//! `palpate evaluate`: scores of simulation, nets and methods, compared with the paper's.
+//! Uses: `client`, `evaluate`. Never: computed scores (the service trains and scores).
 
 use clap::{Args, Subcommand};
 
@@ -19,25 +19,25 @@ pub use simulation::wait_for_twins;
 /// Options of `evaluate`.
 #[derive(Debug, Args)]
 pub struct EvaluateArgs {
-    /// What to evaluate.
+    /// Table or figure to compute.
     #[command(subcommand)]
     what: What,
 }
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// How well simulated twins fit a run's trials: RMSE, FVU, deadband, as in the paper's Fig. 7.
+    /// Compare simulated twins with a run's trials: RMSE, FVU, deadband, as in the paper's Fig. 7.
     ///
-    /// Waits until every trial has its twin. With --out it leaves simulation.json, a CSV for each
-    /// table and an SVG for each figure there.
+    /// Waits until every trial has its twin. With --out it writes simulation.json, one CSV per
+    /// table and one SVG per figure.
     Simulation(simulation::SimulationArgs),
-    /// Score a method on a dataset: contacts found beside true ones, by their number.
+    /// Score a method on a dataset: estimated compared with true contacts, by their number.
     Method(method::MethodArgs),
     /// Table III: Transfer-Nets trained on 1, 1 to 2, .. 1 to 6 contacts, tested on each number.
     Transfer(transfer::TransferArgs),
     /// Table IV and Fig. 9: Recon-Nets of twelve force maps, on simulated voltages.
     Maps(lab::LabArgs),
-    /// Fig. 10: what the Transfer-Net leaves over, and one trial's maps at three levels of noise.
+    /// Fig. 10: residuals of the Transfer-Net, and one trial's maps at three levels of noise.
     Noise(lab::LabArgs),
     /// Fig. 11: pixel size x diameter x noise, with a three-factor analysis of variance.
     Factorial(lab::LabArgs),
@@ -45,7 +45,10 @@ enum What {
     Unseen(unseen::UnseenArgs),
 }
 
-/// Runs the command.
+/// Runs `palpate evaluate`.
+///
+/// # Errors
+/// `CliError` if a training or an evaluation fails, or a file cannot be written.
 pub async fn evaluate(args: EvaluateArgs) -> Result<(), CliError> {
     match args.what {
         What::Simulation(args) => simulation::simulation(args).await,

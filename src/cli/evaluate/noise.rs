@@ -1,4 +1,4 @@
-//! Fig. 10: what the Transfer-Net leaves over, and one trial's maps at three levels of noise.
+//! Fig. 10: residuals of the Transfer-Net, and one trial's maps at three levels of noise.
 //! Uses: `lab`, `evaluate::charts`. Never: training here.
 
 use serde_json::{Value, json};
@@ -15,12 +15,15 @@ use crate::store::Contact;
 
 /// Diameter of the map of Fig. 10B (Map 1), mm.
 const DIAMETER_MM: u32 = 20;
-/// Forces in a cell of the table.
+/// Largest number of forces in a cell of the table.
 const FORCES_SHOWN: usize = 6;
 /// Levels of noise (paper V-C1).
 pub const LEVELS: [f64; 3] = [0.0, 0.1, 0.5];
 
 /// Trains one Transfer-Net and three Recon-Nets, and reads one trial of three contacts.
+///
+/// # Errors
+/// `CliError` if a training or an answer fails.
 pub async fn noise(lab: Lab) -> Result<Sheet, CliError> {
     let transfer = lab.transfer_to_6().await?;
     let path = format!("/api/v1/models/{}/residuals", transfer.id);
@@ -69,7 +72,7 @@ pub async fn noise(lab: Lab) -> Result<Sheet, CliError> {
     })
 }
 
-/// Forces of the strongest contacts, N; they come first.
+/// Forces of the strongest contacts, N; contacts are sorted by force.
 fn strongest(contacts: &[FoundContact]) -> String {
     let shown = contacts.iter().take(FORCES_SHOWN).filter_map(|c| c.force_n);
     let more = if contacts.len() > FORCES_SHOWN { ", .." } else { "" };
@@ -90,7 +93,10 @@ async fn triple(lab: &Lab) -> Result<(Vec<f32>, Vec<Contact>, String), CliError>
     Ok((frame, truth, row["label"].as_str().unwrap_or_default().to_owned()))
 }
 
-/// A frame's map by a Transfer-Net and a Recon-Net, whatever serves.
+/// Returns a frame's answer by a given Transfer-Net and Recon-Net.
+///
+/// # Errors
+/// `CliError` if the service refuses.
 pub async fn read(
     lab: &Lab,
     frame: &[f32],

@@ -1,5 +1,5 @@
-//! `palpate evaluate simulation`: how good the simulation is, as numbers, tables and pictures.
-//! Uses: `client`, `evaluate`. Never: numbers of its own (the service reports, this shows).
+//! `palpate evaluate simulation`: accuracy of the simulation as numbers, tables and figures.
+//! Uses: `client`, `evaluate`. Never: computed scores (the service reports them).
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -22,15 +22,15 @@ use crate::evaluate::simulation::{BoxPlot, FORCE_BIN_N, SimulationReport};
 use crate::ids::RunUid;
 use crate::store::{RunRow, TrialRow, TwinCount};
 
-/// Between two looks at how far the twins are.
+/// Interval of polling the twins' progress.
 const LOOK: Duration = Duration::from_millis(200);
-/// Longest wait without a single twin made.
+/// Longest wait without a new twin.
 const STALLED: Duration = Duration::from_secs(120);
 
 /// Options of `evaluate simulation`.
 #[derive(Debug, Args)]
 pub struct SimulationArgs {
-    /// uid or scan_id [default: the run of the newest trial].
+    /// Id of the run: uid or scan_id [default: the run of the newest trial].
     #[arg(long, value_name = "RUN")]
     run: Option<String>,
     /// Folder for numbers, tables and figures.
@@ -40,7 +40,7 @@ pub struct SimulationArgs {
     at: At,
 }
 
-/// What the command line reads of `GET /api/v1/runs/{run}/twins`.
+/// Fields of `GET /api/v1/runs/{run}/twins` that are read.
 #[derive(Debug, Deserialize)]
 struct RunTwinsView {
     #[serde(flatten)]
@@ -48,7 +48,10 @@ struct RunTwinsView {
     pending: u64,
 }
 
-/// Runs the command.
+/// Runs `palpate evaluate simulation`.
+///
+/// # Errors
+/// `CliError` if there are no trials, twins are missing, or a file cannot be written.
 pub async fn simulation(args: SimulationArgs) -> Result<(), CliError> {
     let at = args.at.clone();
     embed::with_server(&at, move |client| report(client, args)).await
@@ -82,8 +85,11 @@ async fn run_of(client: &Client, named: Option<String>) -> Result<String, CliErr
     newest.ok_or_else(|| CliError::argument("--run", "none", "there are no trials yet"))
 }
 
-/// Waits until every trial of a run has its twin, with a bar where somebody watches. `patience`: the
-/// longest time without a new one.
+/// Waits until every trial of a run has its twin, with a progress bar on a terminal. `patience`:
+/// the longest time without a new one.
+///
+/// # Errors
+/// `CliError::Late` if no twin is made for `patience`; other variants if a request fails.
 pub async fn wait_for_twins(
     client: &Client,
     run: RunUid,
@@ -111,7 +117,7 @@ pub async fn wait_for_twins(
     }
 }
 
-/// Why no twin was made for so long.
+/// Error for missing twins, with its cause.
 async fn stalled(client: &Client, pending: u64, patience: Duration) -> Result<CliError, CliError> {
     let twins: Value = client.get("/api/v1/twins").await?;
     let why = match (twins["pool"]["workers"].as_u64(), twins["pool"]["last_error"].as_str()) {
@@ -123,7 +129,7 @@ async fn stalled(client: &Client, pending: u64, patience: Duration) -> Result<Cl
     Ok(CliError::Late { what, after_s: patience.as_secs() })
 }
 
-/// Numbers, tables and figures as files.
+/// Writes numbers, tables and figures to files.
 async fn leave(
     client: &Client,
     run: &RunRow,
@@ -199,13 +205,13 @@ fn by_point_csv(report: &SimulationReport) -> String {
     csv
 }
 
-/// What a person reads.
+/// Formats the report for people.
 fn words(run: &RunRow, report: &SimulationReport) -> String {
     let number = |v: Option<f64>, scale: f64, unit: &str| {
         v.map_or_else(|| "not known".into(), |v| format!("{:.3}{unit}", scale * v))
     };
     let mut text = format!(
-        "run {} ({}): simulation against {} ({} left out by their flags)\n\
+        "run {} ({}): simulation against {} ({} excluded by flags)\n\
          contact trials: median FVU {}, median RMSE {}; deadband {}\n",
         run.scan_id,
         run.label.as_str(),

@@ -1,4 +1,4 @@
-//! Table III: Transfer-Nets by the numbers of contacts that they learned from.
+//! Table III: Transfer-Nets by the numbers of contacts in their training.
 //! Uses: `lab`, `evaluate::{published, table, charts}`. Never: training here.
 
 use clap::Args;
@@ -17,14 +17,17 @@ const HEAD: [&str; 8] = ["trained on", "train", "I", "II", "III", "IV", "V", "VI
 /// Options of `evaluate transfer`.
 #[derive(Debug, Clone, Args)]
 pub struct TransferArgs {
-    /// The dataset; r2s-transfer-by-trial is split as the paper's, by trial.
+    /// The dataset; r2s-transfer-by-trial is split by trial, as in the paper.
     #[arg(long, value_name = "NAME", default_value = R2S)]
     dataset: String,
     #[command(flatten)]
     lab: LabArgs,
 }
 
-/// Trains and scores the ladder.
+/// Trains and scores the nets of all rows of the table.
+///
+/// # Errors
+/// `CliError` if a training or an evaluation fails.
 pub async fn transfer(args: TransferArgs) -> Result<(), CliError> {
     with_lab(args.lab, move |lab| score(lab, args.dataset)).await
 }
@@ -69,7 +72,7 @@ async fn score(lab: Lab, dataset: String) -> Result<Sheet, CliError> {
         markdown(&HEAD, &rows),
         lab.scale_words(&format!("{}, {dataset}, split by {split_by}", plain.label))
     );
-    // The paper's split and ours are two tables.
+    // The paper's split and ours give two tables.
     let name = if dataset == R2S { "table-iii".into() } else { format!("table-iii-{dataset}") };
     let picture = lines("Table III", "contacts of the test trials", "mean FVU (%)", &curves)?;
     Ok(Sheet {

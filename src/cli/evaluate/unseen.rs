@@ -1,4 +1,5 @@
-//! Fig. 12 and V-D: contacts that no net has seen, by the paper's pipeline, both baselines and ours.
+//! Fig. 12 and V-D: contacts that were in no training, by the paper's pipeline, both baselines and
+//! the project's methods.
 //! Uses: `lab`, `evaluate::{published, table, charts}`. Never: training here.
 
 use clap::Args;
@@ -19,19 +20,19 @@ use crate::store::Contact;
 
 /// The recipe of the paper's Transfer-Net (V-A).
 const PUBLISHED: &str = "transfer-net-published";
-/// Trials that are shown.
+/// Number of trials that are drawn.
 const EXAMPLES: u64 = 3;
 
 /// Options of `evaluate unseen`.
 #[derive(Debug, Clone, Args)]
 pub struct UnseenArgs {
-    /// A Point-Net, scored as `fast`; also proposes to `exact`.
+    /// Id or name of a Point-Net, scored as `fast`; also proposes to `exact`.
     #[arg(long, value_name = "MODEL")]
     points: Option<String>,
-    /// A calibration that the service keeps, scored as `exact`.
+    /// Id of a calibration stored in the service, scored as `exact`.
     #[arg(long, value_name = "CAL")]
     skin: Option<String>,
-    /// Leave the paper's nets out: score our methods alone.
+    /// Skip the paper's nets: score our methods only.
     #[arg(long)]
     ours: bool,
     /// The dataset.
@@ -41,7 +42,10 @@ pub struct UnseenArgs {
     lab: LabArgs,
 }
 
-/// Scores them all.
+/// Runs `palpate evaluate unseen`.
+///
+/// # Errors
+/// `CliError` if a training or an evaluation fails.
 pub async fn unseen(args: UnseenArgs) -> Result<(), CliError> {
     with_lab(args.lab.clone(), move |lab| score(lab, args)).await
 }
@@ -111,7 +115,7 @@ fn wish(lab: &Lab, args: &UnseenArgs, scored: Scored) -> EvaluationRequest {
     wish
 }
 
-/// The physics in one step, Point-Net, and the fit through the exact model.
+/// The one-step reconstructions, Point-Net, and the fit through the exact model.
 async fn ours(lab: &Lab, args: &UnseenArgs) -> Result<Scores, CliError> {
     let mut scores = Scores::new();
     for (name, scored) in
@@ -160,7 +164,7 @@ async fn pipeline(lab: &Lab, args: &UnseenArgs) -> Result<Scores, CliError> {
     Ok(scores)
 }
 
-/// The best of the pipeline with the paper's own Transfer-Net: least squares in volts.
+/// The best of the pipeline with the paper's Transfer-Net: least squares in volts.
 async fn with_published(
     lab: &Lab,
     args: &UnseenArgs,
@@ -173,7 +177,7 @@ async fn with_published(
     lab.scored(&wish).await
 }
 
-/// The baseline that learned from measured trials alone.
+/// The baseline trained on measured trials only.
 async fn end_to_end(lab: &Lab, args: &UnseenArgs) -> Result<Scores, CliError> {
     let mut scores = Scores::new();
     for map in maps(lab.args.scale) {
@@ -192,7 +196,7 @@ fn best(scores: &Scores) -> Option<&Named> {
     costs.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, named)| named)
 }
 
-/// All of the paper's nets, where there are any.
+/// Tables of all of the paper's nets, if there are any.
 fn nets(pipeline: &Scores, end_to_end: &Scores) -> String {
     let named = |way: &'static str| {
         move |row: Vec<String>| {
@@ -208,14 +212,14 @@ fn nets(pipeline: &Scores, end_to_end: &Scores) -> String {
     format!("All nets, by map and noise:\n\n{}\n", markdown(&COLUMNS, &rows))
 }
 
-/// A row for each net.
+/// One row per net.
 fn every(scores: &Scores) -> impl Iterator<Item = Vec<String>> {
     scores.iter().filter_map(|(name, report)| {
         Some(score_row(name, &report.contacts.as_ref()?.all, Beside::Interval))
     })
 }
 
-/// Some trials and what each method reads from them (Fig. 12A): a row each, what pressed first.
+/// Some trials with each method's answers (Fig. 12A): one row each, true contacts first.
 async fn examples(
     lab: &Lab,
     args: &UnseenArgs,
@@ -229,7 +233,7 @@ async fn examples(
     for (name, best) in bests {
         let Some((_, report)) = best else { continue };
         let mut wish = few(wish(lab, args, Scored::Paper));
-        // Reports name the Transfer-Net first, where there is one.
+        // Reports name the Transfer-Net first, if there is one.
         wish.map = report.models.last().cloned();
         wish.transfer = report.models.first().cloned().filter(|_| report.models.len() > 1);
         columns.push((*name, lab.scored(&wish).await?));
@@ -262,7 +266,7 @@ async fn examples(
             });
         }
     }
-    Ok(pictures("Fig. 12A: what pressed, and what each method reads", &maps, 1 + columns.len())?)
+    Ok(pictures("Fig. 12A: true contacts, and each method's answer", &maps, 1 + columns.len())?)
 }
 
 fn figures(groups: &[(&str, &Scores)]) -> Result<Vec<(String, String)>, CliError> {

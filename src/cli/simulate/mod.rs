@@ -20,17 +20,20 @@ pub struct SimulateArgs {
     trials: trials::TrialArgs,
 }
 
-/// What is simulated, besides trials from a file.
+/// Kinds of simulation other than trials from a file.
 #[derive(Debug, Clone, Subcommand)]
 pub enum SimulateCommand {
     /// Make Sim-Random: trials with random contacts, as Parquet shards.
     ///
-    /// The same seed and options give the same bytes, whatever the number of threads. Killed or
-    /// stopped, the same command goes on.
+    /// The same seed and options give the same bytes, with any number of threads. After a stop or a
+    /// kill, the same command resumes.
     Random(random::RandomArgs),
 }
 
-/// Runs the command.
+/// Runs `palpate simulate`.
+///
+/// # Errors
+/// `CliError` if an input is invalid, or a file cannot be written.
 pub async fn simulate(args: SimulateArgs) -> Result<ExitCode, CliError> {
     match args.command {
         None => trials::trials(&args.trials),

@@ -26,58 +26,58 @@ use crate::simulate::random::folder::Look;
 use crate::simulate::random::manifest::{Definition, Manifest, Order};
 use crate::simulate::random::{Means, Outcome, Progress, generate};
 
-/// How often progress is told where there is no terminal.
+/// Interval of progress lines without a terminal.
 const TELL: Duration = Duration::from_secs(10);
-/// Most threads.
+/// Largest number of threads.
 const THREADS_MAX: usize = 256;
 
 /// Options of `simulate random`.
 #[derive(Debug, Clone, Args)]
 pub struct RandomArgs {
-    /// How many trials.
+    /// Number of trials.
     #[arg(long, value_name = "N", default_value_t = 200_000)]
     trials: u64,
-    /// Seed: with the other options it decides every byte.
+    /// Seed: with the other options it determines every byte.
     #[arg(long, value_name = "S", default_value_t = 1)]
     seed: u64,
     /// Folder of the shards and their manifest.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Threads that simulate [default: the machine's cores]; they change no byte.
+    /// Number of threads that simulate [default: the machine's cores]; they change no byte.
     #[arg(long, value_name = "N")]
     threads: Option<usize>,
-    /// Instructions that solve the frames [default: the fastest of this processor]; the last digits
-    /// of a frame depend on them.
+    /// Vector instructions of the simulation [default: the fastest of this processor]; the last
+    /// digits of a frame depend on them.
     #[arg(long, value_name = "KERNEL", value_parser = kernel)]
     kernel: Option<Kernel>,
     /// Sensor file: the skin's geometry and materials [default: ert-28].
     #[arg(long, value_name = "FILE")]
     sensor: Option<PathBuf>,
-    /// Calibration file, whose values take the place of the sensor file's.
+    /// Calibration file, whose values replace those of the sensor file.
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
-    /// How many contacts a trial has, each number equally likely.
+    /// Number of contacts of a trial, A..B, each number equally likely.
     #[arg(long, value_name = "A..B", default_value = "1..6", value_parser = contacts)]
     contacts: [u8; 2],
-    /// Least and largest force of a contact, N, uniform in between.
+    /// Smallest and largest force of a contact, N, uniform in between.
     #[arg(long, value_names = ["MIN", "MAX"], num_args = 2, default_values_t = [5.0, 40.0])]
     force_n: Vec<f64>,
-    /// Trials of a shard.
+    /// Number of trials of a shard.
     #[arg(long, value_name = "N", default_value_t = 10_000)]
     shard_trials: u64,
-    /// Read every byte of the shards that are there, instead of trusting their length.
+    /// Read every byte of existing shards, instead of checking their length only.
     #[arg(long)]
     verify: bool,
-    /// Folder whose `cache` keeps solved unit responses [env: PALPATE_DATA] [default:
+    /// Folder whose `cache` contains solved unit responses [env: PALPATE_DATA] [default:
     /// palpate-data].
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// A line of JSON for each shard, and a last one with totals, on standard output.
+    /// Print one line of JSON per shard, and a last one with totals, on standard output.
     #[arg(long)]
     json: bool,
 }
 
-/// `A..B`, or `A` for always so many.
+/// Parses `A..B`, or `A` for a fixed number.
 fn contacts(text: &str) -> Result<[u8; 2], String> {
     let (fewest, most) = text.split_once("..").unwrap_or((text, text));
     match (fewest.parse(), most.parse()) {
@@ -86,7 +86,7 @@ fn contacts(text: &str) -> Result<[u8; 2], String> {
     }
 }
 
-/// A kernel that this processor has, by its name.
+/// Parses the name of a kernel that this processor supports.
 fn kernel(name: &str) -> Result<Kernel, String> {
     let here = || Kernel::ALL.into_iter().filter(|kernel| kernel.is_here());
     here().find(|kernel| kernel.name() == name).ok_or_else(|| {
@@ -95,7 +95,10 @@ fn kernel(name: &str) -> Result<Kernel, String> {
     })
 }
 
-/// Runs the command. Exit code: 0 all trials are there, 1 failed or stopped, 2 bad input.
+/// Runs the command. Exit code: 0 all trials exist, 1 failed or stopped, 2 bad input.
+///
+/// # Errors
+/// `CliError` if an option is invalid, or a shard cannot be made.
 pub async fn random(args: RandomArgs) -> Result<ExitCode, CliError> {
     let mut signals = Signals::catch()?;
     let stop = Arc::new(AtomicBool::new(false));
@@ -111,7 +114,7 @@ pub async fn random(args: RandomArgs) -> Result<ExitCode, CliError> {
             }
             _ = signals.next() => {
                 if stop.swap(true, Ordering::Relaxed) {
-                    eprintln!("left; the same command goes on after the last whole shard");
+                    eprintln!("left; the same command resumes after the last complete shard");
                     return Ok(ExitCode::FAILURE);
                 }
                 eprintln!("stopping after this shard; Ctrl-C again leaves at once");
@@ -159,7 +162,7 @@ fn threads(asked: Option<usize>) -> Result<NonZeroUsize, CliError> {
     }
 }
 
-/// Standard error as a person sees it, standard output as a script reads it.
+/// Output: standard error for people, standard output for scripts.
 struct Screen {
     bar: ProgressBar,
     json: bool,
@@ -188,7 +191,7 @@ impl Screen {
                 self.bar.reset_eta();
                 if damaged > 0 {
                     let shards = counted(damaged, "shard is", "shards are");
-                    self.note(&format!("{shards} missing or damaged, and made again"));
+                    self.note(&format!("{shards} missing or damaged: made again"));
                 }
             }
             Progress::Made(trials) => {
@@ -207,7 +210,7 @@ impl Screen {
         }
     }
 
-    /// A line now and then where there is no terminal.
+    /// Prints a progress line at intervals without a terminal.
     fn tell_a_log(&mut self) {
         if self.bar.is_hidden() && self.told.elapsed() >= TELL {
             self.told = Instant::now();
@@ -217,7 +220,7 @@ impl Screen {
         }
     }
 
-    /// Trials a second that were made here.
+    /// Trials per second in this process.
     fn rate(&self) -> f64 {
         self.made as f64 / self.started.elapsed().as_secs_f64().max(1e-9)
     }
@@ -262,7 +265,7 @@ impl Screen {
         let (made, wall, rate) = (self.made, duration(wall_s), self.rate());
         say(format_args!("{there}; {made} made in {wall} ({rate:.0}/s)"));
         if !complete {
-            say("stopped; the same command goes on");
+            say("stopped; the same command resumes");
         }
     }
 }

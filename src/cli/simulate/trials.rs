@@ -1,5 +1,5 @@
-//! `palpate simulate`: a line of contacts in, a frame of voltages out; and one trial as a netlist, a
-//! finite element deck or a picture.
+//! `palpate simulate`: from lines of contacts to frames of voltages; and one trial as a netlist, a
+//! finite element deck or a figure.
 //! Uses: `simulate`, sim-core. Never: more of the input in memory than a line; the network.
 
 use std::fs::File;
@@ -23,25 +23,25 @@ use crate::simulate::model::load_or_build;
 /// Options for trials from a file.
 #[derive(Debug, Clone, Args)]
 pub struct TrialArgs {
-    /// Contacts, a line of JSON for each trial: {"contacts":[{"x_mm":270,"y_mm":280,"force_n":20}]}.
+    /// Contacts, one line of JSON per trial: {"contacts":[{"x_mm":270,"y_mm":280,"force_n":20}]}.
     ///
-    /// `-` is standard input. An empty list is an untouched skin. Each line is answered by a line
-    /// {"voltages_v":[784 numbers]}, in order, before the next one is read.
+    /// `-` is standard input. An empty list is an untouched skin. The answer to each line is a line
+    /// {"voltages_v":[784 numbers]}, in order, written before the next one is read.
     #[arg(long, value_name = "FILE|-", default_value = "-")]
     contacts: PathBuf,
     /// Sensor file: the skin's geometry and materials [default: ert-28].
     #[arg(long, value_name = "FILE")]
     sensor: Option<PathBuf>,
-    /// Calibration file, whose values take the place of the sensor file's.
+    /// Calibration file, whose values replace those of the sensor file.
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
-    /// Most contacts in a trial.
+    /// Largest number of contacts in a trial.
     #[arg(long, value_name = "N", default_value_t = 6)]
     max_contacts: usize,
     /// Write the trial's circuit as a netlist for ngspice; the input must be one line.
     #[arg(long, value_name = "FILE")]
     spice: Option<PathBuf>,
-    /// Which electrode is the netlist's sink, from 0.
+    /// Index of the netlist's sink electrode, from 0.
     #[arg(long, value_name = "K", default_value_t = 0, requires = "spice")]
     inject: usize,
     /// Write the trial's deformation as an input deck for CalculiX; the input must be one line.
@@ -50,22 +50,26 @@ pub struct TrialArgs {
     /// Draw the trial's deformed mesh; the input must be one line.
     #[arg(long, value_name = "FILE.svg")]
     picture: Option<PathBuf>,
-    /// Folder whose `cache` keeps solved unit responses [env: PALPATE_DATA] [default:
+    /// Folder whose `cache` contains solved unit responses [env: PALPATE_DATA] [default:
     /// palpate-data].
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// Accepted for scripts: answers are lines of JSON anyway.
+    /// Accepted for scripts: answers are always lines of JSON.
     #[arg(long)]
     json: bool,
 }
 
-/// The answer to a line.
+/// Answer to a line.
 #[derive(Serialize)]
 struct Answer<'a> {
     voltages_v: &'a [f64],
 }
 
 /// Runs the command. Exit code: 0 all lines are answered, 2 bad input.
+///
+/// # Errors
+/// `CliError::Problems` if an option or a line is invalid; other variants if a file cannot be
+/// written.
 pub fn trials(args: &TrialArgs) -> Result<ExitCode, CliError> {
     let mut sensor = read_sensor(args.sensor.as_deref())?;
     if let Some(path) = &args.calibration {
@@ -77,7 +81,7 @@ pub fn trials(args: &TrialArgs) -> Result<ExitCode, CliError> {
     }
     let (input, name) = open(&args.contacts)?;
     let mut lines = ContactLines::new(input, &name, Limits::of(&sensor, args.max_contacts));
-    // The first line is read before the model is there: a slip of the pen is told at once.
+    // The first line is read before the model is built: an input error is reported at once.
     let mut next = lines.next_trial().map_err(problem)?;
     if args.exports() {
         let only = "must hold one line for --spice, --calculix and --picture";
@@ -105,7 +109,7 @@ impl TrialArgs {
         self.spice.is_some() || self.calculix.is_some() || self.picture.is_some()
     }
 
-    /// Writes the files that were asked for.
+    /// Writes the requested files.
     fn export(
         &self,
         model: &ForwardModel,
@@ -128,7 +132,7 @@ impl TrialArgs {
     }
 }
 
-/// The input, and its name in problems.
+/// Opens the input; returns it with its name in problems.
 fn open(path: &Path) -> Result<(Box<dyn BufRead>, String), CliError> {
     if path == Path::new("-") {
         return Ok((Box::new(io::stdin().lock()), "standard input".into()));
@@ -138,7 +142,7 @@ fn open(path: &Path) -> Result<(Box<dyn BufRead>, String), CliError> {
     Ok((Box::new(BufReader::new(file)), name))
 }
 
-/// Writes a line and hands it on at once; `false` where nobody reads any more.
+/// Writes a line and flushes it; returns `false` if standard output is closed.
 fn answer(voltages_v: &[f64]) -> Result<bool, CliError> {
     let mut out = io::stdout().lock();
     let line = serde_json::to_string(&Answer { voltages_v }).map_err(io::Error::from);

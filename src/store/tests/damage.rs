@@ -9,11 +9,11 @@ use sqlx::Connection;
 use sqlx::sqlite::SqliteConnectOptions;
 
 use super::{Folder, hex_trial, new_run, now, open};
-use crate::campaign::kept::journal::Journal;
-use crate::campaign::kept::record::{ArmReading, FrameRecord, Pose, ReferenceRecord};
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialId, TrialKey};
-use crate::store::{PAGE_BYTES, RunKind, Soundness, Store, StoreError, TrialQuery};
+use crate::journal::Journal;
+use crate::record::{ArmReading, FrameRecord, Pose, ReferenceRecord};
+use crate::{PAGE_BYTES, RunKind, Soundness, Store, StoreError, TrialQuery};
 
 /// Trials of the file that is damaged.
 const TRIALS: u32 = 66;

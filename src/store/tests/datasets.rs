@@ -6,9 +6,9 @@ use sqlx::Connection;
 use sqlx::sqlite::SqliteConnectOptions;
 
 use super::{Folder, new_run, open, random_trial, time};
-use crate::campaign::kept::journal::Journal;
 use crate::ids::{RunUid, TrialKey};
-use crate::store::{
+use crate::journal::Journal;
+use crate::{
     Contact, DatasetRow, ExportEnd, ExportState, ImportedTrial, Label, NewRun, NewTwinModel,
     RunKind, Store, TrialQuery,
 };
@@ -37,7 +37,7 @@ fn elsewhere(configuration: u32) -> ImportedTrial {
     }
 }
 
-async fn all(store: &Store, run: RunUid) -> Vec<crate::store::TrialRow> {
+async fn all(store: &Store, run: RunUid) -> Vec<crate::TrialRow> {
     let query =
         TrialQuery { run: Some(run), limit: 100, with_voltages: true, ..TrialQuery::default() };
     store.trials(&query).await.unwrap()
@@ -149,7 +149,7 @@ async fn tables_made_anew_lose_nothing() {
     let mut old = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
     let mut before = sqlx::migrate::Migrator::new(std::path::Path::new(concat!(
         env!("CARGO_MANIFEST_DIR"),
-        "/migrations"
+        "/../../migrations"
     )))
     .await
     .unwrap();

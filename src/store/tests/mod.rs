@@ -15,11 +15,11 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use jiff::Timestamp;
 
 use super::{Label, NewRun, RunKind, Store};
-use crate::campaign::kept::record::{
-    ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose, TrialRecord,
-};
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialKey};
+use crate::record::{
+    ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose, TrialRecord,
+};
 
 /// A folder of its own, removed at the end of its test.
 struct Folder(PathBuf);

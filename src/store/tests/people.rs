@@ -7,8 +7,8 @@ use std::time::Duration;
 use serde_json::json;
 
 use super::{Folder, new_run, now, open, time};
-use crate::campaign::kept::journal::{Journal, Mounting};
-use crate::store::{Inner, KeyRing, NewAction, Role, RunKind, Store, StoreError};
+use crate::journal::{Journal, Mounting};
+use crate::{Inner, KeyRing, NewAction, Role, RunKind, Store, StoreError};
 
 #[tokio::test]
 async fn events_are_numbered_without_gaps() {

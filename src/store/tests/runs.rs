@@ -1,10 +1,10 @@
 //! Runs and the queue: numbers, provenance, states, ends, order.
-//! Uses: `store`, `campaign::kept::journal`. Never: trials (see `trials.rs`).
+//! Uses: `store`, `journal`. Never: trials (see `trials.rs`).
 
 use super::{Folder, hex_trial, new_run, now, open, time};
-use crate::campaign::kept::journal::{ExitStatus, Journal};
 use crate::ids::RunUid;
-use crate::store::{RunKind, StoreError};
+use crate::journal::{ExitStatus, Journal};
+use crate::{RunKind, StoreError};
 
 #[tokio::test]
 async fn a_run_keeps_its_provenance() {
@@ -102,7 +102,7 @@ async fn the_queue_is_in_the_order_that_was_asked_for() {
     for _ in 0..4 {
         uids.push(store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid);
     }
-    let order = |rows: Vec<crate::store::RunRow>| {
+    let order = |rows: Vec<crate::RunRow>| {
         let positions: Vec<_> = rows.iter().map(|r| r.queue_position.unwrap()).collect();
         assert_eq!(positions, (1..=rows.len() as u32).collect::<Vec<_>>());
         rows.into_iter().map(|r| r.uid).collect::<Vec<_>>()

@@ -4,8 +4,8 @@
 use sqlx::Row;
 
 use super::{Folder, open};
-use crate::store::columns::sha256_hex;
-use crate::store::{MIGRATIONS, PAGE_BYTES};
+use crate::columns::sha256_hex;
+use crate::{MIGRATIONS, PAGE_BYTES};
 
 /// Merged migrations by the sha256 of their files. A line is added, never changed.
 const MERGED: [(&str, &str); 6] = [
@@ -31,7 +31,7 @@ const MERGED: [(&str, &str); 6] = [
 
 #[test]
 fn migrations_only_grow_and_are_all_in_the_binary() {
-    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("migrations");
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../migrations");
     let mut files: Vec<(String, String)> = std::fs::read_dir(folder)
         .unwrap()
         .map(|entry| entry.unwrap().path())
@@ -46,7 +46,7 @@ fn migrations_only_grow_and_are_all_in_the_binary() {
     files.sort();
     let merged: Vec<_> = MERGED.iter().map(|(n, h)| (n.to_string(), h.to_string())).collect();
     assert_eq!(files, merged);
-    assert_eq!(MIGRATIONS.iter().count(), merged.len(), "touch src/store/mod.rs");
+    assert_eq!(MIGRATIONS.iter().count(), merged.len(), "touch src/store/lib.rs");
 }
 
 #[tokio::test]
@@ -120,7 +120,7 @@ async fn damage_is_found() {
 async fn a_file_that_is_no_database_is_named() {
     let folder = Folder::new();
     std::fs::write(folder.file(), b"this is not a database, not at all, no").unwrap();
-    let error = crate::store::Store::open(&folder.file(), crate::clock::Clock::new(1.0)).await;
+    let error = crate::Store::open(&folder.file(), crate::clock::Clock::new(1.0)).await;
     let Err(error) = error else { panic!("it opened") };
     assert!(error.to_string().contains("palpate.sqlite"), "{error}");
 }
@@ -130,8 +130,8 @@ fn its_futures_may_move_between_threads() {
     fn movable<T: Send>(_: T) {}
     let folder = Folder::new();
     let path = folder.file();
-    movable(crate::store::Store::open(&path, crate::clock::Clock::new(1.0)));
-    fn methods(store: &crate::store::Store, query: &crate::store::TrialQuery) {
+    movable(crate::Store::open(&path, crate::clock::Clock::new(1.0)));
+    fn methods(store: &crate::Store, query: &crate::TrialQuery) {
         movable(store.trials(query));
         movable(store.set_lock("", ""));
         movable(store.integrity_check());

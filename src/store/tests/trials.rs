@@ -2,15 +2,10 @@
 //! Uses: `store`, `campaign`. Never: processes (see `tests/store_durability.rs`).
 
 use super::{Folder, hex_trial, new_run, now, open, random_trial, time};
-use crate::campaign::kept::journal::Journal;
-use crate::campaign::kept::record::{
-    AttemptRecord, Flag, ReferenceRecord, TareRecord, TouchOffRecord,
-};
 use crate::ids::{RunUid, TrialId, TrialKey};
-use crate::store::{
-    Comparison, Filter, FilterValue, Order, RunKind, SettingCount, Store, StoreError, TrialColumn,
-    TrialQuery,
-};
+use crate::journal::Journal;
+use crate::record::{AttemptRecord, Flag, ReferenceRecord, TareRecord, TouchOffRecord};
+use crate::{Condition, Order, RunKind, SettingCount, Store, StoreError, TrialQuery};
 
 async fn with_run(folder: &Folder, kind: RunKind) -> (Store, RunUid) {
     let store = open(&folder.file()).await;
@@ -18,10 +13,8 @@ async fn with_run(folder: &Folder, kind: RunKind) -> (Store, RunUid) {
     (store, run)
 }
 
-fn number(column: &str, comparison: &str, value: f64) -> Filter {
-    let column = TrialColumn::from_name(column).unwrap();
-    let comparison = Comparison::from_suffix(comparison).unwrap();
-    Filter::Compare(column, comparison, FilterValue::Number(value))
+fn that(condition: &str) -> Condition {
+    Condition::parse(condition).unwrap()
 }
 
 #[tokio::test]
@@ -210,7 +203,7 @@ async fn a_trial_taken_back_keeps_its_record_and_frees_its_key() {
     .fetch_one(&store.inner.readers)
     .await
     .unwrap();
-    let record: crate::store::TrialRow = serde_json::from_str(&record).unwrap();
+    let record: crate::TrialRow = serde_json::from_str(&record).unwrap();
     assert_eq!((record.trial_id, record.contacts.len(), frames), (id, 4, 2));
 
     // Measured again, it is another trial with an id of its own.
@@ -251,29 +244,24 @@ async fn pages_meet_every_trial_once_and_filters_hold() {
         assert_eq!(seen, all);
     }
 
-    let ask = async |filters: Vec<Filter>| {
+    let ask = async |filters: Vec<Condition>| {
         let query = TrialQuery { run: Some(run), filters, limit: 100, ..Default::default() };
         store.trials(&query).await.unwrap()
     };
     // Forces are c and 4 d: both at or over 5 N for c >= 5 and d = 2.
-    let two = ask(vec![number("contact_count", "eq", 2.0)]).await;
+    let two = ask(vec![that("contact_count__eq=2.0")]).await;
     assert_eq!(two.len(), 10);
     assert!(two.iter().all(|t| t.depth_index == 2 && t.contacts.len() == 2));
-    let strong =
-        ask(vec![number("contact_count", "eq", 2.0), number("max_force_n", "gt", 12.0)]).await;
+    let strong = ask(vec![that("contact_count__eq=2.0"), that("max_force_n__gt=12.0")]).await;
     assert_eq!(strong.iter().map(|t| t.configuration).collect::<Vec<_>>(), [13, 14]);
-    let some = [FilterValue::Number(1.0), FilterValue::Number(3.0)].to_vec();
-    let some = ask(vec![
-        Filter::OneOf(TrialColumn::Configuration, some),
-        number("depth_index", "lte", 1.0),
-    ])
-    .await;
+    let some = ask(vec![that("configuration__in=1,3"), that("depth_index__lte=1")]).await;
     assert_eq!(some.len(), 4);
-    assert!(ask(vec![Filter::OneOf(TrialColumn::Tips, vec![])]).await.is_empty());
-    assert!(ask(vec![number("started_at", "gt", 0.0)]).await.is_empty());
-    let late = FilterValue::Time(time("2026-11-20T18:00:00.123Z"));
-    let late = Filter::Compare(TrialColumn::StartedAt, Comparison::GreaterOrEqual, late);
+    assert!(ask(vec![that("tips__in=77,78")]).await.is_empty());
+    assert!(ask(vec![that("seed=1")]).await.is_empty(), "no stored trial has a seed");
+    let late = that("started_at__gte=2026-11-20T18:00:00.123Z");
     assert_eq!(ask(vec![late]).await.len(), 45);
+    assert_eq!(ask(vec![that(&format!("run={run}"))]).await.len(), 45);
+    assert!(ask(vec![that("label__in=virtual,none"), that("experiment=other")]).await.is_empty());
 }
 
 #[tokio::test]
@@ -313,7 +301,7 @@ async fn pages_follow_an_index_without_sorting() {
     for step in steps.iter().chain(&plain) {
         assert!(!step.contains("TEMP B-TREE"), "{step}");
     }
-    let filters = vec![number("contact_count", "eq", 3.0), number("max_force_n", "gt", 10.0)];
+    let filters = vec![that("contact_count__eq=3.0"), that("max_force_n__gt=10.0")];
     let query = TrialQuery { filters, limit: 10, ..Default::default() };
     let steps = store.explain(&query).await.unwrap();
     assert!(

@@ -2,9 +2,9 @@
 //! Uses: `store`. Never: a model (the numbers here are made up).
 
 use super::{Folder, hex_trial, new_run, open};
-use crate::campaign::kept::journal::Journal;
 use crate::ids::{TrialId, TrialKey};
-use crate::store::{NewTwinModel, RunKind, Store, Twin, TwinModelId, TwinOutcome};
+use crate::journal::Journal;
+use crate::{NewTwinModel, RunKind, Store, Twin, TwinModelId, TwinOutcome};
 
 async fn model(store: &Store, hash: &str) -> TwinModelId {
     let new = NewTwinModel {

@@ -6,13 +6,9 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 use jiff::Timestamp;
-use palpate::campaign::kept::journal::{
-    Event, ExitStatus, Journal, JournalError, Mounting, Progress,
-};
-use palpate::campaign::kept::record::{
-    AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord,
-};
 use palpate::ids::{RunUid, TrialId, TrialKey};
+use palpate::journal::{Event, ExitStatus, Journal, JournalError, Mounting, Progress};
+use palpate::record::{AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord};
 use serde_json::Value;
 use tokio::sync::watch;
 

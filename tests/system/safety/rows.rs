@@ -74,7 +74,7 @@ async fn a_cell_that_lost_its_tip_is_found_out_by_the_skin() {
     harness.tell(json!({ "cmd": "clear_peaks" })).await;
     harness.start(harness.job(&experiment(1, ""), |_| {})).await;
     let status = harness.tripped().await;
-    cause(&status, TripKind::Cell, "the skin feels a touch");
+    cause(&status, TripKind::Cell, "the skin detects a touch");
     harness.is_safe().await;
     let (deepest_mm, peak_n) = peaks(&harness).await;
     assert!(peak_n < 60.0, "{deepest_mm} mm below the surface, {peak_n} N");
@@ -183,7 +183,7 @@ async fn six_powered_cells_under_two_tips_are_legal_and_a_load_without_a_tip_is_
     assert_eq!(harness.handle.status().rig.tips, Some(2));
     harness.fault("foreign_load", "cells", json!({ "arm": 5, "n": 20.0 })).await;
     let status = harness.tripped().await;
-    cause(&status, TripKind::Cell, "cell 5 weighs");
+    cause(&status, TripKind::Cell, "cell 5 reads");
     harness.is_safe().await;
     harness.close().await;
 }

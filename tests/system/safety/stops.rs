@@ -152,6 +152,36 @@ async fn an_e_stop_outlasts_an_automatic_resume_that_was_to_come() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn an_automatic_resume_that_meets_an_alarm_leaves_it_to_a_person() {
+    let harness = Harness::homed().await;
+    harness.mount(2, 2).await;
+    let definition = experiment(2, "[policy]\nauto_resume_after_s = 1.0\n");
+    harness.start(harness.job(&definition, |job| job.auto_resume = true)).await;
+    harness.stored(1).await;
+    harness.fault("no_reply", "cells", json!({ "for_s": 16.0 })).await;
+    harness.tripped().await;
+    // The homing of the automatic resume meets it; some seconds later another homing would succeed.
+    let stuck = json!({ "alarm_after_s": 0.2, "for_s": 6.0 * super::harness::SPEED });
+    harness.fault("stuck_axis", "x", stuck).await;
+    let alarmed = |s: &Status| {
+        let trip = s.rig.trip.as_ref().map(|t| t.kind);
+        matches!(trip, Some(TripKind::Device | TripKind::Position))
+    };
+    harness.until("the alarm", alarmed).await;
+    let stored = harness.journal.taken().trials.len();
+    tokio::time::sleep(Duration::from_secs(10)).await;
+    let status = harness.handle.status();
+    assert_eq!(status.rig.state, RigState::Tripped, "{:#?}", status.rig);
+    assert!(alarmed(&status), "{:#?}", status.rig.trip);
+    assert_eq!(harness.journal.taken().trials.len(), stored);
+    harness.ask(Request::Reset).await.unwrap();
+    harness.home().await;
+    harness.ask(Request::Resume).await.unwrap();
+    harness.until("the end", |s| s.run.is_none()).await;
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_load_on_an_arm_without_a_tip_is_not_tared_away() {
     let harness = Harness::homed().await;
     harness.mount(2, 6).await;

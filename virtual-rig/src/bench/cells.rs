@@ -1,10 +1,9 @@
-//! FC22 amplified load cells behind an analog module: volts from newtons, converted at the module's
-//! own pace and held in between.
-//! PURE. Uses: `config`, `fault`. Never: registers (that is `device`), clocks.
+//! FC22 amplified load cells behind an analog module: volts from newtons, converted at the update
+//! period of the module and held in between.
+//! PURE. Uses: `config`, `fault`. Never: registers (`device` has those), clocks.
 //!
 //! Ratiometric: V = supply x (0.1 + 0.8 F / full scale) (`docs/references.md`, "FC22 load cells").
-//! A cell that is not on its cable reads 0 V; one on its cable has a live zero, whether a tip is
-//! mounted on it or not.
+//! A disconnected cell reads 0 V. A connected cell has a live zero, with or without a tip.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -13,16 +12,16 @@ use crate::config::{ARMS, Cells};
 use crate::device::INPUTS;
 use crate::fault::Kind;
 
-/// Zero offsets lie within this part of full scale (the cell's accuracy).
+/// Largest zero offset, fraction of full scale (accuracy of the cell).
 const OFFSET_PART: f64 = 0.01;
-/// Noise of a cell and its wires, part of full scale, one sigma.
+/// Noise of a cell and its wires, fraction of full scale, one sigma.
 const NOISE_PART: f64 = 2e-4;
-/// An overloaded amplifier sits here, part of the supply.
+/// Output of an overloaded amplifier, fraction of the supply.
 const CEILING_PART: f64 = 0.92;
-/// And an unloaded one not below here.
+/// Lowest output of an unloaded amplifier, fraction of the supply.
 const FLOOR_PART: f64 = 0.06;
 
-/// The cells and the module's last conversion.
+/// The cells and the last conversion of the module.
 pub struct CellBank {
     file: Cells,
     seed: u64,
@@ -32,7 +31,7 @@ pub struct CellBank {
 }
 
 impl CellBank {
-    /// Six cells with their own zero offsets.
+    /// Creates six cells with individual zero offsets.
     pub fn new(file: Cells, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let bound = OFFSET_PART * file.full_scale_n;
@@ -50,12 +49,12 @@ impl CellBank {
         conversion as f64 * self.period_s()
     }
 
-    /// The held voltages, if they are of that conversion.
+    /// The held voltages, V, if they belong to that conversion.
     pub fn held(&self, conversion: i64) -> Option<[f64; INPUTS]> {
         self.held.filter(|h| h.0 == conversion).map(|h| h.1)
     }
 
-    /// Makes the next conversion valid early: what is attached has changed.
+    /// Discards the held conversion, because the attached cells have changed.
     pub fn forget(&mut self) {
         self.held = None;
     }
@@ -64,8 +63,8 @@ impl CellBank {
         self.file.update_ms * 1e-3
     }
 
-    /// Converts: forces at the conversion's time, how many cells are on their cables, and the faults
-    /// at work.
+    /// Converts the outputs of the cells, V, from the forces at the time of the conversion, the
+    /// number of connected cells, and the active faults.
     pub fn convert(
         &mut self,
         conversion: i64,
@@ -118,7 +117,7 @@ impl CellBank {
         }
     }
 
-    /// Unit normal noise that depends on the conversion alone, not on who asked.
+    /// Standard normal noise that depends only on conversion and arm.
     fn noise(&self, conversion: i64, arm: usize) -> f64 {
         let mut state = self.seed ^ (conversion as u64).wrapping_mul(8) ^ arm as u64;
         let mut next = || {

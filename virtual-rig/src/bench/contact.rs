@@ -1,14 +1,14 @@
-//! Where the tips are and how hard they press: the indenter over the skin.
+//! Positions and forces of the tips: the indenter over the skin.
 //! PURE. Uses: `config`, `skin`. Never: time, registers.
 
 use crate::config::{ARMS, Placement, Slot};
 use crate::skin::TipLoad;
 use crate::skin::mechanics::Mechanics;
 
-/// No unevenness lets a tip touch this far above the nominal surface, mm.
+/// Height above the nominal surface at which no unevenness lets a tip touch, mm.
 const SURELY_CLEAR_MM: f64 = 5.0;
 
-/// Where the axes stand, with the slot's play taken into account.
+/// Position of the axes, including the backlash of the slot.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose {
     /// Machine x, mm.
@@ -17,26 +17,26 @@ pub struct Pose {
     pub y_mm: f64,
     /// Machine z, downward, mm.
     pub z_mm: f64,
-    /// Radius of the tips' circle, mm.
+    /// Radius of the circle of tips, mm.
     pub radius_mm: f64,
 }
 
-/// A weight that the operator has put down.
+/// A weight that the operator has placed.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Deserialize, serde::Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Weight {
-    /// Place from the skin's corner, mm.
+    /// x of its centre, skin coordinates, mm.
     pub x_mm: f64,
-    /// Place from the skin's corner, mm.
+    /// y of its centre, skin coordinates, mm.
     pub y_mm: f64,
-    /// Its weight, N.
+    /// Force of the weight, N.
     pub force_n: f64,
 }
 
-/// A load that the skin is held under: equal bits are equal loads.
+/// A load under which the skin is held. Loads with equal bits are equal.
 #[derive(Debug, Clone, Default)]
 pub struct Load {
-    /// What presses, arms first and weights after them.
+    /// Contacts of the load: arms first, then weights.
     pub tips: Vec<TipLoad>,
 }
 
@@ -48,7 +48,7 @@ impl PartialEq for Load {
     }
 }
 
-/// The play of the slot: the tips lag when the angle turns back.
+/// Backlash of the slot: the tips lag when the angle reverses.
 #[derive(Debug, Clone, Copy)]
 pub struct Play {
     slot: Slot,
@@ -56,25 +56,25 @@ pub struct Play {
 }
 
 impl Play {
-    /// Tips at rest at an angle.
+    /// Creates the state of tips at rest at an angle.
     pub fn new(slot: Slot, angle_deg: f64) -> Self {
         Self { slot, radius_mm: slot.radius_at_zero_mm + slot.mm_per_deg * angle_deg }
     }
 
-    /// Radius once the angle has gone, without turning on the way, to `angle_deg`: exact after a
-    /// growing radius, too large by up to the play after a shrinking one.
+    /// Radius after a monotonic motion to `angle_deg`, mm: exact after an increasing radius, too
+    /// large by up to the backlash after a decreasing one.
     pub fn radius_mm(&self, angle_deg: f64) -> f64 {
         let pushed = self.slot.radius_at_zero_mm + self.slot.mm_per_deg * angle_deg;
         self.radius_mm.clamp(pushed, pushed + self.slot.backlash_mm)
     }
 
-    /// Follows the angle.
+    /// Updates the state with a new angle.
     pub fn follow(&mut self, angle_deg: f64) {
         self.radius_mm = self.radius_mm(angle_deg);
     }
 }
 
-/// The multi-point indenter with its attached tips, above its skin.
+/// The multi-point indenter with its attached tips, above the skin.
 pub struct Indenter {
     placement: Placement,
     size_mm: [f64; 2],
@@ -85,7 +85,7 @@ pub struct Indenter {
 }
 
 impl Indenter {
-    /// Six tips attached, the nominal surface at a machine z.
+    /// Creates an indenter with six tips and the nominal surface at a machine z.
     pub fn new(
         placement: Placement,
         size_mm: [f64; 2],
@@ -96,7 +96,7 @@ impl Indenter {
         Self { placement, size_mm, surface_z_mm, mechanics, mounted: ARMS, missing }
     }
 
-    /// Attached tips: arms 1 to n.
+    /// Number of attached tips, on arms 1 to n.
     pub fn mounted(&self) -> usize {
         self.mounted
     }
@@ -106,12 +106,12 @@ impl Indenter {
         self.mounted = tips.min(ARMS);
     }
 
-    /// Arms whose tip has come off.
+    /// Arms whose tip was lost through a fault.
     pub fn missing(&self) -> [bool; ARMS] {
         self.missing
     }
 
-    /// Takes tips off arms, or puts them back.
+    /// Removes tips from arms, or puts them back.
     pub fn lose(&mut self, missing: [bool; ARMS]) {
         self.missing = missing;
     }
@@ -126,7 +126,7 @@ impl Indenter {
         self.mounted == 0 || z_mm < self.surface_z_mm - SURELY_CLEAR_MM
     }
 
-    /// Whether a place lies on the skin.
+    /// Whether a position is on the skin.
     pub fn on_skin(&self, x_mm: f64, y_mm: f64) -> bool {
         (0.0..=self.size_mm[0]).contains(&x_mm) && (0.0..=self.size_mm[1]).contains(&y_mm)
     }
@@ -135,14 +135,14 @@ impl Indenter {
         [pose.x_mm - self.placement.origin_x_mm, pose.y_mm - self.placement.origin_y_mm]
     }
 
-    /// Place of an arm's tip from the skin's corner, mm.
+    /// Position of an arm's tip, skin coordinates, mm.
     pub fn tip(&self, arm: usize, pose: &Pose) -> [f64; 2] {
         let [x, y] = self.centre(pose);
         let angle = (60.0 * arm as f64).to_radians();
         [x + pose.radius_mm * angle.cos(), y + pose.radius_mm * angle.sin()]
     }
 
-    /// Force on each arm, N; zero on the arms without a tip.
+    /// Force on each arm, N; zero on arms without a tip.
     pub fn forces_n(&self, pose: &Pose, unloading: bool) -> [f64; ARMS] {
         let mut forces = [0.0; ARMS];
         if self.surely_clear(pose.z_mm) {
@@ -159,12 +159,12 @@ impl Indenter {
         forces
     }
 
-    /// Whether any tip presses.
+    /// Whether any tip is in contact.
     pub fn touches(&self, pose: &Pose) -> bool {
         self.forces_n(pose, false).iter().any(|&f| f > 0.0)
     }
 
-    /// What the skin is under: the pressing tips, then the weights.
+    /// Load of the skin: the tips in contact, then the weights.
     pub fn load(&self, pose: &Pose, unloading: bool, weights: &[Weight]) -> Load {
         let forces = self.forces_n(pose, unloading);
         let pressing = forces.iter().enumerate().filter(|(_, f)| **f > 0.0);

@@ -1,5 +1,5 @@
-//! Which frames the readout takes, and of which load: a frame during which the load changed is
-//! nobody's, and is dropped.
+//! Which frames the readout takes, and of which load. A frame during which the load changed belongs
+//! to no load and is dropped.
 //! PURE. Uses: `bench::contact`. Never: voltages, packets, clocks.
 
 use std::collections::VecDeque;
@@ -7,23 +7,23 @@ use std::sync::Arc;
 
 use super::contact::Load;
 
-/// Frames that may wait for the stream; beyond it the oldest are lost.
+/// Largest number of frames that wait for the stream; beyond it the oldest are lost.
 const WAITING_MAX: usize = 4096;
-/// A pause of the machine longer than so many frames is skipped rather than caught up.
+/// A pause of the process longer than this number of frames is skipped, not caught up.
 const CATCH_UP_MAX: f64 = 50_000.0;
 
 /// A frame that was taken under one held load.
 #[derive(Debug, Clone)]
 pub struct TakenFrame {
-    /// Counter of the device.
+    /// Sequence number of the device.
     pub sequence: u32,
     /// Process time of its first sample, s.
     pub first_sample_s: f64,
-    /// What pressed, all through the frame.
+    /// Load during the whole frame.
     pub load: Arc<Load>,
 }
 
-/// The readout's sequence of frames.
+/// Sequence of frames of the readout.
 pub struct FrameLedger {
     rate_hz: f64,
     next: u64,
@@ -33,7 +33,7 @@ pub struct FrameLedger {
 }
 
 impl FrameLedger {
-    /// A readout that starts at process time zero.
+    /// Creates a readout that starts at process time zero.
     pub fn new(rate_hz: f64) -> Self {
         Self { rate_hz, next: 0, spoilt: false, waiting: VecDeque::new(), dropped: 0 }
     }
@@ -43,17 +43,17 @@ impl FrameLedger {
         (self.next + 1) as f64 / self.rate_hz
     }
 
-    /// Counter of the frame in progress.
+    /// Sequence number of the frame in progress.
     pub fn sequence(&self) -> u32 {
         self.next as u32
     }
 
-    /// Frames dropped because their load changed, or because nobody took them.
+    /// Number of frames dropped because their load changed or because they were not taken in time.
     pub fn dropped(&self) -> u64 {
         self.dropped
     }
 
-    /// The load changed during the frame in progress.
+    /// Records that the load changed during the frame in progress.
     pub fn spoil(&mut self) {
         self.spoilt = true;
     }
@@ -80,7 +80,7 @@ impl FrameLedger {
         self.next += 1;
     }
 
-    /// After a pause of the whole process: goes on with the frame that is due at `t_s`.
+    /// After a pause of the whole process, continues with the frame that is due at `t_s`.
     pub fn skip_to(&mut self, t_s: f64) {
         let due = (t_s * self.rate_hz).floor();
         if due - self.next as f64 > CATCH_UP_MAX {
@@ -90,7 +90,7 @@ impl FrameLedger {
         }
     }
 
-    /// Hands out the frames taken since the last time.
+    /// Returns the frames taken since the last call.
     pub fn take(&mut self) -> VecDeque<TakenFrame> {
         std::mem::take(&mut self.waiting)
     }

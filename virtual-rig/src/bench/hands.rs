@@ -1,33 +1,36 @@
-//! What a person does to the bench with their hands: tips, cables, weights.
+//! Manual actions of a person on the bench: tips, cables, weights.
 //! PURE. Uses: `bench`. Never: registers, wires.
 
 use super::contact::Weight;
 use super::{Bench, Peaks};
 use crate::config::{ARMS, AxisName};
 
-/// Why the operator's hand was held back.
+/// Reason why an action of the operator was refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Refusal {
-    /// Tips are pressing.
+    /// Tips are in contact.
     #[error("tips are pressing: raise z first")]
     Pressing,
-    /// More tips than arms.
+    /// The number of tips is more than the number of arms.
     #[error("tips must be 0 to 6")]
     Tips,
-    /// Fewer cells on their cables than tips, or more than arms.
+    /// The number of connected cells is less than that of tips, or more than that of arms.
     #[error("powered must be from tips to 6")]
     Powered,
-    /// A weight beside the skin.
-    #[error("a weight must stand on the skin")]
+    /// A weight is not on the skin.
+    #[error("a weight must be on the skin")]
     OffSkin,
-    /// A weight without weight.
+    /// The force of a weight is not positive, or too large.
     #[error("a weight's force_n must be positive and at most 1000")]
     Force,
 }
 
 impl Bench {
-    /// The operator attaches tips to arms 1 to `tips`, and leaves the cells of arms 1 to `powered`
-    /// on their cables; only those of the tips if absent.
+    /// Attaches tips to arms 1 to `tips` and connects the cells of arms 1 to `powered`; absent:
+    /// those of the tips.
+    ///
+    /// # Errors
+    /// The numbers are not valid, or tips are in contact.
     pub fn mount(&mut self, tips: usize, powered: Option<usize>) -> Result<(), Refusal> {
         if tips > ARMS {
             return Err(Refusal::Tips);
@@ -51,7 +54,10 @@ impl Bench {
         Ok(())
     }
 
-    /// The operator puts weights down, in place of those that stood there.
+    /// Places weights instead of the present ones.
+    ///
+    /// # Errors
+    /// A weight is off the skin, or its force is not from above 0 to 1000 N.
     pub fn place(&mut self, weights: Vec<Weight>) -> Result<(), Refusal> {
         for w in &weights {
             if !self.indenter.on_skin(w.x_mm, w.y_mm) {
@@ -67,7 +73,7 @@ impl Bench {
         Ok(())
     }
 
-    /// Forgets the largest force and the deepest z: from now on those that come.
+    /// Resets the largest force and the deepest z.
     pub fn clear_peaks(&mut self) {
         let pose = self.pose(self.now_s);
         let forces = self.indenter.forces_n(&pose, self.unloading(pose.z_mm));

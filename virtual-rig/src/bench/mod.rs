@@ -1,5 +1,5 @@
-//! The lab's bench as one value: four axes, the indenter, its cells, the skin's readout, and what
-//! goes wrong with them. Everything happens at process times that are handed in.
+//! The bench as one value: four axes, the indenter, its cells, the skin's readout, and their
+//! faults. Everything happens at process times that are passed in.
 //! PURE. Uses: `device`, `drive`, `fault`, `skin`. Never: clocks, sockets, threads, solving.
 
 mod cells;
@@ -29,39 +29,39 @@ use crate::fault::{Board, Fault, Kind, Target, WireFault};
 use crate::modbus::{Exception, Request, answer};
 use crate::skin::mechanics::Mechanics;
 
-/// Stop receipts that are kept.
+/// Largest number of stop receipts that are stored.
 const RECEIPTS_MAX: usize = 4096;
-/// A tip that has risen by this much since its deepest is unloading, mm.
+/// Rise of a tip above its deepest position at which it is unloading, mm.
 const UNLOADING_MM: f64 = 0.005;
 
-/// What a wire does with one request.
+/// Result of a request to a wire.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Served {
-    /// Protocol data unit of the answer; absent: nobody is there.
+    /// Protocol data unit of the reply; absent: no device has this address.
     pub answer: Option<Vec<u8>>,
-    /// What goes wrong with it.
+    /// Fault that affects the reply; absent: none.
     pub fault: Option<WireFault>,
 }
 
 /// Counters of the Modbus wires.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 pub struct WireCounters {
-    /// Requests received.
+    /// Number of requests received.
     pub requests: u64,
-    /// Of them, writes.
+    /// Number of writes among them.
     pub writes: u64,
-    /// Exceptions answered.
+    /// Number of exceptions returned.
     pub exceptions: u64,
-    /// Requests that a fault struck.
+    /// Number of requests affected by a fault.
     pub struck: u64,
 }
 
-/// The worst since the last clearing.
+/// Extreme values since the last reset.
 #[derive(Debug, Clone, Copy)]
 struct Peaks {
     /// Largest true force on a tip, N.
     force_n: f64,
-    /// Deepest machine z.
+    /// Deepest machine z, mm.
     z_mm: f64,
 }
 
@@ -71,11 +71,12 @@ struct Axis {
     line: String,
     unit: u8,
     servo_at_power_up: bool,
-    /// The device as stale reads show it, and since when.
+    /// State of the device as stale reads show it, and the process time since which they are stale,
+    /// s.
     stale: Option<(AxisMap, Drive, f64)>,
 }
 
-/// The bench.
+/// The bench of the rig.
 pub struct Bench {
     axes: [Axis; 4],
     cells_map: CellsMap,
@@ -88,26 +89,27 @@ pub struct Bench {
     frames: FrameLedger,
     faults: Board,
     now_s: f64,
-    /// The held load while nothing moves in contact.
+    /// The held load; none after a motion until it is computed again.
     load: Option<Arc<Load>>,
     pressing: bool,
     deepest_z_mm: f64,
-    /// Cells on their cables: arms 1 to n.
+    /// Number of connected cells, on arms 1 to n.
     powered: usize,
     peaks: Peaks,
     presses: u64,
     lateral_in_contact: u64,
-    /// Motion of x, y, radial that has been counted already.
+    /// Last motion of each axis that was counted as lateral motion in contact.
     counted_motion: [u64; 4],
     stops: VecDeque<StopReceipt>,
     stops_total: u64,
     counters: WireCounters,
-    /// Loads that will soon be held.
+    /// Loads that are expected to be held soon.
     expected: Vec<Arc<Load>>,
 }
 
 impl Bench {
-    /// A bench at power-up: axes anywhere (z clear of the skin), not homed, six tips attached.
+    /// Creates a bench at power-up: axes at random positions (z clear of the skin), not homed, six
+    /// tips attached.
     pub fn power_up(
         rig: &RigFile,
         skin_size_mm: [f64; 2],
@@ -180,7 +182,7 @@ impl Bench {
         }
     }
 
-    /// Lets process time pass, without a command in between.
+    /// Advances the process time, without a command in between.
     pub fn advance(&mut self, t_s: f64) {
         self.frames.skip_to(t_s);
         while self.now_s < t_s {
@@ -206,7 +208,7 @@ impl Bench {
         }
     }
 
-    /// Lets watchdogs that have run out stop their motors.
+    /// Lets expired watchdogs stop their motors.
     fn watch(&mut self) {
         let t_s = self.now_s;
         let ran_out = |axis: &Axis| axis.map.watchdog_s().is_some_and(|end_s| end_s <= t_s);
@@ -219,7 +221,7 @@ impl Bench {
         }
     }
 
-    /// What motion does between two times within one frame.
+    /// Applies the effects of motion between two times within one frame.
     fn pass(&mut self, from_s: f64, to_s: f64) {
         let turning = AxisName::ALL.map(|n| self.drive(n).turns_between(from_s));
         if turning == [false; 4] {
@@ -263,7 +265,7 @@ impl Bench {
         z_mm < self.deepest_z_mm - UNLOADING_MM
     }
 
-    /// Computes the held load if it is not known.
+    /// Computes the held load if it is unknown.
     fn hold_load(&mut self) {
         if self.load.is_none() {
             let pose = self.pose(self.now_s);
@@ -272,7 +274,7 @@ impl Bench {
         }
     }
 
-    /// Lets the faults that change the bench itself take effect.
+    /// Applies the faults that change the bench itself.
     fn strike(&mut self) {
         let t_s = self.now_s;
         self.faults.update(t_s, self.frames.sequence(), self.presses);
@@ -313,12 +315,12 @@ impl Bench {
         }
     }
 
-    /// Takes the module's last conversion now, before motion changes what led to it.
+    /// Evaluates the last conversion of the module now, before motion changes its input.
     fn hold_cells(&mut self) {
         self.cell_volts();
     }
 
-    /// The inputs of the analog module as last converted, V.
+    /// Inputs of the analog module at its last conversion, V.
     fn cell_volts(&mut self) -> [f64; INPUTS] {
         let conversion = self.cells.conversion(self.now_s);
         if let Some(held) = self.cells.held(conversion) {
@@ -330,7 +332,7 @@ impl Bench {
         self.cells.convert(conversion, &forces, self.powered, &faults)
     }
 
-    /// Whom a request means.
+    /// Device that a request addresses.
     fn target(&self, line: &str, unit: u8) -> Option<Target> {
         let axis = |&n: &AxisName| {
             let axis = &self.axes[n.index()];
@@ -342,7 +344,7 @@ impl Bench {
         AxisName::ALL.iter().copied().find(axis).map(Target::Axis)
     }
 
-    /// Carries out one request at a process time. `received_unix_s` is when its bytes came.
+    /// Executes one request at a process time. `received_unix_s`: time at which its bytes arrived.
     pub fn serve(
         &mut self,
         line: &str,
@@ -419,7 +421,7 @@ impl Bench {
         outcome
     }
 
-    /// Foresees the load at the end of the motions under way, so that it can be solved meanwhile.
+    /// Predicts the load at the end of the active motions, so that it can be solved in advance.
     fn expect_load(&mut self) {
         let at = |name: AxisName| self.drive(name).resting_position();
         let pose = Pose {
@@ -435,12 +437,12 @@ impl Bench {
         self.expected.push(Arc::new(self.indenter.load(&pose, unloading, &self.weights)));
     }
 
-    /// Loads that will be held soon, for the solver.
+    /// Returns the loads that are expected to be held soon, for the solver.
     pub fn take_expected(&mut self) -> Vec<Arc<Load>> {
         std::mem::take(&mut self.expected)
     }
 
-    /// Frames taken since the last time.
+    /// Returns the frames taken since the last call.
     pub fn take_frames(&mut self) -> VecDeque<TakenFrame> {
         self.frames.take()
     }
@@ -450,12 +452,12 @@ impl Bench {
         self.frames.end_s()
     }
 
-    /// Faults of the stream at work.
+    /// Active faults of the stream.
     pub fn stream_faults(&mut self) -> Vec<Kind> {
         if self.faults.is_empty() { Vec::new() } else { self.faults.stream(self.now_s) }
     }
 
-    /// Whether a wire is cut.
+    /// Whether a wire is disconnected.
     pub fn disconnected(&mut self, line: &str, t_s: f64) -> bool {
         self.advance(t_s);
         self.faults.disconnected(line, t_s)
@@ -467,7 +469,7 @@ impl Bench {
         self.strike();
     }
 
-    /// Takes all faults away, and mends what they broke.
+    /// Removes all faults and repairs their effects.
     pub fn clear_faults(&mut self) {
         self.faults.clear();
         self.strike();

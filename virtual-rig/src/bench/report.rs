@@ -1,4 +1,4 @@
-//! What the control socket tells about the bench: the truth, as no device would tell it.
+//! Report of the control socket: the true state of the bench, which no device reports.
 //! PURE. Uses: `bench`. Never: changes anything.
 
 use serde::Serialize;
@@ -6,48 +6,48 @@ use serde::Serialize;
 use super::{Bench, Weight, WireCounters};
 use crate::config::{ARMS, AxisName};
 
-/// A stop command that came over a wire.
+/// A stop command that arrived over a wire.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct StopReceipt {
-    /// Which axis.
+    /// Name of the axis.
     pub axis: &'static str,
-    /// When its bytes were read, wall seconds since 1970.
+    /// Time at which its bytes were read, wall seconds since 1970.
     pub unix_s: f64,
-    /// The same in process seconds.
+    /// The same time, process s.
     pub process_s: f64,
     /// True position of the axis at that time, mm or degrees.
     pub position: f64,
 }
 
-/// One axis, as it truly is.
+/// True state of one axis.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AxisReport {
-    /// `x`, `y`, `z` or `radial`.
+    /// Name: `x`, `y`, `z` or `radial`.
     pub name: &'static str,
     /// True position, mm or degrees.
     pub position: f64,
-    /// Motion is under way.
+    /// Whether the axis moves.
     pub moving: bool,
-    /// Motor on.
+    /// Whether the motor is on.
     pub servo: bool,
-    /// Homing has been done.
+    /// Whether homing is complete.
     pub homed: bool,
-    /// Something has stopped it.
+    /// Whether an alarm is active.
     pub alarm: bool,
 }
 
-/// The whole bench.
+/// True state of the bench.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Report {
     /// Process seconds since power-up.
     pub process_s: f64,
-    /// The axes.
+    /// State of the four axes.
     pub axes: Vec<AxisReport>,
-    /// Attached tips.
+    /// Number of attached tips.
     pub tips: usize,
-    /// Cells on their cables.
+    /// Number of connected cells.
     pub powered: usize,
-    /// True radius of the tips' circle, mm.
+    /// True radius of the circle of tips, mm.
     pub radius_mm: f64,
     /// Machine z of the nominal surface, mm.
     pub surface_z_mm: f64,
@@ -55,32 +55,32 @@ pub struct Report {
     pub forces_n: [f64; ARMS],
     /// Largest true force on a tip since the last `clear_peaks`, N.
     pub peak_force_n: f64,
-    /// Deepest that z has been below the nominal surface since then, mm; above it is negative.
+    /// Deepest z relative to the nominal surface since then, mm; negative above it.
     pub deepest_below_surface_mm: f64,
-    /// Places of the tips from the skin's corner, mm.
+    /// Positions of the tips, skin coordinates, mm.
     pub tips_mm: Vec<[f64; 2]>,
-    /// Weights put down.
+    /// Weights on the skin.
     pub weights: Vec<Weight>,
-    /// Tips press.
+    /// Whether a tip is in contact.
     pub pressing: bool,
-    /// Presses into contact so far.
+    /// Number of presses into contact.
     pub presses: u64,
-    /// Lateral or radial motions in contact: must stay 0.
+    /// Number of lateral or radial motions in contact; must remain 0.
     pub lateral_in_contact: u64,
-    /// Stop commands so far.
+    /// Number of stop commands.
     pub stops: u64,
-    /// The latest of them.
+    /// The most recent of them.
     pub stop_receipts: Vec<StopReceipt>,
     /// Counters of the Modbus wires.
     pub wires: WireCounters,
-    /// Frame in progress.
+    /// Sequence number of the frame in progress.
     pub frame: u32,
-    /// Frames dropped because their load changed.
+    /// Number of frames dropped because their load changed.
     pub frames_dropped: u64,
 }
 
 impl Bench {
-    /// The truth at a process time.
+    /// Returns the true state at a process time.
     pub fn report(&mut self, t_s: f64) -> Report {
         self.advance(t_s);
         let t_s = self.now_s;

@@ -1,6 +1,6 @@
 //! Advantech ADAM-6017: eight analog inputs, 16 bit over the chosen range, Modbus TCP.
 //! Registers from `docs/references.md`, "ADAM-6017": 0 to 7 the values (0 to 65535 over the range),
-//! 200 + channel the range codes, 210 the model. PURE. Never: what the inputs mean.
+//! 200 + channel the range codes, 210 the model. PURE. Never: the meaning of the inputs.
 
 use super::{INPUTS, read_each};
 use crate::modbus::{Exception, Reply, Request};
@@ -8,27 +8,30 @@ use crate::modbus::{Exception, Reply, Request};
 /// Range codes: 0 to 5 V, 0 to 10 V, +-5 V, +-10 V.
 const RANGES: [(u16, f64, f64); 4] =
     [(0x0147, 0.0, 5.0), (0x0148, 0.0, 10.0), (0x0142, -5.0, 5.0), (0x0143, -10.0, 10.0)];
-/// First range code.
+/// First register of the range codes.
 const RANGE_BASE: u16 = 200;
-/// Model number.
+/// Register of the model number.
 const MODEL_AT: u16 = 210;
 const MODEL: u16 = 0x6017;
 
-/// The module's settings.
+/// Settings of the module.
 #[derive(Debug, Clone)]
 pub struct Adam6017 {
     ranges: [u16; INPUTS],
 }
 
 impl Default for Adam6017 {
-    /// All inputs at 0 to 5 V, as the FC22 wants.
+    /// All inputs at 0 to 5 V, as required for the FC22.
     fn default() -> Self {
         Self { ranges: [RANGES[0].0; INPUTS] }
     }
 }
 
 impl Adam6017 {
-    /// Answers one request.
+    /// Executes one request, given the voltages of the inputs at the last conversion, V.
+    ///
+    /// # Errors
+    /// The Modbus exception that the module returns.
     pub fn serve(&mut self, request: &Request, volts: &[f64; INPUTS]) -> Result<Reply, Exception> {
         match *request {
             Request::ReadRegisters { address, count, .. } => {

@@ -1,7 +1,7 @@
 //! Leadshine EM2RS (StepperOnline DM556RS and DM882RS): PR mode, positions in pulses.
-//! Registers from `docs/references.md`, "Leadshine EM2RS drives"; position words stand high first.
-//! What a trigger register reads back is (unverified). PURE.
-//! Never: clocks, wires; jog, velocity paths, chained paths and saved parameters are left out.
+//! Registers from `docs/references.md`, "Leadshine EM2RS drives"; the high word of a position is
+//! first. The value read back from the trigger register is (unverified). PURE.
+//! Never: clocks, wires; jog, velocity paths, chained paths and saved parameters are omitted.
 
 use super::{counts, high, long, low, read_each};
 use crate::drive::{Alarm, Drive};
@@ -35,9 +35,9 @@ const CONTROL_SAVE: u16 = 0x2211;
 const TRIGGER_HOME: u16 = 0x20;
 const TRIGGER_SET_ZERO: u16 = 0x21;
 const TRIGGER_STOP: u16 = 0x40;
-/// Read back while a path runs: this plus the trigger's low byte.
+/// Value read back while a path runs: this plus the low byte of the trigger.
 const TRIGGER_RUNNING: u16 = 0x100;
-/// Global bit that makes the soft limits count (unverified).
+/// Global bit that enables the soft limits (unverified).
 const GLOBAL_SOFT_LIMITS: u16 = 1 << 1;
 
 const MODE_KIND: u16 = 0x0F;
@@ -45,13 +45,13 @@ const MODE_POSITION: u16 = 1;
 const MODE_HOME: u16 = 3;
 const MODE_RELATIVE: u16 = 0x40;
 
-/// Factory pulses in a revolution; the rig file's scale is stated at this setting.
+/// Pulses per revolution at the factory setting, to which the scale of the rig file refers.
 const FACTORY_PULSES: u16 = 10_000;
 
-/// The map's own state.
+/// State of the register map.
 #[derive(Debug, Clone)]
 pub struct Em2rs {
-    /// Axis units in one revolution: the screw's lead.
+    /// Axis units per revolution: the lead of the screw.
     units_per_turn: f64,
     pulses_per_turn: u16,
     direction: u16,
@@ -60,13 +60,13 @@ pub struct Em2rs {
     soft_limits: [u16; 4],
     home: [u16; HOME_WORDS],
     paths: Vec<[u16; PATH_WORDS]>,
-    /// Last trigger, for the read-back.
+    /// Last trigger, for reading it back.
     trigger: u16,
     path_commanded: bool,
 }
 
 impl Em2rs {
-    /// A drive at power-up: enabled, factory settings.
+    /// Creates a drive at power-up: enabled, factory settings.
     pub fn new(counts_per_unit: f64) -> Self {
         Self {
             units_per_turn: f64::from(FACTORY_PULSES) / counts_per_unit,
@@ -82,12 +82,15 @@ impl Em2rs {
         }
     }
 
-    /// Power was lost and is back; nothing had been saved.
+    /// Resets the state after a loss of power; nothing was saved.
     pub fn power_cycle(&mut self) {
         *self = Self::new(f64::from(FACTORY_PULSES) / self.units_per_turn);
     }
 
-    /// Answers one request.
+    /// Executes one request at a process time.
+    ///
+    /// # Errors
+    /// The Modbus exception that the drive returns.
     pub fn serve(
         &mut self,
         request: &Request,
@@ -216,7 +219,7 @@ impl Em2rs {
             let [ph, pl, nh, nl] = self.soft_limits;
             pulses = pulses.min(long(ph, pl)).max(long(nh, nl));
         }
-        // Ramps are the ms that 1000 rpm take.
+        // Ramps are stated as ms per 1000 rpm.
         let ramp = |ms: u16| 1000.0 / 60.0 / (f64::from(ms.max(1)) / 1e3) * self.units_per_turn;
         let speed = f64::from(rpm.max(1)) / 60.0 * self.units_per_turn;
         let pace = Pace { speed, acceleration: ramp(acc), deceleration: ramp(dec) };
@@ -280,7 +283,7 @@ fn path_word(address: u16) -> Option<(usize, usize)> {
     (offset < PATH_COUNT * PATH_WORDS).then_some((offset / PATH_WORDS, offset % PATH_WORDS))
 }
 
-/// Leadshine's code of an alarm.
+/// Alarm code of Leadshine.
 fn alarm_code(alarm: Alarm) -> u16 {
     match alarm {
         Alarm::ServoOff | Alarm::NotHomed | Alarm::BadCommand => 0x40,

@@ -1,15 +1,15 @@
 //! IAI SCON/PCON: positions in hundredths, coils for servo, homing and pause, one block of
-//! registers whose low position word starts the move.
-//! Registers from `docs/references.md`, "IAI controllers"; what stands only in memory is marked
+//! registers whose low position word starts the motion.
+//! Registers from `docs/references.md`, "IAI controllers"; values known only from memory are marked
 //! (unverified). PURE.
-//! Never: clocks, wires; push motion, position tables and PIO patterns are left out.
+//! Never: clocks, wires; push motion, position tables and PIO patterns are omitted.
 
 use super::{counts, high, long, low, read_each};
 use crate::drive::{Alarm, Drive};
 use crate::kinematics::Pace;
 use crate::modbus::{Exception, Reply, Request};
 
-/// Standard gravity, mm/s^2: accelerations are in 0.01 G.
+/// Standard gravity, mm/s^2; accelerations are in 0.01 G.
 const GRAVITY: f64 = 9806.65;
 
 const SERVO: u16 = 0x0403;
@@ -35,20 +35,20 @@ const BLOCK: usize = 9;
 /// Offsets in the block.
 const PCMD_LOW: usize = 1;
 const FLAGS: usize = 8;
-/// Relative move (unverified).
+/// Relative motion (unverified).
 const FLAG_RELATIVE: u16 = 1 << 3;
 
-/// The map's own state.
+/// State of the register map.
 #[derive(Debug, Clone)]
 pub struct Iai {
     counts_per_unit: f64,
-    /// Position, band, speed, acceleration, push, flags as last written.
+    /// Last written position, band, speed, acceleration, push and flags.
     block: [u16; BLOCK],
     modbus_commands: bool,
     pause: bool,
     home_coil: bool,
     reset_coil: bool,
-    /// What is left to do when the pause ends.
+    /// Remaining action when the pause ends.
     held: Option<Held>,
 }
 
@@ -59,7 +59,7 @@ enum Held {
 }
 
 impl Iai {
-    /// A controller at power-up: servo off, PIO in command.
+    /// Creates a controller at power-up: servo off, PIO in control.
     pub fn new(counts_per_unit: f64) -> Self {
         let mut block = [0; BLOCK];
         block[3] = 10;
@@ -74,12 +74,15 @@ impl Iai {
         }
     }
 
-    /// Power was lost and is back.
+    /// Resets the state after a loss of power.
     pub fn power_cycle(&mut self) {
         *self = Self::new(self.counts_per_unit);
     }
 
-    /// Answers one request.
+    /// Executes one request at a process time.
+    ///
+    /// # Errors
+    /// The Modbus exception that the controller returns.
     pub fn serve(
         &mut self,
         request: &Request,
@@ -183,7 +186,7 @@ impl Iai {
         Ok(Reply::Written)
     }
 
-    /// Carries out a motion, or says with an alarm why not.
+    /// Executes a motion, or raises an alarm with the reason.
     fn go(&mut self, what: Held, drive: &mut Drive, t_s: f64) {
         if drive.alarm().is_some() {
             return;
@@ -245,7 +248,7 @@ impl Iai {
             | u16::from(self.in_position(drive, t_s)) << 3
     }
 
-    /// Expansion status (unverified): enabled, Modbus in command, moving.
+    /// Expansion status (unverified): enabled, Modbus in control, moving.
     fn dsse(&self, drive: &Drive, t_s: f64) -> u16 {
         1 << 15 | u16::from(self.modbus_commands) << 8 | u16::from(drive.moving(t_s)) << 5
     }
@@ -292,7 +295,7 @@ impl Iai {
     }
 }
 
-/// IAI's code of an alarm.
+/// Alarm code of IAI.
 fn alarm_code(alarm: Alarm) -> u16 {
     match alarm {
         Alarm::ServoOff => 0x080,

@@ -1,6 +1,6 @@
 //! The devices of the rig as register maps, written from their documents
 //! (`docs/references.md`, "Devices").
-//! A map turns requests into what a drive or an input module does; it knows no wire.
+//! A map converts requests to actions of a drive or an input module; it has no access to wires.
 //! PURE. Uses: `drive`, `modbus`. Never: sockets, clocks, faults.
 
 pub mod adam_6017;
@@ -13,7 +13,7 @@ use crate::config::{AxisDevice, CellsDevice};
 use crate::drive::Drive;
 use crate::modbus::{Exception, Reply, Request};
 
-/// Inputs of an analog module.
+/// Number of inputs of an analog module.
 pub const INPUTS: usize = 8;
 
 /// The register map of an axis.
@@ -28,8 +28,8 @@ pub enum AxisMap {
 }
 
 impl AxisMap {
-    /// The map of a device with so many counts in its axis's unit, and so many process seconds in
-    /// one of its own: a watchdog runs on the wall's clock.
+    /// Creates the map of a device with `counts_per_unit` counts per axis unit. `clock_rate` is in
+    /// process seconds per wall second: a watchdog runs in wall time.
     pub fn new(device: AxisDevice, counts_per_unit: f64, clock_rate: f64) -> Self {
         match device {
             AxisDevice::Iai => Self::Iai(iai::Iai::new(counts_per_unit)),
@@ -40,12 +40,12 @@ impl AxisMap {
         }
     }
 
-    /// Whether the motor is on at power-up: IAI wants a servo-on, the others do not.
+    /// Whether the motor is on at power-up: IAI requires a servo-on command, the others do not.
     pub fn servo_at_power_up(device: AxisDevice) -> bool {
         device != AxisDevice::Iai
     }
 
-    /// Loses what a device does not keep without power.
+    /// Resets the state that a device does not keep without power.
     pub fn power_cycle(&mut self) {
         match self {
             AxisMap::Iai(map) => map.power_cycle(),
@@ -54,14 +54,14 @@ impl AxisMap {
         }
     }
 
-    /// A request has reached the device, whatever becomes of it.
+    /// Records that a request has reached the device, whatever its result.
     pub fn hear(&mut self, t_s: f64) {
         if let AxisMap::OrientalAz(map) = self {
             map.hear(t_s);
         }
     }
 
-    /// Process time at which the device's watchdog runs out unless a request comes before, s.
+    /// Process time at which the watchdog of the device expires unless a request arrives before, s.
     pub fn watchdog_s(&self) -> Option<f64> {
         match self {
             AxisMap::OrientalAz(map) => map.watchdog_s(),
@@ -69,14 +69,17 @@ impl AxisMap {
         }
     }
 
-    /// Lets a watchdog that has run out stop the motor.
+    /// Lets an expired watchdog stop the motor.
     pub fn watch(&mut self, drive: &mut Drive, t_s: f64) {
         if let AxisMap::OrientalAz(map) = self {
             map.watch(drive, t_s);
         }
     }
 
-    /// Answers one request at a process time.
+    /// Executes one request at a process time.
+    ///
+    /// # Errors
+    /// The Modbus exception that the device returns.
     pub fn serve(
         &mut self,
         request: &Request,
@@ -101,7 +104,7 @@ pub enum CellsMap {
 }
 
 impl CellsMap {
-    /// The map of a module.
+    /// Creates the map of a module.
     pub fn new(device: CellsDevice) -> Self {
         match device {
             CellsDevice::Adam6017 => Self::Adam6017(adam_6017::Adam6017::default()),
@@ -109,7 +112,10 @@ impl CellsMap {
         }
     }
 
-    /// Answers one request, given the inputs' voltages at the module's last conversion, V.
+    /// Executes one request, given the voltages of the inputs at the last conversion, V.
+    ///
+    /// # Errors
+    /// The Modbus exception that the module returns.
     pub fn serve(&mut self, request: &Request, volts: &[f64; INPUTS]) -> Result<Reply, Exception> {
         match self {
             CellsMap::Adam6017(map) => map.serve(request, volts),
@@ -118,7 +124,7 @@ impl CellsMap {
     }
 }
 
-/// Reads `count` registers one by one; one that the device does not have refuses the whole.
+/// Reads `count` registers one by one. If the device lacks one of them, the whole read is refused.
 fn read_each(
     address: u16,
     count: u16,

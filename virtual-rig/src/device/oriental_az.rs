@@ -1,9 +1,9 @@
 //! Oriental Motor AZ: direct data operation in one block of eight 32-bit values.
-//! Registers from `docs/references.md`, "Oriental Motor AZ drivers"; the high word stands at the
-//! lower address. Output and input bits are the factory assignment (unverified). So are the
-//! communication timeout's register and what it does: the motor decelerates to a stand; the alarm
-//! that a driver may raise as well is left out. PURE.
-//! Never: clocks, wires; stored data operation, push and wrap motion are left out.
+//! Registers from `docs/references.md`, "Oriental Motor AZ drivers"; the high word is at the lower
+//! address. Output and input bits have the factory assignment (unverified). Also unverified are the
+//! register of the communication timeout and its effect: the motor decelerates to standstill; the
+//! alarm that a driver may raise in addition is omitted. PURE.
+//! Never: clocks, wires; stored data operation, push and wrap motion are omitted.
 
 use super::{counts, high, long, low, read_each};
 use crate::drive::{Alarm, Drive};
@@ -11,7 +11,7 @@ use crate::kinematics::Pace;
 use crate::modbus::{Exception, Reply, Request};
 
 /// Direct data operation: data number, type, position, speed, start and stop rate, current,
-/// trigger; a 32-bit value each.
+/// trigger; each a 32-bit value.
 const BLOCK: u16 = 0x0058;
 const BLOCK_WORDS: usize = 16;
 const TYPE: usize = 1;
@@ -38,9 +38,9 @@ const OUT_ALARM: u16 = 1 << 7;
 const OUT_MOVE: u16 = 1 << 13;
 const OUT_IN_POSITION: u16 = 1 << 14;
 
-/// Communication timeout, ms of the wall; 0 is none (unverified).
+/// Communication timeout, wall ms; 0 disables it (unverified).
 const TIMEOUT: u16 = 0x138A;
-/// Longest that it takes, ms.
+/// Largest communication timeout, ms.
 const TIMEOUT_MAX_MS: i32 = 10_000;
 
 const PRESENT_ALARM: u16 = 0x0080;
@@ -50,26 +50,27 @@ const FEEDBACK_RPM: u16 = 0x00CE;
 const FEEDBACK_HZ: u16 = 0x00D0;
 const TORQUE: u16 = 0x00D6;
 
-/// Steps of one revolution at the factory's resolution.
+/// Steps per revolution at the factory resolution.
 const STEPS_PER_TURN: f64 = 1000.0;
-/// Fastest a driver pulses, Hz.
+/// Largest pulse rate of a driver, Hz.
 const TOP_HZ: i32 = 4_000_000;
 
-/// The map's own state.
+/// State of the register map.
 #[derive(Debug, Clone)]
 pub struct OrientalAz {
     counts_per_unit: f64,
     block: [u16; BLOCK_WORDS],
     input: [u16; 2],
     timeout: [u16; 2],
-    /// Process seconds in a second of the wall.
+    /// Process seconds per wall second.
     clock_rate: f64,
-    /// When the last request came, process s; none yet, or the watchdog has run out since.
+    /// Process time of the last request, s; none before the first, or after the watchdog has
+    /// expired.
     heard_s: Option<f64>,
 }
 
 impl OrientalAz {
-    /// A driver at power-up: motor excited, every value at the factory's.
+    /// Creates a driver at power-up: motor excited, all values at the factory settings.
     pub fn new(counts_per_unit: f64, clock_rate: f64) -> Self {
         let mut az = Self {
             counts_per_unit,
@@ -87,24 +88,24 @@ impl OrientalAz {
         az
     }
 
-    /// Power was lost and is back.
+    /// Resets the state after a loss of power.
     pub fn power_cycle(&mut self) {
         *self = Self::new(self.counts_per_unit, self.clock_rate);
     }
 
-    /// A request has come.
+    /// Records that a request has arrived.
     pub fn hear(&mut self, t_s: f64) {
         self.heard_s = Some(t_s);
     }
 
-    /// When the watchdog runs out unless a request comes before, process s.
+    /// Process time at which the watchdog expires unless a request arrives before, s.
     pub fn watchdog_s(&self) -> Option<f64> {
         let ms = long(self.timeout[0], self.timeout[1]);
         let after_s = f64::from(ms) * 1e-3 * self.clock_rate;
         self.heard_s.filter(|_| ms > 0).map(|heard_s| heard_s + after_s)
     }
 
-    /// Stops the motor if the watchdog has run out. It does so once, until the next request.
+    /// Stops the motor if the watchdog has expired; once, until the next request.
     pub fn watch(&mut self, drive: &mut Drive, t_s: f64) {
         if self.watchdog_s().is_some_and(|end_s| t_s >= end_s) {
             self.heard_s = None;
@@ -114,7 +115,10 @@ impl OrientalAz {
         }
     }
 
-    /// Answers one request.
+    /// Executes one request at a process time.
+    ///
+    /// # Errors
+    /// The Modbus exception that the driver returns.
     pub fn serve(
         &mut self,
         request: &Request,
@@ -176,7 +180,7 @@ impl OrientalAz {
     }
 
     /// A trigger of 1 starts with all values; -1 to -7 update one value of the running operation,
-    /// which here amounts to going on with the block as it stands.
+    /// which here continues with the present block.
     fn trigger(&self, trigger: i32, drive: &mut Drive, t_s: f64) -> Result<Reply, Exception> {
         match trigger {
             0 => Ok(Reply::Written),
@@ -208,7 +212,7 @@ impl OrientalAz {
             drive.trip(t_s, Alarm::NotHomed);
             return Ok(Reply::Written);
         }
-        // 0.001 kHz/s is a step/s^2.
+        // 0.001 kHz/s is 1 step/s^2.
         let pace = Pace {
             speed: f64::from(speed_hz) / self.counts_per_unit,
             acceleration: f64::from(rates[0]) / self.counts_per_unit,
@@ -273,7 +277,7 @@ impl OrientalAz {
     }
 }
 
-/// Oriental Motor's code of an alarm.
+/// Alarm code of Oriental Motor.
 fn alarm_code(alarm: Alarm) -> u16 {
     match alarm {
         Alarm::ServoOff => 0x6E,
@@ -360,7 +364,7 @@ mod tests {
         assert_eq!(map.watchdog_s(), None);
         let set = |ms: u16| Request::WriteRegisters { address: TIMEOUT, values: vec![0, ms] };
         assert_eq!(map.serve(&set(20_000), &mut drive, 25.0), Err(Exception::IllegalValue));
-        // 50 ms of the wall are one process second here.
+        // 50 wall ms are one process second here.
         assert_eq!(map.serve(&set(50), &mut drive, 25.0), Ok(Reply::Written));
         assert_eq!(read_long(&mut map, &mut drive, TIMEOUT, 25.0), 50);
         map.serve(&go(100_000, 20_000), &mut drive, 30.0).unwrap();
@@ -373,7 +377,7 @@ mod tests {
         assert!(!drive.moving(32.0) && drive.position(40.0) < 200.0);
         assert_eq!((drive.alarm(), drive.stops(), map.watchdog_s()), (None, 0, None));
         map.power_cycle();
-        assert_eq!(read_long(&mut map, &mut drive, TIMEOUT, 41.0), 0, "it is not kept");
+        assert_eq!(read_long(&mut map, &mut drive, TIMEOUT, 41.0), 0, "not stored");
     }
 
     #[test]

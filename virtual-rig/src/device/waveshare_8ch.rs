@@ -1,7 +1,7 @@
 //! Waveshare Modbus RTU Analog Input 8CH, version A: 12 bit, values in millivolts.
 //! Registers from `docs/references.md`, "Waveshare 8CH": FC04 0x0000 to 0x0007 values; FC03, FC06,
 //! FC16 0x1000 + channel the mode (0 is 0 to 5 V, 1 is 1 to 5 V, 2 and 3 currents, 4 raw counts);
-//! 0x4000 address; 0x8000 version. PURE. Never: what the inputs mean.
+//! 0x4000 address; 0x8000 version. PURE. Never: the meaning of the inputs.
 
 use super::{INPUTS, read_each};
 use crate::modbus::{Exception, Reply, Request};
@@ -11,19 +11,22 @@ const UART_AT: u16 = 0x2000;
 const ADDRESS_AT: u16 = 0x4000;
 const VERSION_AT: u16 = 0x8000;
 const VERSION: u16 = 200;
-/// Raw counts instead of a scaled value.
+/// Mode: raw counts instead of a scaled value.
 const MODE_RAW: u16 = 4;
 const FULL_SCALE_V: f64 = 5.0;
 const COUNTS: f64 = 4096.0;
 
-/// The module's settings.
+/// Settings of the module.
 #[derive(Debug, Clone, Default)]
 pub struct Waveshare8ch {
     modes: [u16; INPUTS],
 }
 
 impl Waveshare8ch {
-    /// Answers one request.
+    /// Executes one request, given the voltages of the inputs at the last conversion, V.
+    ///
+    /// # Errors
+    /// The Modbus exception that the module returns.
     pub fn serve(&mut self, request: &Request, volts: &[f64; INPUTS]) -> Result<Reply, Exception> {
         match *request {
             Request::ReadRegisters { function: 4, address, count } => {

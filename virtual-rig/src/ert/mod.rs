@@ -1,4 +1,4 @@
-//! The voltage stream: packets, and the thread that takes frames and sends them.
+//! The voltage stream: packets, and the thread that creates and sends them.
 //! Uses: `bench`, `solver`, `skin`. Never: Modbus.
 
 pub mod packet;

@@ -1,37 +1,39 @@
 //! Packets of the voltage stream (`docs/references.md`, "ERT stream packets"): little-endian, a
 //! CRC32 over all before it, COBS, a zero at the end.
-//! PURE. Uses: crc32fast. Never: sockets, reading packets back.
+//! PURE. Uses: crc32fast. Never: sockets, decoding of packets.
 //!
-//! An accelerated rig sends thousands of frames a second, so a packet costs a few microseconds.
+//! An accelerated rig sends thousands of frames per second, so a packet must take only
+//! microseconds.
 
-/// Layout version.
+/// Version of the packet layout.
 const VERSION: u8 = 1;
-/// A frame.
+/// Kind of a packet with a frame.
 const KIND_FRAME: u8 = 1;
-/// A text line.
+/// Kind of a packet with a text line.
 const KIND_STATUS: u8 = 2;
-/// Full scales of the amplifier's steps: each half of the one before.
+/// Number of gain steps of the amplifier; each has half the full scale of the previous one.
 const STEPS: i32 = 8;
-/// A step is chosen so that so much of it is used at most.
+/// Largest fraction of a gain step that the signal may use.
 const USE: f64 = 0.8;
-/// Room for noise and drift beside the held voltages, V.
+/// Reserve for noise and drift in addition to the held voltages, V.
 const NOISE_ROOM_V: f64 = 0.02;
 
-/// Volts of one count: the finest step that holds `largest_v`, down from the source's voltage.
+/// Voltage of one count, V: that of the finest gain step that contains `largest_v`, starting from
+/// the voltage of the source.
 pub fn volts_per_count(source_v: f64, largest_v: f64) -> f32 {
     let needed = (largest_v + NOISE_ROOM_V) / USE;
     let steps = (source_v / needed).log2().floor().clamp(0.0, f64::from(STEPS - 1));
     (source_v / 2f64.powf(steps) / f64::from(i16::MAX)) as f32
 }
 
-/// Writes packets, keeping its buffer.
+/// Encodes packets, with a reused buffer.
 #[derive(Debug, Default)]
 pub struct PacketWriter {
     raw: Vec<u8>,
 }
 
 impl PacketWriter {
-    /// Appends a frame's packet to `out`. `voltages_v` is injection-major, electrodes squared.
+    /// Appends the packet of a frame to `out`. `voltages_v` is injection-major, electrodes squared.
     pub fn frame(
         &mut self,
         sequence: u32,
@@ -48,13 +50,13 @@ impl PacketWriter {
         self.raw.extend(device_time_us.to_le_bytes());
         self.raw.extend(volts_per_count.to_le_bytes());
         let scale = 1.0 / volts_per_count;
-        // A cast of a float to an integer stops at the integer's ends, as a converter does.
+        // A cast of a float to an integer saturates at the ends of its range, as a converter does.
         let count = |v: f32| (v * scale + 0.5f32.copysign(v)) as i16;
         self.raw.extend(voltages_v.iter().flat_map(|&v| count(v).to_le_bytes()));
         self.finish(out);
     }
 
-    /// Appends a text line's packet to `out`.
+    /// Appends the packet of a text line to `out`.
     pub fn status(&mut self, text: &str, out: &mut Vec<u8>) {
         self.raw.clear();
         self.raw.extend([VERSION, KIND_STATUS]);
@@ -69,7 +71,7 @@ impl PacketWriter {
 }
 
 /// Consistent overhead byte stuffing (Cheshire and Baker): every run up to a zero, or of 254 bytes
-/// without one, is led by its length plus one; a zero ends the packet.
+/// without one, is preceded by its length plus one; a zero ends the packet.
 fn stuff(raw: &[u8], out: &mut Vec<u8>) {
     const FULL: usize = 0xFF;
     let start = out.len();
@@ -81,7 +83,7 @@ fn stuff(raw: &[u8], out: &mut Vec<u8>) {
         at += 1;
         let full = at - lead == FULL;
         if byte == 0 {
-            // The zero's own place becomes the next lead.
+            // The position of the zero becomes the next length byte.
             to[lead] = (at - 1 - lead) as u8;
             lead = at - 1;
         } else if full && i + 1 < raw.len() {

@@ -1,6 +1,7 @@
-//! Who receives the stream: the clients of a TCP listener, or whoever holds the pseudo-terminal.
-//! Nobody is waited for: a reader that lags misses packets, one that is stuck is let go.
-//! Uses: std's sockets, tokio-serial. Never: packets' contents, blocking.
+//! Receivers of the stream: the clients of a TCP listener, or the process that has opened the
+//! pseudo-terminal. The stream never blocks: a slow reader loses packets, a stuck one is
+//! disconnected.
+//! Uses: std's sockets, tokio-serial. Never: contents of packets, blocking.
 
 use std::io::{ErrorKind, Write};
 use std::net::{TcpListener, TcpStream};
@@ -8,21 +9,21 @@ use std::time::{Duration, Instant};
 
 use tokio_serial::SerialStream;
 
-/// A client that has taken nothing for so long is let go.
+/// Time without progress after which a client is disconnected.
 const STUCK: Duration = Duration::from_secs(5);
-/// Clients at a time.
+/// Largest number of simultaneous clients.
 const CLIENTS_MAX: usize = 16;
 
 /// The readers of the stream.
 pub enum Sinks {
-    /// Clients of a listener that does not block.
+    /// Clients of a non-blocking listener.
     Tcp {
-        /// Where they come in.
+        /// Listener that accepts the clients.
         listener: TcpListener,
-        /// Those who did.
+        /// Connected clients.
         clients: Vec<Client>,
     },
-    /// The far end of a pseudo-terminal.
+    /// Master side of a pseudo-terminal.
     Pty(PtySink),
 }
 
@@ -32,20 +33,20 @@ pub struct Client {
     tail: Tail,
 }
 
-/// The writer's end of a pseudo-terminal.
+/// Sink that writes to the master side of a pseudo-terminal.
 pub struct PtySink {
     master: SerialStream,
     tail: Tail,
 }
 
 impl PtySink {
-    /// Writes to the master's end.
+    /// Creates a sink for the master side.
     pub fn new(master: SerialStream) -> Self {
         Self { master, tail: Tail::default() }
     }
 }
 
-/// The rest of a batch that did not fit, so that packets stay whole.
+/// Unsent rest of a batch, so that packets stay complete.
 #[derive(Default)]
 struct Tail {
     rest: Vec<u8>,
@@ -53,7 +54,7 @@ struct Tail {
 }
 
 impl Tail {
-    /// Writes what fits; false when the reader is gone.
+    /// Writes as much as possible; returns false if the reader is disconnected or stuck.
     fn send(
         &mut self,
         batch: &[u8],
@@ -94,7 +95,7 @@ impl Tail {
 }
 
 impl Sinks {
-    /// Lets new readers in; `refused` when the wire is cut.
+    /// Accepts new readers; with `refused` (the wire is disconnected) they are rejected.
     pub fn accept(&mut self, refused: bool) {
         let Sinks::Tcp { listener, clients } = self else { return };
         while let Ok((stream, _)) = listener.accept() {
@@ -105,18 +106,18 @@ impl Sinks {
         }
     }
 
-    /// Lets every reader go.
+    /// Disconnects every reader.
     pub fn disconnect(&mut self) {
         if let Sinks::Tcp { clients, .. } = self {
             clients.clear();
         }
     }
 
-    /// Readers there are.
+    /// Number of connected readers.
     pub fn readers(&mut self) -> usize {
         match self {
             Sinks::Tcp { clients, .. } => clients.len(),
-            // A pseudo-terminal that nobody has open says so with an input error.
+            // A pseudo-terminal that no process has opened returns an input error.
             Sinks::Pty(sink) => match sink.master.try_read(&mut [0; 64]) {
                 Ok(_) => 1,
                 Err(e) => usize::from(e.kind() == ErrorKind::WouldBlock),
@@ -124,7 +125,7 @@ impl Sinks {
         }
     }
 
-    /// Sends whole packets to everyone who can take them.
+    /// Sends complete packets to all readers that can accept them.
     pub fn send(&mut self, batch: &[u8]) {
         match self {
             Sinks::Tcp { clients, .. } => {

@@ -1,6 +1,7 @@
-//! The readout's thread: wakes at frame ends, turns held loads into noisy frames, sends packets.
-//! Uses: `lab`, `skin`, `ert::packet`, `ert::sinks`. Never: waiting for a solve or for a reader: a
-//! frame whose load is not solved is dropped, its sequence number is not.
+//! The thread of the readout: wakes at the end of a frame, converts held loads to noisy frames,
+//! sends packets.
+//! Uses: `lab`, `skin`, `ert::packet`, `ert::sinks`. Never: waits for a solve or for a reader. A
+//! frame whose load is not solved is dropped; its sequence number is used up.
 
 use std::collections::VecDeque;
 use std::io;
@@ -19,21 +20,24 @@ use crate::fault::Kind;
 use crate::lab::Lab;
 use crate::skin::Readout;
 
-/// Shortest sleep: an accelerated rig sends several frames at a time.
+/// Shortest sleep: an accelerated rig sends several frames at once.
 const TICK_MIN: Duration = Duration::from_micros(500);
-/// Longest sleep, so that readers are let in and a stop is seen.
+/// Longest sleep, so that readers are accepted and a stop is detected.
 const TICK_MAX: Duration = Duration::from_millis(50);
-/// Process time between status lines, s.
+/// Process time between two status lines, s.
 const STATUS_EVERY_S: f64 = 1.0;
 
-/// The running thread.
+/// The running thread; dropping it ends the thread.
 pub struct Stream {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Stream {
-    /// Starts it.
+    /// Starts the thread.
+    ///
+    /// # Errors
+    /// The operating system's error if the thread cannot be created.
     pub fn start(
         lab: Arc<Lab>,
         readout: Readout,
@@ -87,7 +91,7 @@ struct Sender {
 }
 
 impl Sender {
-    /// Sleeps to the end of the frame in progress and sends what has been taken.
+    /// Sleeps until the end of the frame in progress, then sends the frames taken.
     fn turn(&mut self) {
         let end_s = self.lab.bench().frame_end_s();
         let wait = self.lab.clock.wall_until(end_s);
@@ -116,7 +120,7 @@ impl Sender {
         self.batch.clear();
         let (mut sent, mut unsolved) = (0, 0);
         for frame in frames {
-            // A slow machine may have thousands of frames to make up for: seconds.
+            // A slow machine may have thousands of frames to catch up, which takes seconds.
             if self.stop.load(Ordering::Relaxed) {
                 return;
             }
@@ -144,7 +148,7 @@ impl Sender {
         self.lab.stream.unsolved.fetch_add(unsolved, Ordering::Relaxed);
     }
 
-    /// Damages the packet that begins at `start`, as the faults at work ask.
+    /// Damages the packet that begins at `start` according to the active faults.
     fn mangle(&mut self, start: usize, faults: &[Kind]) {
         for fault in faults {
             let (Kind::DropBytes { rate } | Kind::FlipBytes { rate } | Kind::DoubleBytes { rate }) =

@@ -1,6 +1,6 @@
-//! Which faults are at work: began when their start was reached, over when their time or their
-//! count is used up.
-//! PURE. Uses: `fault`. Never: clocks (times are handed in), wires.
+//! Active faults: they begin when their start is reached, and end when their time or count is used
+//! up.
+//! PURE. Uses: `fault`. Never: clocks (times are passed in), wires.
 
 use super::{Fault, Kind, Part, Start, Target};
 use crate::config::{ARMS, AxisName};
@@ -20,38 +20,38 @@ impl Entry {
     }
 }
 
-/// What happens to one request.
+/// Effect of a fault on one request.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum WireFault {
-    /// Carried out or not, it stays without an answer.
+    /// No reply is sent.
     NoReply {
-        /// Whether the request is carried out.
+        /// Whether the request is executed.
         executed: bool,
     },
-    /// Refused with a code.
+    /// The request is refused with this exception code.
     Exception(u8),
-    /// The connection goes.
+    /// The connection is closed.
     Disconnect {
-        /// Whether the request is carried out.
+        /// Whether the request is executed.
         executed: bool,
     },
-    /// Answered late.
+    /// The reply is sent late.
     Late {
-        /// Wall ms.
+        /// Delay, wall ms.
         delay_ms: u64,
     },
-    /// Answered with mangled bytes.
+    /// The reply is sent with damaged bytes.
     Garbled(Part),
 }
 
-/// All faults of a rig.
+/// All faults of a rig, with their states.
 #[derive(Debug, Clone, Default)]
 pub struct Board {
     entries: Vec<Entry>,
 }
 
 impl Board {
-    /// A board with a script's faults.
+    /// Creates a board with the faults of a script.
     pub fn new(faults: Vec<Fault>) -> Self {
         let mut board = Self::default();
         for fault in faults {
@@ -65,17 +65,17 @@ impl Board {
         self.entries.push(Entry { fault, began_s: None, struck: 0 });
     }
 
-    /// Whether there is nothing that could go wrong.
+    /// Whether there are no faults.
     pub fn is_empty(&self) -> bool {
         self.entries.is_empty()
     }
 
-    /// Takes all faults away.
+    /// Removes all faults.
     pub fn clear(&mut self) {
         self.entries.clear();
     }
 
-    /// Begins what is due.
+    /// Starts the faults that are due.
     pub fn update(&mut self, t_s: f64, frame: u32, presses: u64) {
         for entry in self.entries.iter_mut().filter(|e| e.began_s.is_none()) {
             let due = match entry.fault.start {
@@ -88,7 +88,7 @@ impl Board {
         }
     }
 
-    /// Faults at work: what, since when, and the counter to charge.
+    /// Active faults, the process time of their begin, s, and their counters.
     fn active(&mut self, t_s: f64) -> impl Iterator<Item = (&Fault, f64, &mut u32)> {
         self.entries
             .iter_mut()
@@ -96,7 +96,7 @@ impl Board {
             .filter_map(|e| Some((&e.fault, e.began_s?, &mut e.struck)))
     }
 
-    /// The fault of the wire, if any, that strikes a request to a device on a line.
+    /// Fault of the wire, if any, that affects a request to a device on a line; counts it.
     pub fn strike_request(
         &mut self,
         device: Option<&Target>,
@@ -124,7 +124,7 @@ impl Board {
         None
     }
 
-    /// Whether a wire is cut right now, so that nobody may connect.
+    /// Whether a wire is disconnected at present, so that connections are refused.
     pub fn disconnected(&mut self, line: &str, t_s: f64) -> bool {
         self.active(t_s).any(|(fault, _, _)| {
             matches!(fault.kind, Kind::Disconnect { .. })
@@ -133,14 +133,14 @@ impl Board {
         })
     }
 
-    /// Since when a device's reads are stale.
+    /// Process time since which the reads of a device are stale, s.
     pub fn stale_since(&mut self, device: &Target, t_s: f64) -> Option<f64> {
         self.active(t_s)
             .find(|(f, _, _)| f.kind == Kind::StaleRegisters && f.target == *device)
             .map(|(_, began, _)| began)
     }
 
-    /// Whether an axis is stuck, and after how long its drive notices.
+    /// Whether an axis is stuck, and the time until its drive detects it, s.
     pub fn stuck(&mut self, axis: AxisName, t_s: f64) -> Option<Option<f64>> {
         let target = Target::Axis(axis);
         self.active(t_s).find_map(|(f, _, _)| match f.kind {
@@ -149,7 +149,7 @@ impl Board {
         })
     }
 
-    /// Alarms and power losses of an axis that are due and have not struck yet.
+    /// Next alarm or power loss of an axis that is due and not yet applied.
     pub fn sudden(&mut self, axis: AxisName, t_s: f64) -> Option<Kind> {
         let target = Target::Axis(axis);
         let (fault, _, struck) = self.active(t_s).find(|(f, _, struck)| {
@@ -161,7 +161,7 @@ impl Board {
         Some(fault.kind)
     }
 
-    /// Faults of the cells at work, with their beginnings.
+    /// Active faults of the cells, with the process time of their begin, s.
     pub fn cells(&mut self, t_s: f64) -> Vec<(Kind, f64)> {
         self.active(t_s)
             .filter(|(f, _, _)| f.target == Target::Cells)
@@ -169,7 +169,7 @@ impl Board {
             .collect()
     }
 
-    /// Arms whose tip has come off.
+    /// Arms whose tip is lost.
     pub fn missing_tips(&mut self, t_s: f64) -> [bool; ARMS] {
         let mut missing = [false; ARMS];
         for (fault, _, _) in self.active(t_s) {
@@ -180,7 +180,7 @@ impl Board {
         missing
     }
 
-    /// Faults of the stream at work.
+    /// Active faults of the stream.
     pub fn stream(&mut self, t_s: f64) -> Vec<Kind> {
         self.active(t_s)
             .filter(|(f, _, _)| f.target == Target::Ert)

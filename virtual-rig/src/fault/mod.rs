@@ -1,13 +1,13 @@
-//! Fault scripts: what shall go wrong, with which device, from when and for how long.
-//! Uses: serde, toml. Never: clocks, wires; what a fault does is up to the part that it befalls.
+//! Fault scripts: which faults occur, at which device, from when and for how long.
+//! Uses: serde, toml. Never: clocks, wires; the affected part implements the effect of a fault.
 //!
 //! ```toml
 //! [[fault]]
 //! kind = "no_reply"
 //! device = "z"
 //! at_s = 12.0          # process time; or at_frame, or at_press (nth press into contact)
-//! for_s = 0.5          # process time; absent: for as long as the rig runs
-//! count = 3            # at most so many times
+//! for_s = 0.5          # process time; absent: until the rig ends
+//! count = 3            # at most 3 times
 //! ```
 
 mod board;
@@ -18,27 +18,27 @@ use serde::Deserialize;
 
 use crate::config::{ARMS, AxisName, RigFile};
 
-/// What is wrong with a fault script.
+/// Error in a fault script.
 #[derive(Debug, thiserror::Error)]
 pub enum FaultError {
     /// The text is not TOML (or JSON), or has a key or a type that a fault does not have.
     #[error("{0}")]
     Syntax(String),
-    /// A fault that makes no sense, by its place in the script.
+    /// A value of a fault is not valid.
     #[error("fault {index}: {key} = {value}: {limit}")]
     Value {
-        /// Place in the script, from 1.
+        /// Number of the fault in the script, from 1.
         index: usize,
-        /// The key.
+        /// Key of the value.
         key: &'static str,
-        /// The value found.
+        /// Value that was found.
         value: String,
-        /// What is allowed.
+        /// Allowed values.
         limit: String,
     },
 }
 
-/// A fault as it is written.
+/// A fault as written in a script.
 #[derive(Debug, Clone, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FaultEntry {
@@ -71,162 +71,169 @@ struct Script {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Part {
-    /// The transaction (TCP) or the checksum (RTU): a client can tell.
+    /// The transaction number (TCP) or the checksum (RTU): detected by the client.
     Header,
-    /// A bit of the data. RTU's checksum tells, TCP has none.
+    /// A bit of the data: detected by the checksum on RTU, undetected on TCP.
     Payload,
-    /// The end is missing.
+    /// The last byte is missing.
     Cut,
 }
 
-/// What goes wrong.
+/// Kind of a fault, with its parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Kind {
-    /// No answer; the request may have been carried out.
+    /// No reply arrives; the request may have been executed.
     NoReply {
-        /// Whether it was.
+        /// Whether the request is executed.
         executed: bool,
     },
-    /// A Modbus exception.
+    /// The device replies with a Modbus exception.
     Exception {
-        /// Its code.
+        /// Modbus exception code.
         code: u8,
     },
-    /// The connection breaks; on a serial line nothing goes through.
+    /// The connection is closed; on a serial line no bytes pass.
     Disconnect {
-        /// Whether the request in hand was carried out.
+        /// Whether the request in progress is executed.
         executed: bool,
     },
-    /// The answer comes late.
+    /// The reply arrives late.
     LateReply {
-        /// By so much wall time.
+        /// Delay, wall ms.
         delay_ms: u64,
     },
-    /// The answer comes mangled.
+    /// The reply arrives damaged.
     GarbledReply {
-        /// Where.
+        /// Damaged part of the reply.
         part: Part,
     },
     /// The motor does not turn.
     StuckAxis {
-        /// When the drive notices, process s; absent: never.
+        /// Time until the drive detects it, process s; absent: never.
         alarm_after_s: Option<f64>,
     },
     /// The drive raises an alarm.
     Alarm {
-        /// Its code.
+        /// Alarm code of the drive.
         code: u16,
     },
     /// The drive loses power for a moment.
     PowerLoss,
-    /// Reads answer what was true when the fault began.
+    /// Reads return the values from the begin of the fault.
     StaleRegisters,
-    /// A cell's wire is off: 0 V.
+    /// A cell is disconnected: 0 V.
     DeadCell {
         /// Index of the arm, from 0.
         arm: usize,
     },
-    /// A cell sits at its end.
+    /// A cell is saturated.
     SaturatedCell {
         /// Index of the arm, from 0.
         arm: usize,
     },
-    /// A cell's output stays where it is.
+    /// The output of a cell does not change.
     FrozenCell {
         /// Index of the arm, from 0.
         arm: usize,
     },
-    /// A cell's zero wanders.
+    /// The zero of a cell drifts.
     DriftingCell {
         /// Index of the arm, from 0.
         arm: usize,
-        /// How fast, N per process second.
+        /// Rate of the drift, N per process second.
         n_per_s: f64,
     },
-    /// Something loads a cell besides its tip, also where there is no tip.
+    /// An external load on a cell, also on one without a tip.
     ForeignLoad {
         /// Index of the arm, from 0.
         arm: usize,
-        /// How hard, N; below 0 it pulls.
+        /// Force, N; negative if it pulls.
         n: f64,
     },
-    /// A tip has come off: its arm never presses, and its cell stays on its cable.
+    /// A tip is lost: its arm never presses, and its cell stays connected.
     MissingTip {
         /// Index of the arm, from 0.
         arm: usize,
     },
-    /// A cell no longer feels its tip, which presses all the same: it weighs nothing, with its noise.
+    /// A cell does not measure the force of its tip, which still presses: it returns zero with
+    /// noise.
     UncoupledCell {
         /// Index of the arm, from 0.
         arm: usize,
     },
     /// Bytes of the stream are lost.
     DropBytes {
-        /// Part of the packets that suffer.
+        /// Fraction of the packets affected.
         rate: f64,
     },
     /// Bits of the stream are flipped.
     FlipBytes {
-        /// Part of the packets that suffer.
+        /// Fraction of the packets affected.
         rate: f64,
     },
-    /// Bytes of the stream come twice.
+    /// Bytes of the stream are doubled.
     DoubleBytes {
-        /// Part of the packets that suffer.
+        /// Fraction of the packets affected.
         rate: f64,
     },
-    /// The stream stands still.
+    /// The stream sends no frames.
     StallStream,
 }
 
-/// Whom it befalls.
+/// Target device of the fault.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Target {
     /// An axis.
     Axis(AxisName),
-    /// The load cells' module.
+    /// The module of the load cells.
     Cells,
     /// The voltage stream.
     Ert,
-    /// A Modbus wire with all that hangs on it.
+    /// A Modbus wire with all its devices.
     Line(String),
 }
 
-/// When it begins.
+/// Start of a fault.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Start {
     /// At a process time, s.
     Time(f64),
-    /// At a frame.
+    /// At a sequence number of the frames.
     Frame(u32),
     /// At the nth press into contact, from 1.
     Press(u64),
-    /// At once.
+    /// Immediately.
     Now,
 }
 
-/// One checked fault.
+/// A checked fault.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fault {
-    /// What goes wrong.
+    /// Kind of the fault.
     pub kind: Kind,
-    /// Whom it befalls.
+    /// Target device of the fault.
     pub target: Target,
-    /// When it begins.
+    /// Start of the fault.
     pub start: Start,
-    /// How long it lasts, process s; absent: to the end.
+    /// Duration, process s; absent: until the rig ends.
     pub for_s: Option<f64>,
-    /// How often it strikes at most.
+    /// Largest number of times that it occurs; absent: unlimited.
     pub count: Option<u32>,
 }
 
 /// Parses and checks a fault script for a rig.
+///
+/// # Errors
+/// `FaultError` for the first invalid fault.
 pub fn script(text: &str, rig: &RigFile) -> Result<Vec<Fault>, FaultError> {
     let script: Script = toml::from_str(text).map_err(|e| FaultError::Syntax(e.to_string()))?;
     script.fault.iter().enumerate().map(|(i, entry)| check(i + 1, entry, rig)).collect()
 }
 
-/// Parses and checks one fault of the control socket; without a start it begins at once.
+/// Parses and checks one fault from the control socket; without a start it begins immediately.
+///
+/// # Errors
+/// `FaultError` if the fault is not valid.
 pub fn from_json(value: serde_json::Value, rig: &RigFile) -> Result<Fault, FaultError> {
     let entry: FaultEntry =
         serde_json::from_value(value).map_err(|e| FaultError::Syntax(e.to_string()))?;
@@ -252,7 +259,7 @@ impl Entry<'_> {
         }
     }
 
-    /// A load on a cell, N, and positive: the kind says whether it pushes or pulls.
+    /// Load on a cell, N, positive: the kind determines whether it pushes or pulls.
     fn load_n(&self) -> Result<f64, FaultError> {
         match self.entry.n {
             Some(n) if n > 0.0 && n <= 1000.0 => Ok(n),
@@ -291,7 +298,7 @@ impl Entry<'_> {
             "stuck_axis" => Kind::StuckAxis { alarm_after_s: e.alarm_after_s },
             "alarm" => Kind::Alarm { code: e.code.unwrap_or(0xFF) },
             "power_loss" => Kind::PowerLoss,
-            // A module that hangs answers with its last conversion, and no more than that.
+            // A hanging module repeats its last conversion.
             "stale_registers" | "hung_module" => Kind::StaleRegisters,
             "dead_cell" => Kind::DeadCell { arm: self.arm()? },
             "saturated_cell" => Kind::SaturatedCell { arm: self.arm()? },
@@ -319,7 +326,7 @@ impl Entry<'_> {
         }
         match device {
             "ert" => Ok(Target::Ert),
-            "cells" if !rig.lines.contains_key("cells") || self.befalls_cells() => {
+            "cells" if !rig.lines.contains_key("cells") || self.affects_cells() => {
                 Ok(Target::Cells)
             }
             line if rig.lines.contains_key(line) => Ok(Target::Line(line.to_owned())),
@@ -332,8 +339,8 @@ impl Entry<'_> {
         }
     }
 
-    /// A line may well be called `cells`: then only faults of a module mean the module.
-    fn befalls_cells(&self) -> bool {
+    /// A line may be called `cells`: then only faults of a module refer to the module.
+    fn affects_cells(&self) -> bool {
         let kind = self.entry.kind.as_str();
         let of_module = ["stale_registers", "hung_module", "foreign_load", "missing_tip"];
         kind.ends_with("_cell") || of_module.contains(&kind)
@@ -398,7 +405,7 @@ fn check(index: usize, entry: &FaultEntry, rig: &RigFile) -> Result<Fault, Fault
         ) => (*target == Target::Ert, "ert"),
     };
     if !fits {
-        let limit = format!("{} befalls {whom}", entry.kind);
+        let limit = format!("{} affects only {whom}", entry.kind);
         return Err(e.bad("device", &entry.device, &limit));
     }
     if let Some(for_s) = entry.for_s.filter(|f| !(f.is_finite() && *f > 0.0)) {
@@ -463,8 +470,8 @@ mod tests {
             ("kind = \"no_reply\"\ndevice = \"w\"", "fault 1: device = w: must be x, y, z"),
             ("kind = \"explode\"\ndevice = \"z\"", "fault 1: kind = explode: must be no_reply"),
             ("kind = \"dead_cell\"\ndevice = \"cells\"\narm = 7", "arm = 7: must be 1 to 6"),
-            ("kind = \"stall_stream\"\ndevice = \"z\"", "stall_stream befalls ert"),
-            ("kind = \"hung_module\"\ndevice = \"z\"", "hung_module befalls cells"),
+            ("kind = \"stall_stream\"\ndevice = \"z\"", "stall_stream affects only ert"),
+            ("kind = \"hung_module\"\ndevice = \"z\"", "hung_module affects only cells"),
             ("kind = \"pulling_cell\"\ndevice = \"cells\"\narm = 1", "n = : is needed"),
             ("kind = \"exception\"\ndevice = \"z\"", "code = : is needed: 1 to 255"),
             ("kind = \"no_reply\"\ndevice = \"z\"\nat_s = 1.0\nat_press = 2", "give one of"),

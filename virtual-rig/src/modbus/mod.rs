@@ -1,36 +1,36 @@
-//! Modbus as a device sees it: requests in, replies or exceptions out, and the two framings.
+//! Modbus on the side of a device: requests in, replies or exceptions out, and the two framings.
 //! Written from the Modbus application protocol (V1.1b3), sharing nothing with the service.
-//! PURE in this file. Never: registers' meaning (that is `device`).
+//! PURE in this file. Never: meanings of registers (`device` has those).
 
 pub mod rtu;
 pub mod tcp;
 
-/// Most registers in one read (6.3).
+/// Largest number of registers in one read (6.3).
 const READ_MAX: u16 = 125;
-/// Most registers in one write (6.12).
+/// Largest number of registers in one write (6.12).
 const WRITE_MAX: u16 = 123;
-/// Most bits in one read (6.1).
+/// Largest number of bits in one read (6.1).
 const BITS_MAX: u16 = 2000;
 
-/// A device's refusal, with the code that goes over the wire (7).
+/// Refusal of a request by a device, with its code on the wire (7).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Exception {
     /// 1: the device does not have this function.
     IllegalFunction,
     /// 2: the device does not have this address.
     IllegalAddress,
-    /// 3: a value or a count that the device does not take.
+    /// 3: the device does not accept this value or count.
     IllegalValue,
-    /// 4: the device could not do it.
+    /// 4: the device failed to execute the request.
     DeviceFailure,
-    /// 11: nobody at this address behind the gateway.
+    /// 11: no device has this address behind the gateway.
     NoTarget,
-    /// Any code, asked for by a fault script.
+    /// Any code, requested by a fault script.
     Scripted(u8),
 }
 
 impl Exception {
-    /// The code on the wire.
+    /// Code on the wire.
     pub fn code(self) -> u8 {
         match self {
             Exception::IllegalFunction => 1,
@@ -43,58 +43,58 @@ impl Exception {
     }
 }
 
-/// A request that makes sense as Modbus; whether the device has it is its own affair.
+/// A request that is valid Modbus; whether the device supports it is decided by the device.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Request {
-    /// Functions 1 and 2.
+    /// Functions 1 and 2: read bits.
     ReadBits {
-        /// 1 coils, 2 discrete inputs.
+        /// Function: 1 coils, 2 discrete inputs.
         function: u8,
-        /// First bit.
+        /// Address of the first bit.
         address: u16,
         /// Number of bits.
         count: u16,
     },
-    /// Functions 3 and 4.
+    /// Functions 3 and 4: read registers.
     ReadRegisters {
-        /// 3 holding, 4 input.
+        /// Function: 3 holding registers, 4 input registers.
         function: u8,
-        /// First register.
+        /// Address of the first register.
         address: u16,
         /// Number of registers.
         count: u16,
     },
-    /// Function 5.
+    /// Function 5: write one coil.
     WriteCoil {
-        /// The bit.
+        /// Address of the coil.
         address: u16,
-        /// FF00 or 0000.
+        /// FF00 if on, 0000 if off.
         on: bool,
     },
-    /// Function 6.
+    /// Function 6: write one register.
     WriteRegister {
-        /// The register.
+        /// Address of the register.
         address: u16,
-        /// Its value.
+        /// New value.
         value: u16,
     },
-    /// Function 16.
+    /// Function 16: write a block of registers.
     WriteRegisters {
-        /// First register.
+        /// Address of the first register.
         address: u16,
-        /// Their values.
+        /// New values.
         values: Vec<u16>,
     },
 }
 
-/// What a device answers.
+/// Reply of a device.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Reply {
-    /// To functions 1 and 2.
+    /// Reply to functions 1 and 2.
     Bits(Vec<bool>),
-    /// To functions 3 and 4.
+    /// Reply to functions 3 and 4.
     Registers(Vec<u16>),
-    /// To writes.
+    /// Reply to a write.
     Written,
 }
 
@@ -103,7 +103,11 @@ fn word(bytes: &[u8], at: usize) -> Option<u16> {
 }
 
 impl Request {
-    /// Reads a protocol data unit: function code and data.
+    /// Parses a protocol data unit: function code and data.
+    ///
+    /// # Errors
+    /// `IllegalFunction` for an unknown function, `IllegalValue` for an invalid length, count or
+    /// value.
     pub fn parse(pdu: &[u8]) -> Result<Self, Exception> {
         let function = *pdu.first().ok_or(Exception::IllegalFunction)?;
         if !matches!(function, 1..=6 | 16) {
@@ -135,13 +139,13 @@ impl Request {
         }
     }
 
-    /// Whether it changes the device.
+    /// Whether the request changes the device.
     pub fn writes(&self) -> bool {
         !matches!(self, Request::ReadBits { .. } | Request::ReadRegisters { .. })
     }
 }
 
-/// Writes the protocol data unit that answers `request_pdu`.
+/// Encodes the protocol data unit that answers `request_pdu`.
 pub fn answer(request_pdu: &[u8], outcome: &Result<Reply, Exception>) -> Vec<u8> {
     let function = request_pdu.first().copied().unwrap_or(0);
     match outcome {

@@ -1,27 +1,27 @@
 //! Modbus RTU framing (Serial Line V1.02, 2.5.1): address, data, CRC16 with its low byte first.
-//! A pseudo-terminal has no character times, so a frame ends where its function says it does.
+//! A pseudo-terminal has no character times, so the function of a frame determines its end.
 //! PURE. Never: ports.
 
-/// Shortest frame: address, function, CRC.
+/// Length of the shortest frame: address, function, CRC.
 const SHORTEST: usize = 4;
 
-/// One request as it came in.
+/// One request as received.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Adu {
-    /// Device address; 0 is for all, who then do not answer.
+    /// Address of the device; 0 is a broadcast, which is not answered.
     pub unit: u8,
     /// Function code and data.
     pub pdu: Vec<u8>,
 }
 
-/// What the front of the buffer holds.
+/// Content of the front of the buffer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Taken {
-    /// Not enough bytes yet.
+    /// The frame is incomplete.
     Incomplete,
-    /// A request with a good checksum.
+    /// A request with a valid checksum.
     Request(Adu),
-    /// A whole frame with a bad checksum: a device says nothing and waits for silence.
+    /// A complete frame with an invalid checksum: a device does not reply and waits for silence.
     Garbled,
 }
 
@@ -32,8 +32,8 @@ pub fn crc16(bytes: &[u8]) -> u16 {
     })
 }
 
-/// Length of the request at the front, when its function tells; with an unknown function the whole
-/// buffer is taken as one frame once `silent`.
+/// Length of the request at the front, if its function determines it. With an unknown function the
+/// whole buffer is one frame once `silent`.
 fn request_length(buffer: &[u8], silent: bool) -> Option<usize> {
     match buffer.get(1)? {
         1..=6 => Some(8),
@@ -44,8 +44,8 @@ fn request_length(buffer: &[u8], silent: bool) -> Option<usize> {
     }
 }
 
-/// Takes one request from the front. `silent` says that nothing has come for a while, so that what
-/// is there is all there will be.
+/// Takes one request from the front. `silent`: no bytes have arrived for a while, so the buffer
+/// contains the whole frame.
 pub fn take(buffer: &mut Vec<u8>, silent: bool) -> Taken {
     let length = request_length(buffer, silent).unwrap_or(usize::MAX);
     if buffer.len() < length.max(SHORTEST) {
@@ -66,7 +66,7 @@ pub fn take(buffer: &mut Vec<u8>, silent: bool) -> Taken {
     Taken::Request(adu)
 }
 
-/// Frames an answer.
+/// Frames a reply.
 pub fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(pdu.len() + 3);
     bytes.push(unit);
@@ -79,7 +79,7 @@ pub fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
 mod tests {
     use super::*;
 
-    /// Waveshare's documented request for all eight channels.
+    /// Documented request of Waveshare for all eight channels.
     const WAVESHARE: [u8; 8] = [0x01, 0x04, 0x00, 0x00, 0x00, 0x08, 0xF1, 0xCC];
 
     #[test]

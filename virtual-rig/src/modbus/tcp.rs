@@ -1,17 +1,17 @@
 //! Modbus TCP framing (Messaging Implementation Guide V1.0b, 3.1.3): the MBAP header.
 //! PURE. Never: sockets.
 
-/// Bytes of the header: transaction, protocol, length, unit.
+/// Length of the header, bytes: transaction, protocol, length, unit.
 pub const HEADER: usize = 7;
-/// Largest protocol data unit.
+/// Largest protocol data unit, bytes.
 const PDU_MAX: usize = 253;
 
-/// One request as it came in.
+/// One request as received.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Adu {
-    /// Transaction identifier, echoed.
+    /// Transaction identifier, repeated in the reply.
     pub transaction: u16,
-    /// Unit address.
+    /// Address of the unit.
     pub unit: u8,
     /// Function code and data.
     pub pdu: Vec<u8>,
@@ -21,13 +21,16 @@ pub struct Adu {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("not Modbus TCP: protocol {protocol}, length {length}")]
 pub struct NotModbus {
-    /// Protocol identifier found; 0 is Modbus.
+    /// Protocol identifier that was found; 0 is Modbus.
     pub protocol: u16,
-    /// Length found.
+    /// Length that was found.
     pub length: u16,
 }
 
-/// Takes one whole request from the front of `buffer`, if it is there.
+/// Takes one complete request from the front of `buffer`, if there is one.
+///
+/// # Errors
+/// `NotModbus` if the header is not that of Modbus TCP.
 pub fn take(buffer: &mut Vec<u8>) -> Result<Option<Adu>, NotModbus> {
     let Some(header) = buffer.first_chunk::<HEADER>() else { return Ok(None) };
     let protocol = u16::from_be_bytes([header[2], header[3]]);
@@ -45,7 +48,7 @@ pub fn take(buffer: &mut Vec<u8>) -> Result<Option<Adu>, NotModbus> {
     Ok(Some(adu))
 }
 
-/// Frames an answer.
+/// Frames a reply.
 pub fn frame(request: &Adu, pdu: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(HEADER + pdu.len());
     bytes.extend(request.transaction.to_be_bytes());

@@ -7,8 +7,11 @@ use std::sync::Arc;
 use sim_core::responses::{ResponsesError, UnitResponses};
 use sim_core::sensor::Sensor;
 
-/// Reads the unit responses of a sensor, or solves them and leaves them for the next time. A cache
-/// that cannot be read or written costs seconds, not the skin: it is logged.
+/// Reads the unit responses of a sensor from the cache, or solves and stores them. A cache that
+/// cannot be read or written only costs time: it is logged.
+///
+/// # Errors
+/// The responses cannot be solved for this sensor.
 pub(super) fn unit_responses(
     sensor: &Sensor,
     dir: Option<&Path>,
@@ -48,7 +51,7 @@ fn read(path: &Path, sensor: &Sensor) -> Option<UnitResponses> {
         .ok()
 }
 
-/// Writes beside the file and renames, so that a reader never sees half of it.
+/// Writes to a temporary file and renames it, so that a reader never reads an incomplete file.
 fn write(path: &Path, responses: &UnitResponses) -> std::io::Result<()> {
     if let Some(dir) = path.parent() {
         std::fs::create_dir_all(dir)?;

@@ -1,24 +1,24 @@
-//! Chance from a seed: named streams, so that a new draw does not shift the others, and smooth
-//! random fields.
-//! Uses: rand_chacha. Never: unseeded chance.
+//! Random numbers from a seed: named streams, so that an additional draw does not change the
+//! others, and smooth random fields.
+//! Uses: rand_chacha. Never: unseeded random numbers.
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// Waves that make up a smooth field.
+/// Number of waves in a smooth field.
 const WAVES: usize = 128;
 
-/// The generator of a seed for one purpose.
+/// Random generator of a seed for one purpose.
 pub fn stream(seed: u64, name: &str) -> ChaCha8Rng {
-    // FNV-1a over the name, from the seed: names are few and chosen here.
+    // FNV-1a over the name, starting from the seed: names are few and chosen here.
     let hash = name.bytes().fold(seed ^ 0xcbf2_9ce4_8422_2325, |hash, byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
     });
     ChaCha8Rng::seed_from_u64(hash)
 }
 
-/// One standard normal number of a seed, for a name and an index.
+/// A standard normal number, determined by seed, name and index.
 pub fn normal_at(seed: u64, name: &str, index: u64) -> f64 {
     let mut rng = stream(seed, name);
     rng.set_stream(index);
@@ -29,7 +29,7 @@ pub fn normal_at(seed: u64, name: &str, index: u64) -> f64 {
 /// `exp(-d^2 / (2 l^2))` (a sum of plane waves with random directions and phases).
 #[derive(Debug, Clone)]
 pub struct SmoothField {
-    /// Wave vector, 1/mm, and phase.
+    /// Wave vector, 1/mm, and phase, rad.
     waves: Vec<[f64; 4]>,
 }
 
@@ -51,7 +51,7 @@ impl SmoothField {
         Self { waves }
     }
 
-    /// Its value at a place, mm.
+    /// Value of the field at a position, mm.
     pub fn at(&self, place_mm: [f64; 3]) -> f64 {
         let wave = |w: &[f64; 4]| {
             (w[0] * place_mm[0] + w[1] * place_mm[1] + w[2] * place_mm[2] + w[3]).cos()

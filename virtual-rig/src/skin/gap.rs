@@ -1,9 +1,9 @@
-//! The gap file: how virtual reality differs from the nominal model.
-//! Uses: serde, toml. Never: files (the text is handed in), chance.
+//! The gap file: difference between a virtual skin and the nominal model.
+//! Uses: serde, toml. Never: files (the text is passed in), random numbers.
 
 use serde::{Deserialize, Serialize};
 
-/// What is wrong with a gap file.
+/// Error in a gap file.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum GapError {
     /// The text is not TOML, or has a key or a type that a gap file does not have.
@@ -14,30 +14,30 @@ pub enum GapError {
     Value {
         /// Dotted key in the file.
         key: &'static str,
-        /// The value found.
+        /// Value that was found.
         value: f64,
-        /// What is allowed.
+        /// Allowed values.
         limit: &'static str,
     },
 }
 
-/// A gap file.
+/// Contents of a gap file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Gap {
-    /// Name that datasets carry.
+    /// Name of the gap, stored with datasets.
     pub name: String,
-    /// Materials over the skin.
+    /// Variation of the materials over the skin.
     pub fields: FieldsGap,
-    /// The foam's law.
+    /// Law of the foam.
     pub foam: FoamGap,
-    /// The electrodes.
+    /// Deviations of the electrodes.
     pub electrodes: ElectrodesGap,
-    /// The tips.
+    /// Deviations of the tips.
     pub tips: TipsGap,
-    /// Drift and noise.
+    /// Drift and noise of the readout.
     pub readout: ReadoutGap,
-    /// Forces against depth.
+    /// Forces of the tips as functions of the depth.
     pub mechanics: MechanicsGap,
 }
 
@@ -45,38 +45,38 @@ pub struct Gap {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FieldsGap {
-    /// Correlation lengths, mm; each variance is shared equally between them.
+    /// Correlation lengths, mm; each variance is divided equally among them.
     pub correlation_mm: Vec<f64>,
-    /// a of Eq. 1, smooth part.
+    /// Standard deviation of ln a (Eq. 1), smooth part.
     pub ln_a_sd: f64,
-    /// a of Eq. 1, independent from node to node.
+    /// Standard deviation of ln a (Eq. 1), independent at each node.
     pub ln_a_white_sd: f64,
-    /// b of Eq. 1.
+    /// Standard deviation of ln b (Eq. 1).
     pub ln_b_sd: f64,
-    /// c of Eq. 1.
+    /// Standard deviation of ln c (Eq. 1).
     pub ln_c_sd: f64,
-    /// Foam compression.
+    /// Standard deviation of the logarithm of the foam's compliance.
     pub ln_compliance_sd: f64,
-    /// Conductance of the sheet.
+    /// Standard deviation of the logarithm of the sheet's conductance.
     pub ln_sheet_sd: f64,
 }
 
-/// The foam: softening first, then stiffening towards a limit.
+/// Law of the foam: softening at first, then stiffening towards a limit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FoamGap {
-    /// Strength of the softening.
+    /// Strength of the softening, relative.
     pub softening: f64,
-    /// Where it is strongest, mm.
+    /// Compression at which it is strongest, mm.
     pub softening_at_mm: f64,
-    /// Compression that is never exceeded, mm.
+    /// Upper limit of the compression, mm.
     pub limit_mm: f64,
-    /// Sharpness of the bend towards the limit.
+    /// Exponent that determines the sharpness of the transition to the limit.
     pub limit_exponent: f64,
 }
 
 impl FoamGap {
-    /// Real compression of a linear one, mm.
+    /// Compression according to the law for a linear compression, mm.
     pub fn apply(&self, linear_mm: f64) -> f64 {
         let t = linear_mm / self.softening_at_mm;
         let soft = linear_mm * (1.0 + self.softening * (t * (1.0 - t).exp() - 0.5));
@@ -85,57 +85,58 @@ impl FoamGap {
     }
 }
 
-/// The electrodes.
+/// Deviations of the electrodes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ElectrodesGap {
-    /// Displacement per axis, mm.
+    /// Standard deviation of the displacement per axis, mm.
     pub offset_sd_mm: f64,
     /// Contact resistance, ohm.
     pub contact_ohm: f64,
     /// Median resistance of a lead, ohm.
     pub lead_ohm: f64,
-    /// Spread of its logarithm.
+    /// Standard deviation of the logarithm of the lead resistance.
     pub lead_ln_sd: f64,
-    /// Around each electrode, within this, mm,
+    /// Radius around each electrode within which the foam is softer, mm.
     pub soft_radius_mm: f64,
-    /// the foam is softer by this share.
+    /// Relative increase of the compliance there.
     pub soft_compliance: f64,
     /// Number of loose electrodes.
     pub loose: u32,
-    /// What a loose one has more in its lead, ohm.
+    /// Additional resistance in the lead of a loose electrode, ohm.
     pub loose_ohm: f64,
 }
 
-/// The tips.
+/// Deviations of the tips.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TipsGap {
-    /// Tilt per axis: a vertex in direction n carries (1 + t.n) / 6 of the force.
+    /// Standard deviation of the tilt per axis: a vertex in direction n carries (1 + t.n) / 6 of
+    /// the force.
     pub tilt_sd: f64,
 }
 
-/// Drift and noise at the output.
+/// Drift and noise of the output.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ReadoutGap {
-    /// Drift of ln a, as a gain.
+    /// Standard deviation of the drift of ln a, as a gain.
     pub ln_a_drift_sd: f64,
-    /// How long it remembers, s.
+    /// Correlation time of that drift, s.
     pub ln_a_drift_time_s: f64,
-    /// Drift of the gain.
+    /// Standard deviation of the drift of the gain.
     pub gain_drift_sd: f64,
-    /// How long it remembers, s.
+    /// Correlation time of that drift, s.
     pub gain_drift_time_s: f64,
-    /// Fixed offset of a channel, mV.
+    /// Standard deviation of the fixed offset of a channel, mV.
     pub offset_sd_mv: f64,
-    /// Noise of one reading, mV.
+    /// Standard deviation of the noise of one reading, mV.
     pub noise_sd_mv: f64,
-    /// Growth of the signal of a held load per decade of seconds.
+    /// Relative growth of the signal of a held load per decade of seconds.
     pub creep_per_decade: f64,
 }
 
-/// Forces of the tips against the stage's depth.
+/// Forces of the tips as functions of the stage's depth.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MechanicsGap {
@@ -143,26 +144,29 @@ pub struct MechanicsGap {
     pub travel_to_5_n_mm: f64,
     /// Height above the surface found by touch-off at which that travel starts, mm.
     pub travel_starts_above_mm: f64,
-    /// Spread from configuration to configuration, mm.
+    /// Standard deviation between configurations, mm.
     pub configuration_sd_mm: f64,
-    /// Spread from tip to tip, mm.
+    /// Standard deviation between tips, mm.
     pub tip_sd_mm: f64,
-    /// Distance over which these spreads forget, mm.
+    /// Correlation length of these deviations, mm.
     pub flatness_correlation_mm: f64,
-    /// How much later each tip comes, mm.
+    /// Additional travel of each tip before contact, mm.
     pub tip_offsets_mm: [f64; 6],
     /// Length of the soft toe, up to 5 N, mm.
     pub toe_mm: f64,
-    /// Its shape: 5 N (s / toe)^exponent.
+    /// Exponent of the toe: 5 N (s / toe)^exponent.
     pub toe_exponent: f64,
     /// Slope after the toe, N/mm.
     pub slope_n_per_mm: f64,
-    /// Share by which the force is lower while unloading.
+    /// Relative decrease of the force while unloading.
     pub unloading_softer: f64,
 }
 
 impl Gap {
-    /// Parses and checks a gap file's text.
+    /// Parses and checks the text of a gap file.
+    ///
+    /// # Errors
+    /// `GapError` for the first problem.
     pub fn from_toml(text: &str) -> Result<Self, GapError> {
         let gap: Self = toml::from_str(text)?;
         gap.check()?;
@@ -209,7 +213,7 @@ impl Gap {
             ("mechanics.toe_mm", m.toe_mm),
             ("mechanics.toe_exponent", m.toe_exponent),
             ("mechanics.slope_n_per_mm", m.slope_n_per_mm),
-            ("fields.correlation_mm, how many", f.correlation_mm.len() as f64),
+            ("fields.correlation_mm, count", f.correlation_mm.len() as f64),
         ];
         positive.extend(f.correlation_mm.iter().map(|&l| ("fields.correlation_mm", l)));
         for (key, value) in positive {

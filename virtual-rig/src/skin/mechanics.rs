@@ -1,17 +1,18 @@
-//! How hard each tip presses at a depth of the stage (`docs/references.md`, "Tip forces").
-//! Uses: gap, chance. Never: the foam's finite elements (this is the rig's recipe, fitted to the
-//! paper's Table I), voltages.
+//! Force of each tip as a function of the depth of the stage (`docs/references.md`, "Tip forces").
+//! Uses: gap, chance. Never: the finite elements of the foam (this is a fit to the paper's Table
+//! I), voltages.
 //!
 //! Tip i reaches 5 N at the travel `T_i = mu + c + t_i + o_i` (c per configuration, t_i per tip and
 //! place, o_i fixed), after a soft toe `5 N (s / toe)^p`, and then `5 + k (z - T_i)`.
 //!
-//! **Where z counts from.** mu counts from `travel_starts_above_mm` (1.0) above the surface that a
-//! touch-off finds. `z_below_surface_mm` counts from that surface itself, so the mean of T_i in z is
-//! mu - 1.0 = 2.07 mm. A touch-off stops where the first of n attached arms shows 0.5 N, that is at
-//! `T_min - toe (1 - 0.1^(1/p))`; with toe 2 mm and p = 1.2 that is 1.71 mm before the earliest tip's
-//! T, and the earliest of n tips is on average (0, .26, .39, .47, .53, .53) mm ahead of the mean for
-//! n = 1..6: over the six settings 0.37 mm. 1.71 + 0.37 = 2.07: z = 0 is the surface that touch-offs
-//! find, averaged over settings and places. One arm alone finds it 0.37 mm lower, six 0.16 higher.
+//! **Origin of z.** mu is measured from `travel_starts_above_mm` (1.0) above the surface that a
+//! touch-off finds. `z_below_surface_mm` is measured from that surface itself, so the mean of T_i
+//! in z is mu - 1.0 = 2.07 mm. A touch-off stops where the first of n attached arms reads 0.5 N,
+//! that is at `T_min - toe (1 - 0.1^(1/p))`; with toe 2 mm and p = 1.2 this is 1.71 mm before the T
+//! of the earliest tip, and the earliest of n tips is on average (0, .26, .39, .47, .53, .53) mm
+//! before the mean for n = 1..6: over the six settings 0.37 mm. 1.71 + 0.37 = 2.07: z = 0 is the
+//! surface that touch-offs find, averaged over settings and places. One arm alone finds it 0.37 mm
+//! lower, six 0.16 higher.
 
 use super::chance::{SmoothField, stream};
 use super::gap::MechanicsGap;
@@ -19,8 +20,9 @@ use super::gap::MechanicsGap;
 /// Force at the end of the toe, N.
 const TOE_FORCE_N: f64 = 5.0;
 
-/// The mechanics of one rig on one skin. The unevenness is smooth in place: coming back within
-/// tenths of a millimetre meets the same gap; neighbouring points (17 mm) are nearly independent.
+/// The mechanics of one rig on one skin. The unevenness is a smooth function of position: returning
+/// within tenths of a millimetre meets the same gap; neighbouring points (17 mm) are nearly
+/// independent.
 #[derive(Debug, Clone)]
 pub struct Mechanics {
     gap: MechanicsGap,
@@ -29,7 +31,7 @@ pub struct Mechanics {
 }
 
 impl Mechanics {
-    /// The mechanics of a gap and a seed.
+    /// Creates the mechanics of a gap and a seed.
     pub fn new(gap: &MechanicsGap, seed: u64) -> Self {
         let field =
             |name: String| SmoothField::draw(&mut stream(seed, &name), gap.flatness_correlation_mm);

@@ -1,8 +1,9 @@
-//! A seed is a skin: the reality gap on top of the nominal model, and the mechanics of the tips.
-//! Uses: `sim-core`, gap files. Never: wires, registers, the clock (process times are handed in).
+//! A virtual skin, selected by a seed: the reality gap on top of the nominal model, and the
+//! mechanics of the tips.
+//! Uses: `sim-core`, gap files. Never: wires, registers, the clock (process times are passed in).
 //!
-//! [`Skin`] answers with the static voltages of a held load; [`Readout`] makes frames of them, with
-//! drift and noise; [`mechanics::Mechanics`] says how hard each tip presses.
+//! [`Skin`] returns the static voltages of a held load; [`Readout`] creates frames from them, with
+//! drift and noise; [`mechanics::Mechanics`] determines the force of each tip.
 
 mod cache;
 pub mod chance;
@@ -26,38 +27,39 @@ use chance::{SmoothField, normal_at, stream};
 pub use gap::{Gap, GapError};
 pub use readout::Readout;
 
-/// Linear compressions beyond this are not told apart, mm (240 N compress 20 mm).
+/// Linear compression at the end of the table of the foam's law, mm; beyond it the table is
+/// extrapolated (240 N compress 20 mm).
 const LUT_END_MM: f64 = 30.0;
 const LUT_STEP_MM: f64 = 0.01;
 
-/// Why there is no skin.
+/// Reason why a skin cannot be built.
 #[derive(Debug, thiserror::Error)]
 pub enum SkinError {
-    /// The elastic solve failed.
+    /// The elastic solution failed.
     #[error(transparent)]
     Responses(#[from] ResponsesError),
     /// The model could not be built.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// The gap's foam law falls somewhere.
+    /// The law of the foam is not monotonic.
     #[error("gap: foam law: {0}")]
     Foam(#[from] LutError),
 }
 
-/// A tip, or a weight, that presses on the skin.
+/// A tip or a weight that presses on the skin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TipLoad {
-    /// Which tip (0 = arm 1): its tilt is its own.
+    /// Index of the tip (0 = arm 1), which determines its tilt.
     pub arm: usize,
-    /// Place on the skin from its corner, mm.
+    /// x of its centre, skin coordinates, mm.
     pub x_mm: f64,
-    /// Place on the skin from its corner, mm.
+    /// y of its centre, skin coordinates, mm.
     pub y_mm: f64,
-    /// Force, N; what is not a positive number, or has no place, does not press.
+    /// Force, N; a load without a positive force or without a valid position is ignored.
     pub force_n: f64,
 }
 
-/// One skin: a sensor, a gap and a seed. `Send + Sync`.
+/// One virtual skin: a sensor, a gap and a seed. `Send + Sync`.
 #[derive(Debug)]
 pub struct Skin {
     model: ForwardModel,
@@ -82,13 +84,13 @@ impl Skin {
         Ok(Self { model, tilt_sd: gap.tips.tilt_sd, seed })
     }
 
-    /// The forward model of this very skin (the truth that a calibration looks for).
+    /// The forward model of this skin: the true values for a calibration.
     pub fn model(&self) -> &ForwardModel {
         &self.model
     }
 
-    /// Static voltages of a held load, V after gain, injection-major, electrodes squared. Tips that
-    /// stand between points share their force over the three nearest.
+    /// Static voltages of a held load, V after gain, injection-major, electrodes squared. The force
+    /// of a tip between points is distributed over the three nearest.
     pub fn solve(&self, tips: &[TipLoad]) -> Vec<f64> {
         let mut forces = Vec::with_capacity(6 * tips.len());
         let presses = |t: &&TipLoad| {
@@ -108,8 +110,8 @@ impl Skin {
         self.model.voltages_of_vertex_forces(&forces, &mut work).to_vec()
     }
 
-    /// Shares of a tip's force on its six vertices (sum 1): a fixed tilt of the tip, and one of the
-    /// nearest point, so that a tip that comes back stands as before.
+    /// Shares of a tip's force on its six vertices (sum 1): a fixed tilt of the tip, and one that
+    /// depends on the nearest point, so that a tip that returns has the same tilt.
     fn vertex_shares(&self, arm: usize, nearest: usize) -> [f64; 6] {
         let half_sd = self.tilt_sd / 2f64.sqrt();
         let own = format!("tilt of tip {arm}");
@@ -128,7 +130,7 @@ impl Skin {
     }
 }
 
-/// The points that carry a tip, nearest first, with weights (sum 1): one, or the three nearest.
+/// Points that carry a tip, nearest first, with weights (sum 1): one, or the three nearest.
 fn points_under(sensor: &Sensor, x_mm: f64, y_mm: f64) -> Vec<(usize, f64)> {
     let mut nearest: Vec<(f64, usize)> = Vec::with_capacity(4);
     for (index, p) in sensor.points().iter().enumerate() {
@@ -151,7 +153,7 @@ fn points_under(sensor: &Sensor, x_mm: f64, y_mm: f64) -> Vec<(usize, f64)> {
     let [a, b, c, at] = [[a.x_mm, a.y_mm], [b.x_mm, b.y_mm], [c.x_mm, c.y_mm], [x_mm, y_mm]];
     let whole = area(a, b, c);
     if whole.abs() < 1.0 {
-        return single(&nearest); // three in a row, at the lattice's rim
+        return single(&nearest); // three in a line, at the edge of the lattice
     }
     let weights =
         [area(at, b, c), area(a, at, c), area(a, b, at)].map(|part| (part / whole).max(0.0));
@@ -159,7 +161,7 @@ fn points_under(sensor: &Sensor, x_mm: f64, y_mm: f64) -> Vec<(usize, f64)> {
     nearest.iter().zip(weights).map(|(n, w)| (n.1, w / sum)).filter(|p| p.1 > 0.0).collect()
 }
 
-/// The readout circuit of a seed: moved electrodes, contacts, leads, loose ones.
+/// Readout circuit of a seed: displaced electrodes, contacts, leads, loose electrodes.
 fn circuit(sensor: &Sensor, gap: &Gap, seed: u64) -> ReadoutCircuit {
     let mut nominal = ReadoutCircuit::nominal(sensor);
     let g = &gap.electrodes;
@@ -173,7 +175,7 @@ fn circuit(sensor: &Sensor, gap: &Gap, seed: u64) -> ReadoutCircuit {
             lead_ohm: g.lead_ohm * (g.lead_ln_sd * normal()).exp(),
         };
     }
-    // The loose ones: those with the largest draws of a stream of their own.
+    // The loose electrodes: those with the largest draws of a separate stream.
     let mut draws: Vec<(f64, usize)> = (0..nominal.electrodes.len())
         .map(|k| (normal_at(seed, "loose electrodes", k as u64), k))
         .collect();
@@ -184,7 +186,7 @@ fn circuit(sensor: &Sensor, gap: &Gap, seed: u64) -> ReadoutCircuit {
     nominal
 }
 
-/// The node fields of a seed.
+/// Node fields of a seed.
 fn fields(mesh: &Mesh, sensor: &Sensor, gap: &Gap, seed: u64) -> Result<NodeFields, LutError> {
     let g = &gap.fields;
     let smooth = |name: &str, sd: f64, places: &[[f64; 2]]| -> Vec<f64> {

@@ -2,9 +2,9 @@
 //! Uses: gap, chance. Never: the forward model (a held load is solved once).
 //!
 //! `out = static gain(t) exp(-d(t)) (1 + creep log10(1 + t_held)) + offset + noise`. The two drifts
-//! are Ornstein-Uhlenbeck processes of process time. Offsets sit on the electrodes' buffers and so
-//! cancel around the ring; noise is the converter's, on each difference: the 28 values of an
-//! injection sum to noise.
+//! are Ornstein-Uhlenbeck processes of process time. Offsets belong to the buffers of the
+//! electrodes and so cancel around the ring; noise belongs to the converter, on each difference:
+//! the 28 values of an injection sum to noise.
 
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -12,7 +12,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::chance::stream;
 use super::gap::{Gap, ReadoutGap};
 
-/// The readout of one skin; keeps its drift from frame to frame.
+/// Readout of one skin, with the state of its drift.
 #[derive(Debug, Clone)]
 pub struct Readout {
     gap: ReadoutGap,
@@ -24,14 +24,14 @@ pub struct Readout {
     held: Option<Held>,
 }
 
-/// Since when which load is held.
+/// The held load, and the time since which it is held.
 #[derive(Debug, Clone, Copy)]
 struct Held {
     fingerprint: u64,
     since_s: f64,
 }
 
-/// A value that wanders around zero: standard deviation and memory.
+/// A random drift around zero, with standard deviation and correlation time.
 #[derive(Debug, Clone, Copy)]
 struct Drift {
     sd: f64,
@@ -45,7 +45,7 @@ impl Drift {
         Self { sd, time_s, value: 0.0, at_s: None }
     }
 
-    /// The value at a later time; time that goes back stands still.
+    /// Value at a later time; an earlier time leaves it unchanged.
     fn at(&mut self, time_s: f64, normal: f64) -> f64 {
         let kept = match self.at_s {
             None => 0.0,
@@ -58,7 +58,7 @@ impl Drift {
 }
 
 impl Readout {
-    /// The readout of a gap and a seed.
+    /// Creates the readout of a gap and a seed.
     pub fn new(gap: &Gap, seed: u64) -> Self {
         let gap = gap.readout;
         Self {
@@ -73,7 +73,7 @@ impl Readout {
     }
 
     /// One frame of a held load at a process time, V. `static_v` and `out` have the same length,
-    /// electrodes squared (what is longer is left alone).
+    /// electrodes squared (the rest of a longer one is not changed).
     pub fn frame(&mut self, static_v: &[f64], process_time_s: f64, out: &mut [f32]) {
         if self.offsets_v.len() != static_v.len() {
             self.offsets_v = offsets_v(self.seed, static_v.len(), self.gap.offset_sd_mv * 1e-3);
@@ -89,7 +89,7 @@ impl Readout {
         }
     }
 
-    /// Growth of the signal since the load was put on.
+    /// Growth of the signal since the begin of the load.
     fn creep(&mut self, static_v: &[f64], process_time_s: f64) -> f64 {
         if self.gap.creep_per_decade == 0.0 {
             return 1.0;
@@ -107,7 +107,7 @@ impl Readout {
     }
 }
 
-/// Fixed offsets of the channels: differences of buffers' offsets around each injection's ring.
+/// Fixed offsets of the channels: differences of buffer offsets around the ring of each injection.
 fn offsets_v(seed: u64, channels: usize, sd_v: f64) -> Vec<f64> {
     let electrodes = (channels as f64).sqrt().round() as usize;
     let mut rng = stream(seed, "readout offsets");

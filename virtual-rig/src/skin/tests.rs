@@ -1,5 +1,5 @@
-//! The skin against earlier figures (`docs/references.md`, "Feasibility study"): signal of the gap,
-//! counts of the recipe, noise.
+//! The skin against earlier results (`docs/references.md`, "Feasibility study"): signal of the gap,
+//! counts of the fit, noise.
 
 use std::sync::OnceLock;
 use std::time::Instant;
@@ -22,11 +22,11 @@ fn gap_a() -> Gap {
     Gap::from_toml(GAP_A).unwrap()
 }
 
-/// The seed of the tests. Median FVU of gap A over seeds 1 to 8: 0.17, 0.16, 0.09, 0.13, 0.15, 0.25,
-/// 0.16, 0.12; the feasibility study had one skin, at 0.10. Seed 3 is the one like it.
+/// Seed of the tests. Median FVU of gap A over seeds 1 to 8: 0.17, 0.16, 0.09, 0.13, 0.15, 0.25,
+/// 0.16, 0.12; the feasibility study had one skin, with 0.10. Seed 3 is closest to it.
 const SEED: u64 = 3;
 
-/// That skin; the unit responses stay in the temporary folder for the next test run.
+/// The skin of that seed; the unit responses stay in the temporary folder for the next test run.
 fn skin() -> &'static Skin {
     static SKIN: OnceLock<Skin> = OnceLock::new();
     SKIN.get_or_init(|| {
@@ -35,14 +35,14 @@ fn skin() -> &'static Skin {
     })
 }
 
-/// An indenter with its first `tips` arms on points: where it stands, and its tips.
+/// Position of an indenter with its first `tips` arms on points, and its tips.
 struct Stand {
     centre: [f64; 2],
     radius_mm: f64,
     tips: Vec<[f64; 2]>,
 }
 
-/// All (centre, radius) at which the first `tips` arms stand on points.
+/// All (centre, radius) at which the first `tips` arms are on points.
 fn stands(sensor: &Sensor, tips: usize) -> Vec<Stand> {
     let pitch = sensor.pitch_mm();
     let mut out = Vec::new();
@@ -63,7 +63,7 @@ fn stands(sensor: &Sensor, tips: usize) -> Vec<Stand> {
     out
 }
 
-/// Every `n`-th of the stands, `count` of them, in a scrambled order.
+/// Every `n`-th of the positions, `count` of them, in a scrambled order.
 fn some(stands: &[Stand], count: usize) -> impl Iterator<Item = &Stand> {
     (0..count).map(move |i| &stands[(i * 7919 + 13) % stands.len()])
 }
@@ -78,12 +78,12 @@ fn forces(mechanics: &Mechanics, stand: &Stand, travel_mm: f64) -> Vec<f64> {
 
 #[test]
 fn six_settings_count_like_table_one() {
-    // The paper's Table I, and what the study's virtual rig gave with the same recipe.
+    // The paper's Table I, and the counts of the study's virtual rig with the same fit.
     let paper = [20092.0, 21313.0, 19712.0, 14487.0, 15944.0, 2126.0];
     let study = [24191.0, 18329.0, 15489.0, 13821.0, 17569.0, 2216.0];
     let sensor = sensor();
     let mut counts = [0.0; 7];
-    // Three seeds: one rig's unevenness alone moves the counts by some percent.
+    // Three seeds: the unevenness of a single rig changes the counts by some percent.
     for seed in 1..=3 {
         let mechanics = Mechanics::new(&gap_a().mechanics, seed);
         for tips in 1..=6 {
@@ -103,7 +103,7 @@ fn six_settings_count_like_table_one() {
         let count = counts[n + 1];
         let (to_study, to_paper) = (count / study[n] - 1.0, count / paper[n] - 1.0);
         assert!(to_study.abs() < 0.15, "{} contacts: {count:.0}, study {}", n + 1, study[n]);
-        // The recipe itself is 20 % above the paper at one contact, 21 % below at three.
+        // The fit itself is 20 % above the paper at one contact, 21 % below at three.
         assert!(to_paper.abs() < 0.27, "{} contacts: {count:.0}, paper {}", n + 1, paper[n]);
     }
 }
@@ -164,7 +164,7 @@ fn the_mean_travel_to_five_newtons_is_the_papers() {
     assert!((variance.sqrt() / expected - 1.0).abs() < 0.08, "sd {}", variance.sqrt());
 }
 
-/// Touches off with the first n arms: stops where one of them shows 0.5 N.
+/// Touches off with the first n arms: stops where one of them reads 0.5 N.
 #[test]
 fn touch_offs_find_the_nominal_surface_on_average() {
     let sensor = sensor();
@@ -301,7 +301,7 @@ fn an_untouched_skin_reads_nothing_and_a_press_off_the_points_is_in_between() {
 fn a_seed_is_a_skin() {
     let cache = std::env::temp_dir().join("palpate-test-cache");
     let load = [TipLoad { arm: 2, x_mm: 270.0, y_mm: 280.0, force_n: 15.0 }];
-    let first = skin().solve(&load); // leaves the cache for the others
+    let first = skin().solve(&load); // creates the cache for the others
     let again = Skin::new(sensor(), gap_a(), SEED, Some(&cache)).unwrap();
     assert_eq!(again.solve(&load), first);
     assert_eq!(again.model().model_hash(), skin().model().model_hash());

@@ -1,5 +1,5 @@
 //! A virtual skin with its whole reality gap, calibrated from noisy, tilted, drifting trials.
-//! Uses: the virtual skin as an outsider does, sim-core's fit.
+//! Uses: the virtual skin through its public interface, sim-core's fit.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -8,7 +8,7 @@ use sim_core::inverse::skin::{MeasuredTrial, SkinFitOptions, fit, fvus, noise_v,
 use sim_core::sensor::Sensor;
 use virtual_rig::skin::{Gap, Readout, Skin, TipLoad};
 
-/// Trials of one to three tips on points, as the rig's stream shows them.
+/// Trials of one to three tips on points, as returned by the stream of the rig.
 fn measured(skin: &Skin, gap: &Gap, count: usize, seed: u64) -> Vec<MeasuredTrial> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut readout = Readout::new(gap, seed);

@@ -1,4 +1,4 @@
-//! A rig to test against, and the other ends of its wires.
+//! A rig for tests, and clients of its wires.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -16,19 +16,19 @@ use virtual_rig::{RigArgs, RunError, VirtualRig};
 pub const IAI_TCP: &str = include_str!("../../../experiments/rigs/virtual.toml");
 const SENSOR: &str = include_str!("../../../experiments/sensors/ert-28.toml");
 
-/// Longest wait for anything.
+/// Longest wait for an event.
 pub const PATIENCE: Duration = Duration::from_secs(20);
 
 static SERIAL: AtomicU32 = AtomicU32::new(0);
 
-/// Rigs are switched on one by one: the first leaves its response fields for the others.
+/// Rigs are started one after the other: the first caches its response fields for the others.
 static SWITCH: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
 
 fn experiments() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../experiments")
 }
 
-/// A directory of this test alone.
+/// A separate directory for each test.
 fn scratch() -> PathBuf {
     let name = format!("it-{}-{}", std::process::id(), SERIAL.fetch_add(1, Ordering::Relaxed));
     let dir = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);
@@ -36,7 +36,7 @@ fn scratch() -> PathBuf {
     dir
 }
 
-/// The rig file with axes of another make, all on one RTU line, cells on Waveshare.
+/// The rig file with axes of another make, all on one RTU line, cells on a Waveshare module.
 pub fn on_one_bus(device: &str, counts_per_mm: f64, counts_per_deg: f64) -> String {
     IAI_TCP
         .replace("kind = \"modbus-tcp\"\naddress = \"127.0.0.1:5020\"", BUS)
@@ -117,7 +117,7 @@ impl Control {
     }
 }
 
-/// IAI axes driven by hand over any transport.
+/// IAI axes controlled directly over any transport.
 pub struct Iai(pub Context);
 
 impl Iai {
@@ -126,7 +126,7 @@ impl Iai {
         &mut self.0
     }
 
-    /// Modbus in command, servo on, homed.
+    /// Modbus in control, servo on, homed.
     pub async fn home(&mut self, units: std::ops::RangeInclusive<u8>) {
         for unit in units.clone() {
             for coil in [0x0427, 0x0403, 0x040B] {
@@ -171,7 +171,7 @@ impl Iai {
     }
 }
 
-/// Says a request to a unit and returns the exception code or the response.
+/// Sends a request to a unit and returns the exception code or the response.
 pub async fn call(context: &mut Context, request: Request<'_>) -> Result<Response, u16> {
     context.call(request).await.unwrap().map_err(u16::from_exception)
 }
@@ -186,7 +186,7 @@ impl FromException for u16 {
     }
 }
 
-/// One frame, as an independent reader decodes it.
+/// One frame, decoded by an independent reader.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Frame {
     pub sequence: u32,
@@ -256,7 +256,7 @@ impl Frame {
         self.voltages_v.iter().fold(0.0, |m, v| m.max(v.abs()))
     }
 
-    /// Largest magnitude of an injection's sum, V.
+    /// Largest magnitude of an injection sum, V.
     pub fn largest_sum_v(&self) -> f64 {
         let sums = self.voltages_v.chunks(28).map(|c| c.iter().sum::<f64>().abs());
         sums.fold(0.0, f64::max)

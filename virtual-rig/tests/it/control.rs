@@ -1,4 +1,4 @@
-//! The operator's socket, and the files of a start.
+//! The control socket, and the files at the start of a rig.
 
 use serde_json::json;
 use tokio::net::TcpStream;
@@ -71,7 +71,7 @@ async fn weights_press_on_the_skin_and_not_on_the_cells() {
     let before = reader.frame().await.largest_v();
     let off = json!([{ "x_mm": -5.0, "y_mm": 80.0, "force_n": 9.81 }]);
     let refused = control.say(json!({ "cmd": "place", "weights": off })).await;
-    assert_eq!(refused["error"], "a weight must stand on the skin");
+    assert_eq!(refused["error"], "a weight must be on the skin");
     let heavy = json!([{ "x_mm": 205.0, "y_mm": 250.0, "force_n": 40.0 }]);
     assert_eq!(control.say(json!({ "cmd": "place", "weights": heavy })).await["ok"], true);
     let placed = control.status().await;
@@ -109,8 +109,8 @@ async fn a_configured_serial_path_is_a_link_to_the_pseudo_terminal() {
     assert_eq!(rig.ready.lines["stage"], path.to_str().unwrap());
     Iai(rtu_client(&rig)).home(1..=1).await;
     drop(rig);
-    assert!(path.symlink_metadata().is_err(), "the link goes with the rig");
-    std::fs::write(&path, "a file of somebody else").unwrap();
+    assert!(path.symlink_metadata().is_err(), "the link is removed with the rig");
+    std::fs::write(&path, "a file of another program").unwrap();
     let error = serve(&text, 100.0, "", false).await.err().unwrap().to_string();
     assert!(error.contains("use --ephemeral"), "{error}");
     std::fs::remove_file(&path).unwrap();

@@ -1,4 +1,4 @@
-//! What a fault script does to the wires.
+//! Effects of a fault script on the wires.
 
 use std::time::{Duration, Instant};
 
@@ -45,7 +45,7 @@ async fn wire_faults_strike_over_tcp() {
         assert_eq!(control.say(fault.clone()).await["ok"], true);
         let mut client = tcp_client(&rig, "stage").await;
         client.set_slave(Slave(2));
-        assert!(client.read_holding_registers(0x9000, 2).await.unwrap().is_ok(), "y is spared");
+        assert!(client.read_holding_registers(0x9000, 2).await.unwrap().is_ok(), "y unaffected");
         assert_eq!(x_position(&mut client).await, Err(expected), "{fault}");
         let mut client = tcp_client(&rig, "stage").await;
         assert!(x_position(&mut client).await.is_ok(), "once only: {fault}");
@@ -64,7 +64,7 @@ async fn wire_faults_strike_over_rtu() {
     for expected in ["silence", "broken", "exception"] {
         let mut bus = rtu_client(&rig);
         let outcome = x_position(&mut bus).await;
-        // A client that cannot read a frame may say so or go on waiting.
+        // A client that cannot decode a frame may report it or continue to wait.
         let silent_or = [Err(expected), Err("silence")];
         assert!(silent_or.contains(&outcome), "{expected}: {outcome:?}");
         drop(bus);
@@ -113,7 +113,7 @@ async fn stuck_stale_and_alarmed_axes() {
     );
     control.say(json!({ "cmd": "mend" })).await;
     iai.wait(1, |dss1| dss1 & 1 << 3 != 0).await;
-    // In position means within the band of a hundredth.
+    // In position means within a band of 0.01 mm.
     assert!((iai.status(1).await.0 - 100.0).abs() < 0.011);
     assert!((iai.status(2).await.0 - 100.0).abs() < 0.011);
     control.say(json!({ "cmd": "fault", "kind": "alarm", "code": 0xCC, "device": "x" })).await;
@@ -189,7 +189,8 @@ async fn a_dead_cell_reads_nothing() {
     assert!(call(&mut cells, Request::ReadInputRegisters(0, 9)).await == Err(2));
 }
 
-/// Every axis homed, the indenter over the skin's middle, 20 mm above it; the surface's height, mm.
+/// Homes every axis and moves the indenter over the middle of the skin, 20 mm above it. Returns the
+/// height of the surface, mm.
 async fn over_the_skin(iai: &mut Iai, control: &mut Control) -> f64 {
     iai.home(1..=4).await;
     iai.go(1, 280.0, 250.0).await;

@@ -52,7 +52,7 @@ async fn oriental_motor_axes_share_the_line_with_the_cells() {
         until(&mut bus, 0x007F, 4, true).await;
     }
     bus.set_slave(Slave(2));
-    // 123 mm at 200 steps a mm, 250 mm/s, 1500 mm/s^2.
+    // 123 mm at 200 steps/mm, 250 mm/s, 1500 mm/s^2.
     let values: [i32; 8] = [0, 1, 24_600, 50_000, 300_000, 300_000, 1000, 1];
     let words: Vec<u16> =
         values.iter().flat_map(|&v| [(v as u32 >> 16) as u16, v as u16]).collect();
@@ -88,7 +88,7 @@ async fn the_line_survives_noise_silence_and_a_new_client() {
     {
         let mut iai = Iai(rtu_client(&rig));
         iai.home(1..=1).await;
-        // Nobody is at address 42: silence, which the next request must not be confused by.
+        // No device has address 42: no reply, which must not disturb the next request.
         let nobody = iai.unit(42).read_holding_registers(0x9000, 1);
         assert!(tokio::time::timeout(std::time::Duration::from_millis(60), nobody).await.is_err());
     }
@@ -104,6 +104,6 @@ async fn the_line_survives_noise_silence_and_a_new_client() {
     }
     let mut iai = Iai(rtu_client(&rig));
     iai.go(1, 42.5, 250.0).await;
-    // In position means within the band of a hundredth.
+    // In position means within a band of 0.01 mm.
     assert!((iai.status(1).await.0 - 42.5).abs() < 0.011);
 }

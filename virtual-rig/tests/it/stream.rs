@@ -1,4 +1,4 @@
-//! The voltage stream, as an independent reader sees it.
+//! The voltage stream, as decoded by an independent reader.
 
 use std::time::{Duration, Instant};
 
@@ -25,7 +25,7 @@ async fn an_untouched_skin_is_noise_at_the_rig_s_own_rate() {
         last = frame;
     }
     let seconds = since.elapsed().as_secs_f64();
-    assert!((0.4..1.5).contains(&seconds), "150 frames at 300 a second took {seconds} s");
+    assert!((0.4..1.5).contains(&seconds), "150 frames at 300 per second took {seconds} s");
     assert!(reader.statuses.iter().any(|s| s.contains("virtual readout")));
     assert_eq!(reader.garbled, 0);
 }
@@ -42,7 +42,7 @@ async fn frames_of_a_press_are_of_its_load_or_missing() {
     let surface = control.status().await["surface_z_mm"].as_f64().unwrap();
     let mut reader = StreamReader::new(TcpStream::connect(&rig.ready.ert).await.unwrap());
     let light = reader.frame().await;
-    // Two mm into the skin at 1 mm/s: two process seconds of changing load.
+    // 2 mm into the skin at 1 mm/s: two process seconds of changing load.
     iai.go(3, surface + 3.0, 60.0).await;
     iai.go(3, surface + 5.0, 1.0).await;
     let arrived = control.status().await["process_s"].as_f64().unwrap();
@@ -51,8 +51,8 @@ async fn frames_of_a_press_are_of_its_load_or_missing() {
         frames.push(reader.frame().await);
     }
     let at = |f: &crate::common::Frame| f.device_time_us as f64 * 1e-6;
-    // The approach to the target ends a little before it is noticed; two seconds before that the
-    // load was changing, and there is no frame.
+    // The approach ends shortly before it is detected. During the two seconds before that the load
+    // changed, and there is no frame.
     let changing = frames.iter().filter(|f| (arrived - 1.5..arrived - 0.5).contains(&at(f)));
     assert_eq!(changing.count(), 0);
     let held: Vec<_> = frames.iter().filter(|f| at(f) > arrived + 0.3).collect();
@@ -61,7 +61,7 @@ async fn frames_of_a_press_are_of_its_load_or_missing() {
     assert!(held.iter().all(|f| f.largest_v() > strong), "the press shows");
     let spread = held.iter().map(|f| f.largest_v()).fold(0.0, f64::max)
         - held.iter().map(|f| f.largest_v()).fold(f64::INFINITY, f64::min);
-    assert!(spread < 0.1 * held[0].largest_v() + 0.01, "one load, one signal: {spread}");
+    assert!(spread < 0.1 * held[0].largest_v() + 0.01, "not constant while held: {spread}");
     let status = control.status().await;
     assert!(status["frames_dropped"].as_u64().unwrap() > 30);
 }
@@ -98,6 +98,6 @@ async fn a_pseudo_terminal_carries_it_as_well() {
         }
         assert!(reader.garbled <= 1, "only the first packet may be cut");
         let now = Control::open(&rig).await.status().await["process_s"].as_f64().unwrap();
-        assert!(now - last.device_time_us as f64 * 1e-6 < 2.0, "what nobody read was not kept");
+        assert!(now - last.device_time_us as f64 * 1e-6 < 2.0, "unread data are not stored");
     }
 }

@@ -22,7 +22,7 @@ async fn axes_home_move_and_press_and_the_cells_show_it() {
     let zero = cells.read_input_registers(0, 6).await.unwrap().unwrap();
     let surface = control.status().await["surface_z_mm"].as_f64().unwrap();
     iai.go(3, surface + 5.0, 60.0).await;
-    // The module converts ten times a process second.
+    // The module converts ten times per process second.
     tokio::time::sleep(std::time::Duration::from_millis(20)).await;
     let loaded = cells.read_input_registers(0, 6).await.unwrap().unwrap();
     let status = control.status().await;
@@ -37,7 +37,7 @@ async fn axes_home_move_and_press_and_the_cells_show_it() {
         (status["presses"].as_u64(), status["lateral_in_contact"].as_u64()),
         (Some(1), Some(0))
     );
-    // What the service must never do is seen.
+    // A motion that the service must never make is detected.
     iai.go(1, 290.0, 250.0).await;
     assert_eq!(control.status().await["lateral_in_contact"], 1);
 }
@@ -73,7 +73,7 @@ async fn exceptions_are_those_of_the_devices() {
     assert_eq!(call(&mut cells, Request::WriteSingleRegister(200, 7)).await, Err(11));
     cells.set_slave(Slave(1));
     assert_eq!(call(&mut cells, Request::WriteSingleRegister(200, 7)).await, Err(3));
-    // Nobody at unit 77: the gateway says so.
+    // No device at unit 77: the gateway reports it.
     stage.set_slave(Slave(77));
     assert_eq!(call(&mut stage, Request::ReadHoldingRegisters(0x9000, 1)).await, Err(11));
 }
@@ -91,5 +91,5 @@ async fn a_round_trip_is_short() {
     }
     times.sort_by(f64::total_cmp);
     println!("median {:.0} us, p90 {:.0} us", times[150] * 1e6, times[270] * 1e6);
-    assert!(times[150] < 5e-3, "median {} s: the wire waits for something", times[150]);
+    assert!(times[150] < 5e-3, "median {} s: the wire is delayed", times[150]);
 }

@@ -1,10 +1,11 @@
-//! The few directions in which frames differ: 784 voltages become some tens of numbers.
-//! Uses: the batch model for sample frames, the error model. Never: a measured frame's meaning.
+//! The few directions in which frames differ: reduces 784 voltages to some tens of numbers.
+//! Uses: the batch model for sample frames, the error model. Never: the meaning of a measured
+//! frame.
 //!
 //! Light frames have 27 directions above the noise, the heaviest some tens more
 //! (`docs/references.md`, "Feasibility study"). In units of each channel's noise an orthonormal
 //! basis keeps white noise white; the basis is turned so that the model's relative error is
-//! uncorrelated too. Then every number of a frame has a variance of its own, whatever the signal,
+//! uncorrelated too. Then every number of a frame has a separate variance, whatever the signal,
 //! and normal equations are cheap.
 
 use faer::{Mat, Side};
@@ -15,18 +16,19 @@ use crate::batch::{BatchModel, BatchWork};
 use crate::forward::Contact;
 use crate::sensor::Sensor;
 
-/// Sample loads from which the directions are found.
+/// Number of sample loads from which the directions are determined.
 const SAMPLES: usize = 640;
-/// Contacts in a sample load: 1 to this.
+/// Largest number of contacts in a sample load.
 const MOST_CONTACTS: usize = 6;
-/// Forces of a sample load, N.
+/// Range of the forces of a sample load, N.
 const FORCES_N: [f64; 2] = [4.0, 40.0];
-/// What sample frames may keep outside the basis, in standard deviations of one channel's noise
-/// over the whole frame.
+/// Limit on the part of a sample frame outside the basis, in standard deviations of one channel's
+/// noise over the whole frame.
 const OUTSIDE: f64 = 0.5;
-/// Directions at most: the heaviest frames' last ones are far below any model error.
+/// Largest number of directions: the last ones of the heaviest frames are far below any model
+/// error.
 const MOST_DIRECTIONS: usize = 64;
-/// Rows are padded to a multiple of this.
+/// Rows are padded to a multiple of this length.
 pub(super) const PAD: usize = 8;
 
 /// The directions of one model's frames.
@@ -34,7 +36,7 @@ pub(super) const PAD: usize = 8;
 pub(super) struct Basis {
     channels: usize,
     directions: usize,
-    /// Numbers of a projected frame, with padding.
+    /// Length of a projected frame, padding included.
     width: usize,
     /// Row-major: `width` rows of `channels`, per volt.
     rows: Vec<f64>,
@@ -42,7 +44,7 @@ pub(super) struct Basis {
     rest_v: Vec<f64>,
     /// Variance of each number by the model's error, per V^2 of signal.
     relative: Vec<f64>,
-    /// The same per channel outside the basis.
+    /// Variance of a channel outside the basis by the model's error, per V^2 of signal.
     relative_outside: f64,
     inverse_sd: Vec<f64>,
 }
@@ -50,16 +52,20 @@ pub(super) struct Basis {
 /// A measured frame in the basis.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Projected {
-    /// Its numbers less those of the untouched frame.
+    /// The projected frame minus that of the untouched skin.
     pub z: Vec<f64>,
-    /// One over the variance of each.
+    /// Inverse variance of each number.
     pub weights: Vec<f64>,
-    /// Misfit outside the basis, where no contact reaches.
+    /// Misfit outside the basis, which no contact can explain.
     pub outside_chi2: f64,
 }
 
 impl Basis {
-    /// Finds the directions of a model's frames.
+    /// Determines the directions of a model's frames.
+    ///
+    /// # Errors
+    /// `FitterError::Batch` if a sample load is rejected; `FitterError::Eigenvalues` without
+    /// convergence.
     pub fn new(
         batch: &BatchModel,
         sensor: &Sensor,
@@ -97,17 +103,17 @@ impl Basis {
         Ok(basis)
     }
 
-    /// Directions, without padding.
+    /// Number of directions, without padding.
     pub fn directions(&self) -> usize {
         self.directions
     }
 
-    /// Numbers of a projected frame, a multiple of [`PAD`].
+    /// Length of a projected frame, a multiple of [`PAD`].
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Projects columns of `channels` volts (`columns` of them, one after the other).
+    /// Projects columns of `channels` volts (`columns` holds them one after the other).
     pub fn project(&self, columns: &[f64], out: &mut Vec<f64>) {
         out.clear();
         for column in columns.chunks_exact(self.channels) {
@@ -115,15 +121,15 @@ impl Basis {
         }
     }
 
-    /// Projects a model's frame, less the untouched one.
+    /// Projects a model's frame, minus that of the untouched skin.
     pub fn project_frame(&self, frame_v: &[f64], scratch: &mut Vec<f64>, out: &mut Vec<f64>) {
         scratch.clear();
         scratch.extend(frame_v.iter().zip(&self.rest_v).map(|(v, rest)| v - rest));
         self.project(scratch, out);
     }
 
-    /// Projects a measured frame that is the mean of some. Where `frames` is large the model's error
-    /// is what remains.
+    /// Projects a measured frame that is the mean of `frames` frames. If `frames` is large, the
+    /// model error dominates.
     pub fn measure(
         &self,
         frame_v: &[f64],
@@ -146,7 +152,7 @@ impl Basis {
     }
 }
 
-/// Inner product in four strands, which a processor adds side by side.
+/// Inner product as four independent sums, which a processor adds in parallel.
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let ((a, a_tail), (b, b_tail)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
     let mut sums = [0.0; 8];
@@ -159,12 +165,12 @@ pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     sums.iter().sum::<f64>() + tail
 }
 
-/// Frames of loads on points, V: the same ones every time.
+/// Frames of loads on points, V: the same in every call.
 fn sample_frames(batch: &BatchModel, sensor: &Sensor) -> Result<Vec<Vec<f64>>, FitterError> {
     let points = sensor.points();
     let mut state = 0x9e37_79b9_7f4a_7c15u64;
     let mut uniform = || {
-        // xorshift64: any fixed spread of places does.
+        // xorshift64: any fixed spread of positions is sufficient.
         state ^= state << 13;
         state ^= state >> 7;
         state ^= state << 17;
@@ -189,7 +195,7 @@ fn sample_frames(batch: &BatchModel, sensor: &Sensor) -> Result<Vec<Vec<f64>>, F
     Ok(frames.chunks_exact(batch.frame_len()).map(volts).collect())
 }
 
-/// Orthonormal directions, the frame that sticks out most first; the frames are used up.
+/// Orthonormal directions, the frame with the largest residual first; the frames are overwritten.
 fn orthonormal(frames: &mut [Vec<f64>]) -> Vec<Vec<f64>> {
     let mut directions: Vec<Vec<f64>> = Vec::new();
     let mut lengths: Vec<f64> = frames.iter().map(|f| dot(f, f)).collect();
@@ -202,7 +208,7 @@ fn orthonormal(frames: &mut [Vec<f64>]) -> Vec<Vec<f64>> {
             break;
         }
         let mut direction = frames[longest].clone();
-        // Once more against those before: what is left has lost digits.
+        // Orthogonalised a second time: the residual has lost digits.
         for before in &directions {
             let along = dot(&direction, before);
             direction.iter_mut().zip(before).for_each(|(d, b)| *d -= along * b);
@@ -219,7 +225,7 @@ fn orthonormal(frames: &mut [Vec<f64>]) -> Vec<Vec<f64>> {
     directions
 }
 
-/// The directions turned so that the relative error is uncorrelated, with its variances.
+/// The directions, rotated so that the relative error is uncorrelated, with its variances.
 fn turned(
     directions: &[Vec<f64>],
     error: &ErrorModel,

@@ -1,40 +1,39 @@
-//! Levenberg-Marquardt on contacts' places and forces, and what the optimum says: evidence and
-//! standard deviations. Uses: a model that predicts projected frames. Never: adding or dropping a
-//! contact.
+//! Levenberg-Marquardt on contacts' positions and forces, with evidence and standard deviations at
+//! the optimum. Uses: a model that predicts projected frames. Never: adding or dropping a contact.
 //!
 //! Parameters of a contact: x, y (mm, within limits) and ln F. Prior: uniform on the skin, normal in
-//! ln F. Evidence is Laplace's: the optimum's height times the width that data and prior leave it,
-//! over the prior's width. So a contact has to lower the misfit by twice the logarithm of the skin's
-//! area over `2 pi sd_x sd_y`, and of the prior's width in ln F over its sd: about 14 for one known
-//! to 10 mm. That is a threshold like the Bayesian information criterion's (3 ln 784 = 20; earlier
-//! 2 ln 784 = 13: `docs/references.md`, "Feasibility study"), but it follows the
-//! case instead of being chosen.
+//! ln F. Evidence is Laplace's approximation: the height of the optimum times the width that data
+//! and prior leave, over the width of the prior. A contact must therefore lower the misfit by twice
+//! the logarithm of the skin's area over `2 pi sd_x sd_y`, and of the prior's width in ln F over
+//! its sd: about 14 for a contact known to 10 mm. This threshold is like that of the Bayesian
+//! information criterion (3 ln 784 = 20; earlier 2 ln 784 = 13,
+//! `docs/references.md`, "Feasibility study"), but follows from the case instead of being chosen.
 
 use super::basis::dot;
 use super::shapes::Place;
 use crate::forward::ContactError;
 
-/// Parameters of a contact.
+/// Number of parameters of a contact.
 pub(super) const EACH: usize = 3;
-/// Damping at the start, and how it changes with a good and a bad step.
+/// Damping at the start, and its factors after a good and after a bad step.
 const DAMPING: f64 = 1e-3;
 const LESS: f64 = 0.2;
 const MORE: f64 = 5.0;
-/// Bad steps in a row that end the descent.
+/// Number of consecutive bad steps that end the descent.
 const BAD_STEPS: usize = 8;
 /// Longest step: mm, and ln F.
 const STEP: Place = [25.0, 25.0, 0.7];
 /// Limits of ln F: 0.3 N to 150 N.
 const LN_FORCE: [f64; 2] = [-1.2, 5.01];
 
-/// What is believed of a contact before a frame is seen.
+/// Prior distribution of a contact.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Prior {
     pub ln_force_mean: f64,
     pub ln_force_sd: f64,
-    /// ln of the odds of one contact more.
+    /// ln of the prior odds of one further contact.
     pub ln_odds: f64,
-    /// Limits of a place, mm: `[axis][end]`.
+    /// Limits of a position, mm: `[axis][end]`.
     pub limits_mm: [[f64; 2]; 2],
 }
 
@@ -43,7 +42,7 @@ impl Prior {
         ((ln_force - self.ln_force_mean) / self.ln_force_sd).powi(2)
     }
 
-    /// Precision of x, y and ln F, that of a normal as wide as the uniform one.
+    /// Precision of x, y and ln F, for x and y that of a normal as wide as the uniform one.
     fn precision(&self) -> Place {
         let of = |[low, high]: [f64; 2]| 12.0 / (high - low).powi(2);
         let [x, y] = self.limits_mm;
@@ -56,13 +55,13 @@ impl Prior {
         [x.clamp(x0, x1), y.clamp(y0, y1), f.clamp(LN_FORCE[0], LN_FORCE[1])]
     }
 
-    /// What `count` contacts cost in -2 ln evidence, apart from misfit, force and width.
+    /// Contribution of `count` contacts to -2 ln evidence, without misfit, force and width.
     fn of_count(&self, count: usize) -> f64 {
         let area = self.limits_mm.map(|[low, high]| high - low).iter().product::<f64>();
         let each = (std::f64::consts::TAU * self.ln_force_sd.powi(2)).ln() + 2.0 * area.ln()
             - EACH as f64 * std::f64::consts::TAU.ln()
             - 2.0 * self.ln_odds;
-        // Contacts have no names: k! labellings are one load.
+        // Contacts are interchangeable: k! labellings are one load.
         let ln_orders: f64 = (1..=count).map(|n| (n as f64).ln()).sum();
         count as f64 * each - 2.0 * ln_orders
     }
@@ -70,7 +69,8 @@ impl Prior {
 
 /// Predicts projected frames.
 pub(super) trait Predict {
-    /// Writes the frame of contacts, and its slopes by x, y and ln F of each (each as long as it).
+    /// Writes the frame of contacts, and its slopes by x, y and ln F of each (each of the frame's
+    /// length).
     fn predict(
         &mut self,
         places: &[Place],
@@ -79,7 +79,7 @@ pub(super) trait Predict {
     ) -> Result<(), ContactError>;
 }
 
-/// What is fitted.
+/// The fitted frame with its weights and prior.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Problem<'a> {
     pub z: &'a [f64],
@@ -87,28 +87,28 @@ pub(super) struct Problem<'a> {
     pub prior: &'a Prior,
 }
 
-/// When a descent ends.
+/// Limits of a descent.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Effort {
     pub iterations: usize,
-    /// Decrease of the cost that no longer matters.
+    /// The descent ends when the cost decreases by less than this.
     pub tolerance: f64,
 }
 
-/// An optimum.
+/// Result of a descent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Optimum {
     /// Weighted sum of squares.
     pub misfit: f64,
     /// -2 ln evidence, up to a constant of the frame.
     pub score: f64,
-    /// Models that were worked out.
+    /// Number of model evaluations.
     pub predictions: usize,
-    /// Whether it converged.
+    /// Whether the descent converged.
     pub converged: bool,
 }
 
-/// Memory of descents.
+/// Memory of descents; may be reused.
 #[derive(Debug, Default)]
 pub(super) struct DescentWork {
     z: Vec<f64>,
@@ -154,7 +154,7 @@ impl DescentWork {
     }
 }
 
-/// Goes down from `places`, and leaves the optimum there.
+/// Descends from `places`, and leaves the optimum in it.
 pub(super) fn descend(
     problem: &Problem<'_>,
     model: &mut impl Predict,
@@ -237,13 +237,14 @@ impl DescentWork {
                 let i = EACH * c + parameter;
                 self.normal[i * size + i] += precision;
             }
-            // The uniform prior of the place has no slope; its width only bounds the normal matrix.
+            // The uniform prior of the position has no slope; its width only bounds the normal
+            // matrix.
             let prior = problem.prior;
             self.gradient[EACH * c + 2] += (prior.ln_force_mean - place[2]) * precision[2];
         }
     }
 
-    /// Writes the places after a damped step, and gives the decrease of the cost that it promises.
+    /// Writes the places after a damped step, and returns the predicted decrease of the cost.
     fn take_step(&mut self, prior: &Prior, places: &[Place], damping: f64) -> f64 {
         let size = EACH * places.len();
         let mut damped = std::mem::take(&mut self.weighted);
@@ -258,7 +259,7 @@ impl DescentWork {
                 let mut pushed = *place;
                 pushed[axis] += 1e-6 * self.gradient[i].signum();
                 if prior.clamp(pushed)[axis] == place[axis] && self.gradient[i] != 0.0 {
-                    // At a limit, and pushed against it: stays.
+                    // At a limit and pushed against it: the parameter stays.
                     self.step[i] = 0.0;
                     for j in 0..size {
                         damped[i.max(j) * size + i.min(j)] = f64::from(u8::from(i == j));
@@ -289,7 +290,7 @@ impl DescentWork {
     }
 }
 
-/// Cholesky of a row-major lower triangle. `false` where it is not positive definite.
+/// Cholesky factor of a row-major lower triangle. `false` if it is not positive definite.
 pub(super) fn cholesky(lower: &[f64], size: usize, factor: &mut Vec<f64>) -> bool {
     factor.clear();
     factor.extend_from_slice(&lower[..size * size]);

@@ -1,52 +1,53 @@
-//! How far a measured frame may be from the model's, channel by channel and together.
-//! Uses: faer's symmetric eigenvalues, serde. Never: where the contacts are.
+//! Covariance of the difference between measured and modelled frames.
+//! Uses: faer's symmetric eigenvalues, serde. Never: the positions of the contacts.
 //!
 //! Covariance of a frame's error: `diag(sd^2) / frames + |v|^2 (sum of m m' + floor^2 I / channels)`:
-//! white noise that averaging lowers, and a model error in proportion to the signal `|v|` that it
-//! does not. The columns m come from held-out pairs of measured and modelled frames.
+//! white noise that averaging lowers, and a model error in proportion to the signal `|v|`, which
+//! averaging does not lower. The columns m come from held-out pairs of measured and modelled
+//! frames.
 
 use faer::{Mat, Side};
 use serde::{Deserialize, Serialize};
 
-/// Smallest signal of a pair that says anything about the model, in standard deviations of the noise.
+/// Smallest signal of a pair that is used, in standard deviations of the noise.
 const LEAST_SIGNAL: f64 = 3.0;
 
-/// Relative error of a usual model: pairs whose noise is above it count little.
+/// Typical relative error of a model: pairs with a larger noise get a small weight.
 const USUAL_ERROR: f64 = 0.1;
 
-/// What is wrong with an error model.
+/// Why an error model is invalid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ErrorModelError {
-    /// A channel's noise is not a positive number.
+    /// The noise of a channel is not a positive finite number.
     #[error("error model: noise of channel {channel} = {sd_v} V is not a finite number > 0")]
     Noise {
-        /// The channel.
+        /// Index of the channel.
         channel: usize,
         /// Its standard deviation, V.
         sd_v: f64,
     },
-    /// A share is not a number >= 0.
+    /// The relative error is not a finite number >= 0.
     #[error("error model: relative error {value} is not a finite number >= 0")]
     Relative {
-        /// The share.
+        /// The relative error, as a share of the signal.
         value: f64,
     },
-    /// A pair's frames have other lengths, or hold something that is no number.
+    /// The frames of a pair have the wrong length, or contain a value that is not finite.
     #[error("error model: pair {pair} is not two frames of {channels} finite voltages")]
     Pair {
         /// Index of the pair.
         pair: usize,
-        /// Voltages needed.
+        /// Number of voltages needed.
         channels: usize,
     },
-    /// Too few pairs whose signal is above the noise.
+    /// Too few pairs have a signal above the noise.
     #[error("error model: {found} of {given} pairs have a signal above the noise, {needed} needed")]
     FewPairs {
-        /// Pairs with enough signal.
+        /// Number of pairs with enough signal.
         found: usize,
-        /// Pairs given.
+        /// Number of pairs passed in.
         given: usize,
-        /// Pairs needed.
+        /// Number of pairs needed.
         needed: usize,
     },
     /// The eigenvalues did not converge.
@@ -54,14 +55,14 @@ pub enum ErrorModelError {
     Eigenvalues,
 }
 
-/// A measured frame and the model's, V, of the same load.
+/// A measured and a modelled frame of the same load, V.
 #[derive(Debug, Clone, Copy)]
 pub struct FramePair<'a> {
-    /// Measured, offsets taken off.
+    /// Measured frame, offsets subtracted, V.
     pub measured_v: &'a [f64],
-    /// Modelled.
+    /// Modelled frame, V.
     pub modelled_v: &'a [f64],
-    /// Frames that the measured one is the mean of.
+    /// Number of frames in the mean of the measured one.
     pub frames: f64,
 }
 
@@ -72,17 +73,23 @@ pub struct ErrorModel {
     pub(super) channel_sd_v: Vec<f64>,
     /// Directions of the relative error; a column's square is its variance.
     pub(super) modes: Vec<Vec<f64>>,
-    /// What is left of it, as a share of the signal: the same on all channels.
+    /// Residual of the relative error, as a share of the signal: the same on all channels.
     pub(super) floor: f64,
 }
 
 impl ErrorModel {
-    /// White noise of the same size on all channels, V.
+    /// White noise with the same standard deviation on all channels, V.
+    ///
+    /// # Errors
+    /// `ErrorModelError::Noise` if `sd_v` is not a finite number > 0.
     pub fn white(channels: usize, sd_v: f64) -> Result<Self, ErrorModelError> {
         Self::of_channels(vec![sd_v; channels])
     }
 
-    /// White noise of each channel, V.
+    /// White noise with the standard deviation of each channel, V.
+    ///
+    /// # Errors
+    /// `ErrorModelError::Noise` if a value is not a finite number > 0.
     pub fn of_channels(channel_sd_v: Vec<f64>) -> Result<Self, ErrorModelError> {
         let bad = |sd: &f64| !(*sd > 0.0 && sd.is_finite());
         if let Some(channel) = channel_sd_v.iter().position(bad) {
@@ -91,7 +98,10 @@ impl ErrorModel {
         Ok(Self { channel_sd_v, modes: Vec::new(), floor: 0.0 })
     }
 
-    /// The same with a relative error that is alike on all channels, as a share of the signal.
+    /// Adds a relative error that is the same on all channels, as a share of the signal.
+    ///
+    /// # Errors
+    /// `ErrorModelError::Relative` if `share` is not a finite number >= 0.
     pub fn with_relative(mut self, share: f64) -> Result<Self, ErrorModelError> {
         if !(share >= 0.0 && share.is_finite()) {
             return Err(ErrorModelError::Relative { value: share });
@@ -100,14 +110,19 @@ impl ErrorModel {
         Ok(self)
     }
 
-    /// The same with a relative error learnt from pairs that the model was not fitted to: the
-    /// `rank` strongest directions of `(measured - modelled) / |modelled|`, and one share for the
-    /// rest; the noise's part is taken off. Needs more pairs than directions.
+    /// Adds a relative error estimated from pairs that the model was not fitted to: the `rank`
+    /// strongest directions of `(measured - modelled) / |modelled|`, and one share for the
+    /// residual; the contribution of the noise is subtracted. Needs more pairs than directions.
     ///
-    /// Two readings: with frames modelled at the true contacts the covariance holds all errors, and
-    /// standard deviations of contacts follow. With frames modelled at contacts that were refined
-    /// ([`super::ContactFitter::refine`]) it holds only what no contact imitates, which is what tells
-    /// one contact from two: counts are better, standard deviations too small.
+    /// There are two uses. With frames modelled at the true contacts, the covariance contains all
+    /// errors and determines the standard deviations of contacts. With frames modelled at refined
+    /// contacts ([`super::ContactFitter::refine`]), it contains only what no contact imitates,
+    /// which is what distinguishes one contact from two: counts are better, standard deviations too
+    /// small.
+    ///
+    /// # Errors
+    /// `Pair` if a frame is invalid; `FewPairs` if at most `rank` pairs have enough signal;
+    /// `Eigenvalues` without convergence.
     pub fn with_pairs(
         mut self,
         pairs: &[FramePair<'_>],
@@ -128,7 +143,7 @@ impl ErrorModel {
                 continue;
             }
             let noise = noise_v2 / pair.frames / signal_v2;
-            // A pair tells the more the less noise it has.
+            // The less noise a pair has, the larger its weight.
             let weight = (1.0 + noise / USUAL_ERROR.powi(2)).powi(-2);
             let scale = (weight / signal_v2).sqrt();
             let both = pair.measured_v.iter().zip(pair.modelled_v);
@@ -146,7 +161,7 @@ impl ErrorModel {
         Ok(self)
     }
 
-    /// Splits the covariance of relative errors; `noise` is the noise's share of its trace.
+    /// Splits the covariance of relative errors; `noise` is the share of the noise in its trace.
     fn decompose(
         &mut self,
         errors: &[Vec<f64>],
@@ -184,12 +199,12 @@ impl ErrorModel {
         Ok(())
     }
 
-    /// Channels in a frame.
+    /// Number of channels in a frame.
     pub fn channels(&self) -> usize {
         self.channel_sd_v.len()
     }
 
-    /// The whole relative error, as a share of the signal.
+    /// The total relative error, as a share of the signal.
     pub fn relative(&self) -> f64 {
         let modes: f64 = self.modes.iter().flatten().map(|m| m * m).sum();
         (modes + self.floor * self.floor).sqrt()

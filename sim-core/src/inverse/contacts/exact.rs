@@ -1,4 +1,4 @@
-//! The exact model as a descent wants it: projected frames with their slopes.
+//! The exact model as a descent needs it: projected frames with their slopes.
 //! Uses: `jacobian` (one factor for a frame and all its slopes), `basis`. Never: the table of shapes.
 
 use super::basis::Basis;
@@ -29,7 +29,7 @@ pub(super) struct Exact<'a> {
 }
 
 impl ExactWork {
-    /// The model on this memory, and the memory of descents.
+    /// Returns the model on this memory, and the memory of descents.
     pub fn model<'a>(
         &'a mut self,
         model: &'a ForwardModel,

@@ -1,31 +1,31 @@
-//! What a fit of contacts is asked and what it answers.
+//! Inputs and results of a fit of contacts.
 //! Uses: `forward`'s contacts. Never: a computation.
 
 use crate::batch::BatchError;
 use crate::forward::{Contact, ContactError};
 
-/// Why there is no fitter.
+/// Why a fitter cannot be built.
 #[derive(Debug, thiserror::Error)]
 pub enum FitterError {
     /// The error model is of frames of another length.
     #[error("contact fitter: the error model has {found} channels, the skin {needed}")]
     Channels {
-        /// Channels of the error model.
+        /// Number of channels of the error model.
         found: usize,
-        /// Channels of the skin.
+        /// Number of channels of the skin.
         needed: usize,
     },
     /// An option is outside its limits.
     #[error("contact fitter: {field} = {value}: {limit}")]
     Option {
-        /// Its name.
+        /// Name of the option.
         field: &'static str,
-        /// Its value.
+        /// Value of the option.
         value: f64,
-        /// What is allowed.
+        /// Allowed values.
         limit: &'static str,
     },
-    /// The model refused a load of the tables.
+    /// The model rejected a load of the tables.
     #[error("contact fitter: {0}")]
     Batch(#[from] BatchError),
     /// The eigenvalues did not converge.
@@ -33,52 +33,52 @@ pub enum FitterError {
     Eigenvalues,
 }
 
-/// Why there is no fit.
+/// Why a fit is impossible.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum FitError {
-    /// The frame has another length than the skin's.
+    /// The length of the frame is not that of the skin's frames.
     #[error("fitting contacts: a frame of {found} voltages, the skin has {needed}")]
     Length {
-        /// Voltages found.
+        /// Number of voltages found.
         found: usize,
-        /// Voltages needed.
+        /// Number of voltages needed.
         needed: usize,
     },
-    /// A voltage is no number.
+    /// A voltage is not finite.
     #[error("fitting contacts: voltage {channel} is not a finite number")]
     NotFinite {
-        /// Its channel.
+        /// Index of its channel.
         channel: usize,
     },
-    /// The number of frames is none.
+    /// The number of averaged frames is not a finite number >= 1.
     #[error("fitting contacts: frames = {frames} is not a finite number >= 1")]
     Frames {
-        /// The number.
+        /// The number found.
         frames: f64,
     },
-    /// A proposal is not a contact on this skin.
+    /// A proposal or a contact to refine is not a contact on this skin.
     #[error("fitting contacts: proposal: {0}")]
     Contact(#[from] ContactError),
 }
 
-/// What is believed before a frame is seen, and how much is tried.
+/// Prior of a fit and limits of its effort.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FitOptions {
-    /// Contacts at most.
+    /// Largest number of contacts, at most 12.
     pub most_contacts: usize,
     /// Median of a contact's force before the frame is seen, N.
     pub force_median_n: f64,
-    /// Standard deviation of its logarithm.
+    /// Standard deviation of the logarithm of the force.
     pub force_ln_sd: f64,
-    /// ln of the odds of a contact more.
+    /// ln of the prior odds of one further contact.
     pub ln_odds: f64,
-    /// Contacts are not closer than this, mm: a tip's diameter.
+    /// Smallest distance between contacts, mm: a tip's diameter.
     pub least_distance_mm: f64,
-    /// Hypotheses that are brought to the exact model's frames.
+    /// Number of hypotheses that are compared with frames of the exact model.
     pub finalists: usize,
-    /// Steps of a descent on the exact model at most.
+    /// Largest number of steps of a descent on the exact model.
     pub iterations: usize,
-    /// Decrease of chi-square that no longer matters.
+    /// A descent ends when chi-square decreases by less than this.
     pub tolerance: f64,
 }
 
@@ -102,27 +102,27 @@ impl Default for FitOptions {
 pub struct Observation<'a> {
     /// Voltages, V after gain, offsets taken off.
     pub frame_v: &'a [f64],
-    /// Frames that it is the mean of, >= 1.
+    /// Number of frames in the mean, >= 1.
     pub frames: f64,
 }
 
-/// A contact that somebody proposes.
+/// A contact proposed by the caller, for example by a net.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Proposal {
     /// The contact.
     pub contact: Contact,
-    /// How sure it is, 0 to 1.
+    /// Confidence, 0 to 1.
     pub weight: f64,
 }
 
 impl Proposal {
-    /// Of a contact that was there.
+    /// Proposal of a contact of the previous fit.
     pub(super) fn sure(before: &FittedContact) -> Self {
         Self { contact: before.contact, weight: 1.0 }
     }
 }
 
-/// A contact that a frame shows.
+/// A contact found in a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FittedContact {
     /// The contact.
@@ -135,35 +135,35 @@ pub struct FittedContact {
     pub force_sd_n: f64,
 }
 
-/// How a fit came about.
+/// Origin of a fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Origin {
-    /// By a search of all counts.
+    /// A search over all numbers of contacts.
     Search,
-    /// From the contacts before.
+    /// The contacts of the previous frame.
     Tracked,
 }
 
-/// What a search saw: what comes later is held against it, not against the frame before, since a mean
-/// of more and more frames shows a wrong load little by little.
+/// State at the search that found the contacts. Later fits are compared with it, not with the
+/// previous frame, since a growing mean reveals a wrong load only gradually.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Found {
-    /// Frames that it read the mean of.
+    /// Number of frames in the mean that was searched.
     pub frames: f64,
-    /// [`Fit::inside_chi2`] of what it found.
+    /// [`Fit::inside_chi2`] of the result.
     pub inside_chi2: f64,
-    /// Standard deviation of the force of the contact known worst, as a share of that force.
+    /// Standard deviation of the force of the most uncertain contact, as a share of that force.
     pub worst_share: f64,
 }
 
-/// The contacts of a frame.
+/// The contacts of a frame, with their misfit and evidence.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fit {
-    /// They, strongest first.
+    /// The contacts, strongest first.
     pub contacts: Vec<FittedContact>,
     /// Misfit over the error model, all channels.
     pub chi2: f64,
-    /// What chi-square is expected to be.
+    /// Expected value of chi-square.
     pub degrees_of_freedom: f64,
     /// The part of it in the directions in which frames differ.
     pub inside_chi2: f64,
@@ -173,7 +173,7 @@ pub struct Fit {
     pub rival_score: Option<f64>,
     /// Where it started.
     pub origin: Origin,
-    /// What the search saw that found these contacts.
+    /// State at the search that found these contacts.
     pub found: Found,
     /// Runs of the exact model with its slopes, after the search.
     pub exact_runs: usize,

@@ -1,6 +1,6 @@
 //! Analysis by synthesis: the contacts that explain a frame, by the exact forward model.
 //! Uses: `forward`, `jacobian`, `batch`, an error model. Never: threads, clock, chance, nets (their
-//! proposals are handed in).
+//! proposals are passed in).
 //!
 //! A frame is projected on the few directions in which the model's frames differ (`basis`). A
 //! search over a table of single contacts (`shapes`, `search`) finds hypotheses of every count; the
@@ -28,25 +28,25 @@ use search::{Hypothesis, Search, SearchWork, Sum, closest_mm, same};
 use shapes::{Place, Shapes};
 pub use steady::{Steady, SteadyError, SteadyMean, SteadySettings};
 
-/// Weight below which a proposal is left out.
+/// Proposals with a smaller weight are skipped.
 const LEAST_WEIGHT: f64 = 0.15;
 
-/// Steps of a descent when a load is followed: a frame and its slopes each.
+/// Limits of a descent that tracks a load; each step evaluates a frame and its slopes.
 const TRACKING: Effort = Effort { iterations: 5, tolerance: 0.1 };
 /// Growth of the misfit, in standard deviations of chi-square, that shows a new load.
 const CHANGE_SD: f64 = 4.0;
-/// A contact whose force is known no better than this, as a share of it, may be gone,
+/// A contact whose force has at least this relative standard deviation may have vanished,
 const FADED_SHARE: f64 = 0.5;
-/// unless it was known little better when it was found: so many times worse is a change, and what is
-/// nearly as wide as the prior in any case.
+/// unless its force was hardly better known when it was found: this factor of deterioration counts
+/// as a change, as does a value near the width of the prior.
 const FADED_GROWTH: f64 = 1.5;
 const FADED_MOST: f64 = 0.75;
-/// With so many times as many frames in the mean it may show contacts that it did not.
+/// If the number of frames in the mean grew by this factor, further contacts may be detectable.
 const FRAMES_GROWTH: f64 = 5.0;
-/// How often hypotheses are compared with exact frames.
+/// Number of comparisons of the hypotheses with exact frames.
 const ROUNDS: usize = 3;
 
-/// Fits contacts to the frames of one skin. `Send + Sync`; each thread brings its own [`FitWork`].
+/// Fits contacts to the frames of one skin. `Send + Sync`; each thread needs its own [`FitWork`].
 pub struct ContactFitter {
     model: ForwardModel,
     batch: BatchModel,
@@ -57,7 +57,7 @@ pub struct ContactFitter {
     none: Vec<f64>,
 }
 
-/// Memory of a fit.
+/// Memory of a fit; may be reused.
 #[derive(Default)]
 pub struct FitWork {
     search: SearchWork,
@@ -70,7 +70,11 @@ pub struct FitWork {
 }
 
 impl ContactFitter {
-    /// Works out the tables of a model: some seconds.
+    /// Computes the tables of a model; takes some seconds.
+    ///
+    /// # Errors
+    /// `FitterError` if the error model has other channels, an option is outside its limits, or a
+    /// table cannot be computed.
     pub fn new(
         model: &ForwardModel,
         error: &ErrorModel,
@@ -96,8 +100,11 @@ impl ContactFitter {
         Ok(Self { model: model.clone(), batch, options, basis, shapes, prior, none })
     }
 
-    /// The contacts that explain a frame, from scratch. Proposals are tried beside those that the
-    /// search finds.
+    /// Finds the contacts that explain a frame, without prior contacts. Proposals are tried in
+    /// addition to the starts that the search finds.
+    ///
+    /// # Errors
+    /// `FitError` if the observation is invalid or a proposal is not a contact on this skin.
     pub fn fit(
         &self,
         observation: &Observation<'_>,
@@ -119,8 +126,11 @@ impl ContactFitter {
         Ok(fit)
     }
 
-    /// The contacts that explain a frame, from those of the frame before: some steps of the exact
-    /// model where the load only moved, a new search where it changed.
+    /// Finds the contacts that explain a frame, starting from those of the previous fit: some steps
+    /// of the exact model if the load only moved, a new search if it changed.
+    ///
+    /// # Errors
+    /// `FitError` if the observation is invalid or a contact of `before` is off the skin.
     pub fn track(
         &self,
         observation: &Observation<'_>,
@@ -138,8 +148,8 @@ impl ContactFitter {
         Ok(tracked)
     }
 
-    /// Whether the same contacts may no longer be the load: more is left of a frame than by chance, a
-    /// contact faded, or there is much more to see.
+    /// Whether the tracked contacts may no longer be the load: the residual exceeds chance, a
+    /// contact faded, or the mean has many more frames.
     fn changed(&self, found: &Found, tracked: &Fit) -> bool {
         let free = (self.basis.directions() - EACH * tracked.contacts.len()) as f64;
         let usual = found.inside_chi2.max(free);
@@ -149,7 +159,10 @@ impl ContactFitter {
             || frames >= FRAMES_GROWTH * found.frames
     }
 
-    /// The best fit with as many contacts as these, from where they are.
+    /// Finds the best fit with the same number of contacts, starting from `contacts`.
+    ///
+    /// # Errors
+    /// `FitError` if the observation or a contact is invalid.
     pub fn refine(
         &self,
         observation: &Observation<'_>,
@@ -168,7 +181,7 @@ impl ContactFitter {
         Effort { iterations: self.options.iterations, tolerance: self.options.tolerance }
     }
 
-    /// Directions in which this model's frames differ by more than a part of the noise.
+    /// Number of directions in which this model's frames differ by more than a part of the noise.
     pub fn directions(&self) -> usize {
         self.basis.directions()
     }
@@ -205,8 +218,8 @@ impl ContactFitter {
         search.run(starts, &mut work.search)
     }
 
-    /// Brings hypotheses to the exact model: their frames say what the table's sums lack, and with
-    /// that they are fitted again. Best first in the end, without those that became another.
+    /// Compares hypotheses with the exact model, corrects the table's sums by the difference, and
+    /// fits the hypotheses again. The result is sorted, best first, without duplicates.
     fn approach(
         &self,
         hypotheses: &mut Vec<Hypothesis>,
@@ -268,7 +281,7 @@ impl ContactFitter {
         descend(&problem, &mut model, places, effort, descent)
     }
 
-    /// Finishes places and says what is known of them, as of contacts that were tracked.
+    /// Finishes places and computes their standard deviations; the origin is set to `Tracked`.
     fn report(
         &self,
         mut places: Vec<Place>,
@@ -310,7 +323,7 @@ fn place_of(contact: &Contact) -> Place {
     [contact.x_mm, contact.y_mm, contact.force_n.max(1e-3).ln()]
 }
 
-/// The surest proposals: all that are sure enough, and without the least sure ones.
+/// Starts from the proposals: all with sufficient weight, then without the weakest ones in turn.
 fn starts(proposals: &[Proposal]) -> Vec<Vec<Place>> {
     let mut sorted: Vec<&Proposal> =
         proposals.iter().filter(|p| p.weight >= LEAST_WEIGHT).collect();

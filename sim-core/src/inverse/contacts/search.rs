@@ -1,9 +1,9 @@
-//! Where contacts may be: hypotheses of one contact more and one less, from the table of shapes.
+//! Candidate contacts: hypotheses with one contact more or less, from the table of shapes.
 //! Uses: `shapes`, `descent`. Never: the exact model.
 //!
-//! A beam of hypotheses grows by one contact at a time. Where the next one goes: at every site the
-//! part of a contact's frame that the contacts there cannot imitate is held against the residual.
-//! Each new hypothesis is fitted whole before it is judged.
+//! A beam of hypotheses grows by one contact at a time. The position of the next one: at every site
+//! the part of a contact's frame that the present contacts cannot imitate is compared with the
+//! residual. Each new hypothesis is fitted as a whole before it is ranked.
 
 use super::FitOptions;
 use super::basis::{PAD, Projected, dot};
@@ -11,31 +11,31 @@ use super::descent::{DescentWork, EACH, Effort, Predict, Prior, Problem, descend
 use super::shapes::{Place, Shapes};
 use crate::forward::{ContactError, ForwardModel};
 
-/// Hypotheses of a count that are grown.
+/// Number of hypotheses of each count that are extended.
 const BEAM: usize = 4;
-/// Places tried for the next contact of each.
+/// Number of places tried for the next contact of each hypothesis.
 const PICKS: usize = 6;
-/// Least distance between those places, mm.
+/// Smallest distance between those places, mm.
 const APART_MM: f64 = 30.0;
-/// Force for which a site's shape is taken, N.
+/// Force at which the shape of a site is evaluated, N.
 const SITE_N: f64 = 9.0;
-/// Force that a site's first guess may have, as ln N.
+/// Range of the first estimate of the force at a site, as ln N.
 const FIRST_LN_FORCE: [f64; 2] = [0.7, 4.1];
-/// A count this much worse than the best (in -2 ln evidence) is not grown further.
+/// A count whose score is worse than the best by this (in -2 ln evidence) is not extended.
 const HOPELESS: f64 = 16.0;
-/// Hypotheses whose contacts all lie this close are one, mm.
+/// Hypotheses whose contacts all agree to this distance are the same, mm.
 const SAME_MM: f64 = 8.0;
 pub(super) const EFFORT: Effort = Effort { iterations: 12, tolerance: 0.05 };
 
-/// A load that may be.
+/// A candidate load.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Hypothesis {
     pub places: Vec<Place>,
-    /// -2 ln evidence.
+    /// -2 ln evidence, up to a constant of the frame.
     pub score: f64,
 }
 
-/// Memory of a search.
+/// Memory of a search; may be reused.
 #[derive(Debug, Default)]
 pub(super) struct SearchWork {
     descent: DescentWork,
@@ -50,7 +50,7 @@ pub(super) struct SearchWork {
 pub(super) struct Sum<'a> {
     pub model: &'a ForwardModel,
     pub shapes: &'a Shapes,
-    /// What the sum lacks, at the load where it was last compared with the exact model.
+    /// Difference of the exact model from the sum, at the load of the last comparison.
     pub lacks: &'a [f64],
 }
 
@@ -82,7 +82,10 @@ pub(super) struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// Hypotheses of all counts, best first; `starts` are tried beside those that are found.
+    /// Returns hypotheses of all counts, best first; `starts` are tried in addition to those found.
+    ///
+    /// # Errors
+    /// `ContactError` if the model rejects a contact.
     pub fn run(
         &self,
         starts: &[Vec<Place>],
@@ -106,7 +109,7 @@ impl Search<'_> {
                 }
             }
         }
-        // Backwards: without each contact of the larger ones.
+        // Backwards: each larger hypothesis without one of its contacts.
         for count in (1..=self.options.most_contacts).rev() {
             for parent in levels[count].iter().take(1).cloned().collect::<Vec<_>>() {
                 for without in 0..count {
@@ -121,7 +124,7 @@ impl Search<'_> {
         Ok(all)
     }
 
-    /// Fits a hypothesis and files it under its count, best first.
+    /// Fits a hypothesis and stores it under its count, best first.
     fn judge(
         &self,
         mut places: Vec<Place>,
@@ -151,7 +154,7 @@ impl Search<'_> {
         Problem { z: &self.frame.z, weights: &self.frame.weights, prior: self.prior }
     }
 
-    /// The hypotheses with one contact more, where the residual asks for it.
+    /// The hypotheses with one further contact, at the sites with the largest gain.
     fn grown(
         &self,
         parent: &Hypothesis,
@@ -179,8 +182,8 @@ impl Search<'_> {
         Ok(children)
     }
 
-    /// For every site: how much a contact there would lower the misfit if the others made room for
-    /// it, to first order, and with which strength.
+    /// For every site: the decrease of the misfit by a contact there, to first order and with the
+    /// other contacts adapting, and its strength.
     fn gains(&self, places: &[Place], work: &mut SearchWork) -> Result<(), ContactError> {
         let mut places = places.to_vec();
         let mut sum = Sum { model: self.model, shapes: self.shapes, lacks: self.none };
@@ -249,7 +252,7 @@ pub(super) fn closest_mm(places: &[Place]) -> f64 {
     pairs.fold(f64::INFINITY, f64::min)
 }
 
-/// Whether two hypotheses of one count say the same.
+/// Whether two hypotheses with the same number of contacts are equal up to [`SAME_MM`].
 pub(super) fn same(a: &[Place], b: &[Place]) -> bool {
     a.len() == b.len()
         && a.iter().all(|p| b.iter().any(|q| (p[0] - q[0]).hypot(p[1] - q[1]) < SAME_MM))

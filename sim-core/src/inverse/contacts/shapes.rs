@@ -1,11 +1,11 @@
-//! What a contact anywhere, of any force, adds to a projected frame: a table, for searching.
-//! Uses: the batch model, the lattice under the tips, the basis. Never: the last word (contacts are
-//! finished with the exact model).
+//! Table of the contribution of a contact at any position, with any force, to a projected frame.
+//! Uses: the batch model, the lattice under the tips, the basis. Never: final results (the exact
+//! model refines the contacts).
 //!
-//! The table holds the frame of one contact on each node of the lattice at some forces, divided by
-//! the strength of a reference contact of that force. Between nodes it is linear in the lattice's
-//! triangles, between forces linear in ln F. Frames of several contacts are taken for the sum: what
-//! is wrong with that is small, and known after one exact frame ([`super::search`]).
+//! The table contains the frame of one contact on each node of the lattice at some forces, divided
+//! by the strength of a reference contact of that force. Between nodes it is linear in the
+//! lattice's triangles, between forces linear in ln F. Frames of several contacts are approximated
+//! by the sum: the error is small, and known after one exact frame ([`super::search`]).
 
 use super::FitterError;
 use super::basis::{Basis, dot};
@@ -14,7 +14,7 @@ use crate::forward::{Contact, ForwardModel};
 
 /// Forces of the table, N.
 const LEVELS_N: [f64; 8] = [1.5, 3.0, 5.5, 9.0, 15.0, 24.0, 40.0, 80.0];
-/// Forces of the reference contact, N: ends, and steps between them.
+/// Smallest and largest force of the reference contact, N, and the number of steps between them.
 const STRENGTH_N: [f64; 2] = [0.2, 160.0];
 const STRENGTH_STEPS: usize = 64;
 /// Trials in a batch.
@@ -32,19 +32,22 @@ pub(super) fn contact([x_mm, y_mm, ln_force]: Place) -> Contact {
 #[derive(Debug, Clone)]
 pub(super) struct Shapes {
     width: usize,
-    /// `[(node * levels + level) * width + number]`.
+    /// `[(node * levels + level) * width + number]`, per strength.
     table: Vec<f32>,
     /// ln of the reference contact's strength, evenly spaced in ln F.
     strength: Vec<f64>,
-    /// Nodes at which a search looks: every third, the points among them.
+    /// Nodes of a search: every third node, the points included.
     sites: Vec<u32>,
     sites_mm: Vec<[f64; 2]>,
-    /// Limits of a contact's place, mm: `[axis][end]`.
+    /// Limits of a contact's position, mm: `[axis][end]`.
     pub limits_mm: [[f64; 2]; 2],
 }
 
 impl Shapes {
-    /// Works the table out: some seconds.
+    /// Computes the table; takes some seconds.
+    ///
+    /// # Errors
+    /// `FitterError::Batch` if the model rejects a load of the table.
     pub fn new(
         model: &ForwardModel,
         batch: &BatchModel,
@@ -89,12 +92,12 @@ impl Shapes {
         Ok(shapes)
     }
 
-    /// Places at which a search looks, mm.
+    /// Positions of the sites of a search, mm.
     pub fn sites_mm(&self) -> &[[f64; 2]] {
         &self.sites_mm
     }
 
-    /// A site's frame at the table's force nearest to `ln_force`, per strength.
+    /// Frame of a site at the force of the table nearest to `ln_force`, per strength.
     pub fn of_site(&self, site: usize, ln_force: f64) -> &[f32] {
         let distance = |level: &usize| (LEVELS_N[*level].ln() - ln_force).abs();
         let level = (0..LEVELS_N.len())
@@ -107,7 +110,7 @@ impl Shapes {
         &self.table[(node as usize * LEVELS_N.len() + level) * self.width..][..self.width]
     }
 
-    /// Strength of the reference contact, and its slope in ln F over itself.
+    /// Strength of the reference contact, and its relative slope in ln F.
     pub fn strength(&self, ln_force: f64) -> (f64, f64) {
         let [low, high] = STRENGTH_N.map(f64::ln);
         let step = (high - low) / STRENGTH_STEPS as f64;
@@ -119,7 +122,7 @@ impl Shapes {
         ((a + (b - a) * (place - cell as f64 + beyond)).exp(), slope)
     }
 
-    /// The force whose strength this is, as ln F.
+    /// Force that has a given strength, as ln F.
     pub fn ln_force_of(&self, strength: f64) -> f64 {
         let [low, high] = STRENGTH_N.map(f64::ln);
         let step = (high - low) / STRENGTH_STEPS as f64;
@@ -129,7 +132,8 @@ impl Shapes {
         (low + step * (cell as f64 + (ln - a) / (b - a))).clamp(low, high)
     }
 
-    /// Adds a contact's frame to `sum`, and writes its slopes in x, y and ln F (each `width` long).
+    /// Adds a contact's frame to `sum`, and writes its slopes in x, y and ln F (each of `width`
+    /// values).
     pub fn add(&self, model: &ForwardModel, place: Place, sum: &mut [f64], slopes: &mut [f64]) {
         let [x_mm, y_mm, ln_force] = place;
         let (strength, rise) = self.strength(ln_force);
@@ -138,7 +142,7 @@ impl Shapes {
         let step = ends[level + 1] - ends[level];
         let raw = (ln_force - ends[level]) / step;
         let share = raw.clamp(0.0, 1.0);
-        // Per ln F: the strength grows, and the shape moves towards the next level.
+        // Per ln F: the strength grows, and the shape changes towards the next level.
         let moves = if raw == share { 1.0 / step } else { 0.0 };
         let mix = [strength * (1.0 - share), strength * share];
         let grow = [rise * mix[0] - strength * moves, rise * mix[1] + strength * moves];
@@ -191,7 +195,7 @@ impl Runs<'_> {
         Ok(())
     }
 
-    /// ln of a reference contact's projected length, evenly in ln F.
+    /// ln of the projected length of a reference contact, at even steps of ln F.
     fn strength(
         &mut self,
         model: &ForwardModel,

@@ -1,68 +1,68 @@
-//! The mean of frames for as long as the load is still.
-//! Uses: nothing. PURE. Never: how a load looks.
+//! The running mean of frames while the load does not change.
+//! Uses: nothing. PURE. Never: the contacts of a load.
 //!
-//! A frame belongs to the mean while its distance from it is what noise explains: with `d` the
-//! frame less the mean of n, `sum (d / sd)^2 / (1 + 1/n)` is chi-square of as many degrees of freedom
-//! as there are channels. A change too small for one frame shows in the mean of the last ones: the
-//! same test runs on the newest frames together against those before them. A slow drift of the gain
-//! is let pass by a share of the signal that is no change.
+//! A frame belongs to the mean while noise explains its distance from it: with `d` the frame minus
+//! the mean of n frames, `sum (d / sd)^2 / (1 + 1/n)` is chi-square with as many degrees of freedom
+//! as there are channels. A change too small for one frame is detected in the mean of the last
+//! ones: the same test compares the newest frames together with those before them. A slow drift of
+//! the gain up to a share of the signal does not count as a change.
 
-/// What is wrong with a frame, or with the settings.
+/// Why a frame or the settings are rejected.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum SteadyError {
     /// A setting is not a positive number.
     #[error("still frames: {field} = {value} is not a finite number > 0")]
     Setting {
-        /// Its name.
+        /// Name of the setting.
         field: &'static str,
-        /// Its value.
+        /// Value of the setting.
         value: f64,
     },
-    /// The frame has another length than those before.
+    /// The length of the frame differs from that of the earlier ones.
     #[error("still frames: a frame of {found} voltages, {needed} needed")]
     Length {
-        /// Voltages found.
+        /// Number of voltages found.
         found: usize,
-        /// Voltages needed.
+        /// Number of voltages needed.
         needed: usize,
     },
-    /// A voltage is no number.
+    /// A voltage is not finite.
     #[error("still frames: voltage {channel} is not a finite number")]
     NotFinite {
-        /// Its channel.
+        /// Index of its channel.
         channel: usize,
     },
 }
 
-/// When frames count as one load.
+/// Criterion by which frames belong to one load.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SteadySettings {
     /// Standard deviation of the noise of one reading, V.
     pub noise_sd_v: f64,
-    /// Change that does not count, as a share of the signal: drift of the gain.
+    /// Largest drift of the gain that is not a change, as a share of the signal.
     pub drift_share: f64,
-    /// How many standard deviations of chi-square a change is.
+    /// Size of a change, in standard deviations of chi-square.
     pub limit_sd: f64,
-    /// Frames in the mean at most; beyond, old ones fade.
+    /// Largest number of frames in the mean; beyond it, the weight of old ones decays.
     pub most_frames: usize,
 }
 
 impl SteadySettings {
-    /// For a noise, V: 1 % of drift, five standard deviations, 30 frames (one second).
+    /// Settings for a noise, V: 1 % of drift, five standard deviations, 30 frames (one second).
     pub fn of_noise(noise_sd_v: f64) -> Self {
         Self { noise_sd_v, drift_share: 0.01, limit_sd: 5.0, most_frames: 30 }
     }
 }
 
-/// Frames that are looked at together beside each one alone.
+/// Number of newest frames that are tested together, in addition to the test of each frame.
 const RECENT: usize = 4;
 
-/// The running mean of a still load.
+/// The running mean of a constant load.
 #[derive(Debug, Clone)]
 pub struct Steady {
     settings: SteadySettings,
     mean_v: Vec<f64>,
-    /// Frames whose mean would have the noise of `mean_v`.
+    /// Number of frames whose mean would have the noise of `mean_v`.
     frames: f64,
     /// The newest frames, not yet in `mean_v`, oldest first.
     recent_v: Vec<Vec<f64>>,
@@ -74,15 +74,18 @@ pub struct Steady {
 pub struct SteadyMean<'a> {
     /// Mean of the frames of this load, V.
     pub mean_v: &'a [f64],
-    /// Its noise is that of one frame over the square root of this; so many are in it, or more where
-    /// old ones fade.
+    /// Effective number of frames: the noise of the mean is that of one frame over the square root
+    /// of this.
     pub frames: f64,
-    /// Whether this frame showed a new load.
+    /// Whether this frame started a new load.
     pub changed: bool,
 }
 
 impl Steady {
-    /// No frames yet, of `channels` voltages.
+    /// Starts without frames, for frames of `channels` voltages.
+    ///
+    /// # Errors
+    /// `SteadyError::Setting` if a setting is not positive and finite, or the drift is -1 or less.
     pub fn new(channels: usize, settings: SteadySettings) -> Result<Self, SteadyError> {
         for (field, value) in [
             ("noise_sd_v", settings.noise_sd_v),
@@ -103,13 +106,16 @@ impl Steady {
         })
     }
 
-    /// Forgets all frames.
+    /// Removes all frames.
     pub fn reset(&mut self) {
         self.frames = 0.0;
         self.recent_v.clear();
     }
 
-    /// Takes a frame, V. After an error nothing has changed.
+    /// Adds a frame, V. After an error the state is unchanged.
+    ///
+    /// # Errors
+    /// `SteadyError::Length` or `SteadyError::NotFinite` if the frame is invalid.
     pub fn push(&mut self, frame_v: &[f64]) -> Result<SteadyMean<'_>, SteadyError> {
         let needed = self.mean_v.len();
         if frame_v.len() != needed {
@@ -138,7 +144,7 @@ impl Steady {
         Ok(SteadyMean { mean_v: &self.all_v, frames, changed })
     }
 
-    /// Starts again from the newest frames when together they differ from those before.
+    /// Restarts from the newest frames if their mean differs from that of the earlier ones.
     fn drop_if_recent_differ(&mut self) -> bool {
         if self.frames == 0.0 || self.recent_v.len() < RECENT {
             return false;
@@ -151,7 +157,7 @@ impl Steady {
         changed
     }
 
-    /// Whether the means of so many frames are of different loads.
+    /// Whether the means of `old` and `new` frames are of different loads.
     fn differs(&self, old_v: &[f64], old: f64, new_v: &[f64], new: f64) -> bool {
         let noise_v2 = self.settings.noise_sd_v.powi(2) * (1.0 / old + 1.0 / new);
         let signal_v2: f64 = old_v.iter().map(|v| v * v).sum();
@@ -162,8 +168,8 @@ impl Steady {
         distance > limit * noise_v2 + drift_v2
     }
 
-    /// Takes a frame into the mean; a full one forgets so fast that its noise stays that of as many
-    /// frames.
+    /// Adds a frame to the mean; once the mean is full, old frames decay at a rate that keeps its
+    /// noise that of the same number of frames.
     fn absorb(&mut self, frame_v: &[f64]) {
         let most = self.settings.most_frames.saturating_sub(RECENT).max(1) as f64;
         let share = (1.0 / (self.frames + 1.0)).max(2.0 / (most + 1.0));
@@ -172,7 +178,7 @@ impl Steady {
         self.mean_v.iter_mut().zip(frame_v).for_each(|(m, v)| *m += share * (v - *m));
     }
 
-    /// Mean of all frames into `all_v`.
+    /// Writes the mean of all frames to `all_v`.
     fn mix(&mut self) {
         let frames = self.frames + self.recent_v.len() as f64;
         let old = if self.frames > 0.0 { self.frames / frames } else { 0.0 };

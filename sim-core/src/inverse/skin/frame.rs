@@ -1,10 +1,10 @@
-//! What one trial says about the parameters: its share of the normal equations, or of the cost.
+//! Contribution of one trial to the normal equations, or to the cost.
 //! Uses: `jacobian`, faer's dense product. Never: other trials, threads.
 //!
-//! `r = v - offset - model`. What no model of the skin can know (tilted tips, cells, drift) is a trial's
-//! own: small moves of its contacts, changes of their forces and of the gain, each with its standard
-//! deviation, eliminated from the trial's equations (a Schur complement). What is left has variance
-//! `noise^2 + (error |v|)^2 / directions`.
+//! `r = v - offset - model`. Effects that no model of the skin can contain (tilted tips, cells,
+//! drift) are unknowns of the trial: small shifts of its contacts, changes of their forces and of
+//! the gain, each with its standard deviation, eliminated from the trial's equations (a Schur
+//! complement). The residual has variance `noise^2 + (error |v|)^2 / directions`.
 
 use faer::linalg::matmul::triangular::{BlockStructure, matmul};
 use faer::linalg::solvers::{Llt, Solve};
@@ -16,10 +16,10 @@ use super::{MeasuredTrial, SkinFitError, TrialErrors};
 use crate::forward::ForwardModel;
 use crate::jacobian::{CONTACT_PARAMETERS, Field, JacobianWork, Linearised, Mode};
 
-/// A node counts where it carries at least this share of all conductance to the top.
+/// A node is included if it carries at least this share of the total conductance to the top.
 const LEAST_SHARE: f64 = 3e-6;
 
-/// Memory of one thread.
+/// Memory of one thread; may be reused.
 #[derive(Default)]
 pub(super) struct FrameWork {
     jacobian: JacobianWork,
@@ -30,9 +30,9 @@ pub(super) struct FrameWork {
     gram: Vec<f64>,
 }
 
-/// A trial's share of the normal equations.
+/// Contribution of a trial to the normal equations.
 pub(super) struct FrameTerms {
-    /// The parameters that it says something about.
+    /// Indices of the parameters that affect its frame.
     pub active: Vec<u32>,
     /// J' W J over them, column-major; only the lower triangle is filled.
     pub gram: Vec<f64>,
@@ -41,8 +41,8 @@ pub(super) struct FrameTerms {
 }
 
 impl FrameTerms {
-    /// Adds it to the normal equations (lower triangle) and their right side, in units of so much of
-    /// each parameter.
+    /// Adds the contribution to the normal equations (lower triangle) and their right side; `scale`
+    /// is the unit of each parameter.
     pub fn add_to(&self, normal: &mut Mat<f64>, pull: &mut [f64], scale: &[f64]) {
         for (j, column) in self.gram.chunks_exact(self.active.len()).enumerate() {
             let at = self.active[j] as usize;
@@ -55,20 +55,20 @@ impl FrameTerms {
     }
 }
 
-/// Columns of a trial, in standard deviations of its readings: its own unknowns, the parameters that it
-/// says something about, the residual.
+/// Columns of a trial, in standard deviations of its readings: the trial's unknowns, the parameters
+/// that affect its frame, the residual.
 pub(super) struct WhiteColumns {
     pub channels: usize,
     pub unknowns: usize,
-    /// One column after the other.
+    /// Columns one after the other.
     pub values: Vec<f32>,
-    /// Standard deviations in a volt.
+    /// Standard deviations per volt.
     pub per_volt: f64,
 }
 
 /// A trial's residual and misfit.
 pub(super) struct FrameMisfit {
-    /// Mean of `r^2 / variance` over channels: about 1 where model and errors are as stated.
+    /// Mean of `r^2 / variance` over channels: about 1 if model and errors are as stated.
     pub misfit: f64,
     /// Measured minus modelled, before the offset, V.
     pub residual_v: Vec<f64>,
@@ -76,7 +76,7 @@ pub(super) struct FrameMisfit {
     pub variance: f64,
 }
 
-/// What is the same for all trials of a pass.
+/// Data shared by all trials of a pass.
 pub(super) struct Pass<'a> {
     pub parameters: &'a Parameters,
     pub model: &'a ForwardModel,
@@ -87,7 +87,10 @@ pub(super) struct Pass<'a> {
 }
 
 impl Pass<'_> {
-    /// The misfit at this model.
+    /// Computes the misfit at this model.
+    ///
+    /// # Errors
+    /// `SkinFitError::Contact` if the model rejects a contact.
     pub fn misfit(
         &self,
         trial: &MeasuredTrial,
@@ -110,7 +113,8 @@ impl Pass<'_> {
         Ok(FrameMisfit { misfit, residual_v, variance })
     }
 
-    /// Columns of a trial's own unknowns, each for one standard deviation; returns their number.
+    /// Writes the columns of a trial's unknowns, each for one standard deviation; returns their
+    /// number.
     fn unknowns(
         &self,
         trial: &MeasuredTrial,
@@ -132,7 +136,10 @@ impl Pass<'_> {
         CONTACT_PARAMETERS * trial.contacts.len() + 1
     }
 
-    /// The share of the normal equations, weighted by a factor.
+    /// Computes the contribution to the normal equations, weighted by a factor.
+    ///
+    /// # Errors
+    /// `SkinFitError::Contact` if the model rejects a contact.
     pub fn terms(
         &self,
         trial: &MeasuredTrial,
@@ -165,7 +172,10 @@ impl Pass<'_> {
         Ok(FrameTerms { active, gram, pull })
     }
 
-    /// The same, with the columns that it is made of.
+    /// As [`Self::terms`], with the columns from which the contribution is computed.
+    ///
+    /// # Errors
+    /// `SkinFitError::Contact` if the model rejects a contact.
     pub fn terms_and_columns(
         &self,
         trial: &MeasuredTrial,
@@ -182,7 +192,7 @@ impl Pass<'_> {
         Ok((terms, columns))
     }
 
-    /// The modes of the foam's law: they move compressions, as the compliance does.
+    /// The modes of the foam's law: they change compressions, as the compliance does.
     fn law_modes(&self, linear: &Linearised<'_>, modes: &mut Vec<Mode>, active: &mut Vec<u32>) {
         let first = modes.len();
         let piece = |_| Mode { field: Field::LnCompliance, entries: Vec::new() };
@@ -203,7 +213,7 @@ impl Pass<'_> {
         }
     }
 
-    /// The modes of the foam's fields that this load reaches, restricted to the nodes it presses.
+    /// The modes of the foam's fields that affect this load, restricted to the nodes it presses.
     fn foam_modes(
         &self,
         to_top_s: &[f64],
@@ -238,12 +248,12 @@ fn residual(trial: &MeasuredTrial, modelled_v: &[f64]) -> Vec<f64> {
     trial.frame_v.iter().zip(modelled_v).map(|(v, m)| f64::from(*v) - m).collect()
 }
 
-/// Conductance below which a node is left out, S.
+/// Conductance below which a node is skipped, S.
 fn least_s(to_top_s: &[f64]) -> f64 {
     LEAST_SHARE * to_top_s.iter().sum::<f64>()
 }
 
-/// The equations of a trial's own unknowns, which come first: their products and their prior, which is
+/// The equations of a trial's unknowns, which come first: their products and their prior, which is
 /// the identity.
 fn own(gram: &[f64], count: usize, unknowns: usize) -> Llt<f64> {
     let product = |i: usize, j: usize| gram[i.min(j) * count + i.max(j)];
@@ -252,7 +262,7 @@ fn own(gram: &[f64], count: usize, unknowns: usize) -> Llt<f64> {
     whole.llt(Side::Lower).expect("a Gram matrix and the identity are positive definite")
 }
 
-/// Takes the first unknowns out of the equations: of the rest, the lower triangle is right after it.
+/// Eliminates the first unknowns from the equations; of the rest, the lower triangle is valid.
 fn eliminate(gram: &mut [f64], count: usize, unknowns: usize) {
     let factor = own(gram, count, unknowns);
     let rest = count - unknowns;

@@ -1,10 +1,10 @@
-//! The skin behind measured trials: fields, electrodes, resistances and offsets, fitted by
+//! The skin that explains measured trials: fields, electrodes, resistances and offsets, fitted by
 //! Gauss-Newton steps with the adjoint Jacobian.
 //! Uses: `forward`, `jacobian`, `skin`, faer. Never: files, a clock, chance.
 //!
-//! `cost = sum over trials of rho(r^2 / variance) + prior`. rho is Huber's on the root of a trial's misfit, so
-//! that a bad frame pulls no harder than a bad one at its edge. Trials are added in their order: the
-//! result does not depend on the number of threads.
+//! `cost = sum over trials of rho(r^2 / variance) + prior`. rho is Huber's function of the root of
+//! a trial's misfit: the pull of a bad frame does not exceed that of one at the edge. Trials are
+//! added in their order: the result does not depend on the number of threads.
 
 mod frame;
 mod parameters;
@@ -28,55 +28,56 @@ use crate::skin::{FieldPrior, FvuSummary, SkinElectrodes, SkinFields, rounded};
 use parameters::Parameters;
 use sweep::{Misfits, Sweep};
 
-/// A step that lowers the cost by less than this share is the last.
+/// The fit ends after a step that lowers the cost by less than this share.
 const ENOUGH: f64 = 2e-3;
-/// Steps in which electrodes are looked for: at first the rest is too far off to tell a wrong place by.
+/// Steps in which electrode positions are searched: in the first step the other parameters are too
+/// inaccurate for it.
 const PLACING: [usize; 2] = [2, 4];
-/// Largest change of ln of an electrode's resistance in a step: voltages are linear in the resistance
-/// itself, so that a loose electrode's logarithm would run away to an open end.
+/// Largest change of ln of an electrode's resistance in a step: voltages are linear in the
+/// resistance itself, so that the logarithm of a loose electrode would diverge to an open circuit.
 const RESISTANCE_STEP: f64 = 1.0;
-/// With more damping than this no step would be worth its pass.
+/// Damping above which a step is not worth its pass.
 const MOST_DAMPING: f64 = 1e3;
-/// Noise is taken to be at least this, V: a converter's step.
+/// Lower limit of the noise, V: a converter's step.
 const LEAST_NOISE_V: f64 = 1e-5;
 
 /// One measured trial.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MeasuredTrial {
-    /// What pressed; none on an untouched skin, which tells the offsets.
+    /// Contacts that pressed the skin; empty for an untouched skin, which determines the offsets.
     pub contacts: Vec<Contact>,
     /// The frame, V after gain.
     pub frame_v: Vec<f32>,
 }
 
-/// What is expected of a skin before it is measured.
+/// Prior of a skin before it is measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SkinPrior {
-    /// Of ln a.
+    /// Prior of ln a.
     pub ln_a: FieldPrior,
-    /// Of ln b.
+    /// Prior of ln b.
     pub ln_b: FieldPrior,
-    /// Of ln c.
+    /// Prior of ln c.
     pub ln_c: FieldPrior,
-    /// Of ln compliance.
+    /// Prior of ln compliance.
     pub ln_compliance: FieldPrior,
-    /// Of ln sheet conductance.
+    /// Prior of ln sheet conductance.
     pub ln_sheet_conductance: FieldPrior,
-    /// Of the logarithm of the foam law's slope.
+    /// Standard deviation of the logarithm of the foam law's slope.
     pub foam_sd: f64,
-    /// Over which compression that forgets, mm.
+    /// Correlation length of that slope, mm of compression.
     pub foam_mm: f64,
-    /// Electrodes off their places, mm per axis.
+    /// Standard deviation of an electrode's position, mm per axis.
     pub electrode_sd_mm: f64,
     /// Median contact resistance, ohm.
     pub contact_ohm: f64,
-    /// Spread of its logarithm.
+    /// Standard deviation of ln of the contact resistance.
     pub contact_ln_sd: f64,
     /// Median lead resistance, ohm.
     pub lead_ohm: f64,
-    /// Spread of its logarithm.
+    /// Standard deviation of ln of the lead resistance.
     pub lead_ln_sd: f64,
-    /// Offset of a channel, V.
+    /// Standard deviation of a channel's offset, V.
     pub offset_sd_v: f64,
 }
 
@@ -113,21 +114,21 @@ impl SkinPrior {
     }
 }
 
-/// How far a trial may be from a perfect model: what no skin explains (tilted tips, load cells, drift)
-/// moves what seems to press, and is looked for in each trial; the rest is noise.
+/// Errors of a trial under a perfect model: effects that no skin explains (tilted tips, load cells,
+/// drift) shift the apparent contacts and are estimated for each trial; the rest is noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrialErrors {
     /// Standard deviation of a reading, V.
     pub noise_v: f64,
-    /// By how much a contact may seem to stand elsewhere, mm per axis.
+    /// Standard deviation of the apparent position of a contact, mm per axis.
     pub place_mm: f64,
-    /// By how much it may seem to press more or less, as a share of its force.
+    /// Standard deviation of the apparent force of a contact, as a share of it.
     pub force_share: f64,
-    /// By how much a whole frame may seem larger or smaller, as a share of it.
+    /// Standard deviation of the apparent gain of a frame, as a share.
     pub gain_share: f64,
-    /// What is then left, as a share of a frame's norm.
+    /// Residual error, as a share of a frame's norm.
     pub model_error: f64,
-    /// In how many independent directions of the frame that is: far fewer than it has channels.
+    /// Number of independent directions of the residual error: far fewer than channels.
     pub directions: f64,
 }
 
@@ -151,23 +152,23 @@ impl TrialErrors {
     }
 }
 
-/// How to fit.
+/// Options of a fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SkinFitOptions {
-    /// What is expected.
+    /// Prior of the parameters.
     pub prior: SkinPrior,
-    /// The weights.
+    /// Errors of the trials, which determine the weights.
     pub errors: TrialErrors,
-    /// Corners of the finest fields are at most so far apart, mm; see [`spacing_mm`].
+    /// Largest distance between corners of the finest fields, mm; see [`spacing_mm`].
     pub spacing_mm: f64,
-    /// Most Gauss-Newton steps.
+    /// Largest number of Gauss-Newton steps.
     pub steps: usize,
-    /// Threads; the result does not depend on them.
+    /// Number of threads; the result does not depend on it.
     pub threads: usize,
 }
 
 impl SkinFitOptions {
-    /// Defaults for so many trials.
+    /// Defaults for the number of trials.
     pub fn for_trials(trials: usize, threads: usize) -> Self {
         Self {
             prior: SkinPrior::default(),
@@ -179,7 +180,7 @@ impl SkinFitOptions {
     }
 }
 
-/// Spacing of the finest fields for so many trials, mm: finer when there is more to tell them.
+/// Spacing of the finest fields, mm: finer for more trials.
 pub fn spacing_mm(trials: usize) -> f64 {
     match trials {
         0..500 => 45.0,
@@ -188,42 +189,42 @@ pub fn spacing_mm(trials: usize) -> f64 {
     }
 }
 
-/// How far a fit is.
+/// Progress of a fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SkinProgress {
-    /// Steps done.
+    /// The current step, from 1.
     pub step: usize,
-    /// Most steps.
+    /// Largest number of steps.
     pub steps: usize,
-    /// Cost so far; `None` in the first step.
+    /// Cost after the previous step; `None` in the first step.
     pub cost: Option<f64>,
-    /// Work done of this step, as trials; a step goes over all of them three times, and twice that where
-    /// electrodes are looked for.
+    /// Trials processed in this step; a step processes all of them three times, and six times if
+    /// electrode positions are searched.
     pub done: usize,
-    /// Work of this step.
+    /// Number of trials to process in this step.
     pub total: usize,
 }
 
-/// Why there is no fit.
+/// Why a fit failed.
 #[derive(Debug, thiserror::Error)]
 pub enum SkinFitError {
-    /// No trials.
+    /// There are no trials with a contact.
     #[error("fitting a skin: no trials with a contact")]
     NoTrials,
-    /// A frame has another length than the sensor's, or is not finite.
+    /// The length of a frame is not that of the sensor's frames, or a value is not finite.
     #[error("fitting a skin: trial {trial}: {found} finite voltages, the sensor has {needed}")]
     Frame {
         /// Index of the trial.
         trial: usize,
-        /// Finite voltages found.
+        /// Number of finite voltages found.
         found: usize,
-        /// Voltages needed.
+        /// Number of voltages needed.
         needed: usize,
     },
-    /// A contact that the model does not take.
+    /// The model rejects a contact.
     #[error("fitting a skin: {0}")]
     Contact(#[from] ContactError),
-    /// A skin on the way could not be built.
+    /// The model of an intermediate skin cannot be built.
     #[error("fitting a skin: {0}")]
     Model(#[from] ModelError),
     /// A field's prior has no inverse: a standard deviation or length is not positive.
@@ -235,30 +236,33 @@ pub enum SkinFitError {
     /// The normal equations have no solution.
     #[error("fitting a skin: step {step}: the normal equations are not positive definite")]
     Normal {
-        /// The step.
+        /// Number of the step, from 1.
         step: usize,
     },
 }
 
-/// A fitted skin.
+/// Result of a fit.
 #[derive(Debug, Clone)]
 pub struct SkinFit {
-    /// The fields.
+    /// The fitted fields.
     pub fields: SkinFields,
-    /// The electrodes.
+    /// The fitted electrodes.
     pub electrodes: SkinElectrodes,
     /// Offset of each channel, mV.
     pub offsets_mv: Vec<f64>,
-    /// Parameters fitted.
+    /// Number of fitted parameters.
     pub parameters: usize,
     /// Cost before the first step and after each.
     pub costs: Vec<f64>,
-    /// Trials of contacts (by index) that counted for less than half.
+    /// Indices of the trials with contacts whose weight is below one half.
     pub doubted: Vec<usize>,
 }
 
 impl SkinFit {
-    /// The model of the fitted skin, as a calibration file of it gives it.
+    /// Builds the model of the fitted skin, as a calibration file would describe it.
+    ///
+    /// # Errors
+    /// `ModelError` if the mesh, the foam's law or an electrode is invalid.
     pub fn model(
         &self,
         sensor: &Sensor,
@@ -269,8 +273,11 @@ impl SkinFit {
     }
 }
 
-/// Fits a skin to trials. `sensor` holds what is known of all such skins (its file, a calibration of
-/// Eq. 1 and moduli); `responses` are its own.
+/// Fits a skin to trials. `sensor` describes all such skins (its file, a calibration of Eq. 1 and
+/// moduli); `responses` must be those of the sensor.
+///
+/// # Errors
+/// `SkinFitError` if the trials or the prior are invalid, or a step has no solution.
 pub fn fit(
     sensor: &Sensor,
     responses: Arc<UnitResponses>,
@@ -328,7 +335,7 @@ struct Step {
     vector: Vec<f64>,
     model: ForwardModel,
     there: Misfits,
-    /// Weight of each trial.
+    /// Weight of each trial, 0 to 1.
     factors: Vec<f64>,
     edge: f64,
     before: f64,
@@ -337,14 +344,14 @@ struct Step {
 }
 
 impl Step {
-    /// Whether it leads to a lower cost than another, by the other's doubts.
+    /// Whether the step has a lower cost than another, with the other's edge of doubt.
     fn is_better(&self, other: &Self, parameters: &Parameters) -> bool {
         let cost = |s: &Self| s.there.cost(other.edge) + parameters.prior_cost(&s.vector);
         cost(self) < cost(other)
     }
 }
 
-/// The Gauss-Newton step from a vector, as short as it must be; `None` where none lowers the cost.
+/// The Gauss-Newton step from a vector, shortened as needed; `None` if none lowers the cost.
 fn stepped(
     sweep: &mut Sweep<'_>,
     vector: &[f64],
@@ -375,7 +382,7 @@ fn stepped(
     Ok(None)
 }
 
-/// `(J'WJ + P + damping diag) d = J'Wr - P x`.
+/// Solves `(J'WJ + P + damping diag) d = J'Wr - P x`.
 fn solve(
     parameters: &Parameters,
     normal: &Mat<f64>,
@@ -388,7 +395,7 @@ fn solve(
         whole[(i, i)] *= 1.0 + damping;
     }
     let mut prior = parameters.prior_pull(vector);
-    // Places are looked for, not stepped to.
+    // Positions are searched, not stepped.
     prior[parameters.places_at()].fill(0.0);
     let right = Mat::from_fn(pull.len(), 1, |i, _| pull[i] - prior[i]);
     let factor = whole.llt(Side::Lower).ok()?;
@@ -412,8 +419,8 @@ fn check(sensor: &Sensor, trials: &[MeasuredTrial]) -> Result<(), SkinFitError> 
     Ok(())
 }
 
-/// Standard deviation of a reading, V, as frames show it themselves: the differences around each
-/// injection's ring sum to zero but for noise. `None` without frames.
+/// Standard deviation of a reading, V, estimated from frames: the differences around each
+/// injection's ring sum to zero except for noise. `None` without frames.
 pub fn noise_v(trials: &[MeasuredTrial]) -> Option<f64> {
     let ring = |frame: &[f32]| frame.iter().map(|&v| f64::from(v)).sum::<f64>().abs();
     let mut sums = Vec::new();
@@ -437,13 +444,16 @@ pub fn fvu(measured_v: &[f32], modelled_v: &[f64]) -> f64 {
 }
 
 /// FVU of a model on each trial.
+///
+/// # Errors
+/// `ContactError` if the model rejects a contact.
 pub fn fvus(model: &ForwardModel, trials: &[MeasuredTrial]) -> Result<Vec<f64>, ContactError> {
     let mut work = Workspace::default();
     let of = |t: &MeasuredTrial| Ok(fvu(&t.frame_v, model.voltages(&t.contacts, &mut work)?));
     trials.iter().map(of).collect()
 }
 
-/// Median and mean; `None` of nothing.
+/// Median and mean; `None` of an empty list.
 pub fn summary(fvus: &[f64]) -> Option<FvuSummary> {
     let mut sorted = fvus.to_vec();
     sorted.sort_by(f64::total_cmp);

@@ -1,13 +1,13 @@
-//! The parameters of a skin as one vector: field values at grid corners, electrode moves, logarithms
-//! of resistances; their prior, the model that they make, and the directions in which it changes.
-//! Uses: `skin`, `jacobian` (which names the fields). Never: frames.
+//! The parameters of a skin as one vector: field values at grid corners, electrode moves,
+//! logarithms of resistances; their prior, the model of a vector, and its derivatives.
+//! Uses: `skin`, `jacobian` (names of the fields). Never: frames.
 //!
-//! Electrodes' places are not among the directions. With a contact much better than the sheet an
-//! electrode shorts the triangle that it stands in: a frame hardly depends on where in the triangle,
-//! and jumps from one to the next. They are looked for among triangles instead.
+//! Electrode positions have no derivative here. With a contact much better than the sheet an
+//! electrode shorts the triangle that contains it: a frame hardly depends on the position within
+//! the triangle, and jumps from one triangle to the next. Positions are searched among triangles.
 //!
-//! All are zero for what is expected before any trial. The prior is Gaussian: each field's Gaussian
-//! processes on its corners, and independent electrodes.
+//! All parameters are zero at the prior mean. The prior is Gaussian: two Gaussian processes per
+//! field on its corners, and independent electrodes.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -26,23 +26,24 @@ use crate::responses::UnitResponses;
 use crate::sensor::Sensor;
 use crate::skin::{FieldPrior, SkinElectrodes, SkinField, SkinFields, SkinFoam, SkinGrid, rounded};
 
-/// Added to a field's prior variance, as a share: neighbouring corners are otherwise so alike that
-/// their covariance has no inverse in f64.
+/// Added to the prior variance of a field, as a share: otherwise the covariance of neighbouring
+/// corners has no inverse in f64.
 const NUGGET: f64 = 1e-4;
 
-/// Pieces of the foam's law, first in the vector: ln slopes over equal steps of linear compression.
+/// Number of pieces of the foam's law, first in the vector: ln slopes over equal steps of linear
+/// compression.
 pub(super) const LAW_PIECES: usize = 20;
-/// Length of a piece, mm: all pieces together are more than a foam of 4 mm and its law can take.
+/// Length of a piece, mm; all pieces together exceed the compression of a foam of 4 mm and its law.
 pub(super) const LAW_STEP_MM: f64 = 0.25;
 
-/// Electrodes are looked for within this many standard deviations of their places.
+/// Radius of the search for electrodes, in standard deviations of their position.
 const REACH_SD: f64 = 3.2;
 
 /// The fields of the foam and the sheet, in the vector's order.
 pub(super) const FIELDS: [Field; 5] =
     [Field::LnA, Field::LnB, Field::LnC, Field::LnCompliance, Field::LnSheetConductance];
-/// Parameters of an electrode: moves in x and y, mm; logarithms of contact and lead over the expected
-/// ones.
+/// Number of parameters of an electrode: moves in x and y, mm; logarithms of contact and lead
+/// resistance over their prior medians.
 const OF_ELECTRODES: usize = 4;
 
 /// One field on its grid.
@@ -50,30 +51,30 @@ pub(super) struct FieldBlock {
     pub field: Field,
     grid: SkinGrid,
     prior: FieldPrior,
-    /// Where its corners stand in the vector.
+    /// Range of its corners in the vector.
     pub at: Range<usize>,
     /// For each node or triangle: the corners around it (counted within the field), with weights.
     pub corners: Vec<[(usize, f64); 4]>,
 }
 
 impl FieldBlock {
-    /// Place of a corner, mm.
+    /// Position of a corner, mm.
     pub fn place_mm(&self, sensor: &Sensor, corner: usize) -> [f64; 2] {
         self.grid.place_mm(sensor, corner)
     }
 }
 
-/// How the circuit changes with the sheet's and the electrodes' parameters, one after the other.
+/// Changes of the circuit with the parameters of the sheet and the electrodes, one after the other.
 pub(super) struct CircuitChanges {
-    /// Of the sheet's corners and the electrodes' contacts.
+    /// Changes by the sheet's corners and the electrodes' contacts.
     pub resistors: Vec<Vec<Resistor>>,
-    /// Of the leads.
+    /// Changes by the leads.
     pub leads: Vec<Mode>,
-    /// Their places in the vector.
+    /// Indices of these parameters in the vector.
     pub at: Vec<usize>,
 }
 
-/// What the vector's numbers mean for one sensor.
+/// Meaning of the vector for one sensor.
 pub(super) struct Parameters {
     sensor: Sensor,
     responses: Arc<UnitResponses>,
@@ -86,6 +87,10 @@ pub(super) struct Parameters {
 }
 
 impl Parameters {
+    /// Lays out the vector for a sensor; fields are at most as fine as `spacing_mm`.
+    ///
+    /// # Errors
+    /// `SkinFitError::Model` if there is no mesh; `Prior` or `FoamPrior` if a prior has no inverse.
     pub fn new(
         sensor: &Sensor,
         responses: Arc<UnitResponses>,
@@ -118,12 +123,12 @@ impl Parameters {
         Ok(parameters)
     }
 
-    /// How many there are.
+    /// Number of parameters.
     pub fn len(&self) -> usize {
         self.first_electrode + OF_ELECTRODES * self.electrodes
     }
 
-    /// The prior's share of the cost.
+    /// Contribution of the prior to the cost.
     pub fn prior_cost(&self, vector: &[f64]) -> f64 {
         let pull = self.prior_pull(vector);
         vector.iter().zip(pull).map(|(v, p)| v * p).sum()
@@ -186,8 +191,8 @@ impl Parameters {
         self.first_electrode + kind * self.electrodes + electrode
     }
 
-    /// A vector with all electrodes moved by so much from where the sensor file has them, mm: `None`
-    /// leaves one where it is.
+    /// Returns a vector with electrodes at `moves` from their positions in the sensor file, mm;
+    /// `None` keeps an electrode.
     pub fn with_moves(&self, vector: &[f64], moves: &[Option<[f64; 2]>]) -> Vec<f64> {
         let mut moved = vector.to_vec();
         for (k, by) in moves.iter().enumerate() {
@@ -200,8 +205,8 @@ impl Parameters {
         moved
     }
 
-    /// The same, and the resistances of electrodes that are moved at least the expected ones: what was
-    /// fitted to a wrong place means nothing at another.
+    /// As [`Self::with_moves`], with the resistances of moved electrodes raised at least to the
+    /// prior median: values fitted at a wrong position are not valid at another.
     pub fn moved_anew(&self, vector: &[f64], moves: &[Option<[f64; 2]>]) -> Vec<f64> {
         let mut moved = self.with_moves(vector, moves);
         for k in (0..moves.len()).filter(|&k| moves[k].is_some()) {
@@ -213,8 +218,8 @@ impl Parameters {
         moved
     }
 
-    /// For each parameter 1, and for the logarithm of a resistance below the expected one so much that a
-    /// unit of it is the expected one.
+    /// Unit of each parameter: 1, and for ln of a resistance below the prior median the step that
+    /// changes the resistance by about the median.
     pub fn resistance_scales(&self, vector: &[f64]) -> Vec<f64> {
         let resistances = self.places_at().end;
         let scale =
@@ -222,27 +227,30 @@ impl Parameters {
         vector.iter().enumerate().map(scale).collect()
     }
 
-    /// Where the electrodes' places stand in the vector.
+    /// Range of the electrodes' moves in the vector.
     pub fn places_at(&self) -> Range<usize> {
         self.first_electrode..self.of_electrode(2, 0)
     }
 
-    /// Electrodes.
+    /// Number of electrodes.
     pub fn electrodes(&self) -> usize {
         self.electrodes
     }
 
-    /// By how much an electrode is moved, mm.
+    /// Move of an electrode from its position in the sensor file, mm.
     pub fn move_of(&self, vector: &[f64], electrode: usize) -> [f64; 2] {
         [0, 1].map(|axis| vector[self.of_electrode(axis, electrode)])
     }
 
-    /// What a move costs by the prior.
+    /// Prior cost of a move.
     pub fn move_cost(&self, by_mm: [f64; 2]) -> f64 {
         (by_mm[0].powi(2) + by_mm[1].powi(2)) / self.prior.electrode_sd_mm.powi(2)
     }
 
-    /// For each electrode, moves (mm) to the centres of the triangles around it, the nearest first.
+    /// For each electrode, moves (mm) to the centres of the nearby triangles, the nearest first.
+    ///
+    /// # Errors
+    /// `ModelError::Mesh` if the mesh does not fit the sensor.
     pub fn places(&self) -> Result<Vec<Vec<[f64; 2]>>, ModelError> {
         let mesh = Mesh::new(&self.sensor)?;
         let centres: Vec<_> = mesh.triangles.iter().map(|t| mesh.triangle_centre_mm(t)).collect();
@@ -256,7 +264,7 @@ impl Parameters {
         Ok(self.sensor.electrodes_mm().iter().map(around).collect())
     }
 
-    /// Electrode sites; moves end at the skin's rim.
+    /// Electrode sites; moves are limited to the skin.
     fn sites(&self, vector: &[f64]) -> Vec<ElectrodeSite> {
         let file = &self.sensor.file;
         let value = |kind: usize, k: usize| vector[self.of_electrode(kind, k)];
@@ -269,7 +277,10 @@ impl Parameters {
         self.sensor.electrodes_mm().iter().enumerate().map(site).collect()
     }
 
-    /// The model that a vector stands for.
+    /// Builds the model of a vector.
+    ///
+    /// # Errors
+    /// `SkinFitError::Model` if the foam's law or an electrode is invalid.
     pub fn model(&self, vector: &[f64]) -> Result<ForwardModel, SkinFitError> {
         let over = |block: &FieldBlock| -> Vec<f64> {
             let values = &vector[block.at.clone()];
@@ -291,13 +302,13 @@ impl Parameters {
         Ok(ForwardModel::with(&self.sensor, responses, fields, self.circuit(vector))?)
     }
 
-    /// The readout circuit that a vector stands for.
+    /// The readout circuit of a vector.
     pub fn circuit(&self, vector: &[f64]) -> ReadoutCircuit {
         let electrodes = self.sites(vector);
         ReadoutCircuit { electrodes, ..ReadoutCircuit::nominal(&self.sensor) }
     }
 
-    /// The directions that are the same at every load, at a model that a vector made.
+    /// The derivatives that are the same at every load, at the model of a vector.
     pub fn circuit_changes(&self, model: &ForwardModel) -> CircuitChanges {
         let sheet = &self.blocks[FIELDS.len() - 1];
         let mut modes: Vec<Mode> =
@@ -324,8 +335,8 @@ impl Parameters {
         SkinFoam { step_mm: LAW_STEP_MM, ln_slopes: vector[..LAW_PIECES].to_vec() }
     }
 
-    /// Shares of the law's pieces in a node's compression, mm after the law: how it moves with the
-    /// logarithm of each slope, over how it moves with ln compliance.
+    /// Shares of the law's pieces in a node's compression, mm after the law: its derivative by the
+    /// logarithm of each slope, over that by ln compliance.
     pub fn law_shares(slopes: &[f64; LAW_PIECES], compression_mm: f64) -> [f64; LAW_PIECES] {
         let (mut shares, mut left_mm, mut linear_mm) = ([0.0; LAW_PIECES], compression_mm, 0.0);
         let mut last = slopes[0];
@@ -344,7 +355,7 @@ impl Parameters {
         if by_compliance > 0.0 { shares.map(|share| share / by_compliance) } else { shares }
     }
 
-    /// The fields as a calibration holds them.
+    /// The fields as a calibration stores them.
     pub fn skin_fields(&self, vector: &[f64]) -> SkinFields {
         let mut foam = self.foam(vector);
         foam.ln_slopes.iter_mut().for_each(|ln| *ln = rounded(*ln));
@@ -360,7 +371,7 @@ impl Parameters {
         SkinFields { foam, ln_a, ln_b, ln_c, ln_compliance, ln_sheet_conductance }
     }
 
-    /// The electrodes as a calibration holds them.
+    /// The electrodes as a calibration stores them.
     pub fn skin_electrodes(&self, vector: &[f64]) -> SkinElectrodes {
         let sites = self.sites(vector);
         let all = |of: fn(&ElectrodeSite) -> f64| sites.iter().map(|s| rounded(of(s))).collect();
@@ -373,7 +384,7 @@ impl Parameters {
     }
 }
 
-/// Writes the inverse of a covariance into the diagonal of a matrix; `None` where it has none.
+/// Writes the inverse of a covariance to the diagonal of a matrix; `None` if it has none.
 fn set_inverse(into: &mut Mat<f64>, first: usize, covariance: &Mat<f64>) -> Option<()> {
     let count = covariance.nrows();
     let inverse = covariance.llt(Side::Lower).ok()?.solve(Mat::<f64>::identity(count, count));

@@ -1,12 +1,13 @@
-//! Which triangles electrodes stand in.
-//! Uses: `sweep`, `frame`, `parameters`, faer. Never: an electrode tried where the rest is held fast.
+//! Search for the triangles that contain the electrodes.
+//! Uses: `sweep`, `frame`, `parameters`, faer. Never: a trial of an electrode with the other
+//! parameters fixed.
 //!
-//! A sheet that is warped around a wrong place explains readings almost as well as the right place.
-//! So a move is judged by the cost that would be left once all other parameters have followed: with d
-//! the change of all frames, `|r - d|^2 - (g - S)' M^-1 (g - S)`, where M and g are the normal
-//! equations of the other parameters and `S = J' W d`. Every electrode is moved alone to each triangle
-//! around it; frames of several moves are taken for the sum, and a choice of one place for each is
-//! improved electrode by electrode until none helps.
+//! A sheet warped around a wrong position explains readings almost as well as the right position. A
+//! move is therefore ranked by the cost after all other parameters have adapted: with d the change
+//! of all frames, `|r - d|^2 - (g - S)' M^-1 (g - S)`, where M and g are the normal equations of
+//! the other parameters and `S = J' W d`. Every electrode is moved alone to each triangle around
+//! it; frames of several moves are approximated by the sum, and the choice of one position for each
+//! is improved electrode by electrode until the cost no longer decreases.
 
 use faer::linalg::matmul::matmul;
 use faer::linalg::solvers::Solve;
@@ -18,10 +19,10 @@ use super::parameters::Parameters;
 use super::sweep::{Sweep, in_order};
 use crate::forward::{Contact, ForwardModel, Workspace};
 
-/// Trials that tell where electrodes are, at most, evenly taken of those with contacts: each is
-/// simulated with every electrode in every place.
+/// Largest number of trials used, taken evenly from those with contacts: each is simulated with
+/// every electrode in every candidate triangle.
 const PLACED_BY: usize = 60;
-/// Least gain of a move, in chi-square.
+/// Smallest gain of a move, in chi-square.
 const LEAST_GAIN: f64 = 3.0;
 
 /// An electrode in another triangle.
@@ -30,7 +31,7 @@ struct Candidate {
     move_mm: [f64; 2],
 }
 
-/// The vector with electrodes in the triangles that fit best, or `None` where they are.
+/// Returns the vector with electrodes in the triangles that fit best; `None` if none moves.
 pub(super) fn placed(
     sweep: &mut Sweep<'_>,
     model: &ForwardModel,
@@ -69,10 +70,10 @@ fn candidates(parameters: &Parameters) -> Result<Vec<Candidate>, SkinFitError> {
     Ok(around.into_iter().enumerate().flat_map(of).collect())
 }
 
-/// What the trials' frames are with electrodes elsewhere.
+/// Frames of the trials with moved electrodes.
 struct Frames<'a> {
     parameters: &'a Parameters,
-    /// What the vector stands for.
+    /// Model of the vector.
     model: &'a ForwardModel,
     vector: &'a [f64],
     loads: &'a [&'a [Contact]],
@@ -123,7 +124,7 @@ struct Quadratic {
     square: Mat<f64>,
 }
 
-/// What one trial says.
+/// Contribution of one trial.
 struct Share {
     square: Mat<f32>,
     /// J' W d over the active parameters.
@@ -149,10 +150,10 @@ impl Quadratic {
         let mut along = vec![0.0; count];
         let mut normal = parameters.precision.clone();
         let mut pull = parameters.prior_pull(vector);
-        // Places are looked for, not stepped to.
+        // Positions are searched, not stepped.
         pull[parameters.places_at()].fill(0.0);
         pull.iter_mut().for_each(|p| *p = -*p);
-        // A resistance that is next to nothing must be free to grow to a usual one.
+        // A resistance of almost zero must be able to grow to a usual value.
         let scale = parameters.resistance_scales(vector);
         for (share, (terms, _)) in shares.iter().zip(seen) {
             terms.add_to(&mut normal, &mut pull, &scale);
@@ -184,11 +185,11 @@ impl Quadratic {
         Ok(Self { linear: (0..count).map(linear).collect(), square })
     }
 
-    /// For each electrode the candidate that is worth it, found electrode by electrode.
+    /// Chooses the best candidate of each electrode, or none, electrode by electrode.
     fn improved(&self, candidates: &[Candidate], electrodes: usize) -> Vec<Option<usize>> {
         let mut chosen: Vec<Option<usize>> = vec![None; electrodes];
         for _ in 0..2 * electrodes {
-            // The one change of all that gains the most.
+            // The single change with the largest gain.
             let mut best = (LEAST_GAIN, None);
             for electrode in 0..electrodes {
                 let others = || {
@@ -218,7 +219,7 @@ impl Quadratic {
     }
 }
 
-/// One trial's share, its own unknowns taken out.
+/// Contribution of one trial, its unknowns eliminated.
 fn share(columns: &WhiteColumns, changes: &[Vec<f32>], trial: usize) -> Share {
     let channels = columns.channels;
     let whole = columns.values.len() / channels;
@@ -228,7 +229,7 @@ fn share(columns: &WhiteColumns, changes: &[Vec<f32>], trial: usize) -> Share {
     let residual = all.subcols(whole - 1, 1);
     let changes =
         Mat::from_fn(channels, changes.len(), |row, i| changes[i][trial * channels + row]);
-    // W d: what the trial's own unknowns can follow is taken out.
+    // W d: the part that the trial's unknowns explain is removed.
     let product = own.transpose() * own + Mat::<f32>::identity(own.ncols(), own.ncols());
     let factor = product.llt(Side::Lower).expect("a Gram matrix and the identity");
     let left = &changes - own * factor.solve(own.transpose() * &changes);

@@ -1,4 +1,4 @@
-//! Going over all trials at one model, on some threads, adding up in the trials' order.
+//! A pass over all trials at one model, on several threads, with sums in the order of the trials.
 //! Uses: `frame`, std threads. Never: an order that depends on the threads.
 
 use std::ops::Range;
@@ -12,12 +12,12 @@ use super::parameters::{CircuitChanges, LAW_PIECES, LAW_STEP_MM, Parameters};
 use super::{MeasuredTrial, PLACING, SkinFitError, SkinFitOptions, SkinProgress};
 use crate::forward::ForwardModel;
 
-/// Trials whose terms are held at a time (about a megabyte each).
+/// Number of trials whose terms are in memory at a time (about 1 MB each).
 const BLOCK: usize = 64;
-/// A trial's misfit pulls linearly beyond this many times the median's root.
+/// The pull of a misfit is linear above this multiple of the median's root.
 const EDGE: f64 = 3.0;
-/// From so many untouched skins on, they alone tell the offsets: what a model lacks under a light load
-/// is no offset.
+/// From this number of untouched skins on, they alone determine the offsets: the model error under
+/// a light load is not an offset.
 const UNTOUCHED_ENOUGH: usize = 8;
 
 /// All trials of a fit.
@@ -33,18 +33,18 @@ pub(super) struct Sweep<'a> {
 /// Misfits of all trials at a model.
 pub(super) struct Misfits {
     misfits: Vec<f64>,
-    /// Of untouched skins.
+    /// Residuals of untouched skins.
     untouched: Residuals,
-    /// Of all others.
+    /// Residuals of all other trials.
     touched: Residuals,
     channels: f64,
 }
 
-/// What trials say of the offsets.
+/// Sums of residuals, from which the offsets follow.
 struct Residuals {
     /// Sum of residual (before the offset) over variance, for each channel.
     sums: Vec<f64>,
-    /// Sum of one over variance.
+    /// Sum of the inverse variances.
     weight: f64,
     trials: usize,
 }
@@ -58,7 +58,7 @@ impl Misfits {
 
     fn push(&mut self, trial: &MeasuredTrial, of: &FrameMisfit) {
         self.misfits.push(of.misfit);
-        // A frame that the model does not explain says little about the offsets.
+        // A frame with a large misfit contributes little to the offsets.
         let square = of.residual_v.iter().map(|r| r * r).sum::<f64>() / self.channels;
         let weight = match trial.contacts.as_slice() {
             [] => 1.0 / of.variance,
@@ -72,7 +72,7 @@ impl Misfits {
         }
     }
 
-    /// The misfit beyond which a trial is doubted.
+    /// Misfit above which a trial is doubted.
     pub fn edge(&self) -> f64 {
         let mut sorted = self.misfits.clone();
         sorted.sort_by(f64::total_cmp);
@@ -85,12 +85,12 @@ impl Misfits {
         self.channels * self.misfits.iter().map(rho).sum::<f64>()
     }
 
-    /// Weight of each trial, up to 1.
+    /// Weight of each trial, 0 to 1.
     pub fn factors(&self, edge: f64) -> Vec<f64> {
         self.misfits.iter().map(|m| if *m <= edge { 1.0 } else { (edge / m).sqrt() }).collect()
     }
 
-    /// Offsets that these residuals speak for, V.
+    /// Offsets estimated from these residuals, V.
     pub fn offsets_v(&self, prior_sd_v: f64) -> Vec<f64> {
         let [rest, all] = [&self.untouched, &self.touched];
         let touched = if rest.trials < UNTOUCHED_ENOUGH { 1.0 } else { 0.0 };
@@ -112,19 +112,22 @@ impl<'a> Sweep<'a> {
         Self { parameters, trials, options, progress, at, work }
     }
 
-    /// What is fitted.
+    /// Parameters of the fit.
     pub fn parameters(&self) -> &'a Parameters {
         self.parameters
     }
 
-    /// Starts a step.
+    /// Starts a step: resets its progress.
     pub fn begin(&mut self, step: usize, cost: Option<f64>) {
         let passes = if PLACING.contains(&step) { 6 } else { 3 };
         (self.at.step, self.at.cost) = (step, cost);
         (self.at.done, self.at.total) = (0, passes * self.trials.len());
     }
 
-    /// All trials' misfits.
+    /// Computes the misfits of all trials.
+    ///
+    /// # Errors
+    /// `SkinFitError::Contact` if the model rejects a contact.
     pub fn misfits(
         &mut self,
         model: &ForwardModel,
@@ -141,17 +144,20 @@ impl<'a> Sweep<'a> {
         Ok(misfits)
     }
 
-    /// The trials.
+    /// All trials of the fit.
     pub fn trials(&self) -> &'a [MeasuredTrial] {
         self.trials
     }
 
-    /// Threads at work.
+    /// Number of threads.
     pub fn threads(&self) -> usize {
         self.work.len()
     }
 
-    /// Terms and columns of some trials, weighted.
+    /// Computes terms and columns of some trials, weighted by `factor`.
+    ///
+    /// # Errors
+    /// `SkinFitError::Contact` if the model rejects a contact.
     pub fn look(
         &mut self,
         model: &ForwardModel,
@@ -167,7 +173,10 @@ impl<'a> Sweep<'a> {
         })
     }
 
-    /// The normal equations: J'WJ (lower triangle) and J'Wr, without the prior.
+    /// Computes the normal equations: J'WJ (lower triangle) and J'Wr, without the prior.
+    ///
+    /// # Errors
+    /// `SkinFitError::Contact` if the model rejects a contact.
     pub fn normal(
         &mut self,
         model: &ForwardModel,
@@ -187,7 +196,7 @@ impl<'a> Sweep<'a> {
         Ok((normal, pull))
     }
 
-    /// What is the same for all trials at a model.
+    /// Data shared by all trials at a model.
     fn pass<'p>(
         &self,
         model: &'p ForwardModel,
@@ -201,7 +210,7 @@ impl<'a> Sweep<'a> {
         Pass { parameters, model, circuit, law_slopes, offsets_v, errors }
     }
 
-    /// Works on each trial on the threads, and takes the results in the trials' order.
+    /// Processes each trial on the threads; results are consumed in the order of the trials.
     fn each<T: Send>(
         &mut self,
         model: &ForwardModel,
@@ -224,7 +233,7 @@ impl<'a> Sweep<'a> {
     }
 }
 
-/// Works on each index on the threads that these memories are of; results in the indices' order.
+/// Processes each index on one thread per memory; returns the results in the order of the indices.
 pub(super) fn in_order<W: Send, T: Send>(
     range: Range<usize>,
     work: &mut [W],

@@ -1,4 +1,4 @@
-//! The fit against differences of its cost, against skins of its own family, and against bad input.
+//! Tests of the fit: differences of its cost, skins of its own family, invalid input.
 
 use std::sync::OnceLock;
 
@@ -22,7 +22,7 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
     (0..12).map(|_| rng.random_range(0.0..1.0)).sum::<f64>() - 6.0
 }
 
-/// For these trials, whose contacts stand and press just as they say.
+/// Options for these trials, whose contacts are exactly as stated.
 fn options(spacing_mm: f64, threads: usize) -> SkinFitOptions {
     let errors = TrialErrors {
         place_mm: 0.0,
@@ -81,8 +81,8 @@ fn median(model: &ForwardModel, trials: &[MeasuredTrial]) -> f64 {
     summary(&fvus(model, trials).unwrap()).unwrap().median
 }
 
-/// ln of all conductance to the top under a tip on each of some points: what fields of a, b, c and
-/// compliance amount to together. Singly they stand in for each other.
+/// ln of the total conductance to the top under a tip on each of some points: the joint effect of
+/// the fields of a, b, c and compliance, which are not separable.
 fn conducts(model: &ForwardModel) -> Vec<f64> {
     let mut work = Workspace::default();
     let mut of = |point: usize| {
@@ -105,7 +105,7 @@ fn correlation(a: &[f64], b: &[f64]) -> f64 {
     product(&a, &b) / (product(&a, &a) * product(&b, &b)).sqrt()
 }
 
-/// Electrodes that stand in the triangle in which a skin has them.
+/// Number of electrodes in the triangle of their true position.
 fn in_their_triangles(places_mm: &[[f64; 2]], skin: &ForwardModel) -> usize {
     let triangle = |x_mm: f64, y_mm: f64| {
         let mut nodes = skin.mesh().locate(x_mm, y_mm).nodes;
@@ -116,8 +116,8 @@ fn in_their_triangles(places_mm: &[[f64; 2]], skin: &ForwardModel) -> usize {
     both.filter(|(at, site)| triangle(at[0], at[1]) == triangle(site.x_mm, site.y_mm)).count()
 }
 
-/// Held-out medians before and after a fit of so many trials, how its conductances over the skin go
-/// with the truth, and electrodes in their triangles before and after.
+/// Held-out medians before and after a fit of `trials` trials, correlation of the fitted with the
+/// true conductances, and electrodes in their triangles before and after.
 fn recovered(trials: usize, spacing_mm: f64, model_error: f64) -> ([f64; 2], f64, [usize; 2]) {
     let mut options = SkinFitOptions { steps: 6, ..options(spacing_mm, 2) };
     options.errors.model_error = model_error;
@@ -168,7 +168,7 @@ fn the_step_goes_along_the_costs_gradient() {
         let slope: f64 = -2.0 * direction.iter().zip(&pull).map(|(d, p)| d * p).sum::<f64>();
         let error = ((numbers - slope) / numbers).abs();
         println!("{at:?}: {slope:.6e} against {numbers:.6e}");
-        // Nodes that hardly conduct are left out of the step, not of the cost.
+        // Nodes that hardly conduct are skipped in the step, not in the cost.
         assert!(error < 1e-2, "{at:?}: {error:e}");
     }
 }

@@ -1,0 +1,155 @@
+//! The software stop: one call, from any thread, that overtakes every queue of the wires and is
+//! repeated until each axis has acknowledged it.
+//! Uses: tokio, `rig::traits`. Never: states, storage. It is not a certified emergency stop: that
+//! is hardware which removes power. This stop only decelerates the axes.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+use tokio::sync::watch;
+use tokio::time::Instant;
+use utoipa::ToSchema;
+
+use crate::rig::link::StopLatch;
+use crate::rig::traits::{Axis, Bench};
+
+/// Pause before a stop that was not acknowledged is sent again. Once the wire works again, the stop
+/// is sent within this time.
+const AGAIN: Duration = Duration::from_millis(50);
+
+/// Result of the stop of one axis.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct AxisStop {
+    /// `x`, `y`, `z` or `radial`.
+    pub axis: String,
+    /// Time from the request of the stop to the acknowledgement of the axis, wall ms; absent while
+    /// it is not acknowledged.
+    pub acknowledged_ms: Option<f64>,
+    /// Why it is not acknowledged; absent once it is.
+    pub error: Option<String>,
+}
+
+/// A latching stop button. All clones are the same button.
+#[derive(Debug, Clone, Default)]
+pub struct StopSwitch {
+    inner: Arc<Inner>,
+}
+
+#[derive(Debug, Default)]
+struct Inner {
+    latch: StopLatch,
+    pressed: watch::Sender<bool>,
+    press: Mutex<Option<Press>>,
+}
+
+/// One press and the stops that it caused.
+#[derive(Debug, Clone)]
+pub struct Press {
+    /// Who or what pressed it, and the reason.
+    pub why: String,
+    /// Monotonic time of the press.
+    pub at: Instant,
+    stops: BTreeMap<&'static str, AxisStop>,
+}
+
+impl Press {
+    /// Stops of the axes, as far as they are known.
+    pub fn stops(&self) -> Vec<AxisStop> {
+        self.stops.values().cloned().collect()
+    }
+
+    /// Time from the press to the acknowledgement of the last axis, wall ms; none while one is
+    /// missing.
+    pub fn acknowledged_ms(&self) -> Option<f64> {
+        let each: Option<Vec<f64>> = self.stops.values().map(|s| s.acknowledged_ms).collect();
+        each?.into_iter().reduce(f64::max)
+    }
+}
+
+impl StopSwitch {
+    /// Latches and wakes the tasks that stop the axes. Idempotent: the first press counts.
+    pub fn press(&self, why: &str) {
+        let mut slot = self.press_slot();
+        self.inner.latch.latch();
+        slot.get_or_insert_with(|| Press {
+            why: why.into(),
+            at: Instant::now(),
+            stops: BTreeMap::new(),
+        });
+        self.inner.pressed.send_replace(true);
+    }
+
+    /// The latched press, if any.
+    pub fn pressed(&self) -> Option<Press> {
+        self.press_slot().clone()
+    }
+
+    /// Releases the latch if the latched press is the one that the caller has seen, named by its
+    /// time (none: no press). Returns false and changes nothing if it has been pressed again since.
+    pub fn release(&self, seen: Option<Instant>) -> bool {
+        let mut slot = self.press_slot();
+        if slot.as_ref().map(|press| press.at) != seen {
+            return false;
+        }
+        *slot = None;
+        self.inner.pressed.send_replace(false);
+        self.inner.latch.clear();
+        true
+    }
+
+    /// The latch that the drivers consult before they send a motion.
+    pub fn latch(&self) -> StopLatch {
+        self.inner.latch.clone()
+    }
+
+    /// Waits for presses and stops every axis of a bench, each independently, until dropped. If the
+    /// stop is already latched, it stops the bench immediately.
+    pub async fn serve(self, bench: Bench) {
+        let mut pressed = self.inner.pressed.subscribe();
+        while pressed.wait_for(|latched| *latched).await.is_ok() {
+            self.expect(&bench);
+            let stops = bench.axes().map(|axis| self.stop_until_acknowledged(axis.as_ref()));
+            futures::future::join_all(stops).await;
+            if pressed.wait_for(|latched| !*latched).await.is_err() {
+                return;
+            }
+        }
+    }
+
+    /// Lists every axis as not acknowledged, so that none counts as stopped before it has
+    /// acknowledged.
+    fn expect(&self, bench: &Bench) {
+        if let Some(press) = self.press_slot().as_mut() {
+            for axis in bench.axes() {
+                let axis = axis.name();
+                let stop = AxisStop { axis: axis.into(), acknowledged_ms: None, error: None };
+                press.stops.entry(axis).or_insert(stop);
+            }
+        }
+    }
+
+    async fn stop_until_acknowledged(&self, axis: &dyn Axis) {
+        while let Some(press) = self.pressed() {
+            let outcome = axis.stop().await;
+            let stop = AxisStop {
+                axis: axis.name().into(),
+                acknowledged_ms: outcome.is_ok().then(|| press.at.elapsed().as_secs_f64() * 1e3),
+                error: outcome.as_ref().err().map(ToString::to_string),
+            };
+            if let Some(press) = self.press_slot().as_mut() {
+                press.stops.insert(axis.name(), stop);
+            }
+            match outcome {
+                Ok(()) => return,
+                Err(error) => tracing::error!(axis = axis.name(), %error, "stop not acknowledged"),
+            }
+            tokio::time::sleep(AGAIN).await;
+        }
+    }
+
+    fn press_slot(&self) -> MutexGuard<'_, Option<Press>> {
+        self.inner.press.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

@@ -1,0 +1,261 @@
+//! Limits on every sample: forces, cells, positions. Returns trips as values.
+//! PURE. Uses: `rig::{config, traits}`. Never: motion, wires, time.
+//!
+//! Decides each row of `docs/safety.md` that a single sample can decide. The cross-checks (skin
+//! against cells, force against depth) are in `campaign::bench::evidence`.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::rig::config::{ARMS, CellsConfig};
+use crate::rig::traits::CellVolts;
+
+/// Force on an arm without a tip that contradicts the number of tips entered, N.
+pub const FOREIGN_N: f64 = 5.0;
+
+/// What latched the rig: kind and quantity, value, limit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Trip {
+    /// Kind of the limit or fault.
+    pub kind: TripKind,
+    /// Message: device, value, limit.
+    pub detail: String,
+}
+
+/// Kinds of trips; the policy treats them differently.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum TripKind {
+    /// A person or a program pressed the stop.
+    Estop,
+    /// Force on one cell, or the sum of forces, above its limit.
+    Force,
+    /// A cell is disconnected, saturated, does not change, or contradicts another measurement.
+    Cell,
+    /// A position is outside its travel or away from its target.
+    Position,
+    /// A wire without reply, or with garbled replies, beyond its retries.
+    Wire,
+    /// A device reports an alarm or an exception.
+    Device,
+    /// No fresh frame or sample in time, or a module that returns the same values repeatedly.
+    Stale,
+    /// The service itself failed.
+    Service,
+}
+
+impl TripKind {
+    /// Whether a run that was armed with automatic resume may resume without a person once every
+    /// check passes again: true for transient faults of wires, never for forces, positions or
+    /// persons.
+    pub fn may_pass(self) -> bool {
+        match self {
+            TripKind::Wire | TripKind::Stale => true,
+            TripKind::Estop
+            | TripKind::Force
+            | TripKind::Cell
+            | TripKind::Position
+            | TripKind::Device
+            | TripKind::Service => false,
+        }
+    }
+}
+
+/// Force limits in effect during one run.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ForceLimits {
+    /// Limit of the force on one cell, N.
+    pub each_n: f64,
+    /// Limit of the sum of forces, N.
+    pub sum_n: f64,
+    /// Limit of the force below the tare, N: a force more than this below zero is a fault of the
+    /// cell.
+    pub below_n: f64,
+}
+
+/// Number of connected cells, given that a person has entered tips on arms 1 to `tips`. Six powered
+/// cells under one tip are allowed, and so is an unplugged cell on an arm without a tip.
+///
+/// # Errors
+/// The cell of an attached arm is disconnected; the message names the arms.
+pub fn live_cells(cells: &CellsConfig, volts: &[f64; ARMS], tips: u8) -> Result<u8, String> {
+    let dead: Vec<String> = (0..usize::from(tips))
+        .filter(|&i| !cells.is_live(volts[i]))
+        .map(|i| format!("{} ({:.3} V)", i + 1, volts[i]))
+        .collect();
+    if dead.is_empty() {
+        Ok(volts.iter().filter(|&&v| cells.is_live(v)).count() as u8)
+    } else {
+        let arms = dead.join(", ");
+        Err(format!("{tips} tips need live cells on arms 1 to {tips}; disconnected: arm {arms}"))
+    }
+}
+
+/// Forces of the arms after subtraction of the tare, N.
+pub fn forces_n(cells: &CellsConfig, volts: &[f64; ARMS], tare_v: &[f64; ARMS]) -> [f64; ARMS] {
+    std::array::from_fn(|i| (volts[i] - tare_v[i]) * cells.newtons_per_volt())
+}
+
+/// Checks one reading of the cells.
+///
+/// # Errors
+/// `Cell` for a disconnected, saturated or unchanging cell, a force below the tare, or a load on an
+/// arm without a tip; `Force` above a force limit; `Stale` if all live cells repeat their values.
+pub fn check_cells(
+    cells: &CellsConfig,
+    limits: ForceLimits,
+    tips: u8,
+    reading: &CellVolts,
+    tare_v: &[f64; ARMS],
+) -> Result<(), Trip> {
+    let (volts, tips) = (&reading.volts, usize::from(tips));
+    let trip = |kind, detail: String| Err(Trip { kind, detail });
+    let forces = forces_n(cells, volts, tare_v);
+    for (i, (&v, &force)) in volts.iter().zip(&forces).enumerate() {
+        let arm = i + 1;
+        if i >= tips {
+            if cells.is_live(v) && force.abs() > FOREIGN_N {
+                return trip(
+                    TripKind::Cell,
+                    format!(
+                        "cell {arm} reads {force:.1} N and no tip is entered for arm {arm} \
+                         (limit {FOREIGN_N} N): check which tips are mounted"
+                    ),
+                );
+            }
+            continue;
+        }
+        if !cells.is_live(v) {
+            return trip(TripKind::Cell, format!("cell {arm} reads {v:.3} V: disconnected"));
+        }
+        if cells.is_saturated(v) {
+            return trip(TripKind::Cell, format!("cell {arm} reads {v:.3} V: saturated"));
+        }
+        if force > limits.each_n {
+            let limit = limits.each_n;
+            let detail = format!("force on arm {arm} {force:.1} N over its limit {limit} N");
+            return trip(TripKind::Force, detail);
+        }
+        if force < -limits.below_n {
+            let limit = limits.below_n;
+            let detail = format!("cell {arm} reads {force:.1} N, limit -{limit} N below its tare");
+            return trip(TripKind::Cell, detail);
+        }
+    }
+    let sum: f64 = forces[..tips].iter().sum();
+    if sum > limits.sum_n {
+        let detail = format!("sum of forces {sum:.1} N over its limit {} N", limits.sum_n);
+        return trip(TripKind::Force, detail);
+    }
+    check_alive(cells, reading, tips)
+}
+
+/// Checks for repeated values. The noise of a cell changes its last digit at nearly every update:
+/// an input that returns one value for too long no longer measures.
+fn check_alive(cells: &CellsConfig, reading: &CellVolts, tips: usize) -> Result<(), Trip> {
+    let still = |i: &usize| cells.is_hung(reading.repeats[*i]);
+    let Some(first) = (0..tips).find(still) else { return Ok(()) };
+    let live: Vec<usize> = (0..ARMS).filter(|&i| cells.is_live(reading.volts[i])).collect();
+    let (updates, ms) = (reading.repeats[first], cells.update_ms);
+    let (kind, who) = if live.iter().all(still) {
+        (TripKind::Stale, "cells: the module repeats itself".into())
+    } else {
+        (TripKind::Cell, format!("cell {} does not change", first + 1))
+    };
+    let limit = cells.repeats_max();
+    let detail =
+        format!("{who}: one value over {updates} updates of {ms} ms (cells.repeats_max = {limit})");
+    Err(Trip { kind, detail })
+}
+
+/// Checks a measured position against the soft limits.
+///
+/// # Errors
+/// `Position` if it is outside its travel by more than the tolerance.
+pub fn check_position(
+    axis: &str,
+    position: f64,
+    travel: [f64; 2],
+    tolerance: f64,
+) -> Result<(), Trip> {
+    if position < travel[0] - tolerance || position > travel[1] + tolerance {
+        let detail = format!(
+            "{axis} measured at {position:.3}, outside its travel [{}, {}]",
+            travel[0], travel[1]
+        );
+        return Err(Trip { kind: TripKind::Position, detail });
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rig::config::RigConfig;
+
+    fn cells() -> CellsConfig {
+        let text = include_str!("../../../../experiments/rigs/virtual.toml");
+        RigConfig::from_toml("virtual.toml", text).expect("the virtual rig file is sound").cells
+    }
+
+    const LIMITS: ForceLimits = ForceLimits { each_n: 50.0, sum_n: 120.0, below_n: 3.0 };
+    const TARE: [f64; ARMS] = [0.5; ARMS];
+
+    fn at_n(forces: [f64; ARMS]) -> [f64; ARMS] {
+        forces.map(|f| 0.5 + f / cells().newtons_per_volt())
+    }
+
+    fn check(tips: u8, volts: [f64; ARMS], repeats: [u32; ARMS]) -> Result<(), Trip> {
+        let reading = CellVolts { volts, repeats, at: tokio::time::Instant::now() };
+        check_cells(&cells(), LIMITS, tips, &reading, &TARE)
+    }
+
+    #[test]
+    fn a_force_over_its_limit_trips_and_names_the_arm() {
+        let trip = check(2, at_n([1.0, 50.5, 0.0, 0.0, 0.0, 0.0]), [0; ARMS]).unwrap_err();
+        assert_eq!(trip.kind, TripKind::Force);
+        assert_eq!(trip.detail, "force on arm 2 50.5 N over its limit 50 N");
+    }
+
+    #[test]
+    fn forces_within_each_limit_can_still_be_too_much_in_sum() {
+        let trip = check(3, at_n([45.0, 45.0, 45.0, 0.0, 0.0, 0.0]), [0; ARMS]).unwrap_err();
+        assert_eq!(trip.kind, TripKind::Force);
+    }
+
+    #[test]
+    fn a_force_far_below_the_tare_trips() {
+        assert_eq!(check(1, at_n([-2.9, 0.0, 0.0, 0.0, 0.0, 0.0]), [0; ARMS]), Ok(()));
+        let trip = check(1, at_n([-3.1, 0.0, 0.0, 0.0, 0.0, 0.0]), [0; ARMS]).unwrap_err();
+        assert_eq!(trip.detail, "cell 1 reads -3.1 N, limit -3 N below its tare");
+    }
+
+    #[test]
+    fn an_unplugged_cell_beyond_the_tips_is_legal_and_a_load_there_is_not() {
+        let mut volts = at_n([10.0; ARMS]);
+        volts[3..].fill(0.0);
+        assert_eq!(check(3, volts, [0; ARMS]), Ok(()));
+        assert_eq!(check(4, volts, [0; ARMS]).unwrap_err().kind, TripKind::Cell);
+        let trip = check(3, at_n([10.0, 10.0, 10.0, 0.0, 8.0, 0.0]), [0; ARMS]).unwrap_err();
+        assert!(trip.detail.starts_with("cell 5 reads 8.0 N and no tip"), "{}", trip.detail);
+    }
+
+    #[test]
+    fn a_still_cell_and_a_module_that_repeats_itself_are_told_apart() {
+        let volts = at_n([0.0, 10.0, 0.0, 0.0, 0.0, 0.0]);
+        let repeats = |n: [u32; ARMS]| check(2, volts, n);
+        assert_eq!(repeats([8, 0, 8, 8, 8, 8]), Ok(()));
+        let cell = repeats([9, 0, 0, 0, 0, 0]).unwrap_err();
+        assert_eq!((cell.kind, &cell.detail[..22]), (TripKind::Cell, "cell 1 does not change"));
+        assert_eq!(repeats([9; ARMS]).unwrap_err().kind, TripKind::Stale);
+        assert_eq!(repeats([0, 0, 99, 99, 99, 99]), Ok(()), "arms without a tip");
+    }
+
+    #[test]
+    fn attached_arms_need_live_cells_and_others_may_have_them() {
+        let live = |volts, tips| live_cells(&cells(), &volts, tips);
+        assert_eq!(live([0.5; ARMS], 1), Ok(6));
+        assert_eq!(live([0.5, 0.51, 0.0, 0.0, 0.0, 0.0], 2), Ok(2));
+        assert!(live([0.5, 0.0, 0.5, 0.0, 0.0, 0.0], 2).unwrap_err().contains("arm 2 (0.000 V)"));
+    }
+}

@@ -1,0 +1,15 @@
+//! The guarded bench: readings of its devices, trips, motion and stops.
+//! Uses: `rig`, `clock`. Never: the plan, storage, SQL; from `run` only requests and halts.
+//!
+//! PURE: `interlock`, `evidence`, `stopping`, `rig_state`, `stuck`.
+
+pub mod stage;
+pub mod travel;
+pub mod interlock;
+pub mod evidence;
+pub mod stopping;
+pub mod estop;
+pub mod rig_state;
+pub mod stuck;
+pub mod tare;
+pub mod touch_off;

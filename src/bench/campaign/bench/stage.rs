@@ -1,0 +1,380 @@
+//! The guarded bench: last readings, active limits, allowed positions of the tips.
+//! Uses: `rig::traits`, `campaign::{bench::interlock, bench::evidence, bench::stopping}`. Never:
+//! the plan, storage.
+//!
+//! Motions are in `travel`. Every sample of the cells goes through `check`.
+
+use std::time::Duration;
+
+use futures::future::join_all;
+use tokio::time::Instant;
+
+use crate::campaign::bench::estop::StopSwitch;
+use crate::campaign::bench::evidence::{FELT_FRAMES, SilentArms, SkinWatch};
+use crate::campaign::bench::interlock::{self, ForceLimits, TripKind};
+use crate::campaign::bench::stopping::{POLL_S, Stopping};
+use crate::campaign::bench::stuck::StuckChannels;
+use crate::campaign::run::control::Control;
+use crate::campaign::run::halt::Halt;
+use crate::campaign::safe_end::Height;
+use crate::clock::Clock;
+use crate::record::{Pose, TouchOffRecord};
+use crate::rig::config::{ARMS, RigConfig};
+use crate::rig::error::RigError;
+use crate::rig::traits::{Axis, Bench, CellVolts};
+
+/// Shortest pause between two polls, wall s, so that an accelerated rig is not polled continuously.
+const POLL_WALL_S: f64 = 200e-6;
+/// Wall time allowed for a motion beyond its predicted duration.
+pub(super) const GRACE: Duration = Duration::from_secs(3);
+
+/// Axes of the rig.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AxisName {
+    /// Stage axis along the width of the skin.
+    X,
+    /// Stage axis along the height of the skin.
+    Y,
+    /// Stage axis toward the skin, positive downward.
+    Z,
+    /// Rotary actuator of the slots, which sets the radius.
+    Radial,
+}
+
+/// The bench, its limits and its last readings.
+pub struct Stage {
+    /// Devices behind their capability traits.
+    pub bench: Bench,
+    /// Rig file of the bench.
+    pub config: RigConfig,
+    /// Wall and process time of the rig.
+    pub clock: Clock,
+    /// Number of tips mounted, on arms 1 to n.
+    pub tips: u8,
+    /// Force limits in effect.
+    pub limits: ForceLimits,
+    /// Outputs of the cells without load, V.
+    pub tare_v: [f64; ARMS],
+    /// Result of the touch-off; none until the surface is known.
+    pub surface: Option<TouchOffRecord>,
+    /// Voltage channels that return the same count in every trial.
+    pub stuck: StuckChannels,
+    /// Attached arms without force where their tips must press.
+    pub silent: SilentArms,
+    /// Untouched skin, from the last tare; none after a lateral motion.
+    pub skin: Option<SkinWatch>,
+    /// Largest force on one cell since the value was last cleared, N.
+    pub peak_n: f64,
+    /// Measured durations of polls and travels of stops.
+    pub stopping: Stopping,
+    /// Time of the last sample in the motion or hold that is watched.
+    last_sample: Option<Instant>,
+    /// Time since which z has been held at rest under watch.
+    pub(super) held_since: Option<Instant>,
+}
+
+/// An axis with its motion parameters, in the axis's unit.
+pub(in crate::campaign) struct Driven<'a> {
+    pub axis: &'a dyn Axis,
+    pub tolerance: f64,
+    pub speed: f64,
+    pub acceleration: f64,
+}
+
+impl Stage {
+    /// Creates a stage around an open bench, with no tips and no known surface.
+    pub fn new(bench: Bench, config: RigConfig, clock: Clock) -> Self {
+        let limits = ForceLimits {
+            each_n: config.limits.force_n,
+            sum_n: config.limits.force_sum_n,
+            below_n: config.limits.tare_drift_n,
+        };
+        let tare_v = [config.cells.zero_v(); ARMS];
+        Self {
+            bench,
+            config,
+            clock,
+            tips: 0,
+            limits,
+            tare_v,
+            surface: None,
+            stuck: StuckChannels::default(),
+            silent: SilentArms::default(),
+            skin: None,
+            peak_n: 0.0,
+            stopping: Stopping::default(),
+            last_sample: None,
+            held_since: None,
+        }
+    }
+
+    pub(in crate::campaign) fn driven(&self, name: AxisName) -> Driven<'_> {
+        let axes = &self.config.axes;
+        let (axis, p) = match name {
+            AxisName::X => (&self.bench.x, axes.x.profile()),
+            AxisName::Y => (&self.bench.y, axes.y.profile()),
+            AxisName::Z => (&self.bench.z, axes.z.profile()),
+            AxisName::Radial => (&self.bench.radial, axes.radial.profile()),
+        };
+        let (tolerance, speed, acceleration) = (p.tolerance, p.speed, p.acceleration);
+        Driven { axis: axis.as_ref(), tolerance, speed, acceleration }
+    }
+
+    /// Height at which lateral motion is allowed, machine mm. Until the surface is known, it is
+    /// derived from the upper end of the search window.
+    pub fn clear_z_mm(&self) -> f64 {
+        let place = &self.config.skin;
+        match &self.surface {
+            Some(found) => {
+                let longest = found.tip_offset_mm.iter().map(|t| t.1).fold(0.0, f64::min);
+                (found.surface_z_mm + longest - place.clearance_mm)
+                    .max(self.config.axes.z.travel_mm[0])
+            }
+            None => place.surface_z_mm[0] - place.clearance_mm,
+        }
+    }
+
+    /// Distance of each attached arm's tip below its touch height of the touch-off, mm, at `z_mm`.
+    pub fn below_touch_mm(&self, z_mm: f64) -> impl Iterator<Item = f64> + '_ {
+        let surface = self.surface.as_ref();
+        (1..=self.tips).map(move |arm| {
+            let touched = surface.and_then(|s| {
+                let offset = s.tip_offset_mm.iter().find(|(a, _)| *a == arm)?.1;
+                Some(s.surface_z_mm + offset)
+            });
+            touched.map_or(f64::NEG_INFINITY, |at| z_mm - at)
+        })
+    }
+
+    /// Waits for one pause between polls.
+    pub async fn poll_pause(&self) {
+        self.clock.sleep(POLL_S.max(POLL_WALL_S * self.clock.rate())).await;
+    }
+
+    /// Reads the positions of all four axes.
+    ///
+    /// # Errors
+    /// Halts if a device does not reply.
+    pub async fn pose(&self) -> Result<Pose, Halt> {
+        let b = &self.bench;
+        let read = join_all([&b.x, &b.y, &b.z, &b.radial].map(|axis| axis.status())).await;
+        let mut at = [0.0; 4];
+        for (slot, status) in at.iter_mut().zip(read) {
+            *slot = status?.position;
+        }
+        let radius_mm = self.config.slot.radius_mm(at[3]);
+        Ok(Pose { x_mm: at[0], y_mm: at[1], z_mm: at[2], radius_mm })
+    }
+
+    /// Reads the positions of all axes and compares them with their targets. If an axis is off its
+    /// target, all are read again: Modbus TCP has no checksum, and a flipped bit does not recur.
+    ///
+    /// # Errors
+    /// Trips if an axis is still off its target. For z the tolerance is `Z_OFF_MM`: smaller
+    /// deviations are stored with a flag.
+    pub async fn reached(&self, target: &Pose) -> Result<Pose, Halt> {
+        let mut pose = self.pose().await?;
+        if self.off_target(&pose, target).is_some() {
+            pose = self.pose().await?;
+        }
+        match self.off_target(&pose, target) {
+            Some(words) => Err(Halt::trip(TripKind::Position, words)),
+            None => Ok(pose),
+        }
+    }
+
+    fn off_target(&self, pose: &Pose, target: &Pose) -> Option<String> {
+        /// Deviation of z above which the trial is refused instead of flagged, mm.
+        const Z_OFF_MM: f64 = 0.5;
+        let axes = &self.config.axes;
+        let radius_mm = 2.0 * axes.radial.tolerance_deg * self.config.slot.mm_per_deg.abs();
+        [
+            ("x", pose.x_mm, target.x_mm, 2.0 * axes.x.tolerance_mm),
+            ("y", pose.y_mm, target.y_mm, 2.0 * axes.y.tolerance_mm),
+            ("z", pose.z_mm, target.z_mm, Z_OFF_MM.max(2.0 * axes.z.tolerance_mm)),
+            ("radius", pose.radius_mm, target.radius_mm, radius_mm),
+        ]
+        .into_iter()
+        .find(|(_, at, to, allowed)| (at - to).abs() > *allowed)
+        .map(|(name, at, to, allowed)| {
+            format!("{name} measured at {at:.3} mm, commanded {to:.3} mm, allowed {allowed} mm")
+        })
+    }
+
+    /// Reads the cells while z is at rest, and checks every limit.
+    ///
+    /// # Errors
+    /// Trips on a limit, on a wire, and if the stream returns no frame while the load is held:
+    /// without frames the skin cannot cross-check the cells.
+    pub async fn weigh(&mut self) -> Result<CellVolts, Halt> {
+        let reading = self.bench.cells.read().await?;
+        self.check(&reading)?;
+        let limit = Duration::from_millis(self.config.limits.frame_age_ms);
+        let held = self.held_since.get_or_insert_with(Instant::now).elapsed();
+        let newest = self.bench.skin.latest().map(|frame| frame.received.elapsed());
+        if held > limit && newest.is_none_or(|age| age > limit) {
+            let limit_ms = limit.as_millis();
+            let detail = format!("ert: no frame of a held load, limits.frame_age_ms = {limit_ms}");
+            return Err(Halt::trip(TripKind::Stale, detail));
+        }
+        Ok(reading)
+    }
+
+    /// Begins a watched motion or hold: the gap between samples counts from here.
+    pub(in crate::campaign) fn begin_watch(&mut self) {
+        self.last_sample = None;
+    }
+
+    /// Takes the time of the last sample, from which the delay to the resulting stop is measured.
+    pub(in crate::campaign) fn take_last_sample(&mut self) -> Option<Instant> {
+        self.last_sample.take()
+    }
+
+    /// Checks one sample: its age, the gap since the previous sample, every limit, and the
+    /// cross-check with the skin.
+    ///
+    /// # Errors
+    /// Trips on a stale sample, a limit, or a touch of the skin that no cell measures.
+    pub(super) fn check(&mut self, reading: &CellVolts) -> Result<(), Halt> {
+        let limit_ms = self.config.limits.sample_age_ms;
+        let age = self.clock.now().saturating_duration_since(reading.at);
+        let gap = self.last_sample.replace(reading.at).map(|last| reading.at - last);
+        for (what, time) in [("sample", Some(age)), ("gap between samples", gap)] {
+            if let Some(time) = time.filter(|t| *t > Duration::from_millis(limit_ms)) {
+                let ms = time.as_millis();
+                let detail = format!("cells: {what} {ms} ms, limits.sample_age_ms = {limit_ms}");
+                return Err(Halt::trip(TripKind::Stale, detail));
+            }
+        }
+        let cells = &self.config.cells;
+        interlock::check_cells(cells, self.limits, self.tips, reading, &self.tare_v)?;
+        let forces = self.forces_n(&reading.volts);
+        let attached = &forces[..usize::from(self.tips)];
+        self.peak_n = attached.iter().copied().fold(self.peak_n, f64::max);
+        self.compare_with_skin(attached)
+    }
+
+    /// Number of frames of a held load that suffices for the cross-check of skin and cells.
+    pub fn witness_frames(&self) -> usize {
+        (self.cells_see_s() * self.config.ert.frame_rate_hz()).ceil() as usize
+            + FELT_FRAMES as usize
+    }
+
+    /// Process time after which the cells show a load that the skin shows, s.
+    fn cells_see_s(&self) -> f64 {
+        self.config.cells.update_ms / 1e3 + self.stopping.blind_s(&self.config)
+    }
+
+    fn compare_with_skin(&mut self, forces_n: &[f64]) -> Result<(), Halt> {
+        let update_s = self.cells_see_s();
+        let now_s = self.clock.process_s();
+        let Some((watch, frame)) = self.skin.as_mut().zip(self.bench.skin.latest()) else {
+            return Ok(());
+        };
+        let limits = &self.config.limits;
+        match watch.unweighed_touch(&frame, forces_n, now_s, update_s, limits) {
+            Some(words) => Err(Halt::trip(TripKind::Cell, words)),
+            None => Ok(()),
+        }
+    }
+
+    /// Halt for missing frames: an interrupted stream fails the attempt, a stopped stream trips the
+    /// rig.
+    pub fn no_frames(&self, error: RigError) -> Halt {
+        let limit = Duration::from_millis(self.config.limits.frame_age_ms);
+        let newest = self.bench.skin.latest();
+        match newest.map(|f| f.received.elapsed()) {
+            Some(age) if age <= limit => error.into(),
+            age => {
+                let age = age.map_or("none yet".into(), |a| format!("{} ms old", a.as_millis()));
+                let limit_ms = limit.as_millis();
+                let detail = format!("ert: newest frame {age}, limit {limit_ms} ms ({error})");
+                Halt::trip(TripKind::Stale, detail)
+            }
+        }
+    }
+
+    /// Forces of the arms after subtraction of the tare, N.
+    pub fn forces_n(&self, volts: &[f64; ARMS]) -> [f64; ARMS] {
+        interlock::forces_n(&self.config.cells, volts, &self.tare_v)
+    }
+
+    /// Waits for work without motion, such as a commit or frames, and meanwhile checks forces and
+    /// requests.
+    ///
+    /// # Errors
+    /// Halts on a limit, a fault or a request; the work is dropped.
+    pub async fn watch_while<T>(
+        &mut self,
+        control: &mut Control,
+        work: impl Future<Output = T>,
+    ) -> Result<T, Halt> {
+        let mut work = std::pin::pin!(work);
+        loop {
+            tokio::select! {
+                biased;
+                done = &mut work => return Ok(done),
+                () = self.poll_pause() => {}
+            }
+            control.attend()?;
+            self.weigh().await?;
+        }
+    }
+
+    /// Machine pose over a position in skin coordinates.
+    pub fn pose_over(&self, centre_mm: [f64; 2], radius_mm: f64, z_mm: f64) -> Pose {
+        let place = &self.config.skin;
+        Pose {
+            x_mm: place.origin_x_mm + centre_mm[0],
+            y_mm: place.origin_y_mm + centre_mm[1],
+            z_mm,
+            radius_mm,
+        }
+    }
+
+    /// Raises z and waits until it has arrived. Returns `Ok(false)` if z has lost its zero.
+    ///
+    /// # Errors
+    /// A message if a device does not reply, z reports an alarm or does not arrive in time, or an
+    /// e-stop is latched.
+    pub(in crate::campaign) async fn raise_once(
+        &self,
+        height: Height,
+        estop: &StopSwitch,
+    ) -> Result<bool, String> {
+        let words = |e: crate::rig::error::RigError| e.to_string();
+        let top = self.config.axes.z.travel_mm[0];
+        let up = match height {
+            Height::Clear => self.clear_z_mm(),
+            Height::Top => top,
+        };
+        let z = self.driven(AxisName::Z);
+        let from = z.axis.status().await.map_err(words)?;
+        if !from.homed {
+            return Ok(false);
+        }
+        if from.position > up + z.tolerance || from.moving {
+            // Never down, even if z is already higher.
+            let target = up.min(from.position).max(top);
+            z.axis.start_move(target, z.speed).await.map_err(words)?;
+        }
+        let seconds = (from.position - up).abs() / z.speed + 1.0;
+        let deadline = self.clock.now() + self.clock.wall(1.5 * seconds) + GRACE;
+        loop {
+            let now = z.axis.status().await.map_err(words)?;
+            if let Some(alarm) = now.alarm {
+                return Err(format!("z reports alarm {alarm:#x} at {:.3} mm", now.position));
+            }
+            if !now.moving && now.position <= up + z.tolerance {
+                return Ok(true);
+            }
+            if estop.pressed().is_some() {
+                return Err("the emergency stop is latched".into());
+            }
+            if self.clock.now() > deadline {
+                return Err(format!("z at {:.3} mm, to be raised to {up:.3}", now.position));
+            }
+            self.poll_pause().await;
+        }
+    }
+}

@@ -1,0 +1,176 @@
+//! The stopping distance: how far z travels, and how much force that may add, between a sample over
+//! its limit and standstill. It is computed from the rig file and the measured times of the wires
+//! before a run is armed, and measured at each stop; the status shows both.
+//! PURE. Uses: `rig::config`. Never: wires, clocks.
+
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::rig::config::RigConfig;
+
+/// Pause between two polls of a motion, process s.
+pub const POLL_S: f64 = 0.010;
+/// Assumed scheduling delay of the computer between two polls, wall s.
+const LATE_WALL_S: f64 = 0.005;
+/// Factor by which the slowest poll decays with each further poll.
+const POLL_MEMORY: f64 = 0.99;
+/// Slowest usable press, mm/s.
+const SLOWEST_MM_S: f64 = 0.02;
+
+/// Bound of the force increase between a sample and the stop that follows it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct StoppingDistance {
+    /// Speed of the fastest press, mm/s.
+    pub speed_mm_s: f64,
+    /// Longest time from a force to the stop command of z on the wire, process ms: update period of
+    /// the cells, two polls, and the scheduling delay of the computer.
+    pub blind_ms: f64,
+    /// Part of it from the arrival of a sample to the stop command of z on the wire, wall ms.
+    /// Compare with `measured_ms`.
+    pub sample_to_stop_ms: f64,
+    /// Travel in that time and during the deceleration of z, mm.
+    pub travel_mm: f64,
+    /// Force that this travel may add, N: travel x `limits.stiffness_n_per_mm`.
+    pub added_n: f64,
+    /// Limit from the rig file, N: `limits.force_margin_n`.
+    pub margin_n: f64,
+    /// Number of stops measured in this run.
+    pub stops: u64,
+    /// Longest measured time from a sample to the acknowledged stop of z, wall ms; absent before
+    /// the first stop.
+    pub measured_ms: Option<f64>,
+    /// Longest measured travel from a sample to standstill, mm; absent before the first stop.
+    pub measured_mm: Option<f64>,
+}
+
+/// Tracks the durations of polls and the delays and travels of stops.
+#[derive(Debug, Clone, Default)]
+pub struct Stopping {
+    slowest_poll_s: f64,
+    stops: u64,
+    longest: Option<Duration>,
+    farthest_mm: Option<f64>,
+}
+
+impl Stopping {
+    /// Records the duration of one polling round, process s. The effect of a slow round decays over
+    /// a few hundred rounds.
+    pub fn note_poll(&mut self, took_s: f64) {
+        self.slowest_poll_s = took_s.max(self.slowest_poll_s * POLL_MEMORY);
+    }
+
+    /// Records the time from a sample to the acknowledgement of the stop that followed; none is
+    /// ignored.
+    pub fn note_stop(&mut self, after: Option<Duration>) {
+        if let Some(after) = after {
+            self.stops += 1;
+            self.longest = self.longest.max(Some(after));
+        }
+    }
+
+    /// Records the travel of z from that sample to standstill, mm.
+    pub fn note_travel(&mut self, travel_mm: f64) {
+        self.farthest_mm = Some(self.farthest_mm.unwrap_or(0.0).max(travel_mm));
+    }
+
+    /// Starts the counts and maxima of a newly armed run; the slowest poll is kept.
+    pub fn begin(&mut self) {
+        *self = Self { slowest_poll_s: self.slowest_poll_s, ..Self::default() };
+    }
+
+    /// Longest time between a force and the stop that it requires, process s. A wire shared by
+    /// several devices and a fast clock make the polls longer.
+    pub fn blind_s(&self, rig: &RigConfig) -> f64 {
+        let late_s = LATE_WALL_S * rig.clock_rate;
+        rig.cells.update_ms / 1e3 + 2.0 * self.slowest_poll_s.max(POLL_S) + late_s
+    }
+
+    /// Speed of a press, mm/s: the added force stays within the margin, and the approach speed of
+    /// the rig file is not exceeded.
+    pub fn press_speed_mm_s(&self, rig: &RigConfig) -> f64 {
+        let travel_mm = rig.limits.force_margin_n / rig.limits.stiffness_n_per_mm;
+        // v blind + v^2 / 2a = travel, solved for v.
+        let (a, blind_s) = (rig.axes.z.acceleration_mm_s2, self.blind_s(rig));
+        let speed = a * ((blind_s * blind_s + 2.0 * travel_mm / a).sqrt() - blind_s);
+        speed.min(rig.approach_speed_mm_s())
+    }
+
+    /// Stopping distance at the present pace of the wires, with the measured values.
+    ///
+    /// # Errors
+    /// No usable press is slow enough for the margin; the message names the key and the speed
+    /// required.
+    pub fn distance(&self, rig: &RigConfig) -> Result<StoppingDistance, String> {
+        let (speed, blind_s) = (self.press_speed_mm_s(rig), self.blind_s(rig));
+        let travel_mm = speed * blind_s + speed * speed / (2.0 * rig.axes.z.acceleration_mm_s2);
+        let limits = &rig.limits;
+        if speed < SLOWEST_MM_S {
+            return Err(format!(
+                "limits.force_margin_n = {}: with {:.0} ms from a force to its stop and {} N/mm, \
+                 a press must not exceed {speed:.4} mm/s; the slowest press is {SLOWEST_MM_S}",
+                limits.force_margin_n,
+                blind_s * 1e3,
+                limits.stiffness_n_per_mm
+            ));
+        }
+        Ok(StoppingDistance {
+            speed_mm_s: speed,
+            blind_ms: blind_s * 1e3,
+            sample_to_stop_ms: (self.slowest_poll_s.max(POLL_S) / rig.clock_rate + LATE_WALL_S)
+                * 1e3,
+            travel_mm,
+            added_n: travel_mm * limits.stiffness_n_per_mm,
+            margin_n: limits.force_margin_n,
+            stops: self.stops,
+            measured_ms: self.longest.map(|d| d.as_secs_f64() * 1e3),
+            measured_mm: self.farthest_mm,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rig() -> RigConfig {
+        let text = include_str!("../../../../experiments/rigs/virtual.toml");
+        RigConfig::from_toml("virtual.toml", text).expect("the virtual rig file is sound")
+    }
+
+    #[test]
+    fn what_a_stop_may_add_stays_within_the_margin_however_slow_the_wire() {
+        for poll_s in [0.0, 0.01, 0.1, 0.5, 2.0] {
+            let mut stopping = Stopping::default();
+            stopping.note_poll(poll_s);
+            let distance = stopping.distance(&rig()).unwrap();
+            assert!(distance.added_n <= distance.margin_n * (1.0 + 1e-9), "{distance:?}");
+            assert!(distance.speed_mm_s <= rig().approach_speed_mm_s());
+        }
+    }
+
+    #[test]
+    fn a_margin_that_no_press_keeps_is_refused_and_named() {
+        let mut stopping = Stopping::default();
+        stopping.note_poll(100.0);
+        let refused = stopping.distance(&rig()).unwrap_err();
+        assert!(refused.starts_with("limits.force_margin_n = 8"), "{refused}");
+    }
+
+    #[test]
+    fn the_longest_stop_and_the_farthest_travel_are_kept() {
+        let mut stopping = Stopping::default();
+        for ms in [3, 9, 5] {
+            stopping.note_stop(Some(Duration::from_millis(ms)));
+        }
+        stopping.note_stop(None);
+        stopping.note_travel(0.2);
+        stopping.note_travel(0.1);
+        let distance = stopping.distance(&rig()).unwrap();
+        assert_eq!((distance.stops, distance.measured_mm), (3, Some(0.2)));
+        assert_eq!(distance.measured_ms, Some(9.0));
+        stopping.begin();
+        assert_eq!(stopping.distance(&rig()).unwrap().stops, 0);
+    }
+}

@@ -1,0 +1,325 @@
+//! Motions of the stage, each supervised to its end: positions, alarms, forces, requests.
+//! Uses: `campaign::{bench::stage, run::control, bench::interlock}`. Never: the plan, storage, a
+//! wait for the store.
+//!
+//! No lateral or radial motion unless z is measured clear of the surface.
+
+use futures::future::try_join_all;
+use tokio::time::Instant;
+
+use crate::campaign::bench::interlock::{self, TripKind};
+use crate::campaign::bench::stage::{AxisName, GRACE, Stage};
+use crate::campaign::run::control::Control;
+use crate::campaign::run::halt::Halt;
+use crate::record::Pose;
+use crate::rig::config::ARMS;
+use crate::rig::traits::{AxisStatus, CellVolts};
+
+/// Longest homing of one axis, process s.
+const HOMING_S: f64 = 180.0;
+
+/// Target of one axis.
+#[derive(Debug, Clone, Copy)]
+pub struct Target {
+    /// Axis to move.
+    pub axis: AxisName,
+    /// Target position, in the axis's unit.
+    pub position: f64,
+    /// Speed, units/s; absent: the travelling speed of the axis.
+    pub speed: Option<f64>,
+}
+
+impl Target {
+    /// Target at the travelling speed.
+    pub fn of(axis: AxisName, position: f64) -> Self {
+        Self { axis, position, speed: None }
+    }
+}
+
+/// Values read by one poll of a press.
+#[derive(Debug, Clone, Copy)]
+pub struct Sample {
+    /// z, machine mm.
+    pub z_mm: f64,
+    /// Outputs of the cells, V.
+    pub volts: [f64; ARMS],
+}
+
+impl Stage {
+    /// Moves axes together through the air and supervises them until they arrive.
+    ///
+    /// # Errors
+    /// Halts on a position outside the travel, an alarm, a late arrival, z not clear, a wire fault
+    /// or a request.
+    pub async fn travel(&mut self, control: &mut Control, targets: &[Target]) -> Result<(), Halt> {
+        self.watched_travel(control, targets, false, |_| false).await.map(|_| ())
+    }
+
+    /// Like `travel`, but reads and checks the cells at every poll.
+    ///
+    /// # Errors
+    /// As `travel`, and on every limit of a sample.
+    pub async fn weighed_travel(
+        &mut self,
+        control: &mut Control,
+        target: Target,
+    ) -> Result<(), Halt> {
+        self.watched_travel(control, &[target], true, |_| false).await.map(|_| ())
+    }
+
+    /// Moves z at `speed_mm_s`, reads the cells at every poll, and stops z once `until` holds for a
+    /// sample. Returns whether it did.
+    ///
+    /// # Errors
+    /// As `weighed_travel`.
+    pub async fn press_until(
+        &mut self,
+        control: &mut Control,
+        z_mm: f64,
+        speed_mm_s: f64,
+        until: impl FnMut(&Sample) -> bool,
+    ) -> Result<bool, Halt> {
+        let target = Target { axis: AxisName::Z, position: z_mm, speed: Some(speed_mm_s) };
+        self.watched_travel(control, &[target], true, until).await
+    }
+
+    /// Moves z at the press speed and reads the cells at every poll.
+    ///
+    /// # Errors
+    /// As `weighed_travel`.
+    pub async fn press_to(&mut self, control: &mut Control, z_mm: f64) -> Result<(), Halt> {
+        let speed = self.stopping.press_speed_mm_s(&self.config);
+        self.press_until(control, z_mm, speed, |_| false).await.map(|_| ())
+    }
+
+    async fn watched_travel(
+        &mut self,
+        control: &mut Control,
+        targets: &[Target],
+        weighing: bool,
+        mut until: impl FnMut(&Sample) -> bool,
+    ) -> Result<bool, Halt> {
+        if targets.iter().any(|t| t.axis != AxisName::Z) {
+            self.require_clear().await?;
+            self.skin = None;
+        }
+        if !weighing {
+            self.begin_watch();
+        }
+        self.held_since = None;
+        let z_place = targets.iter().position(|t| t.axis == AxisName::Z);
+        let deadline = self.start(targets).await?;
+        let mut polled_s = self.clock.process_s();
+        loop {
+            control.attend()?;
+            let (statuses, reading) = self.poll(targets, weighing).await?;
+            let now_s = self.clock.process_s();
+            self.stopping.note_poll(now_s - polled_s);
+            polled_s = now_s;
+            let mut arrived = true;
+            for (target, status) in targets.iter().zip(&statuses) {
+                arrived &= self.check_axis(target, status)?;
+            }
+            if let Some(reading) = reading {
+                self.check(&reading)?;
+                if let Some(z) = z_place.map(|i| statuses[i].position)
+                    && until(&Sample { z_mm: z, volts: reading.volts })
+                {
+                    self.stop_z(control, z, reading.at).await?;
+                    return Ok(true);
+                }
+            }
+            if arrived {
+                return Ok(false);
+            }
+            if self.clock.now() > deadline {
+                return Err(self.did_not_arrive(targets, &statuses));
+            }
+            self.poll_pause().await;
+        }
+    }
+
+    /// Checks one reading of a moving axis. Returns whether it has arrived.
+    fn check_axis(&self, target: &Target, status: &AxisStatus) -> Result<bool, Halt> {
+        let driven = self.driven(target.axis);
+        let (axis, tolerance) = (driven.axis, driven.tolerance);
+        interlock::check_position(axis.name(), status.position, axis.travel(), tolerance)?;
+        if let Some(alarm) = status.alarm {
+            let detail = format!("{} reports alarm {alarm:#x}", axis.name());
+            return Err(Halt::trip(TripKind::Device, detail));
+        }
+        Ok(!status.moving && (status.position - target.position).abs() <= tolerance)
+    }
+
+    /// Stops z after a sample that met the condition, and records the delay and travel of the stop.
+    async fn stop_z(
+        &mut self,
+        control: &mut Control,
+        sampled_mm: f64,
+        sampled: Instant,
+    ) -> Result<(), Halt> {
+        self.bench.z.stop().await?;
+        self.stopping.note_stop(Some(self.clock.now().saturating_duration_since(sampled)));
+        let deadline = self.clock.now() + self.clock.wall(2.0) + GRACE;
+        loop {
+            let z = self.bench.z.status().await?;
+            if !z.moving {
+                self.stopping.note_travel((z.position - sampled_mm).max(0.0));
+                return Ok(());
+            }
+            control.attend()?;
+            self.weigh().await?;
+            if self.clock.now() > deadline {
+                return Err(Halt::trip(TripKind::Position, "z did not stop"));
+            }
+            self.poll_pause().await;
+        }
+    }
+
+    async fn start(&self, targets: &[Target]) -> Result<Instant, Halt> {
+        let mut longest_s = 0.0f64;
+        for target in targets {
+            let driven = self.driven(target.axis);
+            let speed = target.speed.unwrap_or(driven.speed);
+            let from = driven.axis.status().await?.position;
+            let takes_s =
+                (target.position - from).abs() / speed + 2.0 * speed / driven.acceleration;
+            longest_s = longest_s.max(takes_s);
+            driven.axis.start_move(target.position, speed).await?;
+        }
+        Ok(self.clock.now() + self.clock.wall(1.5 * longest_s + 0.5) + GRACE)
+    }
+
+    async fn poll(
+        &self,
+        targets: &[Target],
+        weighing: bool,
+    ) -> Result<(Vec<AxisStatus>, Option<CellVolts>), Halt> {
+        let axes = try_join_all(targets.iter().map(|t| self.driven(t.axis).axis.status()));
+        if weighing {
+            let (statuses, reading) = futures::join!(axes, self.bench.cells.read());
+            Ok((statuses?, Some(reading?)))
+        } else {
+            Ok((axes.await?, None))
+        }
+    }
+
+    /// Reads axes and cells several times at rest, so that the stopping distance uses the measured
+    /// times of the wires before the first press.
+    ///
+    /// # Errors
+    /// Halts if a device does not reply.
+    pub async fn time_polls(&mut self) -> Result<(), Halt> {
+        const ROUNDS: usize = 5;
+        let z = [Target::of(AxisName::Z, 0.0)];
+        for _ in 0..ROUNDS {
+            let began_s = self.clock.process_s();
+            self.poll_pause().await;
+            self.poll(&z, true).await?;
+            self.stopping.note_poll(self.clock.process_s() - began_s);
+        }
+        Ok(())
+    }
+
+    fn did_not_arrive(&self, targets: &[Target], statuses: &[AxisStatus]) -> Halt {
+        let words: Vec<String> = targets
+            .iter()
+            .zip(statuses)
+            .map(|(t, s)| {
+                let name = self.driven(t.axis).axis.name();
+                format!("{name} at {:.3} of {:.3}", s.position, t.position)
+            })
+            .collect();
+        Halt::trip(TripKind::Position, format!("did not arrive in time: {}", words.join(", ")))
+    }
+
+    async fn require_clear(&self) -> Result<(), Halt> {
+        let z = self.bench.z.status().await?;
+        let tolerance = self.driven(AxisName::Z).tolerance;
+        let clear = self.clear_z_mm();
+        if z.moving || z.position > clear + tolerance {
+            let detail =
+                format!("lateral motion refused: z at {:.3} mm, clear at {clear:.3}", z.position);
+            return Err(Halt::trip(TripKind::Position, detail));
+        }
+        Ok(())
+    }
+
+    /// Moves to a position in skin coordinates, with the arms at a radius. The radius is always
+    /// approached from below, so that the backlash of the slot has no effect.
+    ///
+    /// # Errors
+    /// As `travel`.
+    pub async fn go_over(
+        &mut self,
+        control: &mut Control,
+        centre_mm: [f64; 2],
+        radius_mm: f64,
+    ) -> Result<Pose, Halt> {
+        let target = self.pose_over(centre_mm, radius_mm, self.clear_z_mm());
+        let slot = self.config.slot.clone();
+        let angle = Target::of(AxisName::Radial, slot.angle_deg(radius_mm));
+        let here = slot.radius_mm(self.bench.radial.status().await?.position);
+        let x = Target::of(AxisName::X, target.x_mm);
+        let y = Target::of(AxisName::Y, target.y_mm);
+        if here > radius_mm {
+            let low = self.config.axes.radial.travel_deg;
+            let below = slot.angle_deg((radius_mm - slot.backlash_mm).max(slot.radius_mm[0]));
+            let below = Target::of(AxisName::Radial, below.clamp(low[0], low[1]));
+            self.travel(control, &[x, y, below]).await?;
+            self.travel(control, &[angle]).await?;
+        } else {
+            self.travel(control, &[x, y, angle]).await?;
+        }
+        Ok(target)
+    }
+
+    /// Homes every axis: z first and alone, so that the first motion is upward.
+    ///
+    /// # Errors
+    /// As `travel`; trips if an axis reports an alarm or homing does not end in time.
+    pub async fn home(&mut self, control: &mut Control) -> Result<(), Halt> {
+        self.surface = None;
+        self.skin = None;
+        let z = self.bench.z.clone();
+        if z.status().await?.homed {
+            let top = self.config.axes.z.travel_mm[0];
+            self.travel(control, &[Target::of(AxisName::Z, top)]).await?;
+        }
+        self.home_axes(control, &[AxisName::Z]).await?;
+        self.home_axes(control, &[AxisName::X, AxisName::Y, AxisName::Radial]).await
+    }
+
+    async fn home_axes(&self, control: &mut Control, names: &[AxisName]) -> Result<(), Halt> {
+        let name_of = |n: AxisName| self.driven(n).axis.name();
+        for &name in names {
+            self.driven(name).axis.start_home().await?;
+        }
+        let deadline = self.clock.now() + self.clock.wall(HOMING_S) + GRACE;
+        // A drive that was homed before needs a moment to accept the command.
+        self.clock.sleep(0.1).await;
+        loop {
+            control.attend()?;
+            let read = try_join_all(names.iter().map(|&n| self.driven(n).axis.status())).await?;
+            if read.iter().all(|s| s.homed && !s.moving) {
+                return Ok(());
+            }
+            if let Some((name, s)) = names.iter().zip(&read).find(|(_, s)| s.alarm.is_some()) {
+                let code = s.alarm.unwrap_or_default();
+                let detail = format!("{} reports alarm {code:#x}", name_of(*name));
+                return Err(Halt::trip(TripKind::Device, detail));
+            }
+            if self.clock.now() > deadline {
+                let left: Vec<&str> = names
+                    .iter()
+                    .zip(&read)
+                    .filter(|(_, s)| !s.homed || s.moving)
+                    .map(|(&n, _)| name_of(n))
+                    .collect();
+                let detail = format!("homing did not end within {HOMING_S} s: {left:?}");
+                return Err(Halt::trip(TripKind::Position, detail));
+            }
+            self.poll_pause().await;
+        }
+    }
+}

@@ -1,0 +1,242 @@
+//! The diary: records of what happened, written after it happened. A note never blocks; one task
+//! writes the notes in order and repeats a failed write until the store accepts it.
+//! Uses: `campaign::{journal, record}`, tokio. Never: motion, a note dropped without a count.
+//!
+//! Nothing that moves waits for the store, with one exception: a trial must be durable before the
+//! stage continues (`docs/safety.md`). Trials go through the same queue, so that all earlier notes
+//! are durable when the trial is.
+
+use std::collections::VecDeque;
+use std::panic::AssertUnwindSafe;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use futures::FutureExt;
+use jiff::Timestamp;
+use serde_json::json;
+use tokio::sync::{mpsc, oneshot};
+
+use crate::ids::{RunUid, TrialKey};
+use crate::journal::{ExitStatus, Journal, JournalError, Mounting};
+use crate::record::{AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord};
+
+/// Notes that may wait for the store. A rig at rest creates a few per hour.
+const CAPACITY: usize = 4096;
+/// Delays before a failed write is repeated: the first, doubled up to the second.
+const RETRY: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(5)];
+
+/// A record of something that happened.
+#[derive(Debug, Clone)]
+pub enum Note {
+    /// An event for people.
+    Event {
+        /// Run that the event belongs to; none outside a run.
+        run: Option<RunUid>,
+        /// Kind of the event, one word.
+        kind: String,
+        /// Details of the event as JSON.
+        data: serde_json::Value,
+    },
+    /// Change of a run's state: state reached, state requested, reason.
+    RunState(RunUid, String, Option<String>, Option<String>),
+    /// End of a run: exit status and reason.
+    EndRun(RunUid, ExitStatus, String),
+    /// A failed attempt of a trial.
+    Attempt(RunUid, AttemptRecord),
+    /// Tare of the cells.
+    Tare(RunUid, TareRecord),
+    /// Result of a reference press.
+    Reference(RunUid, Box<ReferenceRecord>),
+    /// Result of a touch-off.
+    TouchOff(RunUid, TouchOffRecord),
+    /// A configuration that was given up: index and reason.
+    Skip(RunUid, u32, String),
+    /// A trial that was withdrawn: key and reason.
+    Discard(RunUid, TrialKey, String),
+    /// Tips that a person has entered as mounted.
+    Mounted(Mounting),
+}
+
+enum Entry {
+    Note(Note, Timestamp),
+    Trial(RunUid, Box<TrialRecord>, Answer),
+    /// Answered when all earlier entries are durable.
+    Flush(Answer),
+}
+
+type Answer = oneshot::Sender<Result<(), JournalError>>;
+
+/// Accepts notes. All clones share one queue.
+#[derive(Debug, Clone)]
+pub struct Diary {
+    entries: mpsc::Sender<Entry>,
+    missing: Arc<AtomicU64>,
+}
+
+impl std::fmt::Debug for Entry {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Entry::Note(note, at) => write!(f, "{at} {note:?}"),
+            Entry::Trial(run, trial, _) => write!(f, "trial {:?} of run {run}", trial.key),
+            Entry::Flush(_) => f.write_str("flush"),
+        }
+    }
+}
+
+impl Diary {
+    /// Opens a diary and starts the task that writes to the journal until every clone is dropped.
+    ///
+    /// # Panics
+    /// Outside a tokio runtime.
+    pub fn open(journal: Arc<dyn Journal>) -> (Self, tokio::task::JoinHandle<()>) {
+        let (entries, inbox) = mpsc::channel(CAPACITY);
+        let missing = Arc::<AtomicU64>::default();
+        let writer = Writer { journal, inbox, behind: VecDeque::new(), missing: missing.clone() };
+        let task = tokio::spawn(writer.write_all());
+        (Self { entries, missing }, task)
+    }
+
+    /// Records something at the present time. Never waits: notes beyond the capacity are counted,
+    /// and the count is stored in their place.
+    pub fn note(&self, note: Note) {
+        if let Err(error) = self.entries.try_send(Entry::Note(note, Timestamp::now())) {
+            self.missing.fetch_add(1, Ordering::Relaxed);
+            tracing::error!(%error, "a note was lost");
+        }
+    }
+
+    /// Stores a trial; resolves when it and all earlier notes are durable.
+    ///
+    /// # Errors
+    /// The store refused the trial or failed; the trial is then not stored. If the caller stops
+    /// waiting, the trial is stored as soon as the store accepts it.
+    pub async fn trial(&self, run: RunUid, trial: TrialRecord) -> Result<(), JournalError> {
+        self.ask(|answer| Entry::Trial(run, Box::new(trial), answer)).await
+    }
+
+    /// Resolves when all earlier notes are durable.
+    ///
+    /// # Errors
+    /// The store failed; the notes are kept and written again.
+    pub async fn flush(&self) -> Result<(), JournalError> {
+        self.ask(Entry::Flush).await
+    }
+
+    async fn ask(&self, entry: impl FnOnce(Answer) -> Entry) -> Result<(), JournalError> {
+        let gone = || JournalError::of("the diary", "its queue is full or its task has ended");
+        let (answer, answered) = oneshot::channel();
+        self.entries.try_send(entry(answer)).map_err(|_| gone())?;
+        answered.await.map_err(|_| gone())?
+    }
+}
+
+struct Writer {
+    journal: Arc<dyn Journal>,
+    inbox: mpsc::Receiver<Entry>,
+    /// Entries taken from the inbox while an earlier note could not be written.
+    behind: VecDeque<Entry>,
+    missing: Arc<AtomicU64>,
+}
+
+impl Writer {
+    async fn write_all(mut self) {
+        loop {
+            let next = match self.behind.pop_front() {
+                Some(entry) => Some(entry),
+                None => self.inbox.recv().await,
+            };
+            let Some(entry) = next else { return };
+            match entry {
+                Entry::Note(note, at) => self.write_note(&note, at).await,
+                Entry::Trial(run, trial, answer) => {
+                    let journal = self.journal.clone();
+                    let stored = guarded(async move { journal.trial(run, &trial).await }).await;
+                    // The caller may have stopped waiting because of a stop.
+                    let _ = answer.send(stored.map(|_| ()));
+                }
+                Entry::Flush(answer) => {
+                    let _ = answer.send(Ok(()));
+                }
+            }
+        }
+    }
+
+    /// Writes a note, repeatedly until it succeeds; a note that the store refuses is logged.
+    async fn write_note(&mut self, note: &Note, at: Timestamp) {
+        let mut pause = RETRY[0];
+        loop {
+            let missing = self.missing.swap(0, Ordering::Relaxed);
+            let written = match missing {
+                0 => Ok(()),
+                n => {
+                    let data = json!({ "notes": n });
+                    guarded(self.journal.event(None, "diary_gap", data, at)).await.map(|_| ())
+                }
+            };
+            let written = match written {
+                Ok(()) => guarded(put(self.journal.as_ref(), note, at)).await,
+                Err(error) => {
+                    self.missing.fetch_add(missing, Ordering::Relaxed);
+                    Err(error)
+                }
+            };
+            let Err(error) = written else { return };
+            if error.refused {
+                tracing::error!(%error, ?note, "the store refuses this note");
+                return;
+            }
+            tracing::warn!(%error, cause = ?error.source, "a note waits for the store");
+            self.tell_who_waits(&error);
+            tokio::time::sleep(pause).await;
+            pause = (2 * pause).min(RETRY[1]);
+        }
+    }
+
+    /// Reports a failed note to the callers that wait behind it: their trial is not stored. Notes
+    /// stay in the queue.
+    fn tell_who_waits(&mut self, error: &JournalError) {
+        while self.behind.len() < CAPACITY
+            && let Ok(entry) = self.inbox.try_recv()
+        {
+            self.behind.push_back(entry);
+        }
+        for entry in std::mem::take(&mut self.behind) {
+            match entry {
+                Entry::Note(..) => self.behind.push_back(entry),
+                Entry::Trial(_, _, answer) | Entry::Flush(answer) => {
+                    let _ = answer.send(Err(error.again()));
+                }
+            }
+        }
+    }
+}
+
+/// Runs a write; a panic of the journal becomes an error.
+async fn guarded<T>(
+    write: impl Future<Output = Result<T, JournalError>>,
+) -> Result<T, JournalError> {
+    let panicked = |_| Err(JournalError::of("a record", "the store panicked"));
+    AssertUnwindSafe(write).catch_unwind().await.unwrap_or_else(panicked)
+}
+
+async fn put(journal: &dyn Journal, note: &Note, at: Timestamp) -> Result<(), JournalError> {
+    match note {
+        Note::Event { run, kind, data } => {
+            journal.event(*run, kind, data.clone(), at).await.map(|_| ())
+        }
+        Note::RunState(run, state, requested, why) => {
+            journal.run_state(*run, state, requested.as_deref(), why.as_deref(), at).await
+        }
+        Note::EndRun(run, status, reason) => journal.end_run(*run, *status, reason, at).await,
+        Note::Attempt(run, attempt) => journal.attempt(*run, attempt).await,
+        Note::Tare(run, tare) => journal.tare(*run, tare).await,
+        Note::Reference(run, press) => journal.reference(*run, press).await,
+        Note::TouchOff(run, found) => journal.touch_off(*run, found).await,
+        Note::Skip(run, configuration, reason) => {
+            journal.skip(*run, *configuration, reason, at).await
+        }
+        Note::Discard(run, key, reason) => journal.discard(*run, *key, reason).await,
+        Note::Mounted(mounting) => journal.mounted(mounting, at).await,
+    }
+}

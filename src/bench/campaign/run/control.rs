@@ -1,0 +1,357 @@
+//! Where requests meet the state machines: what is allowed, the next state, the published status.
+//! All of it happens in memory; the diary stores it afterwards.
+//! Uses: `campaign::{shown::command, run::run_state, bench::rig_state, shown::status, diary}`.
+//! Never: motion, wires, a wait for the store except while the tips are up (`flush`, `at_rest`).
+
+use std::sync::Arc;
+
+use std::time::Duration;
+
+use serde_json::json;
+
+use crate::campaign::bench::estop::StopSwitch;
+use crate::campaign::bench::interlock::{Trip, TripKind};
+use crate::campaign::bench::rig_state::{self, RigEvent, RigState};
+use crate::campaign::diary::{Diary, Note};
+use crate::campaign::run::halt::Halt;
+use crate::campaign::run::run_state::{self, PausedWhy, RunAction, RunEvent, RunState};
+use crate::campaign::shown::command::{Envelope, Inbox, Refusal, Request};
+use crate::campaign::shown::status::{Phase, RunStatus, Status};
+use crate::ids::RunUid;
+use crate::journal::{Journal, JournalError};
+
+/// Longest wait for the store, for a trial or for earlier notes to be durable.
+pub const STORE_LIMIT: Duration = Duration::from_secs(30);
+/// Period at which requests are checked while waiting for the store at rest.
+const LOOK: Duration = Duration::from_millis(20);
+
+/// States of rig and run, pending requests, and the published status.
+pub struct Control {
+    /// Incoming requests, and the channels for status and frames.
+    pub inbox: Inbox,
+    /// Stop button of the rig.
+    pub estop: StopSwitch,
+    /// Records everything that happens.
+    pub diary: Diary,
+    /// Reads what is stored.
+    pub journal: Arc<dyn Journal>,
+    rig: RigState,
+    run: RunState,
+    current: Option<RunUid>,
+    suspended_for: Option<String>,
+    leaving: bool,
+    estop_noted: bool,
+}
+
+impl Control {
+    /// Creates a control without open wires and without a run.
+    pub fn new(inbox: Inbox, estop: StopSwitch, diary: Diary, journal: Arc<dyn Journal>) -> Self {
+        Self {
+            inbox,
+            estop,
+            diary,
+            journal,
+            rig: RigState::Disconnected,
+            run: RunState::Idle,
+            current: None,
+            suspended_for: None,
+            leaving: false,
+            estop_noted: false,
+        }
+    }
+
+    /// Returns the state of the rig.
+    pub fn rig(&self) -> RigState {
+        self.rig
+    }
+
+    /// Returns the state of the run.
+    pub fn run(&self) -> RunState {
+        self.run
+    }
+
+    /// Changes the published status.
+    pub fn show(&self, change: impl FnOnce(&mut Status)) {
+        self.inbox.status.send_modify(|status| {
+            change(status);
+            status.version += 1;
+        });
+    }
+
+    /// Changes the published status of the run, if there is one.
+    pub fn show_run(&self, change: impl FnOnce(&mut RunStatus)) {
+        self.show(|status| {
+            if let Some(run) = status.run.as_mut() {
+                change(run);
+            }
+        });
+    }
+
+    /// Publishes the phase of the run.
+    pub fn phase(&self, phase: Phase) {
+        self.show_run(|run| run.phase = phase);
+    }
+
+    /// Applies an event to the state of the rig and publishes the new state.
+    ///
+    /// # Errors
+    /// `Refusal::State` if the state does not allow the event.
+    pub fn rig_event(&mut self, event: RigEvent) -> Result<(), Refusal> {
+        let next = rig_state::step(self.rig, event).map_err(|e| Refusal::State(e.to_string()))?;
+        self.estop_noted &= next == RigState::Tripped;
+        let changed = next != self.rig;
+        self.rig = next;
+        self.show(|status| status.rig.state = next);
+        if changed {
+            self.say("rig", json!({ "state": next }));
+        }
+        Ok(())
+    }
+
+    /// Latches a trip in memory, then records it. The first cause is shown until the reset, except
+    /// that an e-stop replaces it: that requires a person in any case.
+    pub fn latch(&mut self, trip: &Trip) {
+        let stop = trip.kind == TripKind::Estop;
+        if stop && std::mem::replace(&mut self.estop_noted, true) {
+            return;
+        }
+        let first = stop || self.rig != RigState::Tripped;
+        // A trip is allowed in every state with open wires; without wires there is nothing to
+        // latch.
+        let _ = self.rig_event(RigEvent::Trip);
+        if first {
+            let shown = trip.clone();
+            self.show(|status| status.rig.trip = Some(shown));
+        }
+        self.say("trip", json!(trip));
+    }
+
+    /// Starts the state machine of a run.
+    ///
+    /// # Errors
+    /// `Refusal::State` if another run is active.
+    pub fn begin(&mut self, run: RunUid) -> Result<(), Refusal> {
+        self.current = Some(run);
+        self.run_event(RunEvent::Start).map(|_| ())
+    }
+
+    /// Applies an event to the state of the run, publishes and records the new state. Returns what
+    /// the engine must do.
+    ///
+    /// # Errors
+    /// `Refusal::State` if the state does not allow the event.
+    pub fn run_event(&mut self, event: RunEvent) -> Result<RunAction, Refusal> {
+        let (next, action) =
+            run_state::step(self.run, event).map_err(|e| Refusal::State(e.to_string()))?;
+        let changed = next != self.run;
+        self.run = next;
+        if changed {
+            self.publish_run_state(next);
+        }
+        Ok(action)
+    }
+
+    fn publish_run_state(&mut self, state: RunState) {
+        let requested = match state {
+            RunState::Pausing(_) | RunState::Suspending(_) => Some("paused"),
+            RunState::Stopping | RunState::Aborting => Some("idle"),
+            RunState::Idle | RunState::Running | RunState::Paused(_) | RunState::Panicked => None,
+        };
+        self.show_run(|run| {
+            run.state = state.as_str().into();
+            run.requested_state = requested.map(Into::into);
+            run.paused_why = state.why();
+            if state == RunState::Running {
+                run.waiting_for = None;
+                run.wanted = None;
+            }
+        });
+        // The end of a run is recorded by `EndRun`, with its status.
+        if let Some(run) = self.current.filter(|_| state != RunState::Idle) {
+            let why = state.why().map(PausedWhy::as_str);
+            self.diary.note(Note::RunState(
+                run,
+                state.as_str().into(),
+                requested.map(Into::into),
+                why.map(Into::into),
+            ));
+            self.say(
+                "state",
+                json!({ "state": state.as_str(), "requested": requested, "why": why }),
+            );
+        }
+    }
+
+    /// Id of the active run.
+    pub fn run_uid(&self) -> Option<RunUid> {
+        self.current
+    }
+
+    /// Ends the run: later events belong to no run.
+    pub fn forget_run(&mut self) {
+        self.current = None;
+        self.run = RunState::Idle;
+    }
+
+    /// Whether the thread was asked to end. The run stays open and resumes after a restart.
+    pub fn leaving(&self) -> bool {
+        self.leaving
+    }
+
+    /// Asks the thread to end.
+    pub fn leave(&mut self) {
+        self.leaving = true;
+    }
+
+    /// Records an event for people.
+    pub fn say(&self, kind: &str, data: serde_json::Value) {
+        self.diary.note(Note::Event { run: self.current, kind: kind.into(), data });
+    }
+
+    /// Waits for the store while nothing moves and the tips are up, and meanwhile accepts requests.
+    ///
+    /// # Errors
+    /// A stop, a request that halts the run, or a store that fails or does not answer.
+    pub async fn at_rest<T>(
+        &mut self,
+        work: impl Future<Output = Result<T, JournalError>>,
+    ) -> Result<T, Halt> {
+        let mut work = std::pin::pin!(tokio::time::timeout(STORE_LIMIT, work));
+        loop {
+            tokio::select! {
+                biased;
+                done = &mut work => return match done {
+                    Ok(outcome) => Ok(outcome?),
+                    Err(_late) => Err(Halt::Store(silent())),
+                },
+                () = tokio::time::sleep(LOOK) => self.attend()?,
+            }
+        }
+    }
+
+    /// Waits until all notes are durable. For use at rest.
+    ///
+    /// # Errors
+    /// The store fails or does not answer; the notes are kept.
+    pub async fn flush(&self) -> Result<(), JournalError> {
+        tokio::time::timeout(STORE_LIMIT, self.diary.flush()).await.unwrap_or(Err(silent()))
+    }
+
+    /// Accepts pending requests. Called at every poll of motion, settling and waiting.
+    ///
+    /// # Errors
+    /// `Halt::Trip` for an e-stop, `Halt::Asked` for a request that needs the tips up: the rig must
+    /// be made safe immediately.
+    pub fn attend(&mut self) -> Result<(), Halt> {
+        if let Some(press) = self.estop.pressed() {
+            return Err(Halt::trip(TripKind::Estop, press.why));
+        }
+        while let Ok(envelope) = self.inbox.requests.try_recv() {
+            let action = self.take_up_while_moving(envelope);
+            if action == Some(RunAction::Raise) || self.leaving {
+                return Err(Halt::Asked);
+            }
+        }
+        Ok(())
+    }
+
+    /// Called after a commit: leaves the configuration if a pause or a stop was requested.
+    ///
+    /// # Errors
+    /// As `attend`; `Halt::Checkpoint` while pausing or stopping.
+    pub fn checkpoint(&mut self) -> Result<(), Halt> {
+        self.attend()?;
+        match self.run {
+            RunState::Pausing(_) | RunState::Stopping => Err(Halt::Checkpoint),
+            RunState::Idle
+            | RunState::Running
+            | RunState::Paused(_)
+            | RunState::Aborting
+            | RunState::Suspending(_)
+            | RunState::Panicked => Ok(()),
+        }
+    }
+
+    fn take_up_while_moving(&mut self, envelope: Envelope) -> Option<RunAction> {
+        let Envelope { request, answer } = envelope;
+        let idle = self.run == RunState::Idle;
+        let outcome = match self.run_request(&request) {
+            // Homing or jogging outside a run also ends when the service ends.
+            Some(_) if idle && self.leaving => Ok(RunAction::Raise),
+            Some(event) => self.run_event(event),
+            None => {
+                let doing = if idle { "the rig moves".into() } else { self.run_words() };
+                let words = format!("{} is not possible while {doing}", name(&request));
+                Err(Refusal::State(words))
+            }
+        };
+        let action = outcome.as_ref().ok().copied();
+        // The client may have disconnected; its request still holds.
+        let _ = answer.send(outcome.map(|_| ()));
+        action
+    }
+
+    fn run_words(&self) -> String {
+        format!("a run is {}", self.run.as_str())
+    }
+
+    /// Event of the run that a request means; none for requests to the rig.
+    pub fn run_request(&mut self, request: &Request) -> Option<RunEvent> {
+        match request {
+            Request::PauseAtCheckpoint => Some(RunEvent::PauseAtCheckpoint),
+            Request::PauseNow => Some(RunEvent::PauseNow),
+            Request::Suspend(why) => {
+                self.suspended_for = Some(why.clone());
+                Some(RunEvent::Suspend(PausedWhy::Suspender))
+            }
+            Request::Resume => Some(RunEvent::Resume),
+            Request::Stop => Some(RunEvent::Stop),
+            Request::Abort => Some(RunEvent::Abort),
+            Request::Shutdown => {
+                self.leaving = true;
+                Some(RunEvent::Suspend(PausedWhy::Restart))
+            }
+            Request::Connect
+            | Request::Disconnect
+            | Request::Home
+            | Request::Jog { .. }
+            | Request::Tare
+            | Request::Reset
+            | Request::Mounted { .. }
+            | Request::Start(_)
+            | Request::Confirm { .. }
+            | Request::Repeat { .. } => None,
+        }
+    }
+
+    /// Takes the reason for which a suspender requested a halt, if there is one.
+    pub fn take_suspended_for(&mut self) -> Option<String> {
+        self.suspended_for.take()
+    }
+}
+
+fn silent() -> JournalError {
+    JournalError::of("a record", &format!("no answer within {} s", STORE_LIMIT.as_secs()))
+}
+
+/// Name of the request, for refusals.
+pub fn name(request: &Request) -> &'static str {
+    match request {
+        Request::Connect => "connect",
+        Request::Disconnect => "disconnect",
+        Request::Home => "home",
+        Request::Jog { .. } => "jog",
+        Request::Tare => "tare",
+        Request::Reset => "reset",
+        Request::Mounted { .. } => "tips",
+        Request::Start(_) => "start",
+        Request::PauseAtCheckpoint | Request::PauseNow => "pause",
+        Request::Suspend(_) => "suspend",
+        Request::Resume => "resume",
+        Request::Stop => "stop",
+        Request::Abort => "abort",
+        Request::Confirm { .. } => "confirm",
+        Request::Repeat { .. } => "repeat",
+        Request::Shutdown => "shutdown",
+    }
+}

@@ -1,0 +1,322 @@
+//! Requests that concern only the rig: connect, home, jog, tare, reset, and the tips that a person
+//! has mounted.
+//! Uses: `campaign::{bench::stage, bench::travel, safe_end}`, `rig::registry`. Never: the plan.
+
+use serde_json::json;
+
+use super::{Connection, Engine, Owed, no_wires, trip_of};
+use crate::campaign::bench::interlock::{self, Trip, TripKind};
+use crate::campaign::bench::rig_state::{RigEvent, RigState};
+use crate::campaign::bench::stage::{AxisName, Stage};
+use crate::campaign::bench::tare;
+use crate::campaign::bench::travel::Target;
+use crate::campaign::diary::Note;
+use crate::campaign::run::control::{Control, name};
+use crate::campaign::run::halt::Halt;
+use crate::campaign::safe_end::Height;
+use crate::campaign::shown::command::{Envelope, Refusal, Request};
+use crate::campaign::shown::show;
+use crate::clock::Clock;
+use crate::journal::Mounting;
+use crate::rig::config::ARMS;
+use crate::rig::error::RigError;
+use crate::rig::registry;
+
+/// Samples of a tare on request.
+const TARE_SAMPLES: u32 = 4;
+
+impl Engine {
+    /// Accepts a request that concerns only the rig.
+    pub(super) async fn rig_request(&mut self, envelope: Envelope) {
+        let Envelope { request, answer } = envelope;
+        if let Err(refusal) = self.allowed(&request) {
+            let _ = answer.send(Err(refusal));
+            return;
+        }
+        // Opening the wires answers with its result; motions answer when accepted.
+        let outcome = match request {
+            Request::Connect => self.connect().await,
+            Request::Disconnect => self.disconnect(),
+            Request::Reset => self.reset().await,
+            Request::Home => match self.control.rig_event(RigEvent::Homing) {
+                Ok(()) => {
+                    let _ = answer.send(Ok(()));
+                    self.home_axes().await;
+                    return;
+                }
+                Err(refusal) => Err(refusal),
+            },
+            Request::Jog { axis, to_mm } => match self.jog_target(&axis, to_mm) {
+                Ok(target) => {
+                    let _ = answer.send(Ok(()));
+                    self.jog(target).await;
+                    return;
+                }
+                Err(refusal) => Err(refusal),
+            },
+            Request::Tare => self.tare().await,
+            Request::Mounted { tips, who } => self.mounted(tips, &who).await,
+            Request::Start(_)
+            | Request::PauseAtCheckpoint
+            | Request::PauseNow
+            | Request::Suspend(_)
+            | Request::Resume
+            | Request::Stop
+            | Request::Abort
+            | Request::Confirm { .. }
+            | Request::Repeat { .. }
+            | Request::Shutdown => {
+                let words = format!("{} is not possible: no run is active", name(&request));
+                Err(Refusal::State(words))
+            }
+        };
+        let _ = answer.send(outcome);
+    }
+
+    fn allowed(&self, request: &Request) -> Result<(), Refusal> {
+        let rig = self.control.rig();
+        let ok = match request {
+            Request::Connect => rig == RigState::Disconnected,
+            Request::Home => matches!(rig, RigState::Disarmed | RigState::Homed),
+            Request::Jog { .. } => rig == RigState::Homed,
+            Request::Tare | Request::Mounted { .. } => rig != RigState::Disconnected,
+            Request::Reset => rig == RigState::Tripped,
+            Request::Disconnect => rig != RigState::Armed,
+            Request::Start(_)
+            | Request::PauseAtCheckpoint
+            | Request::PauseNow
+            | Request::Suspend(_)
+            | Request::Resume
+            | Request::Stop
+            | Request::Abort
+            | Request::Confirm { .. }
+            | Request::Repeat { .. }
+            | Request::Shutdown => true,
+        };
+        let words =
+            || format!("{} is not possible while the rig is {}", name(request), rig.as_str());
+        if ok { Ok(()) } else { Err(Refusal::State(words())) }
+    }
+
+    /// Closes the wires, unless a stop or a raise is still pending.
+    fn disconnect(&mut self) -> Result<(), Refusal> {
+        if let Some(axis) = self.not_acknowledged() {
+            return Err(Refusal::State(format!("disconnect is not possible: {axis}")));
+        }
+        if self.owed != Owed::Nothing {
+            let words = "disconnect is not possible: the last safe end is not complete";
+            return Err(Refusal::State(words.into()));
+        }
+        self.connection = None;
+        self.control.rig_event(RigEvent::Lost)
+    }
+
+    /// First axis that has not acknowledged the e-stop, with the reason.
+    fn not_acknowledged(&self) -> Option<String> {
+        let stops = self.control.estop.pressed()?.stops();
+        if stops.is_empty() && self.connection.is_some() {
+            return Some("the stop has just been pressed".into());
+        }
+        let missing = stops.into_iter().find(|s| s.acknowledged_ms.is_none())?;
+        let why = missing.error.unwrap_or_else(|| "no answer yet".into());
+        Some(format!("{} has not acknowledged its stop: {why}", missing.axis))
+    }
+
+    /// Opens the wires and takes control of every device. A drive in alarm is connected too, and
+    /// trips the rig: a reset clears it. A last trip that was not reset latches again.
+    ///
+    /// # Errors
+    /// A wire does not open, a device does not reply or is not the one in the rig file, or the
+    /// state does not allow it.
+    pub(super) async fn connect(&mut self) -> Result<(), Refusal> {
+        let clock = Clock::new(self.config.clock_rate);
+        let fail = |e: RigError| Refusal::State(e.to_string());
+        let open =
+            registry::open(&self.config, &clock, &self.control.estop.latch()).map_err(fail)?;
+        let mut alarms = Vec::new();
+        for axis in open.bench.axes() {
+            match axis.prepare().await {
+                Ok(found) => {
+                    self.control.say("device", json!({ "device": axis.name(), "found": found }));
+                }
+                Err(error @ RigError::NotReady { .. }) => alarms.push(error.to_string()),
+                Err(error) => return Err(fail(error)),
+            }
+        }
+        let found = open.bench.cells.prepare().await.map_err(fail)?;
+        self.control.say("device", json!({ "device": "cells", "found": found }));
+        let stage = Stage::new(open.bench.clone(), self.config.clone(), clock);
+        let estop = tokio::spawn(self.control.estop.clone().serve(open.bench.clone()));
+        let frames = tokio::spawn(show::forward_frames(
+            open.bench.skin.follow(),
+            self.control.inbox.frames.clone(),
+        ));
+        self.connection = Some(Connection { open, stage, estop, frames });
+        self.owed = Owed::Nothing;
+        let last = self.control.inbox.status.borrow().rig.trip.clone();
+        self.control.rig_event(RigEvent::Connected)?;
+        if let Some(trip) = last {
+            self.control.latch(&trip);
+        }
+        if !alarms.is_empty() {
+            let detail = format!("{}; clear the cause, reset, home", alarms.join("; "));
+            self.control.latch(&Trip { kind: TripKind::Device, detail });
+        }
+        Ok(())
+    }
+
+    /// Resets a trip: every axis must reply, alarms are cleared, drives are prepared again, and the
+    /// stop is released last.
+    ///
+    /// # Errors
+    /// A stop is not acknowledged, a device does not follow, or the stop was pressed again. The rig
+    /// then stays tripped.
+    pub(super) async fn reset(&mut self) -> Result<(), Refusal> {
+        if let Some(axis) = self.not_acknowledged() {
+            return Err(Refusal::State(format!("not reset: {axis}")));
+        }
+        let connection = self.connection.as_mut().ok_or_else(no_wires)?;
+        let bench = connection.open.bench.clone();
+        let fail = |e: RigError| Refusal::State(format!("not reset: {e}"));
+        let press = self.control.estop.pressed().map(|press| press.at);
+        for axis in bench.axes() {
+            axis.status().await.map_err(fail)?;
+        }
+        for axis in bench.axes() {
+            axis.reset_alarm().await.map_err(fail)?;
+            axis.prepare().await.map_err(fail)?;
+        }
+        bench.cells.prepare().await.map_err(fail)?;
+        if !self.control.estop.release(press) {
+            return Err(Refusal::State("not reset: the stop was pressed again".into()));
+        }
+        self.prepared_setting = None;
+        self.control.show(|status| {
+            status.rig.trip = None;
+            status.rig.safe_end = None;
+            status.rig.estop_acknowledged_ms = None;
+            status.rig.estop_stops.clear();
+        });
+        self.control.rig_event(RigEvent::Reset)
+    }
+
+    pub(super) async fn home(&mut self) -> bool {
+        self.control.rig_event(RigEvent::Homing).is_ok() && self.home_axes().await
+    }
+
+    async fn home_axes(&mut self) -> bool {
+        self.prepared_setting = None;
+        let homed =
+            self.guarded(|stage, control| Box::pin(async move { stage.home(control).await })).await;
+        if homed {
+            self.owed = Owed::Nothing;
+        }
+        homed && self.control.rig_event(RigEvent::Homed).is_ok()
+    }
+
+    async fn jog(&mut self, target: Target) {
+        let assumed = self.mounting.as_ref().map(|(m, _)| m.tips);
+        self.guarded(|stage, control| {
+            Box::pin(async move {
+                let volts = stage.bench.cells.read().await?.volts;
+                stage.tips = assumed.unwrap_or_else(|| leading_live(stage, &volts));
+                stage.begin_watch();
+                stage.weighed_travel(control, target).await
+            })
+        })
+        .await;
+    }
+
+    /// Runs a motion outside a run. Every early end leads to the safe end, and latches unless it was
+    /// requested.
+    async fn guarded<F>(&mut self, motion: F) -> bool
+    where
+        F: for<'a> FnOnce(
+            &'a mut Stage,
+            &'a mut Control,
+        ) -> std::pin::Pin<
+            Box<dyn std::future::Future<Output = Result<(), Halt>> + 'a>,
+        >,
+    {
+        let Some(connection) = self.connection.as_mut() else { return false };
+        let outcome = motion(&mut connection.stage, &mut self.control).await;
+        let Err(halt) = outcome else { return true };
+        let requested = self.control.leaving() || matches!(halt, Halt::Asked);
+        let trip = (!requested).then(|| trip_of(&halt));
+        self.make_safe(trip.as_ref(), Height::Clear).await;
+        false
+    }
+
+    fn jog_target(&self, axis: &str, to_mm: f64) -> Result<Target, Refusal> {
+        let connection = self.connection.as_ref().ok_or_else(no_wires)?;
+        let axes = &self.config.axes;
+        let slot = &self.config.slot;
+        let (name, target, [min, max]) = match axis {
+            "x" => (AxisName::X, to_mm, axes.x.travel_mm),
+            "y" => (AxisName::Y, to_mm, axes.y.travel_mm),
+            // Jogging never moves into the skin: that is done by the touch-off.
+            "z" => (AxisName::Z, to_mm, [axes.z.travel_mm[0], connection.stage.clear_z_mm()]),
+            "radius" => (AxisName::Radial, slot.angle_deg(to_mm), slot.radius_mm),
+            other => {
+                let words = format!("axis = {other}: must be x, y, z or radius");
+                return Err(Refusal::Value(words));
+            }
+        };
+        if !(min..=max).contains(&to_mm) {
+            let words = format!("to_mm = {to_mm}: {axis} must be from {min} to {max}");
+            return Err(Refusal::Value(words));
+        }
+        Ok(Target::of(name, target))
+    }
+
+    /// Tare on request. A cell outside its limits is refused; a failing wire leads to the safe end.
+    async fn tare(&mut self) -> Result<(), Refusal> {
+        let mounted = self.mounting.as_ref().map(|(m, _)| m.tips);
+        let connection = self.connection.as_mut().ok_or_else(no_wires)?;
+        let stage = &mut connection.stage;
+        let tared = match stage.bench.cells.read().await {
+            Ok(reading) => {
+                stage.tips = mounted.unwrap_or_else(|| leading_live(stage, &reading.volts));
+                tare::tare(stage, &mut self.control, TARE_SAMPLES, true).await.map(|_| ())
+            }
+            Err(error) => Err(error.into()),
+        };
+        let Err(halt) = tared else { return Ok(()) };
+        let trip = trip_of(&halt);
+        let weighing_failed = matches!(trip.kind, TripKind::Wire | TripKind::Device);
+        if weighing_failed && matches!(halt, Halt::Trip(_)) {
+            self.make_safe(Some(&trip), Height::Clear).await;
+        }
+        Err(Refusal::State(trip.detail))
+    }
+
+    /// Accepts the number of tips that a person has mounted, if the cells do not contradict it.
+    ///
+    /// # Errors
+    /// `tips` is more than the number of arms, no wires are open, or the cell of an attached arm is
+    /// disconnected.
+    pub(super) async fn mounted(&mut self, tips: u8, who: &str) -> Result<(), Refusal> {
+        if usize::from(tips) > ARMS {
+            return Err(Refusal::Value(format!("tips = {tips}: must be 0 to {ARMS}")));
+        }
+        let connection = self.connection.as_mut().ok_or_else(no_wires)?;
+        let reading = connection.stage.bench.cells.read().await;
+        let reading = reading.map_err(|e| Refusal::State(e.to_string()))?;
+        let live = interlock::live_cells(&self.config.cells, &reading.volts, tips);
+        let live_cells = live.map_err(Refusal::State)?;
+        let mounting = Mounting { tips, live_cells, who: who.into() };
+        self.control.diary.note(Note::Mounted(mounting.clone()));
+        self.control.say("tips", json!({ "tips": tips, "live_cells": live_cells, "who": who }));
+        self.control.show(|status| status.rig.tips = Some(tips));
+        connection.stage.tips = tips;
+        self.mounting = Some((mounting, true));
+        // The result of the touch-off may no longer be valid.
+        self.prepared_setting = None;
+        Ok(())
+    }
+}
+
+/// Number of leading arms with connected cells: the tips assumed as long as none are entered.
+fn leading_live(stage: &Stage, volts: &[f64; ARMS]) -> u8 {
+    volts.iter().take_while(|&&v| stage.config.cells.is_live(v)).count() as u8
+}

@@ -1,0 +1,169 @@
+//! Decisions after a halt: first the safe end; then retry, skip, wait or end, with the record of
+//! it.
+//! Uses: `campaign::{run::control, diary, safe_end}`. Never: pressing, a wait for the store.
+
+use serde_json::json;
+
+use super::{Attempts, Engine, Next, Owed};
+use crate::campaign::bench::interlock::Trip;
+use crate::campaign::diary::Note;
+use crate::campaign::run::halt::Halt;
+use crate::campaign::run::job::Job;
+use crate::campaign::run::run_state::{PausedWhy, RunAction, RunEvent, RunState};
+use crate::campaign::safe_end::Height;
+use crate::campaign::shown::status::Wanted;
+use crate::journal::{ExitStatus, error_chain};
+use crate::record::AttemptRecord;
+use crate::schedule::plan::Kind;
+
+impl Engine {
+    /// Decides what follows a halt. Nothing is decided, recorded or awaited before the rig is safe.
+    pub(super) async fn decide(
+        &mut self,
+        job: &Job,
+        halt: Halt,
+        attempts: &mut Attempts,
+        auto_resumes: &mut u32,
+    ) -> Next {
+        let hands = matches!(halt, Halt::Needs(Wanted::Tips { .. }));
+        let height = if hands { Height::Top } else { Height::Clear };
+        let safe = self.leave_contact(job, halt.as_trip(), height).await;
+        let mut passing = None;
+        match halt {
+            Halt::Asked => self.note_suspension(),
+            Halt::Checkpoint => {}
+            Halt::Needs(wanted) => self.need(wanted),
+            Halt::Failed(reason) if safe => return self.failed(job, reason, attempts),
+            Halt::Failed(reason) => {
+                self.note_attempt(job, &reason, attempts);
+                self.suspend_for(PausedWhy::Trip, reason);
+            }
+            Halt::Trip(trip) => {
+                self.note_attempt(job, &trip.detail, attempts);
+                self.suspend_for(PausedWhy::Trip, trip.detail.clone());
+                let may = job.auto_resume && trip.kind.may_pass();
+                if may && *auto_resumes < job.plan.policy.max_auto_resumes {
+                    *auto_resumes += 1;
+                    passing = Some(*auto_resumes);
+                }
+            }
+            Halt::Store(error) => {
+                let why = error_chain(&error);
+                self.control.say("store", json!({ "why": why }));
+                self.suspend_for(PausedWhy::Suspender, why);
+            }
+        }
+        let action = if safe {
+            self.control.run_event(RunEvent::Raised).unwrap_or(RunAction::Wait)
+        } else {
+            // With failed wires the run state does not change until the tips are up.
+            RunAction::Wait
+        };
+        match action {
+            RunAction::End(status) => Next::End(status, "requested".into()),
+            RunAction::Continue | RunAction::Raise => Next::Again,
+            RunAction::Wait => self.wait(job, attempts, passing).await,
+        }
+    }
+
+    /// Safe end of a run that moves the rig. A manual run (Real-Random) has no tips to raise and
+    /// only latches. Returns false if the tips are still down: with working wires the run is then
+    /// panicked and needs a person; with failed wires the safe end is repeated while waiting.
+    pub(super) async fn leave_contact(
+        &mut self,
+        job: &Job,
+        trip: Option<&Trip>,
+        height: Height,
+    ) -> bool {
+        if job.plan.kind == Kind::RealRandom {
+            if let Some(trip) = trip {
+                self.control.latch(trip);
+            }
+            return true;
+        }
+        let safe = self.make_safe(trip, height).await;
+        if self.owed == Owed::Person {
+            let _ = self.control.run_event(RunEvent::RaiseFailed);
+        }
+        safe
+    }
+
+    fn note_suspension(&mut self) {
+        if let Some(why) = self.control.take_suspended_for() {
+            self.control.say("suspended", json!({ "why": why }));
+            self.control.show_run(|run| run.waiting_for = Some(why));
+            if !matches!(self.control.run(), RunState::Suspending(_)) {
+                let _ = self.control.run_event(RunEvent::Suspend(PausedWhy::Suspender));
+            }
+        }
+    }
+
+    fn suspend_for(&mut self, why: PausedWhy, words: String) {
+        self.control.show_run(|run| run.waiting_for = Some(words));
+        // A panicked run stays panicked until a person resets it.
+        let _ = self.control.run_event(RunEvent::Suspend(why));
+    }
+
+    fn need(&mut self, wanted: Wanted) {
+        let (why, words) = match &wanted {
+            Wanted::Tips { tips } => (PausedWhy::TipChange, tip_words(*tips)),
+            Wanted::Placement { trial, contacts } => (
+                PausedWhy::ManualTrial,
+                format!("place {} weights for trial {trial}, confirm", contacts.len()),
+            ),
+        };
+        let data = json!({ "why": why, "wanted": wanted, "words": words });
+        self.control.show_run(|run| {
+            run.wanted = Some(wanted);
+            run.waiting_for = Some(words);
+        });
+        let _ = self.control.run_event(RunEvent::Need(why));
+        self.control.say("wanted", data);
+    }
+
+    /// Handles a failed attempt: retries, skips the configuration, or ends the run.
+    fn failed(&mut self, job: &Job, reason: String, attempts: &mut Attempts) -> Next {
+        self.note_attempt(job, &reason, attempts);
+        let configuration = attempts.configuration;
+        if attempts.of_configuration <= job.plan.policy.retries {
+            attempts.of_configuration += 1;
+            return Next::Again;
+        }
+        if let Some(configuration) = configuration {
+            self.control.diary.note(Note::Skip(job.run, configuration, reason.clone()));
+            let data = json!({ "configuration": configuration, "reason": reason });
+            self.control.say("skipped", data);
+            attempts.skipped += 1;
+        }
+        attempts.of_configuration = 1;
+        if configuration.is_none() || attempts.skipped > job.plan.policy.max_skipped {
+            let _ = self.control.run_event(RunEvent::Ended);
+            let words = format!("gave up after {} skipped: {reason}", attempts.skipped);
+            return Next::End(ExitStatus::Fail, words);
+        }
+        Next::Again
+    }
+
+    fn note_attempt(&mut self, job: &Job, reason: &str, attempts: &mut Attempts) {
+        let key = self.control.inbox.status.borrow().run.as_ref().and_then(|r| r.trial);
+        attempts.configuration = key.map(|k| k.configuration);
+        let data = json!({ "trial": key, "attempt": attempts.of_configuration, "reason": reason });
+        self.control.say("attempt_failed", data);
+        self.control.show_run(|run| run.retries += 1);
+        let Some(key) = key else { return };
+        let record = AttemptRecord {
+            key,
+            attempt: attempts.of_configuration,
+            reason: reason.into(),
+            at: jiff::Timestamp::now(),
+        };
+        self.control.diary.note(Note::Attempt(job.run, record));
+    }
+}
+
+fn tip_words(tips: u8) -> String {
+    match tips {
+        1 => "mount 1 tip, on arm 1, then confirm".into(),
+        n => format!("mount {n} tips, on arms 1 to {n}, then confirm"),
+    }
+}

@@ -1,0 +1,287 @@
+//! The thread of the campaign: accepts requests, executes a run step by step, decides after every
+//! halt.
+//! Uses: everything in `campaign`, `rig::registry`. Never: HTTP, SQL, an exit other than the safe
+//! end.
+//!
+//! It runs on its own thread and runtime, so that no HTTP request can delay a motion
+//! (`docs/decisions/0002`). The plan determines the order of the steps, `resume` the remaining
+//! steps, `run_state` and `rig_state` the next state. This module executes them.
+
+use std::panic::AssertUnwindSafe;
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures::FutureExt;
+use tokio::task::JoinHandle;
+use tokio::time::Instant;
+
+use crate::campaign::bench::estop::StopSwitch;
+use crate::campaign::bench::interlock::{Trip, TripKind};
+use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::bench::stage::Stage;
+use crate::campaign::diary::{Diary, Note};
+use crate::campaign::run::control::Control;
+use crate::campaign::run::halt::Halt;
+use crate::campaign::run::job::Job;
+use crate::campaign::run::run_state::{PausedWhy, RunState};
+use crate::campaign::safe_end::{self, Height};
+use crate::campaign::shown::command::{Envelope, Handle, Refusal, Request, channel};
+use crate::campaign::shown::show;
+use crate::journal::{ExitStatus, Journal, Mounting, error_chain};
+use crate::rig::config::RigConfig;
+use crate::rig::registry::OpenBench;
+
+mod bench;
+mod decide;
+mod session;
+mod wait;
+
+/// Period at which an idle or waiting engine checks its bench, wall.
+const IDLE_TICK: Duration = Duration::from_millis(200);
+/// Pause between two attempts at a safe end that failed because of the wires.
+const OWED_AGAIN: Duration = Duration::from_millis(500);
+/// Longest wait for the store when the thread starts and ends.
+const STORE_PATIENCE: Duration = Duration::from_secs(10);
+/// Longest wait between two automatic resumes, wall.
+const LONGEST_BACKOFF: Duration = Duration::from_secs(120);
+
+/// Starts the thread of the campaign for one rig. It ends on `Request::Shutdown`, or when every
+/// handle is dropped.
+///
+/// # Errors
+/// The operating system's error if the runtime or the thread cannot be created.
+pub fn spawn(
+    config: RigConfig,
+    journal: Arc<dyn Journal>,
+) -> std::io::Result<(Handle, std::thread::JoinHandle<()>)> {
+    let estop = StopSwitch::default();
+    let (handle, inbox) = channel(estop.clone(), show::closed(&config));
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let thread = std::thread::Builder::new().name("campaign".into()).spawn(move || {
+        runtime.block_on(async {
+            let (diary, writing) = Diary::open(journal.clone());
+            let control = Control::new(inbox, estop, diary, journal);
+            Engine::new(config, control).serve().await;
+            // Every clone of the diary is dropped: its task ends when all is written.
+            if tokio::time::timeout(STORE_PATIENCE, writing).await.is_err() {
+                tracing::error!("the diary could not be written completely");
+            }
+        });
+    })?;
+    Ok((handle, thread))
+}
+
+/// Open wires and the tasks that use them.
+struct Connection {
+    open: OpenBench,
+    stage: Stage,
+    estop: JoinHandle<()>,
+    frames: JoinHandle<()>,
+}
+
+impl Drop for Connection {
+    fn drop(&mut self) {
+        self.estop.abort();
+        self.frames.abort();
+    }
+}
+
+struct Engine {
+    config: RigConfig,
+    control: Control,
+    connection: Option<Connection>,
+    prepared_setting: Option<u32>,
+    /// Tips that are mounted, and whether they were entered since this thread started.
+    mounting: Option<(Mounting, bool)>,
+    /// Parts of the last safe end that are not complete.
+    owed: Owed,
+}
+
+/// Parts of a safe end that are still to be done.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Owed {
+    /// The safe end is complete.
+    Nothing,
+    /// The wires to an axis failed, or failed during the raise, at this time: repeated once they
+    /// work.
+    Wires(Instant),
+    /// The wires work and the tips are still down: a person must inspect the rig.
+    Person,
+}
+
+/// Decision after a halt.
+enum Next {
+    Again,
+    /// The thread ends; the run stays open.
+    Leave,
+    End(ExitStatus, String),
+}
+
+/// Event that ended a wait.
+enum Waited {
+    Resume,
+    Confirmed(String),
+    Ended(ExitStatus),
+    Left,
+}
+
+impl Engine {
+    fn new(config: RigConfig, control: Control) -> Self {
+        Self {
+            config,
+            control,
+            connection: None,
+            prepared_setting: None,
+            mounting: None,
+            owed: Owed::Nothing,
+        }
+    }
+
+    /// Accepts requests until the shutdown. A panic leads to the safe end like any fault, and the
+    /// thread continues to serve.
+    async fn serve(mut self) {
+        self.recall_mounting().await;
+        loop {
+            match AssertUnwindSafe(self.take_requests()).catch_unwind().await {
+                Ok(()) => break,
+                Err(panic) => self.after_panic(&panic_words(panic.as_ref())).await,
+            }
+        }
+        self.make_safe(None, Height::Clear).await;
+    }
+
+    async fn take_requests(&mut self) {
+        let mut tick = tokio::time::interval(IDLE_TICK);
+        tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
+        while !self.control.leaving() {
+            tokio::select! {
+                envelope = self.control.inbox.requests.recv() => match envelope {
+                    None => return,
+                    Some(Envelope { request: Request::Shutdown, answer }) => {
+                        let _ = answer.send(Ok(()));
+                        return;
+                    }
+                    Some(Envelope { request: Request::Start(job), answer }) => {
+                        let armed = self.arm(&job).await;
+                        let go = armed.is_ok();
+                        let _ = answer.send(armed);
+                        if go {
+                            self.run(&job).await;
+                        }
+                    }
+                    Some(envelope) => self.rig_request(envelope).await,
+                },
+                _ = tick.tick() => self.look().await,
+            }
+        }
+    }
+
+    /// Executes the safe end, with or without a run. Returns true if nothing more can be done for
+    /// the tips.
+    async fn make_safe(&mut self, trip: Option<&Trip>, height: Height) -> bool {
+        let Some(connection) = self.connection.as_mut() else {
+            return true;
+        };
+        let stage = &mut connection.stage;
+        let end = safe_end::make_safe(&mut self.control, stage, trip, height).await;
+        self.owed = match (end.is_safe(), end.is_acknowledged()) {
+            (true, true) => Owed::Nothing,
+            (true, false) => Owed::Wires(Instant::now()),
+            (false, _) if connection.stage.pose().await.is_err() => Owed::Wires(Instant::now()),
+            (false, _) => Owed::Person,
+        };
+        end.is_safe()
+    }
+
+    /// Checks the bench between runs: publishes its readings, latches an e-stop, and completes the
+    /// last safe end once the wires work.
+    async fn look(&mut self) {
+        if let Some(press) = self.control.estop.pressed()
+            && self.control.rig() != RigState::Disconnected
+        {
+            self.control.latch(&Trip { kind: TripKind::Estop, detail: press.why });
+        }
+        let Some(connection) = self.connection.as_ref() else { return };
+        if let Owed::Wires(tried) = self.owed
+            && tried.elapsed() > OWED_AGAIN
+            && connection.stage.pose().await.is_ok()
+        {
+            self.make_safe(None, Height::Clear).await;
+        }
+        if let Some(connection) = self.connection.as_ref() {
+            show::bench(&self.control, &connection.stage, &connection.open).await;
+        }
+    }
+
+    /// Handles a fault of the service: makes the rig safe and leaves the run open to be resumed.
+    async fn after_panic(&mut self, words: &str) {
+        let detail = format!("the campaign's thread failed: {words}");
+        let trip = Trip { kind: TripKind::Service, detail };
+        let safe = AssertUnwindSafe(self.make_safe(Some(&trip), Height::Clear)).catch_unwind();
+        if safe.await.is_err() {
+            tracing::error!("the safe end itself failed: inspect the rig");
+        }
+        if self.control.run() != RunState::Idle
+            && let Some(run) = self.control.run_uid()
+        {
+            let why = Some(PausedWhy::Trip.as_str().to_owned());
+            self.control.diary.note(Note::RunState(run, "interrupted".into(), None, why));
+        }
+        self.control.forget_run();
+        self.control.show(|status| status.run = None);
+        self.prepared_setting = None;
+    }
+
+    /// Reads the tips that a person last entered before this thread started.
+    async fn recall_mounting(&mut self) {
+        let journal = self.control.journal.clone();
+        let known = tokio::time::timeout(STORE_PATIENCE, journal.last_mounted()).await;
+        match known {
+            Ok(Ok(mounting)) => self.mounting = mounting.map(|m| (m, false)),
+            Ok(Err(error)) => tracing::warn!(error = error_chain(&error), "tips are not known"),
+            Err(_late) => tracing::warn!("tips are not known: the store does not answer"),
+        }
+    }
+}
+
+fn panic_words(panic: &(dyn std::any::Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().map(|s| (*s).to_owned());
+    text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "a panic".into())
+}
+
+/// Counts of failed attempts in this session.
+struct Attempts {
+    /// Number of the next attempt at the current configuration, from 1.
+    of_configuration: u32,
+    /// Configuration of the last failure.
+    configuration: Option<u32>,
+    /// Number of configurations given up.
+    skipped: u32,
+    /// Placement that a person has confirmed, and the name of that person.
+    confirmed_by: Option<(u32, String)>,
+}
+
+impl Default for Attempts {
+    fn default() -> Self {
+        Self { of_configuration: 1, configuration: None, skipped: 0, confirmed_by: None }
+    }
+}
+
+fn trip_of(halt: &Halt) -> Trip {
+    let device = |detail: String| Trip { kind: TripKind::Device, detail };
+    match halt {
+        Halt::Trip(trip) => trip.clone(),
+        Halt::Failed(detail) => device(detail.clone()),
+        Halt::Store(error) => device(error_chain(error)),
+        Halt::Asked | Halt::Checkpoint | Halt::Needs(_) => device("ended early".into()),
+    }
+}
+
+fn backoff(job: &Job, resumes: u32) -> Duration {
+    let first = Duration::from_secs_f64(job.plan.policy.auto_resume_after_s);
+    first.saturating_mul(1 << resumes.saturating_sub(1).min(6)).min(LONGEST_BACKOFF)
+}
+
+fn no_wires() -> Refusal {
+    Refusal::State("the rig is disconnected".into())
+}

@@ -1,0 +1,289 @@
+//! Execution of a run from arming to its end, step by step.
+//! Uses: `campaign::{trial::press, bench::touch_off, trial::manual, run::resume}`. Never:
+//! decisions after a halt (`decide`).
+
+use serde_json::json;
+use tokio::time::Instant;
+
+use super::{Attempts, Engine, Next, no_wires, trip_of};
+use crate::campaign::bench::evidence::SilentArms;
+use crate::campaign::bench::interlock::{self, ForceLimits, TripKind};
+use crate::campaign::bench::rig_state::{RigEvent, RigState};
+use crate::campaign::bench::touch_off;
+use crate::campaign::diary::Note;
+use crate::campaign::run::eta::Pace;
+use crate::campaign::run::halt::Halt;
+use crate::campaign::run::job::Job;
+use crate::campaign::run::resume;
+use crate::campaign::run::run_state::RunEvent;
+use crate::campaign::safe_end::{Height, raise_as_planned};
+use crate::campaign::shown::command::{Refusal, Request};
+use crate::campaign::shown::show;
+use crate::campaign::shown::status::{Phase, Wanted};
+use crate::campaign::trial::manual;
+use crate::campaign::trial::press::Pressing;
+use crate::ids::TrialKey;
+use crate::journal::{ExitStatus, Progress};
+use crate::schedule::plan::{Kind, Step};
+
+impl Engine {
+    /// Checks that a run may start, and arms the rig for it: at the measured pace of the wires, the
+    /// stopping distance must stay within the margin of the force limit.
+    ///
+    /// # Errors
+    /// No wires are open, a device does not reply, no press is slow enough for the margin, or the
+    /// state does not allow arming.
+    pub(super) async fn arm(&mut self, job: &Job) -> Result<(), Refusal> {
+        let connection = self.connection.as_mut().ok_or_else(no_wires)?;
+        let stage = &mut connection.stage;
+        if job.plan.kind == Kind::RealHex {
+            if self.control.rig() == RigState::Homed {
+                let timed = stage.time_polls().await;
+                timed.map_err(|halt| Refusal::State(trip_of(&halt).detail))?;
+            }
+            stage.stopping.begin();
+            let distance = stage.stopping.distance(&self.config).map_err(Refusal::Value)?;
+            self.control.rig_event(RigEvent::Arm)?;
+            let (rig, run) = (&self.config.limits, &job.plan.limits);
+            stage.limits = ForceLimits {
+                each_n: rig.force_n.min(run.force_n),
+                sum_n: rig.force_sum_n.min(run.force_sum_n),
+                below_n: rig.tare_drift_n,
+            };
+            stage.silent = SilentArms::default();
+            self.control.show(|status| status.rig.stopping = Some(distance));
+        }
+        self.prepared_setting = None;
+        self.control.show(|status| status.run = Some(show::started(job)));
+        self.control.begin(job.run)
+    }
+
+    pub(super) async fn run(&mut self, job: &Job) {
+        let Some((status, reason)) = self.session(job).await else { return };
+        self.show_stopping();
+        let stopping = self.control.inbox.status.borrow().rig.stopping;
+        self.control.diary.note(Note::EndRun(job.run, status, reason.clone()));
+        let data = json!({ "run": job.run, "exit_status": status, "reason": reason,
+            "stopping": stopping });
+        self.control.say("ended", data);
+        if self.control.rig() == RigState::Armed {
+            // Armed always allows disarming.
+            let _ = self.control.rig_event(RigEvent::Disarm);
+        }
+        // A client that waits for the end then finds it stored, if the store answers.
+        if let Err(error) = self.control.flush().await {
+            tracing::error!(%error, "the end of the run is not stored yet");
+        }
+        self.control.forget_run();
+        self.control.show(|status| status.run = None);
+    }
+
+    fn show_stopping(&mut self) {
+        let Some(connection) = &self.connection else { return };
+        if let Ok(distance) = connection.stage.stopping.distance(&self.config) {
+            self.control.show(|status| status.rig.stopping = Some(distance));
+        }
+    }
+
+    /// Executes a run to its end, through halts, pauses and resumes. Returns none if it stays open.
+    async fn session(&mut self, job: &Job) -> Option<(ExitStatus, String)> {
+        let mut pace = Pace::predicted(job.predicted_trial_s / self.config.clock_rate);
+        let mut attempts = Attempts::default();
+        let mut auto_resumes = 0;
+        loop {
+            let halt = match self.advance(job, &mut pace, &mut attempts).await {
+                Ok(None) => continue,
+                Ok(Some(words)) => {
+                    self.leave_contact(job, None, Height::Clear).await;
+                    // Ending is allowed in every state of an active run.
+                    let _ = self.control.run_event(RunEvent::Ended);
+                    return Some((ExitStatus::Success, words));
+                }
+                Err(halt) => halt,
+            };
+            match self.decide(job, halt, &mut attempts, &mut auto_resumes).await {
+                Next::Again => {}
+                Next::Leave => return None,
+                Next::End(status, reason) => return Some((status, reason)),
+            }
+        }
+    }
+
+    /// Reads what is stored and executes the remaining steps. Returns a message if none remain.
+    async fn advance(
+        &mut self,
+        job: &Job,
+        pace: &mut Pace,
+        attempts: &mut Attempts,
+    ) -> Result<Option<String>, Halt> {
+        let depths = job.plan.depths_mm.len();
+        let mut progress = self.stored(job).await?;
+        show::progress(&self.control, job, &progress, pace);
+        let Some(entry) = resume::entry(&job.plan.steps, depths, &progress) else {
+            return Ok(Some(done_words(&progress)));
+        };
+        let steps = entry.prepare.iter().chain(&job.plan.steps[entry.next..]);
+        self.pass(job, steps, &mut progress, pace, attempts).await?;
+        Ok(None)
+    }
+
+    /// Progress of a run as stored, including all earlier notes.
+    async fn stored(&mut self, job: &Job) -> Result<Progress, Halt> {
+        let (diary, journal, run) =
+            (self.control.diary.clone(), self.control.journal.clone(), job.run);
+        self.control
+            .at_rest(async move {
+                diary.flush().await?;
+                journal.progress(run).await
+            })
+            .await
+    }
+
+    /// Executes steps until one halts or all are done.
+    async fn pass(
+        &mut self,
+        job: &Job,
+        steps: impl Iterator<Item = &Step>,
+        progress: &mut Progress,
+        pace: &mut Pace,
+        attempts: &mut Attempts,
+    ) -> Result<(), Halt> {
+        let depths = job.plan.depths_mm.len();
+        for step in steps {
+            if resume::is_done(step, depths, progress) {
+                continue;
+            }
+            self.control.checkpoint()?;
+            self.require_space(job, progress).await?;
+            let begun = Instant::now();
+            let stored = self.take(job, step, progress, attempts).await?;
+            if let Some(connection) = &self.connection {
+                show::counters(&self.control, &connection.open);
+            }
+            self.show_stopping();
+            if stored > 0 {
+                pace.note(stored, begun.elapsed().as_secs_f64());
+                show::progress(&self.control, job, progress, pace);
+                attempts.of_configuration = 1;
+            }
+        }
+        Ok(())
+    }
+
+    /// Executes one step of the plan. Returns the number of trials stored.
+    async fn take(
+        &mut self,
+        job: &Job,
+        step: &Step,
+        progress: &mut Progress,
+        attempts: &Attempts,
+    ) -> Result<u32, Halt> {
+        if let Step::TipChange { setting, tips } = step {
+            if self.prepared_setting != Some(*setting) {
+                self.require_tips(*tips, progress).await?;
+            }
+            return Ok(0);
+        }
+        let Some(connection) = self.connection.as_mut() else {
+            return Err(Halt::trip(TripKind::Wire, "no wires are open"));
+        };
+        let (stage, control) = (&mut connection.stage, &mut self.control);
+        let pressing =
+            Pressing { run: job.run, plan: &job.plan, attempt: attempts.of_configuration };
+        match step {
+            Step::TipChange { .. } => Ok(0),
+            Step::TouchOff { setting, places } => {
+                if self.prepared_setting == Some(*setting) {
+                    return Ok(0);
+                }
+                control.phase(Phase::TouchOff);
+                let samples = job.plan.measure.tare_samples;
+                let at = stage.clock.timestamp();
+                let found = touch_off::touch_off(stage, control, places, samples, at).await?;
+                control.diary.note(Note::TouchOff(job.run, found.clone()));
+                control.say("touch_off", json!(found));
+                control.show(|status| status.rig.surface = Some(found));
+                self.prepared_setting = Some(*setting);
+                Ok(0)
+            }
+            Step::Reference(press) => {
+                pressing.reference(stage, control, press).await?;
+                control.phase(Phase::Raise);
+                raise_as_planned(control, stage).await?;
+                Ok(0)
+            }
+            Step::Configuration(c) => {
+                let pending = resume::pending_depths(c, job.plan.depths_mm.len(), progress);
+                let stored = pressing.configuration(stage, control, c, &pending).await?;
+                control.phase(Phase::Raise);
+                raise_as_planned(control, stage).await?;
+                progress.stored.extend(
+                    pending
+                        .iter()
+                        .map(|&depth_index| TrialKey { configuration: c.index, depth_index }),
+                );
+                Ok(stored)
+            }
+            Step::Manual(placement) => match attempts.confirmed_by.clone() {
+                Some((index, who)) if index == placement.index => {
+                    let (skin, clock) = (stage.bench.skin.clone(), stage.clock.clone());
+                    let about = (job.run, who, &job.plan.measure);
+                    manual::measure(&skin, &clock, control, about, placement).await?;
+                    let key = TrialKey { configuration: placement.index, depth_index: 0 };
+                    progress.stored.insert(key);
+                    Ok(1)
+                }
+                _ => Err(Halt::Needs(Wanted::Placement {
+                    trial: placement.index,
+                    contacts: manual::contacts(placement),
+                })),
+            },
+        }
+    }
+
+    /// Continues only if a person has entered these tips as mounted and the cells do not
+    /// contradict. An entry from before a restart holds for a resumed run if the cells still show
+    /// the same.
+    async fn require_tips(&mut self, tips: u8, progress: &Progress) -> Result<(), Halt> {
+        let Some(connection) = self.connection.as_mut() else {
+            return Err(Halt::trip(TripKind::Wire, "no wires are open"));
+        };
+        let stage = &mut connection.stage;
+        let volts = stage.bench.cells.read().await?.volts;
+        let live = interlock::live_cells(&self.config.cells, &volts, tips);
+        let goes_on = !progress.stored.is_empty();
+        let said = self.mounting.as_ref().is_some_and(|(m, now)| {
+            m.tips == tips && live == Ok(m.live_cells) && (*now || goes_on)
+        });
+        if !said {
+            return Err(Halt::Needs(Wanted::Tips { tips }));
+        }
+        stage.tips = tips;
+        self.control.show(|status| {
+            status.rig.tips = Some(tips);
+            status.rig.forces_n.clear();
+        });
+        Ok(())
+    }
+
+    async fn require_space(&mut self, job: &Job, progress: &Progress) -> Result<(), Halt> {
+        let left = job.plan.trials().saturating_sub(progress.stored.len() as u64);
+        let needed = left * job.bytes_per_trial;
+        let journal = self.control.journal.clone();
+        let free = self.control.at_rest(async move { journal.free_bytes().await }).await?;
+        if free < needed {
+            let (free, needed) = (free / 1_000_000, needed / 1_000_000);
+            let why = format!("disk: {free} MB free, the rest needs {needed} MB");
+            self.control.run_request(&Request::Suspend(why));
+            return Err(Halt::Asked);
+        }
+        Ok(())
+    }
+}
+
+fn done_words(progress: &Progress) -> String {
+    match progress.skipped.len() {
+        0 => "every planned trial is stored".into(),
+        n => format!("every planned trial is stored, except {n} skipped configurations"),
+    }
+}

@@ -1,0 +1,279 @@
+//! A run that waits: for a person, or for the policy's automatic resume.
+//! Uses: `campaign::run::control`. Never: pressing.
+
+use serde_json::json;
+use tokio::time::Instant;
+
+use super::{Attempts, Engine, IDLE_TICK, Next, Owed, Waited, backoff};
+use crate::campaign::bench::rig_state::{RigEvent, RigState};
+use crate::campaign::diary::Note;
+use crate::campaign::run::control::name;
+use crate::campaign::run::job::Job;
+use crate::campaign::run::run_state::{PausedWhy, RunAction, RunEvent, RunState};
+use crate::campaign::safe_end::Height;
+use crate::campaign::shown::command::{Envelope, Refusal, Request};
+use crate::campaign::shown::status::{Phase, Wanted};
+use crate::ids::TrialKey;
+use crate::journal::error_chain;
+use crate::schedule::plan::Kind;
+
+/// How an automatic resume ended.
+enum Recovery {
+    /// A device does not answer yet; nothing was moved.
+    NotYet,
+    /// The reset, the homing or the resume failed.
+    Failed,
+    /// The run resumes.
+    Done,
+}
+
+impl Engine {
+    /// Waits for a person, or for the policy's automatic resume (`passing`: number of this resume,
+    /// from 1).
+    pub(super) async fn wait(
+        &mut self,
+        job: &Job,
+        attempts: &mut Attempts,
+        passing: Option<u32>,
+    ) -> Next {
+        self.control.phase(Phase::Wait);
+        if self.control.leaving() {
+            return Next::Leave;
+        }
+        let mut try_at = passing.map(|n| Instant::now() + backoff(job, n));
+        let mut failures = 0;
+        let mut tick = tokio::time::interval(IDLE_TICK);
+        tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
+        loop {
+            let waited = tokio::select! {
+                envelope = self.control.inbox.requests.recv() => match envelope {
+                    Some(envelope) => self.waiting_request(job, envelope).await,
+                    None => Some(Waited::Left),
+                },
+                _ = tick.tick() => {
+                    self.look().await;
+                    let ended = self.raise_when_possible(job).await;
+                    if ended.is_some() {
+                        ended
+                    } else if self.control.estop.pressed().is_some() {
+                        // A person has stopped the rig: nothing resumes automatically any more.
+                        try_at = None;
+                        None
+                    } else if try_at.is_some_and(|at| Instant::now() >= at)
+                        && matches!(self.control.run(), RunState::Paused(PausedWhy::Trip))
+                    {
+                        let recovery = self.recover().await;
+                        failures += 1;
+                        let before = passing.unwrap_or_default() + failures;
+                        let again = match recovery {
+                            Recovery::Failed => {
+                                before < job.plan.policy.max_auto_resumes && self.trip_may_pass()
+                            }
+                            Recovery::NotYet | Recovery::Done => true,
+                        };
+                        try_at = again.then(|| Instant::now() + backoff(job, before));
+                        matches!(recovery, Recovery::Done).then_some(Waited::Resume)
+                    } else {
+                        None
+                    }
+                }
+            };
+            match waited {
+                None => {}
+                Some(Waited::Resume) => return Next::Again,
+                Some(Waited::Confirmed(who)) => {
+                    attempts.confirmed_by = self.wanted_trial().map(|t| (t, who));
+                    let _ = self.control.run_event(RunEvent::Resume);
+                    return Next::Again;
+                }
+                Some(Waited::Left) => return Next::Leave,
+                Some(Waited::Ended(status)) => return Next::End(status, "requested".into()),
+            }
+        }
+    }
+
+    /// After a failure of wires the run has not reached the requested state: applies it once `look`
+    /// has completed the safe end.
+    async fn raise_when_possible(&mut self, job: &Job) -> Option<Waited> {
+        if matches!(self.control.run(), RunState::Paused(_) | RunState::Panicked) {
+            return None;
+        }
+        if job.plan.kind == Kind::RealHex {
+            match self.owed {
+                Owed::Nothing if self.connection.is_some() => {}
+                Owed::Nothing | Owed::Wires(_) => return None,
+                Owed::Person => {
+                    let _ = self.control.run_event(RunEvent::RaiseFailed);
+                    return None;
+                }
+            }
+        }
+        let action = self.control.run_event(RunEvent::Raised).ok()?;
+        self.control.phase(Phase::Wait);
+        match action {
+            RunAction::End(status) => Some(Waited::Ended(status)),
+            RunAction::Continue | RunAction::Raise | RunAction::Wait => None,
+        }
+    }
+
+    /// Automatic resume after a trip that may pass: checks, resets, homes, arms and resumes.
+    async fn recover(&mut self) -> Recovery {
+        self.control.say("recovering", json!({}));
+        let Some(connection) = self.connection.as_ref() else { return Recovery::NotYet };
+        let bench = connection.open.bench.clone();
+        if connection.stage.pose().await.is_err() || bench.cells.read().await.is_err() {
+            return Recovery::NotYet;
+        }
+        if bench.skin.take(Instant::now(), 1).await.is_err() {
+            return Recovery::NotYet;
+        }
+        let resumed = self.reset().await.is_ok() && self.home().await && self.resume().is_ok();
+        if resumed { Recovery::Done } else { Recovery::Failed }
+    }
+
+    /// Whether the present trip may pass without a person.
+    fn trip_may_pass(&self) -> bool {
+        self.control.inbox.status.borrow().rig.trip.as_ref().is_none_or(|t| t.kind.may_pass())
+    }
+
+    /// Arms again if a reset has disarmed the rig, and resumes the run.
+    fn resume(&mut self) -> Result<(), Refusal> {
+        match self.control.rig() {
+            RigState::Homed => self.control.rig_event(RigEvent::Arm)?,
+            RigState::Armed => {}
+            RigState::Disconnected | RigState::Disarmed | RigState::Tripped => {
+                let rig = self.control.rig().as_str();
+                let words = format!("resume is not possible while the rig is {rig}: reset, home");
+                return Err(Refusal::State(words));
+            }
+        }
+        self.control.run_event(RunEvent::Resume).map(|_| ())
+    }
+
+    fn wanted_trial(&self) -> Option<u32> {
+        match self.control.inbox.status.borrow().run.as_ref()?.wanted.as_ref()? {
+            Wanted::Placement { trial, .. } => Some(*trial),
+            Wanted::Tips { .. } => None,
+        }
+    }
+
+    /// Handles a request while a run waits.
+    async fn waiting_request(&mut self, job: &Job, envelope: Envelope) -> Option<Waited> {
+        let why = self.control.run().why();
+        let needs_person = matches!(why, Some(PausedWhy::TipChange | PausedWhy::ManualTrial));
+        let Envelope { request, answer } = envelope;
+        match request {
+            Request::Resume if !needs_person => {
+                let resumed = match job.plan.kind {
+                    Kind::RealHex => self.resume(),
+                    Kind::RealRandom => self.control.run_event(RunEvent::Resume).map(|_| ()),
+                };
+                let waited = resumed.is_ok().then_some(Waited::Resume);
+                let _ = answer.send(resumed);
+                waited
+            }
+            Request::Confirm { who } if needs_person => {
+                let checked = self.check_confirmed(&who).await;
+                let waited = checked.is_ok().then_some(Waited::Confirmed(who));
+                let _ = answer.send(checked);
+                waited
+            }
+            Request::Repeat { why } => {
+                let repeated = self.repeat_last(job, &why).await;
+                let waited = repeated.is_ok().then_some(Waited::Confirmed(String::new()));
+                let _ = answer.send(repeated);
+                // The awaited placement was not confirmed: it is requested again.
+                if waited.is_some() {
+                    self.control.show_run(|run| run.wanted = None);
+                }
+                waited
+            }
+            Request::Resume => {
+                let words = "resume is not possible: confirm what the run waits for".into();
+                let _ = answer.send(Err(Refusal::State(words)));
+                None
+            }
+            Request::Stop | Request::Abort | Request::Suspend(_) => {
+                let event = self.control.run_request(&request)?;
+                let mut outcome = self.control.run_event(event);
+                if outcome == Ok(RunAction::Raise)
+                    && self.leave_contact(job, None, Height::Clear).await
+                {
+                    outcome = self.control.run_event(RunEvent::Raised);
+                }
+                let waited = match outcome {
+                    Ok(RunAction::End(status)) => Some(Waited::Ended(status)),
+                    _ => None,
+                };
+                let _ = answer.send(outcome.map(|_| ()));
+                waited
+            }
+            Request::Shutdown => {
+                self.control.leave();
+                let _ = answer.send(Ok(()));
+                Some(Waited::Left)
+            }
+            // A person has reset a panicked run: it waits as after any trip.
+            Request::Reset if self.control.run() == RunState::Panicked => {
+                let reset = match self.control.rig() {
+                    RigState::Tripped => self.reset().await,
+                    _ => Ok(()),
+                };
+                if reset.is_ok() {
+                    let _ = self.control.run_event(RunEvent::Reset);
+                }
+                let _ = answer.send(reset);
+                None
+            }
+            Request::Start(_)
+            | Request::Confirm { .. }
+            | Request::PauseAtCheckpoint
+            | Request::PauseNow => {
+                let state = self.control.run().as_str();
+                let words = format!("{} is not possible while a run is {state}", name(&request));
+                let _ = answer.send(Err(Refusal::State(words)));
+                None
+            }
+            Request::Connect
+            | Request::Disconnect
+            | Request::Home
+            | Request::Jog { .. }
+            | Request::Tare
+            | Request::Mounted { .. }
+            | Request::Reset => {
+                self.rig_request(Envelope { request, answer }).await;
+                None
+            }
+        }
+    }
+
+    /// Accepts a confirmed tip change only if the cells do not contradict it.
+    async fn check_confirmed(&mut self, who: &str) -> Result<(), Refusal> {
+        let wanted = self.control.inbox.status.borrow().run.as_ref().and_then(|r| r.wanted.clone());
+        match wanted {
+            Some(Wanted::Tips { tips }) => self.mounted(tips, who).await,
+            Some(Wanted::Placement { .. }) => Ok(()),
+            None => Err(Refusal::State("the run waits for no confirmation".into())),
+        }
+    }
+
+    /// Withdraws the last manual trial.
+    async fn repeat_last(&mut self, job: &Job, why: &str) -> Result<(), Refusal> {
+        let failed = |e| Refusal::State(error_chain(&e));
+        let waiting = self.control.run().why() == Some(PausedWhy::ManualTrial);
+        self.control.flush().await.map_err(failed)?;
+        let progress = self.control.journal.progress(job.run).await.map_err(failed)?;
+        let last = self
+            .wanted_trial()
+            .and_then(|next| next.checked_sub(1))
+            .map(|configuration| TrialKey { configuration, depth_index: 0 });
+        match last {
+            Some(key) if waiting && progress.stored.contains(&key) => {
+                self.control.diary.note(Note::Discard(job.run, key, why.into()));
+                self.control.say("repeat", json!({ "trial": key, "why": why }));
+                self.control.flush().await.map_err(failed)
+            }
+            _ => Err(Refusal::State("there is no trial to repeat".into())),
+        }
+    }
+}

@@ -1,0 +1,309 @@
+//! The state machine of the run: one enum, one diagram, one function.
+//! PURE. Uses: `journal`. Never: motion, storage, time.
+//!
+//! ```text
+//!              start                     pause at checkpoint / need a person
+//!      idle ----------> running --------------------------------> pausing
+//!        ^                | ^ \                                      | raised
+//!        |                | |  \ pause now, suspend, trip            v
+//!        |                | |   +--------------> suspending ----> paused (why)
+//!        |                | |                        raised         | | |
+//!        |                | +---------------- resume ---------------+ | |
+//!        |                |                                           | |
+//!        |  ended         +-- stop --> stopping <------- stop --------+ |
+//!        +<------------------------------ | ended                       |
+//!        +<----- aborting <-- abort (from any of the above) ------------+
+//!
+//!      any --- raise failed ---> panicked      panicked --- reset ---> paused (trip)
+//! ```
+//! `requested` is the last requested state; the state is the one that has been reached.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::journal::ExitStatus;
+
+/// Reason why a run waits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PausedWhy {
+    /// A person requested it.
+    Operator,
+    /// Tips must be mounted or removed.
+    TipChange,
+    /// Weights must be placed by a person.
+    ManualTrial,
+    /// A suspender suspended it.
+    Suspender,
+    /// A limit or a fault tripped the rig.
+    Trip,
+    /// The service was restarted during the run.
+    Restart,
+}
+
+impl PausedWhy {
+    /// Name of the reason, as stored.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            PausedWhy::Operator => "operator",
+            PausedWhy::TipChange => "tip_change",
+            PausedWhy::ManualTrial => "manual_trial",
+            PausedWhy::Suspender => "suspender",
+            PausedWhy::Trip => "trip",
+            PausedWhy::Restart => "restart",
+        }
+    }
+}
+
+/// State that a run has reached (names as in Bluesky).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case", tag = "state", content = "why")]
+pub enum RunState {
+    /// No run is active.
+    Idle,
+    /// Moving and measuring.
+    Running,
+    /// Pauses at the next checkpoint: after the commit of the trial.
+    Pausing(PausedWhy),
+    /// Paused with the tips raised.
+    Paused(PausedWhy),
+    /// Ends after the commit of the trial.
+    Stopping,
+    /// Raises the tips now, then ends.
+    Aborting,
+    /// Raises the tips now, then waits.
+    Suspending(PausedWhy),
+    /// The tips could not be raised: a person must inspect the rig.
+    Panicked,
+}
+
+impl RunState {
+    /// Name of the state, as stored.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            RunState::Idle => "idle",
+            RunState::Running => "running",
+            RunState::Pausing(_) => "pausing",
+            RunState::Paused(_) => "paused",
+            RunState::Stopping => "stopping",
+            RunState::Aborting => "aborting",
+            RunState::Suspending(_) => "suspending",
+            RunState::Panicked => "panicked",
+        }
+    }
+
+    /// Reason why the run waits or is about to wait; none in other states.
+    pub fn why(self) -> Option<PausedWhy> {
+        match self {
+            RunState::Pausing(why) | RunState::Paused(why) | RunState::Suspending(why) => Some(why),
+            RunState::Idle
+            | RunState::Running
+            | RunState::Stopping
+            | RunState::Aborting
+            | RunState::Panicked => None,
+        }
+    }
+}
+
+/// Events of the run's state machine.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RunEvent {
+    /// An armed run starts.
+    Start,
+    /// Pause after the current trial.
+    PauseAtCheckpoint,
+    /// Raise the tips now and pause.
+    PauseNow,
+    /// The plan needs a person.
+    Need(PausedWhy),
+    /// A suspender, a trip or an e-stop: raise the tips now and wait.
+    Suspend(PausedWhy),
+    /// Resume.
+    Resume,
+    /// End after the current trial.
+    Stop,
+    /// Raise the tips now and end.
+    Abort,
+    /// The engine has reached a checkpoint or has raised the tips: the requested state is reached.
+    Raised,
+    /// The tips could not be raised.
+    RaiseFailed,
+    /// The plan is complete, or cannot continue.
+    Ended,
+    /// A person has inspected the rig after a panic.
+    Reset,
+}
+
+/// What the engine must do on entering the next state.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RunAction {
+    /// Continue as before, to the next checkpoint.
+    Continue,
+    /// Raise the tips now.
+    Raise,
+    /// Wait for a person or a policy.
+    Wait,
+    /// End the run with this status.
+    End(ExitStatus),
+}
+
+/// An event that the state does not allow.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("a run that is {} does not allow {event:?}", state.as_str())]
+pub struct Illegal {
+    /// State in which the event occurred.
+    pub state: RunState,
+    /// Event that was refused.
+    pub event: RunEvent,
+}
+
+/// Returns the next state and what to do in it.
+///
+/// # Errors
+/// `Illegal` if the state does not allow the event.
+pub fn step(state: RunState, event: RunEvent) -> Result<(RunState, RunAction), Illegal> {
+    use RunAction::{Continue, End, Raise, Wait};
+    use RunEvent as E;
+    use RunState as S;
+    let illegal = Err(Illegal { state, event });
+    match (state, event) {
+        // The remaining plan is unchanged: once the rig is homed, the run may be resumed, stopped
+        // or aborted.
+        (S::Panicked, E::Reset) => Ok((S::Paused(PausedWhy::Trip), Wait)),
+        (S::Panicked, _) => illegal,
+        (S::Idle, E::RaiseFailed) => Ok((S::Panicked, Wait)),
+        (S::Idle, E::Start) => Ok((S::Running, Continue)),
+        (S::Idle, _) => illegal,
+        (_, E::Start | E::Reset) => illegal,
+        (_, E::RaiseFailed) => Ok((S::Panicked, Wait)),
+
+        (S::Running, E::PauseAtCheckpoint) => Ok((S::Pausing(PausedWhy::Operator), Continue)),
+        (S::Running, E::Need(why)) => Ok((S::Pausing(why), Raise)),
+        (S::Running | S::Pausing(_), E::PauseNow) => {
+            Ok((S::Suspending(PausedWhy::Operator), Raise))
+        }
+        (S::Running | S::Pausing(_), E::Suspend(why)) => Ok((S::Suspending(why), Raise)),
+        (S::Running, E::Raised) => Ok((S::Running, Continue)),
+        (S::Running, E::Resume) => illegal,
+
+        (S::Pausing(why) | S::Suspending(why), E::Raised) => Ok((S::Paused(why), Wait)),
+        (S::Pausing(_), E::Resume) => Ok((S::Running, Continue)),
+        (S::Pausing(_), E::PauseAtCheckpoint | E::Need(_)) => illegal,
+
+        (S::Suspending(_), E::PauseAtCheckpoint | E::PauseNow | E::Need(_) | E::Resume) => illegal,
+        (S::Suspending(_) | S::Paused(_), E::Suspend(why)) => Ok((S::Suspending(why), Raise)),
+
+        (S::Paused(_), E::Resume) => Ok((S::Running, Continue)),
+        (S::Paused(_), E::Raised) => Ok((state, Wait)),
+        (S::Paused(_), E::PauseAtCheckpoint | E::PauseNow | E::Need(_)) => illegal,
+
+        (S::Running | S::Pausing(_), E::Stop) => Ok((S::Stopping, Continue)),
+        (S::Suspending(_) | S::Paused(_), E::Stop) => Ok((S::Stopping, Raise)),
+        (S::Stopping, E::Raised | E::Ended) => Ok((S::Idle, End(ExitStatus::Success))),
+        (S::Stopping, E::Suspend(_)) => Ok((S::Stopping, Raise)),
+        (S::Stopping, E::PauseAtCheckpoint | E::PauseNow | E::Need(_) | E::Resume | E::Stop) => {
+            illegal
+        }
+
+        (S::Running | S::Pausing(_) | S::Suspending(_) | S::Paused(_) | S::Stopping, E::Abort) => {
+            Ok((S::Aborting, Raise))
+        }
+        (S::Aborting, E::Raised | E::Ended) => Ok((S::Idle, End(ExitStatus::Abort))),
+        (S::Aborting, E::Suspend(_)) => Ok((S::Aborting, Raise)),
+        (
+            S::Aborting,
+            E::PauseAtCheckpoint | E::PauseNow | E::Need(_) | E::Resume | E::Stop | E::Abort,
+        ) => illegal,
+
+        (S::Running, E::Ended) => Ok((S::Idle, End(ExitStatus::Success))),
+        (S::Pausing(_) | S::Suspending(_) | S::Paused(_), E::Ended) => {
+            Ok((S::Idle, End(ExitStatus::Fail)))
+        }
+    }
+}
+
+/// Every state and event as in `docs/safety.md`; the test below derives it from `step`.
+#[cfg(test)]
+pub(in crate::campaign) const TABLE: &str = "\
+idle       running - - - - - - - - panicked - -
+running    - pausing suspending pausing suspending - stopping aborting running panicked idle -
+pausing    - - suspending - suspending running stopping aborting paused panicked idle -
+paused     - - - - suspending running stopping aborting paused panicked idle -
+stopping   - - - - stopping - - aborting idle panicked idle -
+aborting   - - - - aborting - - - idle panicked idle -
+suspending - - - - suspending - stopping aborting paused panicked idle -
+panicked   - - - - - - - - - - - paused
+";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WHY: PausedWhy = PausedWhy::Operator;
+
+    fn states() -> Vec<RunState> {
+        use RunState as S;
+        vec![
+            S::Idle,
+            S::Running,
+            S::Pausing(WHY),
+            S::Paused(WHY),
+            S::Stopping,
+            S::Aborting,
+            S::Suspending(WHY),
+            S::Panicked,
+        ]
+    }
+
+    fn events() -> Vec<RunEvent> {
+        use RunEvent as E;
+        vec![
+            E::Start,
+            E::PauseAtCheckpoint,
+            E::PauseNow,
+            E::Need(PausedWhy::TipChange),
+            E::Suspend(PausedWhy::Trip),
+            E::Resume,
+            E::Stop,
+            E::Abort,
+            E::Raised,
+            E::RaiseFailed,
+            E::Ended,
+            E::Reset,
+        ]
+    }
+
+    /// Every state x event pair, as text: `-` is illegal.
+    #[test]
+    fn the_whole_table() {
+        let mut table = String::new();
+        for s in states() {
+            let row: Vec<&str> = events()
+                .iter()
+                .map(|&e| step(s, e).map_or("-", |(next, _)| next.as_str()))
+                .collect();
+            table += &format!("{:10} {}\n", s.as_str(), row.join(" "));
+        }
+        assert_eq!(table, TABLE);
+    }
+
+    #[test]
+    fn an_abort_is_possible_wherever_a_run_is_under_way() {
+        use RunState as S;
+        for s in states() {
+            let open = !matches!(s, S::Idle | S::Panicked | S::Aborting);
+            assert_eq!(step(s, RunEvent::Abort).is_ok(), open, "{s:?}");
+        }
+    }
+
+    #[test]
+    fn whatever_leaves_contact_in_a_hurry_raises_first() {
+        for s in states() {
+            for e in [RunEvent::PauseNow, RunEvent::Abort, RunEvent::Suspend(PausedWhy::Trip)] {
+                if let Ok((_, action)) = step(s, e) {
+                    assert_eq!(action, RunAction::Raise, "{s:?} {e:?}");
+                }
+            }
+        }
+    }
+}

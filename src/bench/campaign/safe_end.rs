@@ -1,0 +1,186 @@
+//! The one safe end. Every motion that does not end as planned ends here: trip, pause now, abort,
+//! suspension, lost device, failed homing, jog or reading of the cells, shutdown, a panic, a store
+//! that fails.
+//! Uses: `campaign::{run::control, bench::stage, bench::estop, bench::interlock}`. Never: the
+//! store, a disk, a client. What happened is recorded in the diary, which does not block here.
+//!
+//! ```text
+//! latch (memory) -> stop x, y, radial  |  stop z -> raise z      each axis independently
+//!                          \           /
+//!                        publish and record the result
+//! ```
+//! After an e-stop nothing moves until a person releases it, and the tips stay where they are.
+
+use std::time::Duration;
+
+use futures::future::join_all;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use tokio::time::Instant;
+use utoipa::ToSchema;
+
+use crate::campaign::bench::estop::AxisStop;
+use crate::campaign::bench::interlock::{Trip, TripKind};
+use crate::campaign::bench::stage::Stage;
+use crate::campaign::run::control::Control;
+use crate::campaign::run::halt::Halt;
+use crate::campaign::shown::status::Phase;
+use crate::rig::traits::Axis;
+
+/// Attempts to raise the tips before a person must inspect the rig.
+const RAISE_TRIES: u32 = 3;
+/// Pause between two attempts.
+const RAISE_AGAIN: Duration = Duration::from_millis(200);
+
+/// Height to which the tips are raised.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Height {
+    /// Clear of the skin, as for travelling.
+    Clear,
+    /// Top of the travel: room for a person's hands.
+    Top,
+}
+
+/// Position of the tips after a safe end.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case", tag = "tips", content = "why")]
+pub enum Tips {
+    /// Measured clear of the skin and at rest.
+    Raised,
+    /// An e-stop is latched: nothing moves, the tips stay where they are.
+    HeldByEstop,
+    /// z has lost its zero: nothing was raised. Homing moves it up first.
+    NotHomed,
+    /// They could not be raised, for this reason: a person must inspect the rig.
+    NotRaised(String),
+}
+
+/// Result of a safe end.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct SafeEnd {
+    /// Stop of each axis.
+    pub stops: Vec<AxisStop>,
+    /// Position of the tips.
+    #[serde(flatten)]
+    pub tips: Tips,
+    /// Time from the last sample before the safe end to the acknowledged stop of z, wall ms; absent
+    /// if no cell was read or z did not acknowledge.
+    pub sample_to_stop_ms: Option<f64>,
+    /// Duration of the safe end, wall ms.
+    pub took_ms: f64,
+}
+
+impl SafeEnd {
+    /// Whether nothing more can be done for the tips: they are up, they are held by an e-stop, or z
+    /// must be homed first.
+    pub fn is_safe(&self) -> bool {
+        match self.tips {
+            Tips::Raised | Tips::HeldByEstop | Tips::NotHomed => true,
+            Tips::NotRaised(_) => false,
+        }
+    }
+
+    /// Whether each axis acknowledged its stop.
+    pub fn is_acknowledged(&self) -> bool {
+        self.stops.iter().all(|s| s.acknowledged_ms.is_some())
+    }
+}
+
+/// Makes the rig safe, then publishes the result. `trip` latches the rig. Without one (pause now,
+/// abort, shutdown) the state of the rig does not change, unless the tips cannot be raised: that
+/// latches too.
+pub async fn make_safe(
+    control: &mut Control,
+    stage: &mut Stage,
+    trip: Option<&Trip>,
+    height: Height,
+) -> SafeEnd {
+    // The result of an earlier safe end no longer applies.
+    control.show(|status| status.rig.safe_end = None);
+    if let Some(trip) = trip {
+        control.latch(trip);
+    }
+    control.phase(Phase::Raise);
+    let began = Instant::now();
+    let sampled = stage.take_last_sample();
+    let bench = stage.bench.clone();
+    let lateral = [&bench.x, &bench.y, &bench.radial];
+    let (mut stops, (z_stop, tips)) = futures::join!(
+        join_all(lateral.map(|axis| stop(axis.as_ref(), began))),
+        stop_and_raise(control, stage, began, height)
+    );
+    let stopped = z_stop.acknowledged_ms.map(|ms| began + Duration::from_secs_f64(ms / 1e3));
+    let sample_to_stop = sampled.zip(stopped).map(|(from, to)| to.saturating_duration_since(from));
+    stops.push(z_stop);
+    let end = SafeEnd {
+        stops,
+        tips,
+        sample_to_stop_ms: sample_to_stop.map(|t| t.as_secs_f64() * 1e3),
+        took_ms: began.elapsed().as_secs_f64() * 1e3,
+    };
+    if trip.is_some() {
+        stage.stopping.note_stop(sample_to_stop);
+    }
+    if let Tips::NotRaised(why) = &end.tips
+        && trip.is_none()
+    {
+        let detail = format!("the tips were not raised: {why}");
+        control.latch(&Trip { kind: TripKind::Position, detail });
+    }
+    let shown = end.clone();
+    control.show(|status| status.rig.safe_end = Some(shown));
+    control.say("safe_end", json!(end));
+    end
+}
+
+/// Raises z, with a few attempts: the planned raise after a configuration.
+pub async fn raise(control: &Control, stage: &Stage, height: Height) -> Tips {
+    let mut last = String::new();
+    for attempt in 0..RAISE_TRIES {
+        if attempt > 0 {
+            tokio::time::sleep(RAISE_AGAIN).await;
+        }
+        if control.estop.pressed().is_some() {
+            return Tips::HeldByEstop;
+        }
+        match stage.raise_once(height, &control.estop).await {
+            Ok(true) => return Tips::Raised,
+            Ok(false) => return Tips::NotHomed,
+            Err(error) => last = error,
+        }
+    }
+    if control.estop.pressed().is_some() { Tips::HeldByEstop } else { Tips::NotRaised(last) }
+}
+
+/// Like `raise`, for a planned raise.
+///
+/// # Errors
+/// Trips unless the tips are raised.
+pub async fn raise_as_planned(control: &Control, stage: &mut Stage) -> Result<(), Halt> {
+    stage.begin_watch();
+    match raise(control, stage, Height::Clear).await {
+        Tips::Raised => Ok(()),
+        Tips::HeldByEstop => Err(Halt::trip(TripKind::Estop, "the emergency stop is latched")),
+        Tips::NotHomed => Err(Halt::trip(TripKind::Position, "z has lost its zero: home")),
+        Tips::NotRaised(why) => Err(Halt::trip(TripKind::Position, format!("not raised: {why}"))),
+    }
+}
+
+async fn stop_and_raise(
+    control: &Control,
+    stage: &Stage,
+    began: Instant,
+    height: Height,
+) -> (AxisStop, Tips) {
+    let stopped = stop(stage.bench.z.as_ref(), began).await;
+    (stopped, raise(control, stage, height).await)
+}
+
+async fn stop(axis: &dyn Axis, began: Instant) -> AxisStop {
+    let outcome = axis.stop().await;
+    AxisStop {
+        axis: axis.name().into(),
+        acknowledged_ms: outcome.is_ok().then(|| began.elapsed().as_secs_f64() * 1e3),
+        error: outcome.err().map(|e| e.to_string()),
+    }
+}

@@ -1,0 +1,170 @@
+//! Requests that people and programs may make to a campaign, and the handle for making them.
+//! Uses: tokio channels. Never: HTTP, storage, wires.
+//!
+//! Requests go through one bounded queue and are answered when they are accepted, not when they are
+//! complete: the status reports what has been reached. The e-stop is not a request: it bypasses
+//! this queue (`campaign::bench::estop`).
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::{mpsc, oneshot, watch};
+
+use crate::campaign::bench::estop::StopSwitch;
+use crate::campaign::run::job::Job;
+use crate::campaign::shown::status::Status;
+use crate::rig::traits::Frame;
+
+/// Capacity of the request queue.
+const QUEUE: usize = 64;
+/// Longest wait until a request is accepted.
+const TAKE_UP: Duration = Duration::from_secs(10);
+
+/// A request to the campaign.
+#[derive(Debug, Clone)]
+pub enum Request {
+    /// Open the wires and check every device.
+    Connect,
+    /// Close the wires.
+    Disconnect,
+    /// Home all axes, z first.
+    Home,
+    /// Move one axis outside a run: `x`, `y`, `z` (machine mm) or `radius` (mm).
+    Jog {
+        /// Axis: `x`, `y`, `z` or `radius`.
+        axis: String,
+        /// Absolute target, mm.
+        to_mm: f64,
+    },
+    /// Measure the zeros of the cells.
+    Tare,
+    /// Acknowledge a trip.
+    Reset,
+    /// A person has mounted `tips` tips, on arms 1 to `tips`.
+    Mounted {
+        /// Number of tips, 0 to 6.
+        tips: u8,
+        /// Name of the person.
+        who: String,
+    },
+    /// Start or resume a run that has passed its preflight and was armed.
+    Start(Arc<Job>),
+    /// Pause after the current trial.
+    PauseAtCheckpoint,
+    /// Raise now and pause.
+    PauseNow,
+    /// Raise now and wait, requested by a suspender, with its reason.
+    Suspend(String),
+    /// Resume a paused run.
+    Resume,
+    /// Finish the trial, raise, end.
+    Stop,
+    /// Raise now, end.
+    Abort,
+    /// A person has done what a paused run waits for.
+    Confirm {
+        /// Name of the person.
+        who: String,
+    },
+    /// Withdraw the last manual trial and repeat it.
+    Repeat {
+        /// Reason for the repetition.
+        why: String,
+    },
+    /// End the thread of the campaign.
+    Shutdown,
+}
+
+/// Reason why a request was refused.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Refusal {
+    /// The present state forbids it.
+    #[error("{0}")]
+    State(String),
+    /// A value is outside its limits.
+    #[error("{0}")]
+    Value(String),
+    /// The campaign's thread has ended or does not answer.
+    #[error("the rig's thread does not answer")]
+    Gone,
+}
+
+/// A request with the channel for its answer.
+#[derive(Debug)]
+pub struct Envelope {
+    /// The request.
+    pub request: Request,
+    /// Channel for the answer: accepted or refused.
+    pub answer: oneshot::Sender<Result<(), Refusal>>,
+}
+
+/// Access of the rest of the service to the campaign.
+#[derive(Debug, Clone)]
+pub struct Handle {
+    requests: mpsc::Sender<Envelope>,
+    status: watch::Receiver<Status>,
+    frames: watch::Receiver<Option<Arc<Frame>>>,
+    estop: StopSwitch,
+}
+
+/// The engine's side of a handle.
+#[derive(Debug)]
+pub struct Inbox {
+    /// Requests in order of arrival.
+    pub requests: mpsc::Receiver<Envelope>,
+    /// Channel for the status.
+    pub status: watch::Sender<Status>,
+    /// Channel for the newest frame.
+    pub frames: watch::Sender<Option<Arc<Frame>>>,
+}
+
+/// Creates a handle and the engine's side of it.
+pub fn channel(estop: StopSwitch, status: Status) -> (Handle, Inbox) {
+    let (requests_tx, requests) = mpsc::channel(QUEUE);
+    let (status_tx, status) = watch::channel(status);
+    let (frames_tx, frames) = watch::channel(None);
+    let handle = Handle { requests: requests_tx, status, frames, estop };
+    (handle, Inbox { requests, status: status_tx, frames: frames_tx })
+}
+
+impl Handle {
+    /// Sends a request and waits until it is accepted or refused.
+    ///
+    /// # Errors
+    /// The refusal; `Refusal::Gone` if the thread has ended, its queue is full, or it does not
+    /// answer in time.
+    pub async fn ask(&self, request: Request) -> Result<(), Refusal> {
+        let (answer, answered) = oneshot::channel();
+        let sent = self.requests.try_send(Envelope { request, answer });
+        sent.map_err(|_| Refusal::Gone)?;
+        match tokio::time::timeout(TAKE_UP, answered).await {
+            Ok(Ok(answer)) => answer,
+            Ok(Err(_)) | Err(_) => Err(Refusal::Gone),
+        }
+    }
+
+    /// Stops every axis immediately; needs no state, no lock and no queue.
+    pub fn estop(&self, why: &str) {
+        self.estop.press(why);
+    }
+
+    /// Returns the stop button, for a bench that another part opens.
+    pub fn stop_switch(&self) -> StopSwitch {
+        self.estop.clone()
+    }
+
+    /// Returns the newest status.
+    pub fn status(&self) -> Status {
+        self.status.borrow().clone()
+    }
+
+    /// Subscribes to the status.
+    pub fn watch_status(&self) -> watch::Receiver<Status> {
+        self.status.clone()
+    }
+
+    /// Subscribes to the newest frame; slow readers miss frames.
+    pub fn watch_frames(&self) -> watch::Receiver<Option<Arc<Frame>>> {
+        self.frames.clone()
+    }
+}

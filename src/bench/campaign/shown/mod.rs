@@ -1,0 +1,8 @@
+//! The campaign seen from outside: the status and how it is filled, requests and their answers.
+//! Uses: `campaign::{bench, run}`. Never: decisions, HTTP.
+//!
+//! PURE: `status`.
+
+pub mod status;
+pub mod show;
+pub mod command;

@@ -1,0 +1,162 @@
+//! Fills the status from the readings of the bench and the contents of the store.
+//! Uses: `campaign::{run::control, bench::stage, shown::status}`, `rig`. Never: motion, decisions.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::watch;
+
+use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::bench::stage::Stage;
+use crate::campaign::run::control::Control;
+use crate::campaign::run::eta::Pace;
+use crate::campaign::run::job::Job;
+use crate::campaign::run::run_state::RunState;
+use crate::campaign::shown::status::{
+    Phase, RigStatus, RunStatus, Status, StreamStatus, WireStatus,
+};
+use crate::journal::Progress;
+use crate::rig::config::RigConfig;
+use crate::rig::link::LineCounts;
+use crate::rig::registry::OpenBench;
+use crate::rig::traits::Frame;
+
+/// Shortest time between two frames of the live view, wall: less than one frame period of a rig at
+/// speed 1.
+const FRAME_REST: Duration = Duration::from_millis(10);
+
+/// Status before any wire is open.
+pub fn closed(config: &RigConfig) -> Status {
+    Status {
+        rig: RigStatus {
+            name: config.name.clone(),
+            label: config.label.as_str().into(),
+            state: RigState::Disconnected,
+            trip: None,
+            clock_rate: config.clock_rate,
+            pose: None,
+            forces_n: Vec::new(),
+            force_limit_n: config.limits.force_n,
+            tips: None,
+            live_cells: None,
+            surface: None,
+            stream: StreamStatus::default(),
+            wires: Vec::new(),
+            estop_acknowledged_ms: None,
+            estop_stops: Vec::new(),
+            safe_end: None,
+            stopping: None,
+        },
+        run: None,
+        version: 0,
+    }
+}
+
+/// Status of a run that has just been armed.
+pub fn started(job: &Job) -> RunStatus {
+    RunStatus {
+        uid: job.run,
+        scan_id: job.scan_id,
+        experiment: job.plan.experiment.clone(),
+        state: RunState::Idle.as_str().into(),
+        requested_state: None,
+        paused_why: None,
+        waiting_for: None,
+        wanted: None,
+        phase: Phase::Next,
+        trial: None,
+        trials_planned: job.plan.trials(),
+        trials_stored: 0,
+        trials_skipped: 0,
+        retries: 0,
+        eta: None,
+    }
+}
+
+/// Publishes the counts of trials and the remaining time.
+pub fn progress(control: &Control, job: &Job, progress: &Progress, pace: &Pace) {
+    let depths = job.plan.depths_mm.len().max(1) as u32;
+    let stored = progress.stored.len() as u64;
+    let skipped: u64 = progress
+        .skipped
+        .iter()
+        .map(|c| {
+            let kept = progress.stored.iter().filter(|k| k.configuration == *c).count() as u64;
+            u64::from(depths).saturating_sub(kept)
+        })
+        .sum();
+    let left = job.plan.trials().saturating_sub(stored + skipped);
+    let eta = pace.eta(left, depths);
+    control.show_run(|run| {
+        run.trials_stored = stored;
+        run.trials_skipped = skipped;
+        run.retries = run.retries.max(progress.retries);
+        run.eta = Some(eta);
+    });
+}
+
+/// Publishes the readings of the bench, between runs.
+pub async fn bench(control: &Control, stage: &Stage, open: &OpenBench) {
+    let pose = stage.pose().await.ok();
+    let reading = open.bench.cells.read().await.ok();
+    let press = control.estop.pressed();
+    let live = reading.map(|r| {
+        let cells = &stage.config.cells;
+        let forces = stage.forces_n(&r.volts);
+        (0..forces.len())
+            .map(|i| cells.is_live(r.volts[i]).then_some(forces[i]))
+            .collect::<Vec<_>>()
+    });
+    counters(control, open);
+    control.show(|status| {
+        let rig = &mut status.rig;
+        rig.pose = pose;
+        rig.live_cells = live.as_ref().map(|l| l.iter().filter(|f| f.is_some()).count() as u8);
+        rig.forces_n = live.unwrap_or_default();
+        if let Some(press) = press {
+            rig.estop_acknowledged_ms = press.acknowledged_ms();
+            rig.estop_stops = press.stops();
+        }
+    });
+}
+
+/// Publishes the counters of the wires, without a request to any device.
+pub fn counters(control: &Control, open: &OpenBench) {
+    let latest = open.bench.skin.latest();
+    let counters = open.bench.skin.counters();
+    let wires = open.lines.iter().map(|(name, line)| wire(name, line.counts())).collect();
+    control.show(|status| {
+        status.rig.stream = StreamStatus {
+            frames: counters.frames,
+            missed: counters.missed,
+            garbled: counters.garbled,
+            reconnects: counters.reconnects,
+            age_ms: latest.map(|f| f.received.elapsed().as_millis() as u64),
+        };
+        status.rig.wires = wires;
+    });
+}
+
+fn wire(name: &str, counts: LineCounts) -> WireStatus {
+    WireStatus {
+        name: name.into(),
+        requests: counts.answered,
+        retries: counts.retries,
+        timeouts: counts.timeouts,
+        garbled: counts.garbled,
+        reconnects: counts.reconnects,
+        last_round_trip_us: counts.last_round_trip_us,
+    }
+}
+
+/// Forwards each new frame to the live view immediately; on a fast rig only some of them.
+pub async fn forward_frames(
+    mut newest: watch::Receiver<Option<Arc<Frame>>>,
+    frames: watch::Sender<Option<Arc<Frame>>>,
+) {
+    while newest.changed().await.is_ok() {
+        let frame = newest.borrow_and_update().clone();
+        frames.send_replace(frame);
+        tokio::time::sleep(FRAME_REST).await;
+    }
+}

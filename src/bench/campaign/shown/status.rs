@@ -1,0 +1,193 @@
+//! Published status of a campaign: rig, run, forces, stream, remaining time.
+//! PURE. Uses: `campaign::{run::run_state, bench::rig_state, record}`. Never: HTTP.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::campaign::bench::estop::AxisStop;
+use crate::campaign::bench::interlock::Trip;
+use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::bench::stopping::StoppingDistance;
+use crate::campaign::run::run_state::PausedWhy;
+use crate::campaign::safe_end::SafeEnd;
+use crate::ids::{RunUid, TrialKey};
+use crate::record::{PlacedContact, Pose, TouchOffRecord};
+
+/// Status of rig and run.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct Status {
+    /// Status of the rig.
+    pub rig: RigStatus,
+    /// The active run; null without one.
+    pub run: Option<RunStatus>,
+    /// Number that increases with every change.
+    pub version: u64,
+}
+
+/// Status of the rig.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct RigStatus {
+    /// Name from the rig file.
+    pub name: String,
+    /// Label of all data of this rig: `measured` or `virtual`.
+    pub label: String,
+    /// State of the rig.
+    pub state: RigState,
+    /// Cause of the latched trip; null if the rig is not tripped.
+    pub trip: Option<Trip>,
+    /// Process seconds per wall second.
+    pub clock_rate: f64,
+    /// Measured pose; null while the wires are closed.
+    pub pose: Option<Pose>,
+    /// Forces of arms 1 to 6 after subtraction of the tare, N; null for arms whose cell is
+    /// disconnected. Empty while unknown.
+    pub forces_n: Vec<Option<f64>>,
+    /// Limit of the force on one cell, N.
+    pub force_limit_n: f64,
+    /// Number of tips that a person has entered as mounted, on arms 1 to n; null if none was
+    /// entered.
+    pub tips: Option<u8>,
+    /// Number of connected cells, from their outputs: at least one for each tip; null while
+    /// unknown.
+    pub live_cells: Option<u8>,
+    /// Result of the last touch-off; null before the first one.
+    pub surface: Option<TouchOffRecord>,
+    /// Counters of the voltage stream.
+    pub stream: StreamStatus,
+    /// Counters of each wire.
+    pub wires: Vec<WireStatus>,
+    /// Time from the press of an e-stop to the acknowledgement of the last axis, ms; null while one
+    /// is missing.
+    pub estop_acknowledged_ms: Option<f64>,
+    /// Stop of each axis while an e-stop is latched. A stop that is not acknowledged is sent again
+    /// until it is.
+    pub estop_stops: Vec<AxisStop>,
+    /// Result of the last safe end; null before the first one and while one is active.
+    pub safe_end: Option<SafeEnd>,
+    /// Bound of the force increase between a sample and the resulting stop: computed, and measured.
+    pub stopping: Option<StoppingDistance>,
+}
+
+/// Counters of the voltage stream since the wires were opened.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct StreamStatus {
+    /// Number of valid frames.
+    pub frames: u64,
+    /// Number of frames missing according to the sequence numbers.
+    pub missed: u64,
+    /// Number of rejected packets.
+    pub garbled: u64,
+    /// Number of times the wire was reopened.
+    pub reconnects: u64,
+    /// Age of the newest frame, wall ms; null before the first one.
+    pub age_ms: Option<u64>,
+}
+
+/// Counters of one wire since it was opened.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct WireStatus {
+    /// Name of the wire in the rig file.
+    pub name: String,
+    /// Number of requests with a valid reply.
+    pub requests: u64,
+    /// Number of repeated requests.
+    pub retries: u64,
+    /// Number of replies that did not arrive in time.
+    pub timeouts: u64,
+    /// Number of invalid replies.
+    pub garbled: u64,
+    /// Number of times the wire was reopened.
+    pub reconnects: u64,
+    /// Duration of the last round trip, us.
+    pub last_round_trip_us: u64,
+}
+
+/// Status of the active run.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct RunStatus {
+    /// Id of the run (UUIDv7).
+    pub uid: RunUid,
+    /// Number of the run, for people.
+    pub scan_id: i64,
+    /// Name of the experiment.
+    pub experiment: String,
+    /// State that the run has reached.
+    pub state: String,
+    /// State that was requested; null once it is reached.
+    pub requested_state: Option<String>,
+    /// Reason why the run waits or is about to wait; null otherwise.
+    pub paused_why: Option<PausedWhy>,
+    /// What the run waits for, as text; null if it does not wait.
+    pub waiting_for: Option<String>,
+    /// What a person must do; null if nothing.
+    pub wanted: Option<Wanted>,
+    /// Present activity of the run.
+    pub phase: Phase,
+    /// Key of the current or most recent trial; null without one and in reference presses.
+    pub trial: Option<TrialKey>,
+    /// Number of trials in the plan.
+    pub trials_planned: u64,
+    /// Number of trials stored.
+    pub trials_stored: u64,
+    /// Number of trials in skipped configurations.
+    pub trials_skipped: u64,
+    /// Number of failed attempts.
+    pub retries: u64,
+    /// Remaining time; null while it is unknown.
+    pub eta: Option<Eta>,
+}
+
+/// What a person must do before a run resumes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(untagged)]
+pub enum Wanted {
+    /// Mount tips on arms 1 to `tips`.
+    Tips {
+        /// Number of tips.
+        tips: u8,
+    },
+    /// Place weights on the skin.
+    Placement {
+        /// Index of the placement in the plan.
+        trial: u32,
+        /// Positions and weights of the contacts.
+        contacts: Vec<PlacedContact>,
+    },
+}
+
+/// Activity of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Phase {
+    /// Selecting the next step.
+    Next,
+    /// Searching for the surface.
+    TouchOff,
+    /// Moving in the air.
+    Travel,
+    /// Measuring the zeros of the cells.
+    Tare,
+    /// Pressing to a depth.
+    Press,
+    /// Waiting until the forces settle.
+    Settle,
+    /// Taking frames.
+    Measure,
+    /// Waiting until the trial is durable.
+    Commit,
+    /// Raising the tips.
+    Raise,
+    /// Waiting for a person or a policy.
+    Wait,
+}
+
+/// Remaining time, wall s.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Eta {
+    /// Expected value.
+    pub remaining_s: f64,
+    /// Lower end of the band that contains the end of 90 % of the runs at this pace.
+    pub low_s: f64,
+    /// Upper end of the band.
+    pub high_s: f64,
+}

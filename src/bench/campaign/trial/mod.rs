@@ -1,0 +1,6 @@
+//! One trial, pressed or manual: motion to its depth, settling, frames, its record.
+//! Uses: `campaign::{bench, diary}`, `schedule`. Never: retries, states (`run` decides).
+
+pub mod press;
+pub mod measure;
+pub mod manual;

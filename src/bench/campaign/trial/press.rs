@@ -1,0 +1,243 @@
+//! One configuration: travel, tare, then every depth: approach, settle, measure, commit.
+//! Uses: `campaign::{bench::stage, bench::tare, trial::measure, diary}`. Never: retries, states
+//! (the engine decides), a step to the next depth before the trial is durable.
+//!
+//! Paper II-B and IV-A: quasi-static, normal force only, loading direction only.
+
+use serde_json::json;
+
+use crate::campaign::bench::evidence::{self, Held, SilentArms};
+use crate::campaign::bench::interlock::TripKind;
+use crate::campaign::bench::stage::Stage;
+use crate::campaign::bench::tare;
+use crate::campaign::diary::Note;
+use crate::campaign::run::control::{Control, STORE_LIMIT};
+use crate::campaign::run::halt::Halt;
+use crate::campaign::shown::status::Phase;
+use crate::campaign::trial::measure::{self, Taken};
+use crate::ids::{RunUid, TrialKey};
+use crate::journal::JournalError;
+use crate::record::{ArmReading, Flag, Pose, ReferenceRecord, TareRecord, TrialRecord};
+use crate::rig::config::ARMS;
+use crate::schedule::configuration::Stand;
+use crate::schedule::plan::{Plan, PlannedConfiguration, ReferencePress};
+
+/// Deviation of the reached depth from the target above which a trial is flagged, mm.
+const DEPTH_TOLERANCE_MM: f64 = 0.05;
+
+/// Context of one configuration: run, plan and attempt.
+pub struct Pressing<'a> {
+    /// Id of the run.
+    pub run: RunUid,
+    /// Plan of the run.
+    pub plan: &'a Plan,
+    /// Number of the attempt, from 1.
+    pub attempt: u32,
+}
+
+impl Pressing<'_> {
+    /// Presses the pending depths of a configuration. Returns the number of trials stored. The tips
+    /// stay down; the engine raises them.
+    ///
+    /// # Errors
+    /// Halts on a limit, a fault, a request, a failed attempt or a failing store.
+    pub async fn configuration(
+        &self,
+        stage: &mut Stage,
+        control: &mut Control,
+        c: &PlannedConfiguration,
+        pending: &[u32],
+    ) -> Result<u32, Halt> {
+        self.prepare(stage, control, &c.stand, c.index).await?;
+        let mut stored = 0;
+        let mut before: Option<Held> = None;
+        for &depth_index in pending {
+            let key = TrialKey { configuration: c.index, depth_index };
+            control.show_run(|run| run.trial = Some(key));
+            before = Some(self.trial(stage, control, c, key, before.as_ref()).await?);
+            stored += 1;
+            control.checkpoint()?;
+        }
+        if let Some(deepest) = before {
+            let below: Vec<f64> = stage.below_touch_mm(deepest.z_mm).collect();
+            let arms = deepest.forces_n.into_iter().zip(below);
+            if let Some(words) = stage.silent.note(arms, &stage.config.limits) {
+                return Err(Halt::trip(TripKind::Cell, words));
+            }
+        }
+        Ok(stored)
+    }
+
+    async fn prepare(
+        &self,
+        stage: &mut Stage,
+        control: &mut Control,
+        stand: &Stand,
+        configuration: u32,
+    ) -> Result<(), Halt> {
+        control.phase(Phase::Travel);
+        stage.go_over(control, stand.centre_mm, stand.radius_mm).await?;
+        control.phase(Phase::Tare);
+        let samples = self.plan.measure.tare_samples;
+        let volts = tare::tare_untouched(stage, control, samples, false).await?;
+        let at = stage.clock.timestamp();
+        let record = TareRecord { configuration, volts, samples, at };
+        control.diary.note(Note::Tare(self.run, record));
+        Ok(())
+    }
+
+    /// Executes one trial: motion to its depth, settling, frames, commit. Returns the held forces.
+    async fn trial(
+        &self,
+        stage: &mut Stage,
+        control: &mut Control,
+        c: &PlannedConfiguration,
+        key: TrialKey,
+        before: Option<&Held>,
+    ) -> Result<Held, Halt> {
+        let depth_mm = self.plan.depths_mm[key.depth_index as usize];
+        let started_at = stage.clock.timestamp();
+        let target =
+            stage.pose_over(c.stand.centre_mm, c.stand.radius_mm, self.z_mm(stage, depth_mm)?);
+        let (settled, taken, reached) = self.hold(stage, control, &target).await?;
+        let held = Held { z_mm: reached.z_mm, forces_n: stage.forces_n(&taken.volts) };
+        let limits = &stage.config.limits;
+        if let Some(before) = before
+            && let Some(words) = evidence::outside_corridor(before, &held, stage.tips, limits)
+        {
+            return Err(Halt::trip(TripKind::Force, words));
+        }
+        let mut flags = taken.flags;
+        if !settled.at_rest {
+            flags.push(Flag::Unsettled);
+        }
+        if (reached.z_mm - target.z_mm).abs() > DEPTH_TOLERANCE_MM {
+            flags.push(Flag::DepthMissed);
+        }
+        let silent = |(&force, below)| SilentArms::is_silent(force, below, limits);
+        if held.forces_n.iter().zip(stage.below_touch_mm(reached.z_mm)).any(silent) {
+            flags.push(Flag::StillCell);
+        }
+        let arms = arm_readings(stage, &c.stand, &taken.volts);
+        let measured_n = arms.iter().map(|a| a.force_n).fold(0.0, f64::max);
+        let record = TrialRecord {
+            key,
+            attempt: self.attempt,
+            tips: c.tips,
+            depth_mm: Some(depth_mm),
+            target: Some(target),
+            reached: Some(reached),
+            arms,
+            placed: Vec::new(),
+            placed_by: None,
+            frames: taken.frames,
+            quality: taken.quality,
+            flags,
+            settle_ms: settled.settle_ms,
+            overshoot_n: Some((stage.peak_n - measured_n).max(0.0)),
+            started_at,
+            measured_at: stage.clock.timestamp(),
+        };
+        self.commit(stage, control, record).await?;
+        Ok(held)
+    }
+
+    /// Makes a trial durable. The stage does not move before that; forces and requests are checked
+    /// meanwhile.
+    async fn commit(
+        &self,
+        stage: &mut Stage,
+        control: &mut Control,
+        record: TrialRecord,
+    ) -> Result<(), Halt> {
+        control.phase(Phase::Commit);
+        let diary = control.diary.clone();
+        let durable = tokio::time::timeout(STORE_LIMIT, diary.trial(self.run, record));
+        match stage.watch_while(control, durable).await? {
+            Ok(stored) => stored?,
+            Err(_late) => {
+                let words = format!("not durable within {} s", STORE_LIMIT.as_secs());
+                return Err(Halt::Store(JournalError::of("a trial", &words)));
+            }
+        }
+        control.show_run(|run| run.trials_stored += 1);
+        Ok(())
+    }
+
+    /// Presses at the reference position. The result is stored in its own table and is never a
+    /// trial.
+    ///
+    /// # Errors
+    /// As `configuration`; the store is not awaited.
+    pub async fn reference(
+        &self,
+        stage: &mut Stage,
+        control: &mut Control,
+        press: &ReferencePress,
+    ) -> Result<(), Halt> {
+        control.show_run(|run| run.trial = None);
+        self.prepare(stage, control, &press.stand, press.before_configuration).await?;
+        let z_mm = self.z_mm(stage, press.depth_mm)?;
+        let target = stage.pose_over(press.stand.centre_mm, press.stand.radius_mm, z_mm);
+        let (_, mut taken, reached) = self.hold(stage, control, &target).await?;
+        let arms = arm_readings(stage, &press.stand, &taken.volts);
+        let record = ReferenceRecord {
+            before_configuration: press.before_configuration,
+            reached,
+            depth_mm: press.depth_mm,
+            arms,
+            frame: taken.frames.swap_remove(0),
+            at: stage.clock.timestamp(),
+        };
+        control.diary.note(Note::Reference(self.run, Box::new(record)));
+        control.say("reference", json!({ "before": press.before_configuration }));
+        control.checkpoint()
+    }
+
+    async fn hold(
+        &self,
+        stage: &mut Stage,
+        control: &mut Control,
+        target: &Pose,
+    ) -> Result<(measure::Settled, Taken, Pose), Halt> {
+        control.phase(Phase::Press);
+        stage.peak_n = 0.0;
+        stage.press_to(control, target.z_mm).await?;
+        control.phase(Phase::Settle);
+        let settled = measure::settle(stage, control, &self.plan.measure).await?;
+        control.phase(Phase::Measure);
+        let taken = measure::take(stage, control, &self.plan.measure).await?;
+        let reached = stage.reached(target).await?;
+        let forces = stage.forces_n(&taken.volts);
+        let tips = usize::from(stage.tips);
+        control.show(|status| {
+            status.rig.pose = Some(reached);
+            status.rig.forces_n =
+                forces.iter().enumerate().map(|(i, &f)| (i < tips).then_some(f)).collect();
+        });
+        Ok((settled, taken, reached))
+    }
+
+    fn z_mm(&self, stage: &Stage, depth_mm: f64) -> Result<f64, Halt> {
+        let surface = stage.surface.as_ref().map(|s| s.surface_z_mm);
+        let surface = surface.ok_or_else(|| Halt::Failed("no touch-off has been done".into()))?;
+        Ok(surface - self.plan.standoff_mm + depth_mm)
+    }
+}
+
+fn arm_readings(stage: &Stage, stand: &Stand, volts: &[f64; ARMS]) -> Vec<ArmReading> {
+    let forces = stage.forces_n(volts);
+    stand
+        .tips_mm
+        .iter()
+        .enumerate()
+        .map(|(i, &[x_mm, y_mm])| ArmReading {
+            arm: i as u8 + 1,
+            x_mm,
+            y_mm,
+            force_n: forces[i],
+            cell_v: volts[i],
+            tare_v: stage.tare_v[i],
+        })
+        .collect()
+}

@@ -1,0 +1,8 @@
+//! From experiment files to plans, and from plans to measured trials on one bench.
+//! Uses: `words`. Never: SQL, HTTP.
+
+use palpate_words::{chance, clock, ids, journal, problem, record, syntax};
+
+pub mod schedule;
+pub mod rig;
+pub mod campaign;

@@ -1,0 +1,151 @@
+//! The load cells of a rig file: conversion of an output to a force, and the outputs that no
+//! working cell returns. One set of thresholds, for the rig check and for the interlocks of a run.
+//! PURE. Uses: `problem`. Never: ports, times, consequences of a finding (the caller decides).
+
+use serde::{Deserialize, Serialize};
+
+use super::config::ARMS;
+use crate::problem::Checks;
+
+/// Fraction of the supply up to which a cell counts as disconnected (its zero is at 0.1).
+const DEAD_SHARE: f64 = 0.05;
+/// Fraction of the supply at which the amplified output saturates.
+const SATURATED_SHARE: f64 = 0.9;
+
+/// Supported analog input modules.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CellsDevice {
+    /// Advantech ADAM-6017, Modbus TCP.
+    #[serde(rename = "adam_6017")]
+    Adam6017,
+    /// Waveshare Modbus RTU Analog Input 8CH.
+    #[serde(rename = "waveshare_8ch")]
+    Waveshare8ch,
+}
+
+impl CellsDevice {
+    /// Longest run of equal values of a working cell, in update periods, above which the module
+    /// hangs; derived from the step of the module and the noise of a 25 lbf cell (sd 0.022 N), with
+    /// the mean in the middle of a step, where values repeat longest.
+    ///
+    /// ADAM-6017: a step of 0.002 N, which 4 % of the values fall into: 9 repeats occur once in
+    /// 10^14 values. Waveshare: 12 bits, 0.034 N, 55 % of the values: 41 repeats occur once in 6 x
+    /// 10^10 values, once in 20,000 nights.
+    pub fn repeats_max(self) -> u32 {
+        match self {
+            CellsDevice::Adam6017 => 8,
+            CellsDevice::Waveshare8ch => 40,
+        }
+    }
+}
+
+/// FC22 amplified load cells on an analog input module (`docs/references.md`, "FC22 load cells").
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CellsConfig {
+    /// Register map of the module.
+    pub device: CellsDevice,
+    /// Name of the wire.
+    pub line: String,
+    /// Modbus address of the module.
+    pub unit: u8,
+    /// Input channels of arms 1 to 6.
+    pub channels: [u8; ARMS],
+    /// Actual update period of the module, process ms.
+    pub update_ms: f64,
+    /// Supply voltage of the ratiometric cells, V.
+    pub supply_v: f64,
+    /// Full scale of a cell, N.
+    pub full_scale_n: f64,
+    /// Force up to which the output of a cell counts as noise, N.
+    pub force_noise_n: f64,
+    /// Update periods over which a working cell may return the same value; beyond them the module
+    /// hangs. 0 disables the check; absent: the value of the device.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub repeats_max: Option<u32>,
+}
+
+impl CellsConfig {
+    /// Force change of one volt, N/V: (V / supply - 0.1) / 0.8 x full scale (FC22 amplified).
+    pub fn newtons_per_volt(&self) -> f64 {
+        self.full_scale_n / (0.8 * self.supply_v)
+    }
+
+    /// Output without load, V.
+    pub fn zero_v(&self) -> f64 {
+        0.1 * self.supply_v
+    }
+
+    /// Whether an output, V, is that of a connected cell.
+    pub fn is_live(&self, volts: f64) -> bool {
+        volts > DEAD_SHARE * self.supply_v
+    }
+
+    /// Output at which the amplifier saturates, V.
+    pub fn saturated_v(&self) -> f64 {
+        SATURATED_SHARE * self.supply_v
+    }
+
+    /// Whether an output, V, is saturated: the true force may be larger.
+    pub fn is_saturated(&self, volts: f64) -> bool {
+        volts >= self.saturated_v()
+    }
+
+    /// Update periods over which a value may repeat; 0: unlimited.
+    pub fn repeats_max(&self) -> u32 {
+        self.repeats_max.unwrap_or_else(|| self.device.repeats_max())
+    }
+
+    /// Whether `repeats`, the number of update periods over which a working cell has repeated its
+    /// value (`CellVolts::repeats`), exceeds the limit, so that its module hangs.
+    pub fn is_hung(&self, repeats: u32) -> bool {
+        let most = self.repeats_max();
+        most > 0 && repeats > most
+    }
+
+    pub(super) fn check(&self, c: &mut Checks<'_>) {
+        c.within("cells.update_ms", self.update_ms, 0.1, 10_000.0);
+        c.within("cells.supply_v", self.supply_v, 1.0, 24.0);
+        c.within("cells.full_scale_n", self.full_scale_n, 1.0, 5000.0);
+        let channels = &self.channels;
+        let distinct = (0..ARMS).all(|i| !channels[..i].contains(&channels[i]) && channels[i] < 8);
+        let shown = format!("{channels:?}");
+        c.require(distinct, "cells.channels", shown, "must be six different channels from 0 to 7");
+        let most = self.repeats_max();
+        let limit = "must be 2 to 1000, or 0 for off";
+        c.require(most == 0 || (2..=1000).contains(&most), "cells.repeats_max", most, limit);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rig::config::RigConfig;
+
+    const FILE: &str = include_str!("../../../experiments/rigs/virtual.toml");
+
+    fn parsed(more: &str) -> Result<CellsConfig, String> {
+        let text = FILE.replacen("force_noise_n = 0.1", &format!("force_noise_n = 0.1\n{more}"), 1);
+        let parsed = RigConfig::from_toml("r.toml", &text);
+        parsed.map(|rig| rig.cells).map_err(|problems| problems[0].to_string())
+    }
+
+    #[test]
+    fn a_cell_is_live_above_a_twentieth_of_its_supply_and_saturated_from_nine_tenths_on() {
+        let cells = parsed("").unwrap();
+        assert_eq!([0.0, 0.25, 0.26, 0.5].map(|v| cells.is_live(v)), [false, false, true, true]);
+        assert_eq!([4.49, 4.5, 4.6].map(|v| cells.is_saturated(v)), [false, true, true]);
+    }
+
+    #[test]
+    fn a_module_hangs_past_its_devices_repeats_or_past_the_files() {
+        let cells = parsed("").unwrap();
+        assert_eq!([8, 9].map(|n| cells.is_hung(n)), [false, true]);
+        let patient = parsed("repeats_max = 40").unwrap();
+        assert_eq!([40, 41].map(|n| patient.is_hung(n)), [false, true]);
+        assert!(!parsed("repeats_max = 0").unwrap().is_hung(u32::MAX));
+        let refused = parsed("repeats_max = 1").unwrap_err();
+        assert_eq!(refused, "r.toml: cells.repeats_max = 1: must be 2 to 1000, or 0 for off");
+    }
+}

@@ -1,0 +1,153 @@
+//! Errors of devices and wires, and the reaction that each requires.
+//! Uses: nothing. Never: retries, waits, logging.
+
+/// A failed operation on a device.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum RigError {
+    /// No reply arrived within the deadline.
+    #[error("{device}: no reply to {operation} within {timeout_ms} ms")]
+    NoReply {
+        /// Device name from the rig file.
+        device: String,
+        /// Operation that failed.
+        operation: String,
+        /// Deadline of the reply, wall ms.
+        timeout_ms: u64,
+    },
+    /// The wire could not be opened, or the connection was lost.
+    #[error("{device}: wire lost in {operation}: {cause}")]
+    Disconnected {
+        /// Device name from the rig file.
+        device: String,
+        /// Operation that failed.
+        operation: String,
+        /// Cause reported by the operating system.
+        cause: String,
+    },
+    /// The reply does not fit the request.
+    #[error("{device}: garbled reply to {operation}: {cause}")]
+    Garbled {
+        /// Device name from the rig file.
+        device: String,
+        /// Operation that failed.
+        operation: String,
+        /// Reason why the reply was rejected.
+        cause: String,
+    },
+    /// The device replied with a Modbus exception.
+    #[error("{device}: {operation} answered with exception {code}")]
+    Exception {
+        /// Device name from the rig file.
+        device: String,
+        /// Operation that failed.
+        operation: String,
+        /// Modbus exception code.
+        code: u8,
+    },
+    /// The device is not the one in the rig file, or has another setup.
+    #[error("{device}: {found}, but the rig file needs {needed}")]
+    WrongDevice {
+        /// Device name from the rig file.
+        device: String,
+        /// Identity or setup that the device reports.
+        found: String,
+        /// Identity or setup that the rig file requires.
+        needed: String,
+    },
+    /// A commanded position is outside the soft limits; nothing was sent.
+    #[error("{device}: target {target:.3} is outside its travel [{min:.3}, {max:.3}]")]
+    OutsideTravel {
+        /// Name of the axis.
+        device: String,
+        /// Commanded position, in the axis's unit.
+        target: f64,
+        /// Lower soft limit, in the axis's unit.
+        min: f64,
+        /// Upper soft limit, in the axis's unit.
+        max: f64,
+    },
+    /// The stream did not deliver the requested frames in time.
+    #[error("ert: {got} of {wanted} frames arrived within {timeout_ms} ms")]
+    NoFrames {
+        /// Number of frames requested.
+        wanted: usize,
+        /// Number of frames that arrived.
+        got: usize,
+        /// Deadline of the frames, wall ms.
+        timeout_ms: u64,
+    },
+    /// The device cannot be used in its present state: alarm, emergency stop, servo off, not
+    /// prepared.
+    #[error("{device}: not ready for {operation}: {why}")]
+    NotReady {
+        /// Device name from the rig file.
+        device: String,
+        /// Operation that was requested.
+        operation: String,
+        /// State that prevents the operation.
+        why: String,
+    },
+    /// A motion was refused because the emergency stop is latched; nothing was sent.
+    #[error("{device}: {operation} refused: the emergency stop is latched")]
+    Latched {
+        /// Name of the axis.
+        device: String,
+        /// Operation that was refused.
+        operation: String,
+    },
+    /// A motion was withdrawn because its axis was commanded to stop before it was sent.
+    #[error("{device}: {operation} withdrawn: the axis was commanded to stop")]
+    Withdrawn {
+        /// Name of the axis.
+        device: String,
+        /// Operation that was withdrawn.
+        operation: String,
+    },
+    /// The thread that reads the stream could not be started.
+    #[error("{device}: cannot start its reader: {cause}")]
+    Start {
+        /// Device name from the rig file.
+        device: String,
+        /// Cause reported by the operating system.
+        cause: String,
+    },
+    /// The task that owns the wire has ended.
+    #[error("{device}: its wire is closed")]
+    Closed {
+        /// Device name from the rig file.
+        device: String,
+    },
+}
+
+/// Reaction that an error requires (`docs/references.md`, "Exceptions and lost replies").
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Severity {
+    /// Transient fault of the wire: the driver has already retried; stop, read again, then trip.
+    Transient,
+    /// Wrong setup: a retry does not help; refuse the campaign.
+    Setup,
+    /// The device itself has failed: trip immediately.
+    Device,
+}
+
+impl RigError {
+    /// Returns the reaction that this error requires.
+    pub fn severity(&self) -> Severity {
+        match self {
+            RigError::NoReply { .. }
+            | RigError::Disconnected { .. }
+            | RigError::Garbled { .. }
+            | RigError::NoFrames { .. } => Severity::Transient,
+            RigError::Exception { code: 1..=3, .. }
+            | RigError::WrongDevice { .. }
+            | RigError::OutsideTravel { .. }
+            | RigError::Latched { .. }
+            | RigError::Withdrawn { .. }
+            | RigError::Start { .. } => Severity::Setup,
+            RigError::Exception { code: 5 | 6 | 8 | 0x0B, .. } => Severity::Transient,
+            RigError::Exception { .. } | RigError::NotReady { .. } | RigError::Closed { .. } => {
+                Severity::Device
+            }
+        }
+    }
+}

@@ -1,0 +1,21 @@
+//! The wires: the only code that opens a port. A `Line` is one wire with one owner. A request
+//! carries the address of its device, and a stop has priority.
+//! Uses: `clock`, `rig::config`, tokio-modbus, tokio-serial. Never: registers' meanings, units.
+
+mod counts;
+mod latch;
+mod line;
+mod pdu;
+mod swept;
+mod wire;
+
+#[cfg(test)]
+mod tests;
+
+pub use counts::LineCounts;
+pub use latch::{MotionGate, MotionPermit, StopLatch};
+pub use line::{Line, LineError, LinePolicy};
+pub use pdu::{Reply, Request};
+pub use wire::{
+    Framing, Opener, Port, SerialSettings, serial_opener, tcp_opener, tcp_stream_opener,
+};

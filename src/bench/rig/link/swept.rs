@@ -1,0 +1,99 @@
+//! A port that discards stale bytes before a request is sent.
+//! Uses: tokio's io traits. Never: waits, frames.
+//!
+//! RTU replies have no number. If a reply came so late that its repetition was answered too, the
+//! second answer would be taken for the reply to the next request, and every later reading would be
+//! delayed by one. Bytes that have arrived before a request is written are therefore dropped.
+
+use std::io;
+use std::pin::Pin;
+use std::task::{Context, Poll, ready};
+
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+
+use super::wire::Port;
+
+/// A port that discards stale bytes at the first write after a read.
+#[derive(Debug)]
+pub(super) struct Swept {
+    port: Box<dyn Port>,
+    /// Whether the bytes were discarded for the request that is being written.
+    swept: bool,
+}
+
+impl Swept {
+    /// Wraps a port.
+    pub(super) fn new(port: Box<dyn Port>) -> Self {
+        Self { port, swept: false }
+    }
+
+    /// Drops the bytes that can be read without waiting.
+    fn sweep(&mut self, cx: &mut Context<'_>) -> io::Result<()> {
+        let mut scrap = [0; 256];
+        loop {
+            let mut stale = ReadBuf::new(&mut scrap);
+            match Pin::new(&mut self.port).poll_read(cx, &mut stale) {
+                Poll::Pending => return Ok(()),
+                Poll::Ready(Ok(())) if stale.filled().is_empty() => {
+                    return Err(io::ErrorKind::UnexpectedEof.into());
+                }
+                Poll::Ready(Ok(())) => {}
+                Poll::Ready(Err(error)) => return Err(error),
+            }
+        }
+    }
+}
+
+impl AsyncRead for Swept {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buf: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        self.swept = false;
+        Pin::new(&mut self.port).poll_read(cx, buf)
+    }
+}
+
+impl AsyncWrite for Swept {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buf: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        if !self.swept {
+            self.sweep(cx)?;
+            self.swept = true;
+        }
+        let written = ready!(Pin::new(&mut self.port).poll_write(cx, buf));
+        Poll::Ready(written)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.port).poll_flush(cx)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.port).poll_shutdown(cx)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+
+    #[tokio::test]
+    async fn what_came_unasked_is_dropped_and_what_answers_is_read() {
+        let (ours, mut theirs) = tokio::io::duplex(64);
+        let mut port = Swept::new(Box::new(ours));
+        theirs.write_all(b"stale").await.unwrap();
+        port.write_all(b"request").await.unwrap();
+        theirs.write_all(b"reply").await.unwrap();
+        let mut answer = [0; 5];
+        port.read_exact(&mut answer).await.unwrap();
+        assert_eq!(&answer, b"reply");
+        drop(theirs);
+        assert!(port.write_all(b"request").await.is_err());
+    }
+}

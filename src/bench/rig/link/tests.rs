@@ -1,0 +1,265 @@
+//! A line against a faulty device: what it sends, how often, and in which order.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream};
+use tokio::sync::mpsc;
+
+use super::*;
+use crate::clock::Clock;
+
+const TIMEOUT: Duration = Duration::from_millis(80);
+/// A deadline that is not reached even on a loaded machine.
+const LONG: Duration = Duration::from_secs(2);
+const GRACE: Duration = Duration::from_millis(10);
+
+/// Reaction of the device to a request.
+enum Act {
+    Echo,
+    Words(Vec<u16>),
+    Exception(u8),
+    Silence,
+    Late(Duration),
+    Hangup,
+}
+
+/// A request as received by the device: unit, function, address.
+type Asked = (u8, u8, u16);
+
+async fn serve(
+    mut wires: mpsc::Receiver<DuplexStream>,
+    mut script: impl FnMut(usize, Asked) -> Act + Send,
+    log: mpsc::Sender<Asked>,
+) {
+    let mut n = 0;
+    while let Some(mut wire) = wires.recv().await {
+        let mut head = [0; 7];
+        while wire.read_exact(&mut head).await.is_ok() {
+            let mut pdu = vec![0; usize::from(u16::from_be_bytes([head[4], head[5]])) - 1];
+            wire.read_exact(&mut pdu).await.unwrap();
+            let asked = (head[6], pdu[0], u16::from_be_bytes([pdu[1], pdu[2]]));
+            log.send(asked).await.unwrap();
+            let answer = match script(n, asked) {
+                Act::Echo => pdu[..5].to_vec(),
+                Act::Words(words) => {
+                    let bytes = words.iter().flat_map(|w| w.to_be_bytes());
+                    [pdu[0], 2 * words.len() as u8].into_iter().chain(bytes).collect()
+                }
+                Act::Exception(code) => vec![pdu[0] | 0x80, code],
+                Act::Silence => Vec::new(),
+                Act::Late(wait) => {
+                    tokio::time::sleep(wait).await;
+                    pdu[..5].to_vec()
+                }
+                Act::Hangup => break,
+            };
+            n += 1;
+            if !answer.is_empty() {
+                let length = (answer.len() as u16 + 1).to_be_bytes();
+                head[4..6].copy_from_slice(&length);
+                let frame: Vec<u8> = head.iter().chain(&answer).copied().collect();
+                if wire.write_all(&frame).await.is_err() {
+                    break;
+                }
+            }
+        }
+        n += 1;
+    }
+}
+
+struct Rig {
+    line: Arc<Line>,
+    asked: mpsc::Receiver<Asked>,
+}
+
+fn rig(script: impl FnMut(usize, Asked) -> Act + Send + 'static) -> Rig {
+    patient_rig(TIMEOUT, script)
+}
+
+fn patient_rig(timeout: Duration, script: impl FnMut(usize, Asked) -> Act + Send + 'static) -> Rig {
+    let (wires_in, wires) = mpsc::channel(4);
+    let (log, asked) = mpsc::channel(100);
+    tokio::spawn(serve(wires, script, log));
+    let opener: Opener = Box::new(move || {
+        let wires = wires_in.clone();
+        Box::pin(async move {
+            let (ours, theirs) = tokio::io::duplex(1024);
+            wires.send(theirs).await.map_err(|_| std::io::ErrorKind::ConnectionRefused)?;
+            Ok(Box::new(ours) as Box<dyn Port>)
+        })
+    });
+    let policy = LinePolicy { timeout, attempts: 3, silence: Duration::ZERO, stop_grace: GRACE };
+    let line = Arc::new(Line::spawn("wire", Framing::Tcp, opener, policy, Clock::new(1.0)));
+    Rig { line, asked }
+}
+
+impl Rig {
+    fn seen(&mut self) -> Vec<Asked> {
+        std::iter::from_fn(|| self.asked.try_recv().ok()).collect()
+    }
+}
+
+fn read() -> Request {
+    Request::ReadHolding { address: 0x9000, count: 1 }
+}
+
+fn coil(address: u16) -> Request {
+    Request::WriteCoil { address, on: true }
+}
+
+#[tokio::test]
+async fn a_silent_device_is_asked_three_times_over_fresh_connections() {
+    let mut rig = rig(|_, _| Act::Silence);
+    let error = rig.line.ask(1, read()).await.unwrap_err();
+    assert_eq!(error, LineError::NoReply { timeout_ms: 80 });
+    assert_eq!(rig.seen().len(), 3);
+    let counts = rig.line.counts();
+    assert_eq!((counts.timeouts, counts.retries, counts.reconnects), (3, 2, 2));
+}
+
+#[tokio::test]
+async fn a_reply_on_the_second_attempt_is_taken_and_a_late_one_is_not() {
+    let mut rig = rig(|n, _| match n {
+        0 => Act::Late(2 * TIMEOUT),
+        _ => Act::Words(vec![42]),
+    });
+    assert_eq!(rig.line.ask(1, read()).await, Ok(Reply::Words(vec![42])));
+    assert_eq!(rig.seen().len(), 2);
+}
+
+#[tokio::test]
+async fn a_lost_connection_is_opened_again() {
+    let mut rig = rig(|n, _| if n == 0 { Act::Hangup } else { Act::Words(vec![7]) });
+    assert_eq!(rig.line.ask(1, read()).await, Ok(Reply::Words(vec![7])));
+    assert_eq!((rig.seen().len(), rig.line.counts().reconnects), (2, 1));
+}
+
+#[tokio::test]
+async fn setup_errors_and_failed_devices_are_not_retried() {
+    for code in [1, 2, 3, 4] {
+        let mut rig = rig(move |_, _| Act::Exception(code));
+        assert_eq!(rig.line.ask(1, read()).await, Err(LineError::Exception { code }));
+        assert_eq!((rig.seen().len(), rig.line.counts().reconnects), (1, 0));
+    }
+}
+
+#[tokio::test]
+async fn a_busy_device_is_waited_for_but_not_for_ever() {
+    let mut patient = rig(|n, _| if n < 4 { Act::Exception(6) } else { Act::Words(vec![1]) });
+    assert!(patient.line.ask(1, read()).await.is_ok());
+    assert_eq!(patient.seen().len(), 5);
+    let stubborn = rig(|_, _| Act::Exception(5));
+    let asked = Instant::now();
+    assert_eq!(stubborn.line.ask(1, read()).await, Err(LineError::Exception { code: 5 }));
+    assert!(asked.elapsed() < 3 * TIMEOUT + LONG / 2);
+}
+
+#[tokio::test]
+async fn a_gateways_exception_is_retried_once_over_a_fresh_connection() {
+    for code in [8, 0x0B] {
+        let mut rig = rig(move |_, _| Act::Exception(code));
+        assert_eq!(rig.line.ask(1, read()).await, Err(LineError::Exception { code }));
+        assert_eq!((rig.seen().len(), rig.line.counts().reconnects), (2, 1));
+    }
+}
+
+#[tokio::test]
+async fn a_stop_overtakes_and_voids_the_motions_that_waited() {
+    let mut rig = rig(|n, _| if n == 0 { Act::Late(GRACE / 2) } else { Act::Echo });
+    let gate = MotionGate::new(StopLatch::new());
+    let permit = gate.permit().unwrap();
+    let ask = |address, permit: Option<MotionPermit>| {
+        let line = Arc::clone(&rig.line);
+        tokio::spawn(async move {
+            match permit {
+                Some(permit) => line.ask_motion(1, coil(address), permit).await,
+                None => line.ask(1, coil(address)).await,
+            }
+        })
+    };
+    let first = ask(1, None);
+    assert!(rig.asked.recv().await.is_some(), "the first request is in flight");
+    let moves = [ask(2, Some(permit.clone())), ask(3, Some(permit))];
+    tokio::task::yield_now().await;
+    gate.void();
+    rig.line.ask_urgent(1, coil(9)).await.unwrap();
+    assert!(first.await.unwrap().is_ok());
+    for one in moves {
+        assert_eq!(one.await.unwrap(), Err(LineError::Withdrawn));
+    }
+    assert_eq!(rig.seen(), [(1, 5, 9)]);
+}
+
+#[tokio::test]
+async fn a_stop_cuts_off_a_request_that_hangs_and_the_request_goes_on_after_it() {
+    let mut rig = patient_rig(LONG, |n, _| if n == 0 { Act::Silence } else { Act::Echo });
+    let line = Arc::clone(&rig.line);
+    let hanging = tokio::spawn(async move { line.ask(2, coil(1)).await });
+    assert_eq!(rig.asked.recv().await, Some((2, 5, 1)));
+    let asked = Instant::now();
+    rig.line.ask_urgent(1, coil(9)).await.unwrap();
+    assert!(asked.elapsed() < LONG / 2, "{:?}", asked.elapsed());
+    assert!(hanging.await.unwrap().is_ok());
+    assert_eq!(rig.seen(), [(1, 5, 9), (2, 5, 1)]);
+    assert_eq!(rig.line.counts().cut_off, 1);
+}
+
+#[tokio::test]
+async fn a_motion_that_a_stop_cut_off_is_handed_back_not_repeated() {
+    let mut rig = patient_rig(LONG, |n, _| if n == 0 { Act::Silence } else { Act::Echo });
+    let gate = MotionGate::new(StopLatch::new());
+    let (line, permit) = (Arc::clone(&rig.line), gate.permit().unwrap());
+    let hanging = tokio::spawn(async move { line.ask_motion(2, coil(1), permit).await });
+    assert_eq!(rig.asked.recv().await, Some((2, 5, 1)));
+    rig.line.ask_urgent(1, coil(9)).await.unwrap();
+    assert!(matches!(hanging.await.unwrap(), Err(LineError::NoReply { .. })));
+    assert_eq!(rig.seen(), [(1, 5, 9)]);
+}
+
+#[tokio::test]
+async fn one_silent_drive_does_not_keep_the_others_from_stopping() {
+    let mut rig =
+        patient_rig(LONG / 4, |_, (unit, ..)| if unit == 1 { Act::Silence } else { Act::Echo });
+    let stops = [1, 2, 3].map(|unit| {
+        let line = Arc::clone(&rig.line);
+        tokio::spawn(async move {
+            let asked = Instant::now();
+            (line.ask_urgent(unit, coil(9)).await, asked.elapsed())
+        })
+    });
+    let [first, second, third] = stops;
+    for other in [second, third] {
+        let (answer, took) = other.await.unwrap();
+        assert!(answer.is_ok() && took < LONG / 2, "{answer:?} after {took:?}");
+    }
+    assert!(first.await.unwrap().0.is_err());
+    assert_eq!(rig.seen().iter().filter(|(unit, ..)| *unit == 1).count(), 3);
+}
+
+#[tokio::test]
+async fn a_latched_rig_sends_no_motion_but_reads_and_stops() {
+    let mut rig = rig(|_, (_, f, _)| if f == 3 { Act::Words(vec![1]) } else { Act::Echo });
+    let latch = StopLatch::new();
+    let permit = MotionGate::new(latch.clone()).permit().unwrap();
+    latch.latch();
+    assert_eq!(rig.line.ask_motion(1, coil(1), permit.clone()).await, Err(LineError::Latched));
+    assert!(rig.line.ask(1, read()).await.is_ok());
+    assert!(rig.line.ask_urgent(1, coil(9)).await.is_ok());
+    assert_eq!(rig.seen(), [(1, 3, 0x9000), (1, 5, 9)]);
+    latch.clear();
+    assert!(rig.line.ask_motion(1, coil(1), permit).await.is_ok());
+}
+
+#[tokio::test]
+async fn requests_to_several_devices_share_the_wire_one_at_a_time() {
+    let mut rig = rig(|_, (unit, ..)| Act::Words(vec![u16::from(unit)]));
+    let asks = (1..=20).map(|unit| {
+        let line = Arc::clone(&rig.line);
+        async move { (unit, line.ask(unit, read()).await) }
+    });
+    for (unit, answer) in futures::future::join_all(asks).await {
+        assert_eq!(answer, Ok(Reply::Words(vec![u16::from(unit)])));
+    }
+    assert_eq!(rig.seen().len(), 20);
+}

@@ -1,0 +1,139 @@
+//! Opening of a wire: Modbus TCP without delay of small packets, or a serial port whose stale bytes
+//! are read and dropped.
+//! Uses: tokio, tokio-serial, tokio-modbus. Never: requests, retries.
+
+use std::fmt;
+use std::io;
+use std::pin::Pin;
+use std::time::Duration;
+
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite};
+use tokio::net::{TcpSocket, TcpStream, lookup_host};
+use tokio_modbus::client::Context;
+use tokio_serial::{SerialPort, SerialPortBuilderExt};
+
+use super::swept::Swept;
+use crate::rig::config::Parity;
+
+/// Silence after which a serial line counts as drained. The rest of a late reply arrives within it.
+const DRAINED_AFTER: Duration = Duration::from_millis(5);
+
+/// A byte stream in both directions.
+pub trait Port: AsyncRead + AsyncWrite + Unpin + Send + fmt::Debug {}
+
+impl<T: AsyncRead + AsyncWrite + Unpin + Send + fmt::Debug> Port for T {}
+
+/// Future that opens a port.
+pub type Opening = Pin<Box<dyn Future<Output = io::Result<Box<dyn Port>>> + Send>>;
+
+/// Opens the same port each time it is called.
+pub type Opener = Box<dyn FnMut() -> Opening + Send>;
+
+/// Framing of Modbus requests.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Framing {
+    /// With a transaction number and a length.
+    Tcp,
+    /// With an address and a checksum.
+    Rtu,
+}
+
+/// Settings of a serial port.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SerialSettings {
+    /// Path of the serial device.
+    pub path: String,
+    /// Baud rate, bits per second.
+    pub baud: u32,
+    /// Parity of the line.
+    pub parity: Parity,
+}
+
+/// Opens a TCP connection with TCP_NODELAY.
+pub fn tcp_opener(address: String) -> Opener {
+    Box::new(move || {
+        let address = address.clone();
+        Box::pin(async move {
+            let stream = TcpStream::connect(address).await?;
+            stream.set_nodelay(true)?;
+            Ok(Box::new(stream) as Box<dyn Port>)
+        })
+    })
+}
+
+/// Opens a TCP connection for a read-only stream, with a receive buffer of `bytes`. A sender that
+/// is faster must drop data, so that buffered data do not become old.
+pub fn tcp_stream_opener(address: String, bytes: u32) -> Opener {
+    Box::new(move || {
+        let address = address.clone();
+        Box::pin(async move {
+            let mut failed = io::Error::from(io::ErrorKind::NotFound);
+            for at in lookup_host(address).await? {
+                let socket = if at.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
+                socket.set_recv_buffer_size(bytes)?;
+                match socket.connect(at).await {
+                    Ok(stream) => return Ok(Box::new(stream) as Box<dyn Port>),
+                    Err(error) => failed = error,
+                }
+            }
+            Err(failed)
+        })
+    })
+}
+
+/// Opens a serial port. The port is not claimed exclusively: on a pseudo-terminal this claim
+/// outlives the process that made it, and the lock file of the rig already excludes other
+/// processes.
+pub fn serial_opener(settings: SerialSettings) -> Opener {
+    Box::new(move || {
+        let settings = settings.clone();
+        Box::pin(async move {
+            let parity = match settings.parity {
+                Parity::None => tokio_serial::Parity::None,
+                Parity::Even => tokio_serial::Parity::Even,
+                Parity::Odd => tokio_serial::Parity::Odd,
+            };
+            let builder = tokio_serial::new(settings.path, settings.baud).parity(parity);
+            #[cfg_attr(not(unix), expect(unused_mut, reason = "only unix claims ports"))]
+            let mut port = builder.open_native_async()?;
+            #[cfg(unix)]
+            port.set_exclusive(false)?;
+            port.clear(tokio_serial::ClearBuffer::All)?;
+            Ok(Box::new(port) as Box<dyn Port>)
+        })
+    })
+}
+
+/// Attaches a Modbus client to a new port. On RTU, where replies have no number, bytes that still
+/// arrive in reply to an older request are dropped first, for at most `limit`.
+///
+/// # Errors
+/// A port error, or data that keep arriving.
+pub(super) async fn attach(
+    mut port: Box<dyn Port>,
+    framing: Framing,
+    limit: Duration,
+) -> io::Result<Context> {
+    match framing {
+        Framing::Tcp => Ok(tokio_modbus::client::tcp::attach(port)),
+        Framing::Rtu => {
+            let drain = drain(&mut port);
+            tokio::time::timeout(limit, drain).await.map_err(|_| {
+                io::Error::new(io::ErrorKind::InvalidData, "data keep arriving on the line")
+            })??;
+            Ok(tokio_modbus::client::rtu::attach(Swept::new(port)))
+        }
+    }
+}
+
+async fn drain(port: &mut Box<dyn Port>) -> io::Result<()> {
+    let mut scrap = [0_u8; 256];
+    loop {
+        match tokio::time::timeout(DRAINED_AFTER, port.read(&mut scrap)).await {
+            Err(_silent) => return Ok(()),
+            Ok(Ok(0)) => return Err(io::ErrorKind::UnexpectedEof.into()),
+            Ok(Ok(_)) => {}
+            Ok(Err(e)) => return Err(e),
+        }
+    }
+}

@@ -1,0 +1,51 @@
+//! Properties of a rig file that a plan needs: reach, force limits, speeds.
+//! PURE. Uses: `schedule::{reach, estimate}`, `rig::config`. Never: devices.
+
+use super::config::{LinearAxis, RigConfig};
+use crate::schedule::estimate::{Bench, Motion};
+use crate::schedule::reach::Reach;
+
+/// Reach and limits of a rig; `file` is its name in problems.
+pub fn reach(file: &str, rig: &RigConfig) -> Reach {
+    Reach {
+        file: file.into(),
+        x_travel_mm: rig.axes.x.travel_mm,
+        y_travel_mm: rig.axes.y.travel_mm,
+        z_travel_mm: rig.axes.z.travel_mm,
+        radius_mm: rig.slot.radius_mm,
+        backlash_mm: rig.slot.backlash_mm,
+        skin_origin_mm: [rig.skin.origin_x_mm, rig.skin.origin_y_mm],
+        surface_z_mm: rig.skin.surface_z_mm,
+        clearance_mm: rig.skin.clearance_mm,
+        force_n: rig.limits.force_n,
+        force_sum_n: rig.limits.force_sum_n,
+        cell_update_ms: rig.cells.update_ms,
+        electrodes: rig.ert.electrodes().into(),
+    }
+}
+
+/// Properties that determine the duration of a plan.
+pub fn bench(rig: &RigConfig) -> Bench {
+    let linear = |axis: &LinearAxis| Motion {
+        speed_mm_s: axis.speed_mm_s,
+        acceleration_mm_s2: axis.acceleration_mm_s2,
+    };
+    let per_deg = rig.slot.mm_per_deg.abs();
+    Bench {
+        x: linear(&rig.axes.x),
+        y: linear(&rig.axes.y),
+        z: linear(&rig.axes.z),
+        radial: Motion {
+            speed_mm_s: rig.axes.radial.speed_deg_s * per_deg,
+            acceleration_mm_s2: rig.axes.radial.acceleration_deg_s2 * per_deg,
+        },
+        approach_mm_s: rig.approach_speed_mm_s(),
+        clearance_mm: rig.skin.clearance_mm,
+        surface_z_mm: rig.skin.surface_z_mm,
+        backlash_mm: rig.slot.backlash_mm,
+        cell_update_ms: rig.cells.update_ms,
+        frame_rate_hz: rig.ert.frame_rate_hz(),
+        clock_rate: rig.clock_rate,
+        z_watchdog_ms: rig.axes.z.guard.watchdog_ms,
+    }
+}

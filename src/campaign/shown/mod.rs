@@ -1,8 +1,0 @@
-//! What others see and ask: the status, how it is filled, requests and their answers.
-//! Uses: `campaign::{bench, run}`. Never: decisions, HTTP.
-//!
-//! PURE: `status`.
-
-pub mod status;
-pub mod show;
-pub mod command;

@@ -1,0 +1,188 @@
+//! Trials as columns: a batch of the trials table from rows of the store, or from Sim-Random.
+//! PURE. Uses: `store`'s rows, `dataset::schema`, arrow. Never: files.
+
+use std::sync::Arc;
+
+use arrow_array::builder::{
+    FixedSizeListBuilder, Float32Builder, ListBuilder, PrimitiveBuilder, StringBuilder,
+};
+use arrow_array::types::{ArrowPrimitiveType, Float32Type};
+use arrow_array::{
+    ArrayRef, Float32Array, Float64Array, Int64Array, ListArray, RecordBatch, StringArray,
+    StructArray, TimestampMillisecondArray, UInt8Array, UInt32Array, new_null_array,
+};
+use arrow_buffer::OffsetBuffer;
+use arrow_schema::{ArrowError, DataType, Field, SchemaRef};
+use jiff::Timestamp;
+
+use super::schema::{self, ARMS};
+use super::split::Part;
+use crate::simulate::schema as base;
+use crate::store::table::{Column, Of};
+use crate::store::{Contact, TrialRow};
+
+/// A labelled trial and its part.
+#[derive(Debug, Clone)]
+pub struct Row {
+    /// The trial, with contacts and count as they are labelled.
+    pub trial: TrialRow,
+    /// Its part, where the rows are divided.
+    pub part: Option<Part>,
+}
+
+/// Rows as a batch of these columns.
+pub fn of_trials(schema: &SchemaRef, rows: &[Row]) -> Result<RecordBatch, ArrowError> {
+    let columns = schema.fields().iter().map(|field| column(field, rows));
+    RecordBatch::try_new(schema.clone(), columns.collect::<Result<_, _>>()?)
+}
+
+/// A batch of Sim-Random shards in these columns; what it does not have is null.
+pub fn of_shard(
+    schema: &SchemaRef,
+    shard: &RecordBatch,
+    parts: &[Option<Part>],
+) -> Result<RecordBatch, ArrowError> {
+    let rows = shard.num_rows();
+    let columns = schema.fields().iter().map(|field| {
+        let name = field.name().as_str();
+        Ok(match shard.column_by_name(name) {
+            Some(column) if name == base::CONTACTS => nullable_contacts(column)?,
+            Some(column) => column.clone(),
+            None => match name {
+                schema::SPLIT => {
+                    Arc::new(StringArray::from_iter(parts.iter().map(|p| p.map(Part::name))))
+                }
+                "label" => Arc::new(StringArray::from_iter_values(vec!["simulated"; rows])),
+                _ => new_null_array(field.data_type(), rows),
+            },
+        })
+    });
+    RecordBatch::try_new(schema.clone(), columns.collect::<Result<_, ArrowError>>()?)
+}
+
+/// The same contacts, in a type that could lack some of their numbers.
+fn nullable_contacts(column: &ArrayRef) -> Result<ArrayRef, ArrowError> {
+    use arrow_array::cast::AsArray;
+    let lists = column.as_list::<i32>();
+    let contacts = lists.values().as_struct();
+    let element = schema::contact_element();
+    let DataType::Struct(fields) = element.data_type() else {
+        return Err(ArrowError::SchemaError("a contact is a struct".into()));
+    };
+    let values = StructArray::try_new(fields.clone(), contacts.columns().to_vec(), None)?;
+    let list =
+        ListArray::try_new(Arc::new(element), lists.offsets().clone(), Arc::new(values), None)?;
+    Ok(Arc::new(list))
+}
+
+fn column(field: &Field, rows: &[Row]) -> Result<ArrayRef, ArrowError> {
+    let trials = || rows.iter().map(|row| &row.trial);
+    let Some(column) = Column::find(field.name()) else {
+        return Err(ArrowError::SchemaError(format!("trials have no {}", field.name())));
+    };
+    Ok(match column.of {
+        Of::Id(of) => Arc::new(Int64Array::from_iter_values(trials().map(of))),
+        Of::Count(of) => Arc::new(UInt32Array::from_iter(trials().map(of))),
+        Of::Few(of) => Arc::new(UInt8Array::from_iter_values(trials().map(of))),
+        Of::Number(of) => Arc::new(Float64Array::from_iter(trials().map(of))),
+        Of::Single(of) => {
+            Arc::new(Float32Array::from_iter(trials().map(|t| of(t).map(|v| v as f32))))
+        }
+        Of::Text(of) => Arc::new(trials().map(of).collect::<StringArray>()),
+        Of::Time(of) => {
+            let times = trials().map(|t| of(t).map(Timestamp::as_millisecond));
+            Arc::new(TimestampMillisecondArray::from_iter(times).with_timezone("UTC"))
+        }
+        Of::Contacts => contacts(trials())?,
+        Of::Forces => forces(trials()),
+        Of::Flags => flags(trials())?,
+        Of::Measured(of) | Of::Simulated(of) => frames(field, trials().map(of))?,
+        Of::Part => {
+            Arc::new(rows.iter().map(|row| row.part.map(Part::name)).collect::<StringArray>())
+        }
+        Of::Drawn => new_null_array(field.data_type(), rows.len()),
+    })
+}
+
+fn contacts<'a>(
+    trials: impl Iterator<Item = &'a TrialRow> + Clone,
+) -> Result<ArrayRef, ArrowError> {
+    let all = || trials.clone().flat_map(|t| &t.contacts);
+    let single = |of: fn(&Contact) -> Option<f64>| -> ArrayRef {
+        Arc::new(Float32Array::from_iter(all().map(|c| of(c).map(|v| v as f32))))
+    };
+    let columns: Vec<ArrayRef> = vec![
+        Arc::new(Float64Array::from_iter(all().map(|c| c.x_mm))),
+        Arc::new(Float64Array::from_iter(all().map(|c| c.y_mm))),
+        single(|c| c.force_n),
+        single(|c| c.diameter_mm),
+    ];
+    let element = schema::contact_element();
+    let DataType::Struct(fields) = element.data_type() else {
+        return Err(ArrowError::SchemaError("a contact is a struct".into()));
+    };
+    let values = StructArray::try_new(fields.clone(), columns, None)?;
+    let ends = OffsetBuffer::from_lengths(trials.map(|t| t.contacts.len()));
+    Ok(Arc::new(ListArray::try_new(Arc::new(element), ends, Arc::new(values), None)?))
+}
+
+fn forces<'a>(trials: impl Iterator<Item = &'a TrialRow>) -> ArrayRef {
+    let field = base::with_unit(Field::new(base::ELEMENT, DataType::Float32, true), "N");
+    let mut forces =
+        FixedSizeListBuilder::new(Float32Builder::new(), ARMS).with_field(Arc::new(field));
+    for trial in trials {
+        for force_n in trial.forces_n {
+            forces.values().append_option(force_n.map(|f| f as f32));
+        }
+        // A trial without cells has no forces; one with fewer tips has no value for the others.
+        forces.append(!trial.arms.is_empty());
+    }
+    Arc::new(forces.finish())
+}
+
+/// Frames as a column of this field; one of another length is an error.
+fn frames<'a>(
+    field: &Field,
+    frames: impl Iterator<Item = Option<&'a [f32]>>,
+) -> Result<ArrayRef, ArrowError> {
+    let DataType::FixedSizeList(element, channels) = field.data_type() else {
+        return Err(ArrowError::SchemaError(format!("{} is no frame", field.name())));
+    };
+    let values: PrimitiveBuilder<Float32Type> = PrimitiveBuilder::new();
+    let mut column = FixedSizeListBuilder::new(values, *channels).with_field(element.clone());
+    for frame in frames {
+        match frame {
+            Some(frame) if frame.len() == *channels as usize => {
+                column.values().append_slice(frame);
+                column.append(true);
+            }
+            Some(frame) => {
+                let found = frame.len();
+                return Err(ArrowError::InvalidArgumentError(format!(
+                    "{}: a frame of {found} voltages among frames of {channels}",
+                    field.name()
+                )));
+            }
+            None => {
+                column.values().append_value_n(
+                    <Float32Type as ArrowPrimitiveType>::Native::NAN,
+                    *channels as usize,
+                );
+                column.append(false);
+            }
+        }
+    }
+    Ok(Arc::new(column.finish()))
+}
+
+fn flags<'a>(trials: impl Iterator<Item = &'a TrialRow>) -> Result<ArrayRef, ArrowError> {
+    let element = Field::new(base::ELEMENT, DataType::Utf8, false);
+    let mut flags = ListBuilder::new(StringBuilder::new()).with_field(Arc::new(element));
+    for trial in trials {
+        for flag in &trial.flags {
+            flags.values().append_value(flag.as_str());
+        }
+        flags.append(true);
+    }
+    Ok(Arc::new(flags.finish()))
+}

@@ -1,0 +1,413 @@
+//! Making a dataset: survey its runs, then read, encode, hash and store the rows that stay.
+//! Uses: `store`, `dataset::{survey, shards, batch, format, file}`. Never: HTTP; all rows at once.
+//!
+//! ```text
+//! runs -> survey (no frames) -> ids that stay, parts -> pages of 1000 with frames --+
+//! shards, each checked --------------------------------------------------------> encoder thread
+//!                                           Parquet file <- row group, sha256 of the rows <-+
+//! ```
+//! The id is known when the last row is: the file is renamed to it then.
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use arrow_array::RecordBatch;
+use arrow_ipc::writer::StreamWriter;
+use arrow_schema::SchemaRef;
+use futures::StreamExt;
+use jiff::Timestamp;
+use serde_json::{Value, json};
+use sha2::Digest;
+use tokio::sync::mpsc;
+
+use super::background::background;
+use super::batch::{self, Row};
+use super::card;
+use super::definition::{Definition, SplitBy};
+use super::error::DatasetError;
+use super::file::{Hashing, NewFile, hex};
+use super::format::{Format, Stream};
+use super::inputs::Inputs;
+use super::schema::{self, BATCH_ROWS};
+use super::shards::ShardFolder;
+use super::split::{Group, Part, divide, place};
+use super::survey::{Survey, Surveyed, label};
+use crate::store::{DatasetRow, RunRow, Store, TrialQuery};
+
+/// Pages that may wait for the encoder.
+const AHEAD: usize = 2;
+/// Trials of a page of the survey, which has no frames.
+const SURVEY_ROWS: u32 = 2000;
+/// Pages that are read at a time.
+const READS: usize = 2;
+/// Hexadecimal digits of an id.
+const ID_DIGITS: usize = 16;
+
+/// How far a dataset is.
+#[derive(Debug, Default)]
+pub struct Progress {
+    /// Rows that are written.
+    pub done: AtomicU64,
+    /// Rows to write; 0 while they are being counted.
+    pub total: AtomicU64,
+}
+
+/// A folder of shards, and the part of each of its trials.
+type Divided = (ShardFolder, Vec<Option<Part>>);
+
+/// Makes the dataset of these inputs in this folder, and stores what it is.
+pub async fn build(
+    store: &Store,
+    folder: &Path,
+    inputs: Inputs,
+    at: Timestamp,
+    progress: Arc<Progress>,
+) -> Result<DatasetRow, DatasetError> {
+    let channels = inputs.channels(store).await?;
+    let definition = &inputs.definition;
+    let columns = schema::of_dataset(definition, channels);
+    let (mut surveyed, rows_of_run) = survey(store, &inputs).await?;
+    let parts_of_shards = divide_shards(&inputs, &mut surveyed)?;
+    let shard_rows: u64 = parts_of_shards.iter().map(|(folder, _)| folder.trials()).sum();
+    progress.total.store(surveyed.kept.len() as u64 + shard_rows, Ordering::Relaxed);
+    let lineage = lineage(store, &inputs, &rows_of_run, &parts_of_shards).await?;
+    let footer = footer(definition, &inputs, &lineage)?;
+
+    let (pages, waiting) = mpsc::channel(AHEAD);
+    let encoder = Encoder::new(folder, definition, &columns, footer)?;
+    let (shown, schema) = (progress.clone(), columns.clone());
+    let encoding = background(move || encode(encoder, waiting, parts_of_shards, &schema, &shown));
+    // When the encoder gives up, the pages have nowhere to go; it says why.
+    let reading = read_pages(store, &inputs, &surveyed.kept, pages);
+    let (encoded, read) = futures::join!(encoding, reading);
+    read?;
+    let (encoder, tally) = encoded??;
+
+    let report = report(definition, &columns, channels, &surveyed, &tally);
+    let id = encoder.id();
+    let finished = encoder.finish(&id)?;
+    let row = DatasetRow {
+        name: definition.name.clone(),
+        definition: serde_json::to_value(definition).map_err(DatasetError::json)?,
+        rows: tally.rows,
+        bytes: finished.bytes,
+        sha256: finished.sha256,
+        report,
+        lineage,
+        created_at: at,
+        id,
+    };
+    let row = store.insert_dataset(row, &inputs.key).await?;
+    write_card(folder, &row)?;
+    Ok(row)
+}
+
+/// The first pass. Returns what stays, and how many trials each run has.
+async fn survey(
+    store: &Store,
+    inputs: &Inputs,
+) -> Result<(Surveyed, BTreeMap<i64, u64>), DatasetError> {
+    let mut survey = Survey::new(&inputs.definition, schema::scalars(), inputs.model());
+    let mut rows = BTreeMap::new();
+    for (run, _) in &inputs.runs {
+        let mut query =
+            TrialQuery { run: Some(run.uid), limit: SURVEY_ROWS, ..TrialQuery::default() };
+        loop {
+            let mut page = store.trials(&query).await?;
+            let Some(last) = page.last().map(|trial| trial.trial_id) else { break };
+            query.after = Some(last);
+            *rows.entry(run.scan_id).or_default() += page.len() as u64;
+            for trial in &mut page {
+                label(trial, &inputs.definition, run);
+            }
+            survey.push(page)?;
+        }
+    }
+    let mut surveyed = survey.finish();
+    surveyed.kept.sort_by_key(|(trial, _)| *trial);
+    Ok((surveyed, rows))
+}
+
+/// The parts of the trials of each folder of shards of the model; others are left out, and said.
+fn divide_shards(inputs: &Inputs, surveyed: &mut Surveyed) -> Result<Vec<Divided>, DatasetError> {
+    let split = &inputs.definition.split;
+    let mut divided = Vec::new();
+    let first = inputs.folders.first().map(|f| f.manifest.definition.model.as_str());
+    let model = inputs.model().or(first);
+    for folder in &inputs.folders {
+        let definition = &folder.manifest.definition;
+        if Some(definition.model.as_str()) != model {
+            if inputs.definition.sim_random.contains(&folder.name) {
+                return Err(DatasetError::Models {
+                    folder: folder.name.clone(),
+                    there: definition.model.clone(),
+                    here: model.unwrap_or_default().into(),
+                });
+            }
+            let why = format!("Sim-Random {} of another model: {}", folder.name, definition.model);
+            surveyed.left_out.insert(why, folder.trials());
+            continue;
+        }
+        let numbers = folder.manifest.shards.iter().flat_map(|s| s.first..s.first + s.trials);
+        let seed = definition.draws.seed;
+        let groups: Vec<Group> = numbers
+            .map(|number| Group {
+                place: place(split.seed, format!("sim-random {seed} {number}").as_bytes()),
+                rows: 1,
+                stratum: 0,
+            })
+            .collect();
+        let parts = match split.by {
+            SplitBy::None => vec![None; groups.len()],
+            _ => divide(&groups, split).into_iter().map(Some).collect(),
+        };
+        divided.push((folder.clone(), parts));
+    }
+    Ok(divided)
+}
+
+/// The second pass: the trials that stay, with their frames.
+async fn read_pages(
+    store: &Store,
+    inputs: &Inputs,
+    kept: &[(crate::ids::TrialId, Option<Part>)],
+    pages: mpsc::Sender<Vec<Row>>,
+) -> Result<(), DatasetError> {
+    let by_scan_id: BTreeMap<i64, &RunRow> =
+        inputs.runs.iter().map(|(run, _)| (run.scan_id, run)).collect();
+    let chunks: Vec<Vec<_>> = kept.chunks(BATCH_ROWS).map(<[_]>::to_vec).collect();
+    let reads = chunks.into_iter().map(|chunk| {
+        let store = store.clone();
+        async move {
+            let ids: Vec<_> = chunk.iter().map(|(trial, _)| *trial).collect();
+            store.trials_with_voltages(&ids).await.map(|trials| (chunk, trials))
+        }
+    });
+    let mut reads = futures::stream::iter(reads).buffered(READS);
+    while let Some(read) = reads.next().await {
+        let (chunk, trials) = read?;
+        if trials.len() != chunk.len() {
+            return Err(DatasetError::Changed);
+        }
+        let rows = trials.into_iter().zip(&chunk).map(|(mut trial, (_, part))| {
+            if let Some(run) = by_scan_id.get(&trial.scan_id) {
+                label(&mut trial, &inputs.definition, run);
+            }
+            Row { trial, part: *part }
+        });
+        if pages.send(rows.collect()).await.is_err() {
+            return Ok(());
+        }
+    }
+    Ok(())
+}
+
+/// What is counted while rows are written.
+#[derive(Debug, Default)]
+struct Tally {
+    rows: u64,
+    parts: BTreeMap<&'static str, u64>,
+    contact_counts: BTreeMap<u8, u64>,
+}
+
+impl Tally {
+    fn count(&mut self, part: Option<Part>, contacts: u8) {
+        self.rows += 1;
+        *self.contact_counts.entry(contacts).or_default() += 1;
+        if let Some(part) = part {
+            *self.parts.entry(part.name()).or_default() += 1;
+        }
+    }
+}
+
+/// The file of a dataset on its way, and the hash of its rows.
+struct Encoder {
+    parquet: Stream<NewFile>,
+    rows: StreamWriter<Hashing>,
+}
+
+impl Encoder {
+    fn new(
+        folder: &Path,
+        definition: &Definition,
+        schema: &SchemaRef,
+        footer: HashMap<String, String>,
+    ) -> Result<Self, DatasetError> {
+        let file = NewFile::create(folder).map_err(DatasetError::file("making", folder))?;
+        let described = Arc::new(schema.as_ref().clone().with_metadata(footer));
+        let mut hash = Hashing::default();
+        hash.0.update(serde_json::to_string(definition).map_err(DatasetError::json)?);
+        Ok(Self {
+            parquet: Stream::new(Format::Parquet, &described, file)?,
+            // Without what the file says of itself: the same rows have the same id, whoever made them.
+            rows: StreamWriter::try_new(hash, schema)?,
+        })
+    }
+
+    fn push(&mut self, batch: &RecordBatch) -> Result<(), DatasetError> {
+        self.rows.write(batch)?;
+        Ok(self.parquet.push(batch)?)
+    }
+
+    /// `ds-` and the start of a sha256 over definition, schema and rows.
+    fn id(&self) -> String {
+        let digest = self.rows.get_ref().0.clone().finalize();
+        format!("ds-{}", &hex(&digest)[..ID_DIGITS])
+    }
+
+    fn finish(self, id: &str) -> Result<super::file::Finished, DatasetError> {
+        let file = self.parquet.finish()?;
+        let name = format!("{id}.parquet");
+        file.finish(&name).map_err(DatasetError::file("writing", Path::new(&name)))
+    }
+}
+
+/// Encodes pages of trials as they come, then the shards. On a thread of its own.
+fn encode(
+    mut encoder: Encoder,
+    mut pages: mpsc::Receiver<Vec<Row>>,
+    shards: Vec<Divided>,
+    schema: &SchemaRef,
+    progress: &Progress,
+) -> Result<(Encoder, Tally), DatasetError> {
+    let mut tally = Tally::default();
+    while let Some(page) = pages.blocking_recv() {
+        encoder.push(&batch::of_trials(schema, &page)?)?;
+        page.iter().for_each(|row| tally.count(row.part, row.trial.contact_count));
+        progress.done.store(tally.rows, Ordering::Relaxed);
+    }
+    for (folder, parts) in shards {
+        let mut parts = parts.as_slice();
+        for shard in &folder.manifest.shards {
+            for rows in folder.read(shard)? {
+                let (own, rest) = parts.split_at(rows.num_rows().min(parts.len()));
+                parts = rest;
+                let batch = batch::of_shard(schema, &rows, own)?;
+                let counts = batch.column_by_name("contact_count").cloned();
+                for (row, part) in own.iter().enumerate() {
+                    let count = counts.as_ref().and_then(|c| super::filter::number(c, row));
+                    tally.count(*part, count.unwrap_or_default() as u8);
+                }
+                encoder.push(&batch)?;
+                progress.done.store(tally.rows, Ordering::Relaxed);
+            }
+        }
+    }
+    encoder.rows.finish()?;
+    Ok((encoder, tally))
+}
+
+/// Where the rows come from, down to the code.
+async fn lineage(
+    store: &Store,
+    inputs: &Inputs,
+    rows_of_run: &BTreeMap<i64, u64>,
+    shards: &[Divided],
+) -> Result<Value, DatasetError> {
+    let runs: Vec<Value> = inputs
+        .runs
+        .iter()
+        .map(|(run, extent)| {
+            json!({
+                "uid": run.uid, "scan_id": run.scan_id, "experiment": run.experiment,
+                "kind": run.kind, "label": run.label, "seed": run.seed,
+                "definition_sha256": run.definition_sha256, "rig_sha256": run.rig_sha256,
+                "sensor_sha256": run.sensor_sha256, "calibration": run.calibration_id,
+                "version": run.version, "git_commit": run.git_commit,
+                "started_at": run.started_at, "ended_at": run.ended_at,
+                "deadband_n": inputs.definition.deadband_n.unwrap_or(run.deadband_n),
+                "trials": rows_of_run.get(&run.scan_id), "taken_back": extent.taken_back,
+            })
+        })
+        .collect();
+    let mut models = Vec::new();
+    if inputs.definition.task.has_simulated()
+        && let Some(hash) = inputs.model()
+        && let Some(model) = store.twin_model_of(hash).await?
+    {
+        models.push(json!({
+            "model": model.hash, "sensor_sha256": model.sensor_sha256,
+            "calibration": model.calibration_id, "version": model.version,
+            "git_commit": model.git_commit,
+        }));
+    }
+    let sim_random: Vec<Value> = shards
+        .iter()
+        .map(|(folder, _)| {
+            json!({ "folder": folder.name, "definition": folder.manifest.definition,
+                "shards": folder.manifest.shards })
+        })
+        .collect();
+    Ok(json!({
+        "runs": runs, "models": models, "sim_random": sim_random,
+        "code": {
+            "version": env!("CARGO_PKG_VERSION"),
+            "git_commit": crate::commit::known(),
+        },
+    }))
+}
+
+/// What the Parquet file says of itself.
+fn footer(
+    definition: &Definition,
+    inputs: &Inputs,
+    lineage: &Value,
+) -> Result<HashMap<String, String>, DatasetError> {
+    let definition = serde_json::to_string(definition).map_err(DatasetError::json)?;
+    let mut footer = HashMap::from([
+        ("palpate.definition".to_owned(), definition),
+        ("palpate.lineage".to_owned(), lineage.to_string()),
+    ]);
+    if let Some((run, _)) = inputs.runs.first() {
+        footer.insert(schema::SENSOR.into(), run.sensor.clone());
+    }
+    Ok(footer)
+}
+
+fn report(
+    definition: &Definition,
+    columns: &SchemaRef,
+    channels: i32,
+    surveyed: &Surveyed,
+    tally: &Tally,
+) -> Value {
+    let columns: Vec<Value> = columns
+        .fields()
+        .iter()
+        .map(|field| {
+            json!({ "name": field.name(), "type": schema::type_words(field.data_type()),
+                "unit": field.metadata().get(crate::simulate::schema::UNIT),
+                "filterable": schema::is_comparable(field.name()) })
+        })
+        .collect();
+    json!({
+        "task": definition.task, "channels": channels, "parts": tally.parts,
+        "contact_counts": tally.contact_counts, "left_out": surveyed.left_out,
+        "columns": columns,
+    })
+}
+
+/// Writes the card beside the file.
+fn write_card(folder: &Path, row: &DatasetRow) -> Result<(), DatasetError> {
+    let name = format!("{}.md", row.id);
+    let write = || {
+        use std::io::Write;
+        let mut file = NewFile::create(folder)?;
+        file.write_all(card::text(row).as_bytes())?;
+        file.finish(&name)
+    };
+    write().map_err(DatasetError::file("writing", &folder.join(&name)))?;
+    Ok(())
+}
+
+/// Where a dataset's rows are.
+pub fn data_file(folder: &Path, id: &str) -> PathBuf {
+    folder.join(format!("{id}.parquet"))
+}
+
+/// Where its card is.
+pub fn card_file(folder: &Path, id: &str) -> PathBuf {
+    folder.join(format!("{id}.md"))
+}

@@ -1,0 +1,191 @@
+//! Trials measured elsewhere, from a Parquet file to a run of their own.
+//! Uses: `store::imports`, parquet. Never: HTTP; half an import that looks like a whole one.
+
+pub mod rows;
+pub mod sensor;
+
+use std::fs::File;
+use std::path::Path;
+
+use arrow_array::RecordBatchReader;
+use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use sha2::{Digest, Sha256};
+use tokio::sync::mpsc;
+
+use super::background::background;
+use super::error::DatasetError;
+use super::file::{Hashing, hex};
+use crate::ids::RunUid;
+use crate::problem::Problem;
+use crate::store::{
+    IMPORTED_MODEL, ImportedTrial, Label, NewRun, NewTwinModel, RunKind, RunRow, Store, TwinModelId,
+};
+use rows::Reader;
+use sensor::ImportedSensor;
+
+/// Trials of one transaction.
+const AT_ONCE: usize = 500;
+
+/// What is imported.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Import {
+    /// Name of the experiment.
+    pub name: String,
+    /// Whether a skin was touched.
+    pub label: Label,
+    /// How messages name the Parquet file.
+    pub file: String,
+    /// How messages name the sensor file.
+    pub sensor_file: String,
+    /// Text of the sensor file.
+    pub sensor: String,
+    /// Who asks.
+    pub submitted_by: String,
+}
+
+/// What became of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Imported {
+    /// The run.
+    pub run: RunRow,
+    /// Its trials.
+    pub trials: u64,
+    /// Columns of the file that nothing was made of.
+    pub columns_left_out: Vec<String>,
+}
+
+/// Reads a file twice: all of it is checked before the first trial is stored.
+pub async fn import(store: &Store, path: &Path, import: Import) -> Result<Imported, DatasetError> {
+    let sensor = ImportedSensor::from_toml(&import.sensor_file, &import.sensor)
+        .map_err(DatasetError::Problems)?;
+    let checked = {
+        let (path, file, sensor) = (path.to_owned(), import.file.clone(), sensor.clone());
+        background(move || check(&path, &file, &sensor)).await??
+    };
+    let run = store.begin_import(new_run(&import, &sensor, &checked)).await?;
+    let model = match checked.simulated {
+        true => Some(model(store, &checked.sha256, &run).await?),
+        false => None,
+    };
+    store_trials(store, path, &import, &sensor, (run.uid, model)).await?;
+    let run = store.end_import(run.uid).await?;
+    Ok(Imported { run, trials: checked.trials, columns_left_out: checked.columns_left_out })
+}
+
+/// What a first look at a file found.
+struct Checked {
+    trials: u64,
+    simulated: bool,
+    columns_left_out: Vec<String>,
+    sha256: String,
+}
+
+fn check(path: &Path, file: &str, sensor: &ImportedSensor) -> Result<Checked, DatasetError> {
+    let mut hashing = Hashing::default();
+    let mut bytes = File::open(path).map_err(DatasetError::file("opening", path))?;
+    std::io::copy(&mut bytes, &mut hashing).map_err(DatasetError::file("reading", path))?;
+    let mut checked = Checked {
+        trials: 0,
+        simulated: false,
+        columns_left_out: Vec::new(),
+        sha256: hex(&hashing.0.finalize()),
+    };
+    let batches = batches(path, file)?;
+    let mut reader = Reader::new(file, sensor);
+    reader.check(&batches.schema()).map_err(DatasetError::Problems)?;
+    checked.columns_left_out = rows::left_out(&batches.schema());
+    for batch in batches {
+        let trials = reader.read(&batch?).map_err(DatasetError::Problems)?;
+        checked.trials += trials.len() as u64;
+        checked.simulated |= trials.iter().any(|trial| trial.sim_voltages_v.is_some());
+    }
+    if checked.trials == 0 {
+        let problem = Problem::whole(file, "must hold at least one trial");
+        return Err(DatasetError::Problems(vec![problem]));
+    }
+    Ok(checked)
+}
+
+fn batches(
+    path: &Path,
+    file: &str,
+) -> Result<parquet::arrow::arrow_reader::ParquetRecordBatchReader, DatasetError> {
+    let opened = File::open(path).map_err(DatasetError::file("opening", path))?;
+    let built = ParquetRecordBatchReaderBuilder::try_new(opened)
+        .and_then(|builder| builder.with_batch_size(AT_ONCE).build());
+    built.map_err(|error| {
+        let limit = format!("must be a Parquet file of the trials table: {error}");
+        DatasetError::Problems(vec![Problem::whole(file, limit)])
+    })
+}
+
+fn new_run(import: &Import, sensor: &ImportedSensor, checked: &Checked) -> NewRun {
+    let definition = serde_json::json!({
+        "imported": import.file, "sha256": checked.sha256, "trials": checked.trials,
+        "sensor": sensor.name, "columns_left_out": checked.columns_left_out,
+    });
+    NewRun {
+        uid: RunUid::new(),
+        experiment: import.name.clone(),
+        kind: RunKind::Imported,
+        definition: definition.to_string(),
+        seed: None,
+        rig: None,
+        sensor: import.sensor.clone(),
+        calibration_id: None,
+        label: import.label,
+        version: env!("CARGO_PKG_VERSION").into(),
+        git_commit: crate::commit::known().map(Into::into),
+        // Contacts are as they were handed in.
+        deadband_n: 0.0,
+        tip_diameter_mm: sensor.tip_diameter_mm,
+        trials_planned: checked.trials,
+        auto_resume: false,
+        submitted_by: import.submitted_by.clone(),
+    }
+}
+
+/// The model that simulated frames of this file stand for.
+async fn model(store: &Store, sha256: &str, run: &RunRow) -> Result<TwinModelId, DatasetError> {
+    let digest = Sha256::digest(format!("{IMPORTED_MODEL} {sha256}"));
+    let new = NewTwinModel {
+        hash: format!("sim-{}", &hex(&digest)[..16]),
+        sensor_sha256: run.sensor_sha256.clone(),
+        calibration_id: None,
+        version: IMPORTED_MODEL.into(),
+        git_commit: None,
+    };
+    Ok(store.twin_model(new).await?)
+}
+
+async fn store_trials(
+    store: &Store,
+    path: &Path,
+    import: &Import,
+    sensor: &ImportedSensor,
+    (run, model): (RunUid, Option<TwinModelId>),
+) -> Result<(), DatasetError> {
+    let (sender, mut pages) = mpsc::channel::<Vec<ImportedTrial>>(2);
+    let (path, file, sensor) = (path.to_owned(), import.file.clone(), sensor.clone());
+    let reading = background(move || -> Result<(), DatasetError> {
+        let mut reader = Reader::new(&file, &sensor);
+        for batch in batches(&path, &file)? {
+            let trials = reader.read(&batch?).map_err(DatasetError::Problems)?;
+            if sender.blocking_send(trials).is_err() {
+                break;
+            }
+        }
+        Ok(())
+    });
+    let storing = async {
+        while let Some(trials) = pages.recv().await {
+            store.import_trials(run, model, trials).await?;
+        }
+        // Dropped here, so that the reader ends too when storing failed.
+        drop(pages);
+        Ok::<(), DatasetError>(())
+    };
+    let (read, stored) = futures::join!(reading, storing);
+    stored?;
+    read?
+}

@@ -1,0 +1,381 @@
+//! Rows of a foreign Parquet file as trials: known columns by their names, each value checked.
+//! PURE. Uses: arrow, `store`'s imported trial. Never: files; a value in place of one that lacks.
+
+use std::collections::HashSet;
+use std::sync::Arc;
+
+use arrow_array::cast::AsArray;
+use arrow_array::types::{Float32Type, Float64Type, Int64Type, TimestampMillisecondType};
+use arrow_array::{Array, ArrayRef, RecordBatch};
+use arrow_cast::{CastOptions, cast, cast_with_options};
+use arrow_schema::{DataType, Field, Schema, TimeUnit};
+use jiff::Timestamp;
+
+use super::sensor::ImportedSensor;
+use crate::dataset::schema::VOLTAGES_V;
+use crate::problem::Problem;
+use crate::record::{Flag, FrameQuality};
+use crate::simulate::compare::difference;
+use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
+use crate::store::{Contact, IMPORTED_CONTACTS_MAX, ImportedTrial};
+
+/// Columns that are read.
+const READ: [&str; 9] = [
+    VOLTAGES_V,
+    SIM_VOLTAGES_V,
+    CONTACTS,
+    "configuration",
+    "depth_index",
+    "depth_mm",
+    "tips",
+    "flags",
+    "started_at",
+];
+/// What may be known of a contact.
+const CONTACT: [&str; 4] = ["x_mm", "y_mm", "force_n", "diameter_mm"];
+/// Problems after which no more are looked for.
+const PROBLEMS_MAX: usize = 20;
+/// Largest force that is taken for one, N.
+const FORCE_MAX_N: f64 = 100_000.0;
+
+/// Columns of a file that nothing is made of.
+pub fn left_out(schema: &Schema) -> Vec<String> {
+    let names = schema.fields().iter().map(|field| field.name());
+    names.filter(|name| !READ.contains(&name.as_str())).cloned().collect()
+}
+
+/// Reads batches one after the other; keys must not come twice.
+#[derive(Debug)]
+pub struct Reader<'a> {
+    file: &'a str,
+    sensor: &'a ImportedSensor,
+    keys: HashSet<(u32, u32)>,
+    row: u64,
+    problems: Vec<Problem>,
+}
+
+impl<'a> Reader<'a> {
+    /// A reader for trials on this sensor; `file` is how messages name their file.
+    pub fn new(file: &'a str, sensor: &'a ImportedSensor) -> Self {
+        Self { file, sensor, keys: HashSet::new(), row: 0, problems: Vec::new() }
+    }
+
+    /// That a file has what cannot be done without.
+    pub fn check(&self, schema: &Schema) -> Result<(), Vec<Problem>> {
+        let names: Vec<&str> = schema.fields().iter().map(|f| f.name().as_str()).collect();
+        let wanted = [
+            (VOLTAGES_V, "lists of voltages"),
+            (CONTACTS, "lists of contacts, empty for an untouched skin"),
+        ];
+        let missing = wanted.into_iter().filter(|(name, _)| schema.index_of(name).is_err());
+        let problems: Vec<Problem> = missing
+            .map(|(name, words)| {
+                let limit =
+                    format!("must be a column of {words}; the file has {}", names.join(", "));
+                Problem::new(self.file, name, "absent", limit)
+            })
+            .collect();
+        if problems.is_empty() { Ok(()) } else { Err(problems) }
+    }
+
+    /// The trials of a batch.
+    pub fn read(&mut self, batch: &RecordBatch) -> Result<Vec<ImportedTrial>, Vec<Problem>> {
+        let columns = Columns::of(self.file, batch).map_err(|problem| vec![problem])?;
+        let mut trials = Vec::with_capacity(batch.num_rows());
+        for at in 0..batch.num_rows() {
+            if let Some(trial) = self.trial(&columns, at) {
+                trials.push(trial);
+            }
+            self.row += 1;
+            if self.problems.len() >= PROBLEMS_MAX {
+                break;
+            }
+        }
+        if self.problems.is_empty() { Ok(trials) } else { Err(std::mem::take(&mut self.problems)) }
+    }
+
+    fn wrong(&mut self, column: &str, value: impl std::fmt::Display, limit: impl Into<String>) {
+        let key = format!("row {}, {column}", self.row);
+        self.problems.push(Problem::new(self.file, &key, value, limit));
+    }
+
+    fn trial(&mut self, columns: &Columns, at: usize) -> Option<ImportedTrial> {
+        let before = self.problems.len();
+        let voltages_v = self.frame(&columns.voltages_v, VOLTAGES_V, at);
+        let sim_voltages_v = match &columns.sim_voltages_v {
+            Some(frames) if !frames.is_null(at) => {
+                Some(self.frame(&columns.sim_voltages_v, SIM_VOLTAGES_V, at)?)
+            }
+            _ => None,
+        };
+        let contacts = self.contacts(columns, at);
+        let whole = |column: &Option<ArrayRef>| -> Option<i64> {
+            let column = column.as_ref()?;
+            (!column.is_null(at)).then(|| column.as_primitive::<Int64Type>().value(at))
+        };
+        let configuration = whole(&columns.configuration);
+        let configuration = u32::try_from(configuration.unwrap_or(self.row as i64));
+        let depth_index = u32::try_from(whole(&columns.depth_index).unwrap_or(0));
+        let tips = whole(&columns.tips).map(u8::try_from).transpose();
+        let limit = "must be a whole number from 0";
+        if configuration.is_err() {
+            self.wrong("configuration", "out of range", limit);
+        }
+        if depth_index.is_err() {
+            self.wrong("depth_index", "out of range", limit);
+        }
+        if tips.is_err() {
+            self.wrong("tips", "out of range", "must be from 0 to 255");
+        }
+        let has_key = configuration.is_ok() && depth_index.is_ok();
+        let (configuration, depth_index, tips) =
+            (configuration.unwrap_or(0), depth_index.unwrap_or(0), tips.ok().flatten());
+        if has_key && !self.keys.insert((configuration, depth_index)) {
+            let value = format!("{configuration}, {depth_index}");
+            self.wrong("configuration, depth_index", value, "must come once in a file");
+        }
+        let flags = self.flags(columns, at);
+        let depth_mm = columns.depth_mm.as_ref().and_then(|column| known(column, at));
+        if depth_mm.is_some_and(f64::is_infinite) {
+            self.wrong("depth_mm", "infinite", "must be a number");
+        }
+        let started_at = columns.started_at.as_ref().filter(|times| !times.is_null(at));
+        let started_at = started_at.and_then(|times| {
+            let ms = times.as_primitive::<TimestampMillisecondType>().value(at);
+            Timestamp::from_millisecond(ms).ok()
+        });
+        if self.problems.len() > before {
+            return None;
+        }
+        let voltages_v = voltages_v?;
+        let missing = voltages_v.iter().filter(|v| v.is_nan()).count();
+        let fit = sim_voltages_v.as_ref().map(|simulated| {
+            let apart = difference(&voltages_v, simulated);
+            (apart.rmse_v, apart.fvu)
+        });
+        Some(ImportedTrial {
+            configuration,
+            depth_index,
+            depth_mm,
+            tips,
+            contacts,
+            sim_voltages_v,
+            fit: fit.filter(|(rmse_v, _)| rmse_v.is_finite()),
+            flags,
+            quality: FrameQuality {
+                missing_channels: Some(missing as u32),
+                ..FrameQuality::default()
+            },
+            started_at,
+            voltages_v,
+        })
+    }
+
+    fn frame(&mut self, frames: &Option<ArrayRef>, column: &str, at: usize) -> Option<Vec<f32>> {
+        let frames = frames.as_ref()?;
+        if frames.is_null(at) {
+            self.wrong(column, "null", "must be a list of voltages");
+            return None;
+        }
+        let values = frames.as_list::<i64>().value(at);
+        let values = values.as_primitive::<Float32Type>();
+        let wanted = self.sensor.channels;
+        if values.len() != wanted {
+            let limit = format!("must have the {wanted} values of sensor {}", self.sensor.name);
+            self.wrong(column, format!("{} values", values.len()), limit);
+            return None;
+        }
+        let frame: Vec<f32> =
+            values.iter().map(|v| v.filter(|v| !v.is_nan()).unwrap_or(f32::NAN)).collect();
+        if frame.iter().any(|v| v.is_infinite()) {
+            self.wrong(column, "infinite", "must be volts; null or NaN where a channel is missing");
+            return None;
+        }
+        if frame.iter().all(|v| v.is_nan()) {
+            self.wrong(column, "no value at all", "must have some channels");
+            return None;
+        }
+        Some(frame)
+    }
+
+    fn contacts(&mut self, columns: &Columns, at: usize) -> Vec<Contact> {
+        let Some(lists) = &columns.contacts else { return Vec::new() };
+        if lists.is_null(at) {
+            self.wrong(CONTACTS, "null", "must be a list, empty for an untouched skin");
+            return Vec::new();
+        }
+        let found = lists.as_list::<i64>().value(at);
+        let found = found.as_struct();
+        if found.len() > IMPORTED_CONTACTS_MAX {
+            self.wrong(CONTACTS, found.len(), format!("must be at most {IMPORTED_CONTACTS_MAX}"));
+            return Vec::new();
+        }
+        let number = |name: &str, contact: usize| {
+            found.column_by_name(name).and_then(|column| known(column, contact))
+        };
+        let mut contacts = Vec::with_capacity(found.len());
+        for contact in 0..found.len() {
+            let [x_mm, y_mm, force_n, diameter_mm] = CONTACT.map(|name| number(name, contact));
+            let (width_mm, height_mm) = (self.sensor.width_mm, self.sensor.height_mm);
+            for (name, value, least, most) in [
+                ("x_mm", x_mm, 0.0, width_mm),
+                ("y_mm", y_mm, 0.0, height_mm),
+                ("force_n", force_n, 0.0, FORCE_MAX_N),
+                ("diameter_mm", diameter_mm, 0.0, width_mm.max(height_mm)),
+            ] {
+                if let Some(value) = value
+                    && (!(least..=most).contains(&value) || name == "diameter_mm" && value == 0.0)
+                {
+                    let from = if name == "diameter_mm" { "above" } else { "from" };
+                    let limit = format!("must be {from} {least} to {most}, or null");
+                    self.wrong(&format!("contacts[{contact}].{name}"), value, limit);
+                }
+            }
+            if x_mm.is_some() != y_mm.is_some() {
+                let limit = "x_mm and y_mm must both be there, or neither";
+                self.wrong(&format!("contacts[{contact}]"), "half a place", limit);
+            }
+            contacts.push(Contact { x_mm, y_mm, force_n, diameter_mm });
+        }
+        contacts
+    }
+
+    fn flags(&mut self, columns: &Columns, at: usize) -> Vec<Flag> {
+        let Some(lists) = columns.flags.as_ref().filter(|lists| !lists.is_null(at)) else {
+            return Vec::new();
+        };
+        let words = lists.as_list::<i64>().value(at);
+        let words: Vec<String> =
+            words.as_string::<i32>().iter().flatten().map(str::to_owned).collect();
+        let mut flags = Vec::new();
+        for word in words {
+            match serde_json::from_value(word.clone().into()) {
+                Ok(flag) => flags.push(flag),
+                Err(error) => self.wrong("flags", word, error.to_string()),
+            }
+        }
+        flags
+    }
+}
+
+/// A number that is there: neither null nor NaN.
+fn known(column: &ArrayRef, at: usize) -> Option<f64> {
+    let column = cast(column, &DataType::Float64).ok()?;
+    let numbers = column.as_primitive::<Float64Type>();
+    (!numbers.is_null(at)).then(|| numbers.value(at)).filter(|number| !number.is_nan())
+}
+
+/// The columns of a batch, in types of ours.
+struct Columns {
+    voltages_v: Option<ArrayRef>,
+    sim_voltages_v: Option<ArrayRef>,
+    contacts: Option<ArrayRef>,
+    configuration: Option<ArrayRef>,
+    depth_index: Option<ArrayRef>,
+    depth_mm: Option<ArrayRef>,
+    tips: Option<ArrayRef>,
+    flags: Option<ArrayRef>,
+    started_at: Option<ArrayRef>,
+}
+
+impl Columns {
+    fn of(file: &str, batch: &RecordBatch) -> Result<Self, Problem> {
+        let list = |item: DataType| DataType::new_large_list(item, true);
+        let time = DataType::Timestamp(TimeUnit::Millisecond, Some("UTC".into()));
+        let column = |name: &str, wanted: DataType, words: &str| {
+            let Some(found) = batch.column_by_name(name) else { return Ok(None) };
+            let wrong = |value: String| {
+                Problem::new(file, name, value, format!("must be a column of {words}"))
+            };
+            if !resembles(found.data_type(), &wanted) {
+                return Err(wrong(found.data_type().to_string()));
+            }
+            if let Some(fraction) = fraction(found, &wanted) {
+                return Err(wrong(fraction.to_string()));
+            }
+            // What does not fit is an error, not a null.
+            let options = CastOptions { safe: false, ..CastOptions::default() };
+            let cast = cast_with_options(found, &wanted, &options);
+            cast.map(Some).map_err(|error| wrong(error.to_string()))
+        };
+        Ok(Self {
+            voltages_v: column(VOLTAGES_V, list(DataType::Float32), "lists of numbers")?,
+            sim_voltages_v: column(SIM_VOLTAGES_V, list(DataType::Float32), "lists of numbers")?,
+            contacts: contacts(file, batch)?,
+            configuration: column("configuration", DataType::Int64, "whole numbers")?,
+            depth_index: column("depth_index", DataType::Int64, "whole numbers")?,
+            depth_mm: column("depth_mm", DataType::Float64, "numbers")?,
+            tips: column("tips", DataType::Int64, "whole numbers")?,
+            flags: column("flags", list(DataType::Utf8), "lists of words")?,
+            started_at: column("started_at", time, "times")?,
+        })
+    }
+}
+
+/// Whether a column is of the sort that is wanted: numbers are not read from words, nor lists from
+/// single values.
+fn resembles(found: &DataType, wanted: &DataType) -> bool {
+    use DataType::{FixedSizeList, LargeList, List, Null};
+    match (found, wanted) {
+        (Null, _) => true,
+        (DataType::Dictionary(_, value), wanted) => resembles(value, wanted),
+        (List(item) | LargeList(item) | FixedSizeList(item, _), LargeList(wanted)) => {
+            resembles(item.data_type(), wanted.data_type())
+        }
+        (found, DataType::Utf8) => {
+            matches!(found, DataType::Utf8 | DataType::LargeUtf8 | DataType::Utf8View)
+        }
+        (found, DataType::Timestamp(..)) => matches!(found, DataType::Timestamp(..)),
+        (found, wanted) => found.is_numeric() && wanted.is_numeric(),
+    }
+}
+
+/// The first number with a fraction in a column that should hold whole ones (pandas makes floats of
+/// whole numbers with gaps).
+fn fraction(found: &ArrayRef, wanted: &DataType) -> Option<f64> {
+    if *wanted != DataType::Int64 || !found.data_type().is_floating() {
+        return None;
+    }
+    let numbers = cast(found, &DataType::Float64).ok()?;
+    numbers.as_primitive::<Float64Type>().iter().flatten().find(|number| number.fract() != 0.0)
+}
+
+/// The contacts, whose items may have any of four numbers of any type.
+fn contacts(file: &str, batch: &RecordBatch) -> Result<Option<ArrayRef>, Problem> {
+    let Some(found) = batch.column_by_name(CONTACTS) else { return Ok(None) };
+    let item = match found.data_type() {
+        DataType::List(item) | DataType::LargeList(item) | DataType::FixedSizeList(item, _) => item,
+        _ => return Err(no_contacts(file, found)),
+    };
+    match item.data_type() {
+        // A file in which nothing was ever touched.
+        DataType::Null => cast(found, &DataType::LargeList(Arc::new(nothing())))
+            .map(Some)
+            .map_err(|_| no_contacts(file, found)),
+        DataType::Struct(fields) => {
+            let known = |field: &Arc<Field>| {
+                let numeric =
+                    field.data_type().is_numeric() || *field.data_type() == DataType::Null;
+                CONTACT.contains(&field.name().as_str()) && numeric
+            };
+            if !fields.iter().all(known) {
+                return Err(no_contacts(file, found));
+            }
+            cast(found, &DataType::LargeList(item.clone()))
+                .map(Some)
+                .map_err(|_| no_contacts(file, found))
+        }
+        _ => Err(no_contacts(file, found)),
+    }
+}
+
+/// A contact of which nothing is known.
+fn nothing() -> Field {
+    Field::new("item", DataType::Struct(Vec::<Field>::new().into()), true)
+}
+
+fn no_contacts(file: &str, found: &ArrayRef) -> Problem {
+    let limit = "must be lists of {x_mm, y_mm, force_n, diameter_mm}, all numbers, each of which may be \
+                 null or absent";
+    Problem::new(file, CONTACTS, found.data_type(), limit)
+}

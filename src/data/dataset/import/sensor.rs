@@ -1,0 +1,78 @@
+//! The sensor file beside imported trials: Palpate's own, or as much as is known of another skin.
+//! PURE. Uses: sim-core's sensor file, `syntax`. Never: a value that the file does not say.
+
+use serde::Deserialize;
+use sim_core::sensor::Sensor;
+
+use crate::problem::{Checks, Problem};
+use crate::syntax::syntax_problem;
+
+/// Most voltages of a frame.
+const CHANNELS_MAX: usize = 65_536;
+/// Largest side of a skin, mm.
+const SIDE_MAX_MM: f64 = 100_000.0;
+
+/// What datasets need to know of a skin.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct ImportedSensor {
+    /// Its name.
+    pub name: String,
+    /// Voltages of a frame.
+    pub channels: usize,
+    /// Extent along x, mm.
+    pub width_mm: f64,
+    /// Extent along y, mm.
+    pub height_mm: f64,
+    /// Diameter of what touches it, mm, where it is always the same.
+    pub tip_diameter_mm: Option<f64>,
+}
+
+impl ImportedSensor {
+    /// Reads a sensor file: one of Palpate's (then trials get simulated twins), or any TOML with
+    /// `name`, `channels`, `width_mm` and `height_mm`.
+    pub fn from_toml(file: &str, text: &str) -> Result<Self, Vec<Problem>> {
+        if let Ok(sensor) = Sensor::from_toml(text) {
+            let electrodes: usize = sensor.file.electrodes.columns.iter().map(Vec::len).sum();
+            return Ok(Self {
+                name: sensor.file.name.clone(),
+                channels: electrodes * electrodes,
+                width_mm: sensor.file.width_mm,
+                height_mm: sensor.file.height_mm,
+                tip_diameter_mm: Some(sensor.file.tip_diameter_mm),
+            });
+        }
+        let sensor: Self =
+            toml::from_str(text).map_err(|error| vec![syntax_problem(file, text, &error)])?;
+        let mut checks = Checks::of(file);
+        let channels = sensor.channels;
+        let limit = format!("must be from 1 to {CHANNELS_MAX}");
+        checks.require((1..=CHANNELS_MAX).contains(&channels), "channels", channels, &limit);
+        for (key, mm) in [
+            ("width_mm", sensor.width_mm),
+            ("height_mm", sensor.height_mm),
+            ("tip_diameter_mm", sensor.tip_diameter_mm.unwrap_or(1.0)),
+        ] {
+            let fits = mm.is_finite() && mm > 0.0 && mm <= SIDE_MAX_MM;
+            checks.require(fits, key, mm, &format!("must be above 0 and at most {SIDE_MAX_MM}"));
+        }
+        checks.done().map(|()| sensor)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn palpates_own_and_a_few_lines_are_both_sensors() {
+        let own = include_str!("../../../../experiments/sensors/ert-28.toml");
+        let own = ImportedSensor::from_toml("own", own).unwrap();
+        assert_eq!((own.channels, own.width_mm, own.tip_diameter_mm), (784, 540.0, Some(20.0)));
+        let text = "name = \"pad\"\nchannels = 208\nwidth_mm = 100\nheight_mm = 100\nlab = \"x\"\n";
+        assert_eq!(ImportedSensor::from_toml("pad", text).unwrap().channels, 208);
+        let text = "name = \"pad\"\nchannels = 0\nwidth_mm = -1\nheight_mm = 100\n";
+        let problems = ImportedSensor::from_toml("pad.toml", text).unwrap_err();
+        let keys: Vec<&str> = problems.iter().map(|p| p.key.as_str()).collect();
+        assert_eq!(keys, ["channels", "width_mm"]);
+    }
+}

@@ -1,0 +1,32 @@
+//! Datasets that people can use in one line: labels, parts, force maps, files and exports.
+//! Uses: `store`, `simulate` (Sim-Random's manifests). Never: HTTP, motion, a dataset that changes.
+//!
+//! PURE: `definition`, `filter`, `split`, `force_map`, `schema`, `batch`, `survey`, `select`, `sort`,
+//! `card`, `pressed`.
+//!
+//! ```text
+//! definition -> build: survey, batch, shards -> file DATA/datasets/ds-..  -> read, select -> format
+//! ```
+
+pub mod error;
+pub mod definition;
+pub mod schema;
+pub mod filter;
+pub mod split;
+pub mod force_map;
+pub mod batch;
+pub mod survey;
+pub mod shards;
+pub mod file;
+pub mod background;
+pub mod format;
+pub mod select;
+pub mod sort;
+pub mod read;
+pub mod card;
+pub mod inputs;
+pub mod pressed;
+pub mod build;
+pub mod export;
+pub mod import;
+pub mod catalog;

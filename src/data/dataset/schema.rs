@@ -1,0 +1,129 @@
+//! The trials table as Arrow fields, for datasets, exports and imports.
+//! PURE. Uses: `store::table`, `simulate::schema`. Never: rows, files.
+
+use std::sync::Arc;
+
+use arrow_schema::{DataType, Field, Schema, SchemaRef, TimeUnit};
+
+use super::definition::{Definition, SplitBy, Task};
+use crate::simulate::schema as base;
+use crate::store::table::{Column, Kind, Of, TABLE};
+
+/// Number of arms, attached or not.
+pub const ARMS: i32 = 6;
+/// Rows of a batch, and of a file's row group.
+pub const BATCH_ROWS: usize = 1000;
+/// Column of the measured frame.
+pub const VOLTAGES_V: &str = "voltages_v";
+/// Column of a rendered force map.
+pub const FORCE_MAP_N: &str = "force_map_n";
+/// Column of the part of a split.
+pub const SPLIT: &str = "split";
+
+/// Key of a file's metadata that holds the text of its sensor file.
+pub const SENSOR: &str = "palpate.sensor";
+
+/// Number of voltages of the paper's skin, where nothing says otherwise.
+pub const CHANNELS: i32 = 784;
+
+fn of(name: &str, kind: DataType) -> Field {
+    Field::new(name, kind, true)
+}
+
+fn list(name: &str, items: i32, unit: &str) -> Field {
+    let element = base::with_unit(Field::new(base::ELEMENT, DataType::Float32, true), unit);
+    base::with_unit(Field::new(name, DataType::FixedSizeList(Arc::new(element), items), true), unit)
+}
+
+/// A force map of so many pixels as a column, N per pixel, row by row.
+pub fn force_map(pixels: i32) -> Field {
+    list(FORCE_MAP_N, pixels, "N")
+}
+
+/// All columns, for frames of `channels` voltages.
+pub fn all(channels: i32) -> Schema {
+    Schema::new(TABLE.iter().map(|column| field(column, channels)).collect::<Vec<_>>())
+}
+
+/// A column as a field, with its unit.
+fn field(column: &Column, channels: i32) -> Field {
+    let plain = |kind| match column.unit {
+        "" => of(column.name, kind),
+        unit => base::with_unit(of(column.name, kind), unit),
+    };
+    match column.of {
+        Of::Id(_) => plain(DataType::Int64),
+        Of::Count(_) => plain(DataType::UInt32),
+        Of::Few(_) => plain(DataType::UInt8),
+        Of::Drawn => plain(DataType::UInt64),
+        Of::Number(_) => plain(DataType::Float64),
+        Of::Single(_) => plain(DataType::Float32),
+        Of::Text(_) | Of::Part => plain(DataType::Utf8),
+        Of::Time(_) => plain(DataType::Timestamp(TimeUnit::Millisecond, Some("UTC".into()))),
+        Of::Contacts => plain(DataType::List(Arc::new(contact_element()))),
+        Of::Flags => {
+            plain(DataType::List(Arc::new(Field::new(base::ELEMENT, DataType::Utf8, false))))
+        }
+        Of::Forces => list(column.name, ARMS, column.unit),
+        Of::Measured(_) | Of::Simulated(_) => base::voltages(column.name, channels, true),
+    }
+}
+
+/// The columns that hold single values.
+pub fn scalars() -> SchemaRef {
+    let all = all(CHANNELS);
+    let fields = all.fields().iter().filter(|field| is_comparable(field.name()));
+    Arc::new(Schema::new(fields.cloned().collect::<Vec<_>>()))
+}
+
+/// A contact of which anything may be unknown.
+pub fn contact_element() -> Field {
+    let fields = base::contact_fields();
+    let known: Vec<Field> = fields.iter().map(|f| f.as_ref().clone().with_nullable(true)).collect();
+    Field::new(base::ELEMENT, DataType::Struct(known.into()), false)
+}
+
+/// The columns of a dataset: those that its task knows anything of.
+pub fn of_dataset(definition: &Definition, channels: i32) -> SchemaRef {
+    let task = definition.task;
+    let has =
+        |field: &Field| match Column::find(field.name()).map(|column| (column.of, column.name)) {
+            Some((Of::Measured(_), _)) => task.has_measured(),
+            Some((Of::Simulated(_), _)) | Some((_, "sim_model" | "rmse_v" | "fvu")) => {
+                task.has_simulated()
+            }
+            Some((Of::Part, _)) => definition.split.by != SplitBy::None,
+            Some((Of::Drawn, _)) => task == Task::S2sRecon,
+            _ => true,
+        };
+    let fields: Vec<Field> =
+        all(channels).fields().iter().map(|f| f.as_ref().clone()).filter(has).collect();
+    Arc::new(Schema::new(fields))
+}
+
+/// A type in words: `float32[784]`, `list of {x_mm float64, ..}`.
+pub fn type_words(data_type: &DataType) -> String {
+    match data_type {
+        DataType::Utf8 => "string".into(),
+        DataType::Timestamp(..) => "timestamp, UTC".into(),
+        DataType::List(item) => format!("list of {}", type_words(item.data_type())),
+        DataType::FixedSizeList(item, size) => format!("{}[{size}]", type_words(item.data_type())),
+        DataType::Struct(fields) => {
+            let words =
+                |field: &Arc<Field>| format!("{} {}", field.name(), type_words(field.data_type()));
+            format!("{{{}}}", fields.iter().map(words).collect::<Vec<_>>().join(", "))
+        }
+        other => other.to_string().to_lowercase(),
+    }
+}
+
+/// The names of a table's columns that hold single values, which can be compared and sorted by.
+pub fn comparable(schema: &Schema) -> Vec<&str> {
+    let fields = schema.fields().iter().map(|field| field.name().as_str());
+    fields.filter(|name| is_comparable(name)).collect()
+}
+
+/// True for a column that holds single values.
+pub fn is_comparable(name: &str) -> bool {
+    Column::find(name).is_some_and(|column| column.kind() != Kind::List)
+}

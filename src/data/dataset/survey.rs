@@ -1,0 +1,182 @@
+//! The first pass over the trials of a dataset's runs: labels, parts, and who is left out for what.
+//! PURE. Uses: `store`'s rows, `dataset::{definition, split, filter, batch}`. Never: frames.
+
+use std::collections::{BTreeMap, HashMap};
+
+use arrow_schema::{ArrowError, SchemaRef};
+
+use super::batch::{self, Row};
+use super::definition::{Choice, Definition, SplitBy};
+use super::filter::mask;
+use super::split::{Group, Part, divide, place};
+use crate::ids::TrialId;
+use crate::store::{Condition, RunKind, RunRow, TrialRow, tips_as_contacts};
+
+/// Labels a trial as a definition wants it: in Real-Hex, tips under the deadband are no contacts.
+pub fn label(trial: &mut TrialRow, definition: &Definition, run: &RunRow) {
+    let Some(deadband_n) = definition.deadband_n else { return };
+    if trial.kind == RunKind::RealHex {
+        trial.contacts = tips_as_contacts(&trial.arms, deadband_n, run.tip_diameter_mm);
+        trial.contact_count = trial.contacts.len() as u8;
+    }
+}
+
+/// What is remembered of a trial between the two passes.
+#[derive(Debug, Clone, Copy)]
+struct Seen {
+    trial: TrialId,
+    group: usize,
+    /// Index of the reason why it is left out.
+    left_out: Option<usize>,
+}
+
+/// The first pass, page by page.
+#[derive(Debug)]
+pub struct Survey<'a> {
+    definition: &'a Definition,
+    filters: Vec<Condition>,
+    schema: SchemaRef,
+    model: Option<&'a str>,
+    seen: Vec<Seen>,
+    groups: Vec<Group>,
+    by_place: HashMap<u128, usize>,
+    reasons: Vec<String>,
+}
+
+/// What a survey found.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Surveyed {
+    /// The trials that stay, by run and then as they were stored, each with its part.
+    pub kept: Vec<(TrialId, Option<Part>)>,
+    /// Trials left out by the reason, in words.
+    pub left_out: BTreeMap<String, u64>,
+}
+
+impl<'a> Survey<'a> {
+    /// A survey for rows of these columns; twins of any model but this one do not count.
+    pub fn new(definition: &'a Definition, schema: SchemaRef, model: Option<&'a str>) -> Self {
+        Self {
+            definition,
+            filters: definition.filters(),
+            schema,
+            model,
+            seen: Vec::new(),
+            groups: Vec::new(),
+            by_place: HashMap::new(),
+            reasons: Vec::new(),
+        }
+    }
+
+    /// Takes in trials of a run, already labelled.
+    pub fn push(&mut self, trials: Vec<TrialRow>) -> Result<(), ArrowError> {
+        let rows: Vec<Row> = trials.into_iter().map(|trial| Row { trial, part: None }).collect();
+        let batch = batch::of_trials(&self.schema, &rows)?;
+        let masks: Vec<_> = self.filters.iter().map(|condition| mask(condition, &batch)).collect();
+        for (at, Row { trial, .. }) in rows.iter().enumerate() {
+            let refused = masks.iter().position(|mask| !mask.value(at));
+            let why = self.why_left_out(trial).or_else(|| {
+                refused.map(|condition| format!("not {}", self.definition.conditions[condition]))
+            });
+            let left_out = why.map(|why| self.reason(why));
+            let group = self.group(trial);
+            self.seen.push(Seen { trial: trial.trial_id, group, left_out });
+        }
+        Ok(())
+    }
+
+    fn why_left_out(&self, trial: &TrialRow) -> Option<String> {
+        let definition = self.definition;
+        match (definition.flagged, trial.flags.is_empty()) {
+            (Choice::LeaveOut, false) => {
+                let words: Vec<&str> = trial.flags.iter().map(|flag| flag.as_str()).collect();
+                return Some(format!("flagged: {}", words.join(", ")));
+            }
+            (Choice::Only, true) => return Some("not flagged".into()),
+            _ => {}
+        }
+        match (definition.untouched, trial.contact_count) {
+            (Choice::LeaveOut, 0) => return Some("no contact".into()),
+            (Choice::Only, 1..) => return Some("with contact".into()),
+            _ => {}
+        }
+        let counts = &definition.contact_counts;
+        if !counts.is_empty() && !counts.contains(&u32::from(trial.contact_count)) {
+            return Some(format!("{} contacts", trial.contact_count));
+        }
+        if definition.task.needs_twin() {
+            match (&trial.sim_model, trial.rmse_v) {
+                (None, _) => return Some("no simulated twin yet".into()),
+                (Some(_), None) => return Some("the model could not take it".into()),
+                (Some(model), _) if Some(model.as_str()) != self.model => {
+                    return Some(format!("twin of another model: {model}"));
+                }
+                _ => {}
+            }
+        }
+        None
+    }
+
+    fn reason(&mut self, why: String) -> usize {
+        self.reasons.iter().position(|known| *known == why).unwrap_or_else(|| {
+            self.reasons.push(why);
+            self.reasons.len() - 1
+        })
+    }
+
+    /// The group of a trial, one row larger.
+    fn group(&mut self, trial: &TrialRow) -> usize {
+        let split = &self.definition.split;
+        let place = place(split.seed, group_key(trial, split.by).as_bytes());
+        let count = if split.stratify { u32::from(trial.contact_count) } else { 0 };
+        let at = *self.by_place.entry(place).or_insert_with(|| {
+            self.groups.push(Group { place, rows: 0, stratum: count });
+            self.groups.len() - 1
+        });
+        let group = &mut self.groups[at];
+        group.rows += 1;
+        // A configuration counts as what its deepest press made of it.
+        group.stratum = group.stratum.max(count);
+        at
+    }
+
+    /// Divides what was seen.
+    pub fn finish(self) -> Surveyed {
+        let divided = (self.definition.split.by != SplitBy::None)
+            .then(|| divide(&self.groups, &self.definition.split));
+        let mut found = Surveyed::default();
+        for seen in &self.seen {
+            match seen.left_out {
+                Some(reason) => {
+                    *found.left_out.entry(self.reasons[reason].clone()).or_default() += 1;
+                }
+                None => {
+                    let part = divided.as_ref().map(|parts| parts[seen.group]);
+                    found.kept.push((seen.trial, part));
+                }
+            }
+        }
+        found
+    }
+}
+
+/// What trials that stay together have in common: the places that were pressed, whatever the run
+/// and the depth; or nothing at all.
+fn group_key(trial: &TrialRow, by: SplitBy) -> String {
+    if by != SplitBy::Configuration {
+        return format!("{} {} {}", trial.run, trial.configuration, trial.depth_index);
+    }
+    let tips = trial.arms.iter().map(|a| (a.x_mm, a.y_mm));
+    let placed = trial.contacts.iter().filter_map(|c| Some((c.x_mm?, c.y_mm?)));
+    let micrometres = |mm: f64| (mm * 1e3).round() as i64;
+    let mut places: Vec<(i64, i64)> = if trial.arms.is_empty() {
+        placed.map(|(x, y)| (micrometres(x), micrometres(y))).collect()
+    } else {
+        tips.map(|(x, y)| (micrometres(x), micrometres(y))).collect()
+    };
+    if places.is_empty() {
+        // Nothing is known of where it was: its configuration in its run is all there is.
+        return format!("{} {}", trial.run, trial.configuration);
+    }
+    places.sort_unstable();
+    format!("{places:?}")
+}

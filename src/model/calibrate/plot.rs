@@ -1,0 +1,210 @@
+//! Figures of a calibration: data, fit and bands, as SVG text.
+//! PURE. Uses: plotters (SVG). Never: files, fitting.
+
+use plotters::coord::Shift;
+use plotters::prelude::*;
+
+use super::CalibrateError;
+use super::foam::{FittedRow, FoamFit};
+use super::piezo::PiezoFit;
+
+const SIZE: (u32, u32) = (720, 480);
+const INK: RGBColor = RGBColor(40, 40, 40);
+const FIT: RGBColor = RGBColor(0, 90, 160);
+/// Number of points on a curve.
+const STEPS: u32 = 200;
+/// One colour per distance of a gauge; further distances share the last one.
+const SERIES: [RGBColor; 5] = [
+    FIT,
+    RGBColor(200, 90, 20),
+    RGBColor(20, 130, 90),
+    RGBColor(150, 60, 140),
+    RGBColor(120, 120, 120),
+];
+
+type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+
+fn failed(error: impl std::fmt::Display) -> CalibrateError {
+    CalibrateError::Plot(error.to_string())
+}
+
+/// Draws on a white page.
+fn svg(
+    draw: impl FnOnce(&Area<'_>) -> Result<(), CalibrateError>,
+) -> Result<String, CalibrateError> {
+    let mut text = String::new();
+    {
+        let area = SVGBackend::with_string(&mut text, SIZE).into_drawing_area();
+        area.fill(&WHITE).map_err(failed)?;
+        draw(&area)?;
+        area.present().map_err(failed)?;
+    }
+    Ok(text)
+}
+
+/// Draws Eq. 1 over a compression test: as Fig. 5, resistance on a logarithmic axis.
+///
+/// # Errors
+/// `CalibrateError::Plot` if the plotting backend fails.
+pub fn piezo(fit: &PiezoFit) -> Result<String, CalibrateError> {
+    svg(|area| draw_piezo(area, fit))
+}
+
+fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Result<(), CalibrateError> {
+    let [least, most] = fit.calibration.compression_mm;
+    let at = |n: u32| least + (most - least) * f64::from(n) / f64::from(STEPS);
+    let bands: Vec<_> = (0..=STEPS).map(|n| (at(n), fit.band(at(n)))).collect();
+    let measured = fit.rows.iter().map(|r| r.resistance_ohm);
+    let ends = bands.iter().flat_map(|(_, b)| b.measurement_ohm);
+    let (low, high) = measured.chain(ends).fold((f64::MAX, 0f64), |(l, h), v| (l.min(v), h.max(v)));
+    let c = &fit.calibration;
+    let tail = c.c_ohm.map_or("c not fitted".into(), |c| format!("c = {:.2e} ohm", c.value));
+    let title = format!(
+        "a = {:.2e} ohm, b = {:.3} /mm, {tail} ({} rows)",
+        c.a_ohm.value, c.b_per_mm.value, c.rows
+    );
+    let mut chart = ChartBuilder::on(area)
+        .caption(title, ("sans-serif", 17))
+        .margin(14)
+        .x_label_area_size(44)
+        .y_label_area_size(74)
+        .build_cartesian_2d(0.0..most * 1.03, (low / 1.5..high * 1.5).log_scale())
+        .map_err(failed)?;
+    chart
+        .configure_mesh()
+        .x_desc("compression, mm")
+        .y_desc("resistance, ohm")
+        .y_label_formatter(&|v| format!("1e{:.0}", v.log10()))
+        .light_line_style(INK.mix(0.06))
+        .bold_line_style(INK.mix(0.14))
+        .draw()
+        .map_err(failed)?;
+    let ring = |ends: &dyn Fn(usize) -> [f64; 2]| -> Vec<(f64, f64)> {
+        let upper = bands.iter().enumerate().map(|(n, (x, _))| (*x, ends(n)[1]));
+        let lower = bands.iter().enumerate().rev().map(|(n, (x, _))| (*x, ends(n)[0]));
+        upper.chain(lower).collect()
+    };
+    for (name, opacity, ring) in [
+        ("95 % of further measurements", 0.12, ring(&|n| bands[n].1.measurement_ohm)),
+        ("95 % confidence of the curve", 0.35, ring(&|n| bands[n].1.curve_ohm)),
+    ] {
+        let style = FIT.mix(opacity).filled();
+        chart
+            .draw_series(std::iter::once(Polygon::new(ring, style)))
+            .map_err(failed)?
+            .label(name)
+            .legend(move |(x, y)| Rectangle::new([(x, y - 5), (x + 18, y + 5)], style));
+    }
+    let curve = bands.iter().map(|(x, band)| (*x, band.middle_ohm));
+    chart
+        .draw_series(LineSeries::new(curve, FIT.stroke_width(2)))
+        .map_err(failed)?
+        .label("Eq. 1")
+        .legend(|(x, y)| PathElement::new([(x, y), (x + 18, y)], FIT.stroke_width(2)));
+    let dots = fit.rows.iter().map(|r| dot(r.displacement_mm, r.resistance_ohm, INK));
+    chart
+        .draw_series(dots)
+        .map_err(failed)?
+        .label("measured")
+        .legend(|(x, y)| Circle::new((x + 9, y), 3, INK.mix(0.7).filled()));
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::UpperRight)
+        .background_style(WHITE.mix(0.85))
+        .border_style(INK.mix(0.3))
+        .draw()
+        .map_err(failed)
+}
+
+fn dot(x: f64, y: f64, colour: RGBColor) -> Circle<(f64, f64), i32> {
+    Circle::new((x, y), 3, colour.mix(0.7).filled())
+}
+
+/// Draws displacement over force: data, and the fitted lines of the tip and of gauges by distance.
+///
+/// # Errors
+/// `CalibrateError::Plot` if the plotting backend fails.
+pub fn foam(fit: &FoamFit) -> Result<String, CalibrateError> {
+    svg(|area| draw_foam(area, fit))
+}
+
+fn draw_foam(area: &Area<'_>, fit: &FoamFit) -> Result<(), CalibrateError> {
+    let measured = fit.rows.iter().map(|r| r.measured.displacement_mm);
+    let fitted = fit.rows.iter().map(|r| r.fitted_mm);
+    let (low, high) = measured.chain(fitted).fold((0f64, 0f64), |(l, h), v| (l.min(v), h.max(v)));
+    let most_n = fit.calibration.force_n;
+    let c = &fit.calibration;
+    let fabric = if c.fabric_factor.is_some() { "fitted" } else { "not fitted" };
+    let title = format!(
+        "foam {:.4} MPa, fabrics {:.3} and {:.3} MPa ({fabric}); {} rows",
+        c.foam_mpa.value, c.bottom_mpa, c.top_mpa, c.rows
+    );
+    let mut chart = ChartBuilder::on(area)
+        .caption(title, ("sans-serif", 17))
+        .margin(14)
+        .x_label_area_size(44)
+        .y_label_area_size(60)
+        .build_cartesian_2d(0.0..most_n * 1.05, low * 1.1..high * 1.1)
+        .map_err(failed)?;
+    chart
+        .configure_mesh()
+        .x_desc("force on the tip, N")
+        .y_desc("displacement, mm")
+        .light_line_style(INK.mix(0.06))
+        .bold_line_style(INK.mix(0.14))
+        .draw()
+        .map_err(failed)?;
+    for (n, (name, rows)) in series(fit).into_iter().enumerate() {
+        let colour = SERIES[n.min(SERIES.len() - 1)];
+        // The model is a line through the origin, and its uncertainty a wedge.
+        let per_n = |value: fn(&FittedRow) -> f64| {
+            rows.iter().map(|r| value(r) / r.measured.force_n).sum::<f64>() / rows.len() as f64
+        };
+        let (slope, sd) = (per_n(|r| r.fitted_mm), per_n(|r| r.fitted_sd_mm));
+        let edge = |sign: f64| {
+            (0..=STEPS).map(move |k| {
+                let force_n = most_n * f64::from(k) / f64::from(STEPS);
+                let half = fit.t_95 * (sd * force_n).hypot(fit.residual_sd_mm);
+                (force_n, slope * force_n + sign * half)
+            })
+        };
+        let inside = edge(1.0).chain(edge(-1.0).collect::<Vec<_>>().into_iter().rev());
+        let inside = inside.map(|(x, y)| (x, y.clamp(low * 1.1, high * 1.1)));
+        let band = Polygon::new(inside.collect::<Vec<_>>(), colour.mix(0.1).filled());
+        chart.draw_series(std::iter::once(band)).map_err(failed)?;
+        chart
+            .draw_series(LineSeries::new(
+                [(0.0, 0.0), (most_n, slope * most_n)],
+                colour.stroke_width(2),
+            ))
+            .map_err(failed)?
+            .label(name)
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
+        let dots = rows.iter().map(|r| dot(r.measured.force_n, r.measured.displacement_mm, colour));
+        chart.draw_series(dots).map_err(failed)?;
+    }
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::UpperLeft)
+        .background_style(WHITE.mix(0.85))
+        .border_style(INK.mix(0.3))
+        .draw()
+        .map_err(failed)
+}
+
+/// Rows of the tip, then those of gauges by distance (to a millimetre), each with its name.
+fn series(fit: &FoamFit) -> Vec<(String, Vec<FittedRow>)> {
+    let mut distances: Vec<Option<i64>> = fit.rows.iter().map(whole_mm).collect();
+    distances.sort_unstable();
+    distances.dedup();
+    let named = |distance: Option<i64>| {
+        let rows = fit.rows.iter().filter(|r| whole_mm(r) == distance).copied().collect();
+        let name = distance.map_or("tip".into(), |mm| format!("gauge at {mm} mm"));
+        (format!("{name}, fit and 95 % of measurements"), rows)
+    };
+    distances.into_iter().map(named).collect()
+}
+
+fn whole_mm(row: &FittedRow) -> Option<i64> {
+    row.distance_mm.map(|mm| mm.round() as i64)
+}

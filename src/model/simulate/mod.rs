@@ -1,0 +1,10 @@
+//! Simulated frames: one trial, free trials in bulk.
+//! Uses: sim-core. Never: the rig, the database, HTTP.
+
+pub mod contacts;
+pub mod model;
+pub mod picture;
+pub mod export;
+pub mod compare;
+pub mod schema;
+pub mod random;

@@ -1,0 +1,279 @@
+//! The folder of shards: locked by one process, shards made durable one by one, the manifest
+//! replaced as a whole.
+//! Uses: std's files. Never: rows, the model.
+//!
+//! A shard is written under a temporary name, synced, renamed, the folder synced, and only then
+//! entered in the manifest, which is replaced in the same way. At any instant every row of the
+//! manifest therefore refers to a complete file. All names other than those of shards start with
+//! `_`, which readers of Parquet folders skip.
+
+use std::ffi::OsStr;
+use std::fs::{self, File, TryLockError};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+
+use sha2::{Digest, Sha256};
+
+use super::error::RandomError;
+use super::manifest::{Definition, Manifest, Shard, ShardRow, first_difference};
+
+/// Name of the manifest.
+pub const MANIFEST: &str = "_manifest.json";
+/// Suffix of a temporary file's name.
+const PARTIAL: &str = ".partial";
+/// Number of bytes read at a time.
+const BLOCK: usize = 1 << 20;
+
+/// Depth of the check of completed shards.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Look {
+    /// Checks the length only.
+    Length,
+    /// Checks the sha256 of all bytes.
+    Sha256,
+}
+
+/// A folder that only this process writes to.
+#[derive(Debug)]
+pub struct Folder {
+    path: PathBuf,
+    /// Open while the folder is locked; owner of the lock, and handle for syncing.
+    handle: File,
+}
+
+impl Folder {
+    /// Creates the folder if needed, locks it, and removes incomplete files of a killed process.
+    ///
+    /// # Errors
+    /// `RandomError::Busy` if another process holds it; `File` if it cannot be created or cleaned.
+    pub fn take(path: &Path) -> Result<Self, RandomError> {
+        fs::create_dir_all(path).map_err(RandomError::file("creating the folder", path))?;
+        let handle = File::open(path).map_err(RandomError::file("opening the folder", path))?;
+        match handle.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Err(RandomError::Busy { folder: path.into() }),
+            Err(TryLockError::Error(source)) => {
+                return Err(RandomError::file("locking the folder", path)(source));
+            }
+        }
+        let folder = Self { path: path.into(), handle };
+        for name in folder.names()? {
+            if name.starts_with('_') && name.ends_with(PARTIAL) {
+                let stray = folder.path.join(name);
+                fs::remove_file(&stray).map_err(RandomError::file("removing", stray))?;
+            }
+        }
+        Ok(folder)
+    }
+
+    /// Returns the manifest of this definition: the existing one, or a new one, which is then
+    /// stored.
+    ///
+    /// # Errors
+    /// `OtherDefinition` or `Foreign` if the folder belongs to something else; `Manifest` or `File`
+    /// if the manifest cannot be read or written.
+    pub fn manifest(&self, definition: &Definition) -> Result<Manifest, RandomError> {
+        let path = self.path.join(MANIFEST);
+        let bytes = match fs::read(&path) {
+            Ok(bytes) => bytes,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                if let Some(file) = self.names()?.into_iter().find(|n| n.ends_with(".parquet")) {
+                    return Err(RandomError::Foreign { folder: self.path.clone(), file });
+                }
+                let new = Manifest { definition: definition.clone(), shards: Vec::new() };
+                self.write_manifest(&new)?;
+                return Ok(new);
+            }
+            Err(error) => return Err(RandomError::file("reading", path)(error)),
+        };
+        let unreadable = |source| RandomError::Manifest { path: path.clone(), source };
+        // Read as a value first: another version's manifest may have other fields.
+        let value: serde_json::Value = serde_json::from_slice(&bytes).map_err(unreadable)?;
+        let here = serde_json::to_value(definition).map_err(unreadable)?;
+        if let Some(difference) = first_difference(&value["definition"], &here) {
+            return Err(RandomError::OtherDefinition {
+                folder: self.path.clone(),
+                field: difference.field,
+                there: difference.there,
+                here: difference.here,
+            });
+        }
+        serde_json::from_value(value).map_err(unreadable)
+    }
+
+    /// Replaces the manifest.
+    ///
+    /// # Errors
+    /// `RandomError::File` if it cannot be written.
+    pub fn write_manifest(&self, manifest: &Manifest) -> Result<(), RandomError> {
+        let path = self.path.join(MANIFEST);
+        let mut text = serde_json::to_vec_pretty(manifest)
+            .map_err(|source| RandomError::Manifest { path: path.clone(), source })?;
+        text.push(b'\n');
+        let partial = self.partial(MANIFEST);
+        let mut file = File::create(&partial).map_err(RandomError::file("creating", &partial))?;
+        file.write_all(&text).map_err(RandomError::file("writing", &partial))?;
+        self.settle(&file, MANIFEST)
+    }
+
+    /// Whether a shard's file matches its row, checked as deeply as `look`.
+    ///
+    /// # Errors
+    /// `RandomError::File` if an existing file cannot be read.
+    pub fn holds(&self, row: &ShardRow, look: Look) -> Result<bool, RandomError> {
+        let path = self.path.join(&row.file);
+        let file = match File::open(&path) {
+            Ok(file) => file,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+            Err(error) => return Err(RandomError::file("opening", path)(error)),
+        };
+        let length = file.metadata().map_err(RandomError::file("checking", &path))?.len();
+        if length != row.bytes || look == Look::Length {
+            return Ok(length == row.bytes);
+        }
+        Ok(sha256(file).map_err(RandomError::file("reading", &path))? == row.sha256)
+    }
+
+    /// Starts a shard's file under a temporary name.
+    ///
+    /// # Errors
+    /// `RandomError::File` if it cannot be created.
+    pub fn begin(&self, shard: &Shard) -> Result<Hashed<File>, RandomError> {
+        let path = self.partial(&shard.file_name());
+        Ok(Hashed::new(File::create(&path).map_err(RandomError::file("creating", path))?))
+    }
+
+    /// Makes a shard's finished file durable under its final name; returns its row in the manifest.
+    ///
+    /// # Errors
+    /// `RandomError::File` if it cannot be synced or renamed.
+    pub fn finish(&self, shard: &Shard, out: Hashed<File>) -> Result<ShardRow, RandomError> {
+        let file = shard.file_name();
+        let Hashed { inner, sha256, bytes } = out;
+        self.settle(&inner, &file)?;
+        Ok(ShardRow {
+            file,
+            first: shard.first,
+            trials: shard.trials,
+            bytes,
+            sha256: hex(&sha256.finalize()),
+            commit: crate::commit::known().map(str::to_owned),
+        })
+    }
+
+    /// Syncs a file, renames it to its final name, syncs the folder.
+    fn settle(&self, file: &File, name: &str) -> Result<(), RandomError> {
+        let (partial, path) = (self.partial(name), self.path.join(name));
+        file.sync_all().map_err(RandomError::file("syncing", &partial))?;
+        fs::rename(&partial, &path).map_err(RandomError::file("renaming to", path))?;
+        self.handle.sync_all().map_err(RandomError::file("syncing the folder", &self.path))
+    }
+
+    fn partial(&self, name: &str) -> PathBuf {
+        self.path.join(format!("_{}{PARTIAL}", name.trim_start_matches('_')))
+    }
+
+    fn names(&self) -> Result<Vec<String>, RandomError> {
+        let listing = || RandomError::file("listing", &self.path);
+        let entries = fs::read_dir(&self.path).map_err(listing())?;
+        entries.map(|entry| Ok(text(&entry.map_err(listing())?.file_name()))).collect()
+    }
+}
+
+fn text(name: &OsStr) -> String {
+    name.to_string_lossy().into_owned()
+}
+
+/// A writer that hashes and counts the bytes written through it.
+#[derive(Debug)]
+pub struct Hashed<W> {
+    inner: W,
+    sha256: Sha256,
+    bytes: u64,
+}
+
+impl<W> Hashed<W> {
+    /// Starts hashing.
+    pub fn new(inner: W) -> Self {
+        Self { inner, sha256: Sha256::new(), bytes: 0 }
+    }
+}
+
+impl<W: Write> Write for Hashed<W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.inner.write(bytes)?;
+        self.sha256.update(&bytes[..written]);
+        self.bytes += written as u64;
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.inner.flush()
+    }
+}
+
+fn sha256(mut file: File) -> io::Result<String> {
+    let (mut hash, mut block) = (Sha256::new(), vec![0; BLOCK]);
+    loop {
+        match file.read(&mut block)? {
+            0 => return Ok(hex(&hash.finalize())),
+            read => hash.update(&block[..read]),
+        }
+    }
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|b| format!("{b:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn empty(name: &str) -> PathBuf {
+        let name = format!("palpate-shards-{name}-{}", std::process::id());
+        let path = std::env::temp_dir().join(name);
+        fs::remove_dir_all(&path).ok();
+        path
+    }
+
+    #[test]
+    fn a_folder_is_one_process_s_and_loses_what_was_half_written() {
+        let path = empty("taken");
+        let folder = Folder::take(&path).unwrap();
+        assert!(matches!(Folder::take(&path), Err(RandomError::Busy { .. })));
+        drop(folder);
+        let stray = path.join("_shard-00000.parquet.partial");
+        fs::write(&stray, "half").unwrap();
+        fs::write(path.join("notes.partial"), "mine").unwrap();
+        Folder::take(&path).unwrap();
+        assert!(!stray.exists() && path.join("notes.partial").exists());
+        fs::remove_dir_all(path).unwrap();
+    }
+
+    #[test]
+    fn a_shard_shows_under_its_name_only_when_whole() {
+        let path = empty("settled");
+        let folder = Folder::take(&path).unwrap();
+        let shard = Shard { number: 7, first: 70, trials: 10 };
+        let mut out = folder.begin(&shard).unwrap();
+        out.write_all(b"abc").unwrap();
+        let named = path.join("shard-00007.parquet");
+        assert!(!named.exists());
+        let mut row = folder.finish(&shard, out).unwrap();
+        assert_eq!(fs::read(&named).unwrap(), b"abc");
+        assert_eq!(row.bytes, 3);
+        // The sha256 of "abc", as FIPS 180-2 prints it.
+        let known = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(row.sha256, known);
+        assert!(folder.holds(&row, Look::Sha256).unwrap());
+        fs::write(&named, "abd").unwrap();
+        assert!(folder.holds(&row, Look::Length).unwrap());
+        assert!(!folder.holds(&row, Look::Sha256).unwrap());
+        row.bytes = 4;
+        assert!(!folder.holds(&row, Look::Length).unwrap());
+        fs::remove_file(&named).unwrap();
+        assert!(!folder.holds(&row, Look::Length).unwrap());
+        fs::remove_dir_all(path).unwrap();
+    }
+}

@@ -1,0 +1,241 @@
+//! Datasets: what there is, what each is made of, its rows by pages and as files.
+//! Uses: `dataset::catalog`. Never: SQL, a row that is not in a dataset's file.
+
+use axum::Json;
+use axum::extract::{Path, Query, Request, State};
+use axum::http::{HeaderMap, header};
+use axum::response::{IntoResponse, Response};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use utoipa::ToSchema;
+
+use super::App;
+use super::params::{FileParams, RowsParams};
+use super::problem::{ApiError, Body, ProblemBody};
+use super::query::{file_query, rows_query};
+use super::send;
+use crate::dataset::definition::Definition;
+use crate::dataset::error::DatasetError;
+use crate::dataset::format::{Format, Rows, UnknownFormat};
+use crate::store::DatasetRow;
+
+/// A dataset.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct DatasetOut {
+    /// `ds-` and the start of a sha256 over its definition, its rows and its columns.
+    pub id: String,
+    /// Its definition's name.
+    pub name: String,
+    /// What it is made of.
+    #[schema(value_type = Definition)]
+    pub definition: Value,
+    /// Rows.
+    pub rows: u64,
+    /// Length of its Parquet file.
+    pub bytes: u64,
+    /// sha256 of its Parquet file.
+    pub sha256: String,
+    /// Rows by part and by number of contacts, trials left out by reason, columns with units.
+    #[schema(value_type = Object)]
+    pub report: Value,
+    /// When it was made.
+    #[schema(value_type = String, format = DateTime)]
+    pub created_at: jiff::Timestamp,
+    /// Where its rows are, for pandas, polars and DuckDB.
+    pub url: String,
+}
+
+impl From<DatasetRow> for DatasetOut {
+    fn from(row: DatasetRow) -> Self {
+        Self {
+            url: format!("/api/v1/data/{}.parquet", row.id),
+            id: row.id,
+            name: row.name,
+            definition: row.definition,
+            rows: row.rows,
+            bytes: row.bytes,
+            sha256: row.sha256,
+            report: row.report,
+            created_at: row.created_at,
+        }
+    }
+}
+
+/// The datasets of a service.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Datasets {
+    /// Those that were made, newest first.
+    pub datasets: Vec<DatasetOut>,
+    /// Names that are made when they are asked for, beside `run-N` for every run that has ended.
+    pub definitions: Vec<&'static str>,
+}
+
+/// A dataset to make: by one of these.
+#[derive(Debug, Default, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct NewDataset {
+    /// A name that there is.
+    pub name: Option<String>,
+    /// A definition.
+    pub definition: Option<Definition>,
+    /// The text of a definition file.
+    pub toml: Option<String>,
+    /// What messages call that file.
+    pub file: Option<String>,
+}
+
+/// A page of a dataset's rows.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct RowsPage {
+    /// The dataset.
+    pub dataset: String,
+    /// Its rows, a column absent where it is null.
+    #[schema(value_type = Vec<Object>)]
+    pub rows: Vec<Box<serde_json::value::RawValue>>,
+    /// Hand this in as `cursor` for the page that follows; absent on the last.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub next: Option<String>,
+}
+
+type Pairs = Query<Vec<(String, String)>>;
+
+/// The datasets that were made, and the names that can be asked for.
+#[utoipa::path(get, path = "/api/v1/datasets", tag = "datasets",
+    responses((status = 200, body = Datasets)))]
+pub async fn list(State(app): State<App>) -> Result<Json<Datasets>, ApiError> {
+    let datasets = app.store.datasets().await?.into_iter().map(DatasetOut::from).collect();
+    Ok(Json(Datasets { datasets, definitions: Definition::built_in_names().collect() }))
+}
+
+/// Makes a dataset on what is stored now; one that is there already is given back.
+#[utoipa::path(post, path = "/api/v1/datasets", tag = "datasets", request_body = NewDataset,
+    responses((status = 200, body = DatasetOut), (status = 400, body = ProblemBody),
+        (status = 404, body = ProblemBody), (status = 409, body = ProblemBody)))]
+pub async fn make(
+    State(app): State<App>,
+    Body(new): Body<NewDataset>,
+) -> Result<Json<DatasetOut>, ApiError> {
+    let file = new.file.as_deref().unwrap_or("definition");
+    let row = match (new.name, new.definition, new.toml) {
+        (Some(name), None, None) => app.datasets.resolve(&name).await?,
+        (None, Some(definition), None) => app.datasets.make_own(file, &definition).await?,
+        (None, None, Some(text)) => {
+            let definition = Definition::from_toml(file, &text).map_err(DatasetError::Problems)?;
+            app.datasets.make_own(file, &definition).await?
+        }
+        _ => return Err(ApiError::value("dataset", "", "must be one of name, definition, toml")),
+    };
+    Ok(Json(row.into()))
+}
+
+/// A dataset by its id, or the one that a name stands for now.
+#[utoipa::path(get, path = "/api/v1/datasets/{dataset}", tag = "datasets",
+    params(("dataset" = String, Path, description = "id or name")),
+    responses((status = 200, body = DatasetOut), (status = 404, body = ProblemBody)))]
+pub async fn one(
+    State(app): State<App>,
+    Path(dataset): Path<String>,
+) -> Result<Json<DatasetOut>, ApiError> {
+    Ok(Json(app.datasets.resolve(&dataset).await?.into()))
+}
+
+/// Where a dataset's rows come from: runs, models, calibrations, shards, code.
+#[utoipa::path(get, path = "/api/v1/datasets/{dataset}/lineage", tag = "datasets",
+    params(("dataset" = String, Path, description = "id or name")),
+    responses((status = 200, body = Object), (status = 404, body = ProblemBody)))]
+pub async fn lineage(
+    State(app): State<App>,
+    Path(dataset): Path<String>,
+) -> Result<Json<Value>, ApiError> {
+    let row = app.datasets.resolve(&dataset).await?;
+    Ok(Json(serde_json::json!({
+        "dataset": row.id, "sha256": row.sha256, "definition": row.definition,
+        "lineage": row.lineage,
+    })))
+}
+
+/// A dataset's card: what, when, where, how many, units, quality, citation.
+#[utoipa::path(get, path = "/api/v1/datasets/{dataset}/card", tag = "datasets",
+    params(("dataset" = String, Path, description = "id or name")),
+    responses((status = 200, body = String, content_type = "text/markdown"),
+        (status = 404, body = ProblemBody)))]
+pub async fn card(
+    State(app): State<App>,
+    Path(dataset): Path<String>,
+) -> Result<Response, ApiError> {
+    let row = app.datasets.resolve(&dataset).await?;
+    let text = app.datasets.card(&row.id)?;
+    Ok(([(header::CONTENT_TYPE, "text/markdown; charset=utf-8")], text).into_response())
+}
+
+/// Rows of a dataset.
+#[utoipa::path(get, path = "/api/v1/datasets/{dataset}/rows", tag = "datasets",
+    params(("dataset" = String, Path, description = "id or name"), RowsParams),
+    responses((status = 200, body = RowsPage), (status = 400, body = ProblemBody)))]
+pub async fn rows(
+    State(app): State<App>,
+    Path(dataset): Path<String>,
+    Query(pairs): Pairs,
+    headers: HeaderMap,
+) -> Result<Response, ApiError> {
+    let asked = rows_query(&pairs).map_err(ApiError::bad_query)?;
+    let format = asked.format.or_else(|| send::accepted(&headers));
+    if format == Some(Format::Npz) {
+        let limit = "pages come as json, ndjson, csv, parquet or arrow; /api/v1/data/NAME.npz";
+        return Err(ApiError::bad_query(vec![crate::problem::Problem::new(
+            "query", "format", "npz", limit,
+        )]));
+    }
+    let row = app.datasets.resolve(&dataset).await?;
+    let catalog = app.datasets.clone();
+    let reading = tokio::task::spawn_blocking(move || {
+        let rows = catalog.rows(&row.id, &asked.wanted)?;
+        let limit = asked.limit as usize;
+        let (batches, next) = match &asked.sort {
+            Some(sort) => rows.sorted_page(sort, asked.from, limit)?,
+            None => rows.page(asked.from, limit)?,
+        };
+        let next = next.map(|next| next.to_string());
+        match format {
+            Some(format) => send::batches(format, &rows.schema(), &batches, next),
+            None => {
+                let mut lines =
+                    crate::dataset::format::Stream::new(Format::Ndjson, &rows.schema(), Vec::new())
+                        .map_err(DatasetError::from)?;
+                for batch in &batches {
+                    lines.push(batch).map_err(DatasetError::from)?;
+                }
+                let lines = lines.finish().map_err(DatasetError::from)?;
+                let rows = send::values(&lines)?;
+                Ok(Json(RowsPage { dataset: row.id, rows, next }).into_response())
+            }
+        }
+    });
+    reading.await.map_err(|_| ApiError::from(DatasetError::Worker))?
+}
+
+/// A dataset as a file: `real.parquet`, `ds-0123.npz`, `run-3.csv`. Takes `Range`; the entity tag is the file's sha256. A name is made first
+/// where need be; for something large ask for an export instead, which tells how far it is.
+#[utoipa::path(get, path = "/api/v1/data/{file}", tag = "datasets",
+    params(("file" = String, Path, description = "ID_OR_NAME.parquet|arrow|csv|ndjson|npz"),
+        FileParams),
+    responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
+        (status = 206, body = Vec<u8>, content_type = "application/octet-stream"),
+        (status = 304), (status = 400, body = ProblemBody), (status = 404, body = ProblemBody)))]
+pub async fn data(
+    State(app): State<App>,
+    Path(file): Path<String>,
+    Query(pairs): Pairs,
+    request: Request,
+) -> Result<Response, ApiError> {
+    let (name, extension) = file.rsplit_once('.').unwrap_or((&file, ""));
+    let by_extension = Format::ALL.into_iter().find(|format| format.extension() == extension);
+    let format = by_extension.map_or_else(|| extension.parse(), Ok);
+    let format: Format =
+        format.map_err(|error: UnknownFormat| ApiError::not_found(format!("{file}: {error}")))?;
+    let wanted = file_query(&pairs).map_err(ApiError::bad_query)?;
+    let row = app.datasets.resolve(name).await?;
+    let sendable = app.datasets.file(&row, format, &wanted, std::sync::Arc::default()).await?;
+    let shown = format!("{}.{}", row.id, format.extension());
+    send::file(request, &sendable, format, (&shown, name == row.id)).await
+}

@@ -1,0 +1,121 @@
+//! Events: as a page, or live by SSE with sequence numbers and `?since=`.
+//! Uses: `store`. Never: a queue per client (each reads the table at its own pace).
+
+use std::convert::Infallible;
+use std::time::Duration;
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::{HeaderMap, header};
+use axum::response::sse::{self, KeepAlive, Sse};
+use axum::response::{IntoResponse, Response};
+use futures::stream::{self, Stream, StreamExt};
+use serde::{Deserialize, Serialize};
+use utoipa::{IntoParams, ToSchema};
+
+use super::App;
+use super::problem::{ApiError, Params};
+use super::runs::find;
+use crate::ids::RunUid;
+use crate::journal::Event;
+
+/// Events read at once.
+const PAGE: u32 = 200;
+/// How often the table is looked at for a live client.
+const LOOK: Duration = Duration::from_millis(200);
+
+/// Which events.
+#[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+pub struct Since {
+    /// Those after this number; a negative one counts from the end; for a live stream without it,
+    /// only new ones.
+    pub since: Option<i64>,
+    /// Of this run only: uid or scan_id.
+    pub run: Option<String>,
+    /// Up to so many in a page, at most 1000.
+    pub limit: Option<u32>,
+}
+
+/// A page of events.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct EventPage {
+    /// In order.
+    pub events: Vec<Event>,
+    /// Hand this in as `since` for what follows.
+    pub next: i64,
+}
+
+/// Events after a number. With `Accept: text/event-stream` a live stream, in which `id` is the
+/// number, so that a reconnecting client goes on where it was.
+#[utoipa::path(get, path = "/api/v1/events", tag = "events", params(Since),
+    responses((status = 200, body = EventPage)))]
+pub async fn events(
+    State(app): State<App>,
+    Params(asked): Params<Since>,
+    headers: HeaderMap,
+) -> Result<Response, ApiError> {
+    let run = match &asked.run {
+        Some(run) => Some(find(&app, run).await?.uid),
+        None => None,
+    };
+    let text = |name| headers.get(name).and_then(|v| v.to_str().ok());
+    let live = text(header::ACCEPT).is_some_and(|a| a.contains("text/event-stream"));
+    if live {
+        let last = text(header::HeaderName::from_static("last-event-id"));
+        let since = match last.and_then(|id| id.parse().ok()).or(asked.since) {
+            Some(since) => counted(&app, since).await?,
+            None => app.store.last_event_seq().await?,
+        };
+        let keep_alive = KeepAlive::new().interval(Duration::from_secs(15));
+        return Ok(Sse::new(follow(app, since, run)).keep_alive(keep_alive).into_response());
+    }
+    let since = counted(&app, asked.since.unwrap_or(0)).await?;
+    let limit = asked.limit.unwrap_or(PAGE);
+    if !(1..=1000).contains(&limit) {
+        return Err(ApiError::value("limit", limit, "must be from 1 to 1000"));
+    }
+    let events = app.store.events_since(since, limit, run).await?;
+    let next = events.last().map_or(since, |e| e.seq);
+    Ok(Json(EventPage { events, next }).into_response())
+}
+
+/// A negative number counts from the end: -30 means the last 30.
+async fn counted(app: &App, since: i64) -> Result<i64, ApiError> {
+    Ok(if since < 0 { (app.store.last_event_seq().await? + since).max(0) } else { since })
+}
+
+/// Reads the table again and again until the service ends.
+fn follow(
+    app: App,
+    since: i64,
+    run: Option<RunUid>,
+) -> impl Stream<Item = Result<sse::Event, Infallible>> {
+    let ending = app.facts.ending.clone();
+    stream::unfold((app, since, ending), move |(app, since, mut ending)| async move {
+        loop {
+            let events = match app.store.events_since(since, PAGE, run).await {
+                Ok(events) => events,
+                Err(error) => {
+                    tracing::warn!(%error, "a stream of events ends");
+                    return None;
+                }
+            };
+            if let Some(last) = events.last() {
+                let next = last.seq;
+                return Some((stream::iter(events.into_iter().map(out)), (app, next, ending)));
+            }
+            tokio::select! {
+                ended = ending.wait_for(|e| *e) => { let _ = ended; return None; }
+                () = tokio::time::sleep(LOOK) => {}
+            }
+        }
+    })
+    .flatten()
+}
+
+fn out(event: Event) -> Result<sse::Event, Infallible> {
+    let sse = sse::Event::default().id(event.seq.to_string()).event(event.kind.clone());
+    // An event is plain JSON: it always serialises.
+    Ok(sse.json_data(&event).unwrap_or_default())
+}

@@ -1,0 +1,484 @@
+//! The service: HTTP over the conductor, the campaign and the store; wiring and life cycle.
+//! Uses: everything before it. Never: motion, SQL, a read that a motion waits for.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::extract::DefaultBodyLimit;
+use axum::middleware::from_fn_with_state;
+use axum::routing::{get, post};
+use jiff::Timestamp;
+use sim_core::calibration::Calibration;
+use sim_core::sensor::Sensor;
+use tokio::net::TcpListener;
+use tokio::runtime;
+use tokio::sync::{Semaphore, watch};
+use tokio::task::JoinHandle;
+use utoipa::OpenApi;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use crate::campaign::run::engine;
+use crate::campaign::shown::command::{Handle, Request};
+use crate::clock::Clock;
+use crate::conductor::{Conductor, RigFile};
+use crate::dataset::catalog::Catalog;
+use crate::dataset::error::DatasetError;
+use crate::infer::error::InferError;
+use crate::infer::registry::Registry;
+use crate::infer::serving::Serving;
+use crate::jobs::Jobs;
+use crate::simulate::model::sweep_partial;
+use crate::store::{KeyRing, Soundness, Store, StoreError};
+use crate::twins::TwinPool;
+
+mod audit;
+mod auth;
+mod datasets;
+mod door;
+mod estop;
+mod evaluation;
+mod events;
+mod exports;
+mod finished;
+mod health;
+mod imports;
+mod infer;
+mod jobs;
+mod line;
+mod live;
+mod lock_file;
+mod models;
+mod page;
+mod params;
+mod people;
+mod problem;
+mod query;
+mod queue;
+mod rig;
+mod runs;
+mod seat;
+mod send;
+mod status;
+mod trials;
+mod twins;
+mod work;
+
+pub use infer::{FrameAnswer, InferRequest, LiveAnswer, Turns, Wish};
+pub use jobs::JobOut;
+pub use lock_file::{LockFile, LockFileError};
+pub use models::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
+pub use runs::Summary;
+
+use auth::Asker;
+use problem::ApiError;
+
+/// Newest trials whose checksums are compared at the start.
+const EXAMINED_TRIALS: u32 = 2000;
+
+/// Longest wait for the tips to be raised when the service ends.
+const LEAVE: Duration = Duration::from_secs(60);
+
+/// What a service is made of.
+#[derive(Debug, Clone)]
+pub struct ServeOptions {
+    /// Where it listens; port 0 takes a free one.
+    pub bind: SocketAddr,
+    /// Folder of the database.
+    pub data: PathBuf,
+    /// Name of the rig file, for problems.
+    pub rig_file: String,
+    /// Its text.
+    pub rig_text: String,
+    /// Go on by itself with an interrupted run that allows it.
+    pub resume: bool,
+    /// Threads that compute simulated twins; 0 for none.
+    pub twin_workers: usize,
+    /// What the simulated twins of runs on its sensor are made with.
+    pub calibration: Option<Calibration>,
+    /// The skin under the rig.
+    pub sensor: Sensor,
+    /// Text of its file.
+    pub sensor_text: String,
+}
+
+/// Why a service does not start.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// The rig file cannot be used.
+    #[error("{}", problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
+    Rig {
+        /// All of what is wrong.
+        problems: Vec<crate::problem::Problem>,
+    },
+    /// The data folder cannot be used.
+    #[error("data folder {}: {source}", path.display())]
+    Data {
+        /// The folder.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// Another process has the rig or the data.
+    #[error(transparent)]
+    Locked(#[from] LockFileError),
+    /// The store does not open.
+    #[error("{}", .0.with_causes())]
+    Store(#[from] StoreError),
+    /// The address cannot be listened at.
+    #[error("listening at {bind}: {source}")]
+    Bind {
+        /// The address.
+        bind: SocketAddr,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// An address that others reach, and no key to keep them out.
+    #[error(
+        "bind = {0}: an address beyond this machine needs a key first: palpate key create NAME"
+    )]
+    NoKey(SocketAddr),
+    /// The folders of datasets cannot be used.
+    #[error(transparent)]
+    Datasets(#[from] DatasetError),
+    /// The folder of models cannot be used.
+    #[error(transparent)]
+    Models(#[from] InferError),
+    /// The campaign's thread, or the door's, does not start.
+    #[error("starting a thread: {0}")]
+    Thread(#[source] std::io::Error),
+}
+
+/// What every handler knows. Clones share it.
+#[derive(Clone)]
+pub struct App {
+    /// Records.
+    pub store: Store,
+    /// The valid keys.
+    pub keys: KeyRing,
+    /// The campaign.
+    pub campaign: Handle,
+    /// The queue.
+    pub conductor: Conductor,
+    /// The simulated twins.
+    pub twins: TwinPool,
+    /// The datasets.
+    pub datasets: Catalog,
+    /// The models.
+    pub models: Registry,
+    /// Which of them serve.
+    pub serving: Serving,
+    /// Trainings and evaluations.
+    pub jobs: Jobs,
+    /// Turns of those who want answers.
+    pub turns: Turns,
+    facts: Arc<Facts>,
+}
+
+struct Facts {
+    bind: SocketAddr,
+    started_at: Timestamp,
+    rig: RigFile,
+    ending: watch::Receiver<bool>,
+    threads: runtime::Handle,
+    logged_later: Arc<Semaphore>,
+}
+
+impl App {
+    fn loopback(&self) -> bool {
+        self.facts.bind.ip().is_loopback()
+    }
+
+    /// Refuses while somebody else holds the operator lock; `who` is what the asker claims to be.
+    async fn unlocked(&self, asker: &Asker, who: Option<&str>) -> Result<(), ApiError> {
+        match self.store.lock().await? {
+            Some(lock) if lock.holder != asker.identity(who) => Err(ApiError::new(
+                axum::http::StatusCode::CONFLICT,
+                format!("{} holds the operator lock: {}", lock.holder, lock.note),
+            )),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// The description of every route, as `openapi.yaml` holds it.
+#[derive(OpenApi)]
+#[openapi(info(
+    title = "Palpate",
+    description = "Touches a robot skin overnight, learns from it, and tells where and how hard \
+                   it is touched. Units are in the names; times are RFC 3339 in UTC; errors are \
+                   RFC 9457 problems."
+))]
+struct Description;
+
+fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::with_openapi(Description::openapi())
+        .routes(routes!(status::status))
+        .routes(routes!(queue::list, queue::add))
+        .routes(routes!(queue::remove))
+        .routes(routes!(queue::shift))
+        .routes(routes!(queue::preflight))
+        .routes(routes!(runs::list))
+        .routes(routes!(runs::one))
+        .routes(routes!(runs::summary))
+        .routes(routes!(runs::preflight))
+        .routes(routes!(runs::arm))
+        .routes(routes!(runs::act))
+        .routes(routes!(trials::of_run))
+        .routes(routes!(trials::all))
+        .routes(routes!(trials::one))
+        .routes(routes!(trials::frames))
+        .routes(routes!(trials::bench_records))
+        .routes(routes!(twins::all))
+        .routes(routes!(twins::of_run))
+        .routes(routes!(evaluation::simulation))
+        .routes(routes!(datasets::list, datasets::make))
+        .routes(routes!(datasets::one))
+        .routes(routes!(datasets::lineage))
+        .routes(routes!(datasets::card))
+        .routes(routes!(datasets::rows))
+        .routes(routes!(datasets::data))
+        .routes(routes!(exports::list, exports::ask))
+        .routes(routes!(exports::one))
+        .routes(routes!(exports::file))
+        .routes(routes!(jobs::train))
+        .routes(routes!(jobs::evaluate))
+        .routes(routes!(jobs::list))
+        .routes(routes!(jobs::one))
+        .routes(routes!(jobs::losses))
+        .routes(routes!(jobs::stop))
+        .routes(routes!(models::list))
+        .routes(routes!(models::one))
+        .routes(routes!(models::onnx))
+        .routes(routes!(models::losses))
+        .routes(routes!(models::residuals))
+        .routes(routes!(models::add_calibration))
+        .routes(routes!(models::serving, models::promote))
+        .routes(routes!(models::roll_back))
+        .routes(routes!(infer::live))
+        .routes(routes!(events::events))
+        .routes(routes!(live::frames))
+        .routes(routes!(rig::act))
+        .routes(routes!(rig::check))
+        .routes(routes!(people::lock, people::take_lock, people::clear_lock))
+        .routes(routes!(people::keys, people::create_key))
+        .routes(routes!(people::revoke_key))
+        .routes(routes!(people::actions))
+        .routes(routes!(health::metrics))
+        .merge(uploads())
+}
+
+/// Routes whose bodies are large.
+fn uploads() -> OpenApiRouter<App> {
+    let imports = OpenApiRouter::new()
+        .routes(routes!(imports::add))
+        .layer(DefaultBodyLimit::max(imports::FILE_MAX_BYTES));
+    let models = OpenApiRouter::new()
+        .routes(routes!(models::add))
+        .layer(DefaultBodyLimit::max(models::MODEL_MAX_BYTES));
+    let frames = OpenApiRouter::new()
+        .routes(routes!(infer::infer))
+        .layer(DefaultBodyLimit::max(infer::FRAMES_MAX_BYTES));
+    imports.merge(models).merge(frames)
+}
+
+/// Routes that nothing stands before: the stop, which asks for a key by itself, and health.
+fn open_routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new()
+        .routes(routes!(estop::estop))
+        .routes(routes!(health::live))
+        .routes(routes!(health::ready))
+}
+
+/// The description of all routes.
+fn description() -> utoipa::openapi::OpenApi {
+    routes().merge(open_routes()).to_openapi()
+}
+
+fn router(app: App) -> axum::Router {
+    let (guarded, _) = routes().split_for_parts();
+    let (open, _) = open_routes().split_for_parts();
+    guarded
+        .route_layer(from_fn_with_state(app.clone(), auth::admit))
+        .merge(open)
+        .route("/estop", post(estop::estop))
+        .route("/", get(page::first))
+        .route("/openapi.json", get(page::description))
+        .fallback(page::nothing)
+        .with_state(app)
+}
+
+/// A service that answers.
+pub struct Service {
+    address: SocketAddr,
+    app: App,
+    ending: watch::Sender<bool>,
+    door: std::thread::JoinHandle<()>,
+    tasks: Vec<JoinHandle<()>>,
+    engine: std::thread::JoinHandle<()>,
+    _locks: [LockFile; 2],
+}
+
+impl Service {
+    /// Opens the store, starts the campaign's thread, listens.
+    pub async fn start(options: ServeOptions) -> Result<Self, ServeError> {
+        let config = crate::rig::config::RigConfig::from_toml(&options.rig_file, &options.rig_text)
+            .map_err(|problems| ServeError::Rig { problems })?;
+        let data = |source| ServeError::Data { path: options.data.clone(), source };
+        std::fs::create_dir_all(&options.data).map_err(data)?;
+        let locks = [LockFile::of_data(&options.data)?, LockFile::of_rig(&config)?];
+        let store = Store::open(&options.data.join("palpate.db"), Clock::new(1.0)).await?;
+        let keys = KeyRing::load(store.clone()).await?;
+        if !options.bind.ip().is_loopback() && keys.is_empty() {
+            return Err(ServeError::NoKey(options.bind));
+        }
+        let bind = |source| ServeError::Bind { bind: options.bind, source };
+        door::raise_file_limit();
+        door::outlive_file_size_limit();
+        let listener = TcpListener::bind(options.bind).await.map_err(bind)?;
+        let address = listener.local_addr().map_err(bind)?;
+        let journal = Arc::new(store.clone());
+        let (campaign, engine) =
+            engine::spawn(config.clone(), journal).map_err(ServeError::Thread)?;
+        let rig = RigFile { file: options.rig_file, text: options.rig_text, config };
+        let conductor = Conductor::new(
+            store.clone(),
+            campaign.clone(),
+            rig.clone(),
+            options.calibration.clone(),
+        );
+        let (ending, ended) = watch::channel(false);
+        let facts = Facts {
+            bind: address,
+            started_at: Timestamp::now(),
+            rig,
+            ending: ended,
+            threads: runtime::Handle::current(),
+            logged_later: Arc::new(Semaphore::new(audit::LOGGED_LATER_MAX)),
+        };
+        let cache = options.data.join("cache");
+        sweep_partial(&cache);
+        let twins = TwinPool::new(
+            store.clone(),
+            campaign.clone(),
+            options.calibration,
+            cache,
+            options.twin_workers,
+        );
+        store.sweep_imports().await?;
+        let datasets = Catalog::open(store.clone(), &options.data, Clock::new(1.0))?;
+        let models = Registry::open(store.clone(), &options.data, Clock::new(1.0))?;
+        let skin = (options.sensor, options.sensor_text);
+        let serving = Serving::new(store.clone(), models.clone(), skin, &options.data);
+        let jobs = Jobs::new(
+            store.clone(),
+            datasets.clone(),
+            models.clone(),
+            serving.clone(),
+            &options.data,
+        );
+        let app = App {
+            serving: serving.clone(),
+            facts: Arc::new(facts),
+            store,
+            keys,
+            campaign,
+            conductor,
+            twins,
+            datasets,
+            models,
+            jobs,
+            turns: Turns::default(),
+        };
+        let tasks = vec![
+            tokio::spawn(app.conductor.clone().follow()),
+            tokio::spawn(app.twins.clone().work()),
+            tokio::spawn(app.datasets.clone().work()),
+            tokio::spawn(app.jobs.clone().work()),
+            tokio::spawn(finished::keep(app.clone())),
+            tokio::spawn(after_start(app.clone(), options.resume)),
+            tokio::spawn(async move { serving.restore().await }),
+        ];
+        let answering = app.facts.ending.clone();
+        let listener = listener.into_std().map_err(bind)?;
+        let door =
+            door::open(listener, router(app.clone()), answering).map_err(ServeError::Thread)?;
+        Ok(Self { address, app, ending, door, tasks, engine, _locks: locks })
+    }
+
+    /// Where it answers.
+    pub fn url(&self) -> String {
+        format!("http://{}", self.address)
+    }
+
+    /// Serves until the future resolves, then ends: the tips are raised, the database is closed.
+    pub async fn run_until(self, end: impl Future<Output = ()>) {
+        end.await;
+        self.shutdown().await;
+    }
+
+    /// Raises the tips, leaves an open run to be resumed, closes the database.
+    pub async fn shutdown(self) {
+        for task in &self.tasks {
+            task.abort();
+        }
+        // An engine that moves takes this up at its next poll; its end is waited for either way.
+        let _ = self.app.campaign.ask(Request::Shutdown).await;
+        let engine = tokio::task::spawn_blocking(move || self.engine.join());
+        if tokio::time::timeout(LEAVE, engine).await.is_err() {
+            tracing::error!("the campaign's thread did not end in time");
+        }
+        // Streams of events and frames end, so that the server can.
+        self.ending.send_replace(true);
+        let door = tokio::task::spawn_blocking(move || self.door.join());
+        if !matches!(door.await, Ok(Ok(()))) {
+            tracing::error!("the door's thread panicked");
+        }
+        self.app.store.close().await;
+    }
+}
+
+/// Looks the database over, and goes on with what the process before left. A run that goes on by
+/// itself does so on a database that was looked over; one that somebody starts need not wait.
+async fn after_start(app: App, resume: bool) {
+    let go_on = async {
+        if let Err(error) = app.conductor.go_on(resume).await {
+            tracing::warn!(%error, "no run was resumed");
+        }
+    };
+    let examine = async {
+        match app.store.examine(EXAMINED_TRIALS).await {
+            Ok(Soundness::Damaged(findings)) => {
+                tracing::error!(?findings, "the database is damaged")
+            }
+            Ok(Soundness::Sound | Soundness::Unchecked) => {}
+            Err(error) => {
+                tracing::warn!(error = error.with_causes(), "the database was not examined")
+            }
+        }
+    };
+    if resume {
+        examine.await;
+        go_on.await;
+    } else {
+        go_on.await;
+        examine.await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    /// The description that is committed is the one that the code gives; `UPDATE=1` writes it.
+    #[test]
+    fn openapi_yaml_is_what_the_code_says() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../openapi.yaml");
+        let said = super::description().to_yaml().unwrap();
+        if std::env::var_os("UPDATE").is_some() {
+            std::fs::write(path, &said).unwrap();
+        }
+        let kept = std::fs::read_to_string(path).unwrap_or_default();
+        assert!(kept == said, "openapi.yaml is old: UPDATE=1 cargo test openapi_yaml");
+    }
+}

@@ -1,0 +1,118 @@
+//! What a query string of rows may hold, for the API's description: made from the table of columns, so
+//! that no list has to follow it.
+//! PURE. Uses: `store::table`, `dataset::format`, utoipa. Never: a value of a request.
+
+use utoipa::IntoParams;
+use utoipa::openapi::path::{Parameter, ParameterBuilder, ParameterIn};
+use utoipa::openapi::schema::{ArrayBuilder, ObjectBuilder, Schema, SchemaType, Type};
+
+use crate::dataset::format::Format;
+use crate::store::table::{self, Column, Kind, TABLE};
+
+/// Of pages of stored trials.
+pub struct TrialParams;
+/// Of pages of a dataset's rows.
+pub struct RowsParams;
+/// Of a dataset as a file.
+pub struct FileParams;
+
+impl IntoParams for TrialParams {
+    fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
+        let mut all = selected(Column::is_of_stored);
+        all.extend(page("id of the last trial of the page before: its `next`"));
+        let sort = ObjectBuilder::new().schema_type(Type::String);
+        let sort = sort.enum_values(Some(["trial_id", "-trial_id"])).into();
+        all.push(parameter("sort", "oldest first (default) or newest first", sort));
+        all.push(parameter("flag", "only trials with this flag; may be repeated", text()));
+        all.push(parameter("flagged", "only trials with, or only without, any flag", boolean()));
+        all.push(parameter("voltages", "include measured and simulated frames", boolean()));
+        all
+    }
+}
+
+impl IntoParams for RowsParams {
+    fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
+        let mut all = selected(|_| true);
+        all.extend(page("row where the page starts: the `next` of the page before"));
+        all.push(parameter("sort", "`COLUMN` or `-COLUMN`; absent values come last", text()));
+        all.push(map());
+        all
+    }
+}
+
+impl IntoParams for FileParams {
+    fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
+        let mut all = selected(|_| true);
+        all.push(map());
+        all
+    }
+}
+
+/// What every list of rows understands.
+fn selected(has: fn(&Column) -> bool) -> Vec<Parameter> {
+    let comparable = table::names(|column| has(column) && column.kind() != Kind::List);
+    let pattern = format!("^({})(__(eq|gt|gte|lt|lte|in))?=.+$", comparable.replace(", ", "|"));
+    let condition = ObjectBuilder::new().schema_type(Type::String).pattern(Some(pattern));
+    let about = format!(
+        "Condition `COLUMN__gt=VALUE` with eq, gt, gte, lt, lte, or in with values separated by commas; \
+         repeated conditions must all hold, and an absent value meets none. Each may also stand as a \
+         parameter of its own, `COLUMN__gt=VALUE`. Columns: {comparable}."
+    );
+    let conditions = ArrayBuilder::new().items(condition).build();
+    let names: Vec<&str> = TABLE.iter().filter(|c| has(c)).map(|c| c.name).collect();
+    let name = ObjectBuilder::new().schema_type(Type::String).enum_values(Some(names));
+    let columns = ArrayBuilder::new().items(name).build();
+    let columns = ParameterBuilder::from(parameter("columns", &meanings(has), columns.into()));
+    vec![
+        parameter("where", &about, conditions.into()),
+        columns.explode(Some(false)).build(),
+        parameter("slice", "only these values of each frame: `0:28`, the end excluded", text()),
+    ]
+}
+
+/// The meaning of each column.
+fn meanings(has: fn(&Column) -> bool) -> String {
+    let line = |c: &Column| match c.unit {
+        "" => format!("`{}`: {}", c.name, c.about),
+        unit => format!("`{}` ({unit}): {}", c.name, c.about),
+    };
+    let lines: Vec<String> = TABLE.iter().filter(|c| has(c)).map(line).collect();
+    format!("Only these columns, in this order, separated by commas. {}.", lines.join("; "))
+}
+
+fn page(cursor: &str) -> [Parameter; 3] {
+    let formats = Format::ALL.into_iter().filter(|format| format.streams()).map(Format::name);
+    let formats: Vec<&str> = ["json"].into_iter().chain(formats).collect();
+    let format = ObjectBuilder::new().schema_type(Type::String).enum_values(Some(formats));
+    let limit = ObjectBuilder::new()
+        .schema_type(Type::Integer)
+        .minimum(Some(1))
+        .maximum(Some(crate::store::MAX_PAGE));
+    [
+        parameter("limit", "rows of a page, 100 unless given", limit.into()),
+        parameter("cursor", cursor, text()),
+        parameter("format", "format of the answer; `Accept` names it, too", format.into()),
+    ]
+}
+
+fn map() -> Parameter {
+    let about = "a force map for each row, as pixel and diameter in mm: `4x20`";
+    parameter("map", about, text())
+}
+
+fn parameter(name: &str, about: &str, schema: Schema) -> Parameter {
+    ParameterBuilder::new()
+        .name(name)
+        .parameter_in(ParameterIn::Query)
+        .description(Some(about))
+        .schema(Some(schema))
+        .build()
+}
+
+fn text() -> Schema {
+    ObjectBuilder::new().schema_type(SchemaType::Type(Type::String)).into()
+}
+
+fn boolean() -> Schema {
+    ObjectBuilder::new().schema_type(SchemaType::Type(Type::Boolean)).into()
+}

@@ -1,0 +1,209 @@
+//! A query string as filters over rows: `column__gt=..`, `columns`, `sort`, `limit`, `cursor`.
+//! PURE. Uses: `store`'s table of columns and its conditions. Never: SQL, a name of a column.
+
+use crate::dataset::format::Format;
+use crate::dataset::select::Wanted;
+use crate::dataset::sort::Sort;
+use crate::ids::{RunUid, TrialId};
+use crate::problem::Problem;
+use crate::record::Flag;
+use crate::store::table::{self, Column};
+use crate::store::{Condition, MAX_PAGE, Order, TrialQuery};
+
+/// Rows of a page, unless asked otherwise.
+const PAGE: u32 = 100;
+
+/// What a query string asks of stored trials.
+#[derive(Debug, Default)]
+pub struct TrialsWanted {
+    /// Which trials.
+    pub query: TrialQuery,
+    /// Which columns, and how much of each frame.
+    pub wanted: Wanted,
+    /// In which format, where it is said.
+    pub format: Option<Format>,
+}
+
+/// What a query string asks of a dataset's rows.
+#[derive(Debug)]
+pub struct RowsWanted {
+    /// Which rows and columns.
+    pub wanted: Wanted,
+    /// In which format, where it is said.
+    pub format: Option<Format>,
+    /// In the order of a column, where one is named.
+    pub sort: Option<Sort>,
+    /// The row, of the file or of that order, where the page starts.
+    pub from: u64,
+    /// Up to so many rows.
+    pub limit: u32,
+}
+
+/// Reads the pairs of a query string; an unknown name is a problem, not ignored.
+pub fn trial_query(
+    run: Option<RunUid>,
+    pairs: &[(String, String)],
+) -> Result<TrialsWanted, Vec<Problem>> {
+    let query = TrialQuery { run, limit: PAGE, ..TrialQuery::default() };
+    let mut wanted = TrialsWanted { query, ..TrialsWanted::default() };
+    each(pairs, |key, value| {
+        let of_datasets =
+            |name: &str| Column::find(name.trim()).is_some_and(|column| !column.is_of_stored());
+        if key == "columns" && value.split(',').any(of_datasets) {
+            return Err(format!("stored trials have {}", table::names(Column::is_of_stored)));
+        }
+        Ok(common(&mut wanted.wanted, &mut wanted.format, &mut wanted.query.limit, key, value)?
+            || apply(&mut wanted.query, key, value)?)
+    })?;
+    Ok(wanted)
+}
+
+/// The same for the rows of a dataset, whose filters look at its columns as they are labelled.
+pub fn rows_query(pairs: &[(String, String)]) -> Result<RowsWanted, Vec<Problem>> {
+    let wanted = Wanted::default();
+    let mut asked = RowsWanted { wanted, format: None, sort: None, from: 0, limit: PAGE };
+    each(pairs, |key, value| {
+        if common(&mut asked.wanted, &mut asked.format, &mut asked.limit, key, value)? {
+            return Ok(true);
+        }
+        match key {
+            "cursor" => asked.from = whole(value)?,
+            "sort" => asked.sort = Some(Sort::parse(value)),
+            "map" => asked.wanted.map = Some(value.into()),
+            _ => {
+                let text = condition(key, value)?.1;
+                asked.wanted.conditions.push(text);
+            }
+        }
+        Ok(true)
+    })?;
+    Ok(asked)
+}
+
+/// The same for a dataset as a file, which has no pages and whose name says its format.
+pub fn file_query(pairs: &[(String, String)]) -> Result<Wanted, Vec<Problem>> {
+    const PAGES: [&str; 4] = ["limit", "cursor", "format", "sort"];
+    if let Some((key, value)) = pairs.iter().find(|(key, _)| PAGES.contains(&key.as_str())) {
+        let limit = "belongs to pages, /api/v1/datasets/NAME/rows; a file is whole, and its name \
+                     says its format";
+        return Err(vec![Problem::new("query", key, value, limit)]);
+    }
+    rows_query(pairs).map(|asked| asked.wanted)
+}
+
+/// Applies each pair, and collects what is wrong.
+fn each(
+    pairs: &[(String, String)],
+    mut apply: impl FnMut(&str, &str) -> Result<bool, String>,
+) -> Result<(), Vec<Problem>> {
+    let mut problems = Vec::new();
+    for (key, value) in pairs {
+        if let Err(limit) = apply(key, value) {
+            problems.push(Problem::new("query", key, value, limit));
+        }
+    }
+    if problems.is_empty() { Ok(()) } else { Err(problems) }
+}
+
+/// What every list of rows understands; `false` for other keys.
+fn common(
+    wanted: &mut Wanted,
+    format: &mut Option<Format>,
+    page: &mut u32,
+    key: &str,
+    value: &str,
+) -> Result<bool, String> {
+    match key {
+        "key" => {}
+        "limit" => match value.parse() {
+            Ok(n @ 1..=MAX_PAGE) => *page = n,
+            _ => return Err(format!("must be from 1 to {MAX_PAGE}; for more ask for an export")),
+        },
+        "columns" => {
+            for name in value.split(',').map(str::trim) {
+                if Column::find(name).is_none() {
+                    let names = table::names(|_| true);
+                    return Err(format!("there is no column {name}; there are {names}"));
+                }
+                wanted.columns.push(name.into());
+            }
+        }
+        "slice" => wanted.slice = Some(value.into()),
+        "format" if value == "json" => *format = None,
+        "format" => *format = Some(value.parse().map_err(|e| format!("{e}, or json"))?),
+        _ => return Ok(false),
+    }
+    Ok(true)
+}
+
+fn apply(query: &mut TrialQuery, key: &str, value: &str) -> Result<bool, String> {
+    match key {
+        "cursor" => query.after = Some(TrialId(whole(value)?)),
+        "voltages" => query.with_voltages = yes_or_no(value)?,
+        "flagged" => query.flagged = Some(yes_or_no(value)?),
+        "flag" => query.flags.push(flag(value)?),
+        "sort" => {
+            query.order = match value {
+                "trial_id" => Order::OldestFirst,
+                "-trial_id" => Order::NewestFirst,
+                _ => return Err("must be trial_id or -trial_id".into()),
+            }
+        }
+        _ => query.filters.push(condition(key, value)?.0.of_stored()?),
+    }
+    Ok(true)
+}
+
+/// A condition, as `where=COLUMN__gt=VALUE` or as `COLUMN__gt=VALUE`, and its text.
+fn condition(key: &str, value: &str) -> Result<(Condition, String), String> {
+    if key == "where" {
+        return Ok((Condition::parse(value)?, value.to_owned()));
+    }
+    Ok((Condition::from_pair(key, value)?, format!("{key}={value}")))
+}
+
+fn whole<T: std::str::FromStr>(value: &str) -> Result<T, String> {
+    value.parse().map_err(|_| "must be what `next` said".into())
+}
+
+fn yes_or_no(value: &str) -> Result<bool, String> {
+    value.parse().map_err(|_| "must be true or false".into())
+}
+
+fn flag(value: &str) -> Result<Flag, String> {
+    serde_json::from_value(value.into()).map_err(|e| e.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(pairs: &[(&str, &str)]) -> Result<TrialQuery, Vec<Problem>> {
+        let pairs: Vec<_> = pairs.iter().map(|&(k, v)| (k.into(), v.into())).collect();
+        trial_query(None, &pairs).map(|wanted| wanted.query)
+    }
+
+    #[test]
+    fn filters_are_read_from_their_suffixes() {
+        let query = read(&[
+            ("contact_count__gte", "3"),
+            ("tips__in", "4,6"),
+            ("where", "label=virtual"),
+            ("sort", "-trial_id"),
+            ("limit", "7"),
+        ])
+        .unwrap();
+        let columns: Vec<&str> = query.filters.iter().map(|c| c.column().name).collect();
+        assert_eq!(columns, ["contact_count", "tips", "label"]);
+        assert_eq!((query.limit, query.order), (7, Order::NewestFirst));
+    }
+
+    #[test]
+    fn every_wrong_name_or_value_is_named() {
+        let wrong =
+            [("colour", "red"), ("limit", "0"), ("tips__near", "3"), ("started_at__gt", "5")];
+        let problems = read(&wrong).unwrap_err();
+        let keys: Vec<&str> = problems.iter().map(|p| p.key.as_str()).collect();
+        assert_eq!(keys, ["colour", "limit", "tips__near", "started_at__gt"]);
+    }
+}

@@ -1,0 +1,332 @@
+//! Trials, their frames, and the other records of a run.
+//! Uses: `store`. Never: a write.
+
+use arrow_schema::SchemaRef;
+use axum::Json;
+use axum::body::Body;
+use axum::extract::{Path, Query, State};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
+use futures::StreamExt;
+use serde::ser::SerializeMap;
+use serde::{Serialize, Serializer};
+use serde_json::{Value, json};
+use tokio_stream::wrappers::ReceiverStream;
+use utoipa::ToSchema;
+
+use super::App;
+use super::params::TrialParams;
+use super::problem::{ApiError, ProblemBody};
+use super::query::{TrialsWanted, trial_query};
+use super::runs::find;
+use super::send;
+use crate::dataset::batch::{self, Row};
+use crate::dataset::error::DatasetError;
+use crate::dataset::format::{Format, Stream};
+use crate::dataset::schema;
+use crate::dataset::select::{Selection, Wanted};
+use crate::ids::{RunUid, TrialId};
+use crate::problem::Problem;
+use crate::store::table::{Column, Of};
+use crate::store::{Order, Store, TrialQuery, TrialRow};
+
+/// Trials of a piece of a page.
+const ROWS_AT_ONCE: usize = 500;
+/// Pieces that are read at a time.
+const READS: usize = 3;
+
+/// A page of trials.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct TrialPage {
+    /// The trials.
+    pub trials: Vec<TrialRow>,
+    /// Hand this in as `cursor` for the page that follows; absent on the last.
+    pub next: Option<i64>,
+}
+
+/// A raw frame of a trial.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct FrameOut {
+    /// Counter of the device.
+    pub sequence: u32,
+    /// Device time of the first sample, microseconds.
+    pub device_time_us: u64,
+    /// Scale of the counts, V.
+    pub volts_per_count: f32,
+    /// Raw counts, injection-major.
+    pub counts: Vec<i16>,
+    /// The same in volts.
+    pub voltages_v: Vec<f32>,
+}
+
+type Pairs = Query<Vec<(String, String)>>;
+
+/// Trials of a run, in the order in which they were stored. A page in another format than JSON has the
+/// cursor of the next one in the header `x-next-cursor`.
+#[utoipa::path(get, path = "/api/v1/runs/{run}/trials", tag = "trials",
+    params(("run" = String, Path, description = "uid or scan_id"), TrialParams),
+    responses((status = 200, body = TrialPage), (status = 400, body = ProblemBody)))]
+pub async fn of_run(
+    State(app): State<App>,
+    Path(run): Path<String>,
+    Query(pairs): Pairs,
+    headers: HeaderMap,
+) -> Result<Response, ApiError> {
+    let run = find(&app, &run).await?.uid;
+    page(&app, Some(run), &pairs, &headers).await
+}
+
+/// Trials of all runs, in the order in which they were stored.
+#[utoipa::path(get, path = "/api/v1/trials", tag = "trials", params(TrialParams),
+    responses((status = 200, body = TrialPage), (status = 400, body = ProblemBody)))]
+pub async fn all(
+    State(app): State<App>,
+    Query(pairs): Pairs,
+    headers: HeaderMap,
+) -> Result<Response, ApiError> {
+    page(&app, None, &pairs, &headers).await
+}
+
+async fn page(
+    app: &App,
+    run: Option<RunUid>,
+    pairs: &[(String, String)],
+    headers: &HeaderMap,
+) -> Result<Response, ApiError> {
+    let TrialsWanted { query, wanted, format } =
+        trial_query(run, pairs).map_err(ApiError::bad_query)?;
+    if let Some(format) = format.or_else(|| send::accepted(headers)) {
+        let Table { pieces, next } = table(app, query, &wanted, format).await?;
+        return Ok(send::with_headers(format, next, Body::from_stream(pieces)));
+    }
+    json_page(&app.store, query, &wanted).await
+}
+
+/// The same as JSON: whole trials, or those of their columns that are wanted.
+async fn json_page(
+    store: &Store,
+    mut query: TrialQuery,
+    wanted: &Wanted,
+) -> Result<Response, ApiError> {
+    let frames = |name: &String| Column::find(name).is_some_and(Column::is_frame);
+    query.with_voltages |= wanted.columns.iter().any(frames);
+    let trials = store.trials(&query).await?;
+    let full = trials.len() == query.limit as usize;
+    let next = trials.last().filter(|_| full).map(|t| t.trial_id.0);
+    if wanted.columns.is_empty() && wanted.slice.is_none() {
+        return Ok(Json(TrialPage { trials, next }).into_response());
+    }
+    let channels = trials.iter().find_map(|t| Some(t.voltages_v.as_ref()?.len()));
+    let channels = channels.map_or(schema::CHANNELS, |channels| channels as i32);
+    let table = trials_schema(channels, query.with_voltages);
+    let selection = Selection::new(wanted, &table, None).map_err(ApiError::bad_query)?;
+    let rows: Vec<_> = trials.iter().map(|trial| Chosen { trial, selection: &selection }).collect();
+    Ok(Json(json!({ "trials": rows, "next": next })).into_response())
+}
+
+/// The wanted columns of a trial, as JSON.
+struct Chosen<'a> {
+    trial: &'a TrialRow,
+    selection: &'a Selection,
+}
+
+impl Serialize for Chosen<'_> {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        let fields = self.selection.schema().fields();
+        let mut row = to.serialize_map(Some(fields.len()))?;
+        for column in fields.iter().filter_map(|field| Column::find(field.name())) {
+            let (t, name) = (self.trial, column.name);
+            match column.of {
+                Of::Id(of) => row.serialize_entry(name, &of(t))?,
+                Of::Count(of) => row.serialize_entry(name, &of(t))?,
+                Of::Few(of) => row.serialize_entry(name, &of(t))?,
+                Of::Number(of) | Of::Single(of) => row.serialize_entry(name, &of(t))?,
+                Of::Text(of) => row.serialize_entry(name, &of(t))?,
+                Of::Time(of) => row.serialize_entry(name, &of(t))?,
+                Of::Contacts => row.serialize_entry(name, &t.contacts)?,
+                Of::Forces => row.serialize_entry(name, &t.forces_n)?,
+                Of::Flags => row.serialize_entry(name, &t.flags)?,
+                Of::Measured(of) | Of::Simulated(of) => {
+                    let frame = of(t).map(|frame| self.selection.slice_of(frame));
+                    row.serialize_entry(name, &frame)?;
+                }
+                Of::Drawn | Of::Part => {}
+            }
+        }
+        row.end()
+    }
+}
+
+/// A page in the columns of the trials table, in pieces as they are read and written, so that a
+/// page of frames takes no more memory than some of its rows; and the cursor of the next.
+struct Table {
+    pieces: ReceiverStream<std::io::Result<Vec<u8>>>,
+    next: Option<String>,
+}
+
+async fn table(
+    app: &App,
+    mut query: TrialQuery,
+    wanted: &Wanted,
+    format: Format,
+) -> Result<Table, ApiError> {
+    if format == Format::Npz {
+        let limit = "pages come as json, ndjson, csv, parquet or arrow";
+        return Err(ApiError::bad_query(vec![Problem::new("query", "format", "npz", limit)]));
+    }
+    let limit = query.limit as usize;
+    let ids = app.store.trial_ids(&query).await?;
+    let next = ids.last().filter(|_| ids.len() == limit).map(|id| id.0.to_string());
+    let frames = |name: &String| Column::find(name).is_some_and(Column::is_frame);
+    query.with_voltages |= wanted.columns.iter().any(frames);
+    let lengths = match query.with_voltages {
+        true => app.store.frame_lengths(&ids).await?,
+        false => Vec::new(),
+    };
+    if lengths.len() > 1 {
+        let words = format!(
+            "these trials have frames of {lengths:?} voltages, which make no table: name a run"
+        );
+        return Err(ApiError::new(StatusCode::CONFLICT, words));
+    }
+    let channels = lengths.first().map_or(schema::CHANNELS, |&length| length as i32);
+    let table = trials_schema(channels, query.with_voltages);
+    let selection = Selection::new(wanted, &table, None).map_err(ApiError::bad_query)?;
+    let piece = send::Piece::default();
+    let mut stream =
+        Stream::new(format, selection.schema(), piece.clone()).map_err(DatasetError::from)?;
+    let (sender, pieces) = tokio::sync::mpsc::channel(2);
+    let store = app.store.clone();
+    tokio::spawn(async move {
+        let mut work = async || -> Result<(), DatasetError> {
+            let chunks: Vec<Vec<TrialId>> = ids.chunks(ROWS_AT_ONCE).map(<[_]>::to_vec).collect();
+            let frames = query.with_voltages;
+            let reads = chunks.into_iter().map(|chunk| {
+                let store = store.clone();
+                async move {
+                    match frames {
+                        true => store.trials_with_voltages(&chunk).await,
+                        false => store.trials_of(&chunk).await,
+                    }
+                }
+            });
+            let mut reads = futures::stream::iter(reads).buffered(READS);
+            while let Some(trials) = reads.next().await {
+                let mut trials = trials?;
+                if query.order == Order::NewestFirst {
+                    trials.reverse();
+                }
+                let rows: Vec<Row> =
+                    trials.into_iter().map(|trial| Row { trial, part: None }).collect();
+                let batch = selection.apply(&batch::of_trials(&table, &rows)?, None)?;
+                stream.push(&batch)?;
+                if sender.send(Ok(piece.take())).await.is_err() {
+                    // Who asked has gone.
+                    return Ok(());
+                }
+            }
+            Ok(())
+        };
+        let ended = match work().await {
+            Ok(()) => stream.finish().map(|piece| piece.take()).map_err(DatasetError::from),
+            Err(error) => Err(error),
+        };
+        let last = ended.map_err(|error| std::io::Error::other(error.to_string()));
+        // Who asked may have gone.
+        let _ = sender.send(last).await;
+    });
+    Ok(Table { pieces: ReceiverStream::new(pieces), next })
+}
+
+/// The columns of stored trials; frames only where they are requested.
+fn trials_schema(channels: i32, with_voltages: bool) -> SchemaRef {
+    let all = schema::all(channels);
+    let has = |column: &Column| column.is_of_stored() && (with_voltages || !column.is_frame());
+    let fields = all.fields().iter().filter(|f| Column::find(f.name()).is_some_and(has));
+    SchemaRef::new(arrow_schema::Schema::new(fields.cloned().collect::<Vec<_>>()))
+}
+
+/// One trial, with its mean voltages.
+#[utoipa::path(get, path = "/api/v1/trials/{trial}", tag = "trials",
+    params(("trial" = i64, Path, description = "its id")),
+    responses((status = 200, body = TrialRow), (status = 404, body = ProblemBody)))]
+pub async fn one(
+    State(app): State<App>,
+    Path(trial): Path<i64>,
+) -> Result<Json<TrialRow>, ApiError> {
+    let found = app.store.trial_by_id(TrialId(trial)).await?;
+    Ok(Json(found.ok_or_else(|| ApiError::not_found(format!("there is no trial {trial}")))?))
+}
+
+/// The raw frames of a trial.
+#[utoipa::path(get, path = "/api/v1/trials/{trial}/frames", tag = "trials",
+    params(("trial" = i64, Path, description = "its id")),
+    responses((status = 200, body = Vec<FrameOut>), (status = 404, body = ProblemBody)))]
+pub async fn frames(
+    State(app): State<App>,
+    Path(trial): Path<i64>,
+) -> Result<Json<Vec<FrameOut>>, ApiError> {
+    let frames = app.store.frames(TrialId(trial)).await?;
+    if frames.is_empty() {
+        return Err(ApiError::not_found(format!("there is no trial {trial}")));
+    }
+    let out = frames.into_iter().map(|f| FrameOut {
+        sequence: f.sequence,
+        device_time_us: f.device_time_us,
+        volts_per_count: f.volts_per_count,
+        voltages_v: f.counts.iter().map(|&c| f32::from(c) * f.volts_per_count).collect(),
+        counts: f.counts,
+    });
+    Ok(Json(out.collect()))
+}
+
+/// The other records of a run: `attempts`, `tares`, `touch-offs` or `references`.
+#[utoipa::path(get, path = "/api/v1/runs/{run}/records/{kind}", tag = "trials",
+    params(("run" = String, Path, description = "uid or scan_id"),
+        ("kind" = String, Path, description = "attempts, tares, touch-offs or references")),
+    responses((status = 200, body = Vec<Object>), (status = 404, body = ProblemBody)))]
+pub async fn bench_records(
+    State(app): State<App>,
+    Path((run, kind)): Path<(String, String)>,
+) -> Result<Json<serde_json::Value>, ApiError> {
+    let run = find(&app, &run).await?.uid;
+    let rows: Vec<Value> = match kind.as_str() {
+        "attempts" => app
+            .store
+            .attempts(run, 10_000)
+            .await?
+            .into_iter()
+            .map(|a| {
+                let k = a.key;
+                json!({ "configuration": k.configuration, "depth_index": k.depth_index,
+                    "attempt": a.attempt, "reason": a.reason, "at": a.at })
+            })
+            .collect(),
+        "tares" => app
+            .store
+            .tares(run)
+            .await?
+            .into_iter()
+            .map(|t| {
+                json!({ "configuration": t.configuration, "volts": t.volts,
+                    "samples": t.samples, "at": t.at })
+            })
+            .collect(),
+        "touch-offs" => app.store.touch_offs(run).await?.iter().map(|t| json!(t)).collect(),
+        "references" => app
+            .store
+            .references(run)
+            .await?
+            .into_iter()
+            .map(|r| {
+                json!({ "before_configuration": r.before_configuration, "depth_mm": r.depth_mm,
+                    "reached": r.reached, "arms": r.arms, "at": r.at })
+            })
+            .collect(),
+        _ => {
+            let limit = "must be attempts, tares, touch-offs or references";
+            return Err(ApiError::value("kind", kind, limit));
+        }
+    };
+    Ok(Json(Value::Array(rows)))
+}

@@ -1,0 +1,414 @@
+//! What runs next: submissions become queued runs, queued runs are armed and started, and what a
+//! crash interrupted goes on where its arming allowed it.
+//! Uses: `schedule`, `rig::reach`, `campaign` (its handle), `store`. Never: motion, HTTP.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use sim_core::calibration::Calibration;
+use tokio::sync::Notify;
+use utoipa::ToSchema;
+
+use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::shown::command::{Handle, Refusal, Request};
+use crate::ids::RunUid;
+use crate::problem::Problem;
+use crate::rig::config::RigConfig;
+use crate::schedule::preflight::Preflight;
+use crate::store::{NewRun, RunRow, Soundness, Store, StoreError};
+
+mod prepare;
+mod restart;
+
+use prepare::Prepared;
+pub use prepare::Submission;
+use restart::TakenOver;
+
+/// How long a code from arming may be used.
+const CODE_VALID: Duration = Duration::from_secs(600);
+/// Longest wait for homing, wall.
+const HOMING: Duration = Duration::from_secs(300);
+/// Pause between looks at the rig's state.
+const LOOK: Duration = Duration::from_millis(50);
+/// Tries at reaching the rig after a restart, and the pause before the second; it doubles.
+const RESTART_TRIES: u32 = 8;
+const RESTART_PAUSE: Duration = Duration::from_secs(1);
+
+/// The rig that runs are made for.
+#[derive(Debug, Clone)]
+pub struct RigFile {
+    /// Name of the file, for problems.
+    pub file: String,
+    /// Its text, stored with every run.
+    pub text: String,
+    /// Its contents.
+    pub config: RigConfig,
+}
+
+/// Queue and campaign of one rig. Clones share it.
+#[derive(Clone)]
+pub struct Conductor {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    store: Store,
+    campaign: Handle,
+    rig: RigFile,
+    calibration: Option<Calibration>,
+    armings: Mutex<BTreeMap<RunUid, Arming>>,
+    /// Runs that begin when the rig is free. Each is marked so in the store too, for the process
+    /// that comes after a crash; in this one only those begin that are named here.
+    waiting: Mutex<BTreeSet<RunUid>>,
+    /// One of them was added.
+    look: Notify,
+}
+
+/// The first of the two steps of starting a run.
+#[derive(Debug, Clone)]
+struct Arming {
+    code: String,
+    expires_at: Timestamp,
+}
+
+/// What arming answers: what will happen, and the code that starts it.
+#[derive(Debug, Clone, Serialize, ToSchema)]
+pub struct Armed {
+    /// To be given with `start`.
+    pub code: String,
+    /// The code is void after this.
+    #[schema(value_type = String, format = DateTime)]
+    pub expires_at: Timestamp,
+    /// What the run is.
+    pub preflight: Preflight,
+}
+
+/// How a start was taken up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Started {
+    /// It is under way.
+    Running,
+    /// It goes when the run before it has ended.
+    Waiting,
+}
+
+/// Why something was not done.
+#[derive(Debug, thiserror::Error)]
+pub enum ConductorError {
+    /// The files cannot be used on this rig.
+    #[error("{}", problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
+    Problems {
+        /// All of them.
+        problems: Vec<Problem>,
+    },
+    /// There is no such run.
+    #[error("there is no run {0}")]
+    NoRun(String),
+    /// The state forbids it.
+    #[error("{0}")]
+    Forbidden(String),
+    /// The campaign refused.
+    #[error(transparent)]
+    Refused(#[from] Refusal),
+    /// The store failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+impl Conductor {
+    /// A conductor of one rig. Runs on the calibration's sensor carry its id.
+    pub fn new(
+        store: Store,
+        campaign: Handle,
+        rig: RigFile,
+        calibration: Option<Calibration>,
+    ) -> Self {
+        let (armings, waiting, look) = (Mutex::default(), Mutex::default(), Notify::new());
+        let inner = Inner { store, campaign, rig, calibration, armings, waiting, look };
+        Self { inner: Arc::new(inner) }
+    }
+
+    /// What a submission would be, without queueing it.
+    pub async fn preflight(&self, submission: Submission) -> Result<Preflight, ConductorError> {
+        Ok(self.prepare(submission).await?.preflight)
+    }
+
+    /// Queues a run. A submission with problems is refused.
+    pub async fn enqueue(
+        &self,
+        submission: Submission,
+        who: String,
+        auto_resume: Option<bool>,
+    ) -> Result<RunRow, ConductorError> {
+        let files = submission.clone();
+        let prepared = self.prepare(submission).await?.sound()?;
+        let experiment = &prepared.experiment;
+        let new = NewRun {
+            uid: RunUid::new(),
+            experiment: experiment.name.clone(),
+            kind: prepared.run_kind(),
+            definition: files.definition,
+            seed: Some(experiment.seed),
+            rig: Some(self.inner.rig.text.clone()),
+            sensor: files.sensor,
+            calibration_id: self.calibration_of(&prepared.sensor_name),
+            label: prepared.label,
+            version: env!("CARGO_PKG_VERSION").into(),
+            git_commit: crate::commit::known().map(Into::into),
+            deadband_n: experiment.measure.deadband_n,
+            tip_diameter_mm: Some(prepared.tip_diameter_mm),
+            trials_planned: prepared.preflight.trials,
+            auto_resume: auto_resume.unwrap_or(experiment.policy.auto_resume),
+            submitted_by: who,
+        };
+        Ok(self.inner.store.enqueue(new).await?)
+    }
+
+    fn calibration_of(&self, sensor_name: &str) -> Option<String> {
+        let calibration = self.inner.calibration.as_ref();
+        calibration.filter(|c| c.sensor == sensor_name).and_then(|c| c.id().ok())
+    }
+
+    /// The preflight of a stored run on this rig.
+    pub async fn preflight_of(&self, run: &RunRow) -> Result<Preflight, ConductorError> {
+        self.preflight(Submission::of(run)).await
+    }
+
+    /// The first step of starting: checks the run and hands out a code.
+    pub async fn arm(&self, run: &RunRow) -> Result<Armed, ConductorError> {
+        startable(run)?;
+        self.require_sound_store()?;
+        let preflight = self.prepare(Submission::of(run)).await?.sound()?.preflight;
+        // The tail of a v7 uuid is random.
+        let code: String = RunUid::new().0.simple().to_string()[26..].into();
+        let expires_at = Timestamp::now() + CODE_VALID;
+        self.armings().insert(run.uid, Arming { code: code.clone(), expires_at });
+        Ok(Armed { code, expires_at, preflight })
+    }
+
+    /// The second step: starts the run, or lets it follow the one under way.
+    pub async fn start(&self, run: &RunRow, code: &str) -> Result<Started, ConductorError> {
+        startable(run)?;
+        self.check_code(run.uid, code)?;
+        if self.inner.campaign.status().run.is_some() {
+            self.require_sound_store()?;
+            self.inner.store.set_waiting(run.uid).await?;
+            self.let_wait([run.uid]);
+            return Ok(Started::Waiting);
+        }
+        self.begin(run).await?;
+        Ok(Started::Running)
+    }
+
+    fn check_code(&self, run: RunUid, code: &str) -> Result<(), ConductorError> {
+        let armings = self.armings();
+        let forbidden = |words: String| Err(ConductorError::Forbidden(words));
+        match armings.get(&run) {
+            None => forbidden(format!("run {run} has not been armed")),
+            Some(arming) if arming.expires_at < Timestamp::now() => {
+                forbidden(format!("the code of run {run} expired at {}", arming.expires_at))
+            }
+            Some(arming) if arming.code != code => {
+                forbidden(format!("code = {code}: not the one that arming run {run} gave"))
+            }
+            Some(_) => Ok(()),
+        }
+    }
+
+    /// Nothing is measured into a database that is known to be damaged.
+    fn require_sound_store(&self) -> Result<(), ConductorError> {
+        match self.inner.store.soundness() {
+            Soundness::Unchecked | Soundness::Sound => Ok(()),
+            Soundness::Damaged(findings) => Err(ConductorError::Forbidden(format!(
+                "the database is damaged, no run is armed or started: {}; bring it back from a \
+                 copy, or start on another data folder",
+                findings.join("; ")
+            ))),
+        }
+    }
+
+    async fn begin(&self, run: &RunRow) -> Result<(), ConductorError> {
+        self.require_sound_store()?;
+        let job = self.prepare(Submission::of(run)).await?.sound()?.job(run);
+        self.inner.campaign.ask(Request::Start(Arc::new(job))).await?;
+        self.armings().remove(&run.uid);
+        self.waiting().remove(&run.uid);
+        Ok(())
+    }
+
+    /// Follows the campaign: a run that was started while another was under way begins when the rig
+    /// is free. Ends with the campaign's thread.
+    pub async fn follow(self) {
+        let mut status = self.inner.campaign.watch_status();
+        loop {
+            tokio::select! {
+                changed = status.changed() => if changed.is_err() { return },
+                () = self.inner.look.notified() => {}
+            }
+            let free = {
+                let now = status.borrow_and_update();
+                now.run.is_none() && now.rig.state == RigState::Homed
+            };
+            if free && let Err(error) = self.begin_next().await {
+                tracing::warn!(%error, "the next run did not start");
+            }
+        }
+    }
+
+    /// Begins the first run that waits. One that cannot begin must be started anew; an event says so.
+    async fn begin_next(&self) -> Result<(), ConductorError> {
+        if self.waiting().is_empty() {
+            return Ok(());
+        }
+        for run in self.inner.store.waiting_runs().await? {
+            if !self.waiting().contains(&run.uid) {
+                continue;
+            }
+            match self.begin(&run).await {
+                Ok(()) => return Ok(()),
+                // Another came first: it waits on.
+                Err(_) if self.inner.campaign.status().run.is_some() => return Ok(()),
+                Err(error) => self.drop_waiting(&run, &error.to_string()).await?,
+            }
+        }
+        Ok(())
+    }
+
+    fn let_wait(&self, runs: impl IntoIterator<Item = RunUid>) {
+        self.waiting().extend(runs);
+        self.inner.look.notify_one();
+    }
+
+    async fn drop_waiting(&self, run: &RunRow, why: &str) -> Result<(), ConductorError> {
+        self.waiting().remove(&run.uid);
+        self.inner.store.clear_waiting(run.uid).await?;
+        self.say(run, "not_begun", json!({ "why": why })).await;
+        Ok(())
+    }
+
+    /// After a start of the service: goes on by itself with the run that was being driven when the
+    /// process ended, and with those that were started behind it, if their arming allows that and
+    /// `resume` says so. Marks what else was left open as interrupted; who no longer waits for a
+    /// turn must be started anew. Says in events what it does and what it cannot do.
+    ///
+    /// Until it drives the run again, the run keeps the state that it was left in: a process that
+    /// ends on the way leaves the same case to the next one.
+    pub async fn go_on(&self, resume: bool) -> Result<(), ConductorError> {
+        let store = &self.inner.store;
+        let (open, waiting) = (store.open_runs().await?, store.waiting_runs().await?);
+        let TakenOver { driven, waiting, dropped } = TakenOver::of(open, waiting, resume);
+        store.interrupt_open_runs(driven.as_ref().map(|run| run.uid)).await?;
+        for (run, why) in &dropped {
+            self.drop_waiting(run, why).await?;
+        }
+        let outcome = match driven.as_ref().or(waiting.first()) {
+            Some(first) => self.go_on_with(first).await,
+            None => return Ok(()),
+        };
+        if driven.is_some() && !matches!(outcome, Ok(true)) {
+            store.interrupt_open_runs(None).await?;
+        }
+        let begun = usize::from(driven.is_none() && matches!(outcome, Ok(true)));
+        if self.inner.campaign.status().rig.state == RigState::Tripped {
+            for run in &waiting[begun..] {
+                self.drop_waiting(run, "the rig tripped while it was brought up").await?;
+            }
+        } else {
+            self.let_wait(waiting[begun..].iter().map(|run| run.uid));
+        }
+        outcome.map(|_| ())
+    }
+
+    /// Whether it is driven again; `false` when the rig could not be reached.
+    async fn go_on_with(&self, run: &RunRow) -> Result<bool, ConductorError> {
+        let mut pause = RESTART_PAUSE;
+        for attempt in 1..=RESTART_TRIES {
+            let outcome = match self.bring_up().await {
+                Ok(()) => self.begin(run).await,
+                Err(refusal) => Err(refusal.into()),
+            };
+            let Err(error) = outcome else {
+                self.say(run, "went_on", json!({ "attempt": attempt })).await;
+                return Ok(true);
+            };
+            let why = error.to_string();
+            self.say(run, "not_gone_on", json!({ "attempt": attempt, "why": why })).await;
+            let tripped = self.inner.campaign.status().rig.state == RigState::Tripped;
+            let for_good =
+                matches!(error, ConductorError::Problems { .. } | ConductorError::Forbidden(_));
+            if tripped || for_good {
+                return Err(error);
+            }
+            tokio::time::sleep(pause).await;
+            pause *= 2;
+        }
+        Ok(false)
+    }
+
+    async fn say(&self, run: &RunRow, kind: &str, data: serde_json::Value) {
+        if let Err(error) = self.inner.store.append_event(Some(run.uid), kind, data).await {
+            tracing::error!(%error, kind, "an event was not stored");
+        }
+    }
+
+    /// Opens the wires and homes, as far as the rig is not there yet. After a crash the first
+    /// motion is z up: homing sees to it.
+    async fn bring_up(&self) -> Result<(), Refusal> {
+        let campaign = &self.inner.campaign;
+        if campaign.status().rig.state == RigState::Disconnected {
+            campaign.ask(Request::Connect).await?;
+        }
+        if campaign.status().rig.state == RigState::Disarmed {
+            campaign.ask(Request::Home).await?;
+        }
+        let homed = async {
+            loop {
+                let rig = campaign.status().rig;
+                match rig.state {
+                    RigState::Homed => return Ok(()),
+                    RigState::Tripped => {
+                        let why = rig.trip.map_or_else(String::new, |t| t.detail);
+                        return Err(Refusal::State(format!("the rig tripped: {why}")));
+                    }
+                    RigState::Disconnected | RigState::Disarmed | RigState::Armed => {
+                        tokio::time::sleep(LOOK).await;
+                    }
+                }
+            }
+        };
+        tokio::time::timeout(HOMING, homed).await.unwrap_or(Err(Refusal::Gone))
+    }
+
+    async fn prepare(&self, submission: Submission) -> Result<Prepared, ConductorError> {
+        let rig = self.inner.rig.clone();
+        // A plan of 198,000 trials takes a third of a second: not on a thread that answers requests.
+        let prepared = tokio::task::spawn_blocking(move || Prepared::of(&submission, &rig)).await;
+        match prepared {
+            Ok(prepared) => prepared.map_err(|problems| ConductorError::Problems { problems }),
+            Err(_) => Err(ConductorError::Refused(Refusal::Gone)),
+        }
+    }
+
+    fn waiting(&self) -> std::sync::MutexGuard<'_, BTreeSet<RunUid>> {
+        self.inner.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn armings(&self) -> std::sync::MutexGuard<'_, BTreeMap<RunUid, Arming>> {
+        self.inner.armings.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn startable(run: &RunRow) -> Result<(), ConductorError> {
+    match run.state.as_str() {
+        "queued" | "interrupted" => Ok(()),
+        state => Err(ConductorError::Forbidden(format!(
+            "run {} is {state}: only a queued or an interrupted run can be started",
+            run.scan_id
+        ))),
+    }
+}

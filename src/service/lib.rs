@@ -1,0 +1,13 @@
+//! The service: what runs next, the simulated twins of stored trials, and HTTP.
+//! Uses: all chapters before it. Never: motion but by asking the campaign for it.
+
+use palpate_bench::{campaign, rig, schedule};
+use palpate_data::dataset;
+use palpate_model::simulate;
+use palpate_store as store;
+use palpate_touch::{evaluate, infer, jobs, learn};
+use palpate_words::{clock, commit, ids, journal, problem, record, syntax};
+
+pub mod conductor;
+pub mod twins;
+pub mod api;

@@ -1,0 +1,401 @@
+//! The pool that gives every stored trial its simulated twin (paper, Sim-Hex).
+//! Uses: sim-core, `store`, `campaign` (its status, and the request to suspend). Never: a job row,
+//! a wait of the campaign's; what is pending is asked of the store again and again.
+//!
+//! The run under way comes first, then the newest. One page of trials is read, computed by the
+//! workers and stored in one transaction; then it looks again at who comes first.
+
+pub mod drift;
+
+use std::collections::{HashMap, HashSet};
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use serde::Serialize;
+use serde_json::json;
+use sim_core::calibration::Calibration;
+use sim_core::forward::{ForwardModel, Workspace};
+use sim_core::sensor::Sensor;
+use utoipa::ToSchema;
+
+use self::drift::{DriftWatch, Level, Pairing, RollingFit};
+use crate::campaign::shown::command::{Handle, Request};
+use crate::dataset::pressed::contacts;
+use crate::ids::{RunUid, TrialId};
+use crate::rig::config::RigConfig;
+use crate::schedule::experiment::Experiment;
+use crate::simulate::compare::difference;
+use crate::simulate::model::load_or_build;
+use crate::store::{
+    IMPORTED_MODEL, NewTwinModel, RunKind, RunRow, Store, StoreError, TrialRow, Twin, TwinCount,
+    TwinModelId, TwinOutcome,
+};
+
+/// Trials of one worker between two looks at the store: a few milliseconds of work, and a
+/// transaction that does not hold up a trial's commit for longer.
+const TRIALS_AT_ONCE: usize = 16;
+/// Pause when nothing is pending.
+const IDLE: Duration = Duration::from_millis(250);
+/// Pause after a failure of the store.
+const BACK_OFF: Duration = Duration::from_secs(5);
+/// How often trials that were passed over, and runs that had nothing pending, are looked at again.
+const RECONCILE: Duration = Duration::from_secs(60);
+
+/// Where the pool stands.
+#[derive(Debug, Clone, Default, Serialize, ToSchema)]
+pub struct PoolStatus {
+    /// Threads that compute.
+    pub workers: usize,
+    /// Twins made since the service started.
+    pub made: u64,
+    /// Twins a second over the last minute of work; absent before the first.
+    pub per_s: Option<f64>,
+    /// The last failure, in words.
+    pub last_error: Option<String>,
+    /// The fit of the run under way, while it has one.
+    pub rolling: Option<RollingFit>,
+}
+
+/// The pool. Clones share it.
+#[derive(Clone)]
+pub struct TwinPool {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    store: Store,
+    campaign: Handle,
+    calibration: Option<Calibration>,
+    cache_dir: PathBuf,
+    workers: usize,
+    status: Mutex<PoolStatus>,
+    models: Mutex<HashMap<RunUid, TwinModelId>>,
+}
+
+/// What the twins of a run are made with.
+#[derive(Clone)]
+struct Recipe {
+    model: Arc<ForwardModel>,
+    id: TwinModelId,
+    kind: RunKind,
+    force_noise_n: f64,
+}
+
+/// Why a run's twins cannot be made.
+#[derive(Debug, thiserror::Error)]
+enum PoolError {
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    #[error("run {run}: its {file} file cannot be used: {why}")]
+    File { run: i64, file: &'static str, why: String },
+    #[error("run {0} is of a skin that there is no model of")]
+    Foreign(i64),
+    #[error("a worker panicked")]
+    Worker,
+}
+
+/// Memory of the loop between two pages.
+#[derive(Default)]
+struct Progress {
+    recipes: HashMap<RunUid, Recipe>,
+    /// Skins by the text of their sensor file.
+    skins: HashMap<String, Arc<ForwardModel>>,
+    /// The last trial that was looked at, per run.
+    passed: HashMap<RunUid, TrialId>,
+    /// Runs with nothing pending.
+    done: HashSet<RunUid>,
+    /// Runs whose files cannot be used.
+    unusable: HashSet<RunUid>,
+    watch: Option<(RunUid, DriftWatch)>,
+}
+
+impl TwinPool {
+    /// A pool of so many threads, 0 for none. `calibration` holds for runs on its sensor; unit
+    /// responses are cached in `cache_dir`.
+    pub fn new(
+        store: Store,
+        campaign: Handle,
+        calibration: Option<Calibration>,
+        cache_dir: PathBuf,
+        workers: usize,
+    ) -> Self {
+        let status = Mutex::new(PoolStatus { workers, ..PoolStatus::default() });
+        let models = Mutex::default();
+        let inner = Inner { store, campaign, calibration, cache_dir, workers, status, models };
+        Self { inner: Arc::new(inner) }
+    }
+
+    /// Where it stands.
+    pub fn status(&self) -> PoolStatus {
+        self.inner.status.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// How far a run's twins are, of the model that the pool uses for it.
+    pub async fn count(&self, run: RunUid) -> Result<TwinCount, StoreError> {
+        let model = self.models().get(&run).copied().unwrap_or(TwinModelId::NONE);
+        self.inner.store.twin_count(run, model).await
+    }
+
+    /// Works until it is dropped. What was not stored then is pending again at the next start.
+    pub async fn work(self) {
+        if self.inner.workers == 0 {
+            return;
+        }
+        let mut progress = Progress::default();
+        let mut reconciled = Instant::now();
+        loop {
+            if reconciled.elapsed() > RECONCILE {
+                reconciled = Instant::now();
+                progress.passed.clear();
+                progress.done.clear();
+            }
+            match self.page(&mut progress).await {
+                Ok(true) => {}
+                Ok(false) => tokio::time::sleep(IDLE).await,
+                Err(error) => {
+                    tracing::warn!(%error, "twins are not made");
+                    self.show(|status| status.last_error = Some(error.to_string()));
+                    tokio::time::sleep(BACK_OFF).await;
+                }
+            }
+        }
+    }
+
+    /// Makes the twins of one page; `false` when nothing is pending anywhere.
+    async fn page(&self, progress: &mut Progress) -> Result<bool, PoolError> {
+        let store = &self.inner.store;
+        let active = self.inner.campaign.status().run.map(|run| run.uid);
+        let others = store.runs_with_trials().await?.into_iter().filter(|r| Some(*r) != active);
+        let limit = (self.inner.workers * TRIALS_AT_ONCE) as u32;
+        for run in active.into_iter().chain(others) {
+            let given_up = progress.unusable.contains(&run);
+            if given_up || progress.done.contains(&run) {
+                continue;
+            }
+            let recipe = match self.recipe(run, progress).await {
+                Ok(recipe) => recipe,
+                Err(PoolError::Foreign(_)) => {
+                    progress.unusable.insert(run);
+                    continue;
+                }
+                Err(error @ PoolError::File { .. }) => {
+                    progress.unusable.insert(run);
+                    return Err(error);
+                }
+                Err(error) => return Err(error),
+            };
+            let after = progress.passed.get(&run).copied().unwrap_or(TrialId(0));
+            let trials = store.pending_twins(run, recipe.id, after, limit).await?;
+            let Some(last) = trials.last().map(|t| t.trial_id) else {
+                // More comes to the run under way, also while it is no longer looked at as such.
+                if Some(run) != active {
+                    progress.done.insert(run);
+                }
+                continue;
+            };
+            let began = Instant::now();
+            let trials = Arc::new(trials);
+            let twins = compute(&recipe, &trials, self.inner.workers).await?;
+            store.insert_twins(recipe.id, twins.clone()).await?;
+            progress.passed.insert(run, last);
+            self.count_made(twins.len(), began.elapsed());
+            if Some(run) == active {
+                self.watch(run, &recipe, &trials, &twins, progress).await?;
+            }
+            return Ok(true);
+        }
+        Ok(false)
+    }
+
+    /// The model of a run's own sensor file, calibrated where a calibration holds for it, and what counts as a contact on its rig.
+    async fn recipe(&self, run: RunUid, progress: &mut Progress) -> Result<Recipe, PoolError> {
+        if let Some(recipe) = progress.recipes.get(&run) {
+            return Ok(recipe.clone());
+        }
+        let row = self.row(run).await?;
+        let unusable = |file, why: String| PoolError::File { run: row.scan_id, file, why };
+        let force_noise_n = match &row.rig {
+            Some(rig) => {
+                RigConfig::from_toml("rig", rig)
+                    .map_err(|p| {
+                        let words = p.iter().map(ToString::to_string).collect::<Vec<_>>();
+                        unusable("rig", words.join("; "))
+                    })?
+                    .cells
+                    .force_noise_n
+            }
+            // Contacts of an import are as they were handed in.
+            None => 0.0,
+        };
+        if row.kind == RunKind::Imported && self.is_foreign(&row).await? {
+            return Err(PoolError::Foreign(row.scan_id));
+        }
+        let model = match progress.skins.get(&row.sensor) {
+            Some(model) => model.clone(),
+            None => {
+                let model = self.skin(&row).await?;
+                progress.skins.insert(row.sensor.clone(), model.clone());
+                model
+            }
+        };
+        let new = NewTwinModel {
+            hash: model.model_hash().to_owned(),
+            sensor_sha256: row.sensor_sha256.clone(),
+            calibration_id: model.sensor().calibration().map(Into::into),
+            version: env!("CARGO_PKG_VERSION").into(),
+            git_commit: crate::commit::known().map(Into::into),
+        };
+        let id = self.inner.store.twin_model(new).await?;
+        let recipe = Recipe { model, id, kind: row.kind, force_noise_n };
+        progress.recipes.insert(run, recipe.clone());
+        self.models().insert(run, id);
+        Ok(recipe)
+    }
+
+    /// Whether an import is of another kind of skin, or came with simulated frames of its own.
+    async fn is_foreign(&self, row: &RunRow) -> Result<bool, PoolError> {
+        if Sensor::from_toml(&row.sensor).is_err() {
+            return Ok(true);
+        }
+        let extent = self.inner.store.run_extent(row.uid).await?;
+        let Some(hash) = extent.model else { return Ok(false) };
+        let model = self.inner.store.twin_model_of(&hash).await?;
+        Ok(model.is_some_and(|model| model.version == IMPORTED_MODEL))
+    }
+
+    async fn row(&self, run: RunUid) -> Result<RunRow, PoolError> {
+        let row = self.inner.store.run(run).await?;
+        row.ok_or(PoolError::Store(StoreError::NoSuchRun(run)))
+    }
+
+    async fn skin(&self, row: &RunRow) -> Result<Arc<ForwardModel>, PoolError> {
+        let (text, cache_dir, scan_id) =
+            (row.sensor.clone(), self.inner.cache_dir.clone(), row.scan_id);
+        let unusable = move |why: String| PoolError::File { run: scan_id, file: "sensor", why };
+        let calibration = self.inner.calibration.clone();
+        let built = tokio::task::spawn_blocking(move || {
+            let sensor = Sensor::from_toml(&text).map_err(|e| e.to_string())?;
+            let sensor = match calibration.filter(|c| c.sensor == sensor.file.name) {
+                Some(calibration) => calibration.apply(&sensor).map_err(|e| e.to_string())?,
+                None => sensor,
+            };
+            load_or_build(&sensor, &cache_dir).map_err(|e| e.to_string())
+        });
+        let built = built.await.map_err(|_| PoolError::Worker)?;
+        built.map(Arc::new).map_err(unusable)
+    }
+
+    /// Lets the run's rolling fit warn, or suspend it.
+    async fn watch(
+        &self,
+        run: RunUid,
+        recipe: &Recipe,
+        trials: &[TrialRow],
+        twins: &[Twin],
+        progress: &mut Progress,
+    ) -> Result<(), PoolError> {
+        if progress.watch.as_ref().is_none_or(|(watched, _)| *watched != run) {
+            let row = self.row(run).await?;
+            let limits = Experiment::from_toml("experiment", &row.definition)
+                .map(|experiment| experiment.twins)
+                .unwrap_or_default();
+            let electrodes = recipe.model.circuit().electrodes.len();
+            progress.watch = Some((run, DriftWatch::new(limits, electrodes)));
+        }
+        let Some((_, watch)) = progress.watch.as_mut() else { return Ok(()) };
+        for (trial, twin) in trials.iter().zip(twins) {
+            let changed = pairing(trial, twin).and_then(|pairing| watch.push(pairing));
+            let Some(fit) = changed else { continue };
+            let words = fit.describe(watch.limits());
+            let data = json!({ "level": fit.level, "fit": fit, "words": words });
+            if let Err(error) = self.inner.store.append_event(Some(run), "twins", data).await {
+                tracing::error!(%error, "an event was not stored");
+            }
+            if fit.level == Level::Suspend
+                && let Err(refusal) = self.inner.campaign.ask(Request::Suspend(words)).await
+            {
+                tracing::warn!(%refusal, "the run was not suspended");
+            }
+        }
+        let fit = watch.fit();
+        self.show(|status| status.rolling = Some(fit));
+        Ok(())
+    }
+
+    fn count_made(&self, made: usize, took: Duration) {
+        let now = made as f64 / took.as_secs_f64().max(1e-9);
+        self.show(|status| {
+            status.made += made as u64;
+            status.per_s = Some(status.per_s.map_or(now, |before| 0.9 * before + 0.1 * now));
+        });
+    }
+
+    fn show(&self, change: impl FnOnce(&mut PoolStatus)) {
+        change(&mut self.inner.status.lock().unwrap_or_else(PoisonError::into_inner));
+    }
+
+    fn models(&self) -> std::sync::MutexGuard<'_, HashMap<RunUid, TwinModelId>> {
+        self.inner.models.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The twins of a page, in its order; the workers share it out.
+async fn compute(
+    recipe: &Recipe,
+    trials: &Arc<Vec<TrialRow>>,
+    workers: usize,
+) -> Result<Vec<Twin>, PoolError> {
+    let share = trials.len().div_ceil(workers).max(1);
+    let tasks: Vec<_> = (0..trials.len())
+        .step_by(share)
+        .map(|first| {
+            let (recipe, trials) = (recipe.clone(), trials.clone());
+            tokio::task::spawn_blocking(move || {
+                let mut work = Workspace::default();
+                let end = (first + share).min(trials.len());
+                trials[first..end].iter().map(|t| twin(&recipe, t, &mut work)).collect::<Vec<_>>()
+            })
+        })
+        .collect();
+    let mut twins = Vec::with_capacity(trials.len());
+    for task in tasks {
+        twins.extend(task.await.map_err(|_| PoolError::Worker)?);
+    }
+    Ok(twins)
+}
+
+/// What the model says to a trial's measured contacts and forces.
+fn twin(recipe: &Recipe, trial: &TrialRow, work: &mut Workspace) -> Twin {
+    let Some(contacts) = contacts(trial, recipe.kind, recipe.force_noise_n) else {
+        let why = "a contact has no place or no force".into();
+        return Twin { trial: trial.trial_id, outcome: TwinOutcome::Failure(why) };
+    };
+    let outcome = match (recipe.model.voltages(&contacts, work), &trial.voltages_v) {
+        (Err(error), _) => TwinOutcome::Failure(error.to_string()),
+        (Ok(_), None) => TwinOutcome::Failure("the trial has no voltages".into()),
+        (Ok(frame), Some(measured)) if frame.len() != measured.len() => TwinOutcome::Failure(
+            format!("the trial has {} voltages, the model {}", measured.len(), frame.len()),
+        ),
+        (Ok(frame), Some(measured)) => {
+            let voltages_v: Vec<f32> = frame.iter().map(|v| *v as f32).collect();
+            let apart = difference(measured, &voltages_v);
+            TwinOutcome::Frame { rmse_v: apart.rmse_v, fvu: apart.fvu, voltages_v }
+        }
+    };
+    Twin { trial: trial.trial_id, outcome }
+}
+
+fn pairing(trial: &TrialRow, twin: &Twin) -> Option<Pairing> {
+    match (&twin.outcome, &trial.voltages_v) {
+        (TwinOutcome::Frame { voltages_v, fvu: Some(fvu), .. }, Some(measured_v)) => {
+            Some(Pairing {
+                max_force_n: trial.max_force_n?,
+                measured_v: measured_v.clone(),
+                simulated_v: voltages_v.clone(),
+                fvu: *fvu,
+            })
+        }
+        _ => None,
+    }
+}

@@ -1,0 +1,22 @@
+//! Scores: the model compared with measured frames, answers compared with contacts, and figures.
+//! Uses: `store` (its rows), `dataset` (force maps), plotters. Never: motion, training, a number
+//! that was not measured.
+//!
+//! PURE, except for files whose heads state otherwise. Answers: `matching` -> `touch` (a frame) ->
+//! `score` (many) -> `table`, with `perfect` and `published` for comparison; `anova` analyses
+//! factors.
+
+pub mod quantile;
+pub mod figures;
+pub mod held_out;
+pub mod simulation;
+pub mod matching;
+pub mod touch;
+pub mod score;
+pub mod perfect;
+pub mod published;
+pub mod table;
+pub mod anova;
+pub mod voltages;
+pub mod request;
+pub mod charts;

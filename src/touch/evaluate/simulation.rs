@@ -1,0 +1,275 @@
+//! The fit of simulated twins to measured trials: the numbers of the paper's Fig. 7B to 7F.
+//! PURE. Uses: `store::Fit`. Never: frames (the fit of each trial is stored with its twin).
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::store::Fit;
+
+use super::quantile::{median, quantile};
+
+/// Width of a bin of forces, N.
+pub const FORCE_BIN_N: f64 = 1.0;
+/// Forces above this are in the last bin, N: the paper's plots end here.
+pub const FORCE_END_N: f64 = 50.0;
+/// Mean FVU that defines the deadband: within it most of the variance is unexplained.
+const DEADBAND_FVU: f64 = 0.5;
+/// Width of the window over which the mean FVU is taken, N: more trials than in one bin.
+const DEADBAND_WINDOW_N: f64 = 3.0;
+/// Largest number of contacts of a trial.
+const CONTACTS_MAX: usize = 6;
+
+/// The fit of a run's twins.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct SimulationReport {
+    /// Number of trials in the report.
+    pub trials: u64,
+    /// Number of trials excluded because of a flag.
+    pub flagged: u64,
+    /// Number of trials by their number of contacts, 0 to 6, after the run's deadband.
+    pub contact_counts: [u64; CONTACTS_MAX + 1],
+    /// Median RMSE of trials with contacts, V.
+    pub median_rmse_v: Option<f64>,
+    /// Median FVU of trials with contacts.
+    pub median_fvu: Option<f64>,
+    /// Deadband, N: the lowest force from which the trials of the next 3 N have a mean FVU under
+    /// 0.5. Below it the voltages hardly depend on the force.
+    pub deadband_n: Option<f64>,
+    /// Means by the largest force of a trial and its number of contacts (Fig. 7B, 7E).
+    pub by_force: Vec<ForceBin>,
+    /// Distribution by the number of contacts, 1 to 6 (Fig. 7C, 7F), without trials in the
+    /// deadband.
+    pub by_contacts: Vec<ContactBoxes>,
+    /// Means by position, single tips above the deadband (Fig. 7D).
+    pub by_point: Vec<PointFit>,
+}
+
+/// Trials with a given number of contacts in one bin of forces.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ForceBin {
+    /// Number of contacts; all numbers if absent.
+    pub contacts: Option<u8>,
+    /// Lower end of the bin, N.
+    pub from_n: f64,
+    /// Number of trials in the bin.
+    pub trials: u64,
+    /// Mean RMSE, V.
+    pub mean_rmse_v: f64,
+    /// Mean FVU.
+    pub mean_fvu: f64,
+}
+
+/// Trials with a given number of contacts.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ContactBoxes {
+    /// Number of contacts.
+    pub contacts: u8,
+    /// Number of trials.
+    pub trials: u64,
+    /// Distribution of the RMSE, V.
+    pub rmse_v: BoxPlot,
+    /// Distribution of the FVU.
+    pub fvu: BoxPlot,
+}
+
+/// Tukey's box plot: quartiles, and the outermost values within 1.5 times their distance.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct BoxPlot {
+    /// Lower whisker.
+    pub low: f64,
+    /// First quartile.
+    pub q1: f64,
+    /// Median.
+    pub median: f64,
+    /// Third quartile.
+    pub q3: f64,
+    /// Upper whisker.
+    pub high: f64,
+    /// Share of values beyond the whiskers.
+    pub outliers: f64,
+}
+
+/// Single tips at one position.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct PointFit {
+    /// Position on the skin along x, mm.
+    pub x_mm: f64,
+    /// Position on the skin along y, mm.
+    pub y_mm: f64,
+    /// Number of trials.
+    pub trials: u64,
+    /// Mean FVU.
+    pub mean_fvu: f64,
+}
+
+/// Computes the report of trials with a twin.
+pub fn report(fits: &[Fit]) -> SimulationReport {
+    let sound: Vec<&Fit> = fits.iter().filter(|f| !f.flagged).collect();
+    let mut contact_counts = [0; CONTACTS_MAX + 1];
+    for fit in &sound {
+        contact_counts[usize::from(fit.contact_count).min(CONTACTS_MAX)] += 1;
+    }
+    let touched: Vec<&Fit> = sound.iter().copied().filter(|f| f.contact_count > 0).collect();
+    let all_counts = by_force(&sound, None);
+    let deadband_n = deadband_n(&all_counts);
+    let mut bins = all_counts;
+    for contacts in 0..=CONTACTS_MAX as u8 {
+        let of_count: Vec<&Fit> =
+            sound.iter().copied().filter(|f| f.contact_count == contacts).collect();
+        bins.extend(by_force(&of_count, Some(contacts)));
+    }
+    SimulationReport {
+        trials: sound.len() as u64,
+        flagged: (fits.len() - sound.len()) as u64,
+        contact_counts,
+        median_rmse_v: median(touched.iter().map(|f| f.rmse_v)),
+        median_fvu: median(touched.iter().filter_map(|f| f.fvu)),
+        deadband_n,
+        by_force: bins,
+        by_contacts: (1..=CONTACTS_MAX as u8).filter_map(|n| boxes(&touched, n)).collect(),
+        by_point: by_point(&touched),
+    }
+}
+
+fn bin_of(force_n: f64) -> usize {
+    ((force_n.clamp(0.0, FORCE_END_N) / FORCE_BIN_N) as usize)
+        .min((FORCE_END_N / FORCE_BIN_N) as usize - 1)
+}
+
+fn by_force(fits: &[&Fit], contacts: Option<u8>) -> Vec<ForceBin> {
+    let mut sums = vec![(0_u64, 0.0, 0.0); (FORCE_END_N / FORCE_BIN_N) as usize];
+    for fit in fits {
+        if let (Some(force_n), Some(fvu)) = (fit.max_force_n, fit.fvu) {
+            let sum = &mut sums[bin_of(force_n)];
+            *sum = (sum.0 + 1, sum.1 + fit.rmse_v, sum.2 + fvu);
+        }
+    }
+    sums.into_iter()
+        .enumerate()
+        .filter(|(_, (trials, ..))| *trials > 0)
+        .map(|(bin, (trials, rmse_v, fvu))| ForceBin {
+            contacts,
+            from_n: bin as f64 * FORCE_BIN_N,
+            trials,
+            mean_rmse_v: rmse_v / trials as f64,
+            mean_fvu: fvu / trials as f64,
+        })
+        .collect()
+}
+
+/// Lower end of the first bin from which the bins of the window have a mean below the threshold.
+fn deadband_n(bins: &[ForceBin]) -> Option<f64> {
+    bins.iter().enumerate().find_map(|(first, bin)| {
+        let window = bins[first..].iter().take_while(|b| b.from_n < bin.from_n + DEADBAND_WINDOW_N);
+        let (trials, fvu) = window.fold((0.0, 0.0), |(trials, fvu), b| {
+            (trials + b.trials as f64, fvu + b.trials as f64 * b.mean_fvu)
+        });
+        (fvu < DEADBAND_FVU * trials).then_some(bin.from_n)
+    })
+}
+
+fn boxes(touched: &[&Fit], contacts: u8) -> Option<ContactBoxes> {
+    let of_count = || touched.iter().filter(move |f| f.contact_count == contacts);
+    Some(ContactBoxes {
+        contacts,
+        trials: of_count().count() as u64,
+        rmse_v: BoxPlot::of(of_count().map(|f| f.rmse_v))?,
+        fvu: BoxPlot::of(of_count().filter_map(|f| f.fvu))?,
+    })
+}
+
+impl BoxPlot {
+    /// Computes the box plot of values; `None` without values.
+    pub fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
+        let mut sorted: Vec<f64> = values.collect();
+        sorted.sort_by(f64::total_cmp);
+        let (q1, q3) = (quantile(&sorted, 0.25)?, quantile(&sorted, 0.75)?);
+        let reach = 1.5 * (q3 - q1);
+        let inside = || sorted.iter().copied().filter(|v| *v >= q1 - reach && *v <= q3 + reach);
+        Some(Self {
+            low: inside().next()?,
+            q1,
+            median: quantile(&sorted, 0.5)?,
+            q3,
+            high: inside().next_back()?,
+            outliers: 1.0 - inside().count() as f64 / sorted.len() as f64,
+        })
+    }
+}
+
+fn by_point(touched: &[&Fit]) -> Vec<PointFit> {
+    // Positions to a tenth of a millimetre: only tips on a point are compared.
+    let mut places = std::collections::BTreeMap::<[i64; 2], PointFit>::new();
+    for fit in touched {
+        if let (Some([x_mm, y_mm]), Some(fvu)) = (fit.single_tip_mm, fit.fvu) {
+            let place = [(x_mm * 10.0).round() as i64, (y_mm * 10.0).round() as i64];
+            let fresh = PointFit { x_mm, y_mm, trials: 0, mean_fvu: 0.0 };
+            let point = places.entry(place).or_insert(fresh);
+            point.trials += 1;
+            point.mean_fvu += (fvu - point.mean_fvu) / point.trials as f64;
+        }
+    }
+    places.into_values().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{BoxPlot, report};
+    use crate::ids::TrialId;
+    use crate::store::Fit;
+
+    fn fit(contact_count: u8, force_n: f64, fvu: f64) -> Fit {
+        Fit {
+            trial: TrialId(1),
+            tips: 1,
+            contact_count,
+            max_force_n: Some(force_n),
+            single_tip_mm: Some([100.0, 200.0]),
+            flagged: false,
+            rmse_v: 0.01,
+            fvu: Some(fvu),
+        }
+    }
+
+    #[test]
+    fn the_deadband_ends_where_the_fit_stays_good() {
+        let fits = [
+            fit(0, 0.5, 1.0),
+            fit(0, 2.5, 0.4), // by chance
+            fit(0, 3.5, 0.9),
+            fit(1, 5.5, 0.3),
+            fit(1, 8.5, 0.2),
+            fit(1, 99.0, 0.1),
+        ];
+        let report = report(&fits);
+        assert_eq!(report.deadband_n, Some(5.0));
+        assert_eq!(report.contact_counts, [3, 3, 0, 0, 0, 0, 0]);
+        assert_eq!(report.median_fvu, Some(0.2));
+        let [point] = &report.by_point[..] else { panic!("one place") };
+        assert_eq!(point.trials, 3);
+        assert!((point.mean_fvu - 0.2).abs() < 1e-12);
+    }
+
+    #[test]
+    fn flagged_trials_are_left_out_and_counted() {
+        let bad = Fit { flagged: true, ..fit(1, 20.0, 9.0) };
+        let report = report(&[fit(1, 20.0, 0.1), bad]);
+        assert_eq!((report.trials, report.flagged), (1, 1));
+        assert_eq!(report.median_fvu, Some(0.1));
+    }
+
+    #[test]
+    fn nothing_measured_gives_no_numbers() {
+        let report = report(&[]);
+        assert_eq!((report.median_fvu, report.deadband_n), (None, None));
+        assert!(report.by_contacts.is_empty());
+    }
+
+    #[test]
+    fn a_box_has_its_whiskers_within_reach() {
+        let values = [1.0, 2.0, 3.0, 4.0, 100.0];
+        let b = BoxPlot::of(values.into_iter()).unwrap();
+        assert_eq!((b.low, b.q1, b.median, b.q3, b.high), (1.0, 2.0, 3.0, 4.0, 4.0));
+        assert!((b.outliers - 0.2).abs() < 1e-12);
+    }
+}

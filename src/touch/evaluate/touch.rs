@@ -1,0 +1,249 @@
+//! One frame's answer compared with the truth: matched contacts and their errors.
+//! PURE. Uses: `store::Contact`, `matching`. Never: maps, averages over frames, a 0 for an unknown.
+
+use crate::store::Contact;
+
+use super::matching::{closest_mm, matched};
+
+/// An estimate farther than this from every true contact is a ghost, mm.
+pub const GHOST_MM: f64 = 40.0;
+
+/// Why a contact cannot be scored.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error("contact {index}: {field} is {value}; it must be finite, or absent")]
+pub struct TouchError {
+    /// Index of the contact among the true ones, or among the estimates.
+    pub index: usize,
+    /// Name of the field that is not finite.
+    pub field: &'static str,
+    /// Value of the field.
+    pub value: f64,
+}
+
+/// A true contact and the estimate assigned to it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pair {
+    /// Distance between the two, mm.
+    pub distance_mm: f64,
+    /// (estimated - true) / true force, %; absent if one of them is absent, or the true one is not
+    /// above 0.
+    pub force_percent: Option<f64>,
+    /// (estimated - true) / true diameter, %; absent likewise.
+    pub diameter_percent: Option<f64>,
+}
+
+/// Comparison of one frame's answer with the truth.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Touch {
+    /// Number of true contacts.
+    pub contacts: u32,
+    /// Number of estimated contacts.
+    pub estimates: u32,
+    /// Results that need positions; absent if the position of a contact is unknown.
+    pub places: Option<Places>,
+}
+
+/// Results from the positions of a frame's contacts.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Places {
+    /// Hungarian pairs, in the order of the true contacts: as many as the smaller number of
+    /// contacts.
+    pub pairs: Vec<Pair>,
+    /// From each true contact to its closest estimate, mm: one per true contact, or empty without
+    /// estimates.
+    pub closest_mm: Vec<f64>,
+    /// Estimates farther than [`GHOST_MM`] from every true contact: all, on an untouched skin.
+    pub ghosts: u32,
+}
+
+/// Metric of a frame's answer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Metric {
+    /// (estimated - true) / true number of contacts, %; absent on an untouched skin.
+    Number,
+    /// Distance within each Hungarian pair, mm; not affected by misses.
+    Location,
+    /// Distance from each true contact to its closest estimate, mm; increased by misses.
+    Closest,
+    /// Relative error of each pair's force, %.
+    Force,
+    /// Relative error of each pair's diameter, %.
+    Diameter,
+    /// 1 if the number is right (none, on an untouched skin), else 0.
+    Exact,
+    /// Number of estimates farther than [`GHOST_MM`] from any true contact.
+    Ghosts,
+}
+
+impl Metric {
+    /// All metrics, in the order of tables.
+    pub const ALL: [Self; 7] = [
+        Self::Number,
+        Self::Location,
+        Self::Closest,
+        Self::Force,
+        Self::Diameter,
+        Self::Exact,
+        Self::Ghosts,
+    ];
+}
+
+impl Touch {
+    /// Compares the estimates of a frame with its true contacts.
+    ///
+    /// # Errors
+    /// `TouchError` with the first value that is not finite.
+    pub fn of(truths: &[Contact], estimates: &[Contact]) -> Result<Self, TouchError> {
+        let truth_places = places_mm(truths)?;
+        let estimate_places = places_mm(estimates)?;
+        let places = truth_places.zip(estimate_places).map(|(true_mm, estimated_mm)| {
+            let pair = |found: super::matching::Match| {
+                let (truth, estimate) = (&truths[found.truth], &estimates[found.estimate]);
+                Pair {
+                    distance_mm: found.distance_mm,
+                    force_percent: percent(truth.force_n, estimate.force_n),
+                    diameter_percent: percent(truth.diameter_mm, estimate.diameter_mm),
+                }
+            };
+            let far = |closest: &Option<f64>| closest.is_none_or(|mm| mm > GHOST_MM);
+            Places {
+                pairs: matched(&true_mm, &estimated_mm).into_iter().map(pair).collect(),
+                closest_mm: closest_mm(&true_mm, &estimated_mm).into_iter().flatten().collect(),
+                ghosts: closest_mm(&estimated_mm, &true_mm).iter().filter(|c| far(c)).count()
+                    as u32,
+            }
+        });
+        let (contacts, estimates) = (truths.len() as u32, estimates.len() as u32);
+        Ok(Self { contacts, estimates, places })
+    }
+
+    /// The frame's values of a metric: one for the frame (number, exact, ghosts), one per pair, one
+    /// per true contact, or none.
+    pub fn values(&self, metric: Metric) -> Vec<f64> {
+        let pairs = || self.places.iter().flat_map(|p| &p.pairs);
+        let difference = f64::from(self.estimates) - f64::from(self.contacts);
+        match metric {
+            Metric::Number if self.contacts == 0 => Vec::new(),
+            Metric::Number => vec![100.0 * difference / f64::from(self.contacts)],
+            Metric::Location => pairs().map(|pair| pair.distance_mm).collect(),
+            Metric::Closest => self.places.as_ref().map_or_else(Vec::new, |p| p.closest_mm.clone()),
+            Metric::Force => pairs().filter_map(|pair| pair.force_percent).collect(),
+            Metric::Diameter => pairs().filter_map(|pair| pair.diameter_percent).collect(),
+            Metric::Exact => vec![f64::from(u8::from(difference == 0.0))],
+            Metric::Ghosts => self.places.iter().map(|p| f64::from(p.ghosts)).collect(),
+        }
+    }
+
+    /// Values with each contact as a separate sample, as in the paper's ANOVA (V-C2): a value of
+    /// the frame is repeated for each of its true contacts.
+    pub fn values_by_contact(&self, metric: Metric) -> Vec<f64> {
+        match metric {
+            Metric::Number | Metric::Exact | Metric::Ghosts => {
+                let frame = self.values(metric);
+                frame.iter().flat_map(|v| (0..self.contacts).map(|_| *v)).collect()
+            }
+            Metric::Location | Metric::Closest | Metric::Force | Metric::Diameter => {
+                self.values(metric)
+            }
+        }
+    }
+}
+
+fn percent(truth: Option<f64>, estimate: Option<f64>) -> Option<f64> {
+    let truth = truth.filter(|truth| *truth > 0.0)?;
+    Some(100.0 * (estimate? - truth) / truth)
+}
+
+/// The positions of all contacts, unless one is unknown. Fails if a value is not finite.
+fn places_mm(contacts: &[Contact]) -> Result<Option<Vec<[f64; 2]>>, TouchError> {
+    for (index, contact) in contacts.iter().enumerate() {
+        let fields = [
+            ("x_mm", contact.x_mm),
+            ("y_mm", contact.y_mm),
+            ("force_n", contact.force_n),
+            ("diameter_mm", contact.diameter_mm),
+        ];
+        for (field, value) in fields {
+            if let Some(value) = value.filter(|value| !value.is_finite()) {
+                return Err(TouchError { index, field, value });
+            }
+        }
+    }
+    Ok(contacts.iter().map(|contact| Some([contact.x_mm?, contact.y_mm?])).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn contact(x_mm: f64, y_mm: f64, force_n: f64, diameter_mm: f64) -> Contact {
+        let (x_mm, y_mm) = (Some(x_mm), Some(y_mm));
+        Contact { x_mm, y_mm, force_n: Some(force_n), diameter_mm: Some(diameter_mm) }
+    }
+
+    fn values(touch: &Touch) -> [Vec<f64>; 7] {
+        Metric::ALL.map(|metric| touch.values(metric))
+    }
+
+    #[test]
+    fn misses_and_ghosts_are_seen_by_the_metrics_that_say_so() {
+        let truths = [contact(0.0, 0.0, 10.0, 20.0), contact(100.0, 0.0, 20.0, 20.0)];
+        let one = Touch::of(&truths, &[contact(0.0, 5.0, 12.0, 15.0)]).unwrap();
+        let far = 100.0_f64.hypot(5.0);
+        let expected =
+            [vec![-50.0], vec![5.0], vec![5.0, far], vec![20.0], vec![-25.0], vec![0.0], vec![0.0]];
+        assert_eq!(values(&one), expected);
+        let ghost = contact(300.0, 300.0, 6.0, 20.0);
+        let three = Touch::of(&truths, &[truths[1], ghost, truths[0]]).unwrap();
+        let right = [0.0, 0.0].to_vec();
+        assert_eq!(three.values(Metric::Location), right);
+        assert_eq!(three.values(Metric::Force), right);
+        assert_eq!(three.values(Metric::Number), [50.0]);
+        assert_eq!(three.values(Metric::Ghosts), [1.0]);
+        assert_eq!(three.values_by_contact(Metric::Number), [50.0, 50.0]);
+        assert_eq!(three.values_by_contact(Metric::Force), right);
+        // At 40 mm it is still a poor estimate; beyond, it is a ghost.
+        for (x_mm, ghosts) in [(40.0, 0.0), (40.1, 1.0)] {
+            let near = Touch::of(&truths[..1], &[contact(x_mm, 0.0, 6.0, 20.0)]).unwrap();
+            assert_eq!(near.values(Metric::Ghosts), [ghosts]);
+        }
+    }
+
+    #[test]
+    fn an_untouched_skin_has_no_number_error_and_every_answer_to_it_is_a_ghost() {
+        let quiet = Touch::of(&[], &[]).unwrap();
+        let none = Vec::new;
+        assert_eq!(values(&quiet), [none(), none(), none(), none(), none(), vec![1.0], vec![0.0]]);
+        let invented = Touch::of(&[], &[contact(0.0, 0.0, 6.0, 20.0); 2]).unwrap();
+        let expected = [none(), none(), none(), none(), none(), vec![0.0], vec![2.0]];
+        assert_eq!(values(&invented), expected);
+        let blind = Touch::of(&[contact(0.0, 0.0, 6.0, 20.0)], &[]).unwrap();
+        let expected = [vec![-100.0], none(), none(), none(), none(), vec![0.0], vec![0.0]];
+        assert_eq!(values(&blind), expected);
+    }
+
+    #[test]
+    fn what_is_not_known_is_absent_and_what_is_no_number_is_refused() {
+        let estimate = contact(3.0, 4.0, 6.0, 20.0);
+        let pattern = Contact { force_n: None, diameter_mm: None, ..contact(0.0, 0.0, 0.0, 0.0) };
+        let touch = Touch::of(&[pattern], &[estimate]).unwrap();
+        assert_eq!(touch.values(Metric::Location), [5.0]);
+        assert!(
+            touch.values(Metric::Force).is_empty() && touch.values(Metric::Diameter).is_empty()
+        );
+        let resting = Touch::of(&[contact(0.0, 0.0, 0.0, 20.0)], &[estimate]).unwrap();
+        assert!(resting.values(Metric::Force).is_empty(), "nothing is relative to 0 N");
+
+        let nowhere = Contact { x_mm: None, ..estimate };
+        let touch = Touch::of(&[nowhere, estimate], &[estimate]).unwrap();
+        assert_eq!(touch.places, None);
+        assert_eq!(touch.values(Metric::Number), [-50.0]);
+        assert!(touch.values(Metric::Ghosts).is_empty());
+
+        let broken = Contact { force_n: Some(f64::NAN), ..estimate };
+        let refused = Touch::of(&[estimate], &[estimate, broken]).unwrap_err();
+        assert_eq!((refused.index, refused.field), (1, "force_n"));
+        let endless = Contact { y_mm: Some(f64::INFINITY), ..estimate };
+        assert!(Touch::of(&[endless], &[]).unwrap_err().to_string().contains("y_mm is inf"));
+    }
+}

@@ -1,0 +1,95 @@
+//! The answer of a method to a frame.
+//! PURE. Never: a value that the method does not estimate (it is absent).
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::store::Contact;
+
+/// Method from frames to contacts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Method {
+    /// The paper's method: Transfer-Net, Recon-Net, peaks of the map (V-C).
+    Paper,
+    /// Candidates of Point-Net.
+    Fast,
+    /// Contacts fitted to the frame through the exact model.
+    Exact,
+}
+
+impl Method {
+    /// All methods.
+    pub const ALL: [Self; 3] = [Self::Paper, Self::Fast, Self::Exact];
+
+    /// Name in commands and answers.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Paper => "paper",
+            Self::Fast => "fast",
+            Self::Exact => "exact",
+        }
+    }
+}
+
+/// An estimated contact.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
+pub struct FoundContact {
+    /// Position on the skin along x, mm.
+    pub x_mm: f64,
+    /// Position on the skin along y, mm.
+    pub y_mm: f64,
+    /// Force, N; absent if the model was trained without forces.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub force_n: Option<f64>,
+    /// Diameter in the map, mm; absent for methods without a map.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub diameter_mm: Option<f64>,
+    /// Standard deviation of x, mm; only of `exact`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub x_sd_mm: Option<f64>,
+    /// Standard deviation of y, mm; only of `exact`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub y_sd_mm: Option<f64>,
+    /// Standard deviation of the force, N; only of `exact`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub force_sd_n: Option<f64>,
+    /// Probability of the contact according to the net, 0 to 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub presence: Option<f64>,
+}
+
+impl From<&FoundContact> for Contact {
+    fn from(found: &FoundContact) -> Self {
+        Self {
+            x_mm: Some(found.x_mm),
+            y_mm: Some(found.y_mm),
+            force_n: found.force_n,
+            diameter_mm: found.diameter_mm,
+        }
+    }
+}
+
+/// The answer of a method to one frame.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
+pub struct Reading {
+    /// The contacts, strongest first.
+    pub contacts: Vec<FoundContact>,
+    /// Newtons per pixel, row by row; present if requested: the net's own map, or the contacts of
+    /// `fast` and `exact`, drawn as the paper's Map 1 (160 x 160 pixels of 4 mm, discs of 20 mm).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub force_map_n: Option<Vec<f32>>,
+    /// Properties of the frame outside the trained range of the model, as text.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub outside: Vec<String>,
+    /// Mean square of the fit's residual, in units of the assumed noise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub misfit: Option<f64>,
+    /// Number of averaged frames of a constant load; present for a followed stream.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub averaged: Option<f64>,
+    /// Whether contacts were searched again; present for a followed stream. If not, those of the
+    /// previous frame were fitted to this one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub searched: Option<bool>,
+}

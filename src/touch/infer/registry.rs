@@ -1,0 +1,258 @@
+//! The models of a service: their folders, and the loaded ones.
+//! Uses: `store`, `learn::model_file`, `infer::plan`. Never: HTTP, which of them serve (`serving`).
+//!
+//! A model is a folder `DATA/models/mdl-..` with `model.onnx`, `manifest.toml`, `sensor.toml`, and
+//! for those trained here `losses.ndjson` and `residuals.json`. The complete folder appears
+//! atomically, before its row; it never changes.
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use sim_core::sensor::Sensor;
+
+use super::error::InferError;
+use super::plan::Plan;
+use crate::clock::Clock;
+use crate::dataset::file::{NewFile, sweep};
+use crate::dataset::import::sensor::ImportedSensor;
+use crate::learn::model_file::{Manifest, SensorFacts};
+use crate::learn::residuals::Residuals;
+use crate::problem::Problem;
+use crate::store::{ModelRow, Store};
+
+const ONNX: &str = "model.onnx";
+const MANIFEST: &str = "manifest.toml";
+const SENSOR: &str = "sensor.toml";
+const LOSSES: &str = "losses.ndjson";
+const RESIDUALS: &str = "residuals.json";
+/// Number of models that stay loaded in addition to those in use.
+const LOADED_MAX: usize = 8;
+
+/// The files and facts of a model to be added.
+#[derive(Debug, Clone)]
+pub struct NewModel {
+    /// Name of the model.
+    pub name: String,
+    /// Manifest of the model.
+    pub manifest: Manifest,
+    /// Contents of its ONNX file.
+    pub onnx: Vec<u8>,
+    /// Text of its sensor file.
+    pub sensor: String,
+    /// Losses of its training, one JSON object per line.
+    pub losses: Option<String>,
+    /// Residuals; only of a Transfer-Net.
+    pub residuals: Option<Residuals>,
+}
+
+impl NewModel {
+    /// Checks that the model can be loaded and run.
+    ///
+    /// # Errors
+    /// `InferError::Plan` if it cannot; `Worker` if the thread ended early.
+    pub async fn try_out(&self) -> Result<(), InferError> {
+        let (onnx, facts) = (self.onnx.clone(), self.manifest.model.clone());
+        let trying = tokio::task::spawn_blocking(move || {
+            Plan::load(&onnx, facts.channels, &facts.output_shape).map(|_| ())
+        });
+        trying.await.map_err(|_| InferError::Worker)?.map_err(InferError::from)
+    }
+}
+
+/// A loaded model.
+pub struct Model {
+    /// Name of the model.
+    pub name: String,
+    /// Manifest of the model.
+    pub manifest: Manifest,
+    /// Skin of its sensor.
+    pub skin: ImportedSensor,
+    /// Positions of its sensor's points, mm; empty if the sensor file is not one of Palpate's.
+    pub points_mm: Vec<[f64; 2]>,
+    /// Plan that runs the net.
+    pub plan: Plan,
+}
+
+impl Model {
+    /// Width and height of the skin, mm.
+    pub fn size_mm(&self) -> [f64; 2] {
+        [self.skin.width_mm, self.skin.height_mm]
+    }
+}
+
+impl std::fmt::Debug for Model {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Model").field("id", &self.manifest.id).finish_non_exhaustive()
+    }
+}
+
+/// Facts of a sensor file that a model must match.
+///
+/// # Errors
+/// All problems of the file.
+pub fn facts(file: &str, text: &str) -> Result<(ImportedSensor, SensorFacts), Vec<Problem>> {
+    let skin = ImportedSensor::from_toml(file, text)?;
+    let points = points_mm(text).len();
+    let facts = SensorFacts { name: skin.name.clone(), channels: skin.channels, points };
+    Ok((skin, facts))
+}
+
+/// Positions of a sensor's points, mm; empty if the file is not one of Palpate's.
+pub fn points_mm(text: &str) -> Vec<[f64; 2]> {
+    let sensor = Sensor::from_toml(text);
+    sensor.map_or_else(|_| Vec::new(), |s| s.points().iter().map(|p| [p.x_mm, p.y_mm]).collect())
+}
+
+/// The models of a service. Clones share them.
+#[derive(Clone)]
+pub struct Registry {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    store: Store,
+    folder: PathBuf,
+    clock: Clock,
+    /// Loaded models, the most recently used last.
+    loaded: Mutex<Vec<Arc<Model>>>,
+}
+
+impl Registry {
+    /// Opens the models of a data folder. Incomplete folders of a killed process are removed.
+    ///
+    /// # Errors
+    /// `InferError::File` if an incomplete folder cannot be removed.
+    pub fn open(store: Store, data: &Path, clock: Clock) -> Result<Self, InferError> {
+        let folder = data.join("models");
+        let entries = fs::read_dir(&folder).into_iter().flatten().flatten();
+        for entry in entries.filter(|entry| entry.path().is_dir()) {
+            sweep(&entry.path()).map_err(InferError::file("sweeping", &folder))?;
+        }
+        Ok(Self { inner: Arc::new(Inner { store, folder, clock, loaded: Mutex::default() }) })
+    }
+
+    /// Adds a model. An existing one with the same id does not change.
+    ///
+    /// # Errors
+    /// `InferError::File` if the folder cannot be written; `Store` if the row cannot.
+    pub async fn add(&self, new: NewModel) -> Result<ModelRow, InferError> {
+        let row = ModelRow {
+            id: new.manifest.id.clone(),
+            name: new.name.clone(),
+            task: new.manifest.model.task.as_str().into(),
+            manifest: new.manifest.to_toml(),
+            created_at: self.inner.clock.timestamp(),
+        };
+        let folder = self.folder(&row.id);
+        let writing = tokio::task::spawn_blocking(move || write(&folder, &new));
+        writing.await.map_err(|_| InferError::Worker)??;
+        self.inner.store.insert_model(row.clone()).await?;
+        self.find(&row.id).await
+    }
+
+    /// Returns the model with an id, or the newest one with a name.
+    ///
+    /// # Errors
+    /// `InferError::NoModel` if there is none; `Store` if the store fails.
+    pub async fn find(&self, id_or_name: &str) -> Result<ModelRow, InferError> {
+        let found = self.inner.store.model(id_or_name).await?;
+        found.ok_or_else(|| InferError::NoModel(id_or_name.into()))
+    }
+
+    /// Returns a loaded model. The first call takes longer.
+    ///
+    /// # Errors
+    /// `InferError` if there is no such model, or its files are damaged.
+    pub async fn load(&self, id_or_name: &str) -> Result<Arc<Model>, InferError> {
+        let row = self.find(id_or_name).await?;
+        let mut found = self.loaded(|models| {
+            let at = models.iter().position(|model| model.manifest.id == row.id)?;
+            let model = models.remove(at);
+            models.push(model.clone());
+            Some(model)
+        });
+        if found.is_none() {
+            let folder = self.folder(&row.id);
+            let loading = tokio::task::spawn_blocking(move || read(&folder, &row));
+            let model = Arc::new(loading.await.map_err(|_| InferError::Worker)??);
+            self.loaded(|models| {
+                models.push(model.clone());
+                let over = models.len().saturating_sub(LOADED_MAX);
+                models.drain(..over);
+            });
+            found = Some(model);
+        }
+        found.ok_or(InferError::Worker)
+    }
+
+    /// Returns the residuals of a Transfer-Net.
+    ///
+    /// # Errors
+    /// `InferError` if there is no such model, or it has no residuals.
+    pub async fn residuals(&self, id_or_name: &str) -> Result<Residuals, InferError> {
+        let row = self.find(id_or_name).await?;
+        let path = self.folder(&row.id).join(RESIDUALS);
+        let text = fs::read_to_string(&path).map_err(InferError::file("reading", &path))?;
+        serde_json::from_str(&text).map_err(|source| InferError::Json { path, source })
+    }
+
+    /// The losses of a model's training, one JSON object per line; `None` if it was not trained
+    /// here.
+    pub fn losses(&self, id: &str) -> Option<String> {
+        fs::read_to_string(self.folder(id).join(LOSSES)).ok()
+    }
+
+    /// Path of a model's ONNX file.
+    pub fn onnx(&self, id: &str) -> PathBuf {
+        self.folder(id).join(ONNX)
+    }
+
+    fn folder(&self, id: &str) -> PathBuf {
+        self.inner.folder.join(id)
+    }
+
+    fn loaded<T>(&self, with: impl FnOnce(&mut Vec<Arc<Model>>) -> T) -> T {
+        with(&mut self.inner.loaded.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+fn write(folder: &Path, new: &NewModel) -> Result<(), InferError> {
+    let residuals = new.residuals.as_ref().map(serde_json::to_vec).transpose();
+    let path = || folder.join(RESIDUALS);
+    let residuals = residuals.map_err(|source| InferError::Json { path: path(), source })?;
+    let manifest = new.manifest.to_toml();
+    // The manifest is written last: a folder without one is incomplete.
+    let files = [
+        (ONNX, Some(new.onnx.as_slice())),
+        (SENSOR, Some(new.sensor.as_bytes())),
+        (LOSSES, new.losses.as_deref().map(str::as_bytes)),
+        (RESIDUALS, residuals.as_deref()),
+        (MANIFEST, Some(manifest.as_bytes())),
+    ];
+    for (name, bytes) in files {
+        let Some(bytes) = bytes else { continue };
+        let failed = InferError::file("writing", &folder.join(name));
+        let mut file = NewFile::create(folder).map_err(&failed)?;
+        file.write_all(bytes).map_err(&failed)?;
+        file.finish(name).map_err(&failed)?;
+    }
+    Ok(())
+}
+
+fn read(folder: &Path, row: &ModelRow) -> Result<Model, InferError> {
+    let text = |name: &str| {
+        let path = folder.join(name);
+        fs::read_to_string(&path).map_err(InferError::file("reading", &path))
+    };
+    let sensor = text(SENSOR)?;
+    let (skin, facts) = facts(SENSOR, &sensor).map_err(InferError::Problems)?;
+    let manifest = Manifest::from_toml(MANIFEST, &text(MANIFEST)?, &facts);
+    let manifest = manifest.map_err(InferError::Problems)?;
+    let path = folder.join(ONNX);
+    let onnx = fs::read(&path).map_err(InferError::file("reading", &path))?;
+    manifest.check_file(&onnx)?;
+    let plan = Plan::load(&onnx, manifest.model.channels, &manifest.model.output_shape)?;
+    Ok(Model { name: row.name.clone(), manifest, skin, points_mm: points_mm(&sensor), plan })
+}

@@ -1,0 +1,277 @@
+//! Skins prepared for fits of frames: the model of a calibration, and the errors of the model,
+//! which are estimated from known trials and cached.
+//! Uses: `store`, `infer::exact`, `simulate::model`; an optional cache. Never: the serving slots.
+
+use std::path::{Path, PathBuf};
+
+use sha2::{Digest, Sha256};
+use sim_core::calibration::Calibration;
+use sim_core::forward::ForwardModel;
+use sim_core::sensor::Sensor;
+
+use super::error::InferError;
+use super::exact::{ExactSkin, KnownTrial, SkinErrors};
+use crate::calibrate::skin;
+use crate::dataset::file::{NewFile, hex};
+use crate::dataset::pressed::{contacts, force_noise_n};
+use crate::problem::Problem;
+use crate::simulate::model::load_or_build;
+use crate::store::{Condition, MAX_PAGE, RunKind, RunRow, Store, TrialQuery, TrialRow};
+
+/// Number of newest runs that are searched for the one with the known trials.
+const RUNS_LOOKED_AT: u32 = 1000;
+/// Largest number of known trials.
+const KNOWN_TRIALS: usize = 1000;
+/// Largest number of contacts, and largest force, N, of known trials: heavier frames have other
+/// errors, and contacts that are hard to distinguish are light.
+const KNOWN_CONTACTS: f64 = 3.0;
+const KNOWN_FORCE_N: f64 = 40.0;
+
+/// Version of the estimation of errors: part of the cache's key.
+const ERRORS_VERSION: &str = "2";
+
+/// The calibrations of a service and their skins.
+pub struct Skins {
+    store: Store,
+    sensor: Sensor,
+    data: PathBuf,
+}
+
+impl Skins {
+    /// Calibrations of this rig's sensor in a data folder.
+    pub fn new(store: Store, sensor: Sensor, data: &Path) -> Self {
+        Self { store, sensor, data: data.to_owned() }
+    }
+
+    /// Prepares the skin of a calibration, or the nominal one. Takes most of a minute, and seconds
+    /// if its errors are in the cache.
+    ///
+    /// # Errors
+    /// `InferError` if there is no such calibration, or the model or its errors cannot be computed.
+    pub async fn ready(&self, calibration: Option<&str>) -> Result<ExactSkin, InferError> {
+        let model = self.model(calibration).await?;
+        let known = self.known_trials(model.sensor()).await?;
+        let cache = self.data.join("cache");
+        let building = move || ready(&model, &known, &cache);
+        tokio::task::spawn_blocking(building).await.map_err(|_| InferError::Worker)?
+    }
+
+    /// Trials of the run that a skin was calibrated to, or else of the newest Real-Hex run on this
+    /// sensor: taken evenly from those with few contacts above its deadband, of configurations to
+    /// which no skin is fitted. Empty if the store does not have that run.
+    async fn known_trials(&self, sensor: &Sensor) -> Result<Vec<KnownTrial>, InferError> {
+        let of_skin = sensor.skin().map(|skin| skin.evidence.run.clone());
+        let runs = self.store.runs(RUNS_LOOKED_AT, None).await?.runs;
+        let fits = |run: &&RunRow| match &of_skin {
+            Some(uid) => run.uid.to_string() == *uid,
+            None => {
+                let same = Sensor::from_toml(&run.sensor).is_ok_and(|s| s.file == sensor.file);
+                run.kind == RunKind::RealHex && run.state == "ended" && same
+            }
+        };
+        let Some(run) = runs.iter().find(fits) else { return Ok(Vec::new()) };
+        let force_noise_n = run.rig.as_deref().and_then(force_noise_n).unwrap_or(0.0);
+        let known = [
+            format!("max_force_n__gte={}", run.deadband_n),
+            format!("max_force_n__lt={KNOWN_FORCE_N}"),
+            format!("contact_count__lte={KNOWN_CONTACTS}"),
+        ];
+        let condition = |text: &String| {
+            let wrong = |limit| vec![Problem::new("request", "where", text, limit)];
+            Condition::parse(text).map_err(wrong).map_err(InferError::Problems)
+        };
+        let filters = known.iter().map(condition).collect::<Result<_, _>>()?;
+        let mut query = TrialQuery {
+            run: Some(run.uid),
+            flagged: Some(false),
+            limit: MAX_PAGE,
+            filters,
+            ..TrialQuery::default()
+        };
+        // All of them: settings with more tips are late in a run.
+        let mut ids = Vec::new();
+        loop {
+            let page = self.store.trial_ids(&query).await?;
+            ids.extend_from_slice(&page);
+            if page.len() < MAX_PAGE as usize {
+                break;
+            }
+            query.after = page.last().copied();
+        }
+        let count = ids.len().min(KNOWN_TRIALS * skin::HELD_OUT_IN as usize);
+        let chosen: Vec<_> = (0..count).map(|i| ids[i * ids.len() / count]).collect();
+        let trials = self.store.trials_with_voltages(&chosen).await?;
+        let known = |trial: &TrialRow| {
+            let contacts = contacts(trial, run.kind, force_noise_n)?;
+            let tips_mm: Vec<[f64; 2]> = match run.kind {
+                RunKind::RealHex => trial.arms.iter().map(|arm| [arm.x_mm, arm.y_mm]).collect(),
+                _ => contacts.iter().map(|c| [c.x_mm, c.y_mm]).collect(),
+            };
+            skin::is_held_out(&tips_mm).then_some(())?;
+            Some(KnownTrial {
+                contacts,
+                frame_v: trial.voltages_v.clone()?,
+                frames: f64::from(trial.frame_count.max(1)),
+            })
+        };
+        Ok(trials.iter().filter_map(known).take(KNOWN_TRIALS).collect())
+    }
+
+    /// Builds the model of a stored calibration, or the nominal one.
+    ///
+    /// # Errors
+    /// `InferError` if there is no such calibration, or the model cannot be built.
+    pub async fn model(&self, calibration: Option<&str>) -> Result<ForwardModel, InferError> {
+        let path = calibration.map(|id| self.path_of(id)).transpose()?;
+        let (sensor, cache) = (self.sensor.clone(), self.data.join("cache"));
+        let building = tokio::task::spawn_blocking(move || {
+            let sensor = match path {
+                Some(path) => {
+                    let text = std::fs::read_to_string(&path);
+                    let text = text.map_err(InferError::file("reading", &path))?;
+                    Calibration::from_toml(&text)?.apply(&sensor)?
+                }
+                None => sensor,
+            };
+            Ok(load_or_build(&sensor, &cache)?)
+        });
+        building.await.map_err(|_| InferError::Worker)?
+    }
+
+    /// Stores a calibration of this sensor; returns its id.
+    ///
+    /// # Errors
+    /// `InferError::Calibration` if it is invalid or of another sensor; `File` if it cannot be
+    /// written.
+    pub fn keep(&self, text: &str) -> Result<String, InferError> {
+        let calibration = Calibration::from_toml(text)?;
+        calibration.apply(&self.sensor)?;
+        let id = calibration.id()?;
+        let folder = self.calibrations();
+        let failed = InferError::file("writing", &folder);
+        let mut file = crate::dataset::file::NewFile::create(&folder).map_err(&failed)?;
+        std::io::Write::write_all(&mut file, text.as_bytes()).map_err(&failed)?;
+        file.finish(&format!("{id}.toml")).map_err(&failed)?;
+        Ok(id)
+    }
+
+    /// Path of the file of a calibration; an id cannot address other files.
+    fn path_of(&self, id: &str) -> Result<PathBuf, InferError> {
+        let digits = id
+            .strip_prefix("cal-")
+            .filter(|digits| !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_hexdigit()));
+        let path = self.calibrations().join(format!("{id}.toml"));
+        let is_here = digits.is_some() && path.is_file();
+        is_here.then_some(path).ok_or_else(|| InferError::NoSkin(id.to_owned()))
+    }
+
+    fn calibrations(&self) -> PathBuf {
+        self.data.join("calibrations")
+    }
+}
+
+/// Prepares a skin with the cached errors of these trials, or estimates them and writes the cache.
+fn ready(
+    model: &ForwardModel,
+    known: &[KnownTrial],
+    cache: &Path,
+) -> Result<ExactSkin, InferError> {
+    let name = format!("skin-errors-{}.json", &key(model, known)[..16]);
+    let path = cache.join(&name);
+    let kept = std::fs::read(&path).ok();
+    let kept = kept.and_then(|bytes| serde_json::from_slice::<SkinErrors>(&bytes).ok());
+    if let Some(errors) = kept.filter(|errors| errors.channels() == model.sensor().channels()) {
+        return ExactSkin::with(model, errors);
+    }
+    let skin = ExactSkin::new(model, known)?;
+    let keep = || -> std::io::Result<()> {
+        let mut file = NewFile::create(cache)?;
+        serde_json::to_writer(&mut file, skin.errors())?;
+        file.finish(&name).map(|_| ())
+    };
+    if let Err(error) = keep() {
+        tracing::warn!(%error, path = %path.display(), "the errors of a skin were not cached");
+    }
+    Ok(skin)
+}
+
+/// Hash (sha256) of everything on which a skin's errors depend.
+fn key(model: &ForwardModel, known: &[KnownTrial]) -> String {
+    let mut digest = Sha256::new();
+    let calibration = model.sensor().calibration().unwrap_or_default();
+    for words in [ERRORS_VERSION, env!("CARGO_PKG_VERSION"), model.model_hash(), calibration] {
+        digest.update(words);
+        digest.update([0]);
+    }
+    for trial in known {
+        digest.update(trial.frames.to_le_bytes());
+        for contact in &trial.contacts {
+            for value in [contact.x_mm, contact.y_mm, contact.force_n] {
+                digest.update(value.to_le_bytes());
+            }
+        }
+        trial.frame_v.iter().for_each(|v| digest.update(v.to_le_bytes()));
+    }
+    hex(&digest.finalize())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use sim_core::forward::{Contact, Workspace};
+    use sim_core::responses::UnitResponses;
+
+    use super::*;
+    use crate::infer::exact::ExactPipeline;
+
+    /// Single touches of a model with noise, 10 % stronger than their label.
+    fn trials(model: &ForwardModel, count: usize) -> Vec<KnownTrial> {
+        let (mut rng, mut work) = (ChaCha8Rng::seed_from_u64(5), Workspace::default());
+        let mut one = |_| {
+            let contact = Contact {
+                x_mm: rng.random_range(60.0..480.0),
+                y_mm: rng.random_range(60.0..500.0),
+                force_n: rng.random_range(10.0..30.0),
+            };
+            let pressed = Contact { force_n: 1.1 * contact.force_n, ..contact };
+            let volts = model.voltages(&[pressed], &mut work).expect("a contact on the skin");
+            let frame_v = volts.iter().map(|v| (v + rng.random_range(-2e-3..2e-3)) as f32);
+            KnownTrial { contacts: vec![contact], frame_v: frame_v.collect(), frames: 1.0 }
+        };
+        (0..count).map(&mut one).collect()
+    }
+
+    #[test]
+    fn a_skin_from_the_cache_answers_as_the_one_that_was_learnt() {
+        let sensor =
+            Sensor::from_toml(include_str!("../../../experiments/sensors/ert-28.toml")).unwrap();
+        let responses = Arc::new(UnitResponses::solve(&sensor).unwrap());
+        let model = ForwardModel::new(&sensor, responses).unwrap();
+        let cache = std::env::temp_dir().join(format!("palpate-skins-{}", std::process::id()));
+        let trials = trials(&model, 80);
+        let (known, other) = (&trials[..70], &trials[75]);
+        let answer = || {
+            let skin = Arc::new(ready(&model, known, &cache).unwrap());
+            let read = ExactPipeline { skin, points: None }.read(&other.frame_v, 1.0);
+            read.unwrap().remove(0)
+        };
+        let learnt = answer();
+        let files = || std::fs::read_dir(&cache).unwrap().count();
+        assert_eq!((files(), learnt.contacts.len()), (1, 1));
+        let again = answer();
+        let [is, was] = [&again, &learnt].map(|reading| &reading.contacts[0]);
+        // JSON may lose one digit of a number.
+        assert!((is.x_mm - was.x_mm).abs() < 1e-4 && files() == 1);
+        let [is, was] = [is, was].map(|contact| contact.force_sd_n.unwrap());
+        assert!((is - was).abs() < 1e-6 * was, "{is} N for {was}");
+        // Other trials have other errors.
+        assert_ne!(key(&model, known), key(&model, &trials[..69]));
+        std::fs::write(cache.join(format!("skin-errors-{}.json", &key(&model, known)[..16])), "{")
+            .unwrap();
+        assert_eq!(answer().contacts.len(), 1);
+        std::fs::remove_dir_all(&cache).unwrap();
+    }
+}

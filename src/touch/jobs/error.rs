@@ -1,0 +1,51 @@
+//! Why a job is rejected, or failed.
+//! Uses: the errors of the modules that jobs call. Never: HTTP, logging.
+
+use crate::dataset::error::DatasetError;
+use crate::infer::error::InferError;
+use crate::learn::error::LearnError;
+use crate::problem::Problem;
+use crate::store::StoreError;
+
+/// Why a job is rejected, or failed.
+#[derive(Debug, thiserror::Error)]
+pub enum JobError {
+    /// Values of the request are invalid.
+    #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
+    Problems(Vec<Problem>),
+    /// The queue is full.
+    #[error("the queue is full with {0} jobs: stop some, or request again when some have ended")]
+    Full(u32),
+    /// This build does not train.
+    #[error("this build does not include training: build it with the feature `train`")]
+    Lean,
+    /// The service ended during every start of the job.
+    #[error(
+        "started {0} times, and the service ended each time before any progress: the job has failed"
+    )]
+    InVain(u32),
+    /// The dataset is not available.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// The training failed.
+    #[error(transparent)]
+    Learn(#[from] LearnError),
+    /// A model is not available or failed.
+    #[error(transparent)]
+    Infer(#[from] InferError),
+    /// The store failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// A request or a result is not JSON of the right shape.
+    #[error("reading or writing a job: {0}")]
+    Json(serde_json::Error),
+    /// A thread ended before its result.
+    #[error("a worker thread ended before its result")]
+    Worker,
+}
+
+impl From<Vec<Problem>> for JobError {
+    fn from(problems: Vec<Problem>) -> Self {
+        Self::Problems(problems)
+    }
+}

@@ -1,0 +1,84 @@
+//! The rows that an evaluation scores, and the first frames of their trials.
+//! Uses: `learn::examples`, `dataset`, `store`. Never: a method, a score.
+
+use std::path::Path;
+
+use super::error::JobError;
+use crate::dataset::import::sensor::ImportedSensor;
+use crate::dataset::read::sensor_text;
+use crate::evaluate::request::EvaluationRequest;
+use crate::ids::TrialId;
+use crate::infer::registry;
+use crate::learn::error::LearnError;
+use crate::learn::examples::Examples;
+use crate::learn::model_file::SensorFacts;
+use crate::store::Store;
+
+/// Rows to score, with their sensor.
+pub struct Gathered {
+    /// All rows of the dataset that meet the conditions.
+    pub examples: Examples,
+    /// Indices of the rows that are scored.
+    pub rows: Vec<u32>,
+    /// Skin of the rows.
+    pub skin: ImportedSensor,
+    /// Sensor of the rows.
+    pub sensor: SensorFacts,
+}
+
+impl Gathered {
+    /// Reads the rows of a request from the dataset's file.
+    ///
+    /// # Errors
+    /// `JobError` if the file cannot be read, or no row meets the conditions.
+    pub fn new(
+        file: &Path,
+        request: &EvaluationRequest,
+        columns: &'static [&'static str],
+        scratch: &Path,
+    ) -> Result<Self, JobError> {
+        let (skin, sensor) = registry::facts("sensor", &sensor_text(file)?)?;
+        let examples = Examples::gather(file, &request.conditions, columns, scratch)?;
+        let part = |name: &str| {
+            crate::dataset::split::Part::ALL.into_iter().find(|part| part.name() == name)
+        };
+        let mut rows = match &request.part {
+            Some(name) => part(name).map_or_else(Vec::new, |part| examples.part(part)),
+            None => (0..examples.len() as u32).collect(),
+        };
+        if rows.is_empty() {
+            let part = request.part.as_deref().unwrap_or("any part");
+            let limit = format!("has no rows in {part}: nothing to score");
+            return Err(LearnError::value("dataset", &request.dataset, &limit).into());
+        }
+        if let Some(limit) = request.limit
+            && (limit as usize) < rows.len()
+        {
+            let all = rows.len();
+            rows = (0..limit as usize).map(|i| rows[i * all / limit as usize]).collect();
+        }
+        Ok(Self { examples, rows, skin, sensor })
+    }
+}
+
+/// Reads the first raw frame of each row's trial, V.
+///
+/// # Errors
+/// `JobError::Learn` if a row has no raw frames in the store; `Store` if the store fails.
+pub async fn first_frames(store: &Store, gathered: &Gathered) -> Result<Vec<Vec<f32>>, JobError> {
+    let mut firsts = Vec::with_capacity(gathered.rows.len());
+    for &row in &gathered.rows {
+        let id = gathered.examples.trial_id(row);
+        let frames = match id {
+            Some(id) => store.frames(TrialId(id)).await?,
+            None => Vec::new(),
+        };
+        let Some(first) = frames.first() else {
+            let limit = "first: row has no raw frames in the store; use mean";
+            return Err(LearnError::value("frames", row, limit).into());
+        };
+        let volts = first.volts_per_count;
+        firsts.push(first.counts.iter().map(|&count| f32::from(count) * volts).collect());
+    }
+    Ok(firsts)
+}

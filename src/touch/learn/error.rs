@@ -1,0 +1,52 @@
+//! Errors of trainings and of models: one enum, whose messages name field and choices.
+//! Uses: the errors of the parts of a model. Never: HTTP, logging.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use crate::dataset::error::DatasetError;
+use crate::dataset::format::RowsError;
+use crate::problem::Problem;
+use crate::store::StoreError;
+
+/// Why a training or a model failed.
+#[derive(Debug, thiserror::Error)]
+pub enum LearnError {
+    /// Values of the request are invalid.
+    #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
+    Problems(Vec<Problem>),
+    /// The dataset is not available.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// The store failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// Rows of the dataset could not be read.
+    #[error(transparent)]
+    Rows(#[from] RowsError),
+    /// The training failed.
+    #[cfg(feature = "train")]
+    #[error(transparent)]
+    Train(nets::train::TrainError),
+    /// The trained net cannot become a model.
+    #[error(transparent)]
+    Model(#[from] super::model_file::ModelError),
+    /// A file could not be read or written.
+    #[error("{operation} {}: {source}", path.display())]
+    File {
+        /// The failed operation.
+        operation: &'static str,
+        /// Path of the file.
+        path: PathBuf,
+        /// Error of the operating system.
+        source: io::Error,
+    },
+}
+
+impl LearnError {
+    /// Returns a conversion from an I/O error of an operation on a file.
+    pub fn file(operation: &'static str, path: &Path) -> impl Fn(io::Error) -> Self + use<> {
+        let path = path.to_owned();
+        move |source| Self::File { operation, path: path.clone(), source }
+    }
+}

@@ -1,0 +1,421 @@
+//! The manifest of a model: its purpose, its origin, its range of validity.
+//! PURE. Uses: ONNX files, the spec of a force map, labels. Never: files, answers, training.
+//!
+//! The id of a model is a hash of its facts and its ONNX file; scores, which follow later, are not
+//! included. For an ONNX file of another program, a person states the same facts.
+
+#[cfg(all(test, feature = "train"))]
+mod tests;
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use super::onnx::{OnnxError, OnnxFile, Port, unsealed};
+#[cfg(feature = "train")]
+use super::onnx::{
+    sealed,
+    write::{Description, WriteError, to_onnx},
+};
+use crate::dataset::force_map::ForceMapSpec;
+use crate::problem::{Checks, Problem};
+use crate::store::Label;
+use crate::syntax::syntax_problem;
+
+/// Number of hexadecimal digits of an id.
+const ID_DIGITS: usize = 16;
+/// Largest number of values of an answer, and of channels of a sensor: bounds the memory.
+const NUMBERS_MAX: usize = 1 << 20;
+
+/// Task of a net (paper, section V).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum NetTask {
+    /// Measured voltages to simulated ones (Transfer-Net).
+    Transfer,
+    /// Simulated voltages to a force map (Recon-Net).
+    Recon,
+    /// Measured voltages to a force map.
+    EndToEnd,
+    /// Voltages to presence (logit) and log-force of a contact at each point of the sensor.
+    Points,
+}
+
+impl NetTask {
+    /// Name of the task in manifests.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Transfer => "transfer",
+            Self::Recon => "recon",
+            Self::EndToEnd => "end-to-end",
+            Self::Points => "points",
+        }
+    }
+
+    /// Whether the answer is a force map.
+    pub fn gives_map(self) -> bool {
+        matches!(self, Self::Recon | Self::EndToEnd)
+    }
+
+    /// Name of the input tensor, and its description.
+    pub fn input(self) -> [&'static str; 2] {
+        match self {
+            Self::Recon => ["voltages_v_sim", "simulated voltages, V, injection-major"],
+            _ => ["voltages_v", "measured voltages, V, injection-major"],
+        }
+    }
+
+    /// Name of the output tensor, and its description.
+    pub fn output(self) -> [&'static str; 2] {
+        match self {
+            Self::Transfer => ["voltages_v_sim", "simulated voltages, V, injection-major"],
+            Self::Recon | Self::EndToEnd => {
+                ["force_map_n", "newtons per pixel, row = y, column = x, row 0 at the lowest y"]
+            }
+            Self::Points => ["points", "logit of a contact, and ln(force / N), at each point"],
+        }
+    }
+}
+
+/// Facts of a sensor that a model must match.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SensorFacts {
+    /// Name of the sensor.
+    pub name: String,
+    /// Number of values in a frame.
+    pub channels: usize,
+    /// Number of points of its lattice; 0 without a lattice.
+    pub points: usize,
+}
+
+/// Range of contacts and frames that a model was trained on; unknown values are absent.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrainedRange {
+    /// Numbers of contacts in training; empty if unknown.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub contact_counts: Vec<u32>,
+    /// Largest force of a contact in training, N.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_force_n: Option<f64>,
+    /// No contact in training had a force: the maps contain positions only, and each contact in
+    /// them sums up to 1.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub forces_unknown: bool,
+    /// Largest Euclidean norm of a frame in training, V.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_norm_v: Option<f64>,
+}
+
+/// Why a frame or an answer is outside the trained range.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum OutOfRange {
+    /// The norm of the frame is larger than in training.
+    #[error("a frame of norm {norm_v:.4} V: trained up to {max_norm_v:.4} V")]
+    Norm {
+        /// Norm of the frame, V.
+        norm_v: f64,
+        /// Largest norm in training, V.
+        max_norm_v: f64,
+    },
+    /// The number of contacts did not occur in training.
+    #[error("{contacts} contacts: not among those trained on")]
+    Contacts {
+        /// Number of contacts in the answer.
+        contacts: u32,
+    },
+    /// A force is larger than in training.
+    #[error("a contact of {force_n:.2} N: trained up to {max_force_n:.2} N")]
+    Force {
+        /// Force of the contact, N.
+        force_n: f64,
+        /// Largest force in training, N.
+        max_force_n: f64,
+    },
+}
+
+impl TrainedRange {
+    /// Checks whether a frame, V, has a larger norm than in training.
+    pub fn frame(&self, frame: &[f32]) -> Option<OutOfRange> {
+        let norm_v = frame.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>().sqrt();
+        let max_norm_v = self.max_norm_v?;
+        (norm_v > max_norm_v).then_some(OutOfRange::Norm { norm_v, max_norm_v })
+    }
+
+    /// Checks whether an answer, as the forces of its contacts, N, is outside the trained range.
+    pub fn answer(&self, forces_n: &[f64]) -> Option<OutOfRange> {
+        let contacts = u32::try_from(forces_n.len()).unwrap_or(u32::MAX);
+        if !self.contact_counts.is_empty() && !self.contact_counts.contains(&contacts) {
+            return Some(OutOfRange::Contacts { contacts });
+        }
+        let force_n = forces_n.iter().copied().fold(0.0, f64::max);
+        let max_force_n = self.max_force_n?;
+        (force_n > max_force_n).then_some(OutOfRange::Force { force_n, max_force_n })
+    }
+}
+
+/// Facts of a model, without its weights; its id covers all of them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelFacts {
+    /// Task of the net.
+    pub task: NetTask,
+    /// Origin of the training data: measured, virtual, or only simulated.
+    pub label: Label,
+    /// Name of its sensor.
+    pub sensor: String,
+    /// Number of values in a frame.
+    pub channels: usize,
+    /// Shape of one answer: `[784]`, `[160, 160]`, `[2, 804]`.
+    pub output_shape: Vec<usize>,
+    /// Resolution and spread of its force map; absent for other tasks.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub force_map: Option<ForceMapSpec>,
+    /// Ids of the datasets used in training.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub datasets: Vec<String>,
+    /// Id of the calibration of its simulations.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<String>,
+    /// Hash of the model of its simulations.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub simulation: Option<String>,
+    /// Program, version and commit that trained it.
+    pub code: String,
+    /// Text of its recipe.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub recipe: Option<String>,
+    /// Trained range.
+    #[serde(default)]
+    pub trained_on: TrainedRange,
+}
+
+/// A model's manifest, `manifest.toml`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Manifest {
+    /// `mdl-` and the start of a sha256 over `model` and the ONNX file.
+    pub id: String,
+    /// Facts of the model.
+    pub model: ModelFacts,
+    /// Scores, as stated by the author of the manifest. The service's own scores are the results of
+    /// its evaluations.
+    #[serde(default, skip_serializing_if = "toml::Table::is_empty")]
+    pub scores: toml::Table,
+}
+
+/// Why a file and its stated facts are not a model.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelError {
+    /// The ONNX file is invalid.
+    #[error("ONNX file: {0}")]
+    Onnx(#[from] OnnxError),
+    /// The facts are invalid; one problem per key.
+    #[error("{}", listed(.0))]
+    Facts(Vec<Problem>),
+    /// The shapes of the file do not match the facts.
+    #[error("ONNX file: {port} `{name}` has shape {found:?}, {task} on this sensor has {wanted:?}")]
+    Shape {
+        /// Kind of the tensor: input or output.
+        port: &'static str,
+        /// Name of the tensor.
+        name: String,
+        /// Its shape, batch first; `None` is open.
+        found: Vec<Option<usize>>,
+        /// The shape that the task requires.
+        wanted: Vec<Option<usize>>,
+        /// Name of the task.
+        task: &'static str,
+    },
+    /// The ONNX file is not the one for which the manifest was written.
+    #[error(
+        "the id of ONNX file and manifest is {made}, the manifest states {stated}: one was changed"
+    )]
+    Changed {
+        /// Id computed from both.
+        made: String,
+        /// Id in the manifest.
+        stated: String,
+    },
+    /// The net cannot be written as ONNX.
+    #[cfg(feature = "train")]
+    #[error("net: {0}")]
+    Write(#[from] WriteError),
+}
+
+fn listed(problems: &[Problem]) -> String {
+    problems.iter().map(Problem::to_string).collect::<Vec<_>>().join("; ")
+}
+
+impl ModelFacts {
+    /// Checks the facts for a sensor; `file` names their source in messages.
+    ///
+    /// # Errors
+    /// All problems, each with its key.
+    pub fn check(&self, file: &str, sensor: &SensorFacts) -> Result<(), Vec<Problem>> {
+        let mut checks = Checks::of(file);
+        let limit = format!("must be `{}`", sensor.name);
+        checks.require(self.sensor == sensor.name, "model.sensor", &self.sensor, &limit);
+        let limit = format!("must be the sensor's {}", sensor.channels);
+        let channels = self.channels == sensor.channels && self.channels <= NUMBERS_MAX;
+        checks.require(channels, "model.channels", self.channels, &limit);
+        let map = self.force_map.map_or("none".into(), |map| map.to_string());
+        let limit = "must be set for recon and end-to-end, and only for these";
+        checks.require(
+            self.task.gives_map() == self.force_map.is_some(),
+            "model.force_map",
+            map,
+            limit,
+        );
+        let wanted = match (self.task, self.force_map) {
+            (NetTask::Transfer, _) => vec![sensor.channels],
+            (NetTask::Points, _) => vec![2, sensor.points],
+            (NetTask::Recon | NetTask::EndToEnd, Some(map)) => vec![map.pixels(); 2],
+            (NetTask::Recon | NetTask::EndToEnd, None) => self.output_shape.clone(),
+        };
+        let numbers = wanted.iter().try_fold(1, |n: usize, &l| n.checked_mul(l)).unwrap_or(0);
+        let limit = format!("must be {wanted:?} for {} on this sensor", self.task.as_str());
+        let fits = self.output_shape == wanted && (1..=NUMBERS_MAX).contains(&numbers);
+        checks.require(fits, "model.output_shape", format!("{:?}", self.output_shape), &limit);
+        checks.require(!self.code.is_empty(), "model.code", "\"\"", "must state what trained it");
+        for id in &self.datasets {
+            checks.require(id.starts_with("ds-"), "model.datasets", id, "must be ids, ds-..");
+        }
+        for (key, most) in [
+            ("model.trained_on.max_force_n", self.trained_on.max_force_n),
+            ("model.trained_on.max_norm_v", self.trained_on.max_norm_v),
+        ] {
+            let positive = most.is_none_or(|most| most.is_finite() && most > 0.0);
+            checks.require(positive, key, most.unwrap_or(0.0), "must be above 0, or absent");
+        }
+        checks.done()
+    }
+
+    /// The model's id: `mdl-` and the start of a sha256 over these facts and a file without its
+    /// seal.
+    fn id(&self, file: &[u8]) -> String {
+        let mut hash = Sha256::new();
+        hash.update(serde_json::to_vec(self).expect("strings, numbers and lists are JSON"));
+        hash.update(file);
+        let digits = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect::<String>();
+        format!("mdl-{}", &digits[..ID_DIGITS])
+    }
+
+    /// Checks the shapes of an ONNX file's input and output, as far as it states them.
+    fn check_shapes(&self, onnx: &OnnxFile) -> Result<(), ModelError> {
+        let input = [None, Some(self.channels)];
+        let lengths = self.output_shape.iter().map(|&length| Some(length));
+        let output: Vec<Option<usize>> = std::iter::once(None).chain(lengths).collect();
+        let ports = [("input", onnx.input(), &input[..]), ("output", onnx.output(), &output)];
+        for (port, found, wanted) in ports {
+            if !agrees(found, wanted) {
+                return Err(ModelError::Shape {
+                    port,
+                    name: found.name.clone(),
+                    found: found.dimensions.clone(),
+                    wanted: wanted.to_vec(),
+                    task: self.task.as_str(),
+                });
+            }
+        }
+        Ok(())
+    }
+
+    #[cfg(feature = "train")]
+    fn properties(&self) -> Vec<(String, String)> {
+        let mut said = vec![
+            ("task", self.task.as_str().to_owned()),
+            ("label", self.label.as_str().to_owned()),
+            ("sensor", self.sensor.clone()),
+            ("code", self.code.clone()),
+            ("datasets", self.datasets.join(" ")),
+        ];
+        said.extend(self.force_map.map(|map| ("force_map", map.to_string())));
+        said.extend(self.calibration.clone().map(|id| ("calibration", id)));
+        said.extend(self.simulation.clone().map(|hash| ("simulation", hash)));
+        said.into_iter().map(|(key, value)| (format!("palpate.{key}"), value)).collect()
+    }
+}
+
+/// Open lengths and unstated shapes agree with any shape.
+fn agrees(port: &Port, wanted: &[Option<usize>]) -> bool {
+    let found = &port.dimensions;
+    let equal = |(found, wanted): (&Option<usize>, &Option<usize>)| match (found, wanted) {
+        (Some(found), Some(wanted)) => found == wanted,
+        _ => true,
+    };
+    found.is_empty() || (found.len() == wanted.len() && found.iter().zip(wanted).all(equal))
+}
+
+impl Manifest {
+    /// Reads a manifest and checks it for a sensor.
+    ///
+    /// # Errors
+    /// All problems of the text or its facts.
+    pub fn from_toml(file: &str, text: &str, sensor: &SensorFacts) -> Result<Self, Vec<Problem>> {
+        let manifest: Self =
+            toml::from_str(text).map_err(|error| vec![syntax_problem(file, text, &error)])?;
+        manifest.model.check(file, sensor)?;
+        Ok(manifest)
+    }
+
+    /// Returns the text of the manifest file.
+    pub fn to_toml(&self) -> String {
+        toml::to_string_pretty(self).expect("strings, numbers, lists and tables are TOML")
+    }
+
+    /// Checks that an ONNX file is the unchanged one of this manifest, and returns it.
+    ///
+    /// # Errors
+    /// `ModelError::Changed` if it is not; `Onnx` or `Shape` if it cannot be served.
+    pub fn check_file(&self, file: &[u8]) -> Result<OnnxFile, ModelError> {
+        let made = self.model.id(unsealed(file, &self.id));
+        if made != self.id {
+            return Err(ModelError::Changed { made, stated: self.id.clone() });
+        }
+        let onnx = OnnxFile::read(file)?;
+        self.model.check_shapes(&onnx)?;
+        Ok(onnx)
+    }
+}
+
+/// Builds the manifest of an ONNX file of another program from facts that a person states. The file
+/// is served unchanged.
+///
+/// # Errors
+/// `ModelError` if the file cannot be served, or the facts do not match the sensor or the file.
+pub fn manifest_for_foreign(
+    file: &[u8],
+    model: ModelFacts,
+    sensor: &SensorFacts,
+) -> Result<Manifest, ModelError> {
+    model.check("model", sensor).map_err(ModelError::Facts)?;
+    model.check_shapes(&OnnxFile::read(file)?)?;
+    Ok(Manifest { id: model.id(file), model, scores: toml::Table::new() })
+}
+
+/// Builds the manifest of a net trained here, and its ONNX file, which contains the id.
+///
+/// # Errors
+/// `ModelError` if the net does not match the sensor or the task, or cannot be written.
+#[cfg(feature = "train")]
+pub fn model_of(
+    network: &nets::network::Network,
+    model: ModelFacts,
+    sensor: &SensorFacts,
+) -> Result<(Manifest, Vec<u8>), ModelError> {
+    model.check("model", sensor).map_err(ModelError::Facts)?;
+    let properties = model.properties();
+    let says = Description {
+        name: model.task.as_str(),
+        doc: "A net of Palpate; its manifest says what it was made from.",
+        input: model.task.input(),
+        output: model.task.output(),
+        version: env!("CARGO_PKG_VERSION"),
+        properties: &properties,
+    };
+    let file = to_onnx(network, &says)?;
+    model.check_shapes(&OnnxFile::read(&file)?)?;
+    let id = model.id(&file);
+    let file = sealed(file, &id);
+    Ok((Manifest { id, model, scores: toml::Table::new() }, file))
+}

@@ -1,0 +1,12 @@
+//! From frames to contacts: training, inference and evaluation of nets.
+//! Uses: `words`, `store`, `model`, `data`. Never: motion, HTTP.
+
+use palpate_data::dataset;
+use palpate_model::{calibrate, simulate};
+use palpate_store as store;
+use palpate_words::{chance, clock, commit, ids, problem, syntax};
+
+pub mod learn;
+pub mod infer;
+pub mod evaluate;
+pub mod jobs;

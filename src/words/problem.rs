@@ -1,0 +1,74 @@
+//! The common form of a rejected value in a file, a query or a command.
+//! Uses: nothing. Never: HTTP, exit codes, logging.
+
+use std::fmt;
+
+/// A value outside its limits, with the information that a person needs to correct it.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error, serde::Serialize)]
+pub struct Problem {
+    /// File or request that contains the value.
+    pub file: String,
+    /// Dotted key; empty if the problem concerns the file as a whole.
+    pub key: String,
+    /// Value that was found.
+    pub value: String,
+    /// Allowed values.
+    pub limit: String,
+}
+
+impl Problem {
+    /// Creates a problem with the value of one key.
+    pub fn new(file: &str, key: &str, value: impl fmt::Display, limit: impl Into<String>) -> Self {
+        Self { file: file.into(), key: key.into(), value: value.to_string(), limit: limit.into() }
+    }
+
+    /// Creates a problem with a whole file: it cannot be read, or its TOML has the wrong structure.
+    pub fn whole(file: &str, limit: impl Into<String>) -> Self {
+        Self { file: file.into(), key: String::new(), value: String::new(), limit: limit.into() }
+    }
+}
+
+impl fmt::Display for Problem {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.key.is_empty() {
+            write!(f, "{}: {}", self.file, self.limit)
+        } else {
+            write!(f, "{}: {} = {}: {}", self.file, self.key, self.value, self.limit)
+        }
+    }
+}
+
+/// Collects the problems of a file; each check has a key and its limit as text.
+#[derive(Debug)]
+pub struct Checks<'a> {
+    file: &'a str,
+    found: Vec<Problem>,
+}
+
+impl<'a> Checks<'a> {
+    /// Starts an empty list for one file.
+    pub fn of(file: &'a str) -> Self {
+        Self { file, found: Vec::new() }
+    }
+
+    /// Adds a problem unless `ok`.
+    pub fn require(&mut self, ok: bool, key: &str, value: impl fmt::Display, limit: &str) {
+        if !ok {
+            self.found.push(Problem::new(self.file, key, value, limit));
+        }
+    }
+
+    /// Adds a problem unless `value` is finite and within `[min, max]`.
+    pub fn within(&mut self, key: &str, value: f64, min: f64, max: f64) {
+        let ok = value.is_finite() && (min..=max).contains(&value);
+        self.require(ok, key, value, &format!("must be from {min} to {max}"));
+    }
+
+    /// Returns the problems found.
+    ///
+    /// # Errors
+    /// The problems in the order of the checks, if there are any.
+    pub fn done(self) -> Result<(), Vec<Problem>> {
+        if self.found.is_empty() { Ok(()) } else { Err(self.found) }
+    }
+}

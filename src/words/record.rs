@@ -1,0 +1,238 @@
+//! Records of a run as plain values: trials, attempts, tares, reference presses, touch-offs.
+//! PURE. Uses: `ids`. Never: the rig, the store, the clock.
+//!
+//! Contacts are in skin coordinates (from the corner of the skin), poses in machine coordinates. A
+//! value that was not measured is absent, never zero: zero is a measurement.
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::ids::TrialKey;
+
+/// Disk space reserved for the log of the database in addition to the trials, bytes: the store
+/// truncates it to this size.
+pub const LOG_BYTES: u64 = 64 << 20;
+
+/// Position of stage and slot, machine coordinates.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Pose {
+    /// Stage x, mm.
+    pub x_mm: f64,
+    /// Stage y, mm.
+    pub y_mm: f64,
+    /// Stage z, downward, mm.
+    pub z_mm: f64,
+    /// Radius of the tips, mm.
+    pub radius_mm: f64,
+}
+
+/// Reading of one attached tip in one trial.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ArmReading {
+    /// Number of the arm, 1 to 6.
+    pub arm: u8,
+    /// x of the tip's centre, skin coordinates, mm.
+    pub x_mm: f64,
+    /// y of the tip's centre, skin coordinates, mm.
+    pub y_mm: f64,
+    /// Force after subtraction of the tare, N; not clipped at zero.
+    pub force_n: f64,
+    /// Raw output of the cell, V.
+    pub cell_v: f64,
+    /// Output at the tare before this configuration, V.
+    pub tare_v: f64,
+}
+
+/// A contact placed manually, with its nominal force (Real-Random, paper II-C).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct PlacedContact {
+    /// x of the centre, skin coordinates, mm.
+    pub x_mm: f64,
+    /// y of the centre, skin coordinates, mm.
+    pub y_mm: f64,
+    /// Nominal force of the weight, N.
+    pub force_n: f64,
+}
+
+/// One raw frame of a trial.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameRecord {
+    /// Sequence number from the device.
+    pub sequence: u32,
+    /// Device time of the first sample, microseconds.
+    pub device_time_us: u64,
+    /// Voltage of one count, V.
+    pub volts_per_count: f32,
+    /// Raw counts, injection-major.
+    pub counts: Vec<i16>,
+}
+
+/// Quality counts of the frames of a trial; a count that was not determined is absent.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct FrameQuality {
+    /// Number of channels saturated in any frame.
+    pub saturated_channels: Option<u32>,
+    /// Number of channels with the same count in this trial and those before it.
+    pub stuck_channels: Option<u32>,
+    /// Number of channels without a value.
+    pub missing_channels: Option<u32>,
+    /// Largest magnitude of an injection sum in any frame, V; zero up to noise.
+    pub injection_sum_v: Option<f64>,
+    /// Number of packets that were lost or garbled while the frames were taken.
+    pub dropped_packets: Option<u32>,
+}
+
+/// Possible fault of a stored trial.
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Flag {
+    /// Forces still changed when the longest settling time ended.
+    Unsettled,
+    /// A voltage channel was saturated.
+    SaturatedChannels,
+    /// An injection sum is not zero within noise.
+    InjectionSum,
+    /// Frames were lost between the raw frames of this trial.
+    DroppedFrames,
+    /// The measured depth differs from its target by more than the tolerance.
+    DepthMissed,
+    /// An attached cell measured no force where its tip must press.
+    StillCell,
+    /// The cells measure a load to which the skin does not respond.
+    SilentSkin,
+}
+
+impl Flag {
+    /// Name of the flag, as stored and shown.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Unsettled => "unsettled",
+            Self::SaturatedChannels => "saturated_channels",
+            Self::InjectionSum => "injection_sum",
+            Self::DroppedFrames => "dropped_frames",
+            Self::DepthMissed => "depth_missed",
+            Self::StillCell => "still_cell",
+            Self::SilentSkin => "silent_skin",
+        }
+    }
+}
+
+/// A trial: the accepted attempt, stored exactly once per key.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrialRecord {
+    /// Key of the trial in its run.
+    pub key: TrialKey,
+    /// Number of the attempt, from 1.
+    pub attempt: u32,
+    /// Number of attached tips or placed contacts.
+    pub tips: u8,
+    /// Depth of the step, mm; absent for manual trials.
+    pub depth_mm: Option<f64>,
+    /// Commanded pose; absent for manual trials.
+    pub target: Option<Pose>,
+    /// Measured pose; absent for manual trials.
+    pub reached: Option<Pose>,
+    /// Readings of the attached tips; empty for manual trials.
+    pub arms: Vec<ArmReading>,
+    /// Nominal contacts of a manual trial; empty in Real-Hex.
+    pub placed: Vec<PlacedContact>,
+    /// Name of the person who placed them; absent in Real-Hex.
+    pub placed_by: Option<String>,
+    /// Raw frames, at least one.
+    pub frames: Vec<FrameRecord>,
+    /// Quality counts of the frames.
+    pub quality: FrameQuality,
+    /// Possible faults of the trial.
+    pub flags: Vec<Flag>,
+    /// Time between the end of motion and the measurement, process ms.
+    pub settle_ms: f64,
+    /// Largest force on a cell during approach and settling, minus the measured force, N; absent
+    /// for manual trials.
+    pub overshoot_n: Option<f64>,
+    /// Wall time at the start of the motion.
+    pub started_at: Timestamp,
+    /// Wall time of the last frame.
+    pub measured_at: Timestamp,
+}
+
+impl TrialRecord {
+    /// Mean of the raw frames, V.
+    pub fn mean_voltages_v(&self) -> Vec<f32> {
+        let n = self.frames.len() as f64;
+        let channels = self.frames.first().map_or(0, |f| f.counts.len());
+        (0..channels)
+            .map(|i| {
+                let sum: f64 = self
+                    .frames
+                    .iter()
+                    .map(|f| f64::from(f.counts[i]) * f64::from(f.volts_per_count))
+                    .sum();
+                (sum / n) as f32
+            })
+            .collect()
+    }
+}
+
+/// An attempt that did not become a trial.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AttemptRecord {
+    /// Key of the trial that was attempted.
+    pub key: TrialKey,
+    /// Number of the attempt, from 1.
+    pub attempt: u32,
+    /// Reason of the failure: device, value and limit.
+    pub reason: String,
+    /// Wall time of the failure.
+    pub at: Timestamp,
+}
+
+/// Zeros of the cells, measured before a configuration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TareRecord {
+    /// Index of the configuration.
+    pub configuration: u32,
+    /// Attached arms and their outputs without load, V.
+    pub volts: Vec<(u8, f64)>,
+    /// Number of samples averaged.
+    pub samples: u32,
+    /// Wall time of the tare.
+    pub at: Timestamp,
+}
+
+/// Result of a press at a fixed position, repeated at fixed intervals to separate drift from
+/// position.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReferenceRecord {
+    /// Index of the next configuration in the plan.
+    pub before_configuration: u32,
+    /// Measured pose.
+    pub reached: Pose,
+    /// Depth of the press, mm.
+    pub depth_mm: f64,
+    /// Readings of the attached tips.
+    pub arms: Vec<ArmReading>,
+    /// Frame taken under the held load.
+    pub frame: FrameRecord,
+    /// Wall time of the press.
+    pub at: Timestamp,
+}
+
+/// Result of a touch-off after a tip change.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct TouchOffRecord {
+    /// Number of attached tips.
+    pub tips: u8,
+    /// Machine z of the surface, mm: median over places and arms.
+    pub surface_z_mm: f64,
+    /// Height of each attached arm's first contact below that median, mm; positive for a shorter
+    /// tip.
+    pub tip_offset_mm: Vec<(u8, f64)>,
+    /// All touches: skin x, skin y, arm, machine z; mm.
+    pub touches: Vec<(f64, f64, u8, f64)>,
+    /// Wall time of the touch-off.
+    #[schema(value_type = String, format = DateTime)]
+    pub at: Timestamp,
+}

@@ -1,0 +1,196 @@
+//! The structure of the source tree: which way imports point, what stays pure, how a
+//! file opens and how long it may be. `docs/architecture.md` says why.
+//! Uses: std alone. Never: git (a checkout without history is enough), the network.
+//!
+//! Each rule (`rules`) is seen to find something in made-up files that break it.
+
+mod rules;
+mod source;
+
+use std::path::Path;
+
+use rules::{
+    CHAPTERS, LONGEST, REFERENCES, broken_links, contents_out_of_order, dead_citations,
+    entangled_stand_in, faceless_folders, forward_imports, headless_or_long, impure_physics,
+    impure_where_pure, machine_paths,
+};
+use source::{File, checkout};
+
+// ---------------------------------------------------------------- the checkout
+
+fn none(findings: Vec<String>) {
+    assert!(findings.is_empty(), "\n{}\n", findings.join("\n"));
+}
+
+#[test]
+fn imports_look_back_along_the_flow() {
+    none(forward_imports(&checkout()));
+    none(contents_out_of_order(&checkout()));
+}
+
+#[test]
+fn what_is_called_pure_is_pure() {
+    none(impure_physics(&checkout()));
+    none(impure_where_pure(&checkout()));
+}
+
+#[test]
+fn the_stand_in_rig_stands_alone() {
+    none(entangled_stand_in(&checkout()));
+}
+
+#[test]
+fn files_open_with_what_they_are_and_are_short() {
+    none(headless_or_long(&checkout()));
+    none(faceless_folders(&checkout()));
+}
+
+#[test]
+fn nothing_names_the_machine_it_was_written_on() {
+    none(machine_paths(&checkout()));
+}
+
+#[test]
+fn links_between_documents_lead_somewhere() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    none(broken_links(&checkout(), |path| root.join(path).exists()));
+}
+
+#[test]
+fn citations_lead_somewhere() {
+    none(dead_citations(&checkout()));
+}
+
+// ---------------------------------------------------------------- the rules see what they forbid
+
+fn file(path: &str, text: &str) -> File {
+    File { path: path.into(), text: text.into() }
+}
+
+#[test]
+fn a_forward_import_is_found_however_it_is_written() {
+    for text in [
+        "use crate::store::Store;",
+        "use crate::{clock::Clock, store};",
+        "use crate::{\n    rig::{config, traits},\n    store::Store,\n};",
+        "fn f() -> crate::store::Store { crate::store::open() }",
+        "use super::super::store::Store;",
+    ] {
+        let found = forward_imports(&[file("src/bench/rig/axis.rs", text)]);
+        assert!(!found.is_empty() && found[0].contains("rig may not use crate::store"), "{text}");
+    }
+    for text in [
+        "use crate::schedule::plan::Plan; use crate::rig::traits; use crate::clock::Clock;",
+        "/// As [`crate::store`] has it.\nuse super::config;",
+        "fn f() { log(\"crate::store\"); let quote = '\"'; /* crate::store */ }",
+    ] {
+        none(forward_imports(&[file("src/bench/rig/axis.rs", text)]));
+    }
+    let vocabulary = forward_imports(&[file("src/words/ids.rs", "use crate::rig::config;")]);
+    assert_eq!(vocabulary, ["src/words/ids.rs:1: ids may not use crate::rig"]);
+    let stranger = forward_imports(&[file("src/util/mod.rs", "//! Helpers.")]);
+    assert_eq!(stranger, ["src/util/mod.rs: util is neither stage nor vocabulary"]);
+}
+
+#[test]
+fn a_table_of_contents_out_of_order_is_found() {
+    let with = |path: &str, text: &str| {
+        let chapters = CHAPTERS.iter().filter(|(c, _)| !["store", "cli"].contains(c));
+        let mut files: Vec<File> = chapters
+            .map(|(c, modules)| (format!("src/{c}/lib.rs"), modules))
+            .filter(|(lib, _)| lib != path)
+            .map(|(lib, modules)| {
+                let lines: Vec<String> =
+                    modules.iter().map(|m| format!("pub mod {m};\n")).collect();
+                file(&lib, &lines.concat())
+            })
+            .collect();
+        files.push(file(path, text));
+        contents_out_of_order(&files)
+    };
+    none(with("src/model/lib.rs", "pub mod calibrate;\npub mod simulate;\n"));
+    assert_eq!(with("src/model/lib.rs", "pub mod simulate;\npub mod calibrate;\n").len(), 1);
+    assert_eq!(with("src/model/lib.rs", "pub mod simulate;\n").len(), 1);
+    assert_eq!(with("src/model/simulate/a.rs", "use palpate_store::Store;").len(), 1);
+    none(with("src/data/Cargo.toml", "palpate-store.workspace = true\n"));
+    assert_eq!(with("src/touch/Cargo.toml", "palpate-bench.workspace = true\n").len(), 1);
+}
+
+#[test]
+fn effects_in_pure_files_are_found() {
+    for text in
+        ["use tokio::fs;", "use std::{collections, fs};", "async fn f() {}", "sqlx::query()"]
+    {
+        assert!(!impure_physics(&[file("sim-core/src/a.rs", text)]).is_empty(), "{text}");
+        assert!(!impure_where_pure(&[file("src/bench/schedule/a.rs", text)]).is_empty(), "{text}");
+        let claimed = format!("//! A codec.\n//! PURE. Uses: nothing.\n{text}");
+        assert!(!impure_where_pure(&[file("src/bench/rig/a.rs", &claimed)]).is_empty(), "{text}");
+        none(impure_where_pure(&[file("src/bench/rig/a.rs", text)]));
+    }
+    assert!(!impure_physics(&[file("sim-core/src/a.rs", "std::time::Instant::now()")]).is_empty());
+    assert!(!impure_physics(&[file("sim-core/Cargo.toml", "tokio.workspace = true")]).is_empty());
+    none(impure_physics(&[file("sim-core/src/a.rs", "//! Never: async, tokio, std::fs.\n")]));
+}
+
+#[test]
+fn an_entangled_stand_in_is_found() {
+    for (path, text) in [
+        ("virtual-rig/src/wire.rs", "use palpate::rig::link::Request;"),
+        ("virtual-rig/src/wire.rs", "#[path = \"../../src/rig/words.rs\"] mod words;"),
+        ("virtual-rig/Cargo.toml", "palpate = { path = \"..\" }"),
+        ("src/cli/run.rs", "use virtual_rig::run::VirtualRig;"),
+        ("virtual-rig/src/wire.rs", "use palpate_bench::rig::link::Request;"),
+        ("examples/a.rs", "fn main() { virtual_rig::run() }"),
+    ] {
+        assert_eq!(entangled_stand_in(&[file(path, text)]).len(), 1, "{path}: {text}");
+    }
+    none(entangled_stand_in(&[file("src/main.rs", "use virtual_rig::run;")]));
+}
+
+#[test]
+fn headless_long_and_faceless_files_are_found() {
+    assert_eq!(headless_or_long(&[file("tests/it/a.rs", "use std::fs;")]).len(), 1);
+    let long = format!("//! A.\n{}", "\n".repeat(LONGEST));
+    assert_eq!(headless_or_long(&[file("src/bench/rig/a.rs", &long)]).len(), 1);
+    let just_short_enough = &long[..long.len() - 1];
+    none(headless_or_long(&[file("src/bench/rig/a.rs", just_short_enough)]));
+    let two = [file("src/bench/rig/a.rs", "//! A."), file("src/bench/rig/b.rs", "//! B.")];
+    assert_eq!(faceless_folders(&two), ["src/bench/rig: several files and no mod.rs"]);
+}
+
+#[test]
+fn a_path_of_the_machine_and_a_broken_link_are_found() {
+    let text = format!("first line\nsee {}/shared", "/work");
+    assert_eq!(machine_paths(&[file("docs/a.md", &text)]).len(), 1);
+    let page = [file("docs/a.md", "[b](b.md), [c](../c.md#part), [web](https://example.org)")];
+    assert_eq!(broken_links(&page, |path| path.ends_with("b.md")).len(), 1);
+}
+
+#[test]
+fn a_dead_citation_is_found() {
+    let with = |path: &str, text: &str| {
+        let references = file(REFERENCES, "# References\n## Devices\n### The AB-12 (RTU)\n");
+        dead_citations(&[file(path, text), references, file("docs/decisions/0003-a.md", "")])
+    };
+    for text in [
+        "//! Source: `gone.md` 4.",
+        "// `docs/references.md`, \"The AB-13\"",
+        "// docs/references.md, Devices",
+        "// (`docs/references.md`,",
+        "// (`docs/decisions/0004`)",
+        "// As issue 12 wants it (Issues #3 and 4).",
+        "// Law 1.",
+    ] {
+        assert!(!with("src/a.rs", text).is_empty(), "{text}");
+        assert!(!with("experiments/a.toml", text).is_empty(), "{text}");
+        none(with("migrations/0001_a.sql", text));
+    }
+    let two = with("src/a.rs", "//! A.\n// See gone.md and lost.md.");
+    assert_eq!(two, ["src/a.rs:2: cites gone.md", "src/a.rs:2: cites lost.md"]);
+    for text in [
+        "// (`docs/references.md`, \"The AB-12 (RTU)\"), docs/references.md, \"Devices\".",
+        "// `docs/decisions/0003`, docs/decisions/0003-a.md; references.md. An md5, a tissue 4, a.mdx.",
+    ] {
+        none(with("src/a.rs", text));
+    }
+}
