@@ -1,6 +1,6 @@
-//! Samples per second that each net learns, for a comparison with PyTorch: `rate NET BATCH SECONDS
-//! [THREADS]` prints one JSON line, by the clock and by the processor's time (Linux). `rate.py` in
-//! the same folder runs this and PyTorch in turn.
+//! Samples per second that each net learns, for a comparison with PyTorch:
+//! `rate NET BATCH SECONDS [THREADS]` prints one JSON line, by the clock and by the processor's
+//! time (Linux). `rate.py` in the same folder runs this and PyTorch in turn.
 //! Uses: the clock, which the crate itself does not.
 
 use std::time::{Duration, Instant};

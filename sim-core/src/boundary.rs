@@ -38,7 +38,8 @@ impl FixedBottom {
         3 * self.free_levels * self.place.len()
     }
 
-    /// Number of a displacement: level, node of the plane, axis (0 x, 1 y, 2 z up); `None` if fixed.
+    /// Number of a displacement: level, node of the plane, axis (0 x, 1 y, 2 z up); `None` if
+    /// fixed.
     pub fn unknown(&self, level: usize, node: usize, axis: usize) -> Option<usize> {
         let above = level.checked_sub(1)?;
         Some(3 * (self.place[node] * self.free_levels + above) + axis)

@@ -1,10 +1,10 @@
 //! The mechanical problem of one load as an input deck, so that CalculiX can check the deformation.
 //! Uses: `mesh`, `deformation::NodeForce`. Never: files, assembling, solving.
 //!
-//! `ccx NAME` (for `NAME.inp`) writes U of the foam's bottom and top to `NAME.dat` with 7 digits and
-//! of all nodes to `NAME.frd` with 6. Same bricks (C3D8: 2x2x2 points, no B-bar), also the collapsed
-//! ones of the rim; same materials; bottom fixed; each contact as six point forces; small strains.
-//! Units: mm, N, MPa. Node `1 + level * plane + node`; level 0 is the bottom.
+//! `ccx NAME` (for `NAME.inp`) writes U of the foam's bottom and top to `NAME.dat` with 7 digits
+//! and of all nodes to `NAME.frd` with 6. Same bricks (C3D8: 2x2x2 points, no B-bar), also the
+//! collapsed ones of the rim; same materials; bottom fixed; each contact as six point forces; small
+//! strains. Units: mm, N, MPa. Node `1 + level * plane + node`; level 0 is the bottom.
 
 use std::collections::BTreeMap;
 use std::fmt::{Arguments, Write as _};

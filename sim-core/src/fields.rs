@@ -23,7 +23,7 @@ pub enum LutError {
     NotRising {
         /// Index of the sample, from 0.
         index: usize,
-        /// Its value, mm.
+        /// Value of the sample, mm.
         value_mm: f64,
     },
 }

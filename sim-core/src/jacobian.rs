@@ -280,8 +280,8 @@ impl Linearised<'_> {
         columns
     }
 
-    /// Derivative along modes of the fields: `[channels * mode + channel]`, V after gain per unit of
-    /// the mode.
+    /// Derivative along modes of the fields: `[channels * mode + channel]`, V after gain per unit
+    /// of the mode.
     ///
     /// # Panics
     /// If a mode has an index beyond its field.
@@ -314,8 +314,8 @@ impl Linearised<'_> {
         columns
     }
 
-    /// Derivative along changes of resistors of the network, as [`circuit_resistors`] lists them: each
-    /// with the change of its conductance. Layout as in [`Self::modes`].
+    /// Derivative along changes of resistors of the network, as [`circuit_resistors`] lists them:
+    /// each with the change of its conductance. Layout as in [`Self::modes`].
     pub(crate) fn resistors(&mut self, changes: &[Vec<Resistor>]) -> &[f64] {
         let JacobianWork { forward, potentials, direction, columns, .. } = &mut *self.work;
         let channels = forward.readout.frame_v().len();

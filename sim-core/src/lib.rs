@@ -3,9 +3,9 @@
 //! Uses: faer for the elastic solve. Never: async, files, clock, database, unseeded chance.
 //!
 //! Data flows one way: `sensor -> mesh -> (element, material, order, boundary, assemble, solve) ->
-//! responses -> fields, piezo, tip -> network -> forward -> jacobian, batch`. `deformation`, `spice`
-//! and `calculix` are for comparison, `surface` and `calibration` tie the model to measurements;
-//! `inverse` estimates loads and skins from measurements.
+//! responses -> fields, piezo, tip -> network -> forward -> jacobian, batch`. `deformation`,
+//! `spice` and `calculix` are for comparison, `surface` and `calibration` tie the model to
+//! measurements; `inverse` estimates loads and skins from measurements.
 
 pub mod sensor;
 pub mod mesh;

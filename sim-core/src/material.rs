@@ -1,8 +1,8 @@
 //! Isotropic linear elasticity: the stress of a strain.
 //! Uses: nothing. Never: geometry.
 //!
-//! `s = D e` with Voigt order xx, yy, zz, xy, yz, zx and engineering shear strains, E in MPa
-//! (= N/mm2). Valid for small strains; the foam's real law is far from it (paper III-A: 24 % error).
+//! `s = D e` with Voigt order xx, yy, zz, xy, yz, zx and engineering shear strains, E in MPa (=
+//! N/mm2). Valid for small strains; the foam's real law is far from it (paper III-A: 24 % error).
 
 /// Stiffness matrix D, MPa, of a Young's modulus (MPa) and a Poisson's ratio in [0, 0.5).
 pub fn isotropic_mpa(youngs_mpa: f64, poisson: f64) -> [[f64; 6]; 6] {

@@ -2,8 +2,8 @@
 //! Uses: `mesh`, `assemble`, `boundary`, `solve`. Never: files (the cache is bytes).
 //!
 //! The skin is linear and its mesh fixed, so a load is a weighted sum of these rows. There is one
-//! row for every node (3,503 of them), not one per point: a tip between points, at the rim or tilted
-//! loads any of them. The cache's checksum is a CRC-32: a sha256 of 49 MB alone takes 0.2 s.
+//! row for every node (3,503 of them), not one per point: a tip between points, at the rim or
+//! tilted loads any of them. The cache's checksum is a CRC-32: a sha256 of 49 MB alone takes 0.2 s.
 
 use crate::assemble;
 use crate::boundary::FixedBottom;

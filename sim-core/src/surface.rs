@@ -6,9 +6,9 @@
 //! together.
 //!
 //! The stiffness is a sum over layers, `K = E_foam K_foam + E_fabric K_fabric`, so that the
-//! derivative of the sinking by ln(E_foam) is one further solve with the same factor: `K u' =
-//! -E_foam K_foam u`. The derivative by ln(E_fabric) is `-u - u'`, since u scales as 1/E if all
-//! moduli scale together.
+//! derivative of the sinking by ln(E_foam) is one further solve with the same factor:
+//! `K u' = -E_foam K_foam u`. The derivative by ln(E_fabric) is `-u - u'`, since u scales as 1/E if
+//! all moduli scale together.
 
 use faer::sparse::SparseColMat;
 

@@ -36,7 +36,7 @@ pub struct Signals {
 /// Kinds of signals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Asked {
-    /// Ctrl-C.
+    /// A person pressed Ctrl-C.
     Interrupt,
     /// The system requests the end of the process, or the terminal was closed.
     Terminate,

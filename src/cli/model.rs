@@ -93,7 +93,7 @@ struct Onnx {
 
 #[derive(Debug, Args)]
 struct Add {
-    /// The ONNX file.
+    /// ONNX file of the model.
     #[arg(value_name = "ONNX")]
     file: PathBuf,
     /// File with its facts, TOML.
@@ -111,7 +111,7 @@ struct Add {
 
 #[derive(Debug, Args)]
 struct AddCalibration {
-    /// The calibration file.
+    /// Calibration file to store.
     #[arg(value_name = "FILE")]
     file: PathBuf,
     #[command(flatten)]

@@ -93,7 +93,7 @@ pub enum AxisName {
     X,
     /// Along the skin's height.
     Y,
-    /// Downward.
+    /// Downward, from the raised position 0.
     Z,
     /// Spread of the arms.
     Radius,

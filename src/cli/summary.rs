@@ -41,7 +41,7 @@ pub struct Finished {
     pub retries: u64,
     /// From its first start to its end, wall s; absent while it is open.
     pub duration_s: Option<f64>,
-    /// The database file.
+    /// Path of the database file.
     pub database: String,
     /// Number for people.
     pub scan_id: i64,

@@ -152,3 +152,16 @@ pub fn names(which: impl Fn(&Column) -> bool) -> String {
     let names = TABLE.iter().filter(|column| which(column)).map(|column| column.name);
     names.collect::<Vec<_>>().join(", ")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_manual_explains_every_column() {
+        let manual = include_str!("../../docs/how-to/datasets.md");
+        for column in &TABLE {
+            assert!(manual.contains(&format!("`{}`", column.name)), "{} is missing", column.name);
+        }
+    }
+}

@@ -2,6 +2,7 @@
 
     python3 tests/figures/stops.py URL CONTROL estop COUNT [--key KEY] [--load] [--pid PID] [--lock DB]
     python3 tests/figures/stops.py URL CONTROL trips COUNT
+    python3 tests/figures/stops.py URL CONTROL drifts COUNT [--load] [--pid PID] [--lock DB]
 
 `estop`: from the request's first byte to the moment at which the last axis's stop was read at the
 virtual rig (its control socket at CONTROL tells), x moving at each. With --load 200 reads a second go on;
@@ -9,6 +10,7 @@ with --pid the service's process may write no file any more (a full disk: RLIMIT
 --lock somebody else holds the database's write lock.
 `trips`: a force limit that each press exceeds; from the sample to z's acknowledged stop, as the service
 measures it, and the largest force that the rig truly saw.
+`drifts`: a cell drifts over its limit while a load is held, with the store in the given state.
 """
 
 import json
@@ -25,6 +27,9 @@ sys.path.insert(0, str(pathlib.Path(__file__).parent))
 import latency  # noqa: E402
 
 SENSOR = pathlib.Path(__file__).parents[2] / "experiments/sensors/ert-28.toml"
+DRIFTS = """name = 'drifts'\nseed = %d\nsensor = 's'\n[real_hex]\ntips = [2]\nconfigurations = 20\ndepths = 4
+block = 20\nreference_every = 0\n[measure]\nsettle_ms = 40000.0\nsettle_max_ms = 60000.0
+[policy]\nretries = 50\n"""
 EXPERIMENT = """name = 'stops'\nseed = %d\nsensor = 's'\n[real_hex]\ntips = [2]\nconfigurations = 2\ndepths = 11
 [measure]\nsettle_ms = 100.0\n[limits]\nforce_n = 12.0\n"""
 
@@ -74,15 +79,7 @@ def estop(url: str, control: str, count: int, key: str, load: bool, pid: str, lo
         act(url, "jog", axis="x", to_mm=[30.0, 540.0][n % 2])
         while not tell(control, {"cmd": "status"})["axes"][0]["moving"]:
             pass
-        if pid:
-            subprocess.run(["prlimit", "--pid", pid, "--fsize=0:unlimited"], check=True)
-        if lock:
-            held = sqlite3.connect(lock, isolation_level=None)
-            held.execute("BEGIN EXCLUSIVE")
-        readers = threading.Thread(target=latency.load, args=(url, 1.5)) if load else None
-        if readers:
-            readers.start()
-            time.sleep(0.3)
+        again = disturb(url, load, pid, lock)
         before, sent = tell(control, {"cmd": "status"})["stops"], time.time()
         call(url, "/api/v1/estop", {"why": "figures"}, key)
         while True:
@@ -94,16 +91,69 @@ def estop(url: str, control: str, count: int, key: str, load: bool, pid: str, lo
         for receipt in fresh:
             first.setdefault(receipt["axis"], receipt["unix_s"])
         took.append((max(first.values()) - sent) * 1e3)
+        again()
+        until(url, lambda s: s["rig"]["state"] == "tripped")
+        assert truth["stops"] > before
+    latency.spread("request to the last axis's stop at the wire", took, "ms")
+    histogram(took)
+
+
+def disturb(url: str, load: bool, pid: str, lock: str):
+    """Puts the store into a state; what is returned takes it back."""
+    if pid:
+        subprocess.run(["prlimit", "--pid", pid, "--fsize=0:unlimited"], check=True)
+    held = sqlite3.connect(lock, isolation_level=None) if lock else None
+    if held:
+        held.execute("BEGIN IMMEDIATE")
+    readers = threading.Thread(target=latency.load, args=(url, 1.5)) if load else None
+    if readers:
+        readers.start()
+        time.sleep(0.3)
+
+    def again() -> None:
         if readers:
             readers.join()
-        if lock:
+        if held:
             held.execute("ROLLBACK")
             held.close()
         if pid:
             subprocess.run(["prlimit", "--pid", pid, "--fsize=unlimited:unlimited"], check=True)
-        until(url, lambda s: s["rig"]["state"] == "tripped")
-        assert truth["stops"] > before
-    latency.spread("request to the last axis's stop at the wire", took, "ms")
+
+    return again
+
+
+def start(url: str, control: str, definition: str) -> str:
+    """Queues, arms and starts a run, with two tips mounted; returns it once it moves."""
+    body = {"file": "stops.toml", "definition": definition, "sensor": SENSOR.read_text()}
+    run = call(url, "/api/v1/queue", body)["uid"]
+    code = call(url, f"/api/v1/runs/{run}/arm", {})["code"]
+    call(url, f"/api/v1/runs/{run}/actions", {"action": "start", "code": code})
+    wants = lambda s: (s["run"] or {}).get("paused_why") == "tip_change"
+    status = until(url, lambda s: wants(s) or s["rig"]["tips"] == 2)
+    if wants(status):
+        tell(control, {"cmd": "mount", "tips": 2})
+        time.sleep(0.1)
+        call(url, f"/api/v1/runs/{run}/actions", {"action": "confirm", "who": "figures"})
+    return run
+
+
+def drifts(url: str, control: str, count: int, load: bool, pid: str, lock: str) -> None:
+    homed(url)
+    run, took = start(url, control, DRIFTS % time.time()), []
+    for _ in range(count):
+        until(url, lambda s: s["run"]["phase"] == "settle" and s["run"]["state"] == "running")
+        again = disturb(url, load, pid, lock)
+        drift = {"kind": "drifting_cell", "device": "cells", "arm": 1, "n_per_s": 100.0, "for_s": 4.0}
+        tell(control, {"cmd": "fault", **drift})
+        status = until(url, lambda s: s["rig"]["trip"] and s["rig"]["safe_end"])
+        assert status["rig"]["safe_end"]["tips"] == "raised", status["rig"]["safe_end"]
+        took.append(status["rig"]["safe_end"]["sample_to_stop_ms"])
+        again()
+        until(url, lambda s: s["run"]["state"] == "paused")
+        homed(url)
+        call(url, f"/api/v1/runs/{run}/actions", {"action": "resume"})
+    call(url, f"/api/v1/runs/{run}/actions", {"action": "abort"})
+    latency.spread("sample to z's acknowledged stop", took, "ms")
     histogram(took)
 
 
@@ -112,17 +162,8 @@ def trips(url: str, control: str, count: int) -> None:
     for n in range(count):
         homed(url)
         tell(control, {"cmd": "clear_peaks"})
-        body = {"file": "stops.toml", "definition": EXPERIMENT % n, "sensor": SENSOR.read_text()}
-        run = call(url, "/api/v1/queue", body)["uid"]
-        code = call(url, f"/api/v1/runs/{run}/arm", {})["code"]
-        call(url, f"/api/v1/runs/{run}/actions", {"action": "start", "code": code})
-        done = lambda s: s["rig"]["trip"] or (s["run"] or {}).get("paused_why") == "tip_change" or not s["run"]
-        status = until(url, done)
-        if (status["run"] or {}).get("paused_why") == "tip_change":
-            tell(control, {"cmd": "mount", "tips": 2})
-            time.sleep(0.1)
-            call(url, f"/api/v1/runs/{run}/actions", {"action": "confirm", "who": "figures"})
-            status = until(url, lambda s: s["rig"]["trip"] or not s["run"])
+        run = start(url, control, EXPERIMENT % n)
+        status = until(url, lambda s: s["rig"]["trip"] or not s["run"])
         if not status["rig"]["trip"]:
             continue
         status = until(url, lambda s: s["rig"]["safe_end"] and s["run"]["state"] == "paused")
@@ -149,6 +190,8 @@ def main() -> None:
     option = lambda name: more[more.index(name) + 1] if name in more else ""
     if what == "estop":
         estop(url, control, int(count), option("--key"), "--load" in more, option("--pid"), option("--lock"))
+    elif what == "drifts":
+        drifts(url, control, int(count), "--load" in more, option("--pid"), option("--lock"))
     else:
         trips(url, control, int(count))
 

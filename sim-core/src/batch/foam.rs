@@ -1,8 +1,8 @@
 //! Eq. 1 in lanes of f32: from the skin's compression to the foam's conductance at every node.
 //! Uses: `network::lane`, the forward model's laws and fields. Never: contacts.
 //!
-//! `1 / f(x) = E / (a + c E)`, `E = expm1(b x)`: relative error below 5e-7 at any compression. Lanes
-//! are nodes here, not loads; a node's result is the same in every lane.
+//! `1 / f(x) = E / (a + c E)`, `E = expm1(b x)`: relative error below 5e-7 at any compression.
+//! Lanes are nodes here, not loads; a node's result is the same in every lane.
 
 use crate::fields::DisplacementLut;
 use crate::forward::NodeLaw;

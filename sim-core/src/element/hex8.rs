@@ -2,10 +2,10 @@
 //! Uses: nothing. Never: B-bar, incompatible modes: they change the calibration
 //! (`docs/references.md`, "Materials").
 //!
-//! `x = sum N_i x_i`, `N_i = (1 + r r_i)(1 + s s_i)(1 + t t_i) / 8` on [-1, 1]^3; node order: bottom
-//! face counter-clockwise, then the top face. `K = sum_g B' D B det J`. Repeated nodes make a
-//! collapsed brick (a wedge), legal since det J stays positive at the Gauss points.
-//! Order expected: displacement L2 2, energy 1. Locks in bending when thin.
+//! `x = sum N_i x_i`, `N_i = (1 + r r_i)(1 + s s_i)(1 + t t_i) / 8` on [-1, 1]^3; node order:
+//! bottom face counter-clockwise, then the top face. `K = sum_g B' D B det J`. Repeated nodes make
+//! a collapsed brick (a wedge), legal since det J stays positive at the Gauss points. Order
+//! expected: displacement L2 2, energy 1. Locks in bending when thin.
 
 /// Corners of the reference cube, in node order.
 const CORNERS: [[f64; 3]; 8] = [

@@ -2,11 +2,11 @@
 //! Uses: the forward model, faer's SVD. Never: iterations on the non-linear model, the form of a
 //! force map.
 //!
-//! The baseline of the paper's Supplement S-VI and Fig. 12: `f = argmin |J f - v|^2 + lambda |R f|^2`
-//! with R the identity (Tikhonov) or `R'R = diag(J'J)` (NOSER, Cheney et al. 1990). Columns of J are
-//! frames per newton on each of the sensor's points. The foam does not conduct until it is pressed,
-//! so the untouched skin has no slope: J is a secant from the untouched skin to a stated force, or
-//! the tangent at a stated load.
+//! The baseline of the paper's Supplement S-VI and Fig. 12:
+//! `f = argmin |J f - v|^2 + lambda |R f|^2` with R the identity (Tikhonov) or `R'R = diag(J'J)`
+//! (NOSER, Cheney et al. 1990). Columns of J are frames per newton on each of the sensor's points.
+//! The foam does not conduct until it is pressed, so the untouched skin has no slope: J is a secant
+//! from the untouched skin to a stated force, or the tangent at a stated load.
 
 use faer::Mat;
 
@@ -49,7 +49,7 @@ pub enum LinearError {
     /// The penalty is not a finite number > 0.
     #[error("linear reconstruction: penalty = {penalty} is not a finite number > 0")]
     Penalty {
-        /// The penalty found.
+        /// Value of the penalty, a share of the largest squared singular value.
         penalty: f64,
     },
 }

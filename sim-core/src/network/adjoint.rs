@@ -2,8 +2,8 @@
 //! Uses: `kron`, `readout`, `circuit`. Never: the dependence of conductances on parameters.
 //!
 //! With `U = A^-1 E` (potential below the top at every node, per ampere drawn at each electrode), a
-//! conductance `dg` from node i to the top changes `Z` by `-dg u_i u_i'`, and one between a and b by
-//! `-dg (u_a - u_b)(u_a - u_b)'`. One elimination and one back-substitution give U.
+//! conductance `dg` from node i to the top changes `Z` by `-dg u_i u_i'`, and one between a and b
+//! by `-dg (u_a - u_b)(u_a - u_b)'`. One elimination and one back-substitution give U.
 //!
 //! Rounding: on a light load all of U contains one huge common number (1e8 ohm and more) that does
 //! not affect the frame, in addition to differences of 1e4 ohm that do. So `U = common + D`, and D

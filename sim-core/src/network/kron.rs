@@ -111,8 +111,8 @@ impl KronReduction {
         self.fronts.iter().map(of).sum()
     }
 
-    /// Removes the nodes. `to_top_s`: conductance of each node to the top layer, S, >= 0, indexed by
-    /// the network's nodes. The result is a (kept + 1) x kept block, column-major: below the
+    /// Removes the nodes. `to_top_s`: conductance of each node to the top layer, S, >= 0, indexed
+    /// by the network's nodes. The result is a (kept + 1) x kept block, column-major: below the
     /// diagonal the conductances between electrodes, in the last row those to the top.
     pub fn reduce<'w>(&self, to_top_s: &[f64], work: &'w mut KronWork) -> &'w [f64] {
         self.eliminate(to_top_s, work, |_| ())

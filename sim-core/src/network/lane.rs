@@ -25,10 +25,10 @@ pub(crate) trait Lane: Copy + Send + Sync + 'static {
     /// Writes the first `LANES` numbers of a slice.
     fn store(self, numbers: &mut [Self::Number]);
 
-    /// The sum.
+    /// Sum in each lane.
     fn add(self, other: Self) -> Self;
 
-    /// The product.
+    /// Product in each lane.
     fn mul(self, other: Self) -> Self;
 
     /// `self * factor + addend`, rounded once if the processor supports it.
@@ -37,19 +37,19 @@ pub(crate) trait Lane: Copy + Send + Sync + 'static {
     /// `1 / self`, but at most 1e36: zero times it is zero.
     fn reciprocal(self) -> Self;
 
-    /// The square root.
+    /// Square root in each lane.
     fn sqrt(self) -> Self;
 }
 
 /// Lanes of f32, with the additional operations of the foam's law.
 pub(crate) trait Lane32: Lane<Number = f32> {
-    /// The quotient.
+    /// Quotient in each lane.
     fn div(self, other: Self) -> Self;
 
-    /// The smaller one.
+    /// Smaller number in each lane.
     fn min(self, other: Self) -> Self;
 
-    /// The larger one.
+    /// Larger number in each lane.
     fn max(self, other: Self) -> Self;
 
     /// 2^n of `self = ROUND + n`, n = 0, 1, .. 127.

@@ -35,7 +35,7 @@ pub struct UnseenArgs {
     /// Skip the paper's nets: score our methods only.
     #[arg(long)]
     ours: bool,
-    /// The dataset.
+    /// Name or id of the dataset.
     #[arg(long, value_name = "NAME", default_value = "real-unseen")]
     dataset: String,
     #[command(flatten)]

@@ -55,8 +55,8 @@ fn selected(has: fn(&Column) -> bool) -> Vec<Parameter> {
     let condition = ObjectBuilder::new().schema_type(Type::String).pattern(Some(pattern));
     let about = format!(
         "Condition `COLUMN__gt=VALUE` with eq, gt, gte, lt, lte, or in with values separated by commas; \
-         repeated conditions must all hold, and an absent value meets none. Each may also stand as a \
-         parameter of its own, `COLUMN__gt=VALUE`. Columns: {comparable}."
+         repeated conditions must all hold, and an absent value meets none. A condition may also be a \
+         separate parameter, `COLUMN__gt=VALUE`. Columns: {comparable}."
     );
     let conditions = ArrayBuilder::new().items(condition).build();
     let names: Vec<&str> = TABLE.iter().filter(|c| has(c)).map(|c| c.name).collect();
@@ -73,11 +73,11 @@ fn selected(has: fn(&Column) -> bool) -> Vec<Parameter> {
 /// The meaning of each column.
 fn meanings(has: fn(&Column) -> bool) -> String {
     let line = |c: &Column| match c.unit {
-        "" => format!("`{}`: {}", c.name, c.about),
-        unit => format!("`{}` ({unit}): {}", c.name, c.about),
+        "" => format!("- `{}`: {}", c.name, c.about),
+        unit => format!("- `{}` ({unit}): {}", c.name, c.about),
     };
     let lines: Vec<String> = TABLE.iter().filter(|c| has(c)).map(line).collect();
-    format!("Only these columns, in this order, separated by commas. {}.", lines.join("; "))
+    format!("Only these columns, in this order, separated by commas:\n\n{}", lines.join("\n"))
 }
 
 fn page(cursor: &str) -> [Parameter; 3] {

@@ -1,5 +1,5 @@
-//! What runs next: submissions become queued runs, queued runs are armed and started, and what a
-//! crash interrupted goes on where its arming allowed it.
+//! The order of runs: submissions become queued runs, queued runs are armed and started, and a run
+//! that a crash interrupted resumes if its arming allows it.
 //! Uses: `schedule`, `rig::reach`, `campaign` (its handle), `store`. Never: motion, HTTP.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -28,24 +28,25 @@ use prepare::Prepared;
 pub use prepare::Submission;
 use restart::TakenOver;
 
-/// How long a code from arming may be used.
+/// Time for which a code from arming is valid, wall.
 const CODE_VALID: Duration = Duration::from_secs(600);
 /// Longest wait for homing, wall.
 const HOMING: Duration = Duration::from_secs(300);
-/// Pause between looks at the rig's state.
+/// Interval of polling the rig's state.
 const LOOK: Duration = Duration::from_millis(50);
-/// Tries at reaching the rig after a restart, and the pause before the second; it doubles.
+/// Number of attempts to reach the rig after a restart, and the pause before the second; it
+/// doubles.
 const RESTART_TRIES: u32 = 8;
 const RESTART_PAUSE: Duration = Duration::from_secs(1);
 
-/// The rig that runs are made for.
+/// The rig on which runs are driven.
 #[derive(Debug, Clone)]
 pub struct RigFile {
     /// Name of the file, for problems.
     pub file: String,
-    /// Its text, stored with every run.
+    /// Text of the rig file, stored with every run.
     pub text: String,
-    /// Its contents.
+    /// Parsed configuration.
     pub config: RigConfig,
 }
 
@@ -61,10 +62,10 @@ struct Inner {
     rig: RigFile,
     calibration: Option<Calibration>,
     armings: Mutex<BTreeMap<RunUid, Arming>>,
-    /// Runs that begin when the rig is free. Each is marked so in the store too, for the process
-    /// that comes after a crash; in this one only those begin that are named here.
+    /// Runs that begin when the rig is free. The store marks them as well, for the process after a
+    /// crash; in this process only the runs in this set begin.
     waiting: Mutex<BTreeSet<RunUid>>,
-    /// One of them was added.
+    /// Notified when a run is added to `waiting`.
     look: Notify,
 }
 
@@ -75,44 +76,44 @@ struct Arming {
     expires_at: Timestamp,
 }
 
-/// What arming answers: what will happen, and the code that starts it.
+/// Result of arming: the preflight, and the code that starts the run.
 #[derive(Debug, Clone, Serialize, ToSchema)]
 pub struct Armed {
-    /// To be given with `start`.
+    /// Code for the action `start`.
     pub code: String,
-    /// The code is void after this.
+    /// Time at which the code expires.
     #[schema(value_type = String, format = DateTime)]
     pub expires_at: Timestamp,
-    /// What the run is.
+    /// Preflight of the run.
     pub preflight: Preflight,
 }
 
-/// How a start was taken up.
+/// Result of a start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Started {
-    /// It is under way.
+    /// The run is active.
     Running,
-    /// It goes when the run before it has ended.
+    /// The run starts when the one before it has ended.
     Waiting,
 }
 
-/// Why something was not done.
+/// Why a request was refused or failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ConductorError {
     /// The files cannot be used on this rig.
     #[error("{}", problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
     Problems {
-        /// All of them.
+        /// Every problem found.
         problems: Vec<Problem>,
     },
-    /// There is no such run.
+    /// There is no run with this id.
     #[error("there is no run {0}")]
     NoRun(String),
-    /// The state forbids it.
+    /// The state of the run or the store forbids it.
     #[error("{0}")]
     Forbidden(String),
-    /// The campaign refused.
+    /// The campaign refused the request.
     #[error(transparent)]
     Refused(#[from] Refusal),
     /// The store failed.
@@ -121,7 +122,7 @@ pub enum ConductorError {
 }
 
 impl Conductor {
-    /// A conductor of one rig. Runs on the calibration's sensor carry its id.
+    /// Creates the conductor of one rig. Runs on the calibration's sensor carry its id.
     pub fn new(
         store: Store,
         campaign: Handle,
@@ -133,12 +134,19 @@ impl Conductor {
         Self { inner: Arc::new(inner) }
     }
 
-    /// What a submission would be, without queueing it.
+    /// Returns the preflight of a submission, without queueing it.
+    ///
+    /// # Errors
+    /// `ConductorError::Problems` if a file is invalid.
     pub async fn preflight(&self, submission: Submission) -> Result<Preflight, ConductorError> {
         Ok(self.prepare(submission).await?.preflight)
     }
 
-    /// Queues a run. A submission with problems is refused.
+    /// Queues a run.
+    ///
+    /// # Errors
+    /// `ConductorError::Problems` if the files or the preflight have problems; `Store` if the store
+    /// fails.
     pub async fn enqueue(
         &self,
         submission: Submission,
@@ -174,12 +182,19 @@ impl Conductor {
         calibration.filter(|c| c.sensor == sensor_name).and_then(|c| c.id().ok())
     }
 
-    /// The preflight of a stored run on this rig.
+    /// Returns the preflight of a stored run on this rig.
+    ///
+    /// # Errors
+    /// `ConductorError::Problems` if a file is invalid.
     pub async fn preflight_of(&self, run: &RunRow) -> Result<Preflight, ConductorError> {
         self.preflight(Submission::of(run)).await
     }
 
-    /// The first step of starting: checks the run and hands out a code.
+    /// First step of a start: checks the run and returns a code.
+    ///
+    /// # Errors
+    /// `ConductorError::Forbidden` if the run is not startable or the store is damaged; `Problems`
+    /// if the preflight has problems.
     pub async fn arm(&self, run: &RunRow) -> Result<Armed, ConductorError> {
         startable(run)?;
         self.require_sound_store()?;
@@ -191,7 +206,11 @@ impl Conductor {
         Ok(Armed { code, expires_at, preflight })
     }
 
-    /// The second step: starts the run, or lets it follow the one under way.
+    /// Second step: starts the run, or lets it wait for the active one.
+    ///
+    /// # Errors
+    /// `ConductorError::Forbidden` if the run is not startable, the code is invalid or the store is
+    /// damaged; `Refused` if the campaign refuses.
     pub async fn start(&self, run: &RunRow, code: &str) -> Result<Started, ConductorError> {
         startable(run)?;
         self.check_code(run.uid, code)?;
@@ -214,19 +233,19 @@ impl Conductor {
                 forbidden(format!("the code of run {run} expired at {}", arming.expires_at))
             }
             Some(arming) if arming.code != code => {
-                forbidden(format!("code = {code}: not the one that arming run {run} gave"))
+                forbidden(format!("code = {code}: not the code from arming run {run}"))
             }
             Some(_) => Ok(()),
         }
     }
 
-    /// Nothing is measured into a database that is known to be damaged.
+    /// Refuses runs on a database that is known to be damaged.
     fn require_sound_store(&self) -> Result<(), ConductorError> {
         match self.inner.store.soundness() {
             Soundness::Unchecked | Soundness::Sound => Ok(()),
             Soundness::Damaged(findings) => Err(ConductorError::Forbidden(format!(
-                "the database is damaged, no run is armed or started: {}; bring it back from a \
-                 copy, or start on another data folder",
+                "the database is damaged, no run is armed or started: {}; restore it from a \
+                 copy, or use another data folder",
                 findings.join("; ")
             ))),
         }
@@ -241,8 +260,8 @@ impl Conductor {
         Ok(())
     }
 
-    /// Follows the campaign: a run that was started while another was under way begins when the rig
-    /// is free. Ends with the campaign's thread.
+    /// Follows the campaign: a run that was started while another was active begins when the rig is
+    /// free. Ends with the campaign's thread.
     pub async fn follow(self) {
         let mut status = self.inner.campaign.watch_status();
         loop {
@@ -260,7 +279,8 @@ impl Conductor {
         }
     }
 
-    /// Begins the first run that waits. One that cannot begin must be started anew; an event says so.
+    /// Begins the first waiting run. A run that cannot begin must be started again; an event
+    /// reports it.
     async fn begin_next(&self) -> Result<(), ConductorError> {
         if self.waiting().is_empty() {
             return Ok(());
@@ -271,7 +291,7 @@ impl Conductor {
             }
             match self.begin(&run).await {
                 Ok(()) => return Ok(()),
-                // Another came first: it waits on.
+                // Another run was started first: this one continues to wait.
                 Err(_) if self.inner.campaign.status().run.is_some() => return Ok(()),
                 Err(error) => self.drop_waiting(&run, &error.to_string()).await?,
             }
@@ -291,13 +311,16 @@ impl Conductor {
         Ok(())
     }
 
-    /// After a start of the service: goes on by itself with the run that was being driven when the
-    /// process ended, and with those that were started behind it, if their arming allows that and
-    /// `resume` says so. Marks what else was left open as interrupted; who no longer waits for a
-    /// turn must be started anew. Says in events what it does and what it cannot do.
+    /// Called after a start of the service: resumes the run that was driven when the process ended,
+    /// and then the runs that were started behind it, if their arming and `resume` allow it. Marks
+    /// other open runs as interrupted; a waiting run that is dropped must be started again. Reports
+    /// in events what it does and what it cannot do.
     ///
-    /// Until it drives the run again, the run keeps the state that it was left in: a process that
-    /// ends on the way leaves the same case to the next one.
+    /// Until the run is driven again it keeps its state: if this process ends early, the next one
+    /// finds the same case.
+    ///
+    /// # Errors
+    /// `ConductorError` if the store fails, or the run cannot resume.
     pub async fn go_on(&self, resume: bool) -> Result<(), ConductorError> {
         let store = &self.inner.store;
         let (open, waiting) = (store.open_runs().await?, store.waiting_runs().await?);
@@ -316,7 +339,7 @@ impl Conductor {
         let begun = usize::from(driven.is_none() && matches!(outcome, Ok(true)));
         if self.inner.campaign.status().rig.state == RigState::Tripped {
             for run in &waiting[begun..] {
-                self.drop_waiting(run, "the rig tripped while it was brought up").await?;
+                self.drop_waiting(run, "the rig tripped during the start").await?;
             }
         } else {
             self.let_wait(waiting[begun..].iter().map(|run| run.uid));
@@ -324,7 +347,7 @@ impl Conductor {
         outcome.map(|_| ())
     }
 
-    /// Whether it is driven again; `false` when the rig could not be reached.
+    /// Drives a run again; returns `false` if the rig could not be reached.
     async fn go_on_with(&self, run: &RunRow) -> Result<bool, ConductorError> {
         let mut pause = RESTART_PAUSE;
         for attempt in 1..=RESTART_TRIES {
@@ -356,8 +379,8 @@ impl Conductor {
         }
     }
 
-    /// Opens the wires and homes, as far as the rig is not there yet. After a crash the first
-    /// motion is z up: homing sees to it.
+    /// Opens the wires and homes the rig, as needed. After a crash the first motion is z up, as in
+    /// every homing.
     async fn bring_up(&self) -> Result<(), Refusal> {
         let campaign = &self.inner.campaign;
         if campaign.status().rig.state == RigState::Disconnected {
@@ -386,7 +409,7 @@ impl Conductor {
 
     async fn prepare(&self, submission: Submission) -> Result<Prepared, ConductorError> {
         let rig = self.inner.rig.clone();
-        // A plan of 198,000 trials takes a third of a second: not on a thread that answers requests.
+        // A plan of 198,000 trials takes about 0.3 s: not on a thread that answers requests.
         let prepared = tokio::task::spawn_blocking(move || Prepared::of(&submission, &rig)).await;
         match prepared {
             Ok(prepared) => prepared.map_err(|problems| ConductorError::Problems { problems }),

@@ -1,4 +1,4 @@
-//! From the texts of files to a run that can be queued, looked over and driven.
+//! From the texts of files to a run that can be queued, checked and driven.
 //! PURE. Uses: `schedule`, `rig::{config, reach}`, `campaign::run::job`. Never: files, storage.
 
 use serde::Deserialize;
@@ -16,7 +16,7 @@ use crate::schedule::plan::{Kind, Plan};
 use crate::schedule::preflight::Preflight;
 use crate::store::{Label, RunKind, RunRow};
 
-/// An experiment as it is handed in: texts, since the service may not see the sender's files.
+/// An experiment as submitted: texts, since the service may not have access to the sender's files.
 #[derive(Debug, Clone, PartialEq, Deserialize, ToSchema)]
 pub struct Submission {
     /// Name of the experiment file, for problems.
@@ -28,7 +28,7 @@ pub struct Submission {
 }
 
 impl Submission {
-    /// A stored run's own texts.
+    /// The texts of a stored run.
     pub fn of(run: &RunRow) -> Self {
         Self {
             file: format!("{}.toml", run.experiment),
@@ -38,25 +38,28 @@ impl Submission {
     }
 }
 
-/// A submission, planned and looked over for one rig.
+/// A submission, planned and checked for one rig.
 pub struct Prepared {
-    /// The experiment.
+    /// Parsed experiment.
     pub experiment: Experiment,
-    /// Everything decided.
+    /// Plan of the run.
     pub plan: Plan,
-    /// What a person reads before arming.
+    /// Preflight on this rig, for the person who arms the run.
     pub preflight: Preflight,
     /// Name of the sensor.
     pub sensor_name: String,
     /// Diameter of a tip, mm.
     pub tip_diameter_mm: f64,
-    /// The rig's label.
+    /// Label of the rig.
     pub label: Label,
     clock_rate: f64,
 }
 
 impl Prepared {
-    /// Plans a submission. What forbids it on this rig is in the preflight.
+    /// Plans a submission. Problems on this rig are in the preflight.
+    ///
+    /// # Errors
+    /// All problems of the experiment or sensor file.
     pub fn of(submission: &Submission, rig: &RigFile) -> Result<Self, Vec<Problem>> {
         let file = &submission.file;
         let experiment = Experiment::from_toml(file, &submission.definition)?;
@@ -75,7 +78,10 @@ impl Prepared {
         Ok(Self { experiment, plan, preflight, sensor_name, tip_diameter_mm, label, clock_rate })
     }
 
-    /// Itself, unless the preflight found problems.
+    /// Returns the run, unless the preflight found problems.
+    ///
+    /// # Errors
+    /// `ConductorError::Problems` with those of the preflight.
     pub fn sound(self) -> Result<Self, ConductorError> {
         if self.preflight.problems.is_empty() {
             Ok(self)
@@ -84,7 +90,7 @@ impl Prepared {
         }
     }
 
-    /// The kind as it is stored.
+    /// The kind of the stored run.
     pub fn run_kind(&self) -> RunKind {
         match self.plan.kind {
             Kind::RealHex => RunKind::RealHex,
@@ -92,7 +98,7 @@ impl Prepared {
         }
     }
 
-    /// The run as the campaign drives it.
+    /// The job that the campaign drives.
     pub fn job(self, run: &RunRow) -> Job {
         let trials = self.preflight.trials.max(1);
         Job {

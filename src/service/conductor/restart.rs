@@ -1,32 +1,32 @@
-//! What a start of the service makes of what the process before it left: which run is driven first,
-//! which runs still wait for their turn, and which must be started anew by a person.
+//! Decides after a start of the service, from the open and waiting runs of the earlier process,
+//! which run is driven first, which runs still wait, and which a person must start again.
 //! PURE. Uses: `campaign::run::run_state`, `store` (its rows). Never: the rig, a request.
 
 use crate::campaign::run::run_state::{PausedWhy, RunState};
 use crate::store::RunRow;
 
-/// Nobody asked this start to go on by itself.
-const NOT_ASKED: &str = "the service was started without going on by itself";
-/// The run's own arming says no.
-const NOT_ALLOWED: &str = "its arming does not allow it to begin by itself after a restart";
-/// Tips may be half mounted, hands in the way.
-const SOMEBODY_THERE: &str = "the run before it was not under way by itself: somebody may be at the \
-                              rig";
+/// This start of the service does not allow automatic resumes.
+const NOT_ASKED: &str = "the service was started without automatic resume";
+/// The arming of the run does not allow automatic resumes.
+const NOT_ALLOWED: &str = "its arming does not allow an automatic start after a restart";
+/// Tips may be partly mounted, or hands in the way.
+const SOMEBODY_THERE: &str =
+    "the run before it was waiting, tripped or ending: a person may be at the rig";
 
-/// What becomes of open and waiting runs.
+/// Decision on open and waiting runs.
 #[derive(Debug, PartialEq)]
 pub(super) struct TakenOver {
-    /// The run that was under way, if it may go on by itself.
+    /// The run that was active, if it may resume automatically.
     pub driven: Option<RunRow>,
-    /// Runs that were armed and started behind it and still wait, the next first.
+    /// Runs that were armed and started behind it and still wait, the next one first.
     pub waiting: Vec<RunRow>,
-    /// Runs that waited and must be started anew, and why.
+    /// Runs that waited and must be started again, with the reason.
     pub dropped: Vec<(RunRow, &'static str)>,
 }
 
 impl TakenOver {
-    /// Of the runs in a state of the engine and of those that wait, both in their order. `resume`:
-    /// this start may go on by itself.
+    /// Decides on the open runs and on those that wait, both in their order. `resume`: this start
+    /// may resume runs automatically.
     pub(super) fn of(open: Vec<RunRow>, waiting: Vec<RunRow>, resume: bool) -> Self {
         let somebody_there = !open.iter().all(was_driven);
         let refusal = |run: &RunRow| match run.auto_resume {
@@ -46,8 +46,8 @@ impl TakenOver {
     }
 }
 
-/// A run that waited for a person, stood in a trip, or was to end when the process ended is not gone
-/// on with unasked: somebody may be at the rig.
+/// Whether a run was driven without a person. A run that waited for a person, was tripped, or was
+/// ending when the process ended does not resume automatically: a person may be at the rig.
 fn was_driven(run: &RunRow) -> bool {
     run.state == RunState::Running.as_str()
         || run.paused_why.as_deref() == Some(PausedWhy::Restart.as_str())
@@ -94,7 +94,7 @@ mod tests {
         }
     }
 
-    /// What becomes of one open run and one that waits: driven, waiting, why dropped.
+    /// Decision on one open run and one that waits: driven, waiting, reason of the drop.
     fn becomes(
         open: Option<RunRow>,
         waits_and_may: Option<bool>,
@@ -125,7 +125,7 @@ mod tests {
     #[test]
     fn a_run_that_waits_keeps_its_turn_where_its_arming_allows_it() {
         let running = |may| Some(run("running", None, may));
-        // Behind one that goes on, behind one that may not, and with none before it.
+        // Behind one that resumes, behind one that may not, and without one before it.
         assert_eq!(becomes(running(true), Some(true), true), (true, true, None));
         assert_eq!(becomes(running(false), Some(true), true), (false, true, None));
         assert_eq!(becomes(None, Some(true), true), (false, true, None));

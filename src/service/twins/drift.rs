@@ -1,5 +1,5 @@
-//! The rolling fit of a run: is the skin, or one electrode, drifting away from the model?
-//! PURE. Uses: `compare`, `schedule` (the limits). Never: an action (who watches takes it).
+//! The rolling fit of a run: detects a drift of the skin, or of one electrode, from the model.
+//! PURE. Uses: `compare`, `schedule` (the limits). Never: an action (the caller takes it).
 
 use std::collections::VecDeque;
 
@@ -8,9 +8,9 @@ use utoipa::ToSchema;
 
 use crate::schedule::experiment::TwinLimits;
 
-/// Pairs of electrodes named in a finding, the worst first.
+/// Number of pairs of electrodes in a finding, the worst first.
 const WORST_PAIRS: usize = 5;
-/// Share of the window that must be filled before it says anything.
+/// Share of the window that must be filled before the fit is evaluated.
 const FILLED: f64 = 0.5;
 
 /// A trial with its twin.
@@ -22,11 +22,11 @@ pub struct Pairing {
     pub measured_v: Vec<f32>,
     /// Simulated frame, V.
     pub simulated_v: Vec<f32>,
-    /// Fraction of variance unexplained between them.
+    /// Fraction of variance unexplained of the measured frame.
     pub fvu: f64,
 }
 
-/// How bad it is.
+/// Severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Level {
@@ -38,32 +38,32 @@ pub enum Level {
     Suspend,
 }
 
-/// The readings between two neighbouring electrodes, over all sinks.
+/// Fit of the readings between two neighbouring electrodes, over all sinks.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, ToSchema)]
 pub struct PairFit {
-    /// The pair, from 0: the potential of the first less that of the second is read.
+    /// The pair, from 0: the reading is the potential of the first minus that of the second.
     pub electrodes: [usize; 2],
-    /// Over window and sinks: squared differences to the twins over the readings' own variance.
+    /// Over window and sinks: squared differences from the twins over the variance of the readings.
     pub fvu: f64,
 }
 
 /// The fit over the window.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct RollingFit {
-    /// How bad it is.
+    /// Severity of the fit.
     pub level: Level,
-    /// Trials in the window, of those with at least `min_force_n`.
+    /// Number of trials in the window, each with at least `min_force_n`.
     pub trials: usize,
     /// Median of the trials' FVU.
     pub median_fvu: f64,
-    /// Pairs of electrodes over their limit.
+    /// Number of electrode pairs over their limit.
     pub pairs_over_limit: usize,
-    /// The worst pairs.
+    /// The worst pairs, at most five.
     pub worst_pairs: Vec<PairFit>,
 }
 
 impl RollingFit {
-    /// In words, for events and for the reason of a suspended run.
+    /// Description as text, for events and for the reason of a suspended run.
     pub fn describe(&self, limits: &TwinLimits) -> String {
         let mut words = format!(
             "median FVU {:.2} over the last {} trials of at least {} N",
@@ -90,18 +90,18 @@ pub struct DriftWatch {
 }
 
 impl DriftWatch {
-    /// An empty window for a sensor of so many electrodes.
+    /// Starts with an empty window, for a sensor with `electrodes` electrodes.
     pub fn new(limits: TwinLimits, electrodes: usize) -> Self {
         Self { limits, electrodes, window: VecDeque::new(), level: Level::Ok }
     }
 
-    /// The limits.
+    /// Limits of the experiment.
     pub fn limits(&self) -> &TwinLimits {
         &self.limits
     }
 
-    /// Takes up a trial; returns the fit when its level has changed. A window that led to a
-    /// suspension is forgotten: who resumes is not stopped again by the same trials.
+    /// Adds a trial; returns the fit if its level has changed. After a suspension the window is
+    /// cleared, so that a resumed run is not suspended again by the same trials.
     pub fn push(&mut self, pairing: Pairing) -> Option<RollingFit> {
         if pairing.max_force_n < self.limits.min_force_n {
             return None;
@@ -126,7 +126,7 @@ impl DriftWatch {
         Some(fit)
     }
 
-    /// The fit over the window as it is.
+    /// The fit over the current window.
     pub fn fit(&self) -> RollingFit {
         let mut fvu: Vec<f64> = self.window.iter().map(|p| p.fvu).collect();
         fvu.sort_by(f64::total_cmp);
@@ -154,8 +154,8 @@ impl DriftWatch {
         }
     }
 
-    /// Eq. 2 along the window for each pair: its variance is that of each reading around its own
-    /// mean. A pair that never changes has none.
+    /// Eq. 2 along the window for each pair: its variance is that of each reading around its mean.
+    /// A pair without variance is skipped.
     fn pairs(&self) -> Vec<PairFit> {
         let count = self.electrodes;
         (0..count)

@@ -1,9 +1,9 @@
-//! The pool that gives every stored trial its simulated twin (paper, Sim-Hex).
+//! The pool of threads that simulates the twin of every stored trial (paper, Sim-Hex).
 //! Uses: sim-core, `store`, `campaign` (its status, and the request to suspend). Never: a job row,
-//! a wait of the campaign's; what is pending is asked of the store again and again.
+//! a delay of the campaign; pending trials are queried from the store.
 //!
-//! The run under way comes first, then the newest. One page of trials is read, computed by the
-//! workers and stored in one transaction; then it looks again at who comes first.
+//! The active run has priority, then the newest one. One page of trials is read, simulated by the
+//! workers and stored in one transaction; then the priority is determined again.
 
 pub mod drift;
 
@@ -32,28 +32,28 @@ use crate::store::{
     TwinModelId, TwinOutcome,
 };
 
-/// Trials of one worker between two looks at the store: a few milliseconds of work, and a
-/// transaction that does not hold up a trial's commit for longer.
+/// Number of trials per worker in a page: a few milliseconds of work, and a transaction that does
+/// not delay a trial's commit for longer.
 const TRIALS_AT_ONCE: usize = 16;
-/// Pause when nothing is pending.
+/// Interval of polling the store if nothing is pending.
 const IDLE: Duration = Duration::from_millis(250);
 /// Pause after a failure of the store.
 const BACK_OFF: Duration = Duration::from_secs(5);
-/// How often trials that were passed over, and runs that had nothing pending, are looked at again.
+/// Interval at which skipped trials, and runs without pending trials, are checked again.
 const RECONCILE: Duration = Duration::from_secs(60);
 
-/// Where the pool stands.
+/// Status of the pool.
 #[derive(Debug, Clone, Default, Serialize, ToSchema)]
 pub struct PoolStatus {
-    /// Threads that compute.
+    /// Number of threads that simulate.
     pub workers: usize,
-    /// Twins made since the service started.
+    /// Number of twins made since the service started.
     pub made: u64,
-    /// Twins a second over the last minute of work; absent before the first.
+    /// Twins per second, moving average over pages; absent before the first page.
     pub per_s: Option<f64>,
-    /// The last failure, in words.
+    /// The last failure, as text.
     pub last_error: Option<String>,
-    /// The fit of the run under way, while it has one.
+    /// Fit of the last active run over its window; absent before its first twin.
     pub rolling: Option<RollingFit>,
 }
 
@@ -73,7 +73,7 @@ struct Inner {
     models: Mutex<HashMap<RunUid, TwinModelId>>,
 }
 
-/// What the twins of a run are made with.
+/// Model and settings for the twins of a run.
 #[derive(Clone)]
 struct Recipe {
     model: Arc<ForwardModel>,
@@ -82,37 +82,37 @@ struct Recipe {
     force_noise_n: f64,
 }
 
-/// Why a run's twins cannot be made.
+/// Why the twins of a run cannot be made.
 #[derive(Debug, thiserror::Error)]
 enum PoolError {
     #[error(transparent)]
     Store(#[from] StoreError),
     #[error("run {run}: its {file} file cannot be used: {why}")]
     File { run: i64, file: &'static str, why: String },
-    #[error("run {0} is of a skin that there is no model of")]
+    #[error("run {0}: there is no model of its skin")]
     Foreign(i64),
     #[error("a worker panicked")]
     Worker,
 }
 
-/// Memory of the loop between two pages.
+/// State of the loop between two pages.
 #[derive(Default)]
 struct Progress {
     recipes: HashMap<RunUid, Recipe>,
-    /// Skins by the text of their sensor file.
+    /// Models by the text of their sensor file.
     skins: HashMap<String, Arc<ForwardModel>>,
-    /// The last trial that was looked at, per run.
+    /// The last trial that was read, per run.
     passed: HashMap<RunUid, TrialId>,
-    /// Runs with nothing pending.
+    /// Runs without pending trials.
     done: HashSet<RunUid>,
-    /// Runs whose files cannot be used.
+    /// Runs whose files are invalid.
     unusable: HashSet<RunUid>,
     watch: Option<(RunUid, DriftWatch)>,
 }
 
 impl TwinPool {
-    /// A pool of so many threads, 0 for none. `calibration` holds for runs on its sensor; unit
-    /// responses are cached in `cache_dir`.
+    /// Creates a pool of `workers` threads; 0 makes no twins. `calibration` applies to runs on its
+    /// sensor; unit responses are cached in `cache_dir`.
     pub fn new(
         store: Store,
         campaign: Handle,
@@ -126,18 +126,22 @@ impl TwinPool {
         Self { inner: Arc::new(inner) }
     }
 
-    /// Where it stands.
+    /// Current status of the pool.
     pub fn status(&self) -> PoolStatus {
         self.inner.status.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// How far a run's twins are, of the model that the pool uses for it.
+    /// Counts the twins of a run, made by the model that the pool uses for it.
+    ///
+    /// # Errors
+    /// `StoreError` if the store fails.
     pub async fn count(&self, run: RunUid) -> Result<TwinCount, StoreError> {
         let model = self.models().get(&run).copied().unwrap_or(TwinModelId::NONE);
         self.inner.store.twin_count(run, model).await
     }
 
-    /// Works until it is dropped. What was not stored then is pending again at the next start.
+    /// Makes twins until the future is dropped. Twins that are not stored are pending at the next
+    /// start.
     pub async fn work(self) {
         if self.inner.workers == 0 {
             return;
@@ -154,7 +158,7 @@ impl TwinPool {
                 Ok(true) => {}
                 Ok(false) => tokio::time::sleep(IDLE).await,
                 Err(error) => {
-                    tracing::warn!(%error, "twins are not made");
+                    tracing::warn!(%error, "twins could not be made");
                     self.show(|status| status.last_error = Some(error.to_string()));
                     tokio::time::sleep(BACK_OFF).await;
                 }
@@ -162,7 +166,7 @@ impl TwinPool {
         }
     }
 
-    /// Makes the twins of one page; `false` when nothing is pending anywhere.
+    /// Makes the twins of one page; returns `false` if nothing is pending in any run.
     async fn page(&self, progress: &mut Progress) -> Result<bool, PoolError> {
         let store = &self.inner.store;
         let active = self.inner.campaign.status().run.map(|run| run.uid);
@@ -188,7 +192,7 @@ impl TwinPool {
             let after = progress.passed.get(&run).copied().unwrap_or(TrialId(0));
             let trials = store.pending_twins(run, recipe.id, after, limit).await?;
             let Some(last) = trials.last().map(|t| t.trial_id) else {
-                // More comes to the run under way, also while it is no longer looked at as such.
+                // Further trials of the active run will follow.
                 if Some(run) != active {
                     progress.done.insert(run);
                 }
@@ -208,7 +212,8 @@ impl TwinPool {
         Ok(false)
     }
 
-    /// The model of a run's own sensor file, calibrated where a calibration holds for it, and what counts as a contact on its rig.
+    /// The model of a run's sensor file, with the calibration if it applies, and the force noise of
+    /// its rig, which defines a contact.
     async fn recipe(&self, run: RunUid, progress: &mut Progress) -> Result<Recipe, PoolError> {
         if let Some(recipe) = progress.recipes.get(&run) {
             return Ok(recipe.clone());
@@ -225,7 +230,7 @@ impl TwinPool {
                     .cells
                     .force_noise_n
             }
-            // Contacts of an import are as they were handed in.
+            // Contacts of an import are used as they are.
             None => 0.0,
         };
         if row.kind == RunKind::Imported && self.is_foreign(&row).await? {
@@ -253,7 +258,7 @@ impl TwinPool {
         Ok(recipe)
     }
 
-    /// Whether an import is of another kind of skin, or came with simulated frames of its own.
+    /// Whether an import is of another kind of skin, or contains simulated frames.
     async fn is_foreign(&self, row: &RunRow) -> Result<bool, PoolError> {
         if Sensor::from_toml(&row.sensor).is_err() {
             return Ok(true);
@@ -286,7 +291,7 @@ impl TwinPool {
         built.map(Arc::new).map_err(unusable)
     }
 
-    /// Lets the run's rolling fit warn, or suspend it.
+    /// Updates the rolling fit of the active run, which may warn or suspend it.
     async fn watch(
         &self,
         run: RunUid,
@@ -340,7 +345,7 @@ impl TwinPool {
     }
 }
 
-/// The twins of a page, in its order; the workers share it out.
+/// The twins of a page, in its order; the workers share the work.
 async fn compute(
     recipe: &Recipe,
     trials: &Arc<Vec<TrialRow>>,
@@ -365,10 +370,10 @@ async fn compute(
     Ok(twins)
 }
 
-/// What the model says to a trial's measured contacts and forces.
+/// Simulates the twin of a trial from its measured contacts and forces.
 fn twin(recipe: &Recipe, trial: &TrialRow, work: &mut Workspace) -> Twin {
     let Some(contacts) = contacts(trial, recipe.kind, recipe.force_noise_n) else {
-        let why = "a contact has no place or no force".into();
+        let why = "a contact has no position or no force".into();
         return Twin { trial: trial.trial_id, outcome: TwinOutcome::Failure(why) };
     };
     let outcome = match (recipe.model.voltages(&contacts, work), &trial.voltages_v) {

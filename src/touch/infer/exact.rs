@@ -34,8 +34,8 @@ const THREADS: usize = 8;
 const STRETCHED_BY: usize = 200;
 /// Smallest force of a contact used for these factors, N: the paper's deadband.
 const CLEAR_N: f64 = 5.0;
-/// Quantile at which the factors are determined: users rely on the limits of the errors. It is also
-/// the probability below which |x| is taken for a normal x of standard deviation 1.
+/// Quantile at which the factors are determined: users rely on the limits of the errors.
+/// `TOLD_BY_SD` is this quantile of |x|, for a normal x of standard deviation 1.
 const TOLD_BY: f64 = 0.9;
 const TOLD_BY_SD: f64 = 1.645;
 /// A fit whose residual exceeds this multiple of the assumed noise does not explain the frame.

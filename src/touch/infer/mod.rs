@@ -1,5 +1,6 @@
 //! From a frame to contacts: the serving models, and the three methods that use them.
-//! Uses: `learn` (files of models), `dataset::force_map`, sim-core, tract. Never: HTTP, training, motion.
+//! Uses: `learn` (files of models), `dataset::force_map`, sim-core, tract. Never: HTTP, training,
+//! motion.
 //!
 //! ```text
 //! registry (folders, loaded plans) -> serving (what is promoted) -> methods: paper, fast, exact

@@ -1,7 +1,7 @@
 //! Levenberg-Marquardt on contacts' positions and forces, with evidence and standard deviations at
 //! the optimum. Uses: a model that predicts projected frames. Never: adding or dropping a contact.
 //!
-//! Parameters of a contact: x, y (mm, within limits) and ln F. Prior: uniform on the skin, normal in
+//! Parameters of a contact: x, y (mm, limited) and ln F. Prior: uniform on the skin, normal in
 //! ln F. Evidence is Laplace's approximation: the height of the optimum times the width that data
 //! and prior leave, over the width of the prior. A contact must therefore lower the misfit by twice
 //! the logarithm of the skin's area over `2 pi sd_x sd_y`, and of the prior's width in ln F over

@@ -1,10 +1,10 @@
 //! Covariance of the difference between measured and modelled frames.
 //! Uses: faer's symmetric eigenvalues, serde. Never: the positions of the contacts.
 //!
-//! Covariance of a frame's error: `diag(sd^2) / frames + |v|^2 (sum of m m' + floor^2 I / channels)`:
-//! white noise that averaging lowers, and a model error in proportion to the signal `|v|`, which
-//! averaging does not lower. The columns m come from held-out pairs of measured and modelled
-//! frames.
+//! Covariance of a frame's error:
+//! `diag(sd^2) / frames + |v|^2 (sum of m m' + floor^2 I / channels)`: white noise that averaging
+//! lowers, and a model error in proportion to the signal `|v|`, which averaging does not lower. The
+//! columns m come from held-out pairs of measured and modelled frames.
 
 use faer::{Mat, Side};
 use serde::{Deserialize, Serialize};

@@ -1,5 +1,6 @@
 //! The exact model as a descent needs it: projected frames with their slopes.
-//! Uses: `jacobian` (one factor for a frame and all its slopes), `basis`. Never: the table of shapes.
+//! Uses: `jacobian` (one factor for a frame and all its slopes), `basis`. Never: the table of
+//! shapes.
 
 use super::basis::Basis;
 use super::descent::{DescentWork, EACH, Predict};

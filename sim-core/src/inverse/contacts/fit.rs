@@ -53,7 +53,7 @@ pub enum FitError {
     /// The number of averaged frames is not a finite number >= 1.
     #[error("fitting contacts: frames = {frames} is not a finite number >= 1")]
     Frames {
-        /// The number found.
+        /// Number of averaged frames found.
         frames: f64,
     },
     /// A proposal or a contact to refine is not a contact on this skin.
@@ -109,7 +109,7 @@ pub struct Observation<'a> {
 /// A contact proposed by the caller, for example by a net.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Proposal {
-    /// The contact.
+    /// Proposed position and force.
     pub contact: Contact,
     /// Confidence, 0 to 1.
     pub weight: f64,
@@ -125,7 +125,7 @@ impl Proposal {
 /// A contact found in a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FittedContact {
-    /// The contact.
+    /// Fitted position and force.
     pub contact: Contact,
     /// Standard deviation of x, mm.
     pub x_sd_mm: f64,
@@ -171,7 +171,7 @@ pub struct Fit {
     pub score: f64,
     /// Score of the best hypothesis with another number of contacts, where one was fitted.
     pub rival_score: Option<f64>,
-    /// Where it started.
+    /// Start of the fit: a search, or the previous contacts.
     pub origin: Origin,
     /// State at the search that found these contacts.
     pub found: Found,

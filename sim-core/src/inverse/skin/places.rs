@@ -117,8 +117,8 @@ impl Frames<'_> {
     }
 }
 
-/// The cost of a choice of candidates, up to a constant: `linear' z + z' square z`, with 1 for those
-/// chosen.
+/// The cost of a choice of candidates, up to a constant: `linear' z + z' square z`, with 1 for
+/// those chosen.
 struct Quadratic {
     linear: Vec<f64>,
     square: Mat<f64>,

@@ -27,7 +27,8 @@ pub const FEEDBACK: u16 = 0x00CC;
 /// Registers: communication timeout, ms; 0 disables it `[unverified]`.
 pub const TIMEOUT: u16 = 0x138A;
 
-/// Input command bit 4: homing.
+/// Input command bit 4, homing: by default ZHOME `[unverified]`, a return to the home that the drive
+/// already has, instead of a search for one.
 pub const IN_HOME: i32 = 1 << 4;
 /// Input command bit 5: stop.
 pub const IN_STOP: i32 = 1 << 5;

@@ -2,9 +2,9 @@
 //! PURE. Uses: a net as plain numbers. Never: a change of a net whose tensors do not match (the
 //! writer reports the mismatch).
 //!
-//! `scale (W x + b - mean) / sqrt(variance + epsilon) + shift` is `W' x + b'` with, for each channel,
-//! `g = scale / sqrt(variance + epsilon)`, `W' = g W`, `b' = g (b - mean) + shift`. In tract a batch
-//! norm of eight images costs as much as a transposed convolution.
+//! `scale (W x + b - mean) / sqrt(variance + epsilon) + shift` is `W' x + b'` with, for each
+//! channel, `g = scale / sqrt(variance + epsilon)`, `W' = g W`, `b' = g (b - mean) + shift`. In
+//! tract a batch norm of eight images costs as much as a transposed convolution.
 
 use nets::network::Layer;
 
