@@ -2,8 +2,9 @@
 //! (`docs/references.md`, "Feasibility study").
 //! Uses: sim-core. Never: files. A sample is a function of seed and number alone.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
+use parking_lot::Mutex;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use sim_core::batch::{BatchModel, BatchWork};
@@ -146,7 +147,7 @@ impl Samples for Streamed {
         }
         let trials: Vec<&[Contact]> = trials.iter().map(Vec::as_slice).collect();
         // Work is scratch memory: contents left by a failed thread are overwritten.
-        let mut work = self.work.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut work = self.work.lock();
         self.model
             .voltages(&trials, inputs, &mut work)
             .map_err(|e| SamplesError::Source { message: e.to_string() })

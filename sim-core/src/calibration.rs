@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::digest::{Digest, hex};
+use crate::digest::Digest;
 use crate::responses::UnitResponses;
 use crate::sensor::{Sensor, SensorError};
 use crate::skin::{SkinCalibration, SkinValueError};
@@ -171,7 +171,7 @@ pub fn mesh_id(sensor: &Sensor) -> Result<String, SensorError> {
     for layer in [&mut file.layers.bottom, &mut file.layers.foam, &mut file.layers.top] {
         layer.youngs_mpa = 1.0;
     }
-    Ok(hex(&UnitResponses::key(&Sensor::new(file)?)[..8]))
+    Ok(hex::encode(&UnitResponses::key(&Sensor::new(file)?)[..8]))
 }
 
 impl Calibration {
@@ -209,7 +209,7 @@ impl Calibration {
     pub fn id(&self) -> Result<String, CalibrationError> {
         let mut digest = Digest::new("calibration 1");
         digest.word(&self.content()?);
-        Ok(format!("cal-{}", hex(&digest.finish()[..8])))
+        Ok(format!("cal-{}", hex::encode(&digest.finish()[..8])))
     }
 
     /// Returns this calibration, completed with the moduli and Eq. 1 of an earlier one where it has

@@ -45,8 +45,3 @@ impl Digest {
         self.0.finalize().into()
     }
 }
-
-/// Bytes as lower-case hexadecimal.
-pub(crate) fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|b| format!("{b:02x}")).collect()
-}

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use crate::circuit::ReadoutCircuit;
 use crate::deformation::NodeForce;
-use crate::digest::{Digest, hex};
+use crate::digest::Digest;
 use crate::fields::{FieldLength, LutError, NodeFields};
 use crate::mesh::{Mesh, MeshError};
 use crate::network::kron::{KronReduction, KronWork};
@@ -454,5 +454,5 @@ fn model_hash(
         Spreading::Linear => "linear",
         Spreading::Sharp => "sharp",
     });
-    format!("sim-{}", hex(&digest.finish()[..8]))
+    format!("sim-{}", hex::encode(&digest.finish()[..8]))
 }

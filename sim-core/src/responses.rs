@@ -7,7 +7,7 @@
 
 use crate::assemble;
 use crate::boundary::FixedBottom;
-use crate::digest::{Digest, hex};
+use crate::digest::Digest;
 use crate::mesh::{Mesh, MeshError};
 use crate::sensor::Sensor;
 use crate::solve::{Factor, SolveError};
@@ -137,7 +137,10 @@ impl UnitResponses {
         let (key, rest) = rest.split_first_chunk::<32>().ok_or(damaged(Damage::Length))?;
         let needed = Self::key(sensor);
         if *key != needed {
-            return Err(ResponsesError::OtherKey { found: hex(key), needed: hex(&needed) });
+            return Err(ResponsesError::OtherKey {
+                found: hex::encode(key),
+                needed: hex::encode(needed),
+            });
         }
         let (nodes, rows) = rest.split_first_chunk::<8>().ok_or(damaged(Damage::Length))?;
         let nodes = u64::from_le_bytes(*nodes) as usize;

@@ -329,7 +329,7 @@ async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), Cli
         }
     }
     bar.finish_and_clear();
-    let found = crate::dataset::file::hex(&hash.finalize());
+    let found = hex::encode(hash.finalize());
     if Some(&found) != done.sha256.as_ref() {
         let detail = format!("the downloaded file has the sha256 {found}");
         return Err(CliError::Refused { operation: format!("GET {url}"), status: 500, detail });

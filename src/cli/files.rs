@@ -184,7 +184,7 @@ fn parse_sensor(file: &str, text: &str) -> Result<Sensor, CliError> {
 }
 
 fn hex(text: &str) -> String {
-    Sha256::digest(text.as_bytes()).iter().map(|b| format!("{b:02x}")).collect()
+    hex::encode(Sha256::digest(text.as_bytes()))
 }
 
 #[cfg(test)]

@@ -1,8 +1,6 @@
 //! How values stand in columns: times, ids, words, arrays of numbers, and reading them back.
 //! Uses: `store::error`. Never: statements.
 
-use std::fmt::Write;
-
 use jiff::Timestamp;
 use serde::de::IntoDeserializer;
 use serde::de::value::StrDeserializer;
@@ -18,18 +16,9 @@ pub(super) fn time_text(at: Timestamp) -> String {
     format!("{at:.3}")
 }
 
-/// Bytes as lower-case hexadecimal digits.
-pub(super) fn hex(bytes: &[u8]) -> String {
-    bytes.iter().fold(String::with_capacity(2 * bytes.len()), |mut text, byte| {
-        // Writing to a string does not fail.
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
-}
-
 /// The sha256 of a text, in hexadecimal digits.
 pub(super) fn sha256_hex(text: &str) -> String {
-    hex(&Sha256::digest(text.as_bytes()))
+    hex::encode(Sha256::digest(text.as_bytes()))
 }
 
 /// Counts as they are stored: little-endian i16.

@@ -3,7 +3,6 @@
 //! Uses: `store::{checksum, trial_rows}`. Never: a repair, a connection that others wait for.
 
 use std::collections::HashMap;
-use std::sync::PoisonError;
 use std::time::Duration;
 
 use sqlx::ConnectOptions;
@@ -42,7 +41,7 @@ pub enum Soundness {
 impl Store {
     /// What the last examination found; `Unchecked` before its end. Waits for nothing.
     pub fn soundness(&self) -> Soundness {
-        self.inner.soundness.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.inner.soundness.lock().clone()
     }
 
     /// Checks the structure of the whole file and the texts of its runs, and reads the newest `last`
@@ -61,7 +60,7 @@ impl Store {
             true => Soundness::Sound,
             false => Soundness::Damaged(findings),
         };
-        *self.inner.soundness.lock().unwrap_or_else(PoisonError::into_inner) = soundness.clone();
+        *self.inner.soundness.lock() = soundness.clone();
         Ok(soundness)
     }
 

@@ -6,15 +6,16 @@
 //! was right; 32 random bytes need no slow hash.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
-use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use jiff::Timestamp;
+use parking_lot::{RwLock, RwLockReadGuard, RwLockWriteGuard};
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 use utoipa::ToSchema;
 
-use super::columns::{Columns, hex, sha256_hex, time_text};
+use super::columns::{Columns, sha256_hex, time_text};
 use super::{Store, StoreError};
 
 /// What a key's text begins with.
@@ -176,7 +177,7 @@ impl KeyRing {
         random: [u8; 32],
     ) -> Result<(KeyRow, String), StoreError> {
         self.check_name(name)?;
-        let secret = format!("{PREFIX}{}", hex(&random));
+        let secret = format!("{PREFIX}{}", hex::encode(random));
         let hash = sha256_hex(&secret);
         let row = self.store.insert_key(name, role, hash.clone()).await?;
         self.change().insert(hash, Key::of(&row));
@@ -208,11 +209,11 @@ impl KeyRing {
     }
 
     fn valid(&self) -> RwLockReadGuard<'_, HashMap<String, Key>> {
-        self.valid.read().unwrap_or_else(PoisonError::into_inner)
+        self.valid.read()
     }
 
     fn change(&self) -> RwLockWriteGuard<'_, HashMap<String, Key>> {
-        self.valid.write().unwrap_or_else(PoisonError::into_inner)
+        self.valid.write()
     }
 }
 

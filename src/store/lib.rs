@@ -14,6 +14,7 @@
 //! its own; all others give up after 30 s.
 
 use palpate_words::{clock, ids, journal, record};
+use parking_lot::Mutex;
 
 mod actions;
 mod as_journal;
@@ -48,7 +49,7 @@ mod tests;
 use std::collections::HashMap;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use sqlx::sqlite::{
@@ -235,7 +236,7 @@ impl Store {
     }
 
     fn known(&self, run: RunUid) -> Option<RunFacts> {
-        self.inner.runs.lock().unwrap_or_else(PoisonError::into_inner).get(&run).copied()
+        self.inner.runs.lock().get(&run).copied()
     }
 
     /// A run that was stored just now.
@@ -246,7 +247,7 @@ impl Store {
     }
 
     fn keep(&self, run: RunUid, facts: RunFacts) -> RunFacts {
-        self.inner.runs.lock().unwrap_or_else(PoisonError::into_inner).insert(run, facts);
+        self.inner.runs.lock().insert(run, facts);
         facts
     }
 }

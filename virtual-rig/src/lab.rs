@@ -2,8 +2,8 @@
 //! Uses: `bench`, `clock`, `solver`. Never: sockets; the lock is held only for computation.
 
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use parking_lot::{Mutex, MutexGuard};
 use serde::Serialize;
 
 use crate::bench::{Bench, Served};
@@ -55,7 +55,7 @@ impl Lab {
 
     /// Locks the bench.
     pub fn bench(&self) -> MutexGuard<'_, Bench> {
-        self.bench.lock().unwrap_or_else(PoisonError::into_inner)
+        self.bench.lock()
     }
 
     /// Executes one request that has just arrived over a wire.

@@ -4,10 +4,12 @@
 
 use std::collections::VecDeque;
 use std::io;
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
+
+use parking_lot::Mutex;
 
 use crate::bench::Load;
 use crate::skin::Skin;
@@ -58,7 +60,7 @@ impl Solver {
 
     /// Voltages of a load, V; none before it is solved.
     pub fn solved(&self, load: &Load) -> Option<Solved> {
-        let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut known = self.known.lock();
         let at = known.iter().position(|(l, _)| **l == *load)?;
         let entry = known.remove(at)?;
         let solved = Arc::clone(&entry.1);
@@ -68,7 +70,7 @@ impl Solver {
 }
 
 fn remember(known: &Known, load: Arc<Load>, solved: Solved) {
-    let mut known = known.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut known = known.lock();
     known.push_front((load, solved));
     known.truncate(KEPT);
 }
@@ -88,7 +90,7 @@ fn work(skin: &Skin, inbox: &Receiver<Arc<Load>>, known: &Known) {
             }
         }
         let have = {
-            let known = known.lock().unwrap_or_else(PoisonError::into_inner);
+            let known = known.lock();
             known.iter().any(|(l, _)| *l == load)
         };
         if !have {

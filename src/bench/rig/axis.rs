@@ -3,9 +3,9 @@
 //! Uses: `station`, `motion`, `link`. Never: register addresses (those are each device's `codec`).
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use async_trait::async_trait;
+use parking_lot::{Mutex, MutexGuard};
 use tokio::time::Instant;
 
 use super::config::{AxisProfile, Guard};
@@ -139,7 +139,7 @@ impl<D: Drive> ModbusAxis<D> {
     }
 
     fn watch(&self) -> MutexGuard<'_, MotionWatch> {
-        self.watch.lock().unwrap_or_else(PoisonError::into_inner)
+        self.watch.lock()
     }
 
     fn told(&self, command: Command) {

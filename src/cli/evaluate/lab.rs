@@ -14,7 +14,6 @@ use crate::cli::files::write;
 use crate::cli::output::{say, say_json};
 use crate::cli::train::{Changes, follow, recipe_text};
 use crate::cli::{At, embed};
-use crate::dataset::file::hex;
 use crate::dataset::force_map::ForceMapSpec;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Scored};
 
@@ -186,7 +185,7 @@ impl Lab {
             None => String::new(),
         };
         // The name contains recipe and data: an equal request finds the model.
-        let digest = hex(&Sha256::digest(format!("{text}{dataset}")));
+        let digest = hex::encode(Sha256::digest(format!("{text}{dataset}")));
         let stem = named.name.clone().unwrap_or_else(|| "model".into());
         let name = format!("{stem}-{}", &digest[..8]);
         let models: Vec<ModelOut> = self.client.get("/api/v1/models").await?;

@@ -27,7 +27,7 @@ use super::batch::{self, Row};
 use super::card;
 use super::definition::{Definition, SplitBy};
 use super::error::DatasetError;
-use super::file::{Hashing, NewFile, hex};
+use super::file::{Hashing, NewFile};
 use super::format::{Format, Stream};
 use super::inputs::Inputs;
 use super::schema::{self, BATCH_ROWS};
@@ -254,7 +254,7 @@ impl Encoder {
     /// `ds-` and the start of a sha256 over definition, schema and rows.
     fn id(&self) -> String {
         let digest = self.rows.get_ref().0.clone().finalize();
-        format!("ds-{}", &hex(&digest)[..ID_DIGITS])
+        format!("ds-{}", &hex::encode(digest)[..ID_DIGITS])
     }
 
     fn finish(self, id: &str) -> Result<super::file::Finished, DatasetError> {

@@ -6,9 +6,10 @@
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use tokio::sync::watch;
 
 use super::background::background;
@@ -383,8 +384,8 @@ impl Catalog {
         self.file(&row, request.format, &request.wanted(), progress).await
     }
 
-    fn progress(&self) -> std::sync::MutexGuard<'_, HashMap<String, Arc<Progress>>> {
-        self.inner.progress.lock().unwrap_or_else(PoisonError::into_inner)
+    fn progress(&self) -> parking_lot::MutexGuard<'_, HashMap<String, Arc<Progress>>> {
+        self.inner.progress.lock()
     }
 }
 

@@ -13,7 +13,7 @@ use utoipa::ToSchema;
 
 use super::build::Progress;
 use super::error::DatasetError;
-use super::file::{Finished, NewFile, hex};
+use super::file::{Finished, NewFile};
 use super::format::{self, Format, Rows};
 use super::read::DatasetRows;
 use super::select::Wanted;
@@ -62,7 +62,7 @@ impl ExportRequest {
 pub fn file_name(dataset: &str, format: Format, wanted: &Wanted) -> Result<String, DatasetError> {
     let text = serde_json::to_string(&(FORMAT_VERSION, dataset, format.name(), wanted));
     let digest = Sha256::digest(text.map_err(DatasetError::json)?);
-    Ok(format!("{}.{}", &hex(&digest)[..NAME_DIGITS], format.extension()))
+    Ok(format!("{}.{}", &hex::encode(digest)[..NAME_DIGITS], format.extension()))
 }
 
 /// A file that can be sent.

@@ -52,7 +52,7 @@ impl NewFile {
         self.finished = true;
         File::open(&self.folder)?.sync_all()?;
         let digest = std::mem::take(&mut self.sha256).finalize();
-        Ok(Finished { bytes: self.bytes, sha256: hex(&digest) })
+        Ok(Finished { bytes: self.bytes, sha256: hex::encode(digest) })
     }
 }
 
@@ -91,11 +91,6 @@ pub fn sweep(folder: &Path) -> io::Result<()> {
         }
     }
     Ok(())
-}
-
-/// Bytes as lower-case hexadecimal digits.
-pub fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// A sink that hashes what is written to it.

@@ -8,7 +8,6 @@ use sha2::{Digest, Sha256};
 
 use super::definition::{Definition, Task};
 use super::error::DatasetError;
-use super::file::hex;
 use super::schema;
 use super::shards::{self, ShardFolder};
 use crate::store::{Label, RunExtent, RunRow, Store};
@@ -52,7 +51,7 @@ impl Inputs {
             "shards": folders.iter().map(|f| json!([f.name, f.manifest])).collect::<Vec<_>>(),
         });
         hash.update(text.to_string());
-        let key = hex(&hash.finalize());
+        let key = hex::encode(hash.finalize());
         Ok(Self { definition: definition.clone(), runs, folders, key })
     }
 

@@ -76,7 +76,7 @@ pub fn accuracy(measured: &[f64], modelled: &[f64]) -> Option<Accuracy> {
 
 /// sha256 of a file's text, by which calibrations name their data.
 fn sha256(text: &str) -> String {
-    Sha256::digest(text.as_bytes()).iter().map(|b| format!("{b:02x}")).collect()
+    hex::encode(Sha256::digest(text.as_bytes()))
 }
 
 #[cfg(test)]

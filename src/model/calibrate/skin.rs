@@ -215,7 +215,7 @@ fn data_sha256<'a>(trials: impl Iterator<Item = &'a MeasuredTrial>) -> String {
         }
         trial.frame_v.iter().for_each(|v| digest.update(v.to_le_bytes()));
     }
-    digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    hex::encode(digest.finalize())
 }
 
 #[cfg(test)]

@@ -61,7 +61,7 @@ pub fn unit_responses(sensor: &Sensor, cache_dir: &Path) -> Result<UnitResponses
 /// Path of the file of a sensor, named by the key of the responses.
 fn cache_file(sensor: &Sensor, cache_dir: &Path) -> PathBuf {
     let key = UnitResponses::key(sensor);
-    let name: String = key[..8].iter().map(|byte| format!("{byte:02x}")).collect();
+    let name = hex::encode(&key[..8]);
     cache_dir.join(format!("unit-responses-{name}.bin"))
 }
 

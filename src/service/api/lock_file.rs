@@ -60,7 +60,7 @@ impl LockFile {
             .collect();
         wires.sort_unstable();
         let digest = Sha256::digest(wires.join("\n"));
-        let name: String = digest.iter().take(6).map(|b| format!("{b:02x}")).collect();
+        let name = hex::encode(&digest[..6]);
         let path = std::env::temp_dir().join(format!("palpate-rig-{name}.lock"));
         Self::take(&path, &format!("the rig {}", rig.name))
     }

@@ -1,9 +1,10 @@
 //! Seats of connections: what each is doing, which one makes room, which has waited too long.
 //! Uses: tokio's clock and wake-ups. Never: sockets, requests, a wait.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
+use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::Notify;
 use tokio::sync::futures::Notified;
 use tokio::time::Instant;
@@ -171,7 +172,7 @@ impl Seat {
     }
 
     fn doing(&self) -> MutexGuard<'_, Doing> {
-        self.doing.lock().unwrap_or_else(PoisonError::into_inner)
+        self.doing.lock()
     }
 }
 

@@ -2,7 +2,7 @@
 //! Uses: tower-http's file service, `dataset::format`. Never: a file that can still change.
 
 use std::io::Write;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use arrow_array::RecordBatch;
 use arrow_schema::SchemaRef;
@@ -11,6 +11,7 @@ use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use base64::Engine;
+use parking_lot::Mutex;
 use serde_json::value::RawValue;
 use tower_http::services::ServeFile;
 
@@ -76,9 +77,8 @@ fn text<'h>(headers: &'h HeaderMap, name: &HeaderName) -> Option<&'h str> {
 
 /// The digest as RFC 9530 writes it.
 fn digest(sha256: &str) -> String {
-    let bytes: Vec<u8> = (0..sha256.len() / 2)
-        .filter_map(|at| u8::from_str_radix(sha256.get(2 * at..2 * at + 2)?, 16).ok())
-        .collect();
+    // What is not hexadecimal is no digest, and none is sent.
+    let bytes = hex::decode(sha256).unwrap_or_default();
     format!("sha-256=:{}:", base64::engine::general_purpose::STANDARD.encode(bytes))
 }
 
@@ -99,13 +99,13 @@ pub struct Piece(Arc<Mutex<Vec<u8>>>);
 impl Piece {
     /// Takes what has been written so far.
     pub fn take(&self) -> Vec<u8> {
-        std::mem::take(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
+        std::mem::take(&mut self.0.lock())
     }
 }
 
 impl Write for Piece {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).extend_from_slice(bytes);
+        self.0.lock().extend_from_slice(bytes);
         Ok(bytes.len())
     }
 

@@ -3,10 +3,11 @@
 //! Uses: `schedule`, `rig::reach`, `campaign` (its handle), `store`. Never: motion, HTTP.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use jiff::Timestamp;
+use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use sim_core::calibration::Calibration;
@@ -417,12 +418,12 @@ impl Conductor {
         }
     }
 
-    fn waiting(&self) -> std::sync::MutexGuard<'_, BTreeSet<RunUid>> {
-        self.inner.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    fn waiting(&self) -> parking_lot::MutexGuard<'_, BTreeSet<RunUid>> {
+        self.inner.waiting.lock()
     }
 
-    fn armings(&self) -> std::sync::MutexGuard<'_, BTreeMap<RunUid, Arming>> {
-        self.inner.armings.lock().unwrap_or_else(PoisonError::into_inner)
+    fn armings(&self) -> parking_lot::MutexGuard<'_, BTreeMap<RunUid, Arming>> {
+        self.inner.armings.lock()
     }
 }
 

@@ -9,9 +9,10 @@ pub mod drift;
 
 use std::collections::{HashMap, HashSet};
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use parking_lot::Mutex;
 use serde::Serialize;
 use serde_json::json;
 use sim_core::calibration::Calibration;
@@ -128,7 +129,7 @@ impl TwinPool {
 
     /// Current status of the pool.
     pub fn status(&self) -> PoolStatus {
-        self.inner.status.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.inner.status.lock().clone()
     }
 
     /// Counts the twins of a run, made by the model that the pool uses for it.
@@ -337,11 +338,11 @@ impl TwinPool {
     }
 
     fn show(&self, change: impl FnOnce(&mut PoolStatus)) {
-        change(&mut self.inner.status.lock().unwrap_or_else(PoisonError::into_inner));
+        change(&mut self.inner.status.lock());
     }
 
-    fn models(&self) -> std::sync::MutexGuard<'_, HashMap<RunUid, TwinModelId>> {
-        self.inner.models.lock().unwrap_or_else(PoisonError::into_inner)
+    fn models(&self) -> parking_lot::MutexGuard<'_, HashMap<RunUid, TwinModelId>> {
+        self.inner.models.lock()
     }
 }
 

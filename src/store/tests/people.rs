@@ -1,9 +1,10 @@
 //! Events, the log of actions, keys, the lock.
 //! Uses: `store`. Never: HTTP.
 
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use serde_json::json;
 
 use super::{Folder, new_run, now, open, time};

@@ -8,8 +8,9 @@
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
+use parking_lot::Mutex;
 use sim_core::sensor::Sensor;
 
 use super::error::InferError;
@@ -214,7 +215,7 @@ impl Registry {
     }
 
     fn loaded<T>(&self, with: impl FnOnce(&mut Vec<Arc<Model>>) -> T) -> T {
-        with(&mut self.inner.loaded.lock().unwrap_or_else(PoisonError::into_inner))
+        with(&mut self.inner.loaded.lock())
     }
 }
 

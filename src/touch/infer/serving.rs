@@ -6,8 +6,9 @@
 //! promotion builds a new one, loads and warms it, and replaces the current one.
 
 use std::path::Path;
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::Arc;
 
+use parking_lot::RwLock;
 use serde::{Deserialize, Serialize};
 use sim_core::forward::ForwardModel;
 use sim_core::sensor::Sensor;
@@ -279,7 +280,7 @@ impl Serving {
 
     /// The current pipeline.
     pub fn current(&self) -> Arc<Pipeline> {
-        self.inner.current.read().unwrap_or_else(PoisonError::into_inner).clone()
+        self.inner.current.read().clone()
     }
 
     /// Waits until the slots of a method are restored after a restart, and returns the pipeline:
@@ -387,7 +388,7 @@ impl Serving {
                 current.with(model)?
             }
         };
-        *self.inner.current.write().unwrap_or_else(PoisonError::into_inner) = Arc::new(next);
+        *self.inner.current.write() = Arc::new(next);
         Ok(())
     }
 

@@ -12,7 +12,7 @@ use sim_core::sensor::Sensor;
 use super::error::InferError;
 use super::exact::{ExactSkin, KnownTrial, SkinErrors};
 use crate::calibrate::skin;
-use crate::dataset::file::{NewFile, hex};
+use crate::dataset::file::NewFile;
 use crate::dataset::pressed::{contacts, force_noise_n};
 use crate::problem::Problem;
 use crate::simulate::model::load_or_build;
@@ -212,7 +212,7 @@ fn key(model: &ForwardModel, known: &[KnownTrial]) -> String {
         }
         trial.frame_v.iter().for_each(|v| digest.update(v.to_le_bytes()));
     }
-    hex(&digest.finalize())
+    hex::encode(digest.finalize())
 }
 
 #[cfg(test)]

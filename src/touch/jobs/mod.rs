@@ -6,9 +6,10 @@
 //! runs on a thread of low priority, so that it does not slow acquisition.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use serde_json::{Value, json};
 use tokio::sync::watch;
 
@@ -136,7 +137,7 @@ impl Jobs {
     }
 
     fn watch(&self, id: &str) -> Option<Arc<Watch>> {
-        let running = self.inner.running.lock().unwrap_or_else(PoisonError::into_inner);
+        let running = self.inner.running.lock();
         running.as_ref().filter(|(of, _)| of == id).map(|(_, watch)| watch.clone())
     }
 
@@ -186,7 +187,7 @@ impl Jobs {
     }
 
     fn set_running(&self, job: Option<(String, Arc<Watch>)>) {
-        *self.inner.running.lock().unwrap_or_else(PoisonError::into_inner) = job;
+        *self.inner.running.lock() = job;
     }
 }
 

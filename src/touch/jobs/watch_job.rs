@@ -2,9 +2,9 @@
 //! Uses: std. Never: its own clock (times are passed in).
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -54,7 +54,7 @@ impl Watch {
 
     /// Current progress.
     pub fn progress(&self) -> Progress {
-        self.progress.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.progress.lock().clone()
     }
 
     /// Begins a phase.
@@ -64,7 +64,7 @@ impl Watch {
 
     /// Changes the progress.
     pub fn change(&self, change: impl FnOnce(&mut Progress)) {
-        change(&mut self.progress.lock().unwrap_or_else(PoisonError::into_inner));
+        change(&mut self.progress.lock());
     }
 
     /// Sets the number of processed samples; `new` of them since the phase began `elapsed` ago.

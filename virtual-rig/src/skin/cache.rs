@@ -32,8 +32,7 @@ pub(super) fn unit_responses(
 }
 
 fn file(dir: &Path, sensor: &Sensor) -> PathBuf {
-    let key: String =
-        UnitResponses::key(sensor)[..8].iter().map(|byte| format!("{byte:02x}")).collect();
+    let key = hex::encode(&UnitResponses::key(sensor)[..8]);
     dir.join(format!("unit-responses-{key}.bin"))
 }
 

@@ -4,9 +4,10 @@
 //! is hardware which removes power. This stop only decelerates the axes.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
+use parking_lot::{Mutex, MutexGuard};
 use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 use tokio::time::Instant;
@@ -150,6 +151,6 @@ impl StopSwitch {
     }
 
     fn press_slot(&self) -> MutexGuard<'_, Option<Press>> {
-        self.inner.press.lock().unwrap_or_else(PoisonError::into_inner)
+        self.inner.press.lock()
     }
 }

@@ -1,9 +1,10 @@
 //! Driver of an ADAM-6017 with six load cells.
 //! Uses: `codec`, `rig::station`. Never: register addresses, newtons.
 
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::OnceLock;
 
 use async_trait::async_trait;
+use parking_lot::Mutex;
 
 use super::codec::{self, Range};
 use crate::clock::Clock;
@@ -97,7 +98,7 @@ impl LoadCells for Adam6017 {
 
     async fn read(&self) -> Result<CellVolts, RigError> {
         let mut values = self.values().await?;
-        let last = *self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let last = *self.last.lock();
         let jumped = |last: [f64; ARMS]| {
             values.volts.iter().zip(&last).any(|(now, before)| (now - before).abs() > JUMP_V)
         };
@@ -105,8 +106,8 @@ impl LoadCells for Adam6017 {
             values = self.values().await?;
         }
         let (Values { raw, volts, asked_s }, at) = (values, self.clock.now());
-        *self.last.lock().unwrap_or_else(PoisonError::into_inner) = Some(volts);
-        let mut repeats = self.repeats.lock().unwrap_or_else(PoisonError::into_inner);
+        *self.last.lock() = Some(volts);
+        let mut repeats = self.repeats.lock();
         let repeats = repeats.observe(raw, asked_s, self.clock.process_s_at(at));
         Ok(CellVolts { volts, repeats, at })
     }

@@ -5,12 +5,13 @@
 //! `timing` decides which frames a trial may use: by their sampling times, not their arrival times.
 //! In addition, the first complete packet that a taker receives is dropped.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use async_trait::async_trait;
+use parking_lot::{Mutex, MutexGuard};
 use tokio::io::AsyncReadExt;
 use tokio::sync::{Notify, broadcast, watch};
 use tokio::time::{Instant, timeout, timeout_at};
@@ -50,7 +51,7 @@ struct Shared {
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+    mutex.lock()
 }
 
 /// Reader of the voltage stream. Dropping it ends its thread.

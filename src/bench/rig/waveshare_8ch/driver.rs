@@ -1,9 +1,8 @@
 //! Driver of a Waveshare 8CH with six load cells.
 //! Uses: `codec`, `rig::station`. Never: register addresses, newtons.
 
-use std::sync::{Mutex, PoisonError};
-
 use async_trait::async_trait;
+use parking_lot::Mutex;
 
 use super::codec;
 use crate::clock::Clock;
@@ -62,7 +61,7 @@ impl LoadCells for Waveshare8ch {
             let word = words.get(usize::from(channel)).copied();
             *value = word.ok_or_else(|| self.station.garbled("values", "too few".into()))?;
         }
-        let mut repeats = self.repeats.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut repeats = self.repeats.lock();
         let repeats = repeats.observe(raw, asked_s, self.clock.process_s_at(at));
         Ok(CellVolts { volts: raw.map(codec::volts), repeats, at })
     }

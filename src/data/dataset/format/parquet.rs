@@ -6,11 +6,11 @@
 //! single values, so that readers skip row groups, and none for lists.
 
 use std::io::Write;
-use std::sync::{Mutex, PoisonError};
 use std::{panic, thread};
 
 use arrow_array::RecordBatch;
 use arrow_schema::{Schema, SchemaRef};
+use parking_lot::Mutex;
 use parquet::arrow::arrow_writer::{
     ArrowColumnChunk, ArrowColumnWriter, ArrowLeafColumn, ArrowRowGroupWriterFactory,
     compute_leaves,
@@ -69,7 +69,7 @@ fn encode(
     columns: Vec<(ArrowLeafColumn, ArrowColumnWriter)>,
 ) -> Result<Vec<ArrowColumnChunk>, ParquetError> {
     let waiting = Mutex::new(columns.into_iter().enumerate());
-    let next = || waiting.lock().unwrap_or_else(PoisonError::into_inner).next();
+    let next = || waiting.lock().next();
     let work = || {
         let mut done = Vec::new();
         while let Some((number, (leaf, mut writer))) = next() {

@@ -14,7 +14,7 @@ use tokio::sync::mpsc;
 
 use super::background::background;
 use super::error::DatasetError;
-use super::file::{Hashing, hex};
+use super::file::Hashing;
 use crate::ids::RunUid;
 use crate::problem::Problem;
 use crate::store::{
@@ -88,7 +88,7 @@ fn check(path: &Path, file: &str, sensor: &ImportedSensor) -> Result<Checked, Da
         trials: 0,
         simulated: false,
         columns_left_out: Vec::new(),
-        sha256: hex(&hashing.0.finalize()),
+        sha256: hex::encode(hashing.0.finalize()),
     };
     let batches = batches(path, file)?;
     let mut reader = Reader::new(file, sensor);
@@ -149,7 +149,7 @@ fn new_run(import: &Import, sensor: &ImportedSensor, checked: &Checked) -> NewRu
 async fn model(store: &Store, sha256: &str, run: &RunRow) -> Result<TwinModelId, DatasetError> {
     let digest = Sha256::digest(format!("{IMPORTED_MODEL} {sha256}"));
     let new = NewTwinModel {
-        hash: format!("sim-{}", &hex(&digest)[..16]),
+        hash: format!("sim-{}", &hex::encode(digest)[..16]),
         sensor_sha256: run.sensor_sha256.clone(),
         calibration_id: None,
         version: IMPORTED_MODEL.into(),

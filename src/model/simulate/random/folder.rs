@@ -156,7 +156,7 @@ impl Folder {
             first: shard.first,
             trials: shard.trials,
             bytes,
-            sha256: hex(&sha256.finalize()),
+            sha256: hex::encode(sha256.finalize()),
             commit: crate::commit::known().map(str::to_owned),
         })
     }
@@ -216,14 +216,10 @@ fn sha256(mut file: File) -> io::Result<String> {
     let (mut hash, mut block) = (Sha256::new(), vec![0; BLOCK]);
     loop {
         match file.read(&mut block)? {
-            0 => return Ok(hex(&hash.finalize())),
+            0 => return Ok(hex::encode(hash.finalize())),
             read => hash.update(&block[..read]),
         }
     }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|b| format!("{b:02x}")).collect()
 }
 
 #[cfg(test)]

@@ -296,7 +296,7 @@ impl ModelFacts {
         let mut hash = Sha256::new();
         hash.update(serde_json::to_vec(self).expect("strings, numbers and lists are JSON"));
         hash.update(file);
-        let digits = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect::<String>();
+        let digits = hex::encode(hash.finalize());
         format!("mdl-{}", &digits[..ID_DIGITS])
     }
 
