@@ -4,7 +4,9 @@
 use palpate_data::dataset;
 use palpate_model::{calibrate, simulate};
 use palpate_store as store;
-use palpate_words::{chance, clock, commit, ids, problem, syntax};
+#[cfg(feature = "train")]
+use palpate_words::commit;
+use palpate_words::{chance, clock, ids, problem, syntax};
 
 pub mod learn;
 pub mod infer;
