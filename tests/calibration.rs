@@ -310,7 +310,7 @@ fn the_command_writes_a_file_that_applies_and_a_plot_and_keeps_the_other_part() 
     let foam = palpate(&["foam", &table, "--from", &first, "--out", &both]);
     assert!(foam.status.success(), "{}", String::from_utf8_lossy(&foam.stderr));
     let words = String::from_utf8(foam.stdout).unwrap();
-    assert!(words.contains("fabrics: kept") && words.contains("paper: 24.1 %"), "{words}");
+    assert!(words.contains("fabrics: not fitted") && words.contains("paper: 24.1 %"), "{words}");
     let (both, first) = (read(&both), read(&first));
     assert!(both.foam.is_some());
     assert_eq!(both.piezo, first.piezo);

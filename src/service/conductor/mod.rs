@@ -405,7 +405,11 @@ impl Conductor {
                 }
             }
         };
-        tokio::time::timeout(HOMING, homed).await.unwrap_or(Err(Refusal::Gone))
+        let late = || {
+            let limit_s = HOMING.as_secs();
+            Err(Refusal::State(format!("the rig was not homed within {limit_s} s: check its axes")))
+        };
+        tokio::time::timeout(HOMING, homed).await.unwrap_or_else(|_| late())
     }
 
     async fn prepare(&self, submission: Submission) -> Result<Prepared, ConductorError> {

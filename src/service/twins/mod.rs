@@ -171,6 +171,11 @@ impl TwinPool {
     async fn page(&self, progress: &mut Progress) -> Result<bool, PoolError> {
         let store = &self.inner.store;
         let active = self.inner.campaign.status().run.map(|run| run.uid);
+        if progress.watch.as_ref().is_some_and(|(watched, _)| Some(*watched) != active) {
+            // The fit of a run that has ended is not that of the next.
+            progress.watch = None;
+            self.show(|status| status.rolling = None);
+        }
         let others = store.runs_with_trials().await?.into_iter().filter(|r| Some(*r) != active);
         let limit = (self.inner.workers * TRIALS_AT_ONCE) as u32;
         for run in active.into_iter().chain(others) {

@@ -307,10 +307,14 @@ impl Serving {
             Err(error) => return tracing::error!(%error, "the promotions could not be read"),
         };
         for (slot, what) in promoted {
-            if let Some(what) = what
-                && let Err(error) = self.put(slot, Some(&what)).await
-            {
-                tracing::error!(%error, slot = slot.name(), what, "a promotion was not restored");
+            if let Some(what) = what {
+                match self.with(slot, Some(&what)).await {
+                    Ok(next) => *self.inner.current.write() = next,
+                    Err(error) => {
+                        let slot = slot.name();
+                        tracing::error!(%error, slot, what, "a promotion was not restored");
+                    }
+                }
             }
             self.inner.restored.send_modify(|up| up.push(slot));
         }
@@ -351,8 +355,10 @@ impl Serving {
             let model = self.inner.models.load(id_or_name).await?;
             (Slot::of(model.manifest.model.task), model.manifest.id.clone())
         };
-        self.put(slot, Some(&what)).await?;
+        // It serves once the promotion is stored, not before.
+        let next = self.with(slot, Some(&what)).await?;
         self.inner.store.promote(slot.name(), (Some(&what), false), who, why).await?;
+        *self.inner.current.write() = next;
         Ok(slot)
     }
 
@@ -371,13 +377,14 @@ impl Serving {
         let of_slot = rows.into_iter().filter(|row| row.slot == slot.name());
         let served: Vec<_> = of_slot.map(|row| (row.what, row.rolled_back)).collect();
         let earlier = earlier(&served).ok_or(InferError::NoEarlier(slot.name()))?;
-        self.put(slot, earlier.as_deref()).await?;
+        let next = self.with(slot, earlier.as_deref()).await?;
         self.inner.store.promote(slot.name(), (earlier.as_deref(), true), who, why).await?;
+        *self.inner.current.write() = next;
         Ok(earlier)
     }
 
-    /// Puts a model or a skin into a slot, or empties it.
-    async fn put(&self, slot: Slot, what: Option<&str>) -> Result<(), InferError> {
+    /// What serves with a model or a skin in a slot, or with the slot empty.
+    async fn with(&self, slot: Slot, what: Option<&str>) -> Result<Arc<Pipeline>, InferError> {
         let current = self.current().as_ref().clone();
         let next = match (slot, what) {
             (slot, None) => current.without(slot),
@@ -388,8 +395,7 @@ impl Serving {
                 current.with(model)?
             }
         };
-        *self.inner.current.write() = Arc::new(next);
-        Ok(())
+        Ok(Arc::new(next))
     }
 
     /// Checks that a model is for this sensor.

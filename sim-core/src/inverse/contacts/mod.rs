@@ -151,7 +151,7 @@ impl ContactFitter {
     /// Whether the tracked contacts may no longer be the load: the residual exceeds chance, a
     /// contact faded, or the mean has many more frames.
     fn changed(&self, found: &Found, tracked: &Fit) -> bool {
-        let free = (self.basis.directions() - EACH * tracked.contacts.len()) as f64;
+        let free = self.basis.directions().saturating_sub(EACH * tracked.contacts.len()) as f64;
         let usual = found.inside_chi2.max(free);
         let Found { frames, inside_chi2, worst_share } = tracked.found;
         inside_chi2 > usual + CHANGE_SD * (2.0 * usual).sqrt()
