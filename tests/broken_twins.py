@@ -40,7 +40,7 @@ TWINS = {
         "} else if self.control.estop.pressed().is_some() && self.control.leaving() {",
         ["an_e_stop_outlasts"]),
     "an automatic resume again after any trip": (
-        WAIT, "before < job.plan.policy.max_auto_resumes && self.trip_may_pass()", "true",
+        WAIT, "resumes <= job.plan.policy.max_auto_resumes && self.trip_may_pass()", "true",
         ["an_automatic_resume_that_meets_an_alarm"]),
 }
 

@@ -131,8 +131,12 @@ impl Condition {
             Comparison::Less => " < ",
             Comparison::LessOrEqual => " <= ",
         };
+        // For several values SQLite would use an index and sort what it finds: a page of 200,000 trials
+        // takes 44 ms instead of 0.3 ms. For ids an index is right.
+        let plain = self.operands.len() == 1 || self.column.name == "trial_id";
+        query.push(if plain { " AND (" } else { " AND (FALSE OR " });
         for (n, operand) in self.operands.iter().enumerate() {
-            query.push(if n == 0 { " AND (" } else { " OR " }).push(column).push(comparison);
+            query.push(if n == 0 { "" } else { " OR " }).push(column).push(comparison);
             match operand {
                 Operand::Number(number) => query.push_bind(*number),
                 Operand::Time(time) => query.push_bind(time_text(*time)),

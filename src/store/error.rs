@@ -30,8 +30,8 @@ pub enum StoreError {
     /// The database's log was changed after it was written: opening it would drop stored transactions.
     #[error(
         "the log {path}-wal is damaged at byte {at_byte}: {transactions} stored transactions or more \
-         from there on cannot be read. Copy both files away and bring them back from a copy; \
-         `sqlite3 {path} 'PRAGMA wal_checkpoint(TRUNCATE)'` keeps what is before the damage"
+         from there on cannot be read. Copy both files away before anything opens them, and restore \
+         them from a copy"
     )]
     DamagedLog {
         /// The database file.

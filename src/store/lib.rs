@@ -138,14 +138,19 @@ impl Store {
             // The log is cut back to this after a long read had let it grow.
             .pragma("journal_size_limit", LOG_BYTES.to_string());
         let is_new = matches!(path.symlink_metadata(), Err(e) if e.kind() == ErrorKind::NotFound);
-        let mut log = path.as_os_str().to_owned();
+        // SQLite keeps the log beside the file that a link leads to.
+        let mut log = path.canonicalize().unwrap_or_else(|_| path.to_owned()).into_os_string();
         log.push("-wal");
         // SQLite would take an emptied file for a new database, and what was in it for what never was.
         if path.metadata().is_ok_and(|file| file.len() == 0) || is_new && Path::new(&log).exists() {
             return Err(StoreError::Lost { path: path.to_owned() });
         }
         // SQLite drops what follows a damaged place as if it had never been stored.
-        let damage = std::fs::read(&log).ok().and_then(|log| log::damage(&log));
+        let damage = match std::fs::read(&log) {
+            Ok(log) => log::damage(&log),
+            Err(error) if error.kind() == ErrorKind::NotFound => None,
+            Err(error) => return Err(open(error.into())),
+        };
         if let Some(log::LogDamage { at_byte, transactions }) = damage {
             return Err(StoreError::DamagedLog { path: path.to_owned(), at_byte, transactions });
         }

@@ -3,9 +3,10 @@
 //! PURE: bytes in, a finding out. Uses: std. Format: `https://sqlite.org/fileformat2.html`, section 4.
 //!
 //! With `synchronous = FULL` a transaction is on the disk before the next one begins. A crash can
-//! therefore spoil the last transaction of the log only, which nobody was told is stored. Two
-//! committed transactions at or after a wrong frame mean that stored data was changed.
-//! Damage in the last transaction cannot be told from a crash and is not found.
+//! therefore spoil the last transaction of the log only, which was not yet acknowledged; remains of
+//! several crashes may follow it, but none of them continues another. A committed transaction behind a
+//! wrong frame that the next frame continues, checksum by checksum, means that stored data was changed.
+//! Damage in the last transaction cannot be distinguished from a crash and is not found.
 
 /// Bytes of the log's header, and of the header of each frame.
 const HEADER: usize = 32;
@@ -41,10 +42,18 @@ pub fn damage(log: &[u8]) -> Option<LogDamage> {
     };
     let sound = frames(page).take_while(is_sound).count();
     // Frames of an earlier round of the log have another salt.
-    let commits = |frame: &&[u8]| &frame[8..16] == salt && word(frame, 4) != 0;
-    let transactions = frames(page).skip(sound).filter(commits).count();
+    let rest: Vec<&[u8]> = frames(page).skip(sound).collect();
+    let commits = |frame: &[u8]| &frame[8..16] == salt && word(frame, 4) != 0;
+    let continues = |pair: &[&[u8]]| {
+        let (before, next) = (pair[0], pair[1]);
+        let sum = checksum(big_endian, (word(before, 16), word(before, 20)), &next[..8]);
+        let sum = checksum(big_endian, sum, &next[FRAME_HEADER..]);
+        &next[8..16] == salt && sum == (word(next, 16), word(next, 20))
+    };
+    let stored = rest.windows(2).any(|pair| commits(pair[0]) && continues(pair));
+    let transactions = rest.iter().filter(|frame| commits(frame)).count();
     let at_byte = HEADER + sound * (FRAME_HEADER + page);
-    (transactions > 1).then_some(LogDamage { at_byte, transactions })
+    stored.then_some(LogDamage { at_byte, transactions })
 }
 
 /// A big-endian number.

@@ -95,8 +95,11 @@ pub async fn make_safe(
     trip: Option<&Trip>,
     height: Height,
 ) -> SafeEnd {
-    // The result of an earlier safe end no longer applies.
-    control.show(|status| status.rig.safe_end = None);
+    // A good result of an earlier safe end no longer applies. The warning of a bad one stays until a
+    // better result replaces it.
+    control.show(|status| {
+        status.rig.safe_end.take_if(|end| end.is_safe() && end.is_acknowledged());
+    });
     if let Some(trip) = trip {
         control.latch(trip);
     }

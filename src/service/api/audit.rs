@@ -36,13 +36,14 @@ impl App {
             detail: outcome.as_ref().err().map(|e| e.detail().into()),
         };
         if let Err(error) = self.store.log_action(new.clone()).await {
-            tracing::error!(%error, action, "an action is not logged yet");
+            tracing::error!(%error, ?new, "an action is not logged yet");
             self.log_later(new);
         }
         outcome
     }
 
-    /// Tries again until an action is logged, for the latest `LOGGED_LATER_MAX` actions at most.
+    /// Tries again until an action is logged or the store refuses it for good; for up to
+    /// `LOGGED_LATER_MAX` actions at a time.
     fn log_later(&self, action: NewAction) {
         let Ok(place) = self.facts.logged_later.clone().try_acquire_owned() else {
             tracing::error!(?action, "too many actions wait to be logged: this one is not");
@@ -55,6 +56,10 @@ impl App {
                 tokio::time::sleep(LOG_AGAIN).await;
                 match store.log_action(action.clone()).await {
                     Ok(()) | Err(StoreError::Closed { .. }) => break,
+                    Err(error @ (StoreError::NoSuchRun(_) | StoreError::Unreadable { .. })) => {
+                        tracing::error!(%error, ?action, "an action cannot be logged");
+                        break;
+                    }
                     Err(_) => {}
                 }
             }

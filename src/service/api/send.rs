@@ -65,7 +65,9 @@ pub async fn file(
     };
     set(header::ETAG, tag);
     set(header::CONTENT_DISPOSITION, format!("attachment; filename=\"{name}\""));
-    set(HeaderName::from_static("repr-digest"), digest(&sendable.sha256));
+    if let Some(digest) = digest(&sendable.sha256) {
+        set(HeaderName::from_static("repr-digest"), digest);
+    }
     let cache = if immutable { "private, max-age=31536000, immutable" } else { "no-cache" };
     set(header::CACHE_CONTROL, cache.into());
     Ok(response)
@@ -75,11 +77,10 @@ fn text<'h>(headers: &'h HeaderMap, name: &HeaderName) -> Option<&'h str> {
     headers.get(name)?.to_str().ok()
 }
 
-/// The digest as RFC 9530 writes it.
-fn digest(sha256: &str) -> String {
-    // What is not hexadecimal is no digest, and none is sent.
-    let bytes = hex::decode(sha256).unwrap_or_default();
-    format!("sha-256=:{}:", base64::engine::general_purpose::STANDARD.encode(bytes))
+/// The digest as RFC 9530 writes it; `None` where the text is not hexadecimal.
+fn digest(sha256: &str) -> Option<String> {
+    let bytes = hex::decode(sha256).ok()?;
+    Some(format!("sha-256=:{}:", base64::engine::general_purpose::STANDARD.encode(bytes)))
 }
 
 /// The format that an `Accept` header names, where it names one.

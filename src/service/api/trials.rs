@@ -28,7 +28,7 @@ use crate::dataset::select::{Selection, Wanted};
 use crate::ids::{RunUid, TrialId};
 use crate::problem::Problem;
 use crate::store::table::{Column, Of};
-use crate::store::{Order, Store, TrialQuery, TrialRow};
+use crate::store::{Order, TrialQuery, TrialRow};
 
 /// Trials of a piece of a page.
 const ROWS_AT_ONCE: usize = 500;
@@ -99,29 +99,35 @@ async fn page(
         let Table { pieces, next } = table(app, query, &wanted, format).await?;
         return Ok(send::with_headers(format, next, Body::from_stream(pieces)));
     }
-    json_page(&app.store, query, &wanted).await
+    json_page(app, query, &wanted).await
 }
 
 /// The same as JSON: whole trials, or those of their columns that are wanted.
-async fn json_page(
-    store: &Store,
-    mut query: TrialQuery,
-    wanted: &Wanted,
-) -> Result<Response, ApiError> {
-    let frames = |name: &String| Column::find(name).is_some_and(Column::is_frame);
-    query.with_voltages |= wanted.columns.iter().any(frames);
-    let trials = store.trials(&query).await?;
-    let full = trials.len() == query.limit as usize;
-    let next = trials.last().filter(|_| full).map(|t| t.trial_id.0);
+async fn json_page(app: &App, query: TrialQuery, wanted: &Wanted) -> Result<Response, ApiError> {
     if wanted.columns.is_empty() && wanted.slice.is_none() {
+        let trials = app.store.trials(&query).await?;
+        let full = trials.len() == query.limit as usize;
+        let next = trials.last().filter(|_| full).map(|t| t.trial_id.0);
         return Ok(Json(TrialPage { trials, next }).into_response());
     }
-    let channels = trials.iter().find_map(|t| Some(t.voltages_v.as_ref()?.len()));
-    let channels = channels.map_or(schema::CHANNELS, |channels| channels as i32);
-    let table = trials_schema(channels, query.with_voltages);
-    let selection = Selection::new(wanted, &table, None).map_err(ApiError::bad_query)?;
-    let rows: Vec<_> = trials.iter().map(|trial| Chosen { trial, selection: &selection }).collect();
-    Ok(Json(json!({ "trials": rows, "next": next })).into_response())
+    let Checked { ids, next, selection, with_voltages, .. } = checked(app, &query, wanted).await?;
+    let mut trials = match with_voltages {
+        true => app.store.trials_with_voltages(&ids).await?,
+        false => app.store.trials_of(&ids).await?,
+    };
+    if query.order == Order::NewestFirst {
+        trials.reverse();
+    }
+    let chosen = |trial| Chosen { trial, selection: &selection };
+    let page = ChosenPage { trials: trials.iter().map(chosen).collect(), next };
+    Ok(Json(page).into_response())
+}
+
+/// A page of some columns.
+#[derive(Serialize)]
+struct ChosenPage<'a> {
+    trials: Vec<Chosen<'a>>,
+    next: Option<i64>,
 }
 
 /// The wanted columns of a trial, as JSON.
@@ -166,7 +172,7 @@ struct Table {
 
 async fn table(
     app: &App,
-    mut query: TrialQuery,
+    query: TrialQuery,
     wanted: &Wanted,
     format: Format,
 ) -> Result<Table, ApiError> {
@@ -174,24 +180,9 @@ async fn table(
         let limit = "pages come as json, ndjson, csv, parquet or arrow";
         return Err(ApiError::bad_query(vec![Problem::new("query", "format", "npz", limit)]));
     }
-    let limit = query.limit as usize;
-    let ids = app.store.trial_ids(&query).await?;
-    let next = ids.last().filter(|_| ids.len() == limit).map(|id| id.0.to_string());
-    let frames = |name: &String| Column::find(name).is_some_and(Column::is_frame);
-    query.with_voltages |= wanted.columns.iter().any(frames);
-    let lengths = match query.with_voltages {
-        true => app.store.frame_lengths(&ids).await?,
-        false => Vec::new(),
-    };
-    if lengths.len() > 1 {
-        let words = format!(
-            "these trials have frames of {lengths:?} voltages, which make no table: name a run"
-        );
-        return Err(ApiError::new(StatusCode::CONFLICT, words));
-    }
-    let channels = lengths.first().map_or(schema::CHANNELS, |&length| length as i32);
-    let table = trials_schema(channels, query.with_voltages);
-    let selection = Selection::new(wanted, &table, None).map_err(ApiError::bad_query)?;
+    let Checked { ids, next, table, selection, with_voltages } =
+        checked(app, &query, wanted).await?;
+    let next = next.map(|next| next.to_string());
     let piece = send::Piece::default();
     let mut stream =
         Stream::new(format, selection.schema(), piece.clone()).map_err(DatasetError::from)?;
@@ -200,7 +191,7 @@ async fn table(
     tokio::spawn(async move {
         let mut work = async || -> Result<(), DatasetError> {
             let chunks: Vec<Vec<TrialId>> = ids.chunks(ROWS_AT_ONCE).map(<[_]>::to_vec).collect();
-            let frames = query.with_voltages;
+            let frames = with_voltages;
             let reads = chunks.into_iter().map(|chunk| {
                 let store = store.clone();
                 async move {
@@ -236,6 +227,36 @@ async fn table(
         let _ = sender.send(last).await;
     });
     Ok(Table { pieces: ReceiverStream::new(pieces), next })
+}
+
+/// A page whose columns were checked before its trials are read.
+struct Checked {
+    ids: Vec<TrialId>,
+    next: Option<i64>,
+    table: SchemaRef,
+    selection: Selection,
+    with_voltages: bool,
+}
+
+async fn checked(app: &App, query: &TrialQuery, wanted: &Wanted) -> Result<Checked, ApiError> {
+    let ids = app.store.trial_ids(query).await?;
+    let next = ids.last().filter(|_| ids.len() == query.limit as usize).map(|id| id.0);
+    let frames = |name: &String| Column::find(name).is_some_and(Column::is_frame);
+    let with_voltages = query.with_voltages || wanted.columns.iter().any(frames);
+    let lengths = match with_voltages {
+        true => app.store.frame_lengths(&ids).await?,
+        false => Vec::new(),
+    };
+    if lengths.len() > 1 {
+        let words = format!(
+            "these trials have frames of {lengths:?} voltages, which make no table: name a run"
+        );
+        return Err(ApiError::new(StatusCode::CONFLICT, words));
+    }
+    let channels = lengths.first().map_or(schema::CHANNELS, |&length| length as i32);
+    let table = trials_schema(channels, with_voltages);
+    let selection = Selection::new(wanted, &table, None).map_err(ApiError::bad_query)?;
+    Ok(Checked { ids, next, table, selection, with_voltages })
 }
 
 /// The columns of stored trials; frames only where they are requested.

@@ -278,6 +278,10 @@ impl Control {
         let outcome = match self.run_request(&request) {
             // Homing or jogging outside a run also ends when the service ends.
             Some(_) if idle && self.leaving => Ok(RunAction::Raise),
+            // A paused run whose rig homes: it resumes once the rig is ready, not before.
+            Some(RunEvent::Resume) if matches!(self.run, RunState::Paused(_)) => {
+                Err(Refusal::State("resume is not possible while the rig moves".into()))
+            }
             Some(event) => self.run_event(event),
             None => {
                 let doing = if idle { "the rig moves".into() } else { self.run_words() };

@@ -62,7 +62,7 @@ pub struct RigStatus {
     /// Stop of each axis while an e-stop is latched. A stop that is not acknowledged is sent again
     /// until it is.
     pub estop_stops: Vec<AxisStop>,
-    /// Result of the last safe end; null before the first one and while one is active.
+    /// Result of the last safe end; null before the first one, and while one follows a good result.
     pub safe_end: Option<SafeEnd>,
     /// Bound of the force increase between a sample and the resulting stop: computed, and measured.
     pub stopping: Option<StoppingDistance>,

@@ -28,7 +28,7 @@ impl Engine {
         let hands = matches!(halt, Halt::Needs(Wanted::Tips { .. }));
         let height = if hands { Height::Top } else { Height::Clear };
         let safe = self.leave_contact(job, halt.as_trip(), height).await;
-        let mut passing = None;
+        let mut passing = false;
         match halt {
             Halt::Asked => self.note_suspension(),
             Halt::Checkpoint => {}
@@ -44,7 +44,7 @@ impl Engine {
                 let may = job.auto_resume && trip.kind.may_pass();
                 if may && *auto_resumes < job.plan.policy.max_auto_resumes {
                     *auto_resumes += 1;
-                    passing = Some(*auto_resumes);
+                    passing = true;
                 }
             }
             Halt::Store(error) => {
@@ -62,7 +62,7 @@ impl Engine {
         match action {
             RunAction::End(status) => Next::End(status, "requested".into()),
             RunAction::Continue | RunAction::Raise => Next::Again,
-            RunAction::Wait => self.wait(job, attempts, passing).await,
+            RunAction::Wait => self.wait(job, attempts, passing.then_some(auto_resumes)).await,
         }
     }
 

@@ -28,19 +28,19 @@ enum Recovery {
 }
 
 impl Engine {
-    /// Waits for a person, or for the policy's automatic resume (`passing`: number of this resume,
-    /// from 1).
+    /// Waits for a person, or for the policy's automatic resume (`passing`: automatic resumes of the
+    /// run, this one included).
     pub(super) async fn wait(
         &mut self,
         job: &Job,
         attempts: &mut Attempts,
-        passing: Option<u32>,
+        mut passing: Option<&mut u32>,
     ) -> Next {
         self.control.phase(Phase::Wait);
         if self.control.leaving() {
             return Next::Leave;
         }
-        let mut try_at = passing.map(|n| Instant::now() + backoff(job, n));
+        let mut try_at = passing.as_deref().map(|n| Instant::now() + backoff(job, *n));
         let mut failures = 0;
         let mut tick = tokio::time::interval(IDLE_TICK);
         tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
@@ -64,14 +64,21 @@ impl Engine {
                     {
                         let recovery = self.recover().await;
                         failures += 1;
-                        let before = passing.unwrap_or_default() + failures;
+                        let resumes = passing.as_deref_mut().map_or(0, |n| {
+                            *n += u32::from(matches!(recovery, Recovery::Failed));
+                            *n
+                        });
                         let again = match recovery {
                             Recovery::Failed => {
-                                before < job.plan.policy.max_auto_resumes && self.trip_may_pass()
+                                resumes <= job.plan.policy.max_auto_resumes && self.trip_may_pass()
                             }
                             Recovery::NotYet | Recovery::Done => true,
                         };
-                        try_at = again.then(|| Instant::now() + backoff(job, before));
+                        if !again {
+                            self.control.say("recovering", json!({ "ended": true }));
+                        }
+                        let pause = backoff(job, resumes + failures);
+                        try_at = again.then(|| Instant::now() + pause);
                         matches!(recovery, Recovery::Done).then_some(Waited::Resume)
                     } else {
                         None
