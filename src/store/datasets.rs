@@ -271,7 +271,7 @@ impl Store {
         rows.iter().map(|row| DatasetRow::read(row, OPERATION)).collect()
     }
 
-    /// Stores a wish for an export.
+    /// Stores a request for an export.
     pub async fn create_export(
         &self,
         id: String,

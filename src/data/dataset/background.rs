@@ -16,7 +16,7 @@ pub async fn background<T: Send + 'static>(
     let thread = std::thread::Builder::new().name("background".into()).spawn(move || {
         // On Linux this is the calling thread's alone. A system that refuses is only less polite.
         if let Err(error) = rustix::process::nice(NICE) {
-            tracing::debug!(%error, "work goes on at the usual priority");
+            tracing::debug!(%error, "the work continues at the usual priority");
         }
         // Who asked may have gone.
         let _ = done.send(work());

@@ -279,7 +279,7 @@ impl Catalog {
         Ok(Sendable { path, sha256: finished.sha256 })
     }
 
-    /// Stores a wish for an export, checked as far as its dataset is there.
+    /// Stores a request for an export, checked as far as its dataset exists.
     pub async fn ask(
         &self,
         request: &ExportRequest,
