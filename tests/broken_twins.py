@@ -41,7 +41,10 @@ TWINS = {
         ["an_e_stop_outlasts"]),
     "an automatic resume again after any trip": (
         WAIT, "resumes <= job.plan.policy.max_auto_resumes && self.trip_may_pass()", "true",
-        ["an_automatic_resume_that_meets_an_alarm"]),
+        ["an_automatic_resume_that_meets_an_alarm", "failed_automatic_resumes_count"]),
+    "failed automatic resumes do not count": (
+        WAIT, "*n += u32::from(matches!(recovery, Recovery::Failed));", "let _ = matches!(recovery, Recovery::Failed);",
+        ["failed_automatic_resumes_count"]),
 }
 
 
@@ -55,7 +58,7 @@ def try_twin(name: str) -> bool:
     if sound.count(there) != 1:
         print(f"{name}: {file} has changed; the twin must be made anew")
         return False
-    command = ["cargo", "test", "--quiet", "-p", "palpate", "--test", "system", "--", *tests]
+    command = ["cargo", "test", "--quiet", "--workspace", "--test", "system", "--", *tests]
     try:
         path.write_text(sound.replace(there, instead))
         ran = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)

@@ -175,12 +175,16 @@ fn stopping_words(d: &StoppingDistance) -> String {
         _ => "none measured yet".into(),
     };
     format!(
-        "stopping {:.1} ms, {:.2} mm, +{:.1} N of {:.1} N margin at {:.2} mm/s; {measured} in {}",
+        "stopping {:.1} ms, {:.2} mm at {:.2} mm/s; +{:.1} N of {:.1} N margin on a tip, +{:.1} N of \
+         {:.1} N on {}; {measured} in {}",
         d.sample_to_stop_ms,
         d.travel_mm,
+        d.speed_mm_s,
         d.added_n,
         d.margin_n,
-        d.speed_mm_s,
+        d.added_sum_n,
+        d.margin_sum_n,
+        counted(d.tips.into(), "tip", "tips"),
         counted(d.stops, "stop", "stops"),
     )
 }

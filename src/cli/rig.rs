@@ -13,6 +13,7 @@ use tokio::time::{Instant, sleep};
 use super::client::Client;
 use super::error::CliError;
 use super::files::RigFiles;
+use super::follow::Signals;
 use super::output::{say, say_json};
 use super::view::StatusView;
 use super::{At, embed};
@@ -215,7 +216,16 @@ async fn check_file(
     let rig = RigFiles::read(Some(file))?;
     let _held = LockFile::of_rig(&rig.config)?;
     let scope = if enable { Scope::Enable } else { Scope::Look };
-    let report = check::run_on(&rig.config, &StopLatch::new(), scope).await?;
+    // No server holds this rig, so no request reaches this check: a signal is its emergency stop.
+    let (latch, mut signals) = (StopLatch::new(), Signals::catch()?);
+    let pressed = latch.clone();
+    let stop = tokio::spawn(async move {
+        signals.next().await;
+        pressed.latch();
+    });
+    let report = check::run_on(&rig.config, &latch, scope).await;
+    stop.abort();
+    let report = report?;
     if json {
         say_json(&report);
     } else {

@@ -21,7 +21,7 @@ use utoipa::ToSchema;
 
 use crate::campaign::bench::estop::AxisStop;
 use crate::campaign::bench::interlock::{Trip, TripKind};
-use crate::campaign::bench::stage::Stage;
+use crate::campaign::bench::stage::{Raised, Stage};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::shown::status::Phase;
@@ -66,6 +66,10 @@ pub struct SafeEnd {
     /// Time from the last sample before the safe end to the acknowledged stop of z, wall ms; absent
     /// if no cell was read or z did not acknowledge.
     pub sample_to_stop_ms: Option<f64>,
+    /// Travel of z from that sample to its deepest position after the stop, mm; absent unless z was
+    /// moving and was raised.
+    #[serde(default)]
+    pub travelled_mm: Option<f64>,
     /// Duration of the safe end, wall ms.
     pub took_ms: f64,
 }
@@ -108,21 +112,26 @@ pub async fn make_safe(
     let sampled = stage.take_last_sample();
     let bench = stage.bench.clone();
     let lateral = [&bench.x, &bench.y, &bench.radial];
-    let (mut stops, (z_stop, tips)) = futures::join!(
+    let (mut stops, (z_stop, (tips, deepest_mm))) = futures::join!(
         join_all(lateral.map(|axis| stop(axis.as_ref(), began))),
         stop_and_raise(control, stage, began, height)
     );
     let stopped = z_stop.acknowledged_ms.map(|ms| began + Duration::from_secs_f64(ms / 1e3));
-    let sample_to_stop = sampled.zip(stopped).map(|(from, to)| to.saturating_duration_since(from));
+    let sample_to_stop = sampled.zip(stopped).map(|(s, to)| to.saturating_duration_since(s.at));
+    let travelled_mm =
+        sampled.and_then(|s| s.z_mm).zip(deepest_mm).map(|(from, to)| (to - from).max(0.0));
     stops.push(z_stop);
     let end = SafeEnd {
         stops,
         tips,
         sample_to_stop_ms: sample_to_stop.map(|t| t.as_secs_f64() * 1e3),
+        travelled_mm,
         took_ms: began.elapsed().as_secs_f64() * 1e3,
     };
-    if trip.is_some() {
+    // Only these trips are caused by a sample: the delay of the others is that of their own cause.
+    if trip.is_some_and(|t| matches!(t.kind, TripKind::Force | TripKind::Cell)) {
         stage.stopping.note_stop(sample_to_stop);
+        stage.stopping.note_travel(travelled_mm);
     }
     if let Tips::NotRaised(why) = &end.tips
         && trip.is_none()
@@ -136,32 +145,33 @@ pub async fn make_safe(
     end
 }
 
-/// Raises z, with a few attempts: the planned raise after a configuration.
-pub async fn raise(control: &Control, stage: &Stage, height: Height) -> Tips {
+/// Raises z, with a few attempts. Returns the deepest position of z on the way as well, machine mm.
+async fn raise(control: &Control, stage: &Stage, height: Height) -> (Tips, Option<f64>) {
     let mut last = String::new();
     for attempt in 0..RAISE_TRIES {
         if attempt > 0 {
             tokio::time::sleep(RAISE_AGAIN).await;
         }
         if control.estop.pressed().is_some() {
-            return Tips::HeldByEstop;
+            return (Tips::HeldByEstop, None);
         }
         match stage.raise_once(height, &control.estop).await {
-            Ok(true) => return Tips::Raised,
-            Ok(false) => return Tips::NotHomed,
+            Ok(Raised::Up { deepest_mm }) => return (Tips::Raised, Some(deepest_mm)),
+            Ok(Raised::NotHomed) => return (Tips::NotHomed, None),
             Err(error) => last = error,
         }
     }
-    if control.estop.pressed().is_some() { Tips::HeldByEstop } else { Tips::NotRaised(last) }
+    let held = control.estop.pressed().is_some();
+    (if held { Tips::HeldByEstop } else { Tips::NotRaised(last) }, None)
 }
 
-/// Like `raise`, for a planned raise.
+/// Raises z as planned, after a configuration.
 ///
 /// # Errors
 /// Trips unless the tips are raised.
 pub async fn raise_as_planned(control: &Control, stage: &mut Stage) -> Result<(), Halt> {
     stage.begin_watch();
-    match raise(control, stage, Height::Clear).await {
+    match raise(control, stage, Height::Clear).await.0 {
         Tips::Raised => Ok(()),
         Tips::HeldByEstop => Err(Halt::trip(TripKind::Estop, "the emergency stop is latched")),
         Tips::NotHomed => Err(Halt::trip(TripKind::Position, "z has lost its zero: home")),
@@ -174,7 +184,7 @@ async fn stop_and_raise(
     stage: &Stage,
     began: Instant,
     height: Height,
-) -> (AxisStop, Tips) {
+) -> (AxisStop, (Tips, Option<f64>)) {
     let stopped = stop(stage.bench.z.as_ref(), began).await;
     (stopped, raise(control, stage, height).await)
 }

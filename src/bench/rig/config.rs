@@ -1,6 +1,6 @@
 //! The rig file: which device is connected to which wire at which address, how far and how fast it
 //! may move, and the limits that trip it. It is parsed and checked here; nothing is opened.
-//! PURE. Uses: `problem`, `cells`, `guard`. Never: ports, files (the text is passed in).
+//! PURE. Uses: `problem`, `cells`, `guard`, `limits`. Never: ports, files (the text is passed in).
 //!
 //! Machine coordinates: x and y increase along the stage, z increases downward from the raised home
 //! position 0. The slot converts the angle of the rotary actuator to a radius.
@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 pub use super::cells::{CellsConfig, CellsDevice};
 pub use super::guard::Guard;
+pub use super::limits::RigLimits;
 use crate::problem::{Checks, Problem};
 use crate::syntax::syntax_problem;
 
@@ -349,38 +350,6 @@ impl ErtConfig {
     }
 }
 
-/// Limits that trip the rig. They are compared with every sample; a stale sample exceeds its limit.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RigLimits {
-    /// Limit of the force on one cell, N.
-    pub force_n: f64,
-    /// Limit of the sum of forces, N.
-    pub force_sum_n: f64,
-    /// Allowed increase of the force between a sample and the stop that follows it, N. The approach
-    /// speed is derived from it.
-    pub force_margin_n: f64,
-    /// Stiffness of one tip on the skin, N/mm, from which the approach speed is derived.
-    pub stiffness_n_per_mm: f64,
-    /// Longest time without a frame, wall ms.
-    pub frame_age_ms: u64,
-    /// Longest time without a fresh sample of cells and positions while pressing, wall ms.
-    pub sample_age_ms: u64,
-    /// Largest change of a cell's zero between two tares, and largest force below zero, N.
-    pub tare_drift_n: f64,
-    /// RMS change of the skin from untouched over its channels, beyond their noise, V. A larger
-    /// change while no cell measures a touch trips the rig.
-    #[serde(default = "default_skin_touch_v")]
-    pub skin_touch_v: f64,
-    /// Range of the slope of force against depth between two steps, N/mm. A lower slope in contact,
-    /// or a higher slope, trips the rig.
-    #[serde(default = "default_corridor_n_per_mm")]
-    pub corridor_n_per_mm: [f64; 2],
-    /// Depth below the touch height of a tip from which its cell must measure a force, mm.
-    #[serde(default = "default_must_press_mm")]
-    pub must_press_mm: f64,
-}
-
 impl RigConfig {
     /// Parses and checks the text of a rig file. `file` is its name in the problems.
     ///
@@ -481,29 +450,7 @@ impl RigConfig {
             c.within("skin.expected_z_mm", expected, top, bottom);
         }
         c.within("skin.clearance_mm", self.skin.clearance_mm, 0.5, 100.0);
-        c.within("limits.force_n", self.limits.force_n, 1.0, 0.8 * self.cells.full_scale_n);
-        c.within("limits.force_sum_n", self.limits.force_sum_n, 1.0, 5000.0);
-        c.within("limits.force_margin_n", self.limits.force_margin_n, 0.1, self.limits.force_n);
-        c.within("limits.stiffness_n_per_mm", self.limits.stiffness_n_per_mm, 0.1, 1000.0);
-        c.within("limits.tare_drift_n", self.limits.tare_drift_n, 0.01, 50.0);
-        c.within("limits.skin_touch_v", self.limits.skin_touch_v, 1e-6, 10.0);
-        c.within("limits.must_press_mm", self.limits.must_press_mm, 0.1, 20.0);
-        let [low, high] = self.limits.corridor_n_per_mm;
-        let shown = format!("[{low}, {high}]");
-        let ordered = low >= 0.0 && low < high && high.is_finite();
-        c.require(ordered, "limits.corridor_n_per_mm", shown, "must be [lower, upper], from 0");
-        c.require(
-            self.limits.frame_age_ms >= 50,
-            "limits.frame_age_ms",
-            self.limits.frame_age_ms,
-            "must be at least 50",
-        );
-        c.require(
-            self.limits.sample_age_ms >= 20,
-            "limits.sample_age_ms",
-            self.limits.sample_age_ms,
-            "must be at least 20",
-        );
+        self.limits.check(&mut c, self.cells.full_scale_n);
         c.within("ert.frame_rate_hz", self.ert.frame_rate_hz(), 0.1, 1000.0);
         let electrodes = self.ert.electrodes();
         let ok = (2..=64).contains(&electrodes);
@@ -518,20 +465,6 @@ fn one() -> f64 {
 
 fn default_search_below_mm() -> f64 {
     4.0
-}
-
-/// Response of the paper's skin to about 10 N on one tip: five times drift and noise.
-fn default_skin_touch_v() -> f64 {
-    0.003
-}
-
-/// Wide: the upper end detects a wall, the lower end a cell that hardly responds.
-fn default_corridor_n_per_mm() -> [f64; 2] {
-    [0.2, 150.0]
-}
-
-fn default_must_press_mm() -> f64 {
-    2.5
 }
 
 fn default_timeout_ms() -> u64 {

@@ -3,6 +3,7 @@
 
 pub mod cells;
 pub mod guard;
+pub mod limits;
 pub mod config;
 pub mod reach;
 pub mod error;

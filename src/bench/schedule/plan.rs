@@ -185,6 +185,11 @@ impl Plan {
         Ok(plan)
     }
 
+    /// Largest number of tips of a setting.
+    pub fn most_tips(&self) -> u8 {
+        self.settings.iter().map(|setting| setting.tips).max().unwrap_or(1)
+    }
+
     /// The planned configurations in their order.
     pub fn configurations(&self) -> impl Iterator<Item = &PlannedConfiguration> {
         self.steps.iter().filter_map(|step| match step {

@@ -182,6 +182,35 @@ async fn an_automatic_resume_that_meets_an_alarm_leaves_it_to_a_person() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn failed_automatic_resumes_count_and_the_last_one_leaves_the_run_to_a_person() {
+    let harness = Harness::homed().await;
+    harness.mount(2, 2).await;
+    let policy = "[policy]\nauto_resume_after_s = 1.0\nmax_auto_resumes = 1\n";
+    harness.start(harness.job(&experiment(2, policy), |job| job.auto_resume = true)).await;
+    harness.stored(1).await;
+    harness.fault("no_reply", "cells", json!({ "for_s": 16.0 })).await;
+    harness.tripped().await;
+    // The homing of the only automatic resume loses its wire, a fault that may pass.
+    harness.until("the reset", |s| s.rig.state == RigState::Disarmed).await;
+    harness.fault("no_reply", "x", json!({ "for_s": 24.0 })).await;
+    let status = harness.tripped().await;
+    assert_eq!(status.rig.trip.map(|t| t.kind), Some(TripKind::Wire));
+    let stored = harness.journal.taken().trials.len();
+    tokio::time::sleep(Duration::from_secs(12)).await;
+    let status = harness.handle.status();
+    assert_eq!(status.rig.state, RigState::Tripped, "{:#?}", status.rig);
+    assert_eq!(harness.journal.taken().trials.len(), stored);
+    let tries =
+        harness.journal.taken().events.iter().filter(|(kind, ..)| kind == "recovering").count();
+    assert_eq!(tries, 2, "one attempt and its end");
+    harness.ask(Request::Reset).await.unwrap();
+    harness.home().await;
+    harness.ask(Request::Resume).await.unwrap();
+    harness.until("the end", |s| s.run.is_none()).await;
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_load_on_an_arm_without_a_tip_is_not_tared_away() {
     let harness = Harness::homed().await;
     harness.mount(2, 6).await;

@@ -67,10 +67,28 @@ pub struct Stage {
     pub peak_n: f64,
     /// Measured durations of polls and travels of stops.
     pub stopping: Stopping,
-    /// Time of the last sample in the motion or hold that is watched.
-    last_sample: Option<Instant>,
+    /// Last sample of the motion or hold that is watched.
+    last_sample: Option<LastSample>,
     /// Time since which z has been held at rest under watch.
     pub(super) held_since: Option<Instant>,
+}
+
+/// When and where the cells were last read in a watched motion or hold.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::campaign) struct LastSample {
+    /// Time of the reading.
+    pub at: Instant,
+    /// Position of z at that time, machine mm; none unless z was moving.
+    pub z_mm: Option<f64>,
+}
+
+/// Result of one attempt to raise z.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::campaign) enum Raised {
+    /// z is up; the deepest position that was read on the way, machine mm.
+    Up { deepest_mm: f64 },
+    /// z has lost its zero; nothing was moved.
+    NotHomed,
 }
 
 /// An axis with its motion parameters, in the axis's unit.
@@ -208,7 +226,7 @@ impl Stage {
     /// without frames the skin cannot cross-check the cells.
     pub async fn weigh(&mut self) -> Result<CellVolts, Halt> {
         let reading = self.bench.cells.read().await?;
-        self.check(&reading)?;
+        self.check(&reading, None)?;
         let limit = Duration::from_millis(self.config.limits.frame_age_ms);
         let held = self.held_since.get_or_insert_with(Instant::now).elapsed();
         let newest = self.bench.skin.latest().map(|frame| frame.received.elapsed());
@@ -225,20 +243,21 @@ impl Stage {
         self.last_sample = None;
     }
 
-    /// Takes the time of the last sample, from which the delay to the resulting stop is measured.
-    pub(in crate::campaign) fn take_last_sample(&mut self) -> Option<Instant> {
+    /// Takes the last sample, from which the delay and travel of the resulting stop are measured.
+    pub(in crate::campaign) fn take_last_sample(&mut self) -> Option<LastSample> {
         self.last_sample.take()
     }
 
-    /// Checks one sample: its age, the gap since the previous sample, every limit, and the
+    /// Checks one sample, taken with z at `z_mm` if z was moving: its age, the gap since the previous sample, every limit, and the
     /// cross-check with the skin.
     ///
     /// # Errors
     /// Trips on a stale sample, a limit, or a touch of the skin that no cell measures.
-    pub(super) fn check(&mut self, reading: &CellVolts) -> Result<(), Halt> {
+    pub(super) fn check(&mut self, reading: &CellVolts, z_mm: Option<f64>) -> Result<(), Halt> {
         let limit_ms = self.config.limits.sample_age_ms;
         let age = self.clock.now().saturating_duration_since(reading.at);
-        let gap = self.last_sample.replace(reading.at).map(|last| reading.at - last);
+        let sample = LastSample { at: reading.at, z_mm };
+        let gap = self.last_sample.replace(sample).map(|last| reading.at - last.at);
         for (what, time) in [("sample", Some(age)), ("gap between samples", gap)] {
             if let Some(time) = time.filter(|t| *t > Duration::from_millis(limit_ms)) {
                 let ms = time.as_millis();
@@ -332,7 +351,7 @@ impl Stage {
         }
     }
 
-    /// Raises z and waits until it has arrived. Returns `Ok(false)` if z has lost its zero.
+    /// Raises z and waits until it has arrived, unless it has lost its zero.
     ///
     /// # Errors
     /// A message if a device does not reply, z reports an alarm or does not arrive in time, or an
@@ -341,7 +360,7 @@ impl Stage {
         &self,
         height: Height,
         estop: &StopSwitch,
-    ) -> Result<bool, String> {
+    ) -> Result<Raised, String> {
         let words = |e: crate::rig::error::RigError| e.to_string();
         let top = self.config.axes.z.travel_mm[0];
         let up = match height {
@@ -351,7 +370,7 @@ impl Stage {
         let z = self.driven(AxisName::Z);
         let from = z.axis.status().await.map_err(words)?;
         if !from.homed {
-            return Ok(false);
+            return Ok(Raised::NotHomed);
         }
         if from.position > up + z.tolerance || from.moving {
             // Never down, even if z is already higher.
@@ -360,13 +379,15 @@ impl Stage {
         }
         let seconds = (from.position - up).abs() / z.speed + 1.0;
         let deadline = self.clock.now() + self.clock.wall(1.5 * seconds) + GRACE;
+        let mut deepest_mm = from.position;
         loop {
             let now = z.axis.status().await.map_err(words)?;
+            deepest_mm = deepest_mm.max(now.position);
             if let Some(alarm) = now.alarm {
                 return Err(format!("z reports alarm {alarm:#x} at {:.3} mm", now.position));
             }
             if !now.moving && now.position <= up + z.tolerance {
-                return Ok(true);
+                return Ok(Raised::Up { deepest_mm });
             }
             if estop.pressed().is_some() {
                 return Err("the emergency stop is latched".into());

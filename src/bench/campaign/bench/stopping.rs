@@ -32,16 +32,26 @@ pub struct StoppingDistance {
     pub sample_to_stop_ms: f64,
     /// Travel in that time and during the deceleration of z, mm.
     pub travel_mm: f64,
-    /// Force that this travel may add, N: travel x `limits.stiffness_n_per_mm`.
+    /// Force on one tip that this travel may add, N: travel x `limits.stiffness_n_per_mm`.
     pub added_n: f64,
-    /// Limit from the rig file, N: `limits.force_margin_n`.
+    /// Limit of `added_n` from the rig file, N: `limits.force_margin_n`.
     pub margin_n: f64,
+    /// Number of pressing tips for which the figures hold.
+    pub tips: u8,
+    /// Sum of forces that the travel may add, N: `added_n` x `tips`.
+    pub added_sum_n: f64,
+    /// Limit of `added_sum_n` from the rig file, N: `limits.force_sum_margin_n`.
+    pub margin_sum_n: f64,
+    /// Force on one tip that the travel adds if the skin is as stiff as `limits.corridor_n_per_mm`
+    /// allows, N. No limit applies: a stiffer skin than stated is a fault of the rig file.
+    pub added_steepest_n: f64,
     /// Number of stops measured in this run.
     pub stops: u64,
     /// Longest measured time from a sample to the acknowledged stop of z, wall ms; absent before
     /// the first stop.
     pub measured_ms: Option<f64>,
-    /// Longest measured travel from a sample to standstill, mm; absent before the first stop.
+    /// Longest measured travel of z from a sample to its deepest position after the stop, mm; absent
+    /// before the first stop of a moving z.
     pub measured_mm: Option<f64>,
 }
 
@@ -70,9 +80,11 @@ impl Stopping {
         }
     }
 
-    /// Records the travel of z from that sample to standstill, mm.
-    pub fn note_travel(&mut self, travel_mm: f64) {
-        self.farthest_mm = Some(self.farthest_mm.unwrap_or(0.0).max(travel_mm));
+    /// Records the travel of z from that sample to standstill, mm; none is ignored.
+    pub fn note_travel(&mut self, travel_mm: Option<f64>) {
+        if let Some(travel_mm) = travel_mm {
+            self.farthest_mm = Some(self.farthest_mm.unwrap_or(0.0).max(travel_mm));
+        }
     }
 
     /// Starts the counts and maxima of a newly armed run; the slowest poll is kept.
@@ -87,30 +99,37 @@ impl Stopping {
         rig.cells.update_ms / 1e3 + 2.0 * self.slowest_poll_s.max(POLL_S) + late_s
     }
 
-    /// Speed of a press, mm/s: the added force stays within the margin, and the approach speed of
-    /// the rig file is not exceeded.
-    pub fn press_speed_mm_s(&self, rig: &RigConfig) -> f64 {
-        let travel_mm = rig.limits.force_margin_n / rig.limits.stiffness_n_per_mm;
+    /// Speed of a press with `tips` tips, mm/s: the added forces stay within their margins, and the
+    /// approach speed of the rig file is not exceeded.
+    pub fn press_speed_mm_s(&self, rig: &RigConfig, tips: u8) -> f64 {
+        let travel_mm = rig.limits.margin_travel_mm(tips);
         // v blind + v^2 / 2a = travel, solved for v.
         let (a, blind_s) = (rig.axes.z.acceleration_mm_s2, self.blind_s(rig));
         let speed = a * ((blind_s * blind_s + 2.0 * travel_mm / a).sqrt() - blind_s);
         speed.min(rig.approach_speed_mm_s())
     }
 
-    /// Stopping distance at the present pace of the wires, with the measured values.
+    /// Stopping distance of a press with `tips` tips at the present pace of the wires, with the
+    /// measured values.
     ///
     /// # Errors
     /// No usable press is slow enough for the margin; the message names the key and the speed
     /// required.
-    pub fn distance(&self, rig: &RigConfig) -> Result<StoppingDistance, String> {
-        let (speed, blind_s) = (self.press_speed_mm_s(rig), self.blind_s(rig));
+    pub fn distance(&self, rig: &RigConfig, tips: u8) -> Result<StoppingDistance, String> {
+        let (speed, blind_s) = (self.press_speed_mm_s(rig, tips), self.blind_s(rig));
         let travel_mm = speed * blind_s + speed * speed / (2.0 * rig.axes.z.acceleration_mm_s2);
         let limits = &rig.limits;
         if speed < SLOWEST_MM_S {
+            let (key, margin_n) = match limits.force_margin_n * f64::from(tips) {
+                sum_n if sum_n <= limits.sum_margin_n() => {
+                    ("force_margin_n", limits.force_margin_n)
+                }
+                _ => ("force_sum_margin_n", limits.sum_margin_n()),
+            };
             return Err(format!(
-                "limits.force_margin_n = {}: with {:.0} ms from a force to its stop and {} N/mm, \
-                 a press must not exceed {speed:.4} mm/s; the slowest press is {SLOWEST_MM_S}",
-                limits.force_margin_n,
+                "limits.{key} = {margin_n}: with {tips} tips, {:.0} ms from a force to its stop and \
+                 {} N/mm, a press must not exceed {speed:.4} mm/s; the slowest press is \
+                 {SLOWEST_MM_S}",
                 blind_s * 1e3,
                 limits.stiffness_n_per_mm
             ));
@@ -123,6 +142,10 @@ impl Stopping {
             travel_mm,
             added_n: travel_mm * limits.stiffness_n_per_mm,
             margin_n: limits.force_margin_n,
+            tips,
+            added_sum_n: travel_mm * limits.stiffness_n_per_mm * f64::from(tips),
+            margin_sum_n: limits.sum_margin_n(),
+            added_steepest_n: travel_mm * limits.corridor_n_per_mm[1],
             stops: self.stops,
             measured_ms: self.longest.map(|d| d.as_secs_f64() * 1e3),
             measured_mm: self.farthest_mm,
@@ -140,22 +163,42 @@ mod tests {
     }
 
     #[test]
-    fn what_a_stop_may_add_stays_within_the_margin_however_slow_the_wire() {
+    fn what_a_stop_may_add_stays_within_both_margins_however_slow_the_wire() {
+        let mut rig = rig();
+        rig.limits.force_sum_margin_n = Some(20.0);
         for poll_s in [0.0, 0.01, 0.1, 0.5, 2.0] {
-            let mut stopping = Stopping::default();
-            stopping.note_poll(poll_s);
-            let distance = stopping.distance(&rig()).unwrap();
-            assert!(distance.added_n <= distance.margin_n * (1.0 + 1e-9), "{distance:?}");
-            assert!(distance.speed_mm_s <= rig().approach_speed_mm_s());
+            for tips in 1..=6 {
+                let mut stopping = Stopping::default();
+                stopping.note_poll(poll_s);
+                let distance = stopping.distance(&rig, tips).unwrap();
+                let within = |added: f64, margin: f64| added <= margin * (1.0 + 1e-9);
+                assert!(within(distance.added_n, distance.margin_n), "{distance:?}");
+                assert!(within(distance.added_sum_n, distance.margin_sum_n), "{distance:?}");
+                assert!(distance.speed_mm_s <= rig.approach_speed_mm_s());
+            }
         }
+    }
+
+    #[test]
+    fn more_tips_press_more_slowly_only_if_the_margin_of_the_sum_requires_it() {
+        let (mut rig, stopping) = (rig(), Stopping::default());
+        let speed = |rig: &RigConfig, tips| stopping.press_speed_mm_s(rig, tips);
+        assert_eq!(speed(&rig, 6), speed(&rig, 1));
+        rig.limits.force_sum_margin_n = Some(24.0);
+        assert_eq!(speed(&rig, 3), speed(&rig, 1));
+        assert!(speed(&rig, 6) < 0.6 * speed(&rig, 3));
     }
 
     #[test]
     fn a_margin_that_no_press_keeps_is_refused_and_named() {
         let mut stopping = Stopping::default();
         stopping.note_poll(100.0);
-        let refused = stopping.distance(&rig()).unwrap_err();
+        let mut rig = rig();
+        let refused = stopping.distance(&rig, 6).unwrap_err();
         assert!(refused.starts_with("limits.force_margin_n = 8"), "{refused}");
+        rig.limits.force_sum_margin_n = Some(20.0);
+        let refused = stopping.distance(&rig, 6).unwrap_err();
+        assert!(refused.starts_with("limits.force_sum_margin_n = 20: with 6 tips"), "{refused}");
     }
 
     #[test]
@@ -165,12 +208,13 @@ mod tests {
             stopping.note_stop(Some(Duration::from_millis(ms)));
         }
         stopping.note_stop(None);
-        stopping.note_travel(0.2);
-        stopping.note_travel(0.1);
-        let distance = stopping.distance(&rig()).unwrap();
+        stopping.note_travel(Some(0.2));
+        stopping.note_travel(Some(0.1));
+        stopping.note_travel(None);
+        let distance = stopping.distance(&rig(), 1).unwrap();
         assert_eq!((distance.stops, distance.measured_mm), (3, Some(0.2)));
         assert_eq!(distance.measured_ms, Some(9.0));
         stopping.begin();
-        assert_eq!(stopping.distance(&rig()).unwrap().stops, 0);
+        assert_eq!(stopping.distance(&rig(), 1).unwrap().stops, 0);
     }
 }

@@ -125,7 +125,7 @@ async fn touch(
         let near = (first - 2.0 * BACK_OFF_MM).max(z.travel_mm[0]);
         stage.weighed_travel(control, Target::of(AxisName::Z, near)).await?;
     }
-    let coarse = stage.stopping.press_speed_mm_s(&stage.config);
+    let coarse = stage.stopping.press_speed_mm_s(&stage.config, stage.tips);
     let (tare_v, per_volt) = (stage.tare_v, stage.config.cells.newtons_per_volt());
     let force = move |s: &Sample, i: usize| (s.volts[i] - tare_v[i]) * per_volt;
     let bottom = deepest_search_mm(stage, known_mm);

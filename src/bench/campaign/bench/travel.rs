@@ -88,7 +88,7 @@ impl Stage {
     /// # Errors
     /// As `weighed_travel`.
     pub async fn press_to(&mut self, control: &mut Control, z_mm: f64) -> Result<(), Halt> {
-        let speed = self.stopping.press_speed_mm_s(&self.config);
+        let speed = self.stopping.press_speed_mm_s(&self.config, self.tips);
         self.press_until(control, z_mm, speed, |_| false).await.map(|_| ())
     }
 
@@ -121,8 +121,9 @@ impl Stage {
                 arrived &= self.check_axis(target, status)?;
             }
             if let Some(reading) = reading {
-                self.check(&reading)?;
-                if let Some(z) = z_place.map(|i| statuses[i].position)
+                let z_mm = z_place.map(|i| statuses[i].position);
+                self.check(&reading, z_mm)?;
+                if let Some(z) = z_mm
                     && until(&Sample { z_mm: z, volts: reading.volts })
                 {
                     self.stop_z(control, z, reading.at).await?;
@@ -164,7 +165,7 @@ impl Stage {
         loop {
             let z = self.bench.z.status().await?;
             if !z.moving {
-                self.stopping.note_travel((z.position - sampled_mm).max(0.0));
+                self.stopping.note_travel(Some((z.position - sampled_mm).max(0.0)));
                 return Ok(());
             }
             control.attend()?;

@@ -42,7 +42,8 @@ impl Engine {
                 timed.map_err(|halt| Refusal::State(trip_of(&halt).detail))?;
             }
             stage.stopping.begin();
-            let distance = stage.stopping.distance(&self.config).map_err(Refusal::Value)?;
+            let distance = stage.stopping.distance(&self.config, job.plan.most_tips());
+            let distance = distance.map_err(Refusal::Value)?;
             self.control.rig_event(RigEvent::Arm)?;
             let (rig, run) = (&self.config.limits, &job.plan.limits);
             stage.limits = ForceLimits {
@@ -80,7 +81,8 @@ impl Engine {
 
     fn show_stopping(&mut self) {
         let Some(connection) = &self.connection else { return };
-        if let Ok(distance) = connection.stage.stopping.distance(&self.config) {
+        let tips = connection.stage.tips.max(1);
+        if let Ok(distance) = connection.stage.stopping.distance(&self.config, tips) {
             self.control.show(|status| status.rig.stopping = Some(distance));
         }
     }
