@@ -161,7 +161,7 @@ async fn an_automatic_resume_that_meets_an_alarm_leaves_it_to_a_person() {
     harness.fault("no_reply", "cells", json!({ "for_s": 16.0 })).await;
     harness.tripped().await;
     // The homing of the automatic resume meets it; some seconds later another homing would succeed.
-    let stuck = json!({ "alarm_after_s": 0.2, "for_s": 6.0 * super::harness::SPEED });
+    let stuck = json!({ "alarm_after_s": 0.2, "for_s": 3.0 * super::harness::SPEED });
     harness.fault("stuck_axis", "x", stuck).await;
     let alarmed = |s: &Status| {
         let trip = s.rig.trip.as_ref().map(|t| t.kind);
@@ -169,7 +169,7 @@ async fn an_automatic_resume_that_meets_an_alarm_leaves_it_to_a_person() {
     };
     harness.until("the alarm", alarmed).await;
     let stored = harness.journal.taken().trials.len();
-    tokio::time::sleep(Duration::from_secs(10)).await;
+    tokio::time::sleep(Duration::from_secs(14)).await;
     let status = harness.handle.status();
     assert_eq!(status.rig.state, RigState::Tripped, "{:#?}", status.rig);
     assert!(alarmed(&status), "{:#?}", status.rig.trip);
