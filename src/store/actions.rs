@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::columns::{Columns, time_text};
-use super::{Store, StoreError};
+use super::{During, Store, StoreError};
 use crate::ids::RunUid;
 
 /// An action to be logged.
@@ -82,7 +82,7 @@ impl Store {
                 .execute(connection)
                 .await
                 .map(drop)
-                .map_err(StoreError::sql(OPERATION))
+                .during(OPERATION)
             })
             .await
     }
@@ -115,8 +115,7 @@ impl Store {
             .bind(before)
             .bind(limit),
         };
-        let rows =
-            statement.fetch_all(&self.inner.readers).await.map_err(StoreError::sql(OPERATION))?;
+        let rows = statement.fetch_all(&self.inner.readers).await.during(OPERATION)?;
         rows.iter()
             .map(|row| {
                 let c = Columns::of(row, OPERATION);

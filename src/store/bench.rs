@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 use super::checksum;
 use super::columns::{Columns, counts_blob, time_text};
 use super::trial_rows::arm;
-use super::{Store, StoreError};
+use super::{During, Store, StoreError};
 use crate::ids::{RunUid, TrialKey};
 use crate::record::{AttemptRecord, Pose, ReferenceRecord, TareRecord, TouchOffRecord};
 
@@ -50,7 +50,7 @@ impl Store {
                 .bind(time_text(attempt.at))
                 .execute(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 Ok(())
             })
             .await
@@ -81,7 +81,7 @@ impl Store {
                 .bind(at)
                 .execute(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 Ok(())
             })
             .await
@@ -99,7 +99,6 @@ impl Store {
             .writer
             .patient()
             .run(OPERATION, async move |connection| {
-                let sql = StoreError::sql(OPERATION);
                 let id: i64 = sqlx::query_scalar(
                     "INSERT INTO tares (run, configuration, samples, at) VALUES (?1, ?2, ?3, ?4)
                      RETURNING id",
@@ -110,7 +109,7 @@ impl Store {
                 .bind(time_text(tare.at))
                 .fetch_one(&mut *connection)
                 .await
-                .map_err(&sql)?;
+                .during(OPERATION)?;
                 for (arm, volts) in tare.volts {
                     sqlx::query("INSERT INTO tare_arms (tare, arm, cell_v) VALUES (?1, ?2, ?3)")
                         .bind(id)
@@ -118,7 +117,7 @@ impl Store {
                         .bind(volts)
                         .execute(&mut *connection)
                         .await
-                        .map_err(&sql)?;
+                        .during(OPERATION)?;
                 }
                 Ok(())
             })
@@ -137,7 +136,6 @@ impl Store {
             .writer
             .patient()
             .run(OPERATION, async move |connection| {
-                let sql = StoreError::sql(OPERATION);
                 let id: i64 = sqlx::query_scalar(
                     "INSERT INTO reference_presses (run, before_configuration, reached_x_mm,
                          reached_y_mm, reached_z_mm, reached_radius_mm, depth_mm, sequence,
@@ -160,7 +158,7 @@ impl Store {
                 .bind(checksum::of_frame(&press.frame))
                 .fetch_one(&mut *connection)
                 .await
-                .map_err(&sql)?;
+                .during(OPERATION)?;
                 for a in press.arms {
                     sqlx::query(
                         "INSERT INTO reference_tips
@@ -176,7 +174,7 @@ impl Store {
                     .bind(a.tare_v)
                     .execute(&mut *connection)
                     .await
-                    .map_err(&sql)?;
+                    .during(OPERATION)?;
                 }
                 Ok(())
             })
@@ -215,7 +213,7 @@ impl Store {
                 .bind(time_text(found.at))
                 .execute(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 Ok(())
             })
             .await
@@ -229,7 +227,7 @@ impl Store {
             .bind(scan_id)
             .fetch_all(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?;
+            .during(OPERATION)?;
         rows.iter()
             .map(|row| {
                 let c = Columns::of(row, OPERATION);
@@ -247,7 +245,7 @@ impl Store {
             .bind(scan_id)
             .fetch_one(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?;
+            .during(OPERATION)?;
         Ok(count.unsigned_abs())
     }
 
@@ -267,7 +265,7 @@ impl Store {
         .bind(limit)
         .fetch_all(&self.inner.readers)
         .await
-        .map_err(StoreError::sql(OPERATION))?;
+        .during(OPERATION)?;
         rows.iter()
             .map(|row| {
                 let c = Columns::of(row, OPERATION);
@@ -295,7 +293,7 @@ impl Store {
         .bind(scan_id)
         .fetch_all(&self.inner.readers)
         .await
-        .map_err(StoreError::sql(OPERATION))?;
+        .during(OPERATION)?;
         let mut tares: Vec<(i64, TareRecord)> = Vec::new();
         for row in &rows {
             let c = Columns::of(row, OPERATION);
@@ -315,14 +313,13 @@ impl Store {
     /// The reference presses of a run, in the order in which they were made.
     pub async fn references(&self, run: RunUid) -> Result<Vec<ReferenceRecord>, StoreError> {
         const OPERATION: &str = "reading reference presses";
-        let sql = StoreError::sql(OPERATION);
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let mut view = self.read(OPERATION).await?;
         let rows = sqlx::query("SELECT * FROM reference_presses WHERE run = ?1 ORDER BY id")
             .bind(scan_id)
             .fetch_all(&mut *view)
             .await
-            .map_err(&sql)?;
+            .during(OPERATION)?;
         let tips = sqlx::query(
             "SELECT t.* FROM reference_presses p JOIN reference_tips t ON t.press = p.id
              WHERE p.run = ?1 ORDER BY p.id, t.arm",
@@ -330,7 +327,7 @@ impl Store {
         .bind(scan_id)
         .fetch_all(&mut *view)
         .await
-        .map_err(&sql)?;
+        .during(OPERATION)?;
         let mut arms: std::collections::HashMap<i64, Vec<_>> = std::collections::HashMap::new();
         for row in &tips {
             let c = Columns::of(row, OPERATION);
@@ -365,7 +362,7 @@ impl Store {
             .bind(scan_id)
             .fetch_all(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?;
+            .during(OPERATION)?;
         rows.iter()
             .map(|row| {
                 let c = Columns::of(row, OPERATION);

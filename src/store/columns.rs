@@ -8,7 +8,7 @@ use sha2::{Digest, Sha256};
 use sqlx::Row;
 use sqlx::sqlite::{Sqlite, SqliteRow};
 
-use super::error::StoreError;
+use super::error::{During, StoreError};
 use crate::ids::RunUid;
 
 /// A time as it is stored: RFC 3339, UTC, milliseconds (the rest is cut off).
@@ -53,7 +53,7 @@ impl<'r> Columns<'r> {
     where
         T: sqlx::Decode<'r, Sqlite> + sqlx::Type<Sqlite>,
     {
-        self.row.try_get(column).map_err(StoreError::sql(self.operation))
+        self.row.try_get(column).during(self.operation)
     }
 
     /// A whole number that was stored from a narrower or unsigned type.

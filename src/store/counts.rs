@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{RunKind, Store, StoreError};
+use super::{During, RunKind, Store, StoreError};
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::Progress;
 
@@ -20,7 +20,6 @@ pub struct SettingCount {
 impl Store {
     pub(super) async fn read_progress(&self, run: RunUid) -> Result<Progress, StoreError> {
         const OPERATION: &str = "reading a run's progress";
-        let sql = StoreError::sql(OPERATION);
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let mut view = self.read(OPERATION).await?;
         let stored: Vec<(u32, u32)> =
@@ -28,18 +27,18 @@ impl Store {
                 .bind(scan_id)
                 .fetch_all(&mut *view)
                 .await
-                .map_err(&sql)?;
+                .during(OPERATION)?;
         let skipped: Vec<u32> =
             sqlx::query_scalar("SELECT configuration FROM skips WHERE run = ?1")
                 .bind(scan_id)
                 .fetch_all(&mut *view)
                 .await
-                .map_err(&sql)?;
+                .during(OPERATION)?;
         let retries: i64 = sqlx::query_scalar("SELECT count(*) FROM attempts WHERE run = ?1")
             .bind(scan_id)
             .fetch_one(&mut *view)
             .await
-            .map_err(&sql)?;
+            .during(OPERATION)?;
         let key = |(configuration, depth_index)| TrialKey { configuration, depth_index };
         Ok(Progress {
             stored: stored.into_iter().map(key).collect(),
@@ -59,7 +58,7 @@ impl Store {
         .bind(scan_id)
         .fetch_all(&self.inner.readers)
         .await
-        .map_err(StoreError::sql(OPERATION))?;
+        .during(OPERATION)?;
         Ok(by_count(rows))
     }
 
@@ -86,7 +85,7 @@ impl Store {
         .bind(deadband_n)
         .fetch_all(&self.inner.readers)
         .await
-        .map_err(StoreError::sql(OPERATION))?;
+        .during(OPERATION)?;
         Ok(by_count(rows))
     }
 
@@ -101,7 +100,7 @@ impl Store {
         .bind(scan_id)
         .fetch_all(&self.inner.readers)
         .await
-        .map_err(StoreError::sql(OPERATION))?;
+        .during(OPERATION)?;
         let row = |(tips, stored): (u8, i64)| SettingCount { tips, stored: stored.unsigned_abs() };
         Ok(rows.into_iter().map(row).collect())
     }

@@ -6,7 +6,7 @@ use serde_json::Value;
 use sqlx::sqlite::SqliteRow;
 
 use super::columns::{Columns, time_text};
-use super::{Store, StoreError};
+use super::{During, Store, StoreError};
 use crate::ids::RunUid;
 
 /// A dataset; its rows are in a file of its id's name.
@@ -161,7 +161,7 @@ impl Store {
         .bind(scan_id)
         .fetch_one(&self.inner.readers)
         .await
-        .map_err(StoreError::sql(OPERATION))?;
+        .during(OPERATION)?;
         let c = Columns::of(&row, OPERATION);
         Ok(RunExtent {
             trials: c.get("trials")?,
@@ -185,7 +185,6 @@ impl Store {
         self.inner
             .writer
             .run(OPERATION, async move |connection| {
-                let sql = StoreError::sql(OPERATION);
                 sqlx::query(
                     "INSERT INTO datasets (id, name, definition, rows, bytes, sha256, report,
                          lineage, created_at)
@@ -202,7 +201,7 @@ impl Store {
                 .bind(time_text(new.created_at))
                 .execute(&mut *connection)
                 .await
-                .map_err(&sql)?;
+                .during(OPERATION)?;
                 sqlx::query(
                     "INSERT INTO dataset_inputs (inputs, dataset) VALUES (?1, ?2)
                      ON CONFLICT (inputs) DO UPDATE SET dataset = ?2",
@@ -211,12 +210,12 @@ impl Store {
                 .bind(&new.id)
                 .execute(&mut *connection)
                 .await
-                .map_err(&sql)?;
+                .during(OPERATION)?;
                 let row = sqlx::query("SELECT * FROM datasets WHERE id = ?1")
                     .bind(&new.id)
                     .fetch_one(connection)
                     .await
-                    .map_err(&sql)?;
+                    .during(OPERATION)?;
                 DatasetRow::read(&row, OPERATION)
             })
             .await
@@ -256,7 +255,7 @@ impl Store {
             .bind(value)
             .fetch_optional(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?
+            .during(OPERATION)?
             .map(|row| DatasetRow::read(&row, OPERATION))
             .transpose()
     }
@@ -267,7 +266,7 @@ impl Store {
         let rows = sqlx::query("SELECT * FROM datasets ORDER BY created_at DESC, rowid DESC")
             .fetch_all(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?;
+            .during(OPERATION)?;
         rows.iter().map(|row| DatasetRow::read(row, OPERATION)).collect()
     }
 
@@ -293,7 +292,7 @@ impl Store {
                 .bind(now)
                 .fetch_one(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 ExportRow::read(&row, OPERATION)
             })
             .await
@@ -314,7 +313,7 @@ impl Store {
                 .bind(dataset)
                 .execute(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 Ok(())
             })
             .await
@@ -347,7 +346,7 @@ impl Store {
                 .bind(now)
                 .execute(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 Ok(())
             })
             .await
@@ -360,7 +359,7 @@ impl Store {
             .bind(id)
             .fetch_optional(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?
+            .during(OPERATION)?
             .map(|row| ExportRow::read(&row, OPERATION))
             .transpose()
     }
@@ -385,11 +384,8 @@ impl Store {
         limit: u32,
     ) -> Result<Vec<ExportRow>, StoreError> {
         const OPERATION: &str = "listing exports";
-        let rows = sqlx::query(sql)
-            .bind(limit)
-            .fetch_all(&self.inner.readers)
-            .await
-            .map_err(StoreError::sql(OPERATION))?;
+        let rows =
+            sqlx::query(sql).bind(limit).fetch_all(&self.inner.readers).await.during(OPERATION)?;
         rows.iter().map(|row| ExportRow::read(row, OPERATION)).collect()
     }
 }

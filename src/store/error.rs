@@ -137,11 +137,6 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// Adds the operation to sqlx's error; for `map_err`.
-    pub(super) fn sql(operation: &'static str) -> impl Fn(sqlx::Error) -> Self {
-        move |source| Self::Sql { operation, source }
-    }
-
     /// True when a write that ended like this may still have been stored: the disk, the file or the
     /// connection failed, and no rule of ours refused it. (A failed fsync was seen to leave its row
     /// behind: `docs/references.md`, "SQLite".)
@@ -231,5 +226,17 @@ impl StoreError {
             let refused = source.is_refusal();
             JournalError { what, refused, source: Box::new(source) }
         }
+    }
+}
+
+/// Adds the operation to a failure of the database: `.await.during(OPERATION)?`.
+pub(super) trait During<T> {
+    /// Names what was being done, in the words of [`StoreError::Sql`].
+    fn during(self, operation: &'static str) -> Result<T, StoreError>;
+}
+
+impl<T> During<T> for Result<T, sqlx::Error> {
+    fn during(self, operation: &'static str) -> Result<T, StoreError> {
+        self.map_err(|source| StoreError::Sql { operation, source })
     }
 }

@@ -5,7 +5,7 @@ use jiff::Timestamp;
 
 use super::columns::{Columns, time_text};
 use super::writer::Writer;
-use super::{Store, StoreError};
+use super::{During, Store, StoreError};
 use crate::ids::RunUid;
 use crate::journal::Event;
 
@@ -54,7 +54,7 @@ impl Store {
                 .bind(text)
                 .fetch_one(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))
+                .during(OPERATION)
             })
             .await?;
         Ok(Event { seq, run, at, kind: kind.to_owned(), data })
@@ -86,8 +86,7 @@ impl Store {
             .bind(seq)
             .bind(limit),
         };
-        let rows =
-            statement.fetch_all(&self.inner.readers).await.map_err(StoreError::sql(OPERATION))?;
+        let rows = statement.fetch_all(&self.inner.readers).await.during(OPERATION)?;
         rows.iter()
             .map(|row| {
                 let c = Columns::of(row, OPERATION);
@@ -107,6 +106,6 @@ impl Store {
         sqlx::query_scalar("SELECT coalesce(max(seq), 0) FROM events")
             .fetch_one(&self.inner.readers)
             .await
-            .map_err(StoreError::sql("reading the number of the last event"))
+            .during("reading the number of the last event")
     }
 }

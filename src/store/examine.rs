@@ -12,7 +12,7 @@ use super::checksum;
 use super::columns::{Columns, sha256_hex};
 use super::trial_query::SELECT_WITH_VOLTAGES;
 use super::trial_rows::rows_of_ids;
-use super::{Store, StoreError};
+use super::{During, Store, StoreError};
 use crate::ids::TrialId;
 
 const OPERATION: &str = "examining the database";
@@ -50,7 +50,7 @@ impl Store {
     pub async fn examine(&self, last: u32) -> Result<Soundness, StoreError> {
         let examined = tokio::time::timeout(DEADLINE, async {
             let options = self.inner.readers.connect_options();
-            let mut own = options.connect().await.map_err(StoreError::sql(OPERATION))?;
+            let mut own = options.connect().await.during(OPERATION)?;
             findings(&mut own, last).await
         });
         let late = || StoreError::Late { operation: OPERATION, limit_s: DEADLINE.as_secs() };
@@ -98,16 +98,15 @@ async fn findings(connection: &mut SqliteConnection, last: u32) -> Result<Vec<St
 /// with their tables: what is left of a run's plan is read from an index alone. On 60,000 trials
 /// (328 MB, in memory) it takes 0.19 s, the quick check 0.15 s.
 async fn structure(connection: &mut SqliteConnection) -> Result<Vec<String>, StoreError> {
-    let sql = StoreError::sql(OPERATION);
     let lines: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check")
         .fetch_all(&mut *connection)
         .await
-        .map_err(&sql)?;
+        .during(OPERATION)?;
     // One answer may hold several lines.
     let lines = lines.iter().flat_map(|answer| answer.lines());
     let mut findings: Vec<String> = lines.filter(|line| *line != "ok").map(str::to_owned).collect();
     let orphans = sqlx::query("PRAGMA foreign_key_check").fetch_all(connection).await;
-    match orphans.map_err(&sql)?.len() {
+    match orphans.during(OPERATION)?.len() {
         0 => {}
         n => findings.push(format!("{n} rows refer to rows that are not there")),
     }
@@ -118,10 +117,7 @@ async fn structure(connection: &mut SqliteConnection) -> Result<Vec<String>, Sto
 async fn changed_texts(connection: &mut SqliteConnection) -> Result<Vec<String>, StoreError> {
     const TEXTS: [(&str, &str); 3] =
         [("definition", "definition_sha256"), ("rig", "rig_sha256"), ("sensor", "sensor_sha256")];
-    let rows = sqlx::query("SELECT * FROM runs")
-        .fetch_all(connection)
-        .await
-        .map_err(StoreError::sql(OPERATION))?;
+    let rows = sqlx::query("SELECT * FROM runs").fetch_all(connection).await.during(OPERATION)?;
     let mut findings = Vec::new();
     for row in &rows {
         let c = Columns::of(row, OPERATION);
@@ -141,7 +137,7 @@ async fn newest(connection: &mut SqliteConnection, last: u32) -> Result<Vec<Tria
         .bind(last)
         .fetch_all(connection)
         .await
-        .map_err(StoreError::sql(OPERATION))?;
+        .during(OPERATION)?;
     Ok(ids.into_iter().map(TrialId).collect())
 }
 
@@ -173,7 +169,7 @@ async fn check_trials(
     .bind(format!("{wanted:?}"))
     .fetch_all(connection)
     .await
-    .map_err(StoreError::sql(OPERATION))?;
+    .during(OPERATION)?;
     let mut frames: HashMap<i64, u32> = HashMap::new();
     for row in &rows {
         let c = Columns::of(row, OPERATION);

@@ -11,7 +11,7 @@ use super::checksum::Numbers;
 use super::columns::time_text;
 use super::runs;
 use super::trials::insert_voltages;
-use super::{Contact, NewRun, RunRow, Store, StoreError};
+use super::{Contact, During, NewRun, RunRow, Store, StoreError};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::ExitStatus;
 use crate::record::FrameQuality;
@@ -62,7 +62,7 @@ impl Store {
                     .bind(row.scan_id)
                     .execute(connection)
                     .await
-                    .map_err(StoreError::sql(STORING))?;
+                    .during(STORING)?;
                 Ok(row)
             })
             .await
@@ -104,7 +104,7 @@ impl Store {
                 .bind(now)
                 .fetch_one(connection)
                 .await
-                .map_err(StoreError::sql(STORING))?;
+                .during(STORING)?;
                 RunRow::read(&row, STORING)
             })
             .await
@@ -122,7 +122,7 @@ impl Store {
                 )
                 .execute(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 Ok(gone.rows_affected())
             })
             .await
@@ -140,7 +140,6 @@ async fn insert(
     if trial.contacts.len() > IMPORTED_CONTACTS_MAX {
         return Err(refused("contacts", "must be at most 64"));
     }
-    let sql = StoreError::sql(STORING);
     let contacts = trial.contacts.len() as u8;
     let largest = trial.contacts.iter().filter_map(|c| c.force_n).reduce(f64::max);
     let flags = serde_json::to_string(&trial.flags)
@@ -189,7 +188,7 @@ async fn insert(
     .bind(numbers.crc32())
     .fetch_one(&mut *connection)
     .await
-    .map_err(&sql)?;
+    .during(STORING)?;
     insert_voltages(connection, TrialId(id), &trial.voltages_v, STORING).await?;
     for (n, contact) in trial.contacts.iter().enumerate() {
         sqlx::query(
@@ -204,7 +203,7 @@ async fn insert(
         .bind(contact.diameter_mm)
         .execute(&mut *connection)
         .await
-        .map_err(&sql)?;
+        .during(STORING)?;
     }
     let (Some(model), Some(frame), Some((rmse_v, fvu))) = (model, &trial.sim_voltages_v, trial.fit)
     else {

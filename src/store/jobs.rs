@@ -6,7 +6,7 @@ use serde_json::Value;
 use sqlx::sqlite::SqliteRow;
 
 use super::columns::Columns;
-use super::{Store, StoreError};
+use super::{During, Store, StoreError};
 
 /// What is computed.
 #[derive(
@@ -132,7 +132,7 @@ impl Store {
                 .bind(now)
                 .fetch_one(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 JobRow::read(&row, OPERATION)
             })
             .await
@@ -155,7 +155,7 @@ impl Store {
                 .bind(now)
                 .execute(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 Ok(())
             })
             .await
@@ -184,7 +184,7 @@ impl Store {
                 .bind(now)
                 .execute(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 Ok(ended.rows_affected() > 0)
             })
             .await
@@ -197,7 +197,7 @@ impl Store {
             .bind(id)
             .fetch_optional(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?
+            .during(OPERATION)?
             .map(|row| JobRow::read(&row, OPERATION))
             .transpose()
     }
@@ -218,11 +218,8 @@ impl Store {
 
     async fn read_jobs(&self, sql: &'static str, limit: u32) -> Result<Vec<JobRow>, StoreError> {
         const OPERATION: &str = "listing jobs";
-        let rows = sqlx::query(sql)
-            .bind(limit)
-            .fetch_all(&self.inner.readers)
-            .await
-            .map_err(StoreError::sql(OPERATION))?;
+        let rows =
+            sqlx::query(sql).bind(limit).fetch_all(&self.inner.readers).await.during(OPERATION)?;
         rows.iter().map(|row| JobRow::read(row, OPERATION)).collect()
     }
 
@@ -237,7 +234,7 @@ impl Store {
         .bind(model)
         .fetch_all(&self.inner.readers)
         .await
-        .map_err(StoreError::sql(OPERATION))?;
+        .during(OPERATION)?;
         rows.iter().map(|row| JobRow::read(row, OPERATION)).collect()
     }
 }

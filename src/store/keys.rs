@@ -16,7 +16,7 @@ use sqlx::sqlite::SqliteRow;
 use utoipa::ToSchema;
 
 use super::columns::{Columns, sha256_hex, time_text};
-use super::{Store, StoreError};
+use super::{During, Store, StoreError};
 
 /// What a key's text begins with.
 const PREFIX: &str = "palpate_";
@@ -133,7 +133,7 @@ impl KeyRing {
         let rows = sqlx::query("SELECT * FROM api_keys WHERE revoked_at IS NULL")
             .fetch_all(&store.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?;
+            .during(OPERATION)?;
         let entry = |row: &SqliteRow| {
             let hash = Columns::of(row, OPERATION).get("sha256")?;
             Ok((hash, Key::of(&KeyRow::read(row, OPERATION)?)))
@@ -234,7 +234,7 @@ impl Store {
                 .bind(now)
                 .fetch_one(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 KeyRow::read(&row, OPERATION)
             })
             .await
@@ -251,7 +251,7 @@ impl Store {
                     .bind(at)
                     .execute(connection)
                     .await
-                    .map_err(StoreError::sql(OPERATION))?;
+                    .during(OPERATION)?;
                 Ok(())
             })
             .await
@@ -270,7 +270,7 @@ impl Store {
                 .bind(now)
                 .execute(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 Ok(done.rows_affected() > 0)
             })
             .await
@@ -282,7 +282,7 @@ impl Store {
         let rows = sqlx::query("SELECT * FROM api_keys ORDER BY id")
             .fetch_all(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?;
+            .during(OPERATION)?;
         rows.iter().map(|row| KeyRow::read(row, OPERATION)).collect()
     }
 }

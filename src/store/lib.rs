@@ -78,6 +78,7 @@ pub use twins::{Fit, NewTwinModel, Twin, TwinCount, TwinModelId, TwinOutcome};
 use crate::clock::Clock;
 use crate::ids::RunUid;
 use crate::record::LOG_BYTES;
+use error::During;
 use writer::Writer;
 
 /// A page holds about five trials' voltages (a fifth smaller than in 4096: `docs/decisions/0001`).
@@ -201,7 +202,7 @@ impl Store {
         &self,
         operation: &'static str,
     ) -> Result<Transaction<'static, Sqlite>, StoreError> {
-        self.inner.readers.begin().await.map_err(StoreError::sql(operation))
+        self.inner.readers.begin().await.during(operation)
     }
 
     /// The time as it is stored.
@@ -284,7 +285,7 @@ impl RunFacts {
             .bind(run.to_string())
             .fetch_optional(connection)
             .await
-            .map_err(StoreError::sql(operation))?
+            .during(operation)?
             .ok_or(StoreError::NoSuchRun(run))?;
         let columns = columns::Columns::of(&row, operation);
         Ok(Self {

@@ -7,7 +7,7 @@ use sqlx::sqlite::{SqliteConnection, SqliteRow};
 use utoipa::ToSchema;
 
 use super::columns::Columns;
-use super::{Store, StoreError};
+use super::{During, Store, StoreError};
 
 /// The lock while it is held.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -51,7 +51,7 @@ impl Store {
                 .bind(now)
                 .fetch_one(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 LockRow::read(&row, OPERATION)
             })
             .await
@@ -67,7 +67,7 @@ impl Store {
                 sqlx::query("DELETE FROM operator_lock")
                     .execute(connection)
                     .await
-                    .map_err(StoreError::sql(OPERATION))?;
+                    .during(OPERATION)?;
                 Ok(was)
             })
             .await
@@ -85,7 +85,7 @@ impl Store {
             .bind(name)
             .fetch_optional(&self.inner.readers)
             .await
-            .map_err(StoreError::sql("reading a setting"))
+            .during("reading a setting")
     }
 
     /// Stores a setting.
@@ -104,7 +104,7 @@ impl Store {
                 .bind(now)
                 .execute(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 Ok(())
             })
             .await
@@ -118,7 +118,7 @@ async fn held(
     sqlx::query("SELECT * FROM operator_lock")
         .fetch_optional(connection)
         .await
-        .map_err(StoreError::sql(operation))?
+        .during(operation)?
         .map(|row| LockRow::read(&row, operation))
         .transpose()
 }

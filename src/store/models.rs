@@ -5,7 +5,7 @@ use jiff::Timestamp;
 use sqlx::sqlite::SqliteRow;
 
 use super::columns::{Columns, time_text};
-use super::{Store, StoreError};
+use super::{During, Store, StoreError};
 
 /// A model; its files are in a folder of its id's name.
 #[derive(Debug, Clone, PartialEq)]
@@ -84,7 +84,7 @@ impl Store {
                 .bind(time_text(new.created_at))
                 .execute(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 Ok(())
             })
             .await
@@ -100,7 +100,7 @@ impl Store {
         .bind(id_or_name)
         .fetch_optional(&self.inner.readers)
         .await
-        .map_err(StoreError::sql(OPERATION))?
+        .during(OPERATION)?
         .map(|row| ModelRow::read(&row, OPERATION))
         .transpose()
     }
@@ -111,7 +111,7 @@ impl Store {
         let rows = sqlx::query("SELECT * FROM models ORDER BY created_at DESC, rowid DESC")
             .fetch_all(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?;
+            .during(OPERATION)?;
         rows.iter().map(|row| ModelRow::read(row, OPERATION)).collect()
     }
 
@@ -141,7 +141,7 @@ impl Store {
                 .bind(rolled_back)
                 .execute(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 Ok(())
             })
             .await
@@ -153,7 +153,7 @@ impl Store {
         let rows = sqlx::query("SELECT * FROM promotions ORDER BY id DESC")
             .fetch_all(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?;
+            .during(OPERATION)?;
         rows.iter().map(|row| PromotionRow::read(row, OPERATION)).collect()
     }
 }

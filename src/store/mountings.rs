@@ -4,7 +4,7 @@
 use jiff::Timestamp;
 
 use super::columns::{Columns, time_text};
-use super::{Store, StoreError};
+use super::{During, Store, StoreError};
 use crate::journal::Mounting;
 
 impl Store {
@@ -28,7 +28,7 @@ impl Store {
                 .bind(at)
                 .execute(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 Ok(())
             })
             .await
@@ -40,7 +40,7 @@ impl Store {
         let row = sqlx::query("SELECT * FROM mountings ORDER BY id DESC LIMIT 1")
             .fetch_optional(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?;
+            .during(OPERATION)?;
         row.map(|row| {
             let c = Columns::of(&row, OPERATION);
             let (tips, live_cells) = (c.whole("tips")?, c.whole("live_cells")?);

@@ -5,7 +5,7 @@
 use sqlx::sqlite::SqliteConnection;
 
 use super::runs::{self, NewRun, RunRow};
-use super::{Store, StoreError};
+use super::{During, Store, StoreError};
 use crate::ids::RunUid;
 
 impl Store {
@@ -24,7 +24,7 @@ impl Store {
         let rows = sqlx::query("SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position")
             .fetch_all(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?;
+            .during(OPERATION)?;
         runs::read_all(&rows, OPERATION)
     }
 
@@ -34,7 +34,7 @@ impl Store {
         sqlx::query("SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position LIMIT 1")
             .fetch_optional(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?
+            .during(OPERATION)?
             .map(|row| RunRow::read(&row, OPERATION))
             .transpose()
     }
@@ -45,7 +45,6 @@ impl Store {
         self.inner
             .writer
             .run(OPERATION, async move |connection| {
-                let sql = StoreError::sql(OPERATION);
                 let mut order = order(connection, OPERATION).await?;
                 let text = run.to_string();
                 let from = order.iter().position(|uid| *uid == text);
@@ -58,7 +57,7 @@ impl Store {
                 )
                 .fetch_all(connection)
                 .await
-                .map_err(&sql)?;
+                .during(OPERATION)?;
                 runs::read_all(&rows, OPERATION)
             })
             .await
@@ -80,7 +79,7 @@ impl Store {
                 .bind(now)
                 .fetch_optional(&mut *connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?
+                .during(OPERATION)?
                 .ok_or(StoreError::NotQueued(run))?;
                 let order = order(connection, OPERATION).await?;
                 number(connection, &order, OPERATION).await?;
@@ -105,7 +104,7 @@ impl Store {
                 .bind(now)
                 .execute(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 if marked.rows_affected() == 0 { Err(StoreError::NotQueued(run)) } else { Ok(()) }
             })
             .await
@@ -121,7 +120,7 @@ impl Store {
                     .bind(run.to_string())
                     .execute(connection)
                     .await
-                    .map_err(StoreError::sql(OPERATION))?;
+                    .during(OPERATION)?;
                 Ok(())
             })
             .await
@@ -138,7 +137,7 @@ impl Store {
         )
         .fetch_all(&self.inner.readers)
         .await
-        .map_err(StoreError::sql(OPERATION))?;
+        .during(OPERATION)?;
         runs::read_all(&rows, OPERATION)
     }
 }
@@ -151,7 +150,7 @@ async fn order(
     sqlx::query_scalar("SELECT uid FROM runs WHERE state = 'queued' ORDER BY queue_position")
         .fetch_all(connection)
         .await
-        .map_err(StoreError::sql(operation))
+        .during(operation)
 }
 
 /// Gives the positions 1, 2, .. in this order.
@@ -166,7 +165,7 @@ async fn number(
             .bind(i as i64 + 1)
             .execute(&mut *connection)
             .await
-            .map_err(StoreError::sql(operation))?;
+            .during(operation)?;
     }
     Ok(())
 }

@@ -7,7 +7,7 @@ use sqlx::sqlite::{SqliteConnection, SqliteRow};
 use utoipa::ToSchema;
 
 use super::columns::{Columns, sha256_hex, time_text};
-use super::{Store, StoreError};
+use super::{During, Store, StoreError};
 use crate::ids::RunUid;
 use crate::journal::ExitStatus;
 
@@ -264,7 +264,7 @@ pub(super) async fn insert(
     .bind(&new.submitted_by)
     .fetch_one(connection)
     .await
-    .map_err(StoreError::sql(operation))?;
+    .during(operation)?;
     RunRow::read(&row, operation)
 }
 
@@ -285,7 +285,7 @@ impl Store {
             .bind(run.to_string())
             .fetch_optional(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?
+            .during(OPERATION)?
             .map(|row| RunRow::read(&row, OPERATION))
             .transpose()
     }
@@ -297,7 +297,7 @@ impl Store {
             .bind(scan_id)
             .fetch_optional(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?
+            .during(OPERATION)?
             .map(|row| RunRow::read(&row, OPERATION))
             .transpose()
     }
@@ -311,7 +311,7 @@ impl Store {
                 .bind(i64::from(limit) + 1)
                 .fetch_all(&self.inner.readers)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
         let mut runs = read_all(&rows, OPERATION)?;
         let more = runs.len() > limit as usize;
         runs.truncate(limit as usize);
@@ -329,7 +329,7 @@ impl Store {
         )
         .fetch_all(&self.inner.readers)
         .await
-        .map_err(StoreError::sql(OPERATION))?;
+        .during(OPERATION)?;
         read_all(&rows, OPERATION)
     }
 
@@ -350,7 +350,7 @@ impl Store {
                 .bind(but)
                 .execute(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 Ok(())
             })
             .await
@@ -390,7 +390,7 @@ impl Store {
                 .bind(at)
                 .execute(&mut *connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 changed_or_ended(connection, run, changed.rows_affected(), OPERATION).await
             })
             .await
@@ -424,7 +424,7 @@ impl Store {
                 .bind(at)
                 .execute(&mut *connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))?;
+                .during(OPERATION)?;
                 changed_or_ended(connection, run, changed.rows_affected(), OPERATION).await
             })
             .await
@@ -452,6 +452,6 @@ async fn changed_or_ended(
         .bind(run.to_string())
         .fetch_optional(connection)
         .await
-        .map_err(StoreError::sql(operation))?;
+        .during(operation)?;
     Err(if known.is_some() { StoreError::RunEnded(run) } else { StoreError::NoSuchRun(run) })
 }

@@ -13,7 +13,7 @@ use super::columns::Columns;
 use super::runs::{Label, RunKind};
 use super::trial_query::{SELECT, SELECT_IDS, SELECT_WITH_VOLTAGES, TrialQuery};
 use super::trials::pose;
-use super::{Store, StoreError};
+use super::{During, Store, StoreError};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::record::{ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose};
 
@@ -141,12 +141,7 @@ impl Store {
             None => None,
         };
         let mut view = self.read(READING).await?;
-        let rows = query
-            .build(scan_id)
-            .build()
-            .fetch_all(&mut *view)
-            .await
-            .map_err(StoreError::sql(READING))?;
+        let rows = query.build(scan_id).build().fetch_all(&mut *view).await.during(READING)?;
         assemble(&mut view, rows, READING).await
     }
 
@@ -161,7 +156,7 @@ impl Store {
             .build_query_scalar()
             .fetch_all(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(READING))?;
+            .during(READING)?;
         Ok(ids.into_iter().map(TrialId).collect())
     }
 
@@ -175,7 +170,7 @@ impl Store {
             .build()
             .fetch_all(&mut *view)
             .await
-            .map_err(StoreError::sql(READING))?;
+            .during(READING)?;
         Ok(assemble(&mut view, rows, READING).await?.pop())
     }
 
@@ -207,7 +202,7 @@ impl Store {
         .bind(format!("{wanted:?}"))
         .fetch_all(&self.inner.readers)
         .await
-        .map_err(StoreError::sql(READING))
+        .during(READING)
     }
 
     /// The mean of a trial's frames, V, injection-major.
@@ -217,7 +212,7 @@ impl Store {
             .bind(trial.0)
             .fetch_optional(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?;
+            .during(OPERATION)?;
         let Some(row) = row else { return Ok(None) };
         let of = || format!("trial {}", trial.0);
         checksum::volts(&Columns::of(&row, OPERATION), "voltages_v", "crc32", of)
@@ -230,7 +225,7 @@ impl Store {
             .bind(trial.0)
             .fetch_all(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?;
+            .during(OPERATION)?;
         let of = || format!("trial {}", trial.0);
         rows.iter().map(|row| checksum::frame(&Columns::of(row, OPERATION), of)).collect()
     }
@@ -247,10 +242,7 @@ impl Store {
         for _ in 0..query.filters.len() + query.flags.len() + 3 {
             statement = statement.bind(1);
         }
-        let rows = statement
-            .fetch_all(&self.inner.readers)
-            .await
-            .map_err(StoreError::sql("explaining a query"))?;
+        let rows = statement.fetch_all(&self.inner.readers).await.during("explaining a query")?;
         rows.iter().map(|row| Columns::of(row, "explaining a query").get("detail")).collect()
     }
 }
@@ -278,8 +270,7 @@ pub(super) async fn row_of_key(
     query.push(" WHERE t.run = ").push_bind(scan_id);
     query.push(" AND t.configuration = ").push_bind(key.configuration);
     query.push(" AND t.depth_index = ").push_bind(key.depth_index);
-    let rows =
-        query.build().fetch_all(&mut *connection).await.map_err(StoreError::sql(operation))?;
+    let rows = query.build().fetch_all(&mut *connection).await.during(operation)?;
     Ok(assemble(connection, rows, operation).await?.pop())
 }
 
@@ -294,8 +285,7 @@ pub(super) async fn rows_of_ids(
     let mut query = QueryBuilder::new(select);
     query.push(" WHERE t.id IN (SELECT value FROM json_each(");
     query.push_bind(format!("{wanted:?}")).push(")) ORDER BY t.id");
-    let rows =
-        query.build().fetch_all(&mut *connection).await.map_err(StoreError::sql(operation))?;
+    let rows = query.build().fetch_all(&mut *connection).await.during(operation)?;
     assemble(connection, rows, operation).await
 }
 
@@ -305,7 +295,6 @@ pub(super) async fn assemble(
     rows: Vec<SqliteRow>,
     operation: &'static str,
 ) -> Result<Vec<TrialRow>, StoreError> {
-    let sql = StoreError::sql(operation);
     let ids = rows
         .iter()
         .map(|row| Columns::of(row, operation).get::<i64>("id"))
@@ -318,7 +307,7 @@ pub(super) async fn assemble(
     .bind(&wanted)
     .fetch_all(&mut *connection)
     .await
-    .map_err(&sql)?;
+    .during(operation)?;
     let placed = sqlx::query(
         "SELECT p.* FROM json_each(?1) wanted CROSS JOIN placed_contacts p
          ON p.trial = wanted.value ORDER BY wanted.key, p.n",
@@ -326,7 +315,7 @@ pub(super) async fn assemble(
     .bind(&wanted)
     .fetch_all(&mut *connection)
     .await
-    .map_err(&sql)?;
+    .during(operation)?;
     let mut tips = Belonging::of(&tips, operation);
     let mut placed = Belonging::of(&placed, operation);
     ids.iter()

@@ -9,7 +9,7 @@ use super::checksum::{self, Numbers};
 use super::columns::{counts_blob, time_text, volts_blob};
 use super::runs::RunKind;
 use super::trial_rows::row_of_key;
-use super::{Contact, RunFacts, Store, StoreError};
+use super::{Contact, During, RunFacts, Store, StoreError};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::record::{ArmReading, FrameRecord, PlacedContact, Pose, TrialRecord};
 
@@ -20,6 +20,8 @@ const CONTACTS_MAX: usize = 6;
 const ROWS_AT_ONCE: usize = 100;
 
 const STORING: &str = "storing a trial";
+
+const TAKING_BACK: &str = "taking a trial back";
 
 /// A trial as its columns want it, checked.
 struct Entry {
@@ -121,7 +123,7 @@ impl Entry {
             .bind(self.crc32)
             .fetch_optional(connection)
             .await
-            .map_err(StoreError::sql(STORING))?;
+            .during(STORING)?;
         Ok(id.map(TrialId))
     }
 }
@@ -153,25 +155,24 @@ impl Store {
         key: TrialKey,
         reason: &str,
     ) -> Result<(), StoreError> {
-        const OPERATION: &str = "taking a trial back";
-        let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
+        let scan_id = self.facts_to_write(run, TAKING_BACK).await?.scan_id;
         let (reason, now) = (reason.to_owned(), self.now_text());
         self.inner
             .writer
             .patient()
             .run_and_settle(
-                OPERATION,
+                TAKING_BACK,
                 async move |connection| {
-                    let row = row_of_key(connection, scan_id, key, OPERATION).await?;
+                    let row = row_of_key(connection, scan_id, key, TAKING_BACK).await?;
                     let row = row.ok_or(StoreError::NoSuchTrial { run, key })?;
                     let record = serde_json::to_string(&row).map_err(|e| {
                         let value = e.to_string();
-                        StoreError::Unreadable { operation: OPERATION, column: "record", value }
+                        StoreError::Unreadable { operation: TAKING_BACK, column: "record", value }
                     })?;
                     move_to_attempts(connection, scan_id, &row, record, reason, now).await
                 },
                 async move |connection| {
-                    let stored = id_of_key(connection, scan_id, key, OPERATION).await?;
+                    let stored = id_of_key(connection, scan_id, key, TAKING_BACK).await?;
                     Ok(stored.is_none().then_some(()))
                 },
             )
@@ -227,7 +228,7 @@ async fn id_of_key(
     .bind(key.depth_index)
     .fetch_optional(connection)
     .await
-    .map_err(StoreError::sql(operation))?;
+    .during(operation)?;
     Ok(id.map(TrialId))
 }
 
@@ -245,7 +246,7 @@ pub(super) async fn insert_voltages(
         .bind(checksum::of_volts(&volts))
         .execute(connection)
         .await
-        .map_err(StoreError::sql(operation))?;
+        .during(operation)?;
     Ok(())
 }
 
@@ -318,7 +319,7 @@ async fn insert_many<T>(
             .build()
             .execute(&mut *connection)
             .await
-            .map_err(StoreError::sql(STORING))?;
+            .during(STORING)?;
     }
     Ok(())
 }
@@ -331,7 +332,6 @@ async fn move_to_attempts(
     reason: String,
     now: String,
 ) -> Result<(), StoreError> {
-    let sql = StoreError::sql("taking a trial back");
     let attempt: i64 = sqlx::query_scalar(
         "INSERT INTO attempts (run, configuration, depth_index, attempt, reason, at, trial, record)
          VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8) RETURNING id",
@@ -346,7 +346,7 @@ async fn move_to_attempts(
     .bind(record)
     .fetch_one(&mut *connection)
     .await
-    .map_err(&sql)?;
+    .during(TAKING_BACK)?;
     sqlx::query(
         "INSERT INTO attempt_frames
              (attempt, n, sequence, device_time_us, volts_per_count, counts, crc32)
@@ -357,12 +357,12 @@ async fn move_to_attempts(
     .bind(row.trial_id.0)
     .execute(&mut *connection)
     .await
-    .map_err(&sql)?;
+    .during(TAKING_BACK)?;
     sqlx::query("DELETE FROM trials WHERE id = ?1")
         .bind(row.trial_id.0)
         .execute(&mut *connection)
         .await
-        .map_err(&sql)?;
+        .during(TAKING_BACK)?;
     Ok(())
 }
 

@@ -10,7 +10,7 @@ use super::checksum;
 use super::columns::{Columns, volts_blob};
 use super::trial_query::SELECT_WITH_VOLTAGES;
 use super::trial_rows::assemble;
-use super::{Store, StoreError, TrialRow};
+use super::{During, Store, StoreError, TrialRow};
 use crate::ids::{RunUid, TrialId};
 
 /// A stored model; a larger one was stored later.
@@ -126,7 +126,7 @@ impl Store {
                 .bind(now)
                 .fetch_one(connection)
                 .await
-                .map_err(StoreError::sql(OPERATION))
+                .during(OPERATION)
             })
             .await?;
         Ok(TwinModelId(id))
@@ -139,7 +139,7 @@ impl Store {
             .bind(hash)
             .fetch_optional(&self.inner.readers)
             .await
-            .map_err(StoreError::sql(OPERATION))?;
+            .during(OPERATION)?;
         row.map(|row| {
             let c = Columns::of(&row, OPERATION);
             Ok(NewTwinModel {
@@ -170,7 +170,7 @@ impl Store {
         query.push(" AND t.id > ").push_bind(after.0);
         query.push(" AND NOT EXISTS (SELECT 1 FROM twins o WHERE o.trial = t.id AND o.model = ");
         query.push_bind(model.0).push(") ORDER BY t.id LIMIT ").push_bind(limit);
-        let rows = query.build().fetch_all(&mut *view).await.map_err(StoreError::sql(OPERATION))?;
+        let rows = query.build().fetch_all(&mut *view).await.during(OPERATION)?;
         assemble(&mut view, rows, OPERATION).await
     }
 
@@ -210,7 +210,7 @@ impl Store {
         .bind(model.0)
         .fetch_one(&self.inner.readers)
         .await
-        .map_err(StoreError::sql(OPERATION))?;
+        .during(OPERATION)?;
         Ok(TwinCount {
             trials: trials.unsigned_abs(),
             twins: (rows - failures).unsigned_abs(),
@@ -227,7 +227,7 @@ impl Store {
         )
         .fetch_all(&self.inner.readers)
         .await
-        .map_err(StoreError::sql(OPERATION))?;
+        .during(OPERATION)?;
         rows.iter().map(|row| Columns::of(row, OPERATION).uid("uid")).collect()
     }
 
@@ -247,7 +247,7 @@ impl Store {
         .bind(scan_id)
         .fetch_all(&self.inner.readers)
         .await
-        .map_err(StoreError::sql(OPERATION))?;
+        .during(OPERATION)?;
         rows.iter()
             .map(|row| {
                 let c = Columns::of(row, OPERATION);
@@ -279,7 +279,6 @@ pub(super) async fn insert(
         }
         TwinOutcome::Failure(why) => (None, None, None, Some(why)),
     };
-    let sql = StoreError::sql(STORING);
     let inserted = sqlx::query(
         "INSERT INTO twins (trial, model, rmse_v, fvu, failure, computed_at)
          SELECT ?1, ?2, ?3, ?4, ?5, ?6 WHERE EXISTS (SELECT 1 FROM trials WHERE id = ?1)
@@ -293,7 +292,7 @@ pub(super) async fn insert(
     .bind(now)
     .execute(&mut *connection)
     .await
-    .map_err(&sql)?;
+    .during(STORING)?;
     if let Some(voltages_v) = voltages_v.filter(|_| inserted.rows_affected() == 1) {
         let volts = volts_blob(&voltages_v);
         sqlx::query(
@@ -305,7 +304,7 @@ pub(super) async fn insert(
         .bind(checksum::of_volts(&volts))
         .execute(connection)
         .await
-        .map_err(&sql)?;
+        .during(STORING)?;
     }
     Ok(())
 }

@@ -14,7 +14,7 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{ConnectOptions, Connection};
 use tokio::sync::{mpsc, oneshot};
 
-use super::error::StoreError;
+use super::error::{During, StoreError};
 
 /// Jobs that may wait; a caller beyond them waits to hand its job over.
 const WAITING_JOBS: usize = 64;
@@ -197,7 +197,7 @@ impl Hand {
     ) -> Result<&mut SqliteConnection, StoreError> {
         let connection = match self.connection.take() {
             Some(connection) => connection,
-            None => self.options.connect().await.map_err(StoreError::sql(operation))?,
+            None => self.options.connect().await.during(operation)?,
         };
         Ok(self.connection.insert(connection))
     }
@@ -222,15 +222,14 @@ impl Hand {
         operation: &'static str,
         work: impl AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError>,
     ) -> Result<T, StoreError> {
-        let sql = StoreError::sql(operation);
         let connection = self.connection(operation).await?;
-        let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await.map_err(&sql)?;
+        let mut transaction = connection.begin_with("BEGIN IMMEDIATE").await.during(operation)?;
         match work(&mut transaction).await {
             Ok(value) => {
-                transaction.commit().await.map_err(&sql)?;
+                transaction.commit().await.during(operation)?;
                 #[cfg(test)]
                 if std::mem::take(&mut self.fail_after_commit) {
-                    return Err(sql(sqlx::Error::WorkerCrashed));
+                    return Err(sqlx::Error::WorkerCrashed).during(operation);
                 }
                 Ok(value)
             }
@@ -254,13 +253,12 @@ impl Hand {
         error: StoreError,
         look: impl AsyncFnOnce(&mut SqliteConnection) -> Result<Option<T>, StoreError>,
     ) -> Result<T, StoreError> {
-        let sql = StoreError::sql(operation);
         let found = async {
             let connection = self.connection(operation).await?;
             let (busy, _, _): (i64, i64, i64) = sqlx::query_as("PRAGMA wal_checkpoint(TRUNCATE)")
                 .fetch_one(&mut *connection)
                 .await
-                .map_err(&sql)?;
+                .during(operation)?;
             if busy == 0 { look(connection).await.map(Some) } else { Ok(None) }
         };
         match found.await {
@@ -297,14 +295,13 @@ async fn require_columns(
     migrations: &Migrator,
 ) -> Result<(), StoreError> {
     const OPERATION: &str = "comparing the tables with those of this version";
-    let sql = StoreError::sql(OPERATION);
     let options = SqliteConnectOptions::new().in_memory(true).disable_statement_logging();
-    let mut anew = options.connect().await.map_err(&sql)?;
+    let mut anew = options.connect().await.during(OPERATION)?;
     migrations.run(&mut anew).await.map_err(StoreError::Migrate)?;
-    let there: BTreeSet<String> = columns_of(connection).await.map_err(&sql)?;
+    let there: BTreeSet<String> = columns_of(connection).await.during(OPERATION)?;
     let findings: Vec<String> = columns_of(&mut anew)
         .await
-        .map_err(&sql)?
+        .during(OPERATION)?
         .difference(&there)
         .map(|name| format!("column {name} is missing"))
         .collect();
