@@ -10,10 +10,11 @@ use sqlx::sqlite::SqliteConnectOptions;
 
 use super::{Folder, hex_trial, new_run, now, open};
 use crate::clock::Clock;
+use crate::core::store::PAGE_BYTES;
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::Journal;
 use crate::record::{ArmReading, FrameRecord, Pose, ReferenceRecord};
-use crate::{PAGE_BYTES, RunKind, Soundness, Store, StoreError, TrialQuery};
+use crate::{RunKind, Soundness, Store, StoreError, TrialQuery};
 
 /// Trials of the file that is damaged.
 const TRIALS: u32 = 66;

@@ -14,12 +14,12 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use jiff::Timestamp;
 
-use super::{Label, NewRun, RunKind, Store};
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialKey};
 use crate::record::{
     ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose, TrialRecord,
 };
+use crate::{Label, NewRun, RunKind, Store};
 
 /// A folder of its own, removed at the end of its test.
 struct Folder(PathBuf);

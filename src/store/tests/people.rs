@@ -8,8 +8,9 @@ use parking_lot::Mutex;
 use serde_json::json;
 
 use super::{Folder, new_run, now, open, time};
+use crate::core::store::Inner;
 use crate::journal::{Journal, Mounting};
-use crate::{Inner, KeyRing, NewAction, Role, RunKind, Store, StoreError};
+use crate::{KeyRing, NewAction, Role, RunKind, Store, StoreError};
 
 #[tokio::test]
 async fn events_are_numbered_without_gaps() {

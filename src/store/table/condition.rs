@@ -5,8 +5,8 @@
 use jiff::Timestamp;
 use sqlx::{QueryBuilder, Sqlite};
 
-use super::columns::time_text;
-use super::table::{self, Column, Kind};
+use super::column::{self, Column, Kind};
+use crate::core::columns::time_text;
 
 /// How a value is compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -60,7 +60,7 @@ impl Condition {
     /// What is wrong with it, with the choices.
     pub fn from_pair(key: &str, value: &str) -> Result<Self, String> {
         let (name, suffix) = key.rsplit_once("__").unwrap_or((key, "eq"));
-        let comparable = || table::names(|column| column.kind() != Kind::List);
+        let comparable = || column::names(|column| column.kind() != Kind::List);
         let column = Column::find(name)
             .ok_or_else(|| format!("there is no column {name}; there are {}", comparable()))?;
         let comparison = match suffix {
@@ -101,7 +101,7 @@ impl Condition {
         if self.column.is_of_stored() {
             return Ok(self);
         }
-        let stored = table::names(|column| column.is_of_stored() && column.kind() != Kind::List);
+        let stored = column::names(|column| column.is_of_stored() && column.kind() != Kind::List);
         Err(format!("only datasets have {}; stored trials have {stored}", self.column.name))
     }
 
@@ -122,7 +122,7 @@ impl Condition {
     }
 
     /// Adds ` AND` and the condition; nothing is selected where stored trials lack its column.
-    pub(super) fn push_onto(&self, query: &mut QueryBuilder<Sqlite>) {
+    pub(crate) fn push_onto(&self, query: &mut QueryBuilder<Sqlite>) {
         let column = if self.column.sql.is_empty() { "NULL" } else { self.column.sql };
         let comparison = match self.comparison {
             Comparison::Equal => " = ",
@@ -167,7 +167,7 @@ mod tests {
 
     #[test]
     fn every_column_that_stored_trials_can_be_compared_by_has_its_sql() {
-        for column in &table::TABLE {
+        for column in &column::TABLE {
             let comparable = column.is_of_stored() && column.kind() != Kind::List;
             assert_eq!(!column.sql.is_empty(), comparable, "{}", column.name);
             assert!(!column.about.is_empty() && column.name.ends_with(&column.unit.to_lowercase()));

@@ -12,7 +12,7 @@ pub const MAX_PAGE: u32 = 10_000;
 
 /// What a row is made of, with the fit of its newest twin; `CROSS JOIN` keeps SQLite walking the
 /// trials in their order.
-pub(super) const SELECT: &str = "SELECT t.*, r.uid, r.experiment, r.kind, r.label, r.deadband_n,
+pub(crate) const SELECT: &str = "SELECT t.*, r.uid, r.experiment, r.kind, r.label, r.deadband_n,
          r.tip_diameter_mm, w.rmse_v, w.fvu, m.hash AS sim_model
      FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
      LEFT JOIN twins w ON w.trial = t.id
@@ -20,14 +20,14 @@ pub(super) const SELECT: &str = "SELECT t.*, r.uid, r.experiment, r.kind, r.labe
      LEFT JOIN twin_models m ON m.id = w.model";
 
 /// The ids alone.
-pub(super) const SELECT_IDS: &str =
+pub(crate) const SELECT_IDS: &str =
     "SELECT t.id FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
      LEFT JOIN twins w ON w.trial = t.id
          AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)
      LEFT JOIN twin_models m ON m.id = w.model";
 
 /// The same with the mean voltages and the twin's.
-pub(super) const SELECT_WITH_VOLTAGES: &str =
+pub(crate) const SELECT_WITH_VOLTAGES: &str =
     "SELECT t.*, r.uid, r.experiment, r.kind, r.label, r.deadband_n,
          r.tip_diameter_mm, w.rmse_v, w.fvu, m.hash AS sim_model, v.voltages_v,
          v.crc32 AS volts_crc32, s.voltages_v AS sim_voltages_v, s.crc32 AS sim_volts_crc32
@@ -71,12 +71,12 @@ pub struct TrialQuery {
 
 impl TrialQuery {
     /// The statement that brings these trials' rows.
-    pub(super) fn build(&self, scan_id: Option<i64>) -> QueryBuilder<Sqlite> {
+    pub(crate) fn build(&self, scan_id: Option<i64>) -> QueryBuilder<Sqlite> {
         self.select(if self.with_voltages { SELECT_WITH_VOLTAGES } else { SELECT }, scan_id)
     }
 
     /// The statement that brings `select` of these trials.
-    pub(super) fn select(
+    pub(crate) fn select(
         &self,
         select: &'static str,
         scan_id: Option<i64>,

@@ -4,7 +4,8 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{During, RunKind, Store, StoreError};
+use crate::core::facts::RunKind;
+use crate::core::{During, Store, StoreError};
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::Progress;
 
@@ -18,7 +19,7 @@ pub struct SettingCount {
 }
 
 impl Store {
-    pub(super) async fn read_progress(&self, run: RunUid) -> Result<Progress, StoreError> {
+    pub(crate) async fn read_progress(&self, run: RunUid) -> Result<Progress, StoreError> {
         const OPERATION: &str = "reading a run's progress";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let mut view = self.read(OPERATION).await?;

@@ -5,13 +5,13 @@ use sqlx::query_builder::Separated;
 use sqlx::sqlite::SqliteConnection;
 use sqlx::{QueryBuilder, Sqlite};
 
-use super::checksum::{self, Numbers};
-use super::columns::{counts_blob, time_text, volts_blob};
-use super::runs::RunKind;
-use super::trial_rows::row_of_key;
-use super::{Contact, During, RunFacts, Store, StoreError};
+use crate::core::columns::{counts_blob, time_text, volts_blob};
+use crate::core::facts::{RunFacts, RunKind};
+use crate::core::{During, Store, StoreError};
 use crate::ids::{RunUid, TrialId, TrialKey};
-use crate::record::{ArmReading, FrameRecord, PlacedContact, Pose, TrialRecord};
+use crate::record::{ArmReading, FrameRecord, PlacedContact, TrialRecord};
+use crate::table::checksum::{self, Numbers};
+use crate::table::trial_row::Contact;
 
 /// The most contacts of a trial: the indenter has six arms.
 const CONTACTS_MAX: usize = 6;
@@ -20,8 +20,6 @@ const CONTACTS_MAX: usize = 6;
 const ROWS_AT_ONCE: usize = 100;
 
 const STORING: &str = "storing a trial";
-
-const TAKING_BACK: &str = "taking a trial back";
 
 /// A trial as its columns want it, checked.
 struct Entry {
@@ -129,7 +127,7 @@ impl Entry {
 }
 
 impl Store {
-    pub(super) async fn insert_trial(
+    pub(crate) async fn insert_trial(
         &self,
         run: RunUid,
         trial: &TrialRecord,
@@ -144,37 +142,6 @@ impl Store {
                 STORING,
                 async move |connection| entry.insert(connection).await,
                 async move |connection| id_of_key(connection, facts.scan_id, key, STORING).await,
-            )
-            .await
-    }
-
-    /// Moves a trial to the attempts: its row as JSON, its raw frames as they are.
-    pub(super) async fn take_back(
-        &self,
-        run: RunUid,
-        key: TrialKey,
-        reason: &str,
-    ) -> Result<(), StoreError> {
-        let scan_id = self.facts_to_write(run, TAKING_BACK).await?.scan_id;
-        let (reason, now) = (reason.to_owned(), self.now_text());
-        self.inner
-            .writer
-            .patient()
-            .run_and_settle(
-                TAKING_BACK,
-                async move |connection| {
-                    let row = row_of_key(connection, scan_id, key, TAKING_BACK).await?;
-                    let row = row.ok_or(StoreError::NoSuchTrial { run, key })?;
-                    let record = serde_json::to_string(&row).map_err(|e| {
-                        let value = e.to_string();
-                        StoreError::Unreadable { operation: TAKING_BACK, column: "record", value }
-                    })?;
-                    move_to_attempts(connection, scan_id, &row, record, reason, now).await
-                },
-                async move |connection| {
-                    let stored = id_of_key(connection, scan_id, key, TAKING_BACK).await?;
-                    Ok(stored.is_none().then_some(()))
-                },
             )
             .await
     }
@@ -214,7 +181,7 @@ fn check(record: &TrialRecord) -> Result<(), StoreError> {
 }
 
 /// The id of the trial with this key, if it is stored.
-async fn id_of_key(
+pub(crate) async fn id_of_key(
     connection: &mut SqliteConnection,
     scan_id: i64,
     key: TrialKey,
@@ -233,7 +200,7 @@ async fn id_of_key(
 }
 
 /// The mean of a trial's frames.
-pub(super) async fn insert_voltages(
+pub(crate) async fn insert_voltages(
     connection: &mut SqliteConnection,
     trial: TrialId,
     voltages_v: &[f32],
@@ -322,52 +289,4 @@ async fn insert_many<T>(
             .during(STORING)?;
     }
     Ok(())
-}
-
-async fn move_to_attempts(
-    connection: &mut SqliteConnection,
-    scan_id: i64,
-    row: &super::TrialRow,
-    record: String,
-    reason: String,
-    now: String,
-) -> Result<(), StoreError> {
-    let attempt: i64 = sqlx::query_scalar(
-        "INSERT INTO attempts (run, configuration, depth_index, attempt, reason, at, trial, record)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8) RETURNING id",
-    )
-    .bind(scan_id)
-    .bind(row.configuration)
-    .bind(row.depth_index)
-    .bind(row.attempt)
-    .bind(reason)
-    .bind(now)
-    .bind(row.trial_id.0)
-    .bind(record)
-    .fetch_one(&mut *connection)
-    .await
-    .during(TAKING_BACK)?;
-    sqlx::query(
-        "INSERT INTO attempt_frames
-             (attempt, n, sequence, device_time_us, volts_per_count, counts, crc32)
-         SELECT ?1, n, sequence, device_time_us, volts_per_count, counts, crc32
-         FROM frames WHERE trial = ?2",
-    )
-    .bind(attempt)
-    .bind(row.trial_id.0)
-    .execute(&mut *connection)
-    .await
-    .during(TAKING_BACK)?;
-    sqlx::query("DELETE FROM trials WHERE id = ?1")
-        .bind(row.trial_id.0)
-        .execute(&mut *connection)
-        .await
-        .during(TAKING_BACK)?;
-    Ok(())
-}
-
-/// The target or the reached pose of a trial, from its four columns.
-pub(super) fn pose(parts: [Option<f64>; 4]) -> Option<Pose> {
-    let [x_mm, y_mm, z_mm, radius_mm] = parts;
-    Some(Pose { x_mm: x_mm?, y_mm: y_mm?, z_mm: z_mm?, radius_mm: radius_mm? })
 }

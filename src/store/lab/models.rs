@@ -4,8 +4,8 @@
 use jiff::Timestamp;
 use sqlx::sqlite::SqliteRow;
 
-use super::columns::{Columns, time_text};
-use super::{During, Store, StoreError};
+use crate::core::columns::{Columns, time_text};
+use crate::core::{During, Store, StoreError};
 
 /// A model; its files are in a folder of its id's name.
 #[derive(Debug, Clone, PartialEq)]

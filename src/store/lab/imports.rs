@@ -7,14 +7,16 @@
 use jiff::Timestamp;
 use sqlx::sqlite::SqliteConnection;
 
-use super::checksum::Numbers;
-use super::columns::time_text;
-use super::runs;
-use super::trials::insert_voltages;
-use super::{Contact, During, NewRun, RunRow, Store, StoreError};
+use super::twins::{self, Twin, TwinModelId, TwinOutcome};
+use crate::bench::run_row::{self, NewRun, RunRow};
+use crate::bench::trials::insert_voltages;
+use crate::core::columns::time_text;
+use crate::core::{During, Store, StoreError};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::ExitStatus;
 use crate::record::FrameQuality;
+use crate::table::checksum::Numbers;
+use crate::table::trial_row::Contact;
 
 /// Version of a model whose frames came with an import.
 pub const IMPORTED_MODEL: &str = "imported";
@@ -57,7 +59,7 @@ impl Store {
         self.inner
             .writer
             .run(STORING, async move |connection| {
-                let row = runs::insert(connection, new, false, now, STORING).await?;
+                let row = run_row::insert(connection, new, false, now, STORING).await?;
                 sqlx::query("UPDATE runs SET state = 'removed' WHERE scan_id = ?1")
                     .bind(row.scan_id)
                     .execute(connection)
@@ -72,7 +74,7 @@ impl Store {
     pub async fn import_trials(
         &self,
         run: RunUid,
-        model: Option<super::TwinModelId>,
+        model: Option<TwinModelId>,
         trials: Vec<ImportedTrial>,
     ) -> Result<(), StoreError> {
         let scan_id = self.facts(run, STORING).await?.scan_id;
@@ -132,7 +134,7 @@ impl Store {
 async fn insert(
     connection: &mut SqliteConnection,
     scan_id: i64,
-    model: Option<super::TwinModelId>,
+    model: Option<TwinModelId>,
     trial: &ImportedTrial,
     now: &str,
 ) -> Result<(), StoreError> {
@@ -209,7 +211,7 @@ async fn insert(
     else {
         return Ok(());
     };
-    let outcome = super::TwinOutcome::Frame { voltages_v: frame.clone(), rmse_v, fvu };
-    let twin = super::Twin { trial: TrialId(id), outcome };
-    super::twins::insert(connection, model, twin, now).await
+    let outcome = TwinOutcome::Frame { voltages_v: frame.clone(), rmse_v, fvu };
+    let twin = Twin { trial: TrialId(id), outcome };
+    twins::insert(connection, model, twin, now).await
 }

@@ -4,8 +4,8 @@
 
 use sqlx::sqlite::SqliteConnection;
 
-use super::runs::{self, NewRun, RunRow};
-use super::{During, Store, StoreError};
+use super::run_row::{self, NewRun, RunRow};
+use crate::core::{During, Store, StoreError};
 use crate::ids::RunUid;
 
 impl Store {
@@ -13,8 +13,9 @@ impl Store {
     pub async fn enqueue(&self, new: NewRun) -> Result<RunRow, StoreError> {
         const OPERATION: &str = "queueing a run";
         let now = self.now_text();
-        let insert =
-            async move |c: &mut SqliteConnection| runs::insert(c, new, true, now, OPERATION).await;
+        let insert = async move |c: &mut SqliteConnection| {
+            run_row::insert(c, new, true, now, OPERATION).await
+        };
         Ok(self.keep_facts(self.inner.writer.run(OPERATION, insert).await?))
     }
 
@@ -25,7 +26,7 @@ impl Store {
             .fetch_all(&self.inner.readers)
             .await
             .during(OPERATION)?;
-        runs::read_all(&rows, OPERATION)
+        run_row::read_all(&rows, OPERATION)
     }
 
     /// The run that is next, which stays in the queue until its state changes.
@@ -58,7 +59,7 @@ impl Store {
                 .fetch_all(connection)
                 .await
                 .during(OPERATION)?;
-                runs::read_all(&rows, OPERATION)
+                run_row::read_all(&rows, OPERATION)
             })
             .await
     }
@@ -138,7 +139,7 @@ impl Store {
         .fetch_all(&self.inner.readers)
         .await
         .during(OPERATION)?;
-        runs::read_all(&rows, OPERATION)
+        run_row::read_all(&rows, OPERATION)
     }
 }
 

@@ -3,12 +3,12 @@
 
 use jiff::Timestamp;
 
-use super::columns::{Columns, time_text};
-use super::{During, Store, StoreError};
+use crate::core::columns::{Columns, time_text};
+use crate::core::{During, Store, StoreError};
 use crate::journal::Mounting;
 
 impl Store {
-    pub(super) async fn insert_mounting(
+    pub(crate) async fn insert_mounting(
         &self,
         mounting: &Mounting,
         at: Timestamp,
@@ -35,7 +35,7 @@ impl Store {
     }
 
     /// What was said last; absent where nobody has said anything yet.
-    pub(super) async fn read_last_mounted(&self) -> Result<Option<Mounting>, StoreError> {
+    pub(crate) async fn read_last_mounted(&self) -> Result<Option<Mounting>, StoreError> {
         const OPERATION: &str = "reading how many tips are mounted";
         let row = sqlx::query("SELECT * FROM mountings ORDER BY id DESC LIMIT 1")
             .fetch_optional(&self.inner.readers)

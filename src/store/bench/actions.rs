@@ -5,8 +5,8 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::columns::{Columns, time_text};
-use super::{During, Store, StoreError};
+use crate::core::columns::{Columns, time_text};
+use crate::core::{During, Store, StoreError};
 use crate::ids::RunUid;
 
 /// An action to be logged.

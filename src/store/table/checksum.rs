@@ -7,13 +7,14 @@
 
 use jiff::Timestamp;
 
-use super::columns::{Columns, counts_blob, time_text};
-use super::{Contact, StoreError, TrialRow};
+use super::trial_row::{Contact, TrialRow};
+use crate::core::StoreError;
+use crate::core::columns::{Columns, counts_blob, time_text};
 use crate::ids::TrialKey;
 use crate::record::{ArmReading, Flag, FrameQuality, FrameRecord, Pose, TrialRecord};
 
 /// Of a frame: its counts as they are stored, then sequence, device time and scale, little-endian.
-pub(super) fn of_frame(frame: &FrameRecord) -> u32 {
+pub(crate) fn of_frame(frame: &FrameRecord) -> u32 {
     let mut sum = crc32fast::Hasher::new();
     sum.update(&counts_blob(&frame.counts));
     sum.update(&frame.sequence.to_le_bytes());
@@ -23,12 +24,12 @@ pub(super) fn of_frame(frame: &FrameRecord) -> u32 {
 }
 
 /// Of voltages as they are stored.
-pub(super) fn of_volts(volts: &[u8]) -> u32 {
+pub(crate) fn of_volts(volts: &[u8]) -> u32 {
     crc32fast::hash(volts)
 }
 
 /// Refuses `what` unless it has the checksum that it was stored with.
-pub(super) fn compare(
+pub(crate) fn compare(
     stored: Option<u32>,
     found: u32,
     what: impl FnOnce() -> String,
@@ -43,7 +44,7 @@ pub(super) fn compare(
 }
 
 /// A frame from its columns, compared with its `crc32`.
-pub(super) fn frame(
+pub(crate) fn frame(
     c: &Columns<'_>,
     of: impl FnOnce() -> String,
 ) -> Result<FrameRecord, StoreError> {
@@ -58,7 +59,7 @@ pub(super) fn frame(
 }
 
 /// Voltages that may be absent, compared with the checksum in column `sum`.
-pub(super) fn volts(
+pub(crate) fn volts(
     c: &Columns<'_>,
     column: &'static str,
     sum: &'static str,
@@ -72,7 +73,7 @@ pub(super) fn volts(
 }
 
 /// A trial's row with its tips and contacts, as a checksum takes them.
-pub(super) struct Numbers<'a> {
+pub(crate) struct Numbers<'a> {
     pub key: TrialKey,
     pub attempt: u32,
     pub tips: u8,
@@ -93,7 +94,7 @@ pub(super) struct Numbers<'a> {
 
 impl<'a> Numbers<'a> {
     /// Of a trial that is to be stored.
-    pub(super) fn of_record(
+    pub(crate) fn of_record(
         record: &'a TrialRecord,
         placed: &'a [Contact],
         contact_count: u8,
@@ -120,7 +121,7 @@ impl<'a> Numbers<'a> {
     }
 
     /// Of a trial that was read; `placed` are its placed contacts as they are stored.
-    pub(super) fn of_row(row: &'a TrialRow, placed: &'a [Contact]) -> Self {
+    pub(crate) fn of_row(row: &'a TrialRow, placed: &'a [Contact]) -> Self {
         Self {
             key: TrialKey { configuration: row.configuration, depth_index: row.depth_index },
             attempt: row.attempt,
@@ -142,7 +143,7 @@ impl<'a> Numbers<'a> {
     }
 
     /// The checksum.
-    pub(super) fn crc32(&self) -> u32 {
+    pub(crate) fn crc32(&self) -> u32 {
         let mut sum = Sum(crc32fast::Hasher::new());
         let wholes = [
             self.key.configuration,

@@ -29,7 +29,7 @@ type Job = Box<dyn for<'h> FnOnce(&'h mut Hand) -> LocalBoxFuture<'h, ()> + Send
 
 /// Hands jobs to the thread that writes.
 #[derive(Clone)]
-pub(super) struct Writer {
+pub(crate) struct Writer {
     jobs: mpsc::Sender<Job>,
     /// Longest time from handing a job over to its answer; `None` where the caller has its own.
     deadline: Option<Duration>,
@@ -46,7 +46,7 @@ struct Hand {
 
 impl Writer {
     /// Starts the thread. `options` open the connection, and open it again after a failure.
-    pub(super) fn start(options: SqliteConnectOptions) -> Result<Self, StoreError> {
+    pub(crate) fn start(options: SqliteConnectOptions) -> Result<Self, StoreError> {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .build()
@@ -76,19 +76,19 @@ impl Writer {
     }
 
     /// The same writer for a caller with a deadline of its own: it waits as long as the disk takes.
-    pub(super) fn patient(&self) -> Self {
+    pub(crate) fn patient(&self) -> Self {
         Self { deadline: None, ..self.clone() }
     }
 
     /// The same writer for a caller that gives up sooner.
     #[cfg(test)]
-    pub(super) fn hurried(&self, deadline: Duration) -> Self {
+    pub(crate) fn hurried(&self, deadline: Duration) -> Self {
         Self { deadline: Some(deadline), ..self.clone() }
     }
 
     /// Opens the file, creating it where the options say so, and brings its tables up to date. Should
     /// it vanish later, an empty one does not take its place unless they say so.
-    pub(super) async fn open(
+    pub(crate) async fn open(
         &self,
         path: &Path,
         migrations: &'static Migrator,
@@ -106,7 +106,7 @@ impl Writer {
     }
 
     /// Runs `work` in one transaction. An error of `work` rolls it back.
-    pub(super) async fn run<T, F>(&self, operation: &'static str, work: F) -> Result<T, StoreError>
+    pub(crate) async fn run<T, F>(&self, operation: &'static str, work: F) -> Result<T, StoreError>
     where
         T: Send + 'static,
         F: AsyncFnOnce(&mut SqliteConnection) -> Result<T, StoreError> + Send + 'static,
@@ -117,7 +117,7 @@ impl Writer {
 
     /// Runs `work` in one transaction; when its outcome is unknown afterwards, makes what is in the
     /// file durable on a new connection and asks `look` whether the work is there.
-    pub(super) async fn run_and_settle<T, F, L>(
+    pub(crate) async fn run_and_settle<T, F, L>(
         &self,
         operation: &'static str,
         work: F,
@@ -138,7 +138,7 @@ impl Writer {
     }
 
     /// Closes the connection after the jobs handed over before, and ends the thread.
-    pub(super) async fn close(&self) {
+    pub(crate) async fn close(&self) {
         let closing = self
             .hand_over("closing the store", Some(DEADLINE), async |hand| {
                 hand.close().await;
@@ -153,7 +153,7 @@ impl Writer {
 
     /// Makes the next transaction report a failed commit although it was stored.
     #[cfg(test)]
-    pub(super) async fn fail_after_next_commit(&self) -> Result<(), StoreError> {
+    pub(crate) async fn fail_after_next_commit(&self) -> Result<(), StoreError> {
         self.hand_over("arranging a failure", self.deadline, async |hand| {
             hand.fail_after_commit = true;
             Ok(())

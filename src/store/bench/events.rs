@@ -3,9 +3,9 @@
 
 use jiff::Timestamp;
 
-use super::columns::{Columns, time_text};
-use super::writer::Writer;
-use super::{During, Store, StoreError};
+use crate::core::columns::{Columns, time_text};
+use crate::core::writer::Writer;
+use crate::core::{During, Store, StoreError};
 use crate::ids::RunUid;
 use crate::journal::Event;
 
@@ -21,7 +21,7 @@ impl Store {
         self.insert_event(self.inner.writer.clone(), run, kind, data, at).await
     }
 
-    pub(super) async fn insert_event(
+    pub(crate) async fn insert_event(
         &self,
         writer: Writer,
         run: Option<RunUid>,

@@ -8,12 +8,13 @@ use std::time::Duration;
 use sqlx::ConnectOptions;
 use sqlx::sqlite::SqliteConnection;
 
-use super::checksum;
-use super::columns::{Columns, sha256_hex};
-use super::trial_query::SELECT_WITH_VOLTAGES;
-use super::trial_rows::rows_of_ids;
-use super::{During, Store, StoreError};
+use crate::core::columns::{Columns, sha256_hex};
+use crate::core::store::Soundness;
+use crate::core::{During, Store, StoreError};
 use crate::ids::TrialId;
+use crate::table::assemble::rows_of_ids;
+use crate::table::checksum;
+use crate::table::query::SELECT_WITH_VOLTAGES;
 
 const OPERATION: &str = "examining the database";
 
@@ -25,18 +26,6 @@ const TRIALS_AT_ONCE: usize = 100;
 
 /// Findings that are kept: a person needs a few.
 const FINDINGS_MAX: usize = 20;
-
-/// What is known of the file.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub enum Soundness {
-    /// Not looked over yet, or not to the end.
-    #[default]
-    Unchecked,
-    /// Nothing wrong was found.
-    Sound,
-    /// What is wrong, in words; a damaged trial by its id.
-    Damaged(Vec<String>),
-}
 
 impl Store {
     /// What the last examination found; `Unchecked` before its end. Waits for nothing.

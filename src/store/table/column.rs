@@ -4,7 +4,7 @@
 
 use jiff::Timestamp;
 
-use super::TrialRow;
+use super::trial_row::TrialRow;
 
 /// A column of the trials table.
 #[derive(Debug)]
@@ -16,7 +16,7 @@ pub struct Column {
     /// What it holds, and where a stored trial has it.
     pub of: Of,
     /// The value in SQL over the tables of `trial_query`; empty where stored trials cannot be compared by it.
-    pub(super) sql: &'static str,
+    pub(crate) sql: &'static str,
     /// What it means, for the API's description and the manual.
     pub about: &'static str,
 }
@@ -159,7 +159,7 @@ mod tests {
 
     #[test]
     fn the_manual_explains_every_column() {
-        let manual = include_str!("../../docs/how-to/datasets.md");
+        let manual = include_str!("../../../docs/how-to/datasets.md");
         for column in &TABLE {
             assert!(manual.contains(&format!("`{}`", column.name)), "{} is missing", column.name);
         }

@@ -181,12 +181,12 @@ impl StoreError {
     }
 
     /// A finding of damage.
-    pub(super) fn damaged(finding: String) -> Self {
+    pub(crate) fn damaged(finding: String) -> Self {
         Self::Damaged { findings: vec![finding] }
     }
 
     /// What the error says of the file where it is damage: findings; else the error again.
-    pub(super) fn into_findings(self) -> Result<Vec<String>, Self> {
+    pub(crate) fn into_findings(self) -> Result<Vec<String>, Self> {
         /// SQLite's codes of a statement that does not fit the tables, an unreadable place, a
         /// malformed page and a file that is no database.
         const DAMAGE: [i32; 4] = [1, 10, 11, 26];
@@ -221,7 +221,7 @@ impl StoreError {
     }
 
     /// The same error as the campaign sees it.
-    pub(super) fn of(what: &'static str) -> impl Fn(Self) -> JournalError {
+    pub(crate) fn of(what: &'static str) -> impl Fn(Self) -> JournalError {
         move |source: Self| {
             let refused = source.is_refusal();
             JournalError { what, refused, source: Box::new(source) }
@@ -230,7 +230,7 @@ impl StoreError {
 }
 
 /// Adds the operation to a failure of the database: `.await.during(OPERATION)?`.
-pub(super) trait During<T> {
+pub(crate) trait During<T> {
     /// Names what was being done, in the words of [`StoreError::Sql`].
     fn during(self, operation: &'static str) -> Result<T, StoreError>;
 }

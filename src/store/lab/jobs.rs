@@ -5,8 +5,8 @@ use jiff::Timestamp;
 use serde_json::Value;
 use sqlx::sqlite::SqliteRow;
 
-use super::columns::Columns;
-use super::{During, Store, StoreError};
+use crate::core::columns::Columns;
+use crate::core::{During, Store, StoreError};
 
 /// What is computed.
 #[derive(

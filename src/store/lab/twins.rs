@@ -6,12 +6,13 @@ use sqlx::QueryBuilder;
 use sqlx::sqlite::SqliteConnection;
 use utoipa::ToSchema;
 
-use super::checksum;
-use super::columns::{Columns, volts_blob};
-use super::trial_query::SELECT_WITH_VOLTAGES;
-use super::trial_rows::assemble;
-use super::{During, Store, StoreError, TrialRow};
+use crate::core::columns::{Columns, volts_blob};
+use crate::core::{During, Store, StoreError};
 use crate::ids::{RunUid, TrialId};
+use crate::table::assemble::assemble;
+use crate::table::checksum;
+use crate::table::query::SELECT_WITH_VOLTAGES;
+use crate::table::trial_row::TrialRow;
 
 /// A stored model; a larger one was stored later.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -267,7 +268,7 @@ impl Store {
     }
 }
 
-pub(super) async fn insert(
+pub(crate) async fn insert(
     connection: &mut SqliteConnection,
     model: TwinModelId,
     twin: Twin,

@@ -12,44 +12,44 @@ use super::error::{During, StoreError};
 use crate::ids::RunUid;
 
 /// A time as it is stored: RFC 3339, UTC, milliseconds (the rest is cut off).
-pub(super) fn time_text(at: Timestamp) -> String {
+pub(crate) fn time_text(at: Timestamp) -> String {
     format!("{at:.3}")
 }
 
 /// The sha256 of a text, in hexadecimal digits.
-pub(super) fn sha256_hex(text: &str) -> String {
+pub(crate) fn sha256_hex(text: &str) -> String {
     hex::encode(Sha256::digest(text.as_bytes()))
 }
 
 /// Counts as they are stored: little-endian i16.
-pub(super) fn counts_blob(counts: &[i16]) -> Vec<u8> {
+pub(crate) fn counts_blob(counts: &[i16]) -> Vec<u8> {
     counts.iter().flat_map(|c| c.to_le_bytes()).collect()
 }
 
 /// Volts as they are stored: little-endian f32.
-pub(super) fn volts_blob(volts: &[f32]) -> Vec<u8> {
+pub(crate) fn volts_blob(volts: &[f32]) -> Vec<u8> {
     volts.iter().flat_map(|v| v.to_le_bytes()).collect()
 }
 
 /// A row together with the operation that reads it, so that errors can name both.
-pub(super) struct Columns<'r> {
+pub(crate) struct Columns<'r> {
     row: &'r SqliteRow,
     operation: &'static str,
 }
 
 impl<'r> Columns<'r> {
     /// Reads `row` on behalf of `operation`.
-    pub(super) fn of(row: &'r SqliteRow, operation: &'static str) -> Self {
+    pub(crate) fn of(row: &'r SqliteRow, operation: &'static str) -> Self {
         Self { row, operation }
     }
 
     /// True when the query asked for this column.
-    pub(super) fn has(&self, column: &str) -> bool {
+    pub(crate) fn has(&self, column: &str) -> bool {
         self.row.try_column(column).is_ok()
     }
 
     /// A column of a type that SQLite knows.
-    pub(super) fn get<T>(&self, column: &'static str) -> Result<T, StoreError>
+    pub(crate) fn get<T>(&self, column: &'static str) -> Result<T, StoreError>
     where
         T: sqlx::Decode<'r, Sqlite> + sqlx::Type<Sqlite>,
     {
@@ -57,13 +57,13 @@ impl<'r> Columns<'r> {
     }
 
     /// A whole number that was stored from a narrower or unsigned type.
-    pub(super) fn whole<T: TryFrom<i64>>(&self, column: &'static str) -> Result<T, StoreError> {
+    pub(crate) fn whole<T: TryFrom<i64>>(&self, column: &'static str) -> Result<T, StoreError> {
         let value: i64 = self.get(column)?;
         T::try_from(value).map_err(|_| self.unreadable(column, value))
     }
 
     /// A whole number that may be absent.
-    pub(super) fn whole_or_none<T: TryFrom<i64>>(
+    pub(crate) fn whole_or_none<T: TryFrom<i64>>(
         &self,
         column: &'static str,
     ) -> Result<Option<T>, StoreError> {
@@ -72,13 +72,13 @@ impl<'r> Columns<'r> {
     }
 
     /// A time.
-    pub(super) fn time(&self, column: &'static str) -> Result<Timestamp, StoreError> {
+    pub(crate) fn time(&self, column: &'static str) -> Result<Timestamp, StoreError> {
         let text: &str = self.get(column)?;
         text.parse().map_err(|_| self.unreadable(column, text))
     }
 
     /// A time that may be absent.
-    pub(super) fn time_or_none(
+    pub(crate) fn time_or_none(
         &self,
         column: &'static str,
     ) -> Result<Option<Timestamp>, StoreError> {
@@ -87,19 +87,19 @@ impl<'r> Columns<'r> {
     }
 
     /// A run's id.
-    pub(super) fn uid(&self, column: &'static str) -> Result<RunUid, StoreError> {
+    pub(crate) fn uid(&self, column: &'static str) -> Result<RunUid, StoreError> {
         let text: &str = self.get(column)?;
         text.parse().map_err(|_| self.unreadable(column, text))
     }
 
     /// A run's id that may be absent.
-    pub(super) fn uid_or_none(&self, column: &'static str) -> Result<Option<RunUid>, StoreError> {
+    pub(crate) fn uid_or_none(&self, column: &'static str) -> Result<Option<RunUid>, StoreError> {
         let Some(text) = self.get::<Option<&str>>(column)? else { return Ok(None) };
         text.parse().map(Some).map_err(|_| self.unreadable(column, text))
     }
 
     /// A JSON value, or a word as serde names it.
-    pub(super) fn json<T: serde::de::DeserializeOwned>(
+    pub(crate) fn json<T: serde::de::DeserializeOwned>(
         &self,
         column: &'static str,
     ) -> Result<T, StoreError> {
@@ -108,7 +108,7 @@ impl<'r> Columns<'r> {
     }
 
     /// One of an enum's words.
-    pub(super) fn word<T: serde::de::DeserializeOwned>(
+    pub(crate) fn word<T: serde::de::DeserializeOwned>(
         &self,
         column: &'static str,
     ) -> Result<T, StoreError> {
@@ -117,7 +117,7 @@ impl<'r> Columns<'r> {
     }
 
     /// Counts of a frame.
-    pub(super) fn counts(&self, column: &'static str) -> Result<Vec<i16>, StoreError> {
+    pub(crate) fn counts(&self, column: &'static str) -> Result<Vec<i16>, StoreError> {
         let bytes: &[u8] = self.get(column)?;
         let (values, rest) = bytes.as_chunks::<2>();
         if rest.is_empty() {
@@ -128,7 +128,7 @@ impl<'r> Columns<'r> {
     }
 
     /// Voltages that may be absent.
-    pub(super) fn volts_or_none(
+    pub(crate) fn volts_or_none(
         &self,
         column: &'static str,
     ) -> Result<Option<Vec<f32>>, StoreError> {
@@ -142,7 +142,7 @@ impl<'r> Columns<'r> {
     }
 
     /// The error of a value that cannot be understood.
-    pub(super) fn unreadable(
+    pub(crate) fn unreadable(
         &self,
         column: &'static str,
         value: impl std::fmt::Display,
@@ -152,7 +152,7 @@ impl<'r> Columns<'r> {
 }
 
 /// An enum's value from the word that serde gives it.
-pub(super) fn word<T: serde::de::DeserializeOwned>(text: &str) -> Option<T> {
+pub(crate) fn word<T: serde::de::DeserializeOwned>(text: &str) -> Option<T> {
     let word: StrDeserializer<'_, serde::de::value::Error> = text.into_deserializer();
     T::deserialize(word).ok()
 }
