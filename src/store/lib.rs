@@ -6,9 +6,9 @@
 //! campaign, api --jobs--> writer thread, one connection, WAL, synchronous=FULL --> palpate.sqlite
 //!                                                     read-only connections <-----/
 //! ```
-//! Four folders, each of which imports only the ones before it: `core` (the file and its writer), `table`
-//! (the table of trials), `bench` (what the bench leaves behind), `lab` (what is made of the trials).
-//! `tests/architecture` checks this order. Each folder adds methods to [`Store`].
+//! Four folders, each of which imports only the ones before it: `core` (the file and its writer),
+//! `table` (the table of trials), `bench` (records of the bench), `lab` (what is computed from trials,
+//! and imports). `tests/architecture` checks this order. Each folder adds methods to [`Store`].
 //!
 //! A trial is one transaction. Its key is unique in the file, so that no trial is lost or stored twice.
 //! Reads never wait for the writer, and the writer never waits for reads. Measured values carry
@@ -40,7 +40,7 @@ pub use lab::datasets::{DatasetRow, RunExtent};
 pub use lab::exports::{ExportEnd, ExportRow, ExportState};
 pub use lab::imports::{IMPORTED_CONTACTS_MAX, IMPORTED_MODEL, ImportedTrial};
 pub use lab::jobs::{JobEnd, JobKind, JobRow, JobState};
-pub use lab::models::{ModelRow, PromotionRow};
+pub use lab::models::{ModelRow, NewPromotion, PromotionRow};
 pub use lab::twins::{Fit, NewTwinModel, Twin, TwinCount, TwinModelId, TwinOutcome};
 pub use table::condition::{Comparison, Condition, Operand};
 pub use table::query::{MAX_PAGE, Order, TrialQuery};

@@ -1,5 +1,5 @@
-//! The log of actions: who asked for what, when, why, and whether it was allowed.
-//! Uses: `store::writer`. Never: a secret (callers name the key, not its text).
+//! The log of actions: who requested what, when and why, and whether it was accepted.
+//! Uses: `core::writer`. Never: the text of an API key (callers state its name).
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -9,52 +9,53 @@ use crate::core::columns::{Columns, time_text};
 use crate::core::{During, Store, StoreError};
 use crate::ids::RunUid;
 
-/// An action to be logged.
+/// An action that is to be logged.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NewAction {
-    /// When it was asked for.
+    /// Wall time of the request.
     pub at: Timestamp,
-    /// The run it was meant for, if any.
+    /// Run that it concerns; absent if it concerns none.
     pub run: Option<RunUid>,
-    /// One word: `start`, `pause`, `estop`, `jog`, ...
+    /// Name of the action, one word: `start`, `pause`, `estop`, `jog`, ...
     pub action: String,
-    /// The name of the key, or `local`.
+    /// Name of the API key, or of a caller without a key (`local`).
     pub who: String,
-    /// The reason that was given.
+    /// Reason that the person entered; absent without one.
     pub why: Option<String>,
-    /// It was done, not refused.
+    /// Whether it was accepted (true) or refused (false).
     pub accepted: bool,
-    /// Why it was refused, or what it was done with.
+    /// Cause of the refusal, or values of the action; absent without them.
     pub detail: Option<String>,
 }
 
-/// An action as it is stored.
+/// A logged action.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ActionRow {
-    /// Its number.
+    /// Number of the action, in the order of storing.
     pub id: i64,
-    /// When.
+    /// Wall time of the request.
     #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
-    /// The run it was meant for, if any.
+    /// Run that it concerns; absent if it concerns none.
     pub run: Option<RunUid>,
-    /// One word: `start`, `pause`, `estop`, `jog`, ...
+    /// Name of the action, one word: `start`, `pause`, `estop`, `jog`, ...
     pub action: String,
-    /// The name of the key, or `local`.
+    /// Name of the API key, or of a caller without a key (`local`).
     pub who: String,
-    /// The reason that was given.
+    /// Reason that the person entered; absent without one.
     pub why: Option<String>,
-    /// It was done, not refused.
+    /// Whether it was accepted (true) or refused (false).
     pub accepted: bool,
-    /// Why it was refused, or what it was done with.
+    /// Cause of the refusal, or values of the action; absent without them.
     pub detail: Option<String>,
 }
 
 impl Store {
-    /// Logs an action. Logging it again, after a failure, does not double it.
+    /// Logs an action. A repetition after a failure does not store it twice.
     ///
     /// # Errors
-    /// When it is unknown whether the action is stored, and when its run does not exist.
+    /// `NoSuchRun` if the run is not stored; `Sql`, `Late` or `Closed` if it is unknown
+    /// whether the action is stored.
     pub async fn log_action(&self, action: NewAction) -> Result<(), StoreError> {
         const OPERATION: &str = "logging an action";
         let scan_id = match action.run {
@@ -87,8 +88,10 @@ impl Store {
             .await
     }
 
-    /// Up to `limit` actions, newest first, older than the one numbered `before`; of one run, or
-    /// of all.
+    /// Returns at most `limit` actions with numbers below `before`, newest first, of one run or of all.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if a given run is not stored; `Sql` or `Unreadable` if the read fails.
     pub async fn actions(
         &self,
         run: Option<RunUid>,

@@ -1,5 +1,5 @@
-//! The store as the campaign knows it: each method of `Journal`, durable when it returns.
-//! Uses: the other files of `store`. Never: SQL of its own, a deadline of its own (the caller has one).
+//! The store as the `Journal` of the campaign: a record is durable when its method returns.
+//! Uses: the other files of `bench`. Never: SQL, a deadline (the campaign has its own).
 
 use async_trait::async_trait;
 use jiff::Timestamp;
@@ -42,7 +42,7 @@ impl Journal for Store {
     }
 
     async fn discard(&self, run: RunUid, key: TrialKey, reason: &str) -> Result<(), JournalError> {
-        self.take_back(run, key, reason).await.map_err(StoreError::of("a trial taken back"))
+        self.discard_trial(run, key, reason).await.map_err(StoreError::of("a discarded trial"))
     }
 
     async fn progress(&self, run: RunUid) -> Result<Progress, JournalError> {
@@ -86,11 +86,11 @@ impl Journal for Store {
     async fn mounted(&self, mounting: &Mounting, at: Timestamp) -> Result<(), JournalError> {
         self.insert_mounting(mounting, at)
             .await
-            .map_err(StoreError::of("how many tips are mounted"))
+            .map_err(StoreError::of("the number of mounted tips"))
     }
 
     async fn last_mounted(&self) -> Result<Option<Mounting>, JournalError> {
-        self.read_last_mounted().await.map_err(StoreError::of("how many tips are mounted"))
+        self.read_last_mounted().await.map_err(StoreError::of("the number of mounted tips"))
     }
 
     async fn free_bytes(&self) -> Result<u64, JournalError> {

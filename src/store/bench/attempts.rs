@@ -1,6 +1,6 @@
-//! What a run leaves beside its trials: failed attempts, skips, tares, reference presses, touch-offs.
-//! Uses: `record`, `store::writer`. Never: trials (what was not accepted
-//! must never count as one).
+//! Failed attempts and skipped configurations of a run.
+//! Uses: `record`, `core::writer`. Never: trials (an attempt that is not accepted must never count as
+//! one).
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -14,16 +14,20 @@ use crate::record::AttemptRecord;
 /// A configuration that was given up.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SkipRow {
-    /// Its position in the plan.
+    /// Position of the configuration in the plan.
     pub configuration: u32,
-    /// Why.
+    /// Reason of the skip.
     pub reason: String,
-    /// When.
+    /// Wall time of the skip.
     #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
 }
 
 impl Store {
+    /// Stores a failed attempt.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` or `Closed` if the write fails.
     pub(crate) async fn insert_attempt(
         &self,
         run: RunUid,
@@ -54,6 +58,10 @@ impl Store {
             .await
     }
 
+    /// Stores that a configuration was given up. A stored skip is not changed.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` or `Closed` if the write fails.
     pub(crate) async fn insert_skip(
         &self,
         run: RunUid,
@@ -68,7 +76,7 @@ impl Store {
             .writer
             .patient()
             .run(OPERATION, async move |connection| {
-                // Giving up twice is giving up once: the first reason stands.
+                // A repetition keeps the first reason.
                 sqlx::query(
                     "INSERT INTO skips (run, configuration, reason, at) VALUES (?1, ?2, ?3, ?4)
                      ON CONFLICT (run, configuration) DO NOTHING",
@@ -85,7 +93,10 @@ impl Store {
             .await
     }
 
-    /// Configurations that a run gave up, in the order of its plan.
+    /// Returns the skips of a run, in the order of its plan.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
     pub async fn skips(&self, run: RunUid) -> Result<Vec<SkipRow>, StoreError> {
         const OPERATION: &str = "reading skips";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
@@ -103,7 +114,10 @@ impl Store {
             .collect()
     }
 
-    /// How many tries of a run did not become, or did not stay, trials.
+    /// Returns the number of failed attempts and discarded trials of a run.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
     pub async fn attempt_count(&self, run: RunUid) -> Result<u64, StoreError> {
         const OPERATION: &str = "counting attempts";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
@@ -115,7 +129,10 @@ impl Store {
         Ok(count.unsigned_abs())
     }
 
-    /// The last failed attempts of a run, and trials taken back, newest first.
+    /// Returns at most `limit` failed attempts and discarded trials of a run, newest first.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
     pub async fn attempts(
         &self,
         run: RunUid,

@@ -1,5 +1,5 @@
-//! What a run measures for its trials: tares, reference presses and touch-offs.
-//! Uses: `core`, `table`, `record`. Never: trials.
+//! Auxiliary measurements of a run: tares, reference presses and touch-offs.
+//! Uses: `record`, `core::writer`, `table::checksum`. Never: trials.
 
 use crate::core::columns::{Columns, counts_blob, time_text};
 use crate::core::{During, Store, StoreError};
@@ -9,6 +9,10 @@ use crate::table::assemble::arm;
 use crate::table::checksum;
 
 impl Store {
+    /// Stores a tare.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` or `Closed` if the write fails.
     pub(crate) async fn insert_tare(
         &self,
         run: RunUid,
@@ -46,6 +50,10 @@ impl Store {
             .await
     }
 
+    /// Stores a reference press with its frame and tips.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` or `Closed` if the write fails.
     pub(crate) async fn insert_reference(
         &self,
         run: RunUid,
@@ -103,6 +111,11 @@ impl Store {
             .await
     }
 
+    /// Stores a touch-off.
+    ///
+    /// # Errors
+    /// `Refused` if JSON cannot represent its numbers; `NoSuchRun` if the run is not stored; `Sql` or
+    /// `Closed` if the write fails.
     pub(crate) async fn insert_touch_off(
         &self,
         run: RunUid,
@@ -112,7 +125,7 @@ impl Store {
         let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
         let found = found.clone();
         let json = |value: serde_json::Result<String>| {
-            let limit = "must be numbers that JSON can hold";
+            let limit = "must be numbers that JSON can represent";
             let field = "touches";
             value.map_err(|_| StoreError::Refused { operation: OPERATION, field, limit })
         };
@@ -141,7 +154,10 @@ impl Store {
             .await
     }
 
-    /// The tares of a run, in the order in which they were taken.
+    /// Returns the tares of a run, oldest first.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
     pub async fn tares(&self, run: RunUid) -> Result<Vec<TareRecord>, StoreError> {
         const OPERATION: &str = "reading tares";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
@@ -170,7 +186,11 @@ impl Store {
         Ok(tares.into_iter().map(|(_, tare)| tare).collect())
     }
 
-    /// The reference presses of a run, in the order in which they were made.
+    /// Returns the reference presses of a run, oldest first.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Damaged` if a frame differs from its checksum;
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn references(&self, run: RunUid) -> Result<Vec<ReferenceRecord>, StoreError> {
         const OPERATION: &str = "reading reference presses";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
@@ -214,7 +234,10 @@ impl Store {
             .collect()
     }
 
-    /// The touch-offs of a run, in the order in which they were made.
+    /// Returns the touch-offs of a run, oldest first.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
     pub async fn touch_offs(&self, run: RunUid) -> Result<Vec<TouchOffRecord>, StoreError> {
         const OPERATION: &str = "reading touch-offs";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;

@@ -1,5 +1,5 @@
-//! How far a run has come: stored keys, trials by contacts and by setting.
-//! Uses: `store`, `journal`. Never: the plan (who asks knows what is missing).
+//! Progress of a run: stored keys, and counts of trials by contacts and by setting.
+//! Uses: `core`, `journal`. Never: the plan (the caller knows which trials are missing).
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -9,16 +9,20 @@ use crate::core::{During, Store, StoreError};
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::Progress;
 
-/// Stored trials of one setting (tip count) of a run.
+/// Stored trials of a run with one number of tips.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct SettingCount {
-    /// Attached tips, or placed contacts.
+    /// Number of attached tips or placed contacts.
     pub tips: u8,
-    /// Stored trials.
+    /// Number of stored trials.
     pub stored: u64,
 }
 
 impl Store {
+    /// Returns the stored and skipped parts of the plan of a run.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
     pub(crate) async fn read_progress(&self, run: RunUid) -> Result<Progress, StoreError> {
         const OPERATION: &str = "reading a run's progress";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
@@ -48,7 +52,10 @@ impl Store {
         })
     }
 
-    /// Stored trials of a run by their number of contacts, 0 to 6, as labelled with its deadband.
+    /// Returns the number of stored trials of a run with 0 to 6 contacts, by the deadband of the run.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
     pub async fn contact_counts(&self, run: RunUid) -> Result<[u64; 7], StoreError> {
         const OPERATION: &str = "counting contacts";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
@@ -63,7 +70,10 @@ impl Store {
         Ok(by_count(rows))
     }
 
-    /// The same as another deadband would label them, from the raw forces.
+    /// Returns the same numbers with another deadband, N, from the raw forces.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
     pub async fn contact_counts_at(
         &self,
         run: RunUid,
@@ -72,7 +82,7 @@ impl Store {
         const OPERATION: &str = "counting contacts";
         let facts = self.facts(run, OPERATION).await?;
         if facts.kind == RunKind::RealRandom {
-            // Nominal contacts have no deadband.
+            // The deadband does not apply to nominal contacts.
             return self.contact_counts(run).await;
         }
         let rows = sqlx::query_as(
@@ -90,7 +100,10 @@ impl Store {
         Ok(by_count(rows))
     }
 
-    /// Stored trials of a run by setting, fewest tips first.
+    /// Returns the number of stored trials of a run by setting, in ascending order of tips.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
     pub async fn stored_per_setting(&self, run: RunUid) -> Result<Vec<SettingCount>, StoreError> {
         const OPERATION: &str = "counting trials by setting";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
@@ -107,6 +120,7 @@ impl Store {
     }
 }
 
+/// Returns the numbers of trials by contacts, 0 to 6, from rows (contacts, trials).
 fn by_count(rows: Vec<(i64, i64)>) -> [u64; 7] {
     let mut counts = [0; 7];
     for (contacts, trials) in rows {

@@ -1,5 +1,5 @@
-//! Events: appended with a number, read from a number on.
-//! Uses: `journal` (`Event`), `store::writer`. Never: who listens.
+//! Events: appended with a number, and read from a number on.
+//! Uses: `journal` (`Event`), `core::writer`. Never: the clients that receive them.
 
 use jiff::Timestamp;
 
@@ -10,7 +10,10 @@ use crate::ids::RunUid;
 use crate::journal::Event;
 
 impl Store {
-    /// Appends an event that happens now, and returns it with its number.
+    /// Appends an event with the current wall time, and returns it with its number.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql`, `Late` or `Closed` if the write fails.
     pub async fn append_event(
         &self,
         run: Option<RunUid>,
@@ -21,6 +24,10 @@ impl Store {
         self.insert_event(self.inner.writer.clone(), run, kind, data, at).await
     }
 
+    /// Appends an event with this wall time through `writer`, and returns it with its number.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql`, `Late` or `Closed` if the write fails.
     pub(crate) async fn insert_event(
         &self,
         writer: Writer,
@@ -34,7 +41,7 @@ impl Store {
             Some(run) => Some(self.facts_by(&writer, run, OPERATION).await?.scan_id),
             None => None,
         };
-        // The event that is returned and the one that is read later are equal: both in ms.
+        // Rounded to ms as stored, so that the returned event equals the one that is read later.
         let now = time_text(at);
         let at = now.parse().map_err(|_| StoreError::Unreadable {
             operation: OPERATION,
@@ -60,7 +67,11 @@ impl Store {
         Ok(Event { seq, run, at, kind: kind.to_owned(), data })
     }
 
-    /// Up to `limit` events after number `seq`, in order; of one run, or of all.
+    /// Returns at most `limit` events with numbers above `seq`, in ascending order, of one run or of
+    /// all.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if a given run is not stored; `Sql` or `Unreadable` if the read fails.
     pub async fn events_since(
         &self,
         seq: i64,
@@ -101,7 +112,10 @@ impl Store {
             .collect()
     }
 
-    /// The number of the last event; 0 before the first.
+    /// Returns the number of the last event; 0 before the first.
+    ///
+    /// # Errors
+    /// `Sql` if the read fails.
     pub async fn last_event_seq(&self) -> Result<i64, StoreError> {
         sqlx::query_scalar("SELECT coalesce(max(seq), 0) FROM events")
             .fetch_one(&self.inner.readers)

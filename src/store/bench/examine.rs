@@ -1,6 +1,6 @@
-//! Looks the file over for damage: its structure, the texts of its runs, the checksums of its last
+//! Examination of the file for damage: its structure, the texts of its runs, the checksums of its last
 //! trials.
-//! Uses: `store::{checksum, trial_rows}`. Never: a repair, a connection that others wait for.
+//! Uses: `table::{checksum, assemble}`. Never: a repair, a connection that other callers wait for.
 
 use std::collections::HashMap;
 use std::time::Duration;
@@ -18,24 +18,27 @@ use crate::table::query::SELECT_WITH_VOLTAGES;
 
 const OPERATION: &str = "examining the database";
 
-/// Longest time for it: a file of 10 GB on a slow disk.
+/// Longest wall time of an examination: a file of 10 GB on a slow disk.
 const DEADLINE: Duration = Duration::from_secs(600);
 
-/// Trials that are read at once.
+/// Number of trials that are read at once.
 const TRIALS_AT_ONCE: usize = 100;
 
-/// Findings that are kept: a person needs a few.
+/// Largest number of reported findings.
 const FINDINGS_MAX: usize = 20;
 
 impl Store {
-    /// What the last examination found; `Unchecked` before its end. Waits for nothing.
+    /// Returns the result of the last examination; `Unchecked` before its end. Does not wait.
     pub fn soundness(&self) -> Soundness {
         self.inner.soundness.lock().clone()
     }
 
-    /// Checks the structure of the whole file and the texts of its runs, and reads the newest `last`
-    /// trials with their frames against their checksums. Takes as long as the disk takes to read the
-    /// file, on a connection of its own, so that nobody waits. An error says that it could not be looked at.
+    /// Checks the structure of the whole file and the texts of its runs, and compares the newest `last`
+    /// trials and their frames with their checksums. It reads the whole file, on a separate connection,
+    /// so that no other caller waits. Damage is a result, not an error.
+    ///
+    /// # Errors
+    /// `Sql` if the file cannot be examined; `Late` after 600 s.
     pub async fn examine(&self, last: u32) -> Result<Soundness, StoreError> {
         let examined = tokio::time::timeout(DEADLINE, async {
             let options = self.inner.readers.connect_options();
@@ -54,12 +57,16 @@ impl Store {
     }
 
     /// Reads the whole file and checks its structure, its indexes and its references.
+    ///
+    /// # Errors
+    /// `Damaged` if it finds damage; `Sql` if the file cannot be read.
     pub async fn integrity_check(&self) -> Result<(), StoreError> {
         let findings = structure(&mut *self.read(OPERATION).await?).await?;
         if findings.is_empty() { Ok(()) } else { Err(StoreError::Damaged { findings }) }
     }
 }
 
+/// Returns all findings; trials are checked until there are `FINDINGS_MAX`.
 async fn findings(connection: &mut SqliteConnection, last: u32) -> Result<Vec<String>, StoreError> {
     let mut findings = structure(connection).await.or_else(StoreError::into_findings)?;
     match changed_texts(connection).await {
@@ -83,9 +90,9 @@ async fn findings(connection: &mut SqliteConnection, last: u32) -> Result<Vec<St
     Ok(findings)
 }
 
-/// What is wrong with the file as SQLite sees it. Unlike its quick check this compares the indexes
-/// with their tables: what is left of a run's plan is read from an index alone. On 60,000 trials
-/// (328 MB, in memory) it takes 0.19 s, the quick check 0.15 s.
+/// Returns the damage that SQLite reports. Unlike SQLite's quick check, this one compares the indexes
+/// with their tables: the remaining steps of a plan are read from an index only. For 60,000 trials (328
+/// MB, in memory) it takes 0.19 s, the quick check 0.15 s.
 async fn structure(connection: &mut SqliteConnection) -> Result<Vec<String>, StoreError> {
     let lines: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check")
         .fetch_all(&mut *connection)
@@ -97,12 +104,12 @@ async fn structure(connection: &mut SqliteConnection) -> Result<Vec<String>, Sto
     let orphans = sqlx::query("PRAGMA foreign_key_check").fetch_all(connection).await;
     match orphans.during(OPERATION)?.len() {
         0 => {}
-        n => findings.push(format!("{n} rows refer to rows that are not there")),
+        n => findings.push(format!("{n} rows refer to missing rows")),
     }
     Ok(findings)
 }
 
-/// Runs whose files are not those that they were made of: their plan would be another.
+/// Returns the runs whose stored files differ from their sha256: a resume would compute another plan.
 async fn changed_texts(connection: &mut SqliteConnection) -> Result<Vec<String>, StoreError> {
     const TEXTS: [(&str, &str); 3] =
         [("definition", "definition_sha256"), ("rig", "rig_sha256"), ("sensor", "sensor_sha256")];
@@ -114,13 +121,15 @@ async fn changed_texts(connection: &mut SqliteConnection) -> Result<Vec<String>,
         for (text, sum) in TEXTS {
             let (kept, stored) = (c.get::<Option<&str>>(text)?, c.get::<Option<&str>>(sum)?);
             if kept.map(sha256_hex).as_deref() != stored {
-                findings.push(format!("the {text} file of run {run} is not as it was stored"));
+                findings
+                    .push(format!("the {text} file of run {run} was changed after it was stored"));
             }
         }
     }
     Ok(findings)
 }
 
+/// Returns the ids of the newest `last` trials, newest first.
 async fn newest(connection: &mut SqliteConnection, last: u32) -> Result<Vec<TrialId>, StoreError> {
     let ids: Vec<i64> = sqlx::query_scalar("SELECT id FROM trials ORDER BY id DESC LIMIT ?1")
         .bind(last)
@@ -130,7 +139,7 @@ async fn newest(connection: &mut SqliteConnection, last: u32) -> Result<Vec<Tria
     Ok(ids.into_iter().map(TrialId).collect())
 }
 
-/// The findings of trials among which something is wrong.
+/// Checks trials one by one and returns their findings, each with the id of its trial.
 async fn one_by_one(
     connection: &mut SqliteConnection,
     ids: &[TrialId],
@@ -145,7 +154,10 @@ async fn one_by_one(
     Ok(findings)
 }
 
-/// Reads trials whole: row, tips, contacts, voltages, twins, frames. Every checksum is compared.
+/// Reads trials completely: row, tips, contacts, voltages, twins, frames. Every checksum is compared.
+///
+/// # Errors
+/// `Damaged` if a trial differs from its checksums or lacks voltages or frames.
 async fn check_trials(
     connection: &mut SqliteConnection,
     ids: &[TrialId],

@@ -1,31 +1,31 @@
-//! What the bench leaves behind: runs, trials, events and who did what.
-//! Uses: `core`, `table`. Never: `lab`.
+//! Records of the bench: runs with their trials, the queue, events and actions.
+//! Uses: `core`, `table`. Never: `lab`; a decision of the campaign or the conductor.
 
 /// The row of a run.
 pub(crate) mod run_row;
-/// Runs, stored and listed.
+/// Storing, listing and reading runs.
 mod runs;
-/// Changes of a run's state, and its end.
+/// The state and the end of a run.
 mod run_state;
-/// Runs that wait for their turn.
+/// Queued runs, and started runs that wait for their turn.
 mod queue;
-/// Trials, stored.
+/// Storing trials.
 pub(crate) mod trials;
-/// Trials, taken back.
-mod take_back;
+/// Discarding stored trials.
+mod discard;
 /// Failed attempts and skips.
 pub(crate) mod attempts;
-/// Tares, reference presses, touch-offs.
+/// Tares, reference presses and touch-offs.
 mod auxiliary;
-/// How many tips are mounted.
+/// The number of mounted tips.
 mod mountings;
-/// Stored trials of a run, counted.
+/// Progress of a run, and counts of its trials.
 pub(crate) mod counts;
 /// Events.
 mod events;
 /// The log of actions.
 pub(crate) mod actions;
-/// The search for damage in the file.
+/// Examination of the file for damage.
 mod examine;
-/// The campaign's `Journal`.
+/// The `Journal` of the campaign.
 mod as_journal;

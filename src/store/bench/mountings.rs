@@ -1,5 +1,5 @@
-//! How many tips are mounted, as the person who mounts them says.
-//! Uses: `store::writer`. Never: a judgement whether it is so (the campaign checks it by evidence).
+//! The number of mounted tips, as confirmed by the person who mounts them.
+//! Uses: `core::writer`. Never: a check of this number (the campaign checks it by measurements).
 
 use jiff::Timestamp;
 
@@ -8,12 +8,16 @@ use crate::core::{During, Store, StoreError};
 use crate::journal::Mounting;
 
 impl Store {
+    /// Stores the confirmed number of tips.
+    ///
+    /// # Errors
+    /// `Sql` or `Closed` if the write fails.
     pub(crate) async fn insert_mounting(
         &self,
         mounting: &Mounting,
         at: Timestamp,
     ) -> Result<(), StoreError> {
-        const OPERATION: &str = "storing how many tips are mounted";
+        const OPERATION: &str = "storing the number of mounted tips";
         let (mounting, at) = (mounting.clone(), time_text(at));
         self.inner
             .writer
@@ -34,9 +38,12 @@ impl Store {
             .await
     }
 
-    /// What was said last; absent where nobody has said anything yet.
+    /// Returns the last confirmed number of tips; `None` before the first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub(crate) async fn read_last_mounted(&self) -> Result<Option<Mounting>, StoreError> {
-        const OPERATION: &str = "reading how many tips are mounted";
+        const OPERATION: &str = "reading the number of mounted tips";
         let row = sqlx::query("SELECT * FROM mountings ORDER BY id DESC LIMIT 1")
             .fetch_optional(&self.inner.readers)
             .await

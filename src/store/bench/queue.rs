@@ -1,6 +1,6 @@
-//! The queue: runs in the state `queued`, in the order of their positions, 1 first; and which runs
-//! were started and wait for their turn.
-//! Uses: `store::runs`, `store::writer`. Never: starting one (the service does, when it may).
+//! The queue: runs in the state `queued`, in the order of their positions, from 1; and the started runs
+//! that wait for their turn.
+//! Uses: `core::writer`, `run_row`. Never: starting a run (the conductor does).
 
 use sqlx::sqlite::SqliteConnection;
 
@@ -10,6 +10,10 @@ use crate::ids::RunUid;
 
 impl Store {
     /// Stores a new run at the end of the queue.
+    ///
+    /// # Errors
+    /// `Refused` if the seed or the number of trials is too large or the deadband is not finite;
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn enqueue(&self, new: NewRun) -> Result<RunRow, StoreError> {
         const OPERATION: &str = "queueing a run";
         let now = self.now_text();
@@ -19,7 +23,10 @@ impl Store {
         Ok(self.keep_facts(self.inner.writer.run(OPERATION, insert).await?))
     }
 
-    /// The queue, the next first.
+    /// Returns the queued runs, the next one first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn queue(&self) -> Result<Vec<RunRow>, StoreError> {
         const OPERATION: &str = "reading the queue";
         let rows = sqlx::query("SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position")
@@ -29,7 +36,11 @@ impl Store {
         run_row::read_all(&rows, OPERATION)
     }
 
-    /// The run that is next, which stays in the queue until its state changes.
+    /// Returns the next run of the queue, which stays queued until its state changes; `None` if the
+    /// queue is empty.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn next_queued(&self) -> Result<Option<RunRow>, StoreError> {
         const OPERATION: &str = "reading the queue";
         sqlx::query("SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position LIMIT 1")
@@ -40,7 +51,12 @@ impl Store {
             .transpose()
     }
 
-    /// Moves a run to a position, from 1; beyond the end means the end. Returns the queue.
+    /// Moves a run to a position, from 1; a larger position than the last means the end. Returns the
+    /// queue.
+    ///
+    /// # Errors
+    /// `NotQueued` if the run is not in the queue;
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn move_item(&self, run: RunUid, position: u32) -> Result<Vec<RunRow>, StoreError> {
         const OPERATION: &str = "moving a run in the queue";
         self.inner
@@ -64,7 +80,11 @@ impl Store {
             .await
     }
 
-    /// Takes a run out of the queue for good; its row stays, in the state `removed`.
+    /// Removes a run from the queue permanently. Its row remains, in the state `removed`.
+    ///
+    /// # Errors
+    /// `NotQueued` if the run is not in the queue;
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn remove(&self, run: RunUid) -> Result<RunRow, StoreError> {
         const OPERATION: &str = "removing a run from the queue";
         let now = self.now_text();
@@ -89,10 +109,14 @@ impl Store {
             .await
     }
 
-    /// Notes that a queued or interrupted run was armed and started, and waits for the run under way.
-    /// The mark outlives a crash; a run that begins or is removed loses it.
+    /// Marks a queued or interrupted run as started: it waits for the active run to end. The mark
+    /// survives a crash. It is removed when the run begins or is removed.
+    ///
+    /// # Errors
+    /// `NotQueued` if the run is neither queued nor interrupted;
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn set_waiting(&self, run: RunUid) -> Result<(), StoreError> {
-        const OPERATION: &str = "letting a run wait for its turn";
+        const OPERATION: &str = "marking a run as waiting for its turn";
         let now = self.now_text();
         self.inner
             .writer
@@ -111,9 +135,12 @@ impl Store {
             .await
     }
 
-    /// Takes the mark of a waiting run back: it must be started again.
+    /// Removes the mark of a waiting run, which must be started again.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn clear_waiting(&self, run: RunUid) -> Result<(), StoreError> {
-        const OPERATION: &str = "no longer letting a run wait for its turn";
+        const OPERATION: &str = "removing the mark of a waiting run";
         self.inner
             .writer
             .run(OPERATION, async move |connection| {
@@ -127,10 +154,13 @@ impl Store {
             .await
     }
 
-    /// Runs that were started and wait for their turn, the next first: interrupted ones, then those
-    /// of the queue in its order.
+    /// Returns the started runs that wait for their turn, the next one first: interrupted runs, then
+    /// queued runs by position.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn waiting_runs(&self) -> Result<Vec<RunRow>, StoreError> {
-        const OPERATION: &str = "reading which runs wait for their turn";
+        const OPERATION: &str = "reading the waiting runs";
         let rows = sqlx::query(
             "SELECT * FROM runs
              WHERE waiting_since IS NOT NULL AND state IN ('queued', 'interrupted')
@@ -143,7 +173,7 @@ impl Store {
     }
 }
 
-/// The ids of the queue, the next first.
+/// Returns the ids of the queued runs, the next one first.
 async fn order(
     connection: &mut SqliteConnection,
     operation: &'static str,
@@ -154,7 +184,7 @@ async fn order(
         .during(operation)
 }
 
-/// Gives the positions 1, 2, .. in this order.
+/// Assigns the positions 1, 2, .. in this order.
 async fn number(
     connection: &mut SqliteConnection,
     order: &[String],

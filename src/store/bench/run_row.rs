@@ -1,4 +1,4 @@
-//! The row of a run: what it was made of, its state and its end; inserted and read.
+//! The row of a run: its inputs, its state and its end; inserting and decoding it.
 //! Uses: `core`, `journal`. Never: a change of a state (`run_state`).
 
 use jiff::Timestamp;
@@ -12,118 +12,118 @@ use crate::core::{During, StoreError};
 use crate::ids::RunUid;
 use crate::journal::ExitStatus;
 
-/// A run to be: what it is made of.
+/// Inputs of a run that is to be stored.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NewRun {
-    /// Its id.
+    /// Id of the run.
     pub uid: RunUid,
     /// Name of the experiment.
     pub experiment: String,
-    /// Which experiment of Table I.
+    /// Origin of its trials.
     pub kind: RunKind,
     /// Text of the experiment file.
     pub definition: String,
-    /// Seed of everything drawn; at most 2^63 - 1, the largest of TOML. Absent for an import.
+    /// Seed of all random choices, at most 2^63 - 1 (the limit of TOML); absent for an import.
     pub seed: Option<u64>,
     /// Text of the rig file; absent for an import.
     pub rig: Option<String>,
     /// Text of the sensor file.
     pub sensor: String,
-    /// The calibration in force, if there is one.
+    /// Id of the serving calibration; absent without one.
     pub calibration_id: Option<String>,
-    /// Whether a skin will be touched.
+    /// Origin of the data: measured, virtual or simulated.
     pub label: Label,
     /// Version of the program.
     pub version: String,
-    /// Commit of the program, where it is known.
+    /// Commit of the program; absent if unknown.
     pub git_commit: Option<String>,
-    /// Contacts under this are removed from the labels, N.
+    /// Force below which contacts are removed from the labels, N.
     pub deadband_n: f64,
-    /// Diameter of a contact, mm, where the sensor file says it.
+    /// Diameter of a tip, mm; absent if the sensor file does not state it.
     pub tip_diameter_mm: Option<f64>,
-    /// Trials in its plan.
+    /// Number of trials of its plan.
     pub trials_planned: u64,
-    /// It may go on by itself after a restart.
+    /// Whether it may resume automatically after a restart.
     pub auto_resume: bool,
-    /// Who asked for it.
+    /// Person or key that submitted it.
     pub submitted_by: String,
 }
 
 /// A run as it is stored.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct RunRow {
-    /// Its id.
+    /// Id of the run.
     pub uid: RunUid,
-    /// Its number for people, from 1.
+    /// Number of the run, from 1.
     pub scan_id: i64,
     /// Name of the experiment.
     pub experiment: String,
-    /// Which experiment of Table I.
+    /// Origin of its trials.
     pub kind: RunKind,
     /// Text of the experiment file.
     pub definition: String,
-    /// Its sha256.
+    /// sha256 of the experiment file.
     pub definition_sha256: String,
-    /// Seed of everything drawn; absent for an import.
+    /// Seed of all random choices; absent for an import.
     pub seed: Option<u64>,
     /// Text of the rig file; absent for an import.
     pub rig: Option<String>,
-    /// Its sha256.
+    /// sha256 of the rig file; absent for an import.
     pub rig_sha256: Option<String>,
     /// Text of the sensor file.
     pub sensor: String,
-    /// Its sha256.
+    /// sha256 of the sensor file.
     pub sensor_sha256: String,
-    /// The calibration in force, if there was one.
+    /// Id of the calibration that served when it was submitted; absent without one.
     pub calibration_id: Option<String>,
-    /// Whether a skin was touched.
+    /// Origin of the data: measured, virtual or simulated.
     pub label: Label,
     /// Version of the program.
     pub version: String,
-    /// Commit of the program, where it is known.
+    /// Commit of the program; absent if unknown.
     pub git_commit: Option<String>,
-    /// Contacts under this are removed from the labels, N.
+    /// Force below which contacts are removed from the labels, N.
     pub deadband_n: f64,
-    /// Diameter of a contact, mm, where it is known.
+    /// Diameter of a tip, mm; absent if unknown.
     pub tip_diameter_mm: Option<f64>,
-    /// Trials in its plan.
+    /// Number of trials of its plan.
     pub trials_planned: u64,
-    /// It may go on by itself after a restart.
+    /// Whether it may resume automatically after a restart.
     pub auto_resume: bool,
     /// `queued`, a state of the engine, `interrupted`, `ended` or `removed`.
     pub state: String,
-    /// The state that was asked for, where it is not reached yet.
+    /// Requested state that is not reached yet; absent without a request.
     pub requested_state: Option<String>,
-    /// Why it is paused, when it is.
+    /// Cause of the pause; absent unless it is paused or interrupted.
     pub paused_why: Option<String>,
-    /// How it ended.
+    /// Exit status; absent until it ends.
     pub exit_status: Option<ExitStatus>,
-    /// Why it ended so.
+    /// Reason of the exit status; absent until it ends.
     pub reason: Option<String>,
-    /// Its place in the queue, from 1, while it waits there.
+    /// Position in the queue, from 1; absent unless it is queued.
     pub queue_position: Option<u32>,
-    /// Armed and started, it waits since then for the run under way to end.
+    /// Wall time since which it is started and waits for the active run to end; absent otherwise.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub waiting_since: Option<Timestamp>,
-    /// When it was created.
+    /// Wall time at which it was submitted.
     #[schema(value_type = String, format = DateTime)]
     pub created_at: Timestamp,
-    /// When it first left the queue.
+    /// Wall time at which it first left the queue; absent before.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub started_at: Option<Timestamp>,
-    /// When it ended, or was removed.
+    /// Wall time at which it ended or was removed from the queue; absent before.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub ended_at: Option<Timestamp>,
-    /// Who asked for it.
+    /// Person or key that submitted it.
     pub submitted_by: String,
 }
 
-/// A page of runs, newest first.
+/// Page of runs, newest first.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct RunPage {
-    /// The runs.
+    /// Runs of the page.
     pub runs: Vec<RunRow>,
-    /// Hand this in as `before` for the page that follows; absent on the last.
+    /// Value of `before` for the next page; absent on the last page.
     pub next: Option<i64>,
 }
 
@@ -169,7 +169,12 @@ impl RunRow {
     }
 }
 
-/// Inserts a run; at the end of the queue when `queued`. Returns its row.
+/// Inserts a run, at the end of the queue if `queued`, and returns its row. `now` is its time of
+/// creation.
+///
+/// # Errors
+/// `Refused` if the seed or the number of trials is too large or the deadband is not finite; `Sql` if
+/// the statement fails.
 pub(crate) async fn insert(
     connection: &mut SqliteConnection,
     new: NewRun,
@@ -183,7 +188,7 @@ pub(crate) async fn insert(
     let planned = i64::try_from(new.trials_planned)
         .map_err(|_| refused("trials_planned", "must be under 2^63"))?;
     if !new.deadband_n.is_finite() {
-        return Err(refused("deadband_n", "must be a number"));
+        return Err(refused("deadband_n", "must be finite"));
     }
     let row = sqlx::query(
         "INSERT INTO runs (uid, experiment, kind, definition, definition_sha256, seed, rig,
@@ -223,6 +228,7 @@ pub(crate) async fn insert(
     RunRow::read(&row, operation)
 }
 
+/// Decodes the rows of runs.
 pub(crate) fn read_all(
     rows: &[SqliteRow],
     operation: &'static str,

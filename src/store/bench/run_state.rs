@@ -10,8 +10,11 @@ use crate::ids::RunUid;
 use crate::journal::ExitStatus;
 
 impl Store {
-    /// Marks the runs that a process left open as `interrupted`, all but one if one is named. For
-    /// the start, before any engine runs.
+    /// Marks the runs that an earlier process did not end as `interrupted`, except for `but`. Call it
+    /// before an engine starts.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn interrupt_open_runs(&self, but: Option<RunUid>) -> Result<(), StoreError> {
         const OPERATION: &str = "marking interrupted runs";
         let but = but.map(|run| run.to_string());
@@ -33,6 +36,11 @@ impl Store {
             .await
     }
 
+    /// Stores the state of a run, with the requested state and the cause of a pause.
+    ///
+    /// # Errors
+    /// `Refused` if the store itself sets this state; `NoSuchRun` or `RunEnded` if the run cannot
+    /// change; `Sql` or `Closed` if the write fails.
     pub(crate) async fn set_run_state(
         &self,
         run: RunUid,
@@ -44,7 +52,8 @@ impl Store {
         const OPERATION: &str = "storing a run's state";
         const OWN: [&str; 3] = ["queued", "ended", "removed"];
         if OWN.contains(&state) {
-            let limit = "must be a state of the engine (the store sets queued, ended and removed)";
+            let limit =
+                "must be a state of the engine (only the store sets queued, ended and removed)";
             return Err(StoreError::Refused { operation: OPERATION, field: "state", limit });
         }
         let (state, requested, why) =
@@ -73,6 +82,11 @@ impl Store {
             .await
     }
 
+    /// Stores the exit status of a run. A repetition with the same status changes nothing.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `RunEnded` if it was removed or has another status; `Sql`
+    /// or `Closed` if the write fails.
     pub(crate) async fn finish_run(
         &self,
         run: RunUid,
@@ -86,7 +100,7 @@ impl Store {
             .writer
             .patient()
             .run(OPERATION, async move |connection| {
-                // Ending a run as it has ended is no change: the caller may have to ask twice.
+                // The caller repeats the request if it does not know the outcome of the first.
                 let changed = sqlx::query(
                     "UPDATE runs SET state = 'ended', requested_state = NULL, paused_why = NULL,
                          queue_position = NULL, waiting_since = NULL, exit_status = ?2,
@@ -108,7 +122,7 @@ impl Store {
     }
 }
 
-/// Explains why a change of a run's state changed nothing.
+/// Returns the error for a change of a run's state that changed no row.
 async fn changed_or_ended(
     connection: &mut SqliteConnection,
     run: RunUid,

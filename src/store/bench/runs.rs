@@ -1,4 +1,4 @@
-//! Runs, stored, listed and read.
+//! Runs: storing, listing and reading them.
 //! Uses: `core`, `run_row`. Never: a change of a state (`run_state`).
 
 use sqlx::sqlite::SqliteConnection;
@@ -9,7 +9,11 @@ use crate::core::{During, Store, StoreError};
 use crate::ids::RunUid;
 
 impl Store {
-    /// Stores a new run in the state `idle` and gives it its number.
+    /// Stores a new run in the state `idle`. Returns its row, which holds its number.
+    ///
+    /// # Errors
+    /// `Refused` if the seed or the number of trials is too large or the deadband is not finite;
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn create_run(&self, new: NewRun) -> Result<RunRow, StoreError> {
         const OPERATION: &str = "creating a run";
         let now = self.now_text();
@@ -19,7 +23,10 @@ impl Store {
         Ok(self.keep_facts(self.inner.writer.run(OPERATION, insert).await?))
     }
 
-    /// One run.
+    /// Returns a run by its id; `None` if it is not stored.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn run(&self, run: RunUid) -> Result<Option<RunRow>, StoreError> {
         const OPERATION: &str = "reading a run";
         sqlx::query("SELECT * FROM runs WHERE uid = ?1")
@@ -31,7 +38,10 @@ impl Store {
             .transpose()
     }
 
-    /// One run by its number.
+    /// Returns a run by its number; `None` if it is not stored.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn run_by_scan_id(&self, scan_id: i64) -> Result<Option<RunRow>, StoreError> {
         const OPERATION: &str = "reading a run";
         sqlx::query("SELECT * FROM runs WHERE scan_id = ?1")
@@ -43,7 +53,10 @@ impl Store {
             .transpose()
     }
 
-    /// Up to `limit` runs, newest first, older than the one numbered `before`.
+    /// Returns at most `limit` runs, newest first, with numbers below `before`.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn runs(&self, limit: u32, before: Option<i64>) -> Result<RunPage, StoreError> {
         const OPERATION: &str = "listing runs";
         let rows =
@@ -60,8 +73,11 @@ impl Store {
         Ok(RunPage { runs, next })
     }
 
-    /// Runs in a state of the engine, oldest first. At the start, before any engine runs: those that
-    /// a process left open.
+    /// Returns the runs in a state of the engine, oldest first. Before an engine starts, these are the
+    /// runs that an earlier process did not end.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn open_runs(&self) -> Result<Vec<RunRow>, StoreError> {
         const OPERATION: &str = "reading open runs";
         let rows = sqlx::query(
@@ -74,7 +90,7 @@ impl Store {
         run_row::read_all(&rows, OPERATION)
     }
 
-    /// A run that was stored just now.
+    /// Caches the facts of a run that was stored, and returns its row.
     pub(crate) fn keep_facts(&self, row: RunRow) -> RunRow {
         let (scan_id, kind, deadband_n) = (row.scan_id, row.kind, row.deadband_n);
         self.keep(row.uid, RunFacts { scan_id, kind, deadband_n });

@@ -1,5 +1,6 @@
-//! Trials going in and being taken back: each one transaction, each key once.
-//! Uses: `record`, `store::writer`. Never: a judgement on a trial (`campaign` made it).
+//! Storing trials: a trial is one transaction, and its key is stored once.
+//! Uses: `record`, `core::writer`, `table::checksum`. Never: a decision whether a trial is accepted
+//! (`campaign` makes it).
 
 use sqlx::query_builder::Separated;
 use sqlx::sqlite::SqliteConnection;
@@ -13,15 +14,15 @@ use crate::record::{ArmReading, FrameRecord, PlacedContact, TrialRecord};
 use crate::table::checksum::{self, Numbers};
 use crate::table::trial_row::Contact;
 
-/// The most contacts of a trial: the indenter has six arms.
+/// Largest number of contacts of a trial: the indenter has six arms.
 const CONTACTS_MAX: usize = 6;
 
-/// Rows of one statement.
+/// Largest number of rows of one statement.
 const ROWS_AT_ONCE: usize = 100;
 
 const STORING: &str = "storing a trial";
 
-/// A trial as its columns want it, checked.
+/// A checked trial with the values of its columns.
 struct Entry {
     scan_id: i64,
     record: TrialRecord,
@@ -33,6 +34,11 @@ struct Entry {
 }
 
 impl Entry {
+    /// Checks a trial and computes its columns.
+    ///
+    /// # Errors
+    /// `Refused` if it has no frames, frames of different lengths, a number that is not finite, or more
+    /// than six contacts.
     fn new(facts: RunFacts, record: TrialRecord) -> Result<Self, StoreError> {
         check(&record)?;
         let forces = record.arms.iter().map(|a| a.force_n);
@@ -46,7 +52,7 @@ impl Entry {
             .filter(|n| usize::from(*n) <= CONTACTS_MAX)
             .ok_or_else(|| refused("the number of contacts", "must be at most 6"))?;
         let flags = serde_json::to_string(&record.flags)
-            .map_err(|_| refused("flags", "must be words that JSON can hold"))?;
+            .map_err(|_| refused("flags", "must be words that JSON can represent"))?;
         let placed: Vec<Contact> = record.placed.iter().map(Contact::from).collect();
         let crc32 = Numbers::of_record(&record, &placed, contact_count, largest).crc32();
         Ok(Self {
@@ -60,7 +66,8 @@ impl Entry {
         })
     }
 
-    /// Inserts everything; an existing key is left as it is. Returns the trial's id.
+    /// Inserts the trial with its tips, contacts and frames, unless its key is stored. Returns the id
+    /// of the stored trial.
     async fn insert(&self, connection: &mut SqliteConnection) -> Result<TrialId, StoreError> {
         let Some(id) = self.insert_row(connection).await? else {
             let stored = id_of_key(connection, self.scan_id, self.record.key, STORING).await?;
@@ -73,6 +80,7 @@ impl Entry {
         Ok(id)
     }
 
+    /// Inserts the row of the trial. Returns its id; `None` if its key is stored.
     async fn insert_row(
         &self,
         connection: &mut SqliteConnection,
@@ -127,6 +135,11 @@ impl Entry {
 }
 
 impl Store {
+    /// Stores a trial and returns its id. A stored key is not changed.
+    ///
+    /// # Errors
+    /// `Refused` if the record is invalid; `NoSuchRun` if the run is not stored; `NotStored` if the
+    /// commit failed and the trial is absent; `Sql` or `Closed` if the outcome is unknown.
     pub(crate) async fn insert_trial(
         &self,
         run: RunUid,
@@ -151,13 +164,17 @@ fn refused(field: &'static str, limit: &'static str) -> StoreError {
     StoreError::Refused { operation: STORING, field, limit }
 }
 
-/// SQLite would store NaN as NULL, and frames of different lengths have no mean.
+/// Checks the frames and numbers of a trial: SQLite would store NaN as NULL, and frames of different
+/// lengths have no mean.
+///
+/// # Errors
+/// `Refused` with the invalid field.
 fn check(record: &TrialRecord) -> Result<(), StoreError> {
     let Some(first) = record.frames.first() else {
         return Err(refused("frames", "must hold at least one"));
     };
     if record.frames.iter().any(|f| f.counts.len() != first.counts.len()) {
-        return Err(refused("frames", "must be of one length"));
+        return Err(refused("frames", "must have the same length"));
     }
     let poses = [record.target, record.reached].into_iter().flatten();
     let numbers = [
@@ -180,7 +197,7 @@ fn check(record: &TrialRecord) -> Result<(), StoreError> {
     Ok(())
 }
 
-/// The id of the trial with this key, if it is stored.
+/// Returns the id of the trial with this key; `None` if it is not stored.
 pub(crate) async fn id_of_key(
     connection: &mut SqliteConnection,
     scan_id: i64,
@@ -199,7 +216,7 @@ pub(crate) async fn id_of_key(
     Ok(id.map(TrialId))
 }
 
-/// The mean of a trial's frames.
+/// Inserts the mean of the frames of a trial, V, injection-major.
 pub(crate) async fn insert_voltages(
     connection: &mut SqliteConnection,
     trial: TrialId,
@@ -271,14 +288,15 @@ async fn insert_frames(
     .await
 }
 
-/// One statement for all rows: each statement is a change of threads, and back.
+/// Inserts rows with few statements: each statement switches to the thread of sqlx and back. `bind`
+/// receives the index of the row.
 async fn insert_many<T>(
     connection: &mut SqliteConnection,
     into: &'static str,
     rows: &[T],
     mut bind: impl FnMut(Separated<'_, Sqlite, &'static str>, i64, &T),
 ) -> Result<(), StoreError> {
-    // Far under SQLite's 32,766 parameters of a statement.
+    // SQLite allows 32,766 parameters per statement.
     for (chunk, rows) in rows.chunks(ROWS_AT_ONCE).enumerate() {
         let first = (chunk * ROWS_AT_ONCE) as i64;
         QueryBuilder::<Sqlite>::new(into)

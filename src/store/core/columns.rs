@@ -1,5 +1,5 @@
-//! How values stand in columns: times, ids, words, arrays of numbers, and reading them back.
-//! Uses: `store::error`. Never: statements.
+//! Encoding of values in columns (times, ids, words, arrays of numbers), and their decoding.
+//! Uses: `core::error`. Never: statements.
 
 use jiff::Timestamp;
 use serde::de::IntoDeserializer;
@@ -11,44 +11,45 @@ use sqlx::sqlite::{Sqlite, SqliteRow};
 use super::error::{During, StoreError};
 use crate::ids::RunUid;
 
-/// A time as it is stored: RFC 3339, UTC, milliseconds (the rest is cut off).
+/// Returns a time as it is stored: RFC 3339, UTC, truncated to milliseconds.
 pub(crate) fn time_text(at: Timestamp) -> String {
     format!("{at:.3}")
 }
 
-/// The sha256 of a text, in hexadecimal digits.
+/// Returns the sha256 of a text, in hexadecimal digits.
 pub(crate) fn sha256_hex(text: &str) -> String {
     hex::encode(Sha256::digest(text.as_bytes()))
 }
 
-/// Counts as they are stored: little-endian i16.
+/// Returns the counts of a frame as they are stored: little-endian i16.
 pub(crate) fn counts_blob(counts: &[i16]) -> Vec<u8> {
     counts.iter().flat_map(|c| c.to_le_bytes()).collect()
 }
 
-/// Volts as they are stored: little-endian f32.
+/// Returns voltages as they are stored: V, little-endian f32.
 pub(crate) fn volts_blob(volts: &[f32]) -> Vec<u8> {
     volts.iter().flat_map(|v| v.to_le_bytes()).collect()
 }
 
-/// A row together with the operation that reads it, so that errors can name both.
+/// A row with the operation that reads it. Every method returns `StoreError::Sql` if the column is
+/// missing or has another type, and `StoreError::Unreadable` if its value cannot be decoded.
 pub(crate) struct Columns<'r> {
     row: &'r SqliteRow,
     operation: &'static str,
 }
 
 impl<'r> Columns<'r> {
-    /// Reads `row` on behalf of `operation`.
+    /// Wraps `row`; errors name `operation`.
     pub(crate) fn of(row: &'r SqliteRow, operation: &'static str) -> Self {
         Self { row, operation }
     }
 
-    /// True when the query asked for this column.
+    /// Whether the query selected this column.
     pub(crate) fn has(&self, column: &str) -> bool {
         self.row.try_column(column).is_ok()
     }
 
-    /// A column of a type that SQLite knows.
+    /// Returns the value of a column whose type sqlx decodes.
     pub(crate) fn get<T>(&self, column: &'static str) -> Result<T, StoreError>
     where
         T: sqlx::Decode<'r, Sqlite> + sqlx::Type<Sqlite>,
@@ -56,13 +57,13 @@ impl<'r> Columns<'r> {
         self.row.try_get(column).during(self.operation)
     }
 
-    /// A whole number that was stored from a narrower or unsigned type.
+    /// Returns an integer that was stored from a narrower or unsigned type.
     pub(crate) fn whole<T: TryFrom<i64>>(&self, column: &'static str) -> Result<T, StoreError> {
         let value: i64 = self.get(column)?;
         T::try_from(value).map_err(|_| self.unreadable(column, value))
     }
 
-    /// A whole number that may be absent.
+    /// Returns such an integer; `None` for NULL.
     pub(crate) fn whole_or_none<T: TryFrom<i64>>(
         &self,
         column: &'static str,
@@ -71,13 +72,13 @@ impl<'r> Columns<'r> {
         T::try_from(value).map(Some).map_err(|_| self.unreadable(column, value))
     }
 
-    /// A time.
+    /// Returns a time.
     pub(crate) fn time(&self, column: &'static str) -> Result<Timestamp, StoreError> {
         let text: &str = self.get(column)?;
         text.parse().map_err(|_| self.unreadable(column, text))
     }
 
-    /// A time that may be absent.
+    /// Returns a time; `None` for NULL.
     pub(crate) fn time_or_none(
         &self,
         column: &'static str,
@@ -86,19 +87,19 @@ impl<'r> Columns<'r> {
         text.parse().map(Some).map_err(|_| self.unreadable(column, text))
     }
 
-    /// A run's id.
+    /// Returns the id of a run.
     pub(crate) fn uid(&self, column: &'static str) -> Result<RunUid, StoreError> {
         let text: &str = self.get(column)?;
         text.parse().map_err(|_| self.unreadable(column, text))
     }
 
-    /// A run's id that may be absent.
+    /// Returns the id of a run; `None` for NULL.
     pub(crate) fn uid_or_none(&self, column: &'static str) -> Result<Option<RunUid>, StoreError> {
         let Some(text) = self.get::<Option<&str>>(column)? else { return Ok(None) };
         text.parse().map(Some).map_err(|_| self.unreadable(column, text))
     }
 
-    /// A JSON value, or a word as serde names it.
+    /// Returns a value that is stored as JSON.
     pub(crate) fn json<T: serde::de::DeserializeOwned>(
         &self,
         column: &'static str,
@@ -107,7 +108,7 @@ impl<'r> Columns<'r> {
         serde_json::from_str(text).map_err(|_| self.unreadable(column, text))
     }
 
-    /// One of an enum's words.
+    /// Returns a value of an enum that is stored as its serde name.
     pub(crate) fn word<T: serde::de::DeserializeOwned>(
         &self,
         column: &'static str,
@@ -116,7 +117,7 @@ impl<'r> Columns<'r> {
         word(text).ok_or_else(|| self.unreadable(column, text))
     }
 
-    /// Counts of a frame.
+    /// Returns the counts of a frame, injection-major.
     pub(crate) fn counts(&self, column: &'static str) -> Result<Vec<i16>, StoreError> {
         let bytes: &[u8] = self.get(column)?;
         let (values, rest) = bytes.as_chunks::<2>();
@@ -127,7 +128,7 @@ impl<'r> Columns<'r> {
         }
     }
 
-    /// Voltages that may be absent.
+    /// Returns voltages, V, injection-major; `None` for NULL.
     pub(crate) fn volts_or_none(
         &self,
         column: &'static str,
@@ -141,7 +142,7 @@ impl<'r> Columns<'r> {
         }
     }
 
-    /// The error of a value that cannot be understood.
+    /// Returns the error for a value that cannot be decoded.
     pub(crate) fn unreadable(
         &self,
         column: &'static str,
@@ -151,7 +152,7 @@ impl<'r> Columns<'r> {
     }
 }
 
-/// An enum's value from the word that serde gives it.
+/// Returns the value of an enum from its serde name; `None` for another word.
 pub(crate) fn word<T: serde::de::DeserializeOwned>(text: &str) -> Option<T> {
     let word: StrDeserializer<'_, serde::de::value::Error> = text.into_deserializer();
     T::deserialize(word).ok()

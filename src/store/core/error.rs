@@ -1,145 +1,150 @@
-//! What can go wrong with the store: one enum, each variant names the operation.
+//! The errors of the store: one enum, whose variants name the failed operation.
 //! Uses: sqlx's errors as sources. Never: HTTP, logging.
+//!
+//! A method that reads returns `Sql` if its statement fails and `Unreadable` or `Damaged` if a stored
+//! value cannot be decoded or differs from its checksum. A method that writes returns `Sql` if its
+//! statement fails, and `Late` or `Closed` if the writer does not answer.
 
 use std::path::PathBuf;
 
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::JournalError;
 
-/// The store could not do what was asked.
+/// Failure of an operation of the store.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The database file cannot be opened or created.
     #[error("opening the database {path} failed")]
     Open {
-        /// The file.
+        /// Path of the database file.
         path: PathBuf,
-        /// Its cause.
+        /// Cause of the failure.
         #[source]
         source: sqlx::Error,
     },
-    /// The database file has no contents, or is gone while its log is there.
+    /// The database file is empty, or it is missing while its log exists.
     #[error(
-        "the database {path} is lost: the file is empty, or gone while its log ({path}-wal) is \
-         there; bring it back from a copy, or remove what is left of it to begin anew"
+        "the database {path} is lost: the file is empty, or missing while its log {path}-wal exists; \
+         restore it from a copy, or remove the remaining files to start a new database"
     )]
     Lost {
-        /// The file.
+        /// Path of the database file.
         path: PathBuf,
     },
-    /// The database's log was changed after it was written: opening it would drop stored transactions.
+    /// The log of the database was changed after it was written. SQLite would drop stored transactions
+    /// when it opens the file.
     #[error(
-        "the log {path}-wal is damaged at byte {at_byte}: {transactions} stored transactions or more \
-         from there on cannot be read. Copy both files away before anything opens them, and restore \
-         them from a copy"
+        "the log {path}-wal is damaged at byte {at_byte}: at least {transactions} stored transactions \
+         after it cannot be read; copy both files before any program opens them, and restore the \
+         database from a copy"
     )]
     DamagedLog {
-        /// The database file.
+        /// Path of the database file.
         path: PathBuf,
-        /// The first byte of the frame of the log that is not as it was written.
+        /// Offset in the log of the first frame that differs from what was written, bytes.
         at_byte: usize,
-        /// Stored transactions from there on, at least.
+        /// Smallest number of stored transactions at and after this offset.
         transactions: usize,
     },
-    /// The tables cannot be brought up to date.
-    #[error("bringing the tables of the database up to date failed")]
+    /// A migration of the tables failed.
+    #[error("migrating the tables of the database failed")]
     Migrate(#[source] sqlx::migrate::MigrateError),
-    /// The writer's thread cannot be started.
-    #[error("starting the store's writer failed")]
+    /// The writer's thread, or its runtime, cannot be started.
+    #[error("starting the writer of the store failed")]
     StartWriter(#[source] std::io::Error),
-    /// A statement failed. After a failed write the outcome is unknown unless a constraint
-    /// refused it: read again before going on.
+    /// A statement failed. After a failed write the outcome is unknown, unless a constraint refused it:
+    /// read again before you continue.
     #[error("{operation} failed in the database")]
     Sql {
-        /// What was being done.
+        /// Operation that failed, as text.
         operation: &'static str,
-        /// Its cause.
+        /// Cause of the failure.
         #[source]
         source: sqlx::Error,
     },
-    /// A write failed, and the database was asked since: it is not stored.
+    /// A write failed. A later read of the database shows that it is not stored.
     #[error("{operation} failed, and nothing of it is stored")]
     NotStored {
-        /// What was being done.
+        /// Operation that failed, as text.
         operation: &'static str,
-        /// The failure.
+        /// Failure of the write.
         #[source]
         source: Box<StoreError>,
     },
-    /// A write did not finish in time: its outcome is unknown.
-    #[error("{operation} was not finished by the store within {limit_s} s")]
+    /// A write did not finish in time. Its outcome is unknown.
+    #[error("{operation} did not finish within {limit_s} s")]
     Late {
-        /// What was being done.
+        /// Operation that failed, as text.
         operation: &'static str,
-        /// The deadline, s.
+        /// Longest allowed wall time, s.
         limit_s: u64,
     },
     /// The store has been closed.
     #[error("{operation}: the store is closed")]
     Closed {
-        /// What was asked.
+        /// Operation that was requested, as text.
         operation: &'static str,
     },
     /// A record was refused before anything was written.
     #[error("{operation}: {field} {limit}")]
     Refused {
-        /// What was being done.
+        /// Operation that failed, as text.
         operation: &'static str,
-        /// The field.
+        /// Field with the invalid value.
         field: &'static str,
-        /// What is allowed.
+        /// Limit of the field, as text.
         limit: &'static str,
     },
-    /// A stored value cannot be understood.
+    /// A stored value cannot be decoded.
     #[error("{operation}: column {column} holds {value:?}")]
     Unreadable {
-        /// What was being done.
+        /// Operation that failed, as text.
         operation: &'static str,
-        /// The column.
+        /// Column that holds it.
         column: &'static str,
-        /// What it holds.
+        /// Stored value, as text.
         value: String,
     },
     /// The database file is damaged.
     #[error("the database is damaged: {}", findings.join("; "))]
     Damaged {
-        /// What SQLite, or a checksum, found; a damaged trial by its id.
+        /// Damage that SQLite or a checksum reported; a damaged trial is named by its id.
         findings: Vec<String>,
     },
-    /// The disk cannot be asked how much it still holds.
-    #[error("asking the disk for its free space failed")]
+    /// The free space of the disk cannot be read.
+    #[error("reading the free space of the disk failed")]
     FreeSpace(#[source] std::io::Error),
-    /// There is no such run.
+    /// No run with this id is stored.
     #[error("there is no run {0}")]
     NoSuchRun(RunUid),
-    /// The run has ended; it does not change any more.
+    /// The run has ended and no longer changes.
     #[error("run {0} has ended")]
     RunEnded(RunUid),
-    /// The run does not wait in the queue.
+    /// The run is not in the queue.
     #[error("run {0} is not in the queue")]
     NotQueued(RunUid),
-    /// The run has no such trial.
+    /// The run has no trial with this key.
     #[error("run {run} has no trial of configuration {} at depth {}", key.configuration, key.depth_index)]
     NoSuchTrial {
-        /// The run.
+        /// Id of the run.
         run: RunUid,
-        /// The trial's place in it.
+        /// Configuration and depth of the trial.
         key: TrialKey,
     },
-    /// Somebody else holds the operator lock.
+    /// Another person holds the operator lock.
     #[error("{holder} holds the operator lock: {note}")]
     LockHeld {
-        /// Who.
+        /// Name of the holder.
         holder: String,
-        /// Why, in their words.
+        /// Note of the holder.
         note: String,
     },
 }
 
 impl StoreError {
-    /// True when a write that ended like this may still have been stored: the disk, the file or the
-    /// connection failed, and no rule of ours refused it. (A failed fsync was seen to leave its row
-    /// behind: `docs/references.md`, "SQLite".)
+    /// Whether a write that returned this error may be stored nevertheless: the disk, the file or the
+    /// connection failed, and no constraint refused the write. (A failed fsync can leave its row in the
+    /// file: `docs/references.md`, "SQLite".)
     pub fn outcome_unknown(&self) -> bool {
         match self {
             Self::Sql { source: sqlx::Error::Database(e), .. } => {
@@ -165,7 +170,7 @@ impl StoreError {
         }
     }
 
-    /// True when the record itself is refused: trying again does not help.
+    /// Whether the record itself is refused, so that a repetition fails, too.
     fn is_refusal(&self) -> bool {
         match self {
             Self::Sql { source: sqlx::Error::Database(e), .. } => {
@@ -180,15 +185,18 @@ impl StoreError {
         }
     }
 
-    /// A finding of damage.
+    /// Returns the error for one finding of damage.
     pub(crate) fn damaged(finding: String) -> Self {
         Self::Damaged { findings: vec![finding] }
     }
 
-    /// What the error says of the file where it is damage: findings; else the error again.
+    /// Returns the findings if the error means that the file is damaged.
+    ///
+    /// # Errors
+    /// The error itself if it has another cause.
     pub(crate) fn into_findings(self) -> Result<Vec<String>, Self> {
-        /// SQLite's codes of a statement that does not fit the tables, an unreadable place, a
-        /// malformed page and a file that is no database.
+        /// SQLite's result codes for a statement that does not match the tables (1), a failed read or
+        /// write (10), a malformed page (11) and a file that is no database (26).
         const DAMAGE: [i32; 4] = [1, 10, 11, 26];
         let damage = match &self {
             Self::Damaged { findings } => return Ok(findings.clone()),
@@ -206,21 +214,21 @@ impl StoreError {
         if damage { Ok(vec![self.with_causes()]) } else { Err(self) }
     }
 
-    /// The error with its causes, each said once, for people.
+    /// Returns the message with the messages of its causes, without repetitions.
     pub fn with_causes(&self) -> String {
-        let mut words = self.to_string();
+        let mut text = self.to_string();
         let mut cause = std::error::Error::source(self);
         while let Some(error) = cause {
-            let said = error.to_string();
-            if !words.contains(&said) {
-                words = format!("{words}: {said}");
+            let message = error.to_string();
+            if !text.contains(&message) {
+                text = format!("{text}: {message}");
             }
             cause = error.source();
         }
-        words
+        text
     }
 
-    /// The same error as the campaign sees it.
+    /// Returns a conversion to the error of `Journal`, for `map_err`; `what` names the record.
     pub(crate) fn of(what: &'static str) -> impl Fn(Self) -> JournalError {
         move |source: Self| {
             let refused = source.is_refusal();
@@ -229,9 +237,12 @@ impl StoreError {
     }
 }
 
-/// Adds the operation to a failure of the database: `.await.during(OPERATION)?`.
+/// Conversion of a database failure into a [`StoreError`]: `.await.during(OPERATION)?`.
 pub(crate) trait During<T> {
-    /// Names what was being done, in the words of [`StoreError::Sql`].
+    /// Adds the name of the operation.
+    ///
+    /// # Errors
+    /// `StoreError::Sql` if `self` is an error.
     fn during(self, operation: &'static str) -> Result<T, StoreError>;
 }
 

@@ -1,5 +1,5 @@
-//! The facts of a run that never change, kept in memory: every insert and most queries need them.
-//! Uses: `core::{store, writer}`. Never: a state of the run, which changes.
+//! The facts of a run that never change, cached in memory: every insert and most queries need them.
+//! Uses: `core::{store, writer}`. Never: the state of a run, which changes.
 
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteConnection;
@@ -11,20 +11,20 @@ use super::store::Store;
 use super::writer::Writer;
 use crate::ids::RunUid;
 
-/// Where trials come from: the two measured experiments of Table I, or elsewhere.
+/// Origin of the trials of a run: Real-Hex or Real-Random (paper, Table I), or an import.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum RunKind {
-    /// The multi-point indenter's; contacts under the deadband are removed from the labels.
+    /// Pressed by the multi-point indenter; contacts below the deadband are removed from the labels.
     RealHex,
-    /// Weights placed by hand; nominal contacts are all kept, also under the deadband.
+    /// Weights placed manually; all nominal contacts are labels, also those below the deadband.
     RealRandom,
-    /// Trials measured elsewhere, with contacts as they were handed in.
+    /// Measured elsewhere; the contacts are those of the imported file.
     Imported,
 }
 
 impl RunKind {
-    /// The kind as it is stored and shown.
+    /// Returns the kind as it is stored and shown.
     pub fn as_str(self) -> &'static str {
         match self {
             RunKind::RealHex => "real-hex",
@@ -34,20 +34,20 @@ impl RunKind {
     }
 }
 
-/// Whether a skin was touched.
+/// Origin of the data of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Label {
-    /// On a real rig.
+    /// Measured on a real rig.
     Measured,
-    /// On the virtual rig.
+    /// Measured on the virtual rig.
     Virtual,
-    /// Nowhere: computed by somebody's model, and imported.
+    /// Computed by a model elsewhere, and imported.
     Simulated,
 }
 
 impl Label {
-    /// The label as it is stored and shown.
+    /// Returns the label as it is stored and shown.
     pub fn as_str(self) -> &'static str {
         match self {
             Label::Measured => "measured",
@@ -57,11 +57,14 @@ impl Label {
     }
 }
 
-/// What never changes in a run and every insert needs.
+/// Facts of a run that never change.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct RunFacts {
+    /// Number of the run, which the column `run` of other tables holds.
     pub(crate) scan_id: i64,
+    /// Origin of the trials.
     pub(crate) kind: RunKind,
+    /// Force below which contacts are removed from the labels, N.
     pub(crate) deadband_n: f64,
 }
 
@@ -87,7 +90,10 @@ impl RunFacts {
 }
 
 impl Store {
-    /// What every insert of a run needs, for reads.
+    /// Returns the facts of a run, for a read.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if it is not stored; `Sql` or `Unreadable` if the read fails.
     pub(crate) async fn facts(
         &self,
         run: RunUid,
@@ -100,7 +106,11 @@ impl Store {
         Ok(self.keep(run, RunFacts::read(&mut view, run, operation).await?))
     }
 
-    /// The same for the campaign: however many read, it is not kept waiting for a connection.
+    /// Returns the facts of a run, for a write of the campaign: it never waits for a connection that
+    /// reads.
+    ///
+    /// # Errors
+    /// As [`Store::facts`], and `Closed`.
     pub(crate) async fn facts_to_write(
         &self,
         run: RunUid,

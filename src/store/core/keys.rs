@@ -1,9 +1,9 @@
-//! Keys of the API: made from random bytes that are handed in, kept only as hashes, revocable.
-//! Uses: sha2, `store::writer`. Never: a key's text in a table, a log or a `Debug`; a wait of who
-//! asks for the store.
+//! API keys: created from random bytes of the caller, stored as hashes, revocable.
+//! Uses: sha2, `core::writer`. Never: the text of a key in a table, a log or a `Debug`; a read of the
+//! store per request.
 //!
-//! A key is found by its sha256, so that what is compared does not depend on how much of a guess
-//! was right; 32 random bytes need no slow hash.
+//! A key is found by its sha256, so that the time of a comparison reveals nothing about a guess. A key
+//! of 32 random bytes needs no slow hash.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -18,30 +18,30 @@ use utoipa::ToSchema;
 use super::columns::{Columns, sha256_hex, time_text};
 use super::{During, Store, StoreError};
 
-/// What a key's text begins with.
+/// Start of the text of every key.
 const PREFIX: &str = "palpate_";
 
-/// Uses of a key within this time are noted once.
+/// Interval in which the use of a key is stored at most once, s.
 const USE_GRAIN_S: i64 = 60;
 
-/// Longest name of a key.
+/// Longest name of a key, characters.
 const NAME_MAX_CHARS: usize = 100;
 
-/// Who asks without a key and gives no name.
+/// Name of a caller without a key and without a name.
 pub const KEYLESS: &str = "local";
 
-/// What follows the name of somebody who asks without a key; no key's name ends in it.
+/// End of the name of a caller without a key; no name of a key ends in it.
 pub const KEYLESS_SUFFIX: &str = " (local)";
 
-/// What the holder of a key may do; each may do what the ones before may.
+/// Rights of an API key; each role includes the rights of the previous ones.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
-    /// Look, and stop.
+    /// Read, and stop the rig.
     Viewer,
-    /// Run and move.
+    /// Start runs and move the rig.
     Operator,
-    /// Manage keys, break the lock.
+    /// Manage keys, and remove the operator lock of another person.
     Admin,
 }
 
@@ -55,22 +55,22 @@ impl Role {
     }
 }
 
-/// A key without its text.
+/// An API key without its text.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct KeyRow {
-    /// Its number.
+    /// Number of the key.
     pub id: i64,
-    /// Whose, or what for.
+    /// Name of the key: its holder or purpose.
     pub name: String,
-    /// What its holder may do.
+    /// Rights of its holder.
     pub role: Role,
-    /// When it was made.
+    /// Wall time of its creation.
     #[schema(value_type = String, format = DateTime)]
     pub created_at: Timestamp,
-    /// When it was last used, to the minute.
+    /// Wall time of its last use, to the minute; absent if it was never used.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub last_used_at: Option<Timestamp>,
-    /// When it was revoked.
+    /// Wall time of its revocation; absent while it is valid.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub revoked_at: Option<Timestamp>,
 }
@@ -89,14 +89,14 @@ impl KeyRow {
     }
 }
 
-/// A valid key as it is known in memory. Clones share the time of its last noted use.
+/// A valid key in memory. Clones share the time of its last stored use.
 #[derive(Debug, Clone)]
 pub struct Key {
-    /// Its number.
+    /// Number of the key.
     pub id: i64,
-    /// Whose, or what for.
+    /// Name of the key: its holder or purpose.
     pub name: String,
-    /// What its holder may do.
+    /// Rights of its holder.
     pub role: Role,
     noted_s: Arc<AtomicI64>,
 }
@@ -108,7 +108,8 @@ impl Key {
         Self { id: row.id, name: row.name.clone(), role: row.role, noted_s }
     }
 
-    /// True once in `USE_GRAIN_S`, s, and when the clock was set back.
+    /// Whether the use at this time, s, is to be stored: once per `USE_GRAIN_S`, and after the clock
+    /// was set back.
     fn note_is_due(&self, now_s: i64) -> bool {
         let noted_s = self.noted_s.load(Ordering::Relaxed);
         let due = now_s < noted_s || now_s.saturating_sub(noted_s) >= USE_GRAIN_S;
@@ -118,8 +119,8 @@ impl Key {
     }
 }
 
-/// Every valid key, in memory, by its hash: who asks is known without a read of the store. Keys are
-/// made and revoked through it alone while the service runs. Clones share it.
+/// All valid keys in memory, by their hashes, so that a request is authorised without a read of the
+/// store. While the service runs, keys are created and revoked only through it. Clones share it.
 #[derive(Clone)]
 pub struct KeyRing {
     store: Store,
@@ -128,6 +129,9 @@ pub struct KeyRing {
 
 impl KeyRing {
     /// Reads the valid keys.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn load(store: Store) -> Result<Self, StoreError> {
         const OPERATION: &str = "reading the valid keys";
         let rows = sqlx::query("SELECT * FROM api_keys WHERE revoked_at IS NULL")
@@ -142,18 +146,20 @@ impl KeyRing {
         Ok(Self { store, valid: Arc::new(RwLock::new(valid)) })
     }
 
-    /// Whether there is no valid key.
+    /// Whether no key is valid.
     pub fn is_empty(&self) -> bool {
         self.valid().is_empty()
     }
 
-    /// The key with this text, unless it is revoked or there is none. Waits for nothing.
+    /// Returns the valid key with this text. Does not wait for the store.
     pub fn find(&self, secret: &str) -> Option<Key> {
         self.valid().get(&sha256_hex(secret)).cloned()
     }
 
-    /// Notes in the background that a key was used, at most once a minute. Needs a tokio runtime. A
-    /// note that fails is only logged.
+    /// Stores in the background that a key was used, at most once per minute. A failure is logged.
+    ///
+    /// # Panics
+    /// If it is called outside of a tokio runtime.
     pub fn note_use(&self, key: &Key) {
         let now = self.store.inner.clock.timestamp();
         if !key.note_is_due(now.as_second()) {
@@ -162,14 +168,17 @@ impl KeyRing {
         let (store, id) = (self.store.clone(), key.id);
         tokio::spawn(async move {
             if let Err(error) = store.note_key_use(id, now).await {
-                tracing::warn!(%error, key = id, "a key's use was not noted");
+                tracing::warn!(%error, key = id, "the use of a key was not stored");
             }
         });
     }
 
-    /// Makes a key of 32 random bytes. Its text is returned here and never again. Refuses a name
-    /// that is empty, longer than 100 characters, taken by a valid key, or that reads like somebody
-    /// without a key: names tell who holds the operator lock.
+    /// Creates a key from 32 random bytes. Returns its row and its text, which is not stored.
+    ///
+    /// # Errors
+    /// `Refused` if the name is empty, longer than 100 characters, the name of another valid key, or
+    /// that of a caller without a key (names identify the holder of the operator lock); `Sql`, `Late` or
+    /// `Closed` if the write fails.
     pub async fn create(
         &self,
         name: &str,
@@ -192,7 +201,7 @@ impl KeyRing {
         }
         if name == KEYLESS || name.ends_with(KEYLESS_SUFFIX) {
             return Err(refused(
-                "must not be `local` or end in `(local)`: so is called who has no key",
+                "must not be `local` or end in `(local)`: these names mean a caller without a key",
             ));
         }
         if self.valid().values().any(|key| key.name == name) {
@@ -201,8 +210,11 @@ impl KeyRing {
         Ok(())
     }
 
-    /// Revokes a key. False when there is none of this number, or it was revoked before. It opens
-    /// nothing from here on, even if the store fails, until the service starts again.
+    /// Revokes a key. Returns false if no key has this number, or it is already revoked. The key is
+    /// refused from now on; if the write fails, until the service starts again.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn revoke(&self, id: i64) -> Result<bool, StoreError> {
         self.change().retain(|_, key| key.id != id);
         self.store.revoke_key(id).await
@@ -241,7 +253,7 @@ impl Store {
     }
 
     async fn note_key_use(&self, id: i64, at: Timestamp) -> Result<(), StoreError> {
-        const OPERATION: &str = "noting a key's use";
+        const OPERATION: &str = "storing the use of a key";
         let at = time_text(at);
         self.inner
             .writer
@@ -276,7 +288,10 @@ impl Store {
             .await
     }
 
-    /// All keys, also revoked ones, oldest first.
+    /// Returns all keys, also revoked ones, oldest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn keys(&self) -> Result<Vec<KeyRow>, StoreError> {
         const OPERATION: &str = "listing keys";
         let rows = sqlx::query("SELECT * FROM api_keys ORDER BY id")

@@ -1,5 +1,5 @@
-//! The operator lock, which blocks starting and editing but never stopping, and the settings.
-//! Uses: `store::writer`. Never: the rig's lock file (one process per rig is another matter).
+//! The operator lock, which prevents starting and editing but never stopping, and the settings.
+//! Uses: `core::writer`. Never: the rig lock, the file with which one process holds the rig.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -9,14 +9,14 @@ use utoipa::ToSchema;
 use super::columns::Columns;
 use super::{During, Store, StoreError};
 
-/// The lock while it is held.
+/// The operator lock while a person holds it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct LockRow {
-    /// Who holds it.
+    /// Name of the holder.
     pub holder: String,
-    /// Why, in their words.
+    /// Note of the holder.
     pub note: String,
-    /// Since when.
+    /// Wall time at which it was taken.
     #[schema(value_type = String, format = DateTime)]
     pub since: Timestamp,
 }
@@ -29,7 +29,10 @@ impl LockRow {
 }
 
 impl Store {
-    /// Takes the lock, or changes its note when the same holder has it. Another's stays.
+    /// Takes the lock, or changes the note if `holder` already holds it.
+    ///
+    /// # Errors
+    /// `LockHeld` if another person holds it; `Sql`, `Late` or `Closed` if the write fails.
     pub async fn set_lock(&self, holder: &str, note: &str) -> Result<LockRow, StoreError> {
         const OPERATION: &str = "taking the operator lock";
         let (holder, note, now) = (holder.to_owned(), note.to_owned(), self.now_text());
@@ -57,9 +60,12 @@ impl Store {
             .await
     }
 
-    /// Gives the lock back, whoever holds it (the caller checks who may). Returns what it was.
+    /// Removes the lock of any holder (the caller checks the rights). Returns the removed lock.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn clear_lock(&self) -> Result<Option<LockRow>, StoreError> {
-        const OPERATION: &str = "giving the operator lock back";
+        const OPERATION: &str = "releasing the operator lock";
         self.inner
             .writer
             .run(OPERATION, async move |connection| {
@@ -73,13 +79,19 @@ impl Store {
             .await
     }
 
-    /// The lock, if it is held.
+    /// Returns the lock; `None` if it is free.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn lock(&self) -> Result<Option<LockRow>, StoreError> {
         const OPERATION: &str = "reading the operator lock";
         held(&mut *self.read(OPERATION).await?, OPERATION).await
     }
 
-    /// A setting's value.
+    /// Returns the value of a setting; `None` if it was never stored.
+    ///
+    /// # Errors
+    /// `Sql` if the read fails.
     pub async fn setting(&self, name: &str) -> Result<Option<String>, StoreError> {
         sqlx::query_scalar("SELECT value FROM settings WHERE name = ?1")
             .bind(name)
@@ -88,7 +100,10 @@ impl Store {
             .during("reading a setting")
     }
 
-    /// Stores a setting.
+    /// Stores the value of a setting.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn set_setting(&self, name: &str, value: &str) -> Result<(), StoreError> {
         const OPERATION: &str = "storing a setting";
         let (name, value, now) = (name.to_owned(), value.to_owned(), self.now_text());
@@ -111,6 +126,7 @@ impl Store {
     }
 }
 
+/// Returns the lock; `None` if it is free.
 async fn held(
     connection: &mut SqliteConnection,
     operation: &'static str,

@@ -1,27 +1,29 @@
-//! Damage in SQLite's write-ahead log that SQLite itself passes over: it reads the log up to the first
-//! frame whose checksum is wrong and takes the rest for the remains of a crash, without a word.
-//! PURE: bytes in, a finding out. Uses: std. Format: `https://sqlite.org/fileformat2.html`, section 4.
+//! Damage in SQLite's write-ahead log that SQLite does not report: it reads the log up to the first
+//! frame with a wrong checksum and ignores the rest, as after a crash.
+//! PURE: bytes in, a finding out. Uses: std. Never: the file itself.
+//! Format: `https://sqlite.org/fileformat2.html`, section 4.
 //!
 //! With `synchronous = FULL` a transaction is on the disk before the next one begins. A crash can
-//! therefore spoil the last transaction of the log only, which was not yet acknowledged; remains of
-//! several crashes may follow it, but none of them continues another. A committed transaction behind a
-//! wrong frame that the next frame continues, checksum by checksum, means that stored data was changed.
+//! therefore damage only the last transaction of the log, which is not yet acknowledged. Remains of
+//! several crashes may follow it, but none of them continues another. If a committed transaction behind
+//! a wrong frame is continued by the next frame, checksum by checksum, then stored data was changed.
 //! Damage in the last transaction cannot be distinguished from a crash and is not found.
 
-/// Bytes of the log's header, and of the header of each frame.
+/// Size of the header of the log, bytes.
 const HEADER: usize = 32;
+/// Size of the header of a frame, bytes.
 const FRAME_HEADER: usize = 24;
 
-/// Where a log is damaged.
+/// Position and extent of the damage of a log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LogDamage {
-    /// The first byte of the frame (or header) that is not as it was written.
+    /// Offset of the first frame that differs from what was written, bytes; 0 for the header of the log.
     pub at_byte: usize,
-    /// Transactions from there on, all of which were stored.
+    /// Number of transactions at and after this offset, all of which were stored.
     pub transactions: usize,
 }
 
-/// Looks a log over; `None` for one that is whole, torn by a crash at its end, or empty.
+/// Returns the damage of a log; `None` if it is empty, complete, or incomplete at its end after a crash.
 pub fn damage(log: &[u8]) -> Option<LogDamage> {
     let frames = |page: usize| log[HEADER..].chunks_exact(FRAME_HEADER + page);
     let header = log.get(..HEADER)?;
@@ -41,7 +43,7 @@ pub fn damage(log: &[u8]) -> Option<LogDamage> {
         &frame[8..16] == salt && sum == (word(frame, 16), word(frame, 20))
     };
     let sound = frames(page).take_while(is_sound).count();
-    // Frames of an earlier round of the log have another salt.
+    // Frames from before the last reset of the log have another salt.
     let rest: Vec<&[u8]> = frames(page).skip(sound).collect();
     let commits = |frame: &[u8]| &frame[8..16] == salt && word(frame, 4) != 0;
     let continues = |pair: &[&[u8]]| {
@@ -56,12 +58,12 @@ pub fn damage(log: &[u8]) -> Option<LogDamage> {
     stored.then_some(LogDamage { at_byte, transactions })
 }
 
-/// A big-endian number.
+/// Returns the big-endian u32 at this offset.
 fn word(bytes: &[u8], at: usize) -> u32 {
     bytes[at..at + 4].iter().fold(0, |number, byte| number << 8 | u32::from(*byte))
 }
 
-/// The log's running checksum over whole pairs of 32-bit words.
+/// Returns the running checksum of the log, continued over pairs of 32-bit words.
 fn checksum(big_endian: bool, (mut a, mut b): (u32, u32), bytes: &[u8]) -> (u32, u32) {
     let read = |word: &[u8; 4]| match big_endian {
         true => u32::from_be_bytes(*word),

@@ -1,17 +1,17 @@
-//! The base of the store: the file, its one writing connection, and what every other file needs.
-//! Uses: `words`, sqlx. Never: another shelf; a table of runs or trials, except for the facts of a run.
+//! The base of the store: the database file, its one writing connection, and what all other files use.
+//! Uses: `words`, sqlx. Never: `table`, `bench` or `lab`; the tables of trials.
 
-/// The store's errors; the operation that failed.
+/// The errors of the store.
 pub(crate) mod error;
-/// How values are stored in columns, and how they are read back.
+/// Encoding and decoding of values in columns.
 pub(crate) mod columns;
 /// The thread with the one connection that writes.
 pub(crate) mod writer;
 /// Damage in SQLite's write-ahead log that SQLite does not report.
 mod log;
-/// The database of a rig, opened and shared.
+/// Opening, sharing and closing the database.
 pub(crate) mod store;
-/// What never changes in a run, kept in memory.
+/// Facts of a run that never change, cached in memory.
 pub(crate) mod facts;
 /// The operator lock, and the settings.
 pub(crate) mod lock;

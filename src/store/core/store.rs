@@ -1,5 +1,5 @@
-//! The database of a rig: opened, shared and closed. The other files add what it stores and answers.
-//! Uses: `core::{writer, log}`, sqlx, `clock`. Never: a table by its name.
+//! The database of a rig: opening, sharing and closing. The other files add methods for its tables.
+//! Uses: `core::{writer, log}`, sqlx, `clock`. Never: the name of a table.
 
 use std::collections::HashMap;
 use std::io::ErrorKind;
@@ -22,37 +22,38 @@ use crate::clock::Clock;
 use crate::ids::RunUid;
 use crate::record::LOG_BYTES;
 
-/// A page holds about five trials' voltages (a fifth smaller than in 4096: `docs/decisions/0001`).
+/// Size of a page of the file, bytes: the voltages of about five trials. The file is a fifth smaller
+/// than with pages of 4096 bytes (`docs/decisions/0001`).
 pub(crate) const PAGE_BYTES: u32 = 16_384;
 
-/// How long SQLite waits for another process's lock.
+/// Longest time that SQLite waits for the file lock of another process.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Connections that read.
+/// Number of connections that read.
 const READERS: u32 = 4;
 
-/// Longest wait for one of them.
+/// Longest wait for a connection that reads.
 const READER_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Rows that a reading connection may be ahead of who reads them: each wait is a change of threads.
+/// Number of rows that a connection reads ahead of its caller: each wait is a switch between threads.
 const ROWS_AHEAD: usize = 1024;
 
-/// What is known of the file.
+/// Result of the last examination of the file.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub enum Soundness {
-    /// Not looked over yet, or not to the end.
+    /// No examination has completed.
     #[default]
     Unchecked,
-    /// Nothing wrong was found.
+    /// The examination found no damage.
     Sound,
-    /// What is wrong, in words; a damaged trial by its id.
+    /// Damage that it found, as text; a damaged trial is named by its id.
     Damaged(Vec<String>),
 }
 
-/// The tables, as they grew.
+/// The files of `migrations/`, in order.
 pub(crate) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations");
 
-/// The database of a rig. Clones share it.
+/// The database of a rig. Clones share its connections.
 #[derive(Clone)]
 pub struct Store {
     pub(crate) inner: Arc<Inner>,
@@ -68,7 +69,12 @@ pub(crate) struct Inner {
 }
 
 impl Store {
-    /// Opens the database file, creating it and bringing its tables up to date as needed.
+    /// Opens the database file. Creates it if it is missing, and applies missing migrations.
+    ///
+    /// # Errors
+    /// `Lost` if the file is empty, or missing while its log exists; `DamagedLog` if the log was changed
+    /// after it was written; `Damaged` if a column is missing; `Open`, `Migrate` or `StartWriter` if a
+    /// connection, a migration or the writer's thread fails; `Late` after 600 s.
     pub async fn open(path: &Path, clock: Clock) -> Result<Self, StoreError> {
         let open = |source| StoreError::Open { path: path.to_owned(), source };
         let options = SqliteConnectOptions::new()
@@ -81,17 +87,17 @@ impl Store {
             .page_size(PAGE_BYTES)
             .journal_mode(SqliteJournalMode::Wal)
             .synchronous(SqliteSynchronous::Full)
-            // The log is cut back to this after a long read had let it grow.
+            // A long read makes the log grow; afterwards SQLite truncates it to this size.
             .pragma("journal_size_limit", LOG_BYTES.to_string());
         let is_new = matches!(path.symlink_metadata(), Err(e) if e.kind() == ErrorKind::NotFound);
-        // SQLite keeps the log beside the file that a link leads to.
+        // The log is next to the target of a symbolic link.
         let mut log = path.canonicalize().unwrap_or_else(|_| path.to_owned()).into_os_string();
         log.push("-wal");
-        // SQLite would take an emptied file for a new database, and what was in it for what never was.
+        // SQLite takes an empty file for a new database.
         if path.metadata().is_ok_and(|file| file.len() == 0) || is_new && Path::new(&log).exists() {
             return Err(StoreError::Lost { path: path.to_owned() });
         }
-        // SQLite drops what follows a damaged place as if it had never been stored.
+        // SQLite ignores every transaction behind a damaged frame.
         let damage = match std::fs::read(&log) {
             Ok(log) => log::damage(&log),
             Err(error) if error.kind() == ErrorKind::NotFound => None,
@@ -120,18 +126,21 @@ impl Store {
         Ok(Self { inner: Arc::new(Inner { path, clock, writer, readers, runs, soundness }) })
     }
 
-    /// The database file.
+    /// Returns the path of the database file.
     pub fn path(&self) -> &Path {
         &self.inner.path
     }
 
-    /// Ends all connections after the writes handed over so far; the log is merged into the file.
+    /// Closes all connections after the submitted writes, and merges the log into the file.
     pub async fn close(&self) {
         self.inner.readers.close().await;
         self.inner.writer.close().await;
     }
 
-    /// Bytes that can still be stored on the database's disk.
+    /// Returns the free space of the disk of the database, bytes.
+    ///
+    /// # Errors
+    /// `FreeSpace` if the operating system does not report it.
     pub async fn free_bytes(&self) -> Result<u64, StoreError> {
         let folder = match self.inner.path.parent() {
             Some(folder) if !folder.as_os_str().is_empty() => folder,
@@ -142,7 +151,10 @@ impl Store {
         Ok(disk.blocks_available() * disk.fragment_size())
     }
 
-    /// A view of the file as it is now, which later writes do not change.
+    /// Begins a read transaction: a view of the file as it is now, which later writes do not change.
+    ///
+    /// # Errors
+    /// `Sql` if no connection is free within 5 s.
     pub(crate) async fn read(
         &self,
         operation: &'static str,
@@ -150,25 +162,25 @@ impl Store {
         self.inner.readers.begin().await.during(operation)
     }
 
-    /// The time as it is stored.
+    /// Returns the current wall time as it is stored.
     pub(crate) fn now_text(&self) -> String {
         columns::time_text(self.inner.clock.timestamp())
     }
 }
 
-/// Makes a new database beside its place, then puts it there: a process that is killed on the way
-/// leaves none, so that an empty file is always a loss.
+/// Creates a new database under a temporary name, then renames it. A process that is killed meanwhile
+/// leaves no database, so that an empty file is always a lost one.
 async fn create(path: &Path, options: &SqliteConnectOptions) -> Result<(), StoreError> {
     let new = path.with_added_extension("new");
-    // What a kill may have left. SQLite drops its log by itself.
+    // Remains of a killed process. SQLite removes their log itself.
     let _ = std::fs::remove_file(&new);
     let writer = Writer::start(options.clone().filename(&new).create_if_missing(true))?;
     writer.open(path, &MIGRATIONS).await?;
     writer.close().await;
-    let put = || {
+    let rename = || {
         std::fs::rename(&new, path)?;
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
         std::fs::File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
     };
-    put().map_err(|e| StoreError::Open { path: path.to_owned(), source: e.into() })
+    rename().map_err(|e| StoreError::Open { path: path.to_owned(), source: e.into() })
 }

@@ -1,8 +1,8 @@
-//! The one connection that writes, on a thread of its own: jobs in, answers out, in order.
-//! Uses: sqlx, `store::error`. Never: a wait on a reader, a browser, or the runtime of a caller.
+//! The one connection that writes, on its own thread: jobs in, answers out, in order.
+//! Uses: sqlx, `core::error`. Never: a wait for a reader, a browser, or the runtime of a caller.
 //!
-//! A job is a whole transaction. It runs to its end even when its caller has gone, and a caller on
-//! a busy runtime cannot hold up the next one.
+//! A job is a whole transaction. It runs to its end even if its caller no longer waits, and a caller on
+//! a busy runtime cannot delay the next job.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -16,26 +16,26 @@ use tokio::sync::{mpsc, oneshot};
 
 use super::error::{During, StoreError};
 
-/// Jobs that may wait; a caller beyond them waits to hand its job over.
+/// Length of the job queue; further callers wait until they can submit their job.
 const WAITING_JOBS: usize = 64;
 
-/// Longest time from handing a job over to its answer, for whoever is not patient.
+/// Longest wall time from submitting a job to its answer, except for a patient writer.
 const DEADLINE: Duration = Duration::from_secs(30);
 
-/// Longest time for opening: a migration may have to rewrite a large file.
+/// Longest wall time for opening: a migration may rewrite a large file.
 const OPEN_DEADLINE: Duration = Duration::from_secs(600);
 
 type Job = Box<dyn for<'h> FnOnce(&'h mut Hand) -> LocalBoxFuture<'h, ()> + Send>;
 
-/// Hands jobs to the thread that writes.
+/// Sends jobs to the thread that writes. Clones share the thread.
 #[derive(Clone)]
 pub(crate) struct Writer {
     jobs: mpsc::Sender<Job>,
-    /// Longest time from handing a job over to its answer; `None` where the caller has its own.
+    /// Longest wall time from submitting a job to its answer; `None` if the caller has its own deadline.
     deadline: Option<Duration>,
 }
 
-/// The connection, reopened when it can no longer be trusted.
+/// State of the thread: its connection, which is opened again after a failure.
 struct Hand {
     options: SqliteConnectOptions,
     connection: Option<SqliteConnection>,
@@ -45,7 +45,10 @@ struct Hand {
 }
 
 impl Writer {
-    /// Starts the thread. `options` open the connection, and open it again after a failure.
+    /// Starts the thread. `options` open the connection, also again after a failure.
+    ///
+    /// # Errors
+    /// `StoreError::StartWriter` if the runtime or the thread cannot be created.
     pub(crate) fn start(options: SqliteConnectOptions) -> Result<Self, StoreError> {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
@@ -75,19 +78,23 @@ impl Writer {
         Ok(Self { jobs, deadline: Some(DEADLINE) })
     }
 
-    /// The same writer for a caller with a deadline of its own: it waits as long as the disk takes.
+    /// Returns the same writer without a deadline, for a caller that has its own.
     pub(crate) fn patient(&self) -> Self {
         Self { deadline: None, ..self.clone() }
     }
 
-    /// The same writer for a caller that gives up sooner.
+    /// Returns the same writer with another deadline.
     #[cfg(test)]
     pub(crate) fn hurried(&self, deadline: Duration) -> Self {
         Self { deadline: Some(deadline), ..self.clone() }
     }
 
-    /// Opens the file, creating it where the options say so, and brings its tables up to date. Should
-    /// it vanish later, an empty one does not take its place unless they say so.
+    /// Opens the file and applies the missing migrations. The file is created only if the options
+    /// permit it, now or when it is opened again.
+    ///
+    /// # Errors
+    /// `Open` if the file cannot be opened; `Migrate` if a migration fails; `Damaged` if a column is
+    /// missing that the migrations create; `Late` after 600 s.
     pub(crate) async fn open(
         &self,
         path: &Path,
@@ -105,7 +112,11 @@ impl Writer {
         .await
     }
 
-    /// Runs `work` in one transaction. An error of `work` rolls it back.
+    /// Runs `work` in one transaction.
+    ///
+    /// # Errors
+    /// An error of `work`, after which the transaction is rolled back; `Sql` if it cannot begin or
+    /// commit; `Late` after the deadline; `Closed` if the thread has ended.
     pub(crate) async fn run<T, F>(&self, operation: &'static str, work: F) -> Result<T, StoreError>
     where
         T: Send + 'static,
@@ -115,8 +126,12 @@ impl Writer {
         self.hand_over(operation, self.deadline, work).await
     }
 
-    /// Runs `work` in one transaction; when its outcome is unknown afterwards, makes what is in the
-    /// file durable on a new connection and asks `look` whether the work is there.
+    /// Runs `work` in one transaction. If its outcome is unknown afterwards, makes the contents of the
+    /// file durable on a new connection and asks `look` for the result of the work; `None` from `look`
+    /// means that it is not stored.
+    ///
+    /// # Errors
+    /// As [`Writer::run`], and `NotStored` if the work is known not to be stored.
     pub(crate) async fn run_and_settle<T, F, L>(
         &self,
         operation: &'static str,
@@ -137,7 +152,7 @@ impl Writer {
         .await
     }
 
-    /// Closes the connection after the jobs handed over before, and ends the thread.
+    /// Closes the connection after all submitted jobs, and ends the thread.
     pub(crate) async fn close(&self) {
         let closing = self
             .hand_over("closing the store", Some(DEADLINE), async |hand| {
@@ -147,11 +162,11 @@ impl Writer {
             })
             .await;
         if let Err(error) = closing {
-            tracing::debug!(%error, "the writer was closed before");
+            tracing::debug!(%error, "the writer was already closed");
         }
     }
 
-    /// Makes the next transaction report a failed commit although it was stored.
+    /// Makes the next transaction report a failed commit although it is stored.
     #[cfg(test)]
     pub(crate) async fn fail_after_next_commit(&self) -> Result<(), StoreError> {
         self.hand_over("arranging a failure", self.deadline, async |hand| {
@@ -174,7 +189,7 @@ impl Writer {
         let (answer, answered) = oneshot::channel();
         let job: Job = Box::new(move |hand| {
             Box::pin(async move {
-                // A caller that has gone does not want the answer.
+                // Sending fails if the caller no longer waits.
                 let _ = answer.send(work(hand).await);
             })
         });
@@ -234,7 +249,7 @@ impl Hand {
                 Ok(value)
             }
             Err(error) => {
-                // SQLite takes some failed transactions back by itself; then there is none to take.
+                // SQLite rolls some failed transactions back itself; then this rollback fails.
                 if transaction.rollback().await.is_err() {
                     self.close().await;
                 }
@@ -243,10 +258,10 @@ impl Hand {
         }
     }
 
-    /// Finds out what became of a write whose commit failed. What the log holds is first copied
-    /// into the database file and synced, so that a "yes" is durable, and the log is emptied, so
-    /// that a "no" stays one: frames of a failed commit would come back at the next start. A
-    /// failure on the way leaves the first error standing, and the outcome unknown.
+    /// Determines whether a write whose commit failed is stored. The log is first copied into the
+    /// database file and synced, so that a found write is durable. The log is then truncated, so that an
+    /// absent write stays absent: the next start would recover frames of the failed commit. If one of
+    /// these steps fails, the first error is returned and the outcome is unknown.
     async fn settle<T>(
         &mut self,
         operation: &'static str,
@@ -263,16 +278,16 @@ impl Hand {
         };
         match found.await {
             Ok(Some(Some(value))) => {
-                tracing::warn!(operation, "the failed write is stored after all");
+                tracing::warn!(operation, "the failed write is stored");
                 Ok(value)
             }
             Ok(Some(None)) => Err(StoreError::NotStored { operation, source: Box::new(error) }),
             Ok(None) => {
-                tracing::error!(operation, "a reader keeps the log: the outcome stays unknown");
+                tracing::error!(operation, "a reader uses the log: the outcome is unknown");
                 Err(error)
             }
             Err(second) => {
-                tracing::error!(operation, error = %second, "looking again failed too");
+                tracing::error!(operation, error = %second, "reading the outcome failed, too");
                 self.close().await;
                 Err(error)
             }
@@ -288,27 +303,30 @@ impl Hand {
     }
 }
 
-/// Refuses a file whose tables lack what the migrations make: what they were recorded for in it was
-/// changed by another hand.
+/// Compares the columns of a file with those that the migrations create in an empty database. They
+/// differ if another program changed the tables after the migrations.
+///
+/// # Errors
+/// `Damaged` with the missing columns.
 async fn require_columns(
     connection: &mut SqliteConnection,
     migrations: &Migrator,
 ) -> Result<(), StoreError> {
     const OPERATION: &str = "comparing the tables with those of this version";
     let options = SqliteConnectOptions::new().in_memory(true).disable_statement_logging();
-    let mut anew = options.connect().await.during(OPERATION)?;
-    migrations.run(&mut anew).await.map_err(StoreError::Migrate)?;
-    let there: BTreeSet<String> = columns_of(connection).await.during(OPERATION)?;
-    let findings: Vec<String> = columns_of(&mut anew)
+    let mut fresh = options.connect().await.during(OPERATION)?;
+    migrations.run(&mut fresh).await.map_err(StoreError::Migrate)?;
+    let present: BTreeSet<String> = columns_of(connection).await.during(OPERATION)?;
+    let findings: Vec<String> = columns_of(&mut fresh)
         .await
         .during(OPERATION)?
-        .difference(&there)
+        .difference(&present)
         .map(|name| format!("column {name} is missing"))
         .collect();
     if findings.is_empty() { Ok(()) } else { Err(StoreError::Damaged { findings }) }
 }
 
-/// Every column as `table.column`.
+/// Returns every column as `table.column`.
 async fn columns_of(connection: &mut SqliteConnection) -> Result<BTreeSet<String>, sqlx::Error> {
     let names: Vec<String> = sqlx::query_scalar(
         "SELECT t.name || '.' || c.name FROM sqlite_schema t, pragma_table_info(t.name) c

@@ -1,5 +1,5 @@
-//! Datasets and exports: what was made from what, and which wishes are open.
-//! Uses: `store::writer`. Never: the files themselves, what a definition means.
+//! Datasets: their rows, and from which inputs each was made.
+//! Uses: `core::writer`. Never: the files themselves, the meaning of a definition.
 
 use jiff::Timestamp;
 use serde_json::Value;
@@ -9,26 +9,26 @@ use crate::core::columns::{Columns, time_text};
 use crate::core::{During, Store, StoreError};
 use crate::ids::RunUid;
 
-/// A dataset; its rows are in a file of its id's name.
+/// A stored dataset. Its trials are in a Parquet file that is named by its id.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DatasetRow {
-    /// `ds-` and the start of a sha256 over its contents.
+    /// Id: `ds-` and the first digits of the sha256 of its contents.
     pub id: String,
-    /// Its definition's name.
+    /// Name of its definition.
     pub name: String,
-    /// Its definition.
+    /// Its definition, as JSON.
     pub definition: Value,
-    /// Rows.
+    /// Number of rows.
     pub rows: u64,
-    /// Length of its Parquet file.
+    /// Length of its Parquet file, bytes.
     pub bytes: u64,
     /// sha256 of its Parquet file.
     pub sha256: String,
-    /// Parts, what was left out and why, columns.
+    /// Report of the build, as JSON: parts, excluded trials with reasons, columns.
     pub report: Value,
-    /// Runs, models, calibrations, shards, code.
+    /// Lineage, as JSON: runs, models, calibrations, shards, code.
     pub lineage: Value,
-    /// When it was made.
+    /// Wall time of its creation.
     pub created_at: Timestamp,
 }
 
@@ -49,27 +49,31 @@ impl DatasetRow {
     }
 }
 
-/// What the rows of a run depend on: it changes whenever they may have.
+/// State of the trials and twins of a run: it changes whenever rows of a dataset of the run may change.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct RunExtent {
-    /// Stored trials.
+    /// Number of stored trials.
     pub trials: i64,
-    /// The last one's id.
+    /// Id of the last stored trial; 0 without trials.
     pub last: i64,
-    /// Trials that were taken back.
+    /// Number of discarded trials.
     pub taken_back: i64,
-    /// Twins.
+    /// Number of twins, failures included.
     pub twins: i64,
-    /// The newest model among them: a later one has a larger number.
+    /// Number of the newest model of the twins; a model that is stored later has a larger number. Absent
+    /// without twins.
     pub newest: Option<i64>,
-    /// Its hash.
+    /// Simulation id of this model.
     pub model: Option<String>,
 }
 
 impl Store {
-    /// What the rows of a run depend on.
+    /// Returns the state of the trials and twins of a run.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
     pub async fn run_extent(&self, run: RunUid) -> Result<RunExtent, StoreError> {
-        const OPERATION: &str = "looking at a run's extent";
+        const OPERATION: &str = "reading the extent of a run";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let row = sqlx::query(
             "SELECT e.*, m.hash AS model,
@@ -95,8 +99,11 @@ impl Store {
         })
     }
 
-    /// Stores a dataset, whose file is there, under the state of its inputs. One that is stored
-    /// already stays as it is. Returns what is stored.
+    /// Stores a dataset whose file exists, under the state of its inputs. A stored dataset is not
+    /// changed. Returns the stored dataset.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn insert_dataset(
         &self,
         new: DatasetRow,
@@ -143,12 +150,18 @@ impl Store {
             .await
     }
 
-    /// The dataset of this id.
+    /// Returns the dataset with this id; `None` if it is not stored.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn dataset(&self, id: &str) -> Result<Option<DatasetRow>, StoreError> {
         self.one_dataset("SELECT * FROM datasets WHERE id = ?1", id).await
     }
 
-    /// The dataset that was made from inputs in this state.
+    /// Returns the dataset that was made from inputs in this state; `None` if none was.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn dataset_of_inputs(&self, inputs: &str) -> Result<Option<DatasetRow>, StoreError> {
         self.one_dataset(
             "SELECT d.* FROM dataset_inputs i JOIN datasets d ON d.id = i.dataset
@@ -158,7 +171,10 @@ impl Store {
         .await
     }
 
-    /// The dataset of this name that was made last.
+    /// Returns the newest dataset with this name; `None` if none is stored.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn newest_dataset(&self, name: &str) -> Result<Option<DatasetRow>, StoreError> {
         self.one_dataset(
             "SELECT * FROM datasets WHERE name = ?1 ORDER BY created_at DESC, rowid DESC LIMIT 1",
@@ -167,6 +183,7 @@ impl Store {
         .await
     }
 
+    /// Returns the dataset that `sql` selects by `value`.
     async fn one_dataset(
         &self,
         sql: &'static str,
@@ -182,7 +199,10 @@ impl Store {
             .transpose()
     }
 
-    /// All datasets, newest first.
+    /// Returns all datasets, newest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn datasets(&self) -> Result<Vec<DatasetRow>, StoreError> {
         const OPERATION: &str = "listing datasets";
         let rows = sqlx::query("SELECT * FROM datasets ORDER BY created_at DESC, rowid DESC")

@@ -1,5 +1,5 @@
-//! Exports: which were requested, how far they are, what came of them.
-//! Uses: `core`. Never: the files themselves.
+//! Exports: their requests, states and results.
+//! Uses: `core::writer`. Never: the files themselves, the meaning of a request.
 
 use jiff::Timestamp;
 use serde_json::Value;
@@ -8,46 +8,46 @@ use sqlx::sqlite::SqliteRow;
 use crate::core::columns::Columns;
 use crate::core::{During, Store, StoreError};
 
-/// How far an export is.
+/// State of an export.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, utoipa::ToSchema,
 )]
 #[serde(rename_all = "lowercase")]
 pub enum ExportState {
-    /// Others come first.
+    /// It waits for earlier exports.
     Waiting,
-    /// It is being written.
+    /// Its file is being written.
     Running,
-    /// Its file is there.
+    /// Its file is complete.
     Done,
-    /// It cannot be made.
+    /// It failed.
     Failed,
 }
 
-/// A wish for rows in some format.
+/// A stored export.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ExportRow {
-    /// `ex-` and a UUIDv7.
+    /// Id: `ex-` and a UUIDv7.
     pub id: String,
-    /// What was asked for.
+    /// The request, as JSON.
     pub request: Value,
-    /// How far it is.
+    /// State of the export.
     pub state: ExportState,
-    /// The dataset, once it is known.
+    /// Id of the dataset; absent until it is known.
     pub dataset: Option<String>,
-    /// Name of its file, once it is there.
+    /// Name of its file; absent until it is complete.
     pub file: Option<String>,
-    /// Length of the file.
+    /// Length of the file, bytes; absent until it is complete.
     pub bytes: Option<u64>,
-    /// sha256 of the file.
+    /// sha256 of the file; absent until it is complete.
     pub sha256: Option<String>,
-    /// Why it cannot be made.
+    /// Cause of the failure; absent unless it failed.
     pub error: Option<String>,
-    /// Who asked.
+    /// Person or key that requested it.
     pub asked_by: String,
-    /// When.
+    /// Wall time of the request.
     pub created_at: Timestamp,
-    /// When it was done, or failed.
+    /// Wall time at which it completed or failed; absent before.
     pub finished_at: Option<Timestamp>,
 }
 
@@ -70,24 +70,27 @@ impl ExportRow {
     }
 }
 
-/// What became of an export.
+/// Result of an export.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ExportEnd {
-    /// Its file is there.
+    /// Its file is complete.
     Done {
         /// Name of the file.
         file: String,
-        /// Its length.
+        /// Length of the file, bytes.
         bytes: u64,
-        /// Its sha256.
+        /// sha256 of the file.
         sha256: String,
     },
-    /// It cannot be made.
+    /// It failed; the text is the cause.
     Failed(String),
 }
 
 impl Store {
-    /// Stores a request for an export.
+    /// Stores a request for an export, in the state `waiting`.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn create_export(
         &self,
         id: String,
@@ -115,7 +118,11 @@ impl Store {
             .await
     }
 
-    /// Marks an export as begun, on this dataset once it is known.
+    /// Marks an export as running, with the id of its dataset if it is known. An export that has ended
+    /// is not changed.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn begin_export(&self, id: &str, dataset: Option<&str>) -> Result<(), StoreError> {
         const OPERATION: &str = "beginning an export";
         let (id, dataset) = (id.to_owned(), dataset.map(str::to_owned));
@@ -136,7 +143,10 @@ impl Store {
             .await
     }
 
-    /// Stores what became of an export.
+    /// Stores the result of an export.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn end_export(&self, id: &str, end: ExportEnd) -> Result<(), StoreError> {
         const OPERATION: &str = "ending an export";
         let (id, now) = (id.to_owned(), self.now_text());
@@ -169,7 +179,10 @@ impl Store {
             .await
     }
 
-    /// One export.
+    /// Returns an export; `None` if it is not stored.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn export(&self, id: &str) -> Result<Option<ExportRow>, StoreError> {
         const OPERATION: &str = "reading an export";
         sqlx::query("SELECT * FROM exports WHERE id = ?1")
@@ -181,12 +194,18 @@ impl Store {
             .transpose()
     }
 
-    /// The last exports, newest first.
+    /// Returns at most `limit` exports, newest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn exports(&self, limit: u32) -> Result<Vec<ExportRow>, StoreError> {
         self.read_exports("SELECT * FROM exports ORDER BY id DESC LIMIT ?1", limit).await
     }
 
-    /// Exports that are neither done nor failed, oldest first.
+    /// Returns at most `limit` exports that wait or run, oldest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn open_exports(&self, limit: u32) -> Result<Vec<ExportRow>, StoreError> {
         self.read_exports(
             "SELECT * FROM exports WHERE state IN ('waiting', 'running') ORDER BY id LIMIT ?1",

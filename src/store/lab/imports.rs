@@ -1,8 +1,9 @@
-//! Trials measured elsewhere: a run that is over before it is stored, and its trials in bulk.
-//! Uses: `store::{runs, writer}`. Never: a judgement on what was measured, a value of its own.
+//! Imports: a run that was measured elsewhere, and its trials in batches.
+//! Uses: `core::writer`, `bench::run_row`, `twins`. Never: a value that the imported file does not
+//! state.
 //!
-//! A batch is a transaction. The run is `ended` only with the last one, so that a kill leaves an
-//! import which nothing takes for whole; the next start removes it.
+//! A batch is a transaction. The run becomes `ended` after the last one. A killed import therefore never
+//! looks complete, and the next start removes its trials.
 
 use jiff::Timestamp;
 use sqlx::sqlite::SqliteConnection;
@@ -14,46 +15,51 @@ use crate::core::columns::time_text;
 use crate::core::{During, Store, StoreError};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::ExitStatus;
-use crate::record::FrameQuality;
+use crate::record::{Flag, FrameQuality};
 use crate::table::checksum::Numbers;
 use crate::table::trial_row::Contact;
 
-/// Version of a model whose frames came with an import.
+/// Version of a model whose simulated frames are part of an import.
 pub const IMPORTED_MODEL: &str = "imported";
-/// The most contacts of an imported trial.
+
+/// Largest number of contacts of an imported trial.
 pub const IMPORTED_CONTACTS_MAX: usize = 64;
 
 const STORING: &str = "storing an import";
 
-/// A trial measured elsewhere. What is not known of it is absent.
+/// A trial measured elsewhere. Unknown values are absent.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ImportedTrial {
-    /// Its place in its file where it has no place in a plan.
+    /// Position of the configuration in its plan; position of the trial in its file if it has no plan.
     pub configuration: u32,
-    /// Depth step.
+    /// Position of the depth in the configuration.
     pub depth_index: u32,
-    /// Depth, mm.
+    /// Depth, mm; absent if unknown.
     pub depth_mm: Option<f64>,
-    /// Tips, where the file says them; else its contacts are counted.
+    /// Number of tips; if absent, the number of contacts is stored.
     pub tips: Option<u8>,
-    /// What touched the skin.
+    /// Contacts, at most [`IMPORTED_CONTACTS_MAX`].
     pub contacts: Vec<Contact>,
-    /// The measured frame, V; NaN where a channel is missing.
+    /// Measured frame, V, injection-major; NaN for a missing channel.
     pub voltages_v: Vec<f32>,
-    /// Somebody's simulated frame of the same touch, V.
+    /// Simulated frame of the same contacts, V, injection-major; absent without one.
     pub sim_voltages_v: Option<Vec<f32>>,
-    /// How far the two are apart: RMSE (V) and FVU.
+    /// RMSE (V) and FVU between the two frames; without them the simulated frame is not stored.
     pub fit: Option<(f64, Option<f64>)>,
-    /// Words about what may be wrong with it; must be those of `Flag`.
-    pub flags: Vec<crate::record::Flag>,
-    /// How good its frame is.
+    /// Marks of possible faults.
+    pub flags: Vec<Flag>,
+    /// Quality of its frame.
     pub quality: FrameQuality,
-    /// When it was measured.
+    /// Wall time of the measurement; absent if unknown.
     pub started_at: Option<Timestamp>,
 }
 
 impl Store {
-    /// Stores a run that was measured elsewhere, not ended yet.
+    /// Stores a run that was measured elsewhere, in the state `removed` until [`Store::end_import`].
+    ///
+    /// # Errors
+    /// `Refused` if the number of trials is too large or the deadband is not finite;
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn begin_import(&self, new: NewRun) -> Result<RunRow, StoreError> {
         let now = self.now_text();
         self.inner
@@ -70,7 +76,12 @@ impl Store {
             .await
     }
 
-    /// Stores some trials of an import in one transaction.
+    /// Stores a batch of trials of an import in one transaction. `model` is the model of their simulated
+    /// frames.
+    ///
+    /// # Errors
+    /// `Refused` if a trial has too many contacts; `NoSuchRun` if the run is not stored;
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn import_trials(
         &self,
         run: RunUid,
@@ -90,7 +101,10 @@ impl Store {
             .await
     }
 
-    /// Ends an import: from now on it is a run like any other. Returns its row.
+    /// Ends an import: it is then an ended run like any other. Returns its row.
+    ///
+    /// # Errors
+    /// `Sql` if the run is not an import; `Sql`, `Late` or `Closed` if the write fails.
     pub async fn end_import(&self, run: RunUid) -> Result<RunRow, StoreError> {
         let now = self.now_text();
         self.inner
@@ -112,9 +126,12 @@ impl Store {
             .await
     }
 
-    /// Removes the trials of imports that did not come to their end. For the start.
+    /// Removes the trials of incomplete imports, and returns their number. Call it at the start.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn sweep_imports(&self) -> Result<u64, StoreError> {
-        const OPERATION: &str = "removing half an import";
+        const OPERATION: &str = "removing an incomplete import";
         self.inner
             .writer
             .run(OPERATION, async move |connection| {
@@ -131,6 +148,7 @@ impl Store {
     }
 }
 
+/// Inserts a trial with its voltages, contacts and simulated frame; `now` is the time of the import.
 async fn insert(
     connection: &mut SqliteConnection,
     scan_id: i64,
@@ -145,7 +163,7 @@ async fn insert(
     let contacts = trial.contacts.len() as u8;
     let largest = trial.contacts.iter().filter_map(|c| c.force_n).reduce(f64::max);
     let flags = serde_json::to_string(&trial.flags)
-        .map_err(|_| refused("flags", "must be words that JSON can hold"))?;
+        .map_err(|_| refused("flags", "must be words that JSON can represent"))?;
     let at = trial.started_at.map(time_text);
     let (configuration, depth_index) = (trial.configuration, trial.depth_index);
     let numbers = Numbers {

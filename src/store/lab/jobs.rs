@@ -1,5 +1,5 @@
-//! Long computations: what was asked for, how far it is, what came of it.
-//! Uses: `store::writer`. Never: what a request means.
+//! Jobs (trainings and evaluations): their requests, states and results.
+//! Uses: `core::writer`. Never: the meaning of a request.
 
 use jiff::Timestamp;
 use serde_json::Value;
@@ -8,67 +8,67 @@ use sqlx::sqlite::SqliteRow;
 use crate::core::columns::Columns;
 use crate::core::{During, Store, StoreError};
 
-/// What is computed.
+/// Kind of a job.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, utoipa::ToSchema,
 )]
 #[serde(rename_all = "lowercase")]
 pub enum JobKind {
-    /// A net is trained.
+    /// Training of a net.
     Training,
-    /// A method is scored on a dataset.
+    /// Evaluation of methods or nets on a dataset.
     Evaluation,
 }
 
-/// How far a job is.
+/// State of a job.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, utoipa::ToSchema,
 )]
 #[serde(rename_all = "lowercase")]
 pub enum JobState {
-    /// Others come first.
+    /// It waits for earlier jobs.
     Waiting,
-    /// It is under way; after a restart it goes on.
+    /// It runs; after a restart it resumes.
     Running,
-    /// Its result is there.
+    /// It completed with a result.
     Done,
-    /// Somebody ended it.
+    /// A person stopped it.
     Stopped,
-    /// It gave no result.
+    /// It failed.
     Failed,
 }
 
 impl JobState {
-    /// Whether nothing more will happen.
+    /// Whether the job has ended, with or without a result.
     pub fn has_ended(self) -> bool {
         !matches!(self, Self::Waiting | Self::Running)
     }
 }
 
-/// A job.
+/// A stored job.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JobRow {
-    /// `job-` and a UUIDv7.
+    /// Id: `job-` and a UUIDv7.
     pub id: String,
-    /// What is computed.
+    /// Kind of the job.
     pub kind: JobKind,
-    /// What was asked for.
+    /// The request, as JSON.
     pub request: Value,
-    /// How far it is.
+    /// State of the job.
     pub state: JobState,
-    /// The dataset, once it is known.
+    /// Id of the dataset; absent until it is known.
     pub dataset: Option<String>,
-    /// What came of it, once it is done.
+    /// The result, as JSON; absent unless it is done.
     pub result: Option<Value>,
-    /// Why it failed.
+    /// Cause of the failure; absent unless it failed.
     pub error: Option<String>,
-    /// Who asked.
+    /// Person or key that requested it.
     pub asked_by: String,
-    /// When.
+    /// Wall time of the request.
     pub created_at: Timestamp,
-    /// When it first began.
+    /// Wall time at which it first started; absent before.
     pub started_at: Option<Timestamp>,
-    /// When it ended.
+    /// Wall time at which it ended; absent before.
     pub finished_at: Option<Timestamp>,
 }
 
@@ -92,19 +92,22 @@ impl JobRow {
     }
 }
 
-/// What became of a job.
+/// Result of a job.
 #[derive(Debug, Clone, PartialEq)]
 pub enum JobEnd {
-    /// Its result.
+    /// It completed with this result, as JSON.
     Done(Value),
-    /// Somebody ended it.
+    /// A person stopped it.
     Stopped,
-    /// It gave no result.
+    /// It failed; the text is the cause.
     Failed(String),
 }
 
 impl Store {
-    /// Stores a wish for a job.
+    /// Stores a request for a job, in the state `waiting`.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn create_job(
         &self,
         id: String,
@@ -138,7 +141,11 @@ impl Store {
             .await
     }
 
-    /// Marks a job as begun, on this dataset once it is known. One that has ended stays so.
+    /// Marks a job as running, with the id of its dataset if it is known. A job that has ended is not
+    /// changed.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn begin_job(&self, id: &str, dataset: Option<&str>) -> Result<(), StoreError> {
         const OPERATION: &str = "beginning a job";
         let (id, dataset, now) = (id.to_owned(), dataset.map(str::to_owned), self.now_text());
@@ -161,7 +168,10 @@ impl Store {
             .await
     }
 
-    /// Stores what became of a job. False when it had ended before: that stays.
+    /// Stores the result of a job. Returns false, and changes nothing, if it has already ended.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn end_job(&self, id: &str, end: JobEnd) -> Result<bool, StoreError> {
         const OPERATION: &str = "ending a job";
         let (id, now) = (id.to_owned(), self.now_text());
@@ -190,7 +200,10 @@ impl Store {
             .await
     }
 
-    /// One job.
+    /// Returns a job; `None` if it is not stored.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn job(&self, id: &str) -> Result<Option<JobRow>, StoreError> {
         const OPERATION: &str = "reading a job";
         sqlx::query("SELECT * FROM jobs WHERE id = ?1")
@@ -202,12 +215,18 @@ impl Store {
             .transpose()
     }
 
-    /// The last jobs, newest first.
+    /// Returns at most `limit` jobs, newest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn jobs(&self, limit: u32) -> Result<Vec<JobRow>, StoreError> {
         self.read_jobs("SELECT * FROM jobs ORDER BY id DESC LIMIT ?1", limit).await
     }
 
-    /// Jobs that have not ended, oldest first.
+    /// Returns at most `limit` jobs that have not ended, oldest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn open_jobs(&self, limit: u32) -> Result<Vec<JobRow>, StoreError> {
         self.read_jobs(
             "SELECT * FROM jobs WHERE state IN ('waiting', 'running') ORDER BY id LIMIT ?1",
@@ -223,7 +242,10 @@ impl Store {
         rows.iter().map(|row| JobRow::read(row, OPERATION)).collect()
     }
 
-    /// Evaluations that are done and name this model among those that they scored, newest first.
+    /// Returns the completed evaluations that scored this model, newest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn evaluations_of(&self, model: &str) -> Result<Vec<JobRow>, StoreError> {
         const OPERATION: &str = "reading a model's evaluations";
         let rows = sqlx::query(

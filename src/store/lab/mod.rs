@@ -1,5 +1,5 @@
-//! What is made of the trials: twins, datasets, exports, models; and trials from elsewhere.
-//! Uses: `core`, `table`, `bench`. Never: a file of a dataset or a model.
+//! Records of what is computed from trials (twins, datasets, exports, models, jobs), and imports.
+//! Uses: `core`, `table`, `bench`. Never: the files that its rows describe.
 
 /// Simulated twins of stored trials.
 pub(crate) mod twins;
@@ -7,7 +7,7 @@ pub(crate) mod twins;
 pub(crate) mod datasets;
 /// Exports.
 pub(crate) mod exports;
-/// Trained nets, and what serves.
+/// Trained nets, and promotions.
 pub(crate) mod models;
 /// Trainings and evaluations.
 pub(crate) mod jobs;

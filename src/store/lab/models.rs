@@ -1,5 +1,5 @@
-//! Models and what serves: rows beside the models' own files.
-//! Uses: `store::writer`. Never: the files, what a manifest means.
+//! Models and promotions: rows that describe the model files.
+//! Uses: `core::writer`. Never: the files themselves, the meaning of a manifest.
 
 use jiff::Timestamp;
 use sqlx::sqlite::SqliteRow;
@@ -7,18 +7,18 @@ use sqlx::sqlite::SqliteRow;
 use crate::core::columns::{Columns, time_text};
 use crate::core::{During, Store, StoreError};
 
-/// A model; its files are in a folder of its id's name.
+/// A stored model. Its files are in a folder that is named by its id.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelRow {
-    /// `mdl-` and the start of a sha256 over its contents.
+    /// Id: `mdl-` and the first digits of the sha256 of its contents.
     pub id: String,
-    /// Its recipe's name, or its file's.
+    /// Name of its recipe, or of its file if it was imported.
     pub name: String,
-    /// What it does.
+    /// Task of the net.
     pub task: String,
-    /// Its manifest, TOML.
+    /// Text of its manifest, TOML.
     pub manifest: String,
-    /// When it came.
+    /// Wall time at which it was stored.
     pub created_at: Timestamp,
 }
 
@@ -35,21 +35,36 @@ impl ModelRow {
     }
 }
 
-/// What serves in a slot from when on.
+/// A promotion: what serves in a slot from a time on.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PromotionRow {
-    /// `transfer`, `map`, `points` or `skin`.
+    /// Name of the slot: `transfer`, `map`, `points` or `skin`.
     pub slot: String,
-    /// A model's or a calibration's id; nothing serves without.
+    /// Id of a model or a calibration; if absent, nothing serves in the slot.
     pub what: Option<String>,
-    /// Who promoted it.
+    /// Person or key that promoted it.
     pub who: String,
-    /// Why, in their words.
+    /// Reason that the person entered; absent without one.
     pub why: Option<String>,
-    /// When.
+    /// Wall time of the promotion.
     pub at: Timestamp,
-    /// Whether it had served before and was gone back to.
+    /// Whether it restored an earlier promotion.
     pub rolled_back: bool,
+}
+
+/// A promotion that is to be stored.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NewPromotion<'a> {
+    /// Name of the slot: `transfer`, `map`, `points` or `skin`.
+    pub slot: &'a str,
+    /// Id of a model or a calibration; if absent, nothing serves in the slot.
+    pub what: Option<&'a str>,
+    /// Whether it restores an earlier promotion.
+    pub rolled_back: bool,
+    /// Person or key that promotes it.
+    pub who: &'a str,
+    /// Reason that the person entered; absent without one.
+    pub why: Option<&'a str>,
 }
 
 impl PromotionRow {
@@ -67,7 +82,10 @@ impl PromotionRow {
 }
 
 impl Store {
-    /// Stores a model, whose files are there. One that is stored already stays as it is.
+    /// Stores a model whose files exist. A stored model is not changed.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn insert_model(&self, new: ModelRow) -> Result<(), StoreError> {
         const OPERATION: &str = "storing a model";
         self.inner
@@ -90,7 +108,10 @@ impl Store {
             .await
     }
 
-    /// The model of this id, or else the newest of this name.
+    /// Returns the model with this id, or else the newest with this name; `None` if there is none.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn model(&self, id_or_name: &str) -> Result<Option<ModelRow>, StoreError> {
         const OPERATION: &str = "reading a model";
         sqlx::query(
@@ -105,7 +126,10 @@ impl Store {
         .transpose()
     }
 
-    /// All models, newest first.
+    /// Returns all models, newest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn models(&self) -> Result<Vec<ModelRow>, StoreError> {
         const OPERATION: &str = "listing models";
         let rows = sqlx::query("SELECT * FROM models ORDER BY created_at DESC, rowid DESC")
@@ -115,17 +139,15 @@ impl Store {
         rows.iter().map(|row| ModelRow::read(row, OPERATION)).collect()
     }
 
-    /// From now on this serves in a slot, promoted or gone back to.
-    pub async fn promote(
-        &self,
-        slot: &str,
-        (what, rolled_back): (Option<&str>, bool),
-        who: &str,
-        why: Option<&str>,
-    ) -> Result<(), StoreError> {
-        const OPERATION: &str = "promoting";
-        let (slot, what) = (slot.to_owned(), what.map(str::to_owned));
-        let (who, why, now) = (who.to_owned(), why.map(str::to_owned), self.now_text());
+    /// Stores a promotion with the current wall time.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn promote(&self, new: NewPromotion<'_>) -> Result<(), StoreError> {
+        const OPERATION: &str = "storing a promotion";
+        let (slot, what) = (new.slot.to_owned(), new.what.map(str::to_owned));
+        let (who, why) = (new.who.to_owned(), new.why.map(str::to_owned));
+        let (rolled_back, now) = (new.rolled_back, self.now_text());
         self.inner
             .writer
             .run(OPERATION, async move |connection| {
@@ -147,7 +169,10 @@ impl Store {
             .await
     }
 
-    /// All promotions, newest first.
+    /// Returns all promotions, newest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn promotions(&self) -> Result<Vec<PromotionRow>, StoreError> {
         const OPERATION: &str = "reading promotions";
         let rows = sqlx::query("SELECT * FROM promotions ORDER BY id DESC")

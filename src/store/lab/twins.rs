@@ -1,5 +1,6 @@
-//! Simulated twins: which trials have none of a model yet, and how well the model fits the others.
-//! Uses: `store`. Never: a job row; a twin is pending while it is absent (`docs/decisions/0008`).
+//! Simulated twins: the trials without a twin of a model, and the fit of the model to the others.
+//! Uses: `core`, `table`. Never: a row for a pending twin; a twin is pending while it is absent
+//! (`docs/decisions/0008`).
 
 use serde::{Deserialize, Serialize};
 use sqlx::QueryBuilder;
@@ -14,98 +15,101 @@ use crate::table::checksum;
 use crate::table::query::SELECT_WITH_VOLTAGES;
 use crate::table::trial_row::TrialRow;
 
-/// A stored model; a larger one was stored later.
+/// Number of a stored model of twins; a model that is stored later has a larger number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TwinModelId(i64);
 
 impl TwinModelId {
-    /// A model that no twin is of.
+    /// A number that no model has.
     pub const NONE: Self = Self(0);
 }
 
-/// What a model is made of.
+/// A model of twins: what determines its frames.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NewTwinModel {
-    /// `sim-` and the start of a sha256 over all that its frames depend on.
+    /// Simulation id: `sim-` and the first digits of a sha256 of everything that determines its frames.
     pub hash: String,
-    /// sha256 of the sensor file's text.
+    /// sha256 of the text of the sensor file.
     pub sensor_sha256: String,
-    /// The calibration in it, if there is one.
+    /// Id of its calibration; absent for the nominal model.
     pub calibration_id: Option<String>,
     /// Version of the program.
     pub version: String,
-    /// Commit of the program, where it is known.
+    /// Commit of the program; absent if unknown.
     pub git_commit: Option<String>,
 }
 
 /// The twin of a trial.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Twin {
-    /// The trial.
+    /// Id of the trial.
     pub trial: TrialId,
-    /// What the model said.
+    /// Result of the simulation.
     pub outcome: TwinOutcome,
 }
 
-/// What a model said to a trial.
+/// Result of the simulation of a trial.
 #[derive(Debug, Clone, PartialEq)]
 pub enum TwinOutcome {
-    /// A frame.
+    /// A simulated frame.
     Frame {
-        /// V, injection-major.
+        /// Voltages, V, injection-major.
         voltages_v: Vec<f32>,
-        /// Root of the mean squared difference, V.
+        /// RMSE against the measured frame, V.
         rmse_v: f64,
-        /// Fraction of variance unexplained (paper, Eq. 2); absent for a constant measured frame.
+        /// FVU (paper, Eq. 2); absent if the measured frame is constant.
         fvu: Option<f64>,
     },
-    /// The model cannot take such a trial.
+    /// The model cannot simulate the trial; the text is the cause.
     Failure(String),
 }
 
-/// How far the twins of a run are.
+/// Progress of the twins of a run.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct TwinCount {
-    /// Stored trials.
+    /// Number of stored trials.
     pub trials: u64,
-    /// Those with a twin.
+    /// Number of trials with a twin.
     pub twins: u64,
-    /// Those that the model could not take.
+    /// Number of trials that the model cannot simulate.
     pub failures: u64,
 }
 
 impl TwinCount {
-    /// Trials that wait for their twin.
+    /// Returns the number of trials without a twin or a failure.
     pub fn pending(&self) -> u64 {
         self.trials.saturating_sub(self.twins + self.failures)
     }
 }
 
-/// How well the newest model fits a trial.
+/// Fit of the newest model to a trial.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fit {
-    /// The trial.
+    /// Id of the trial.
     pub trial: TrialId,
-    /// Attached tips.
+    /// Number of attached tips.
     pub tips: u8,
-    /// Contacts at or above the run's deadband.
+    /// Number of contacts at or above the deadband of the run.
     pub contact_count: u8,
-    /// Largest raw force, N.
+    /// Largest raw force, N; absent if no force was measured.
     pub max_force_n: Option<f64>,
-    /// Where the only tip stood, mm, with a single tip.
+    /// x and y of the tip, skin coordinates, mm, for a trial with one tip; absent otherwise.
     pub single_tip_mm: Option<[f64; 2]>,
-    /// Something may be wrong with the trial.
+    /// Whether the trial has a flag.
     pub flagged: bool,
-    /// Root of the mean squared difference, V.
+    /// RMSE of the frame against its twin, V.
     pub rmse_v: f64,
-    /// Fraction of variance unexplained.
+    /// FVU (paper, Eq. 2); absent if the measured frame is constant.
     pub fvu: Option<f64>,
 }
 
 const STORING: &str = "storing twins";
 
 impl Store {
-    /// The id of a model, stored if it is new.
+    /// Returns the number of a model, after storing it if it is new.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn twin_model(&self, new: NewTwinModel) -> Result<TwinModelId, StoreError> {
         const OPERATION: &str = "storing a model";
         let now = self.now_text();
@@ -133,7 +137,10 @@ impl Store {
         Ok(TwinModelId(id))
     }
 
-    /// What the model of this hash is made of.
+    /// Returns the model with this simulation id; `None` if it is not stored.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn twin_model_of(&self, hash: &str) -> Result<Option<NewTwinModel>, StoreError> {
         const OPERATION: &str = "reading a model";
         let row = sqlx::query("SELECT * FROM twin_models WHERE hash = ?1")
@@ -154,8 +161,12 @@ impl Store {
         .transpose()
     }
 
-    /// Up to `limit` trials of a run that have no twin of this model, with their mean voltages, in
-    /// the order in which they were stored, from the one `after` this.
+    /// Returns at most `limit` trials of a run without a twin of this model, with their voltages, in
+    /// the order of storing, with ids above `after`.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Damaged` if a trial differs from its checksum;
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn pending_twins(
         &self,
         run: RunUid,
@@ -163,7 +174,7 @@ impl Store {
         after: TrialId,
         limit: u32,
     ) -> Result<Vec<TrialRow>, StoreError> {
-        const OPERATION: &str = "looking for pending twins";
+        const OPERATION: &str = "reading pending twins";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let mut view = self.read(OPERATION).await?;
         let mut query = QueryBuilder::new(SELECT_WITH_VOLTAGES);
@@ -175,8 +186,11 @@ impl Store {
         assemble(&mut view, rows, OPERATION).await
     }
 
-    /// Stores twins of one model in one transaction. A twin that is there stays as it is; a trial
-    /// that was taken back meanwhile gets none.
+    /// Stores twins of one model in one transaction. A stored twin is not changed. A twin of a trial
+    /// that was discarded meanwhile is not stored.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn insert_twins(
         &self,
         model: TwinModelId,
@@ -194,7 +208,10 @@ impl Store {
             .await
     }
 
-    /// How far the twins of a run are.
+    /// Returns the progress of the twins of a run with this model.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
     pub async fn twin_count(
         &self,
         run: RunUid,
@@ -219,9 +236,12 @@ impl Store {
         })
     }
 
-    /// Runs with trials, newest first.
+    /// Returns the ids of the runs with trials, newest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
     pub async fn runs_with_trials(&self) -> Result<Vec<RunUid>, StoreError> {
-        const OPERATION: &str = "looking for runs with trials";
+        const OPERATION: &str = "reading the runs with trials";
         let rows = sqlx::query(
             "SELECT uid FROM runs r WHERE EXISTS (SELECT 1 FROM trials t WHERE t.run = r.scan_id)
              ORDER BY scan_id DESC",
@@ -232,9 +252,13 @@ impl Store {
         rows.iter().map(|row| Columns::of(row, OPERATION).uid("uid")).collect()
     }
 
-    /// How well a run's trials are fitted by the newest model that has looked at each.
+    /// Returns the fit of each trial of a run by the newest model with a twin of it, in the order of
+    /// storing. Trials without a simulated frame are omitted.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
     pub async fn fits(&self, run: RunUid) -> Result<Vec<Fit>, StoreError> {
-        const OPERATION: &str = "reading how well a run is fitted";
+        const OPERATION: &str = "reading the fits of a run";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let rows = sqlx::query(
             "SELECT t.id, t.tips, t.contact_count, t.max_force_n, t.flags <> '[]' AS flagged,
@@ -268,6 +292,7 @@ impl Store {
     }
 }
 
+/// Inserts a twin, unless it is stored or its trial is not; `now` is its time of simulation.
 pub(crate) async fn insert(
     connection: &mut SqliteConnection,
     model: TwinModelId,

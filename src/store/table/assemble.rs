@@ -1,6 +1,6 @@
-//! Rows of the tables put together to trials, each compared with its checksum.
-//! Uses: `core::columns`, `checksum`, `trial_row`. Never: a query per row, a value that differs from
-//! its checksum.
+//! Rows of the database joined to trials, each compared with its checksum.
+//! Uses: `core::columns`, `checksum`, `trial_row`. Never: a query per row, a value that differs from its
+//! checksum.
 
 use sqlx::QueryBuilder;
 use sqlx::sqlite::{SqliteConnection, SqliteRow};
@@ -14,7 +14,7 @@ use crate::core::{During, StoreError};
 use crate::ids::{TrialId, TrialKey};
 use crate::record::{ArmReading, FrameQuality, Pose};
 
-/// An attached tip from its columns.
+/// Returns the reading of an attached tip from its columns.
 pub(crate) fn arm(c: &Columns<'_>) -> Result<ArmReading, StoreError> {
     Ok(ArmReading {
         arm: c.whole("arm")?,
@@ -26,7 +26,7 @@ pub(crate) fn arm(c: &Columns<'_>) -> Result<ArmReading, StoreError> {
     })
 }
 
-/// A trial by its key, as a transaction of the writer sees it.
+/// Returns a trial by its key, as a transaction of the writer reads it; `None` if it is not stored.
 pub(crate) async fn row_of_key(
     connection: &mut SqliteConnection,
     scan_id: i64,
@@ -41,7 +41,8 @@ pub(crate) async fn row_of_key(
     Ok(assemble(connection, rows, operation).await?.pop())
 }
 
-/// Trials by their ids, as `select` brings them; those that are not there are left out.
+/// Returns trials by their ids, in the order of the ids, with the columns of `select`. Missing trials
+/// are omitted.
 pub(crate) async fn rows_of_ids(
     connection: &mut SqliteConnection,
     select: &'static str,
@@ -57,6 +58,9 @@ pub(crate) async fn rows_of_ids(
 }
 
 /// Joins a page of trials with their tips and placed contacts: two queries for the whole page.
+///
+/// # Errors
+/// `Sql` or `Unreadable` if a read fails; `Damaged` if a trial differs from its checksum.
 pub(crate) async fn assemble(
     connection: &mut SqliteConnection,
     rows: Vec<SqliteRow>,
@@ -110,7 +114,7 @@ impl<'r> Belonging<'r> {
         Self { rows, operation }
     }
 
-    /// The rows at the front that belong to this trial.
+    /// Removes and returns the first rows that belong to this trial.
     fn take<T>(
         &mut self,
         trial: i64,
@@ -129,6 +133,7 @@ impl<'r> Belonging<'r> {
     }
 }
 
+/// Returns a trial from its columns; `placed` are its placed contacts as they are stored.
 fn trial_row(
     c: &Columns<'_>,
     arms: Vec<ArmReading>,
@@ -216,7 +221,7 @@ fn trial_row(
     Ok(row)
 }
 
-/// The target or the reached pose of a trial, from its four columns.
+/// Returns a pose from its four columns: x, y, z and radius, mm; `None` if one of them is NULL.
 pub(crate) fn pose(parts: [Option<f64>; 4]) -> Option<Pose> {
     let [x_mm, y_mm, z_mm, radius_mm] = parts;
     Some(Pose { x_mm: x_mm?, y_mm: y_mm?, z_mm: z_mm?, radius_mm: radius_mm? })

@@ -1,9 +1,9 @@
-//! Checksums of what was measured: computed when it is stored, compared whenever it is read.
-//! PURE. Uses: crc32fast, `record`, `store::error`. Never: a statement; a guess at
-//! what a damaged value was.
+//! Checksums of measured values: computed when they are stored, compared at every read.
+//! PURE. Uses: crc32fast, `record`, `core::{columns, error}`. Never: a statement, a correction of a
+//! damaged value.
 //!
-//! SQLite keeps no checksums of its own: a bit that flips on the disk comes back as another number.
-//! Rows that were stored before migration 6 have no checksum, and nothing is compared.
+//! SQLite stores no checksums: a bit that flips on the disk is read as another number. Rows from before
+//! migration 6 have no checksum and are not compared.
 
 use jiff::Timestamp;
 
@@ -13,7 +13,8 @@ use crate::core::columns::{Columns, counts_blob, time_text};
 use crate::ids::TrialKey;
 use crate::record::{ArmReading, Flag, FrameQuality, FrameRecord, Pose, TrialRecord};
 
-/// Of a frame: its counts as they are stored, then sequence, device time and scale, little-endian.
+/// Returns the CRC-32 of a frame: of its counts as they are stored, then sequence, device time and
+/// scale, little-endian.
 pub(crate) fn of_frame(frame: &FrameRecord) -> u32 {
     let mut sum = crc32fast::Hasher::new();
     sum.update(&counts_blob(&frame.counts));
@@ -23,12 +24,15 @@ pub(crate) fn of_frame(frame: &FrameRecord) -> u32 {
     sum.finalize()
 }
 
-/// Of voltages as they are stored.
+/// Returns the CRC-32 of voltages as they are stored.
 pub(crate) fn of_volts(volts: &[u8]) -> u32 {
     crc32fast::hash(volts)
 }
 
-/// Refuses `what` unless it has the checksum that it was stored with.
+/// Compares a checksum with the stored one, if any; `what` names the value in the error.
+///
+/// # Errors
+/// `Damaged` if they differ.
 pub(crate) fn compare(
     stored: Option<u32>,
     found: u32,
@@ -36,14 +40,17 @@ pub(crate) fn compare(
 ) -> Result<(), StoreError> {
     match stored {
         Some(stored) if stored != found => Err(StoreError::damaged(format!(
-            "{} is not as it was stored (CRC-32 {found:08x}, stored with {stored:08x})",
+            "{} was changed after it was stored (CRC-32 {found:08x}, stored {stored:08x})",
             what()
         ))),
         _ => Ok(()),
     }
 }
 
-/// A frame from its columns, compared with its `crc32`.
+/// Returns a frame from its columns, after comparison with its `crc32`; `of` names its owner.
+///
+/// # Errors
+/// `Damaged` if they differ; `Sql` or `Unreadable` if a column cannot be decoded.
 pub(crate) fn frame(
     c: &Columns<'_>,
     of: impl FnOnce() -> String,
@@ -58,7 +65,11 @@ pub(crate) fn frame(
     Ok(frame)
 }
 
-/// Voltages that may be absent, compared with the checksum in column `sum`.
+/// Returns voltages, V, after comparison with the checksum in column `sum`; `None` for NULL. `of` names
+/// their owner.
+///
+/// # Errors
+/// `Damaged` if they differ; `Sql` or `Unreadable` if a column cannot be decoded.
 pub(crate) fn volts(
     c: &Columns<'_>,
     column: &'static str,
@@ -72,7 +83,7 @@ pub(crate) fn volts(
     c.volts_or_none(column)
 }
 
-/// A trial's row with its tips and contacts, as a checksum takes them.
+/// Values of a trial that its checksum covers: its row, tips and placed contacts.
 pub(crate) struct Numbers<'a> {
     pub key: TrialKey,
     pub attempt: u32,
@@ -93,7 +104,7 @@ pub(crate) struct Numbers<'a> {
 }
 
 impl<'a> Numbers<'a> {
-    /// Of a trial that is to be stored.
+    /// Returns the values of a trial that is to be stored.
     pub(crate) fn of_record(
         record: &'a TrialRecord,
         placed: &'a [Contact],
@@ -120,7 +131,7 @@ impl<'a> Numbers<'a> {
         }
     }
 
-    /// Of a trial that was read; `placed` are its placed contacts as they are stored.
+    /// Returns the values of a trial that was read; `placed` are its placed contacts as they are stored.
     pub(crate) fn of_row(row: &'a TrialRow, placed: &'a [Contact]) -> Self {
         Self {
             key: TrialKey { configuration: row.configuration, depth_index: row.depth_index },
@@ -142,7 +153,7 @@ impl<'a> Numbers<'a> {
         }
     }
 
-    /// The checksum.
+    /// Returns the CRC-32 of the values, in the order of this function.
     pub(crate) fn crc32(&self) -> u32 {
         let mut sum = Sum(crc32fast::Hasher::new());
         let wholes = [
@@ -182,11 +193,11 @@ impl<'a> Numbers<'a> {
     }
 }
 
-/// Values one after the other; what is absent is told apart from zero.
+/// A running checksum of values. An absent value differs from zero.
 struct Sum(crc32fast::Hasher);
 
 impl Sum {
-    /// SQLite stores a negative zero as zero, and NaN as NULL.
+    /// Adds numbers. SQLite stores a negative zero as zero, and NaN as NULL.
     fn numbers(&mut self, values: impl IntoIterator<Item = Option<f64>>) {
         for value in values {
             match value.filter(|v| !v.is_nan()) {
@@ -196,6 +207,7 @@ impl Sum {
         }
     }
 
+    /// Adds a text, then whether it is present.
     fn text(&mut self, value: Option<&str>) {
         self.0.update(value.unwrap_or_default().as_bytes());
         self.0.update(&[u8::from(value.is_some())]);

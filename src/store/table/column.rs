@@ -1,6 +1,6 @@
-//! The table of trials: one line per column. Filters, SQL, Arrow schemas, answers and the API's
-//! description follow from it.
-//! PURE. Uses: `store`'s rows. Never: a name that another list repeats.
+//! The table of trials: one line per column. Filters, SQL, Arrow schemas, answers and the description
+//! of the API follow from it.
+//! PURE. Uses: `trial_row`. Never: a name that another list repeats.
 
 use jiff::Timestamp;
 
@@ -9,71 +9,72 @@ use super::trial_row::TrialRow;
 /// A column of the trials table.
 #[derive(Debug)]
 pub struct Column {
-    /// The name in every format, filter and answer; ends in its unit.
+    /// Name in every format, filter and answer; it ends in the unit.
     pub name: &'static str,
-    /// Unit, empty where it has none.
+    /// Unit; empty for counts, ratios, names and times.
     pub unit: &'static str,
-    /// What it holds, and where a stored trial has it.
+    /// Type of the values, and the field of a stored trial that holds them.
     pub of: Of,
-    /// The value in SQL over the tables of `trial_query`; empty where stored trials cannot be compared by it.
+    /// SQL expression over the tables of `query::SELECT`; empty if stored trials cannot be filtered by
+    /// it.
     pub(crate) sql: &'static str,
-    /// What it means, for the API's description and the manual.
+    /// Meaning, for the description of the API and the manual.
     pub about: &'static str,
 }
 
-/// What a column holds, with the value of a stored trial.
+/// Type of a column, with the function that returns the value of a stored trial.
 #[derive(Debug, Clone, Copy)]
 pub enum Of {
-    /// A whole number (i64).
+    /// An integer (i64).
     Id(fn(&TrialRow) -> i64),
-    /// A count (u32) that may be absent.
+    /// A count (u32), or NULL.
     Count(fn(&TrialRow) -> Option<u32>),
     /// A small count (u8).
     Few(fn(&TrialRow) -> u8),
-    /// A number (f64) that may be absent.
+    /// A number (f64), or NULL.
     Number(fn(&TrialRow) -> Option<f64>),
-    /// A number kept as f32 that may be absent.
+    /// A number that tables store as f32, or NULL.
     Single(fn(&TrialRow) -> Option<f64>),
-    /// A text that may be absent; compared for equality alone.
+    /// A text, or NULL; compared only for equality.
     Text(fn(&TrialRow) -> Option<String>),
-    /// A time (UTC, milliseconds) that may be absent.
+    /// A time (UTC, milliseconds), or NULL.
     Time(fn(&TrialRow) -> Option<Timestamp>),
-    /// A number (u64) that only Sim-Random has.
+    /// A number (u64) of Sim-Random; stored trials do not have it.
     Drawn,
-    /// The part of a dataset's row.
+    /// Part of a row of a dataset; stored trials do not have it.
     Part,
-    /// Contacts: x_mm, y_mm, force_n, diameter_mm each.
+    /// List of contacts, each with x_mm, y_mm, force_n and diameter_mm.
     Contacts,
-    /// One force per arm.
+    /// Forces of arms 1 to 6, N.
     Forces,
-    /// Flags.
+    /// List of flags.
     Flags,
-    /// A frame: the mean of the measured ones.
+    /// Mean of the measured frames, V, injection-major.
     Measured(fn(&TrialRow) -> Option<&[f32]>),
-    /// A frame: that of the newest simulated twin.
+    /// Frame of the newest twin, V, injection-major.
     Simulated(fn(&TrialRow) -> Option<&[f32]>),
 }
 
-/// What a column can be compared with.
+/// Type of the values with which a filter compares a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// Numbers in the column's unit.
+    /// Numbers in the unit of the column.
     Number,
     /// RFC 3339 times.
     Time,
-    /// Words, for equality alone.
+    /// Words, only for equality.
     Word,
-    /// Nothing: it holds a list or a frame.
+    /// None: the column holds lists or frames.
     List,
 }
 
 impl Column {
-    /// The column of this name.
+    /// Returns the column with this name.
     pub fn find(name: &str) -> Option<&'static Self> {
         TABLE.iter().find(|column| column.name == name)
     }
 
-    /// What it can be compared with.
+    /// Returns the type of the values with which a filter compares it.
     pub fn kind(&self) -> Kind {
         match self.of {
             Of::Id(_) | Of::Count(_) | Of::Few(_) | Of::Number(_) | Of::Single(_) | Of::Drawn => {
@@ -87,12 +88,12 @@ impl Column {
         }
     }
 
-    /// False for columns that only rows of a dataset have.
+    /// Whether stored trials have it; the others exist only in datasets.
     pub fn is_of_stored(&self) -> bool {
         !matches!(self.of, Of::Drawn | Of::Part)
     }
 
-    /// True for frames of voltages.
+    /// Whether it holds frames of voltages.
     pub fn is_frame(&self) -> bool {
         matches!(self.of, Of::Measured(_) | Of::Simulated(_))
     }
@@ -108,7 +109,7 @@ const fn c(
     Column { name, unit, of, sql, about }
 }
 
-/// Every column, in the order in which tables have them.
+/// All columns, in the order of every table.
 #[rustfmt::skip]
 pub static TABLE: [Column; 34] = [
     c("trial_id", "", Of::Id(|t| t.trial_id.0), "t.id", "number of the stored trial"),
@@ -147,7 +148,7 @@ pub static TABLE: [Column; 34] = [
     c("split", "", Of::Part, "", "part of the dataset: `train`, `test` ..."),
 ];
 
-/// The names of columns, for messages and descriptions.
+/// Returns the names of the selected columns, separated by commas, for messages and descriptions.
 pub fn names(which: impl Fn(&Column) -> bool) -> String {
     let names = TABLE.iter().filter(|column| which(column)).map(|column| column.name);
     names.collect::<Vec<_>>().join(", ")

@@ -1,6 +1,6 @@
-//! Conditions on trials, `COLUMN__gt=VALUE`: one language for stored trials, where a condition becomes
-//! SQL, and for the rows of datasets, where it becomes a mask. An absent value meets none.
-//! Uses: `store::table`, sqlx's query builder. Never: text of a request inside a statement.
+//! Filters of trials, `COLUMN__gt=VALUE`: one language for stored trials, where a condition becomes
+//! SQL, and for the rows of datasets, where it becomes a mask. A NULL meets no condition.
+//! Uses: `column`, sqlx's query builder. Never: text of a request inside a statement.
 
 use jiff::Timestamp;
 use sqlx::{QueryBuilder, Sqlite};
@@ -8,56 +8,58 @@ use sqlx::{QueryBuilder, Sqlite};
 use super::column::{self, Column, Kind};
 use crate::core::columns::time_text;
 
-/// How a value is compared.
+/// Operator of a condition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Comparison {
-    /// `eq`, and `in` for several values.
+    /// Equal: `eq`; `in` for several values.
     Equal,
-    /// `gt`
+    /// Greater: `gt`.
     Greater,
-    /// `gte`
+    /// Greater or equal: `gte`.
     GreaterOrEqual,
-    /// `lt`
+    /// Less: `lt`.
     Less,
-    /// `lte`
+    /// Less or equal: `lte`.
     LessOrEqual,
 }
 
-/// What a column is compared with; always of the column's kind.
+/// Value with which a column is compared; its type is the kind of the column.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Operand {
-    /// A finite number in the column's unit.
+    /// A finite number in the unit of the column.
     Number(f64),
-    /// A time.
+    /// A time (UTC).
     Time(Timestamp),
-    /// A word.
+    /// A word, compared exactly.
     Word(String),
 }
 
-/// One condition.
+/// A comparison of one column with one or several values.
 #[derive(Debug, Clone)]
 pub struct Condition {
     column: &'static Column,
     comparison: Comparison,
-    /// At least one, of which one must be met.
+    /// At least one; the condition is met if the comparison holds for one of them.
     operands: Vec<Operand>,
 }
 
 impl Condition {
-    /// Reads `COLUMN__gt=VALUE`.
+    /// Parses `COLUMN__gt=VALUE`.
     ///
     /// # Errors
-    /// What is wrong with it, with the choices.
+    /// As [`Condition::from_pair`]; also if there is no `=`.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let (key, value) = text.split_once('=').ok_or("must be COLUMN__gt=VALUE or the like")?;
+        let (key, value) =
+            text.split_once('=').ok_or("must be COLUMN__gt=VALUE, or another comparison")?;
         Self::from_pair(key.trim(), value.trim())
     }
 
-    /// Reads a pair of a query string: `COLUMN`, `COLUMN__eq|gt|gte|lt|lte` with a value, or
+    /// Parses a pair of a query string: `COLUMN`, `COLUMN__eq|gt|gte|lt|lte` with a value, or
     /// `COLUMN__in` with several, separated by commas.
     ///
     /// # Errors
-    /// What is wrong with it, with the choices.
+    /// A message that names the invalid part and the choices: an unknown column or comparison, a value
+    /// of another type, an order of words, or a column of lists.
     pub fn from_pair(key: &str, value: &str) -> Result<Self, String> {
         let (name, suffix) = key.rsplit_once("__").unwrap_or((key, "eq"));
         let comparable = || column::names(|column| column.kind() != Kind::List);
@@ -93,10 +95,10 @@ impl Condition {
         Ok(Self { column, comparison, operands })
     }
 
-    /// The same condition, if stored trials have its column.
+    /// Returns the condition if stored trials have its column.
     ///
     /// # Errors
-    /// The columns that they have.
+    /// A message with the columns of stored trials if only datasets have it.
     pub fn of_stored(self) -> Result<Self, String> {
         if self.column.is_of_stored() {
             return Ok(self);
@@ -105,12 +107,13 @@ impl Condition {
         Err(format!("only datasets have {}; stored trials have {stored}", self.column.name))
     }
 
-    /// The column that is compared.
+    /// Returns the column that is compared.
     pub fn column(&self) -> &'static Column {
         self.column
     }
 
-    /// Whether a value meets the condition, from its order against an operand.
+    /// Whether a value meets the condition. `order` returns the order of the value relative to an
+    /// operand; `None` if they cannot be compared.
     pub fn is_met(&self, order: impl FnMut(&Operand) -> Option<std::cmp::Ordering>) -> bool {
         self.operands.iter().filter_map(order).any(|order| match self.comparison {
             Comparison::Equal => order.is_eq(),
@@ -121,7 +124,7 @@ impl Condition {
         })
     }
 
-    /// Adds ` AND` and the condition; nothing is selected where stored trials lack its column.
+    /// Appends ` AND` and the condition. It selects nothing if stored trials do not have its column.
     pub(crate) fn push_onto(&self, query: &mut QueryBuilder<Sqlite>) {
         let column = if self.column.sql.is_empty() { "NULL" } else { self.column.sql };
         let comparison = match self.comparison {
@@ -131,8 +134,8 @@ impl Condition {
             Comparison::Less => " < ",
             Comparison::LessOrEqual => " <= ",
         };
-        // For several values SQLite would use an index and sort what it finds: a page of 200,000 trials
-        // takes 44 ms instead of 0.3 ms. For ids an index is right.
+        // `FALSE OR` prevents an index: for several values SQLite would use it and sort the result, and
+        // a page of 200,000 trials takes 44 ms instead of 0.3 ms. For ids the index is faster.
         let plain = self.operands.len() == 1 || self.column.name == "trial_id";
         query.push(if plain { " AND (" } else { " AND (FALSE OR " });
         for (n, operand) in self.operands.iter().enumerate() {

@@ -1,5 +1,5 @@
-//! Trials coming out: single rows, pages that follow an index, voltages and raw frames.
-//! Uses: `table::{query, assemble, checksum}`. Never: a write, a value that differs from its checksum.
+//! Reads of trials: single trials, pages that follow an index, voltages and raw frames.
+//! Uses: `query`, `assemble`, `checksum`. Never: a write, a value that differs from its checksum.
 
 use sqlx::QueryBuilder;
 
@@ -15,7 +15,11 @@ use crate::record::FrameRecord;
 const READING: &str = "reading trials";
 
 impl Store {
-    /// A page of trials. The next one starts `after` its last id.
+    /// Returns a page of trials. Set `after` to its last id for the next page.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run of the query is not stored; `Damaged` if a trial differs from its
+    /// checksum; `Sql` or `Unreadable` if the read fails.
     pub async fn trials(&self, query: &TrialQuery) -> Result<Vec<TrialRow>, StoreError> {
         let scan_id = match query.run {
             Some(run) => Some(self.facts(run, READING).await?.scan_id),
@@ -26,7 +30,10 @@ impl Store {
         assemble(&mut view, rows, READING).await
     }
 
-    /// The ids of a page of trials, for whoever reads the trials in smaller pieces.
+    /// Returns the ids of a page of trials, for a caller that reads the trials in smaller pieces.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run of the query is not stored; `Sql` if the read fails.
     pub async fn trial_ids(&self, query: &TrialQuery) -> Result<Vec<TrialId>, StoreError> {
         let scan_id = match query.run {
             Some(run) => Some(self.facts(run, READING).await?.scan_id),
@@ -41,7 +48,10 @@ impl Store {
         Ok(ids.into_iter().map(TrialId).collect())
     }
 
-    /// One trial, with its mean voltages.
+    /// Returns a trial with its voltages; `None` if it is not stored.
+    ///
+    /// # Errors
+    /// `Damaged` if it differs from its checksum; `Sql` or `Unreadable` if the read fails.
     pub async fn trial_by_id(&self, trial: TrialId) -> Result<Option<TrialRow>, StoreError> {
         let mut view = self.read(READING).await?;
         let mut query = QueryBuilder::new(SELECT_WITH_VOLTAGES);
@@ -55,12 +65,18 @@ impl Store {
         Ok(assemble(&mut view, rows, READING).await?.pop())
     }
 
-    /// These trials with their voltages, by id; those that are not there are left out.
+    /// Returns these trials with their voltages, by id. Missing trials are omitted.
+    ///
+    /// # Errors
+    /// `Damaged` if a trial differs from its checksum; `Sql` or `Unreadable` if the read fails.
     pub async fn trials_with_voltages(&self, ids: &[TrialId]) -> Result<Vec<TrialRow>, StoreError> {
         self.trials_by(SELECT_WITH_VOLTAGES, ids).await
     }
 
-    /// The same without their voltages.
+    /// Returns these trials without their voltages, by id. Missing trials are omitted.
+    ///
+    /// # Errors
+    /// `Damaged` if a trial differs from its checksum; `Sql` or `Unreadable` if the read fails.
     pub async fn trials_of(&self, ids: &[TrialId]) -> Result<Vec<TrialRow>, StoreError> {
         self.trials_by(SELECT, ids).await
     }
@@ -73,7 +89,10 @@ impl Store {
         rows_of_ids(&mut *self.read(READING).await?, select, ids, READING).await
     }
 
-    /// The different lengths of these trials' frames, in voltages.
+    /// Returns the distinct numbers of channels of the frames of these trials, in ascending order.
+    ///
+    /// # Errors
+    /// `Sql` if the read fails.
     pub async fn frame_lengths(&self, ids: &[TrialId]) -> Result<Vec<u32>, StoreError> {
         let wanted: Vec<i64> = ids.iter().map(|id| id.0).collect();
         sqlx::query_scalar(
@@ -86,7 +105,10 @@ impl Store {
         .during(READING)
     }
 
-    /// The mean of a trial's frames, V, injection-major.
+    /// Returns the mean of the frames of a trial, V, injection-major; `None` if it is not stored.
+    ///
+    /// # Errors
+    /// `Damaged` if it differs from its checksum; `Sql` or `Unreadable` if the read fails.
     pub async fn trial_voltages(&self, trial: TrialId) -> Result<Option<Vec<f32>>, StoreError> {
         const OPERATION: &str = "reading a trial's voltages";
         let row = sqlx::query("SELECT voltages_v, crc32 FROM trial_voltages WHERE trial = ?1")
@@ -99,7 +121,10 @@ impl Store {
         checksum::volts(&Columns::of(&row, OPERATION), "voltages_v", "crc32", of)
     }
 
-    /// The raw frames of a trial, in the order in which they were taken.
+    /// Returns the raw frames of a trial, in the order of measurement; empty if the trial is not stored.
+    ///
+    /// # Errors
+    /// `Damaged` if a frame differs from its checksum; `Sql` or `Unreadable` if the read fails.
     pub async fn frames(&self, trial: TrialId) -> Result<Vec<FrameRecord>, StoreError> {
         const OPERATION: &str = "reading a trial's frames";
         let rows = sqlx::query("SELECT * FROM frames WHERE trial = ?1 ORDER BY n")
@@ -111,7 +136,7 @@ impl Store {
         rows.iter().map(|row| checksum::frame(&Columns::of(row, OPERATION), of)).collect()
     }
 
-    /// How SQLite would find a page: its plan, a line per step.
+    /// Returns the query plan of SQLite for a page, one line per step.
     #[cfg(test)]
     pub(crate) async fn explain(&self, query: &TrialQuery) -> Result<Vec<String>, StoreError> {
         let scan_id = match query.run {

@@ -1,5 +1,5 @@
-//! Which trials, in which order: a query and the statement that it becomes.
-//! Uses: `store::condition`, sqlx's builder. Never: a connection, an OFFSET.
+//! A query for trials (which, in which order), and its SQL statement.
+//! Uses: `condition`, sqlx's builder. Never: a connection, an OFFSET.
 
 use sqlx::{QueryBuilder, Sqlite};
 
@@ -7,11 +7,11 @@ use super::condition::Condition;
 use crate::ids::{RunUid, TrialId};
 use crate::record::Flag;
 
-/// The largest page.
+/// Largest number of trials of a page.
 pub const MAX_PAGE: u32 = 10_000;
 
-/// What a row is made of, with the fit of its newest twin; `CROSS JOIN` keeps SQLite walking the
-/// trials in their order.
+/// Columns of a row, with the fit of its newest twin. `CROSS JOIN` makes SQLite read the trials in their
+/// order.
 pub(crate) const SELECT: &str = "SELECT t.*, r.uid, r.experiment, r.kind, r.label, r.deadband_n,
          r.tip_diameter_mm, w.rmse_v, w.fvu, m.hash AS sim_model
      FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
@@ -19,14 +19,14 @@ pub(crate) const SELECT: &str = "SELECT t.*, r.uid, r.experiment, r.kind, r.labe
          AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)
      LEFT JOIN twin_models m ON m.id = w.model";
 
-/// The ids alone.
+/// Only the ids.
 pub(crate) const SELECT_IDS: &str =
     "SELECT t.id FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
      LEFT JOIN twins w ON w.trial = t.id
          AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)
      LEFT JOIN twin_models m ON m.id = w.model";
 
-/// The same with the mean voltages and the twin's.
+/// Columns of a row, with the mean voltages and the frame of its newest twin.
 pub(crate) const SELECT_WITH_VOLTAGES: &str =
     "SELECT t.*, r.uid, r.experiment, r.kind, r.label, r.deadband_n,
          r.tip_diameter_mm, w.rmse_v, w.fvu, m.hash AS sim_model, v.voltages_v,
@@ -38,44 +38,44 @@ pub(crate) const SELECT_WITH_VOLTAGES: &str =
      LEFT JOIN twin_models m ON m.id = w.model
      LEFT JOIN twin_voltages s ON s.trial = t.id AND s.model = w.model";
 
-/// In which order trials come.
+/// Order of the trials.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Order {
-    /// As they were stored.
+    /// In the order in which they were stored.
     #[default]
     OldestFirst,
-    /// The last one first.
+    /// In reverse order.
     NewestFirst,
 }
 
-/// Which trials.
+/// Selection of trials, and the size of a page.
 #[derive(Debug, Clone, Default)]
 pub struct TrialQuery {
-    /// Of this run only.
+    /// Only trials of this run.
     pub run: Option<RunUid>,
-    /// All of these hold.
+    /// Conditions, all of which must be met.
     pub filters: Vec<Condition>,
-    /// All of these flags are set.
+    /// Flags, all of which must be set.
     pub flags: Vec<Flag>,
-    /// Only with, or only without, any flag.
+    /// Only trials with a flag (true), or only trials without (false).
     pub flagged: Option<bool>,
-    /// The cursor: the last id of the page before.
+    /// Cursor: last id of the previous page.
     pub after: Option<TrialId>,
-    /// The order, which the cursor follows.
+    /// Order of the trials; the cursor follows it.
     pub order: Order,
-    /// Up to so many, at most [`MAX_PAGE`].
+    /// Largest number of trials of the page; at most [`MAX_PAGE`].
     pub limit: u32,
-    /// Bring the mean voltages along.
+    /// Whether the rows hold their voltages.
     pub with_voltages: bool,
 }
 
 impl TrialQuery {
-    /// The statement that brings these trials' rows.
+    /// Returns the statement for the rows of these trials; `scan_id` is the number of `run`.
     pub(crate) fn build(&self, scan_id: Option<i64>) -> QueryBuilder<Sqlite> {
         self.select(if self.with_voltages { SELECT_WITH_VOLTAGES } else { SELECT }, scan_id)
     }
 
-    /// The statement that brings `select` of these trials.
+    /// Returns the statement with the columns and joins of `select`; `scan_id` is the number of `run`.
     pub(crate) fn select(
         &self,
         select: &'static str,

@@ -1,5 +1,5 @@
-//! A stored trial as callers get it, and its contacts.
-//! Uses: `record`. Never: a statement.
+//! A stored trial as the store returns it, and its contacts.
+//! PURE. Uses: `record`, `core::facts`. Never: a statement.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -9,19 +9,19 @@ use crate::core::facts::{Label, RunKind};
 use crate::ids::{RunUid, TrialId};
 use crate::record::{ArmReading, Flag, FrameQuality, PlacedContact, Pose};
 
-/// A place on the skin that was pressed.
+/// A contact of a trial: position, force and diameter of one tip on the skin.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Contact {
-    /// Centre on the skin, mm, where it is known.
+    /// x of the centre, skin coordinates, mm; absent if unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub x_mm: Option<f64>,
-    /// Centre on the skin, mm, where it is known.
+    /// y of the centre, skin coordinates, mm; absent if unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub y_mm: Option<f64>,
-    /// Force, N, where it is known.
+    /// Force, N; absent if unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub force_n: Option<f64>,
-    /// Diameter, mm, where it is known.
+    /// Diameter, mm; absent if unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diameter_mm: Option<f64>,
 }
@@ -34,7 +34,7 @@ impl From<&PlacedContact> for Contact {
 }
 
 impl Contact {
-    /// Place and force (mm, mm, N), where all of them are known.
+    /// Returns x, y (mm) and force (N); `None` if one of them is unknown.
     pub fn pressed(&self) -> Option<[f64; 3]> {
         Some([self.x_mm?, self.y_mm?, self.force_n?])
     }
@@ -43,87 +43,87 @@ impl Contact {
 /// A stored trial.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct TrialRow {
-    /// Its id.
+    /// Id of the trial.
     pub trial_id: TrialId,
-    /// Its run.
+    /// Id of its run.
     pub run: RunUid,
-    /// Its run's number for people.
+    /// Number of its run.
     pub scan_id: i64,
     /// Name of the experiment.
     pub experiment: String,
-    /// Where it comes from.
+    /// Origin of the trial.
     pub kind: RunKind,
-    /// Whether a skin was touched.
+    /// Origin of the data: measured, virtual or simulated.
     pub label: Label,
     /// Position of the configuration in the plan.
     pub configuration: u32,
     /// Position of the depth in the configuration.
     pub depth_index: u32,
-    /// Which try it was, from 1.
+    /// Number of the accepted attempt, from 1.
     pub attempt: u32,
-    /// Depth, mm; absent when weights were placed by hand.
+    /// Depth, mm; absent if weights were placed manually.
     pub depth_mm: Option<f64>,
-    /// Attached tips, or placed contacts.
+    /// Number of attached tips or placed contacts.
     pub tips: u8,
     /// Number of `contacts`.
     pub contact_count: u8,
-    /// Largest raw force, N, also when it lies under the deadband.
+    /// Largest raw force, N, also if it is below the deadband.
     pub max_force_n: Option<f64>,
-    /// Real-Hex: the tips at or above the run's deadband. Real-Random: the placed weights.
+    /// Contacts. Real-Hex: tips at or above the deadband of the run; otherwise: all placed contacts.
     pub contacts: Vec<Contact>,
-    /// Raw forces of arms 1 to 6, N; absent where no tip is attached.
+    /// Raw forces of arms 1 to 6, N; null for an arm without a tip.
     #[schema(value_type = Vec<Option<f64>>, min_items = 6, max_items = 6)]
     pub forces_n: [Option<f64>; 6],
-    /// Every attached tip as it was read.
+    /// Reading of each attached tip.
     pub arms: Vec<ArmReading>,
-    /// Where the stage was sent.
+    /// Target pose; absent if no stage moved (placed weights, imports).
     pub target: Option<Pose>,
-    /// Where it measured itself to be.
+    /// Measured pose; absent if no stage moved.
     pub reached: Option<Pose>,
-    /// Who placed the weights.
+    /// Person who placed the weights; absent for the multi-point indenter.
     pub placed_by: Option<String>,
-    /// What may be wrong with it.
+    /// Marks of possible faults.
     pub flags: Vec<Flag>,
-    /// How good its frames are.
+    /// Quality of its frames.
     #[serde(flatten)]
     pub quality: FrameQuality,
-    /// Time between the end of motion and the measurement, process ms.
+    /// Process time between the end of motion and the measurement, ms.
     pub settle_ms: Option<f64>,
-    /// Largest force while approaching and settling over the measured one, N.
+    /// Largest force while approaching and settling minus the measured force, N.
     pub overshoot_n: Option<f64>,
-    /// Raw frames kept.
+    /// Number of stored raw frames.
     pub frame_count: u32,
-    /// Start of its motion.
+    /// Wall time at which its motion started.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub started_at: Option<Timestamp>,
-    /// Its last frame.
+    /// Wall time of its last frame.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub measured_at: Option<Timestamp>,
-    /// Mean of its frames, V, injection-major, where it was asked for.
+    /// Mean of its frames, V, injection-major; absent if not requested.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub voltages_v: Option<Vec<f32>>,
-    /// Its newest twin's frame, V, injection-major, where it was asked for and is there.
+    /// Frame of its newest twin, V, injection-major; absent if not requested or not simulated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sim_voltages_v: Option<Vec<f32>>,
-    /// Model of its newest twin.
+    /// Simulation id of the model of its newest twin; absent without a twin.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sim_model: Option<String>,
-    /// Root of the mean squared difference to its newest twin, V.
+    /// RMSE of its frame against its newest twin, V; absent without a twin.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rmse_v: Option<f64>,
-    /// Fraction of variance unexplained by its newest twin (paper, Eq. 2).
+    /// FVU of its frame by its newest twin (paper, Eq. 2); absent without a twin.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fvu: Option<f64>,
 }
 
 impl TrialRow {
-    /// How far z was off its target, mm; absent for weights placed manually.
+    /// Returns measured z minus target z, mm; `None` if no stage moved.
     pub fn depth_error_mm(&self) -> Option<f64> {
         Some(self.reached?.z_mm - self.target?.z_mm)
     }
 }
 
-/// The tips that press with at least the deadband: what Real-Hex calls contacts (paper IV-A).
+/// Returns the contacts of Real-Hex: the tips with a force of at least `deadband_n`, N (paper, IV-A).
 pub fn tips_as_contacts(
     arms: &[ArmReading],
     deadband_n: f64,

@@ -1,4 +1,4 @@
-//! The file itself: migrations that only grow, pragmas, readers that cannot write.
+//! The file itself: merged migrations that never change, pragmas, readers that cannot write.
 //! Uses: `store`. Never: values that depend on the machine.
 
 use sqlx::Row;
