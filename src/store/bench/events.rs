@@ -41,7 +41,7 @@ impl Store {
             Some(run) => Some(self.facts_by(&writer, run, OPERATION).await?.scan_id),
             None => None,
         };
-        // Rounded to ms as stored, so that the returned event equals the one that is read later.
+        // Truncated to ms as stored, so that the returned event equals the one that is read later.
         let now = time_text(at);
         let at = now.parse().map_err(|_| StoreError::Unreadable {
             operation: OPERATION,
