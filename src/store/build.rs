@@ -1,4 +1,4 @@
-//! A new migration is a reason to build again. Uses: nothing. Never: a failure of the build.
+//! Rebuilds the crate after a new migration. Uses: nothing. Never: a failure of the build.
 
 fn main() {
     println!("cargo::rerun-if-changed=../../migrations");

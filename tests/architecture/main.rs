@@ -12,7 +12,7 @@ use std::path::Path;
 use rules::{
     CHAPTERS, LONGEST, REFERENCES, broken_links, contents_out_of_order, dead_citations,
     entangled_stand_in, faceless_folders, forward_imports, headless_or_long, impure_physics,
-    impure_where_pure, machine_paths,
+    impure_where_pure, machine_paths, shelves_out_of_order,
 };
 use source::{File, checkout};
 
@@ -26,6 +26,7 @@ fn none(findings: Vec<String>) {
 fn imports_look_back_along_the_flow() {
     none(forward_imports(&checkout()));
     none(contents_out_of_order(&checkout()));
+    none(shelves_out_of_order(&checkout()));
 }
 
 #[test]
@@ -90,6 +91,19 @@ fn a_forward_import_is_found_however_it_is_written() {
     assert_eq!(vocabulary, ["src/words/ids.rs:1: ids may not use crate::rig"]);
     let stranger = forward_imports(&[file("src/util/mod.rs", "//! Helpers.")]);
     assert_eq!(stranger, ["src/util/mod.rs: util is neither stage nor vocabulary"]);
+}
+
+#[test]
+fn a_forward_import_inside_the_store_is_found() {
+    for text in ["use crate::lab::twins;", "use crate::{ids, TrialRow};", "super::super::lab::f()"]
+    {
+        assert_eq!(shelves_out_of_order(&[file("src/store/bench/a.rs", text)]).len(), 1, "{text}");
+    }
+    for text in ["use crate::table::{a, b}; use crate::ids::RunUid;", "use super::trials;"] {
+        none(shelves_out_of_order(&[file("src/store/bench/a.rs", text)]));
+        none(shelves_out_of_order(&[file("src/store/tests/a.rs", "use crate::lab::twins;")]));
+    }
+    assert_eq!(shelves_out_of_order(&[file("src/store/other/a.rs", "")]).len(), 1);
 }
 
 #[test]

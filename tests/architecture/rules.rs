@@ -35,6 +35,9 @@ pub const ARROWS: [(&str, &[&str]); 7] = [
     ("service", &["words", "bench", "store", "model", "data", "touch"]),
 ];
 
+/// Folders of `src/store/`, in the order in which their imports look back.
+pub const SHELVES: [&str; 4] = ["core", "table", "bench", "lab"];
+
 /// Files of `src/` that put the others together.
 pub const WIRING: [&str; 3] = ["lib", "main", "build"];
 
@@ -81,6 +84,31 @@ pub fn forward_imports(files: &[File]) -> Vec<String> {
                 findings.push(format!("{}:{line}: {own} may not use crate::{name}", file.path));
             }
         }
+    }
+    findings
+}
+
+/// A folder of the store imports vocabulary, itself and the folders before it in `SHELVES`. The names that
+/// `lib.rs` exports belong to callers outside: they would hide from which folder an item comes.
+pub fn shelves_out_of_order(files: &[File]) -> Vec<String> {
+    let mut findings = Vec::new();
+    for file in files.iter().filter(|f| f.is_rust()) {
+        let Some(inside) = file.path.strip_prefix("src/store/") else { continue };
+        let Some((folder, _)) = inside.split_once('/').filter(|(f, _)| *f != "tests") else {
+            continue;
+        };
+        let Some(own) = SHELVES.iter().position(|shelf| *shelf == folder) else {
+            findings.push(format!("{}: {folder} is no folder of the store", file.path));
+            continue;
+        };
+        let bare = code(&file.text, false);
+        let mut named = below(&bare, "crate");
+        named.extend(below(&bare, &vec!["super"; inside.split('/').count()].join("::")));
+        let allowed = |name: &str| VOCABULARY.contains(&name) || SHELVES[..=own].contains(&name);
+        let wrong = named.into_iter().filter(|(_, name)| !allowed(name));
+        findings.extend(wrong.map(|(line, name)| {
+            format!("{}:{line}: store's {folder} may not use crate::{name}", file.path)
+        }));
     }
     findings
 }

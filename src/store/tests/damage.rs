@@ -1,5 +1,5 @@
-//! Damage is found: when the file opens, when it is looked over, or when a damaged value is read.
-//! Uses: `store`. Never: a damage that is not drawn from a stated seed.
+//! Damage is found: when the file opens, when it is examined, or when a damaged value is read.
+//! Uses: `store`. Never: damage that is not drawn from a stated seed.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,16 +10,17 @@ use sqlx::sqlite::SqliteConnectOptions;
 
 use super::{Folder, hex_trial, new_run, now, open};
 use crate::clock::Clock;
+use crate::core::store::PAGE_BYTES;
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::Journal;
 use crate::record::{ArmReading, FrameRecord, Pose, ReferenceRecord};
-use crate::{PAGE_BYTES, RunKind, Soundness, Store, StoreError, TrialQuery};
+use crate::{RunKind, Soundness, Store, StoreError, TrialQuery};
 
-/// Trials of the file that is damaged.
+/// Number of trials in the file that is damaged.
 const TRIALS: u32 = 66;
 const PAGE: usize = PAGE_BYTES as usize;
 
-/// A database with trials, reference presses and events, closed; and its run.
+/// Creates and closes a database with trials, reference presses and events. Returns its run.
 async fn filled(folder: &Folder) -> RunUid {
     let store = open(&folder.file()).await;
     let run = store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid;
@@ -43,7 +44,7 @@ fn reference() -> ReferenceRecord {
     ReferenceRecord { before_configuration: 0, reached, depth_mm: 3.0, arms, frame, at: now() }
 }
 
-/// What was measured in a trial, bit for bit.
+/// The measured values of a trial, bit for bit.
 type Measured = (TrialKey, Vec<ArmReading>, Option<Pose>, Vec<u32>, Vec<FrameRecord>);
 
 async fn measured(store: &Store, run: RunUid) -> Result<Vec<Measured>, StoreError> {
@@ -60,10 +61,10 @@ async fn measured(store: &Store, run: RunUid) -> Result<Vec<Measured>, StoreErro
     Ok(all)
 }
 
-/// Single bits that are flipped, each in a file of its own.
+/// Number of single bits that are flipped, each in a separate file.
 const FLIPS: usize = 100;
 
-/// A way in which a file is damaged, with its name.
+/// A kind of damage, with its name.
 type Damage = (&'static str, fn(&mut Vec<u8>, &mut ChaCha8Rng));
 
 const WAYS: [Damage; 14] = [
@@ -96,7 +97,7 @@ const WAYS: [Damage; 14] = [
     }),
 ];
 
-/// Any page but the first.
+/// Draws a page other than the first.
 fn page<'b>(bytes: &'b mut [u8], rng: &mut ChaCha8Rng) -> &'b mut [u8] {
     let n = rng.random_range(1..bytes.len() / PAGE);
     &mut bytes[PAGE * n..PAGE * (n + 1)]
@@ -108,13 +109,13 @@ fn flip(bytes: &mut Vec<u8>, rng: &mut ChaCha8Rng) {
     bytes[at] ^= 1 << rng.random_range(0..8);
 }
 
-/// A sound file, and what is in it.
+/// A sound file and its contents.
 struct Original {
     bytes: Vec<u8>,
     run: RunUid,
     measured: Vec<Measured>,
     stored: BTreeSet<TrialKey>,
-    /// Where the index of the trials' keys starts: `progress` reads it and not the table.
+    /// Offset of the index of the trials' keys, which `progress` reads instead of the table.
     keys_at: usize,
 }
 
@@ -133,7 +134,8 @@ impl Original {
         Self { bytes, run, measured, stored, keys_at: PAGE * (keys as usize - 1) }
     }
 
-    /// Whether the damaged file is `refused`, `found` out or `harmless`; it never gives other trials.
+    /// Returns whether the damaged file is `refused`, `found` to be damaged, or `harmless`. It never
+    /// returns other trials.
     async fn verdict(&self, damaged: &[u8], what: &str) -> &'static str {
         let folder = Folder::new();
         std::fs::write(folder.file(), damaged).unwrap();
@@ -172,7 +174,7 @@ async fn no_damage_passes_for_a_measurement() {
     assert!(verdicts["refused"] > 20 && verdicts["found"] > 20, "{verdicts:?}");
 }
 
-/// What is left of a plan is read from an index: one that differs from its table is damage.
+/// The remaining steps of a plan are read from an index: an index that differs from its table is damage.
 #[tokio::test]
 async fn a_key_that_changed_in_its_index_alone_is_found() {
     let original = Original::new().await;
@@ -180,7 +182,7 @@ async fn a_key_that_changed_in_its_index_alone_is_found() {
     for seed in 0..40 {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut bytes = original.bytes.clone();
-        // The records of a page lie at its end.
+        // The records of a page are at its end.
         let at = original.keys_at + PAGE - 1 - rng.random_range(0..500);
         bytes[at] ^= 1 << rng.random_range(0..8);
         let verdict = original.verdict(&bytes, &format!("index, seed {seed}")).await;
@@ -189,7 +191,7 @@ async fn a_key_that_changed_in_its_index_alone_is_found() {
     assert!(found > 30, "{found} of 40");
 }
 
-/// Changes one count of the trial's first frame behind the store's back.
+/// Changes one count of the first frame of the trial, outside the store.
 async fn change_count(folder: &Folder, trial: TrialId) {
     let options = SqliteConnectOptions::new().filename(folder.file());
     let mut behind = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
@@ -216,7 +218,7 @@ async fn a_frame_that_changed_is_named_by_its_trial() {
     let store = open(&folder.file()).await;
     assert_eq!(store.soundness(), Soundness::Unchecked);
     change_count(&folder, TrialId(60)).await;
-    // Beyond the trials that are looked at.
+    // Older than the examined trials.
     assert_eq!(store.examine(3).await.unwrap(), Soundness::Sound);
     assert_eq!(store.soundness(), Soundness::Sound);
     let Soundness::Damaged(findings) = store.examine(2000).await.unwrap() else { panic!() };
@@ -331,7 +333,7 @@ async fn a_damaged_log_is_refused_and_one_that_a_crash_tore_is_not() {
         let opened = Store::open(&folder.file(), Clock::new(1.0)).await;
         if opened.is_err() {
             let kept = std::fs::read(folder.0.join("palpate.sqlite-wal")).unwrap();
-            assert_eq!(kept, log, "what is damaged is left as it is");
+            assert_eq!(kept, log, "a damaged log is not changed");
         }
         match opened {
             Ok(store) => Ok(store.trials(&all).await.unwrap().len()),
@@ -339,7 +341,7 @@ async fn a_damaged_log_is_refused_and_one_that_a_crash_tore_is_not() {
         }
     };
     assert_eq!(reopened(&log).await, Ok(22));
-    // Torn: the end is missing, or is not what was to be written.
+    // Torn: the end is missing, or differs from what was to be written.
     let frame = 24 + PAGE;
     assert_eq!(reopened(&log[..log.len() - 5]).await, Ok(21));
     let mut torn = log.clone();
@@ -350,8 +352,8 @@ async fn a_damaged_log_is_refused_and_one_that_a_crash_tore_is_not() {
         assert!(reopened(&log[..32 + frame * frames]).await.is_ok());
     }
     let mut rng = ChaCha8Rng::seed_from_u64(7);
-    // Damage in the last transaction looks as if it were torn. A frame that commits gives the size
-    // of the database.
+    // Damage in the last transaction cannot be distinguished from a torn end. A frame that commits
+    // holds the size of the database.
     let commits = |n: &usize| log[32 + frame * n..][4..8] != [0; 4];
     let mut ends = (0..(log.len() - 32) / frame).filter(commits);
     let before_the_last = 32 + frame * (1 + ends.nth_back(1).unwrap());
@@ -362,7 +364,7 @@ async fn a_damaged_log_is_refused_and_one_that_a_crash_tore_is_not() {
         let refused = reopened(&damaged).await.unwrap_err();
         assert!(refused.contains("is damaged at byte"), "byte {at}: {refused}");
     }
-    // A round of the log that was begun anew over an older one.
+    // A log that was restarted over an older one.
     let mut rewound = log.clone();
     rewound[32 + 8 * frame..][8..16].fill(0x55);
     for later in rewound[32..].chunks_exact_mut(frame).skip(8) {
@@ -371,7 +373,7 @@ async fn a_damaged_log_is_refused_and_one_that_a_crash_tore_is_not() {
     assert!(reopened(&rewound).await.is_ok());
 }
 
-/// Neither an emptied file nor the log of one that is gone is taken for a new database.
+/// Neither an empty file nor the log of a missing one is taken for a new database.
 #[tokio::test]
 async fn a_lost_database_is_not_begun_anew() {
     let lost = async |folder: &Folder| {
@@ -385,7 +387,7 @@ async fn a_lost_database_is_not_begun_anew() {
     lost(&folder).await;
     assert!(!folder.file().exists());
     std::fs::remove_file(folder.0.join("palpate.sqlite-wal")).unwrap();
-    // A process that was killed while it made a new one.
+    // A process that was killed while it created a new database.
     std::fs::write(folder.0.join("palpate.sqlite.new"), "half").unwrap();
     open(&folder.file()).await.set_setting("kept", "yes").await.unwrap();
     assert!(!folder.0.join("palpate.sqlite.new").exists());
@@ -409,7 +411,7 @@ async fn tables_that_another_hand_changed_are_refused_with_the_cause() {
     assert!(words.contains("column trials.settle_ms is missing"), "{words}");
     let words = refusal("DELETE FROM _sqlx_migrations").await;
     assert!(words.contains("table runs already exists"), "{words}");
-    assert_eq!(words.matches("already exists").count(), 1, "each cause is said once: {words}");
+    assert_eq!(words.matches("already exists").count(), 1, "each cause appears once: {words}");
     let words = refusal("UPDATE _sqlx_migrations SET checksum = x'00' WHERE version = 2").await;
     assert!(words.contains("migration 2 was previously applied but has been modified"), "{words}");
 }

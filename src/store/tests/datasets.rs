@@ -1,4 +1,4 @@
-//! Imports, datasets and exports in the store; and that the tables made anew lose nothing.
+//! Imports, datasets and exports in the store; and that tables which a migration rebuilds lose nothing.
 //! Uses: `store`. Never: files of datasets (see `dataset` and `tests/datasets`).
 
 use serde_json::json;
@@ -135,13 +135,13 @@ async fn an_export_waits_runs_and_ends() {
         (row.state, row.bytes, row.sha256.as_deref()),
         (ExportState::Done, Some(7), Some("cd"))
     );
-    // What is over stays as it ended.
+    // An export that has ended is not changed.
     store.begin_export("ex-2", None).await.unwrap();
     let failed = store.export("ex-2").await.unwrap().unwrap();
     assert_eq!((failed.state, failed.error.as_deref()), (ExportState::Failed, Some("no rows")));
 }
 
-/// A file of the version before, with a trial that was taken back, keeps everything.
+/// A file of the previous version, with a discarded trial, keeps everything.
 #[tokio::test]
 async fn tables_made_anew_lose_nothing() {
     let folder = Folder::new();
@@ -190,7 +190,7 @@ async fn tables_made_anew_lose_nothing() {
     assert_eq!(trial.voltages_v, Some(vec![1.0]));
     assert_eq!(trial.quality.saturated_channels, None);
     assert_eq!(store.frames(trial.trial_id).await.unwrap().len(), 1);
-    // The id of the trial that was taken back is not given again.
+    // The id of the discarded trial is not used again.
     let mut next = random_trial(1, 1);
     next.key = TrialKey { configuration: 1, depth_index: 0 };
     assert_eq!(store.trial(run.uid, &next).await.unwrap().0, 7);

@@ -14,14 +14,14 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use jiff::Timestamp;
 
-use super::{Label, NewRun, RunKind, Store};
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialKey};
 use crate::record::{
     ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose, TrialRecord,
 };
+use crate::{Label, NewRun, RunKind, Store};
 
-/// A folder of its own, removed at the end of its test.
+/// A temporary folder, removed at the end of its test.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -77,7 +77,7 @@ fn new_run(kind: RunKind) -> NewRun {
     }
 }
 
-/// A trial whose every number depends on its key, so that a mix-up shows.
+/// A trial whose numbers all depend on its key, so that an exchange is found.
 fn hex_trial(configuration: u32, depth_index: u32, forces_n: &[f64]) -> TrialRecord {
     let c = f64::from(configuration);
     let at = |shift: f64| Pose { x_mm: 0.1 + c, y_mm: 0.2 * c, z_mm: shift, radius_mm: 34.641 };
@@ -121,7 +121,7 @@ fn hex_trial(configuration: u32, depth_index: u32, forces_n: &[f64]) -> TrialRec
     }
 }
 
-/// Weights placed by hand, each under the deadband.
+/// Manually placed weights, each below the deadband.
 fn random_trial(configuration: u32, weights: usize) -> TrialRecord {
     let mut trial = hex_trial(configuration, 0, &[]);
     let mut second = trial.frames[0].clone();

@@ -8,8 +8,9 @@ use parking_lot::Mutex;
 use serde_json::json;
 
 use super::{Folder, new_run, now, open, time};
+use crate::core::store::Inner;
 use crate::journal::{Journal, Mounting};
-use crate::{Inner, KeyRing, NewAction, Role, RunKind, Store, StoreError};
+use crate::{KeyRing, NewAction, Role, RunKind, Store, StoreError};
 
 #[tokio::test]
 async fn events_are_numbered_without_gaps() {
@@ -50,14 +51,14 @@ async fn what_was_said_last_of_the_tips_counts() {
     store.mounted(&said(4, 4, "Ada"), at).await.unwrap();
     store.mounted(&said(1, 6, "Bob"), at).await.unwrap();
     let refused = store.mounted(&said(7, 7, "Bob"), at).await.unwrap_err();
-    assert!(refused.refused, "trying again does not help: {refused}");
+    assert!(refused.refused, "a repetition fails, too: {refused}");
     assert!(store.mounted(&said(3, 2, "Bob"), at).await.is_err(), "a tip without a cell");
     store.close().await;
     let last = open(&folder.file()).await.last_mounted().await.unwrap();
     assert_eq!(last, Some(said(1, 6, "Bob")));
 }
 
-/// The campaign's records wait for a disk that hangs; all other callers give up after 30 s.
+/// The records of the campaign wait for a disk that hangs; all other callers give up after 30 s.
 #[tokio::test]
 async fn a_disk_that_hangs_is_waited_for_by_the_campaign_alone() {
     let folder = Folder::new();
@@ -143,7 +144,7 @@ async fn a_key_opens_until_it_is_revoked_and_is_not_in_the_file() {
     }
     // As after a restart.
     assert_eq!(known(&KeyRing::load(store.clone()).await.unwrap(), &secret), expected);
-    // The same random bytes make the same key: refused, not doubled.
+    // The same random bytes result in the same key: it is refused.
     ring.create("again", Role::Viewer, [0xAB; 32]).await.unwrap_err();
     for name in ["", " ", "local", "eve (local)", "night shift", &"x".repeat(101)] {
         let error = ring.create(name, Role::Viewer, [0xCD; 32]).await.unwrap_err();
@@ -173,10 +174,10 @@ async fn a_keys_use_is_noted_in_the_background_once_a_minute() {
         if let Some(used) = store.keys().await.unwrap()[0].last_used_at {
             break used;
         }
-        assert!(start.elapsed().as_secs() < 10, "the use is not noted");
+        assert!(start.elapsed().as_secs() < 10, "the use is not stored");
         tokio::time::sleep(std::time::Duration::from_millis(5)).await;
     };
-    // Within the minute nothing is written again, neither by this ring nor after a restart.
+    // Within one minute nothing is written again, neither by this ring nor after a restart.
     let restarted = KeyRing::load(store.clone()).await.unwrap();
     for ring in [ring, restarted] {
         ring.note_use(&ring.find(&secret).unwrap());

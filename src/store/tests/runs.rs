@@ -86,7 +86,7 @@ async fn open_runs_are_interrupted_at_the_start() {
         async || -> Vec<_> { store.open_runs().await.unwrap().iter().map(|run| run.uid).collect() };
     assert_eq!(open().await, uids[..2]);
     store.interrupt_open_runs(Some(uids[0])).await.unwrap();
-    assert_eq!(open().await, uids[..1], "the one that is gone on with keeps its state");
+    assert_eq!(open().await, uids[..1], "the run that resumes keeps its state");
     store.interrupt_open_runs(None).await.unwrap();
     assert!(open().await.is_empty());
     let left = store.run(uids[1]).await.unwrap().unwrap();
@@ -159,24 +159,24 @@ async fn a_run_that_waits_for_its_turn_does_so_through_a_crash() {
     }
     let since = store.run(d).await.unwrap().unwrap().waiting_since;
     store.set_waiting(d).await.unwrap();
-    assert!(store.set_waiting(a).await.is_err(), "it is under way");
-    // The process dies: the next one opens the same file.
+    assert!(store.set_waiting(a).await.is_err(), "it is active");
+    // The process ends: the next one opens the same file.
     let store = open(&folder.file()).await;
     let waiting = async || -> Vec<_> {
         store.waiting_runs().await.unwrap().iter().map(|run| run.uid).collect()
     };
-    assert_eq!(waiting().await, [b, c, d], "as the queue has them");
+    assert_eq!(waiting().await, [b, c, d], "in the order of the queue");
     assert_eq!(store.run(d).await.unwrap().unwrap().waiting_since, since);
-    // One that is taken out of the queue, one that begins, one that must be started anew.
+    // One is removed from the queue, one begins, one must be started again.
     store.remove(b).await.unwrap();
     assert_eq!(waiting().await, [c, d]);
     store.run_state(c, "running", None, None, now()).await.unwrap();
     assert_eq!(waiting().await, [d]);
     store.clear_waiting(d).await.unwrap();
     assert!(waiting().await.is_empty());
-    // An interrupted run may wait too, and comes before those of the queue.
+    // An interrupted run may wait, too, before those of the queue.
     store.interrupt_open_runs(None).await.unwrap();
-    assert!(waiting().await.is_empty(), "what begins is no longer marked");
+    assert!(waiting().await.is_empty(), "a run that begins is no longer marked");
     store.set_waiting(d).await.unwrap();
     store.set_waiting(a).await.unwrap();
     assert_eq!(waiting().await, [a, d]);

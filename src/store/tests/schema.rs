@@ -1,11 +1,11 @@
-//! The file itself: migrations that only grow, pragmas, readers that cannot write.
+//! The file itself: merged migrations that never change, pragmas, readers that cannot write.
 //! Uses: `store`. Never: values that depend on the machine.
 
 use sqlx::Row;
 
 use super::{Folder, open};
-use crate::columns::sha256_hex;
-use crate::{MIGRATIONS, PAGE_BYTES};
+use crate::core::columns::sha256_hex;
+use crate::core::store::{MIGRATIONS, PAGE_BYTES};
 
 /// Merged migrations by the sha256 of their files. A line is added, never changed.
 const MERGED: [(&str, &str); 6] = [
@@ -46,7 +46,7 @@ fn migrations_only_grow_and_are_all_in_the_binary() {
     files.sort();
     let merged: Vec<_> = MERGED.iter().map(|(n, h)| (n.to_string(), h.to_string())).collect();
     assert_eq!(files, merged);
-    assert_eq!(MIGRATIONS.iter().count(), merged.len(), "touch src/store/lib.rs");
+    assert_eq!(MIGRATIONS.iter().count(), merged.len(), "touch src/store/core/store.rs");
 }
 
 #[tokio::test]

@@ -1,4 +1,4 @@
-//! Trials: in and out bit for bit, once per key, labelled by the deadband, taken back, in pages.
+//! Trials: stored and read bit for bit, once per key, labelled by the deadband, discarded, in pages.
 //! Uses: `store`, `campaign`. Never: processes (see `tests/store_durability.rs`).
 
 use super::{Folder, hex_trial, new_run, now, open, random_trial, time};
@@ -36,7 +36,7 @@ async fn a_trial_comes_back_bit_for_bit() {
     assert_eq!((got.started_at, got.measured_at), times);
     assert_eq!(got.quality, put.quality);
     assert_eq!(got.flags, []);
-    // At the deadband counts, just under it does not.
+    // A force at the deadband counts, a force just below it does not.
     assert_eq!((got.contact_count, got.max_force_n), (2, Some(41.7)));
     let contacts: Vec<_> = got.contacts.iter().map(|c| (c.force_n, c.diameter_mm)).collect();
     assert_eq!(contacts, [(Some(5.0), Some(20.0)), (Some(41.7), Some(20.0))]);
@@ -114,11 +114,11 @@ async fn a_commit_that_failed_but_was_stored_is_found() {
     let id = store.trial(run, &trial).await.unwrap();
     assert_eq!(store.trial(run, &trial).await.unwrap(), id);
     assert_eq!(store.contact_counts(run).await.unwrap().iter().sum::<u64>(), 1);
-    // A write without a key cannot be looked for: the failure is passed on.
+    // A write without a key cannot be found again: the failure is returned.
     store.inner.writer.fail_after_next_commit().await.unwrap();
     store.append_event(None, "state", serde_json::json!({})).await.unwrap_err();
     store.append_event(None, "state", serde_json::json!({})).await.unwrap();
-    // A trial taken back by a commit that seemed to fail is gone.
+    // A trial is discarded by a commit that only reported a failure.
     store.inner.writer.fail_after_next_commit().await.unwrap();
     store.discard(run, trial.key, "again").await.unwrap();
     assert_eq!(store.trial_by_id(id).await.unwrap(), None);
@@ -153,7 +153,7 @@ async fn a_full_disk_is_an_error_and_later_trials_go_on() {
     let words = std::error::Error::source(source).unwrap().to_string();
     assert!(words.contains("full"), "{words}");
     assert_eq!(store.progress(run).await.unwrap().stored.len(), stored as usize);
-    // The writer was opened anew, and with it the limit is gone: space has been made.
+    // The writer opened a new connection, without the limit: there is space again.
     store.trial(run, &hex_trial(stored, 0, &[9.0, 3.0])).await.unwrap();
     store.integrity_check().await.unwrap();
 }
@@ -206,7 +206,7 @@ async fn a_trial_taken_back_keeps_its_record_and_frees_its_key() {
     let record: crate::TrialRow = serde_json::from_str(&record).unwrap();
     assert_eq!((record.trial_id, record.contacts.len(), frames), (id, 4, 2));
 
-    // Measured again, it is another trial with an id of its own.
+    // Measured again, it is another trial with another id.
     let again = store.trial(run, &back).await.unwrap();
     assert!(again > id);
     store.discard(run, TrialKey { configuration: 9, depth_index: 9 }, "no").await.unwrap_err();
@@ -248,7 +248,7 @@ async fn pages_meet_every_trial_once_and_filters_hold() {
         let query = TrialQuery { run: Some(run), filters, limit: 100, ..Default::default() };
         store.trials(&query).await.unwrap()
     };
-    // Forces are c and 4 d: both at or over 5 N for c >= 5 and d = 2.
+    // Forces are c and 4 d, N: both at or above 5 N for c >= 5 and d = 2.
     let two = ask(vec![that("contact_count__eq=2.0")]).await;
     assert_eq!(two.len(), 10);
     assert!(two.iter().all(|t| t.depth_index == 2 && t.contacts.len() == 2));
@@ -370,7 +370,7 @@ async fn a_caller_that_goes_away_leaves_a_whole_trial() {
     let (store, run) = with_run(&folder, RunKind::RealHex).await;
     store.trial(run, &hex_trial(0, 0, &[9.0])).await.unwrap();
     let put = hex_trial(1, 0, &[9.0, 8.0]);
-    // The first poll hands the trial over; then its caller is gone.
+    // The first poll submits the trial; then its caller no longer waits.
     let gone = tokio::time::timeout(std::time::Duration::ZERO, store.trial(run, &put)).await;
     // The writer works in order: when this is stored, so is the trial.
     store.set_setting("after", "it").await.unwrap();

@@ -1,5 +1,5 @@
-//! Twins: pending until they are there, once each, gone with the trial that is taken back.
-//! Uses: `store`. Never: a model (the numbers here are made up).
+//! Twins: pending until they are stored, stored once, deleted with a discarded trial.
+//! Uses: `store`. Never: a model (the numbers here are invented).
 
 use super::{Folder, hex_trial, new_run, open};
 use crate::ids::{TrialId, TrialKey};
@@ -44,14 +44,14 @@ async fn what_is_pending_is_what_is_not_there() {
     let failure = TwinOutcome::Failure("a contact off the skin".into());
     let twins = vec![frame(ids[0], 0.1), Twin { trial: ids[1], outcome: failure }];
     store.insert_twins(first, twins).await.unwrap();
-    // Once more, with another number: what is there stays.
+    // Again, with another number: the stored twin does not change.
     store.insert_twins(first, vec![frame(ids[0], 0.9)]).await.unwrap();
     assert_eq!(pending(first, TrialId(0)).await, ids[2..]);
     let count = store.twin_count(run, first).await.unwrap();
     assert_eq!((count.trials, count.twins, count.failures, count.pending()), (5, 1, 1, 3));
     assert_eq!(store.runs_with_trials().await.unwrap(), [run]);
 
-    // Another model starts from nothing, and the newest is what trials show.
+    // Another model has no twins yet, and trials show the newest one.
     let second = model(&store, "sim-2").await;
     assert_eq!(pending(second, TrialId(0)).await, ids[..3]);
     let shown = async || store.trial_by_id(ids[0]).await.unwrap().unwrap();
@@ -80,7 +80,7 @@ async fn a_trial_that_was_taken_back_has_no_twin() {
     store.insert_twins(model, vec![frame(trial, 0.1)]).await.unwrap();
     let key = TrialKey { configuration: 0, depth_index: 0 };
     store.discard(run, key, "a hand slipped").await.unwrap();
-    // Its twin was on the way, together with another's.
+    // Its twin was being stored, together with another one.
     store.insert_twins(model, vec![frame(trial, 0.2), frame(other, 0.3)]).await.unwrap();
     let count = store.twin_count(run, model).await.unwrap();
     assert_eq!((count.trials, count.twins, count.pending()), (1, 1, 0));

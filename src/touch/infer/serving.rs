@@ -24,7 +24,7 @@ use super::registry::{Model, Registry};
 use super::skins::Skins;
 use crate::dataset::force_map::peaks::THRESHOLD_N;
 use crate::learn::model_file::NetTask;
-use crate::store::{PromotionRow, Store};
+use crate::store::{NewPromotion, PromotionRow, Store};
 
 /// Slot for promotions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -357,7 +357,9 @@ impl Serving {
         };
         // It serves once the promotion is stored, not before.
         let next = self.with(slot, Some(&what)).await?;
-        self.inner.store.promote(slot.name(), (Some(&what), false), who, why).await?;
+        let new =
+            NewPromotion { slot: slot.name(), what: Some(&what), rolled_back: false, who, why };
+        self.inner.store.promote(new).await?;
         *self.inner.current.write() = next;
         Ok(slot)
     }
@@ -378,7 +380,14 @@ impl Serving {
         let served: Vec<_> = of_slot.map(|row| (row.what, row.rolled_back)).collect();
         let earlier = earlier(&served).ok_or(InferError::NoEarlier(slot.name()))?;
         let next = self.with(slot, earlier.as_deref()).await?;
-        self.inner.store.promote(slot.name(), (earlier.as_deref(), true), who, why).await?;
+        let new = NewPromotion {
+            slot: slot.name(),
+            what: earlier.as_deref(),
+            rolled_back: true,
+            who,
+            why,
+        };
+        self.inner.store.promote(new).await?;
         *self.inner.current.write() = next;
         Ok(earlier)
     }

@@ -1,0 +1,138 @@
+//! The log of actions: who requested what, when and why, and whether it was accepted.
+//! Uses: `core::writer`. Never: the text of an API key (callers state its name).
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::core::columns::{Columns, time_text};
+use crate::core::{During, Store, StoreError};
+use crate::ids::RunUid;
+
+/// An action that is to be logged.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NewAction {
+    /// Wall time of the request.
+    pub at: Timestamp,
+    /// Run that it concerns; absent if it concerns none.
+    pub run: Option<RunUid>,
+    /// Name of the action, one word: `start`, `pause`, `estop`, `jog`, ...
+    pub action: String,
+    /// Name of the API key, or of a caller without a key (`local`).
+    pub who: String,
+    /// Reason that the person entered; absent without one.
+    pub why: Option<String>,
+    /// Whether it was accepted (true) or refused (false).
+    pub accepted: bool,
+    /// Cause of the refusal, or values of the action; absent without them.
+    pub detail: Option<String>,
+}
+
+/// A logged action.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ActionRow {
+    /// Number of the action, in the order of storing.
+    pub id: i64,
+    /// Wall time of the request.
+    #[schema(value_type = String, format = DateTime)]
+    pub at: Timestamp,
+    /// Run that it concerns; absent if it concerns none.
+    pub run: Option<RunUid>,
+    /// Name of the action, one word: `start`, `pause`, `estop`, `jog`, ...
+    pub action: String,
+    /// Name of the API key, or of a caller without a key (`local`).
+    pub who: String,
+    /// Reason that the person entered; absent without one.
+    pub why: Option<String>,
+    /// Whether it was accepted (true) or refused (false).
+    pub accepted: bool,
+    /// Cause of the refusal, or values of the action; absent without them.
+    pub detail: Option<String>,
+}
+
+impl Store {
+    /// Logs an action. A repetition after a failure does not store it twice.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql`, `Late` or `Closed` if it is unknown
+    /// whether the action is stored.
+    pub async fn log_action(&self, action: NewAction) -> Result<(), StoreError> {
+        const OPERATION: &str = "logging an action";
+        let scan_id = match action.run {
+            Some(run) => Some(self.facts(run, OPERATION).await?.scan_id),
+            None => None,
+        };
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                sqlx::query(
+                    "INSERT INTO actions (at, run, action, who, why, accepted, detail)
+                     SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7 WHERE NOT EXISTS (
+                       SELECT 1 FROM actions
+                       WHERE id > (SELECT max(id) - 1000 FROM actions) AND at = ?1
+                         AND run IS ?2 AND action = ?3 AND who = ?4 AND why IS ?5
+                         AND accepted = ?6 AND detail IS ?7)",
+                )
+                .bind(time_text(action.at))
+                .bind(scan_id)
+                .bind(action.action)
+                .bind(action.who)
+                .bind(action.why)
+                .bind(action.accepted)
+                .bind(action.detail)
+                .execute(connection)
+                .await
+                .map(drop)
+                .during(OPERATION)
+            })
+            .await
+    }
+
+    /// Returns at most `limit` actions with numbers below `before`, newest first, of one run or of all.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if a given run is not stored; `Sql` or `Unreadable` if the read fails.
+    pub async fn actions(
+        &self,
+        run: Option<RunUid>,
+        limit: u32,
+        before: Option<i64>,
+    ) -> Result<Vec<ActionRow>, StoreError> {
+        const OPERATION: &str = "reading actions";
+        let before = before.unwrap_or(i64::MAX);
+        let statement = match run {
+            Some(run) => {
+                let scan_id = self.facts(run, OPERATION).await?.scan_id;
+                sqlx::query(
+                    "SELECT a.*, r.uid FROM actions a JOIN runs r ON r.scan_id = a.run
+                     WHERE a.id < ?1 AND a.run = ?3 ORDER BY a.id DESC LIMIT ?2",
+                )
+                .bind(before)
+                .bind(limit)
+                .bind(scan_id)
+            }
+            None => sqlx::query(
+                "SELECT a.*, r.uid FROM actions a LEFT JOIN runs r ON r.scan_id = a.run
+                 WHERE a.id < ?1 ORDER BY a.id DESC LIMIT ?2",
+            )
+            .bind(before)
+            .bind(limit),
+        };
+        let rows = statement.fetch_all(&self.inner.readers).await.during(OPERATION)?;
+        rows.iter()
+            .map(|row| {
+                let c = Columns::of(row, OPERATION);
+                Ok(ActionRow {
+                    id: c.get("id")?,
+                    at: c.time("at")?,
+                    run: c.uid_or_none("uid")?,
+                    action: c.get("action")?,
+                    who: c.get("who")?,
+                    why: c.get("why")?,
+                    accepted: c.get("accepted")?,
+                    detail: c.get("detail")?,
+                })
+            })
+            .collect()
+    }
+}

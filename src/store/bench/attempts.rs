@@ -1,0 +1,166 @@
+//! Failed attempts and skipped configurations of a run.
+//! Uses: `record`, `core::writer`. Never: trials (an attempt that is not accepted must never count as
+//! one).
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::core::columns::{Columns, time_text};
+use crate::core::{During, Store, StoreError};
+use crate::ids::{RunUid, TrialKey};
+use crate::record::AttemptRecord;
+
+/// A configuration that was given up.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct SkipRow {
+    /// Position of the configuration in the plan.
+    pub configuration: u32,
+    /// Reason of the skip.
+    pub reason: String,
+    /// Wall time of the skip.
+    #[schema(value_type = String, format = DateTime)]
+    pub at: Timestamp,
+}
+
+impl Store {
+    /// Stores a failed attempt.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` or `Closed` if the write fails.
+    pub(crate) async fn insert_attempt(
+        &self,
+        run: RunUid,
+        attempt: &AttemptRecord,
+    ) -> Result<(), StoreError> {
+        const OPERATION: &str = "storing an attempt";
+        let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
+        let attempt = attempt.clone();
+        self.inner
+            .writer
+            .patient()
+            .run(OPERATION, async move |connection| {
+                sqlx::query(
+                    "INSERT INTO attempts (run, configuration, depth_index, attempt, reason, at)
+                     VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+                )
+                .bind(scan_id)
+                .bind(attempt.key.configuration)
+                .bind(attempt.key.depth_index)
+                .bind(attempt.attempt)
+                .bind(attempt.reason)
+                .bind(time_text(attempt.at))
+                .execute(connection)
+                .await
+                .during(OPERATION)?;
+                Ok(())
+            })
+            .await
+    }
+
+    /// Stores that a configuration was given up. A stored skip is not changed.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` or `Closed` if the write fails.
+    pub(crate) async fn insert_skip(
+        &self,
+        run: RunUid,
+        configuration: u32,
+        reason: &str,
+        at: Timestamp,
+    ) -> Result<(), StoreError> {
+        const OPERATION: &str = "storing a skip";
+        let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
+        let (reason, at) = (reason.to_owned(), time_text(at));
+        self.inner
+            .writer
+            .patient()
+            .run(OPERATION, async move |connection| {
+                // A repetition keeps the first reason.
+                sqlx::query(
+                    "INSERT INTO skips (run, configuration, reason, at) VALUES (?1, ?2, ?3, ?4)
+                     ON CONFLICT (run, configuration) DO NOTHING",
+                )
+                .bind(scan_id)
+                .bind(configuration)
+                .bind(reason)
+                .bind(at)
+                .execute(connection)
+                .await
+                .during(OPERATION)?;
+                Ok(())
+            })
+            .await
+    }
+
+    /// Returns the skips of a run, in the order of its plan.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
+    pub async fn skips(&self, run: RunUid) -> Result<Vec<SkipRow>, StoreError> {
+        const OPERATION: &str = "reading skips";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let rows = sqlx::query("SELECT * FROM skips WHERE run = ?1 ORDER BY configuration")
+            .bind(scan_id)
+            .fetch_all(&self.inner.readers)
+            .await
+            .during(OPERATION)?;
+        rows.iter()
+            .map(|row| {
+                let c = Columns::of(row, OPERATION);
+                let configuration = c.whole("configuration")?;
+                Ok(SkipRow { configuration, reason: c.get("reason")?, at: c.time("at")? })
+            })
+            .collect()
+    }
+
+    /// Returns the number of failed attempts and discarded trials of a run.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
+    pub async fn attempt_count(&self, run: RunUid) -> Result<u64, StoreError> {
+        const OPERATION: &str = "counting attempts";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let count: i64 = sqlx::query_scalar("SELECT count(*) FROM attempts WHERE run = ?1")
+            .bind(scan_id)
+            .fetch_one(&self.inner.readers)
+            .await
+            .during(OPERATION)?;
+        Ok(count.unsigned_abs())
+    }
+
+    /// Returns at most `limit` failed attempts and discarded trials of a run, newest first.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
+    pub async fn attempts(
+        &self,
+        run: RunUid,
+        limit: u32,
+    ) -> Result<Vec<AttemptRecord>, StoreError> {
+        const OPERATION: &str = "reading attempts";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let rows = sqlx::query(
+            "SELECT configuration, depth_index, attempt, reason, at FROM attempts
+             WHERE run = ?1 ORDER BY id DESC LIMIT ?2",
+        )
+        .bind(scan_id)
+        .bind(limit)
+        .fetch_all(&self.inner.readers)
+        .await
+        .during(OPERATION)?;
+        rows.iter()
+            .map(|row| {
+                let c = Columns::of(row, OPERATION);
+                let (configuration, depth_index) =
+                    (c.whole("configuration")?, c.whole("depth_index")?);
+                Ok(AttemptRecord {
+                    key: TrialKey { configuration, depth_index },
+                    attempt: c.whole("attempt")?,
+                    reason: c.get("reason")?,
+                    at: c.time("at")?,
+                })
+            })
+            .collect()
+    }
+}

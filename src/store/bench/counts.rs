@@ -1,0 +1,132 @@
+//! Progress of a run: stored keys, and counts of trials by contacts and by setting.
+//! Uses: `core`, `journal`. Never: the plan (the caller knows which trials are missing).
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::core::facts::RunKind;
+use crate::core::{During, Store, StoreError};
+use crate::ids::{RunUid, TrialKey};
+use crate::journal::Progress;
+
+/// Stored trials of a run with one number of tips.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct SettingCount {
+    /// Number of attached tips or placed contacts.
+    pub tips: u8,
+    /// Number of stored trials.
+    pub stored: u64,
+}
+
+impl Store {
+    /// Returns the stored and skipped parts of the plan of a run.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
+    pub(crate) async fn read_progress(&self, run: RunUid) -> Result<Progress, StoreError> {
+        const OPERATION: &str = "reading a run's progress";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let mut view = self.read(OPERATION).await?;
+        let stored: Vec<(u32, u32)> =
+            sqlx::query_as("SELECT configuration, depth_index FROM trials WHERE run = ?1")
+                .bind(scan_id)
+                .fetch_all(&mut *view)
+                .await
+                .during(OPERATION)?;
+        let skipped: Vec<u32> =
+            sqlx::query_scalar("SELECT configuration FROM skips WHERE run = ?1")
+                .bind(scan_id)
+                .fetch_all(&mut *view)
+                .await
+                .during(OPERATION)?;
+        let retries: i64 = sqlx::query_scalar("SELECT count(*) FROM attempts WHERE run = ?1")
+            .bind(scan_id)
+            .fetch_one(&mut *view)
+            .await
+            .during(OPERATION)?;
+        let key = |(configuration, depth_index)| TrialKey { configuration, depth_index };
+        Ok(Progress {
+            stored: stored.into_iter().map(key).collect(),
+            skipped: skipped.into_iter().collect(),
+            retries: retries.unsigned_abs(),
+        })
+    }
+
+    /// Returns the number of stored trials of a run with 0 to 6 contacts, by the deadband of the run.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
+    pub async fn contact_counts(&self, run: RunUid) -> Result<[u64; 7], StoreError> {
+        const OPERATION: &str = "counting contacts";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let rows = sqlx::query_as(
+            "SELECT contact_count, count(*) FROM trials INDEXED BY trials_in_order
+             WHERE run = ?1 GROUP BY contact_count",
+        )
+        .bind(scan_id)
+        .fetch_all(&self.inner.readers)
+        .await
+        .during(OPERATION)?;
+        Ok(by_count(rows))
+    }
+
+    /// Returns the same numbers with another deadband, N, from the raw forces.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
+    pub async fn contact_counts_at(
+        &self,
+        run: RunUid,
+        deadband_n: f64,
+    ) -> Result<[u64; 7], StoreError> {
+        const OPERATION: &str = "counting contacts";
+        let facts = self.facts(run, OPERATION).await?;
+        if facts.kind == RunKind::RealRandom {
+            // The deadband does not apply to nominal contacts.
+            return self.contact_counts(run).await;
+        }
+        let rows = sqlx::query_as(
+            "SELECT contacts, count(*) FROM (
+                 SELECT count(CASE WHEN p.force_n >= ?2 THEN 1 END) AS contacts
+                 FROM trials t LEFT JOIN trial_tips p ON p.trial = t.id
+                 WHERE t.run = ?1 GROUP BY t.id)
+             GROUP BY contacts",
+        )
+        .bind(facts.scan_id)
+        .bind(deadband_n)
+        .fetch_all(&self.inner.readers)
+        .await
+        .during(OPERATION)?;
+        Ok(by_count(rows))
+    }
+
+    /// Returns the number of stored trials of a run by setting, in ascending order of tips.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
+    pub async fn stored_per_setting(&self, run: RunUid) -> Result<Vec<SettingCount>, StoreError> {
+        const OPERATION: &str = "counting trials by setting";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let rows: Vec<(u8, i64)> = sqlx::query_as(
+            "SELECT tips, count(*) FROM trials INDEXED BY trials_in_order
+             WHERE run = ?1 GROUP BY tips ORDER BY tips",
+        )
+        .bind(scan_id)
+        .fetch_all(&self.inner.readers)
+        .await
+        .during(OPERATION)?;
+        let row = |(tips, stored): (u8, i64)| SettingCount { tips, stored: stored.unsigned_abs() };
+        Ok(rows.into_iter().map(row).collect())
+    }
+}
+
+/// Returns the numbers of trials by contacts, 0 to 6, from rows (contacts, trials).
+fn by_count(rows: Vec<(i64, i64)>) -> [u64; 7] {
+    let mut counts = [0; 7];
+    for (contacts, trials) in rows {
+        if let Some(count) = usize::try_from(contacts).ok().and_then(|n| counts.get_mut(n)) {
+            *count += trials.unsigned_abs();
+        }
+    }
+    counts
+}

@@ -1,0 +1,125 @@
+//! Events: appended with a number, and read from a number on.
+//! Uses: `journal` (`Event`), `core::writer`. Never: the clients that receive them.
+
+use jiff::Timestamp;
+
+use crate::core::columns::{Columns, time_text};
+use crate::core::writer::Writer;
+use crate::core::{During, Store, StoreError};
+use crate::ids::RunUid;
+use crate::journal::Event;
+
+impl Store {
+    /// Appends an event with the current wall time, and returns it with its number.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn append_event(
+        &self,
+        run: Option<RunUid>,
+        kind: &str,
+        data: serde_json::Value,
+    ) -> Result<Event, StoreError> {
+        let at = self.inner.clock.timestamp();
+        self.insert_event(self.inner.writer.clone(), run, kind, data, at).await
+    }
+
+    /// Appends an event with this wall time through `writer`, and returns it with its number.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql`, `Late` or `Closed` if the write fails.
+    pub(crate) async fn insert_event(
+        &self,
+        writer: Writer,
+        run: Option<RunUid>,
+        kind: &str,
+        data: serde_json::Value,
+        at: Timestamp,
+    ) -> Result<Event, StoreError> {
+        const OPERATION: &str = "storing an event";
+        let scan_id = match run {
+            Some(run) => Some(self.facts_by(&writer, run, OPERATION).await?.scan_id),
+            None => None,
+        };
+        // Truncated to ms as stored, so that the returned event equals the one that is read later.
+        let now = time_text(at);
+        let at = now.parse().map_err(|_| StoreError::Unreadable {
+            operation: OPERATION,
+            column: "at",
+            value: now.clone(),
+        })?;
+        let (text, word) = (data.to_string(), kind.to_owned());
+        let seq = writer
+            .run(OPERATION, async move |connection| {
+                sqlx::query_scalar(
+                    "INSERT INTO events (run, at, kind, data) VALUES (?1, ?2, ?3, ?4)
+                     RETURNING seq",
+                )
+                .bind(scan_id)
+                .bind(now)
+                .bind(word)
+                .bind(text)
+                .fetch_one(connection)
+                .await
+                .during(OPERATION)
+            })
+            .await?;
+        Ok(Event { seq, run, at, kind: kind.to_owned(), data })
+    }
+
+    /// Returns at most `limit` events with numbers above `seq`, in ascending order, of one run or of
+    /// all.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if a given run is not stored; `Sql` or `Unreadable` if the read fails.
+    pub async fn events_since(
+        &self,
+        seq: i64,
+        limit: u32,
+        run: Option<RunUid>,
+    ) -> Result<Vec<Event>, StoreError> {
+        const OPERATION: &str = "reading events";
+        let statement = match run {
+            Some(run) => {
+                let scan_id = self.facts(run, OPERATION).await?.scan_id;
+                sqlx::query(
+                    "SELECT e.*, r.uid FROM events e JOIN runs r ON r.scan_id = e.run
+                     WHERE e.seq > ?1 AND e.run = ?3 ORDER BY e.seq LIMIT ?2",
+                )
+                .bind(seq)
+                .bind(limit)
+                .bind(scan_id)
+            }
+            None => sqlx::query(
+                "SELECT e.*, r.uid FROM events e LEFT JOIN runs r ON r.scan_id = e.run
+                 WHERE e.seq > ?1 ORDER BY e.seq LIMIT ?2",
+            )
+            .bind(seq)
+            .bind(limit),
+        };
+        let rows = statement.fetch_all(&self.inner.readers).await.during(OPERATION)?;
+        rows.iter()
+            .map(|row| {
+                let c = Columns::of(row, OPERATION);
+                Ok(Event {
+                    seq: c.get("seq")?,
+                    run: c.uid_or_none("uid")?,
+                    at: c.time("at")?,
+                    kind: c.get("kind")?,
+                    data: c.json("data")?,
+                })
+            })
+            .collect()
+    }
+
+    /// Returns the number of the last event; 0 before the first.
+    ///
+    /// # Errors
+    /// `Sql` if the read fails.
+    pub async fn last_event_seq(&self) -> Result<i64, StoreError> {
+        sqlx::query_scalar("SELECT coalesce(max(seq), 0) FROM events")
+            .fetch_one(&self.inner.readers)
+            .await
+            .during("reading the number of the last event")
+    }
+}

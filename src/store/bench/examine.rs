@@ -1,0 +1,195 @@
+//! Examination of the file for damage: its structure, the texts of its runs, the checksums of its last
+//! trials.
+//! Uses: `table::{checksum, assemble}`. Never: a repair, a connection that other callers wait for.
+
+use std::collections::HashMap;
+use std::time::Duration;
+
+use sqlx::ConnectOptions;
+use sqlx::sqlite::SqliteConnection;
+
+use crate::core::columns::{Columns, sha256_hex};
+use crate::core::store::Soundness;
+use crate::core::{During, Store, StoreError};
+use crate::ids::TrialId;
+use crate::table::assemble::rows_of_ids;
+use crate::table::checksum;
+use crate::table::query::SELECT_WITH_VOLTAGES;
+
+const OPERATION: &str = "examining the database";
+
+/// Longest wall time of an examination: a file of 10 GB on a slow disk.
+const DEADLINE: Duration = Duration::from_secs(600);
+
+/// Number of trials that are read at once.
+const TRIALS_AT_ONCE: usize = 100;
+
+/// Largest number of reported findings.
+const FINDINGS_MAX: usize = 20;
+
+impl Store {
+    /// Returns the result of the last examination; `Unchecked` before its end. Does not wait.
+    pub fn soundness(&self) -> Soundness {
+        self.inner.soundness.lock().clone()
+    }
+
+    /// Checks the structure of the whole file and the texts of its runs, and compares the newest `last`
+    /// trials and their frames with their checksums. It reads the whole file, on a separate connection,
+    /// so that no other caller waits. Damage is a result, not an error.
+    ///
+    /// # Errors
+    /// `Sql` if the file cannot be examined; `Late` after 600 s.
+    pub async fn examine(&self, last: u32) -> Result<Soundness, StoreError> {
+        let examined = tokio::time::timeout(DEADLINE, async {
+            let options = self.inner.readers.connect_options();
+            let mut own = options.connect().await.during(OPERATION)?;
+            findings(&mut own, last).await
+        });
+        let late = || StoreError::Late { operation: OPERATION, limit_s: DEADLINE.as_secs() };
+        let mut findings = examined.await.unwrap_or_else(|_| Err(late()))?;
+        findings.truncate(FINDINGS_MAX);
+        let soundness = match findings.is_empty() {
+            true => Soundness::Sound,
+            false => Soundness::Damaged(findings),
+        };
+        *self.inner.soundness.lock() = soundness.clone();
+        Ok(soundness)
+    }
+
+    /// Reads the whole file and checks its structure, its indexes and its references.
+    ///
+    /// # Errors
+    /// `Damaged` if it finds damage; `Sql` if the file cannot be read.
+    pub async fn integrity_check(&self) -> Result<(), StoreError> {
+        let findings = structure(&mut *self.read(OPERATION).await?).await?;
+        if findings.is_empty() { Ok(()) } else { Err(StoreError::Damaged { findings }) }
+    }
+}
+
+/// Returns all findings; trials are checked until there are `FINDINGS_MAX`.
+async fn findings(connection: &mut SqliteConnection, last: u32) -> Result<Vec<String>, StoreError> {
+    let mut findings = structure(connection).await.or_else(StoreError::into_findings)?;
+    match changed_texts(connection).await {
+        Ok(changed) => findings.extend(changed),
+        Err(error) => findings.extend(error.into_findings()?),
+    }
+    match newest(connection, last).await {
+        Ok(ids) => {
+            for ids in ids.chunks(TRIALS_AT_ONCE) {
+                if findings.len() >= FINDINGS_MAX {
+                    break;
+                }
+                if let Err(error) = check_trials(connection, ids).await {
+                    error.into_findings()?;
+                    findings.extend(one_by_one(connection, ids).await?);
+                }
+            }
+        }
+        Err(error) => findings.extend(error.into_findings()?),
+    }
+    Ok(findings)
+}
+
+/// Returns the damage that SQLite reports. Unlike SQLite's quick check, this one compares the indexes
+/// with their tables: the remaining steps of a plan are read from an index only. For 60,000 trials (328
+/// MB, in memory) it takes 0.19 s, the quick check 0.15 s.
+async fn structure(connection: &mut SqliteConnection) -> Result<Vec<String>, StoreError> {
+    let lines: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check")
+        .fetch_all(&mut *connection)
+        .await
+        .during(OPERATION)?;
+    // One answer may hold several lines.
+    let lines = lines.iter().flat_map(|answer| answer.lines());
+    let mut findings: Vec<String> = lines.filter(|line| *line != "ok").map(str::to_owned).collect();
+    let orphans = sqlx::query("PRAGMA foreign_key_check").fetch_all(connection).await;
+    match orphans.during(OPERATION)?.len() {
+        0 => {}
+        n => findings.push(format!("{n} rows refer to missing rows")),
+    }
+    Ok(findings)
+}
+
+/// Returns the runs whose stored files differ from their sha256: a resume would compute another plan.
+async fn changed_texts(connection: &mut SqliteConnection) -> Result<Vec<String>, StoreError> {
+    const TEXTS: [(&str, &str); 3] =
+        [("definition", "definition_sha256"), ("rig", "rig_sha256"), ("sensor", "sensor_sha256")];
+    let rows = sqlx::query("SELECT * FROM runs").fetch_all(connection).await.during(OPERATION)?;
+    let mut findings = Vec::new();
+    for row in &rows {
+        let c = Columns::of(row, OPERATION);
+        let run: i64 = c.get("scan_id")?;
+        for (text, sum) in TEXTS {
+            let (kept, stored) = (c.get::<Option<&str>>(text)?, c.get::<Option<&str>>(sum)?);
+            if kept.map(sha256_hex).as_deref() != stored {
+                findings
+                    .push(format!("the {text} file of run {run} was changed after it was stored"));
+            }
+        }
+    }
+    Ok(findings)
+}
+
+/// Returns the ids of the newest `last` trials, newest first.
+async fn newest(connection: &mut SqliteConnection, last: u32) -> Result<Vec<TrialId>, StoreError> {
+    let ids: Vec<i64> = sqlx::query_scalar("SELECT id FROM trials ORDER BY id DESC LIMIT ?1")
+        .bind(last)
+        .fetch_all(connection)
+        .await
+        .during(OPERATION)?;
+    Ok(ids.into_iter().map(TrialId).collect())
+}
+
+/// Checks trials one by one and returns their findings, each with the id of its trial.
+async fn one_by_one(
+    connection: &mut SqliteConnection,
+    ids: &[TrialId],
+) -> Result<Vec<String>, StoreError> {
+    let mut findings = Vec::new();
+    for id in ids {
+        if let Err(error) = check_trials(connection, &[*id]).await {
+            let words = error.into_findings()?;
+            findings.extend(words.into_iter().map(|word| format!("trial {}: {word}", id.0)));
+        }
+    }
+    Ok(findings)
+}
+
+/// Reads trials completely: row, tips, contacts, voltages, twins, frames. Every checksum is compared.
+///
+/// # Errors
+/// `Damaged` if a trial differs from its checksums or lacks voltages or frames.
+async fn check_trials(
+    connection: &mut SqliteConnection,
+    ids: &[TrialId],
+) -> Result<(), StoreError> {
+    let trials = rows_of_ids(connection, SELECT_WITH_VOLTAGES, ids, OPERATION).await?;
+    let wanted: Vec<i64> = ids.iter().map(|id| id.0).collect();
+    let rows = sqlx::query(
+        "SELECT f.* FROM json_each(?1) wanted CROSS JOIN frames f ON f.trial = wanted.value",
+    )
+    .bind(format!("{wanted:?}"))
+    .fetch_all(connection)
+    .await
+    .during(OPERATION)?;
+    let mut frames: HashMap<i64, u32> = HashMap::new();
+    for row in &rows {
+        let c = Columns::of(row, OPERATION);
+        let trial: i64 = c.get("trial")?;
+        checksum::frame(&c, || format!("trial {trial}"))?;
+        *frames.entry(trial).or_default() += 1;
+    }
+    if trials.len() != ids.len() {
+        let (there, all) = (trials.len(), ids.len());
+        return Err(StoreError::damaged(format!("{there} of {all} rows have their voltages")));
+    }
+    for trial in trials {
+        let (id, planned) = (trial.trial_id.0, trial.frame_count);
+        let there = frames.get(&id).copied().unwrap_or(0);
+        if there != planned {
+            return Err(StoreError::damaged(format!(
+                "trial {id} has {there} of its {planned} frames"
+            )));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,31 @@
+//! Records of the bench: runs with their trials, the queue, events and actions.
+//! Uses: `core`, `table`. Never: `lab`; a decision of the campaign or the conductor.
+
+/// The row of a run.
+pub(crate) mod run_row;
+/// Storing, listing and reading runs.
+mod runs;
+/// The state and the end of a run.
+mod run_state;
+/// Queued runs, and started runs that wait for their turn.
+mod queue;
+/// Storing trials.
+pub(crate) mod trials;
+/// Discarding stored trials.
+mod discard;
+/// Failed attempts and skips.
+pub(crate) mod attempts;
+/// Tares, reference presses and touch-offs.
+mod auxiliary;
+/// The number of mounted tips.
+mod mountings;
+/// Progress of a run, and counts of its trials.
+pub(crate) mod counts;
+/// Events.
+mod events;
+/// The log of actions.
+pub(crate) mod actions;
+/// Examination of the file for damage.
+mod examine;
+/// The `Journal` of the campaign.
+mod as_journal;

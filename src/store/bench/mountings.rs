@@ -1,0 +1,58 @@
+//! The number of mounted tips, as confirmed by the person who mounts them.
+//! Uses: `core::writer`. Never: a check of this number (the campaign checks it by measurements).
+
+use jiff::Timestamp;
+
+use crate::core::columns::{Columns, time_text};
+use crate::core::{During, Store, StoreError};
+use crate::journal::Mounting;
+
+impl Store {
+    /// Stores the confirmed number of tips.
+    ///
+    /// # Errors
+    /// `Sql` or `Closed` if the write fails.
+    pub(crate) async fn insert_mounting(
+        &self,
+        mounting: &Mounting,
+        at: Timestamp,
+    ) -> Result<(), StoreError> {
+        const OPERATION: &str = "storing the number of mounted tips";
+        let (mounting, at) = (mounting.clone(), time_text(at));
+        self.inner
+            .writer
+            .patient()
+            .run(OPERATION, async move |connection| {
+                sqlx::query(
+                    "INSERT INTO mountings (tips, live_cells, who, at) VALUES (?1, ?2, ?3, ?4)",
+                )
+                .bind(mounting.tips)
+                .bind(mounting.live_cells)
+                .bind(mounting.who)
+                .bind(at)
+                .execute(connection)
+                .await
+                .during(OPERATION)?;
+                Ok(())
+            })
+            .await
+    }
+
+    /// Returns the last confirmed number of tips; `None` before the first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub(crate) async fn read_last_mounted(&self) -> Result<Option<Mounting>, StoreError> {
+        const OPERATION: &str = "reading the number of mounted tips";
+        let row = sqlx::query("SELECT * FROM mountings ORDER BY id DESC LIMIT 1")
+            .fetch_optional(&self.inner.readers)
+            .await
+            .during(OPERATION)?;
+        row.map(|row| {
+            let c = Columns::of(&row, OPERATION);
+            let (tips, live_cells) = (c.whole("tips")?, c.whole("live_cells")?);
+            Ok(Mounting { tips, live_cells, who: c.get("who")? })
+        })
+        .transpose()
+    }
+}

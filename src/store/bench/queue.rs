@@ -1,0 +1,202 @@
+//! The queue: runs in the state `queued`, in the order of their positions, from 1; and the started runs
+//! that wait for their turn.
+//! Uses: `core::writer`, `run_row`. Never: starting a run (the conductor does).
+
+use sqlx::sqlite::SqliteConnection;
+
+use super::run_row::{self, NewRun, RunRow};
+use crate::core::{During, Store, StoreError};
+use crate::ids::RunUid;
+
+impl Store {
+    /// Stores a new run at the end of the queue.
+    ///
+    /// # Errors
+    /// `Refused` if the seed or the number of trials is too large or the deadband is not finite;
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn enqueue(&self, new: NewRun) -> Result<RunRow, StoreError> {
+        const OPERATION: &str = "queueing a run";
+        let now = self.now_text();
+        let insert = async move |c: &mut SqliteConnection| {
+            run_row::insert(c, new, true, now, OPERATION).await
+        };
+        Ok(self.keep_facts(self.inner.writer.run(OPERATION, insert).await?))
+    }
+
+    /// Returns the queued runs, the next one first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn queue(&self) -> Result<Vec<RunRow>, StoreError> {
+        const OPERATION: &str = "reading the queue";
+        let rows = sqlx::query("SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position")
+            .fetch_all(&self.inner.readers)
+            .await
+            .during(OPERATION)?;
+        run_row::read_all(&rows, OPERATION)
+    }
+
+    /// Returns the next run of the queue, which stays queued until its state changes; `None` if the
+    /// queue is empty.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn next_queued(&self) -> Result<Option<RunRow>, StoreError> {
+        const OPERATION: &str = "reading the queue";
+        sqlx::query("SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position LIMIT 1")
+            .fetch_optional(&self.inner.readers)
+            .await
+            .during(OPERATION)?
+            .map(|row| RunRow::read(&row, OPERATION))
+            .transpose()
+    }
+
+    /// Moves a run to a position, from 1; a larger position than the last means the end. Returns the
+    /// queue.
+    ///
+    /// # Errors
+    /// `NotQueued` if the run is not in the queue;
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn move_item(&self, run: RunUid, position: u32) -> Result<Vec<RunRow>, StoreError> {
+        const OPERATION: &str = "moving a run in the queue";
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                let mut order = order(connection, OPERATION).await?;
+                let text = run.to_string();
+                let from = order.iter().position(|uid| *uid == text);
+                let moved = order.remove(from.ok_or(StoreError::NotQueued(run))?);
+                let to = (position.max(1) as usize - 1).min(order.len());
+                order.insert(to, moved);
+                number(connection, &order, OPERATION).await?;
+                let rows = sqlx::query(
+                    "SELECT * FROM runs WHERE state = 'queued' ORDER BY queue_position",
+                )
+                .fetch_all(connection)
+                .await
+                .during(OPERATION)?;
+                run_row::read_all(&rows, OPERATION)
+            })
+            .await
+    }
+
+    /// Removes a run from the queue permanently. Its row remains, in the state `removed`.
+    ///
+    /// # Errors
+    /// `NotQueued` if the run is not in the queue;
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn remove(&self, run: RunUid) -> Result<RunRow, StoreError> {
+        const OPERATION: &str = "removing a run from the queue";
+        let now = self.now_text();
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                let row = sqlx::query(
+                    "UPDATE runs SET state = 'removed', queue_position = NULL, waiting_since = NULL,
+                         ended_at = ?2
+                     WHERE uid = ?1 AND state = 'queued' RETURNING *",
+                )
+                .bind(run.to_string())
+                .bind(now)
+                .fetch_optional(&mut *connection)
+                .await
+                .during(OPERATION)?
+                .ok_or(StoreError::NotQueued(run))?;
+                let order = order(connection, OPERATION).await?;
+                number(connection, &order, OPERATION).await?;
+                RunRow::read(&row, OPERATION)
+            })
+            .await
+    }
+
+    /// Marks a queued or interrupted run as started: it waits for the active run to end. The mark
+    /// survives a crash. It is removed when the run begins or is removed.
+    ///
+    /// # Errors
+    /// `NotQueued` if the run is neither queued nor interrupted;
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn set_waiting(&self, run: RunUid) -> Result<(), StoreError> {
+        const OPERATION: &str = "marking a run as waiting for its turn";
+        let now = self.now_text();
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                let marked = sqlx::query(
+                    "UPDATE runs SET waiting_since = coalesce(waiting_since, ?2)
+                     WHERE uid = ?1 AND state IN ('queued', 'interrupted')",
+                )
+                .bind(run.to_string())
+                .bind(now)
+                .execute(connection)
+                .await
+                .during(OPERATION)?;
+                if marked.rows_affected() == 0 { Err(StoreError::NotQueued(run)) } else { Ok(()) }
+            })
+            .await
+    }
+
+    /// Removes the mark of a waiting run, which must be started again.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn clear_waiting(&self, run: RunUid) -> Result<(), StoreError> {
+        const OPERATION: &str = "removing the mark of a waiting run";
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                sqlx::query("UPDATE runs SET waiting_since = NULL WHERE uid = ?1")
+                    .bind(run.to_string())
+                    .execute(connection)
+                    .await
+                    .during(OPERATION)?;
+                Ok(())
+            })
+            .await
+    }
+
+    /// Returns the started runs that wait for their turn, the next one first: interrupted runs, then
+    /// queued runs by position.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn waiting_runs(&self) -> Result<Vec<RunRow>, StoreError> {
+        const OPERATION: &str = "reading the waiting runs";
+        let rows = sqlx::query(
+            "SELECT * FROM runs
+             WHERE waiting_since IS NOT NULL AND state IN ('queued', 'interrupted')
+             ORDER BY coalesce(queue_position, 0), waiting_since, scan_id",
+        )
+        .fetch_all(&self.inner.readers)
+        .await
+        .during(OPERATION)?;
+        run_row::read_all(&rows, OPERATION)
+    }
+}
+
+/// Returns the ids of the queued runs, the next one first.
+async fn order(
+    connection: &mut SqliteConnection,
+    operation: &'static str,
+) -> Result<Vec<String>, StoreError> {
+    sqlx::query_scalar("SELECT uid FROM runs WHERE state = 'queued' ORDER BY queue_position")
+        .fetch_all(connection)
+        .await
+        .during(operation)
+}
+
+/// Assigns the positions 1, 2, .. in this order.
+async fn number(
+    connection: &mut SqliteConnection,
+    order: &[String],
+    operation: &'static str,
+) -> Result<(), StoreError> {
+    for (i, uid) in order.iter().enumerate() {
+        sqlx::query("UPDATE runs SET queue_position = ?2 WHERE uid = ?1")
+            .bind(uid)
+            .bind(i as i64 + 1)
+            .execute(&mut *connection)
+            .await
+            .during(operation)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,237 @@
+//! The row of a run: its inputs, its state and its end; inserting and decoding it.
+//! Uses: `core`, `journal`. Never: a change of a state (`run_state`).
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use sqlx::sqlite::{SqliteConnection, SqliteRow};
+use utoipa::ToSchema;
+
+use crate::core::columns::{Columns, sha256_hex};
+use crate::core::facts::{Label, RunKind};
+use crate::core::{During, StoreError};
+use crate::ids::RunUid;
+use crate::journal::ExitStatus;
+
+/// Inputs of a run that is to be stored.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NewRun {
+    /// Id of the run.
+    pub uid: RunUid,
+    /// Name of the experiment.
+    pub experiment: String,
+    /// Origin of its trials.
+    pub kind: RunKind,
+    /// Text of the experiment file.
+    pub definition: String,
+    /// Seed of all random choices, at most 2^63 - 1 (the limit of TOML); absent for an import.
+    pub seed: Option<u64>,
+    /// Text of the rig file; absent for an import.
+    pub rig: Option<String>,
+    /// Text of the sensor file.
+    pub sensor: String,
+    /// Id of the serving calibration; absent without one.
+    pub calibration_id: Option<String>,
+    /// Origin of the data: measured, virtual or simulated.
+    pub label: Label,
+    /// Version of the program.
+    pub version: String,
+    /// Commit of the program; absent if unknown.
+    pub git_commit: Option<String>,
+    /// Force below which contacts are removed from the labels, N.
+    pub deadband_n: f64,
+    /// Diameter of a tip, mm; absent if the sensor file does not state it.
+    pub tip_diameter_mm: Option<f64>,
+    /// Number of trials of its plan.
+    pub trials_planned: u64,
+    /// Whether it may resume automatically after a restart.
+    pub auto_resume: bool,
+    /// Person or key that submitted it.
+    pub submitted_by: String,
+}
+
+/// A run as it is stored.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct RunRow {
+    /// Id of the run.
+    pub uid: RunUid,
+    /// Number of the run, from 1.
+    pub scan_id: i64,
+    /// Name of the experiment.
+    pub experiment: String,
+    /// Origin of its trials.
+    pub kind: RunKind,
+    /// Text of the experiment file.
+    pub definition: String,
+    /// sha256 of the experiment file.
+    pub definition_sha256: String,
+    /// Seed of all random choices; absent for an import.
+    pub seed: Option<u64>,
+    /// Text of the rig file; absent for an import.
+    pub rig: Option<String>,
+    /// sha256 of the rig file; absent for an import.
+    pub rig_sha256: Option<String>,
+    /// Text of the sensor file.
+    pub sensor: String,
+    /// sha256 of the sensor file.
+    pub sensor_sha256: String,
+    /// Id of the calibration that served when it was submitted; absent without one.
+    pub calibration_id: Option<String>,
+    /// Origin of the data: measured, virtual or simulated.
+    pub label: Label,
+    /// Version of the program.
+    pub version: String,
+    /// Commit of the program; absent if unknown.
+    pub git_commit: Option<String>,
+    /// Force below which contacts are removed from the labels, N.
+    pub deadband_n: f64,
+    /// Diameter of a tip, mm; absent if unknown.
+    pub tip_diameter_mm: Option<f64>,
+    /// Number of trials of its plan.
+    pub trials_planned: u64,
+    /// Whether it may resume automatically after a restart.
+    pub auto_resume: bool,
+    /// `queued`, a state of the engine, `interrupted`, `ended` or `removed`.
+    pub state: String,
+    /// Requested state that is not reached yet; absent without a request.
+    pub requested_state: Option<String>,
+    /// Cause of the pause; absent unless it is paused or interrupted.
+    pub paused_why: Option<String>,
+    /// Exit status; absent until it ends.
+    pub exit_status: Option<ExitStatus>,
+    /// Reason of the exit status; absent until it ends.
+    pub reason: Option<String>,
+    /// Position in the queue, from 1; absent unless it is queued.
+    pub queue_position: Option<u32>,
+    /// Wall time since which it is started and waits for the active run to end; absent otherwise.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub waiting_since: Option<Timestamp>,
+    /// Wall time at which it was submitted.
+    #[schema(value_type = String, format = DateTime)]
+    pub created_at: Timestamp,
+    /// Wall time at which it first left the queue; absent before.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub started_at: Option<Timestamp>,
+    /// Wall time at which it ended or was removed from the queue; absent before.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub ended_at: Option<Timestamp>,
+    /// Person or key that submitted it.
+    pub submitted_by: String,
+}
+
+/// Page of runs, newest first.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct RunPage {
+    /// Runs of the page.
+    pub runs: Vec<RunRow>,
+    /// Value of `before` for the next page; absent on the last page.
+    pub next: Option<i64>,
+}
+
+impl RunRow {
+    pub(crate) fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
+        let c = Columns::of(row, operation);
+        let exit_status = match c.get::<Option<&str>>("exit_status")? {
+            None => None,
+            Some(_) => Some(c.word("exit_status")?),
+        };
+        Ok(Self {
+            uid: c.uid("uid")?,
+            scan_id: c.get("scan_id")?,
+            experiment: c.get("experiment")?,
+            kind: c.word("kind")?,
+            definition: c.get("definition")?,
+            definition_sha256: c.get("definition_sha256")?,
+            seed: c.whole_or_none("seed")?,
+            rig: c.get("rig")?,
+            rig_sha256: c.get("rig_sha256")?,
+            sensor: c.get("sensor")?,
+            sensor_sha256: c.get("sensor_sha256")?,
+            calibration_id: c.get("calibration_id")?,
+            label: c.word("label")?,
+            version: c.get("version")?,
+            git_commit: c.get("git_commit")?,
+            deadband_n: c.get("deadband_n")?,
+            tip_diameter_mm: c.get("tip_diameter_mm")?,
+            trials_planned: c.whole("trials_planned")?,
+            auto_resume: c.get("auto_resume")?,
+            state: c.get("state")?,
+            requested_state: c.get("requested_state")?,
+            paused_why: c.get("paused_why")?,
+            exit_status,
+            reason: c.get("reason")?,
+            queue_position: c.whole_or_none("queue_position")?,
+            waiting_since: c.time_or_none("waiting_since")?,
+            created_at: c.time("created_at")?,
+            started_at: c.time_or_none("started_at")?,
+            ended_at: c.time_or_none("ended_at")?,
+            submitted_by: c.get("submitted_by")?,
+        })
+    }
+}
+
+/// Inserts a run, at the end of the queue if `queued`, and returns its row. `now` is its time of
+/// creation.
+///
+/// # Errors
+/// `Refused` if the seed or the number of trials is too large or the deadband is not finite; `Sql` if
+/// the statement fails.
+pub(crate) async fn insert(
+    connection: &mut SqliteConnection,
+    new: NewRun,
+    queued: bool,
+    now: String,
+    operation: &'static str,
+) -> Result<RunRow, StoreError> {
+    let refused = |field, limit| StoreError::Refused { operation, field, limit };
+    let seed = new.seed.map(i64::try_from).transpose();
+    let seed = seed.map_err(|_| refused("seed", "must be under 2^63"))?;
+    let planned = i64::try_from(new.trials_planned)
+        .map_err(|_| refused("trials_planned", "must be under 2^63"))?;
+    if !new.deadband_n.is_finite() {
+        return Err(refused("deadband_n", "must be finite"));
+    }
+    let row = sqlx::query(
+        "INSERT INTO runs (uid, experiment, kind, definition, definition_sha256, seed, rig,
+             rig_sha256, sensor, sensor_sha256, calibration_id, label, version, git_commit,
+             deadband_n, tip_diameter_mm, trials_planned, auto_resume, state, queue_position,
+             created_at, submitted_by)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18,
+             ?19, CASE WHEN ?19 = 'queued'
+                  THEN (SELECT coalesce(max(queue_position), 0) + 1 FROM runs) END,
+             ?20, ?21)
+         RETURNING *",
+    )
+    .bind(new.uid.to_string())
+    .bind(&new.experiment)
+    .bind(new.kind.as_str())
+    .bind(&new.definition)
+    .bind(sha256_hex(&new.definition))
+    .bind(seed)
+    .bind(&new.rig)
+    .bind(new.rig.as_deref().map(sha256_hex))
+    .bind(&new.sensor)
+    .bind(sha256_hex(&new.sensor))
+    .bind(&new.calibration_id)
+    .bind(new.label.as_str())
+    .bind(&new.version)
+    .bind(&new.git_commit)
+    .bind(new.deadband_n)
+    .bind(new.tip_diameter_mm)
+    .bind(planned)
+    .bind(new.auto_resume)
+    .bind(if queued { "queued" } else { "idle" })
+    .bind(now)
+    .bind(&new.submitted_by)
+    .fetch_one(connection)
+    .await
+    .during(operation)?;
+    RunRow::read(&row, operation)
+}
+
+/// Decodes the rows of runs.
+pub(crate) fn read_all(
+    rows: &[SqliteRow],
+    operation: &'static str,
+) -> Result<Vec<RunRow>, StoreError> {
+    rows.iter().map(|row| RunRow::read(row, operation)).collect()
+}

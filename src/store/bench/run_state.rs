@@ -1,0 +1,141 @@
+//! Changes of a run's state, and its end.
+//! Uses: `core`, `journal`. Never: what a state means (`campaign` does).
+
+use jiff::Timestamp;
+use sqlx::sqlite::SqliteConnection;
+
+use crate::core::columns::time_text;
+use crate::core::{During, Store, StoreError};
+use crate::ids::RunUid;
+use crate::journal::ExitStatus;
+
+impl Store {
+    /// Marks the runs that an earlier process did not end as `interrupted`, except for `but`. Call it
+    /// before an engine starts.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn interrupt_open_runs(&self, but: Option<RunUid>) -> Result<(), StoreError> {
+        const OPERATION: &str = "marking interrupted runs";
+        let but = but.map(|run| run.to_string());
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                sqlx::query(
+                    "UPDATE runs
+                     SET state = 'interrupted', requested_state = NULL, paused_why = 'restart'
+                     WHERE state NOT IN ('queued', 'interrupted', 'ended', 'removed')
+                         AND uid IS NOT ?1",
+                )
+                .bind(but)
+                .execute(connection)
+                .await
+                .during(OPERATION)?;
+                Ok(())
+            })
+            .await
+    }
+
+    /// Stores the state of a run, with the requested state and the cause of a pause.
+    ///
+    /// # Errors
+    /// `Refused` if the store itself sets this state; `NoSuchRun` or `RunEnded` if the run cannot
+    /// change; `Sql` or `Closed` if the write fails.
+    pub(crate) async fn set_run_state(
+        &self,
+        run: RunUid,
+        state: &str,
+        requested: Option<&str>,
+        why: Option<&str>,
+        at: Timestamp,
+    ) -> Result<(), StoreError> {
+        const OPERATION: &str = "storing a run's state";
+        const OWN: [&str; 3] = ["queued", "ended", "removed"];
+        if OWN.contains(&state) {
+            let limit =
+                "must be a state of the engine (only the store sets queued, ended and removed)";
+            return Err(StoreError::Refused { operation: OPERATION, field: "state", limit });
+        }
+        let (state, requested, why) =
+            (state.to_owned(), requested.map(str::to_owned), why.map(str::to_owned));
+        let at = time_text(at);
+        self.inner
+            .writer
+            .patient()
+            .run(OPERATION, async move |connection| {
+                let changed = sqlx::query(
+                    "UPDATE runs SET state = ?2, requested_state = ?3, paused_why = ?4,
+                         queue_position = NULL, waiting_since = NULL,
+                         started_at = coalesce(started_at, ?5)
+                     WHERE uid = ?1 AND state NOT IN ('ended', 'removed')",
+                )
+                .bind(run.to_string())
+                .bind(state)
+                .bind(requested)
+                .bind(why)
+                .bind(at)
+                .execute(&mut *connection)
+                .await
+                .during(OPERATION)?;
+                changed_or_ended(connection, run, changed.rows_affected(), OPERATION).await
+            })
+            .await
+    }
+
+    /// Stores the exit status of a run. A repetition with the same status changes nothing.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `RunEnded` if it was removed or has another status; `Sql`
+    /// or `Closed` if the write fails.
+    pub(crate) async fn finish_run(
+        &self,
+        run: RunUid,
+        status: ExitStatus,
+        reason: &str,
+        at: Timestamp,
+    ) -> Result<(), StoreError> {
+        const OPERATION: &str = "ending a run";
+        let (reason, at) = (reason.to_owned(), time_text(at));
+        self.inner
+            .writer
+            .patient()
+            .run(OPERATION, async move |connection| {
+                // The caller repeats the request if it does not know the outcome of the first.
+                let changed = sqlx::query(
+                    "UPDATE runs SET state = 'ended', requested_state = NULL, paused_why = NULL,
+                         queue_position = NULL, waiting_since = NULL, exit_status = ?2,
+                         reason = CASE WHEN state = 'ended' THEN reason ELSE ?3 END,
+                         ended_at = coalesce(ended_at, ?4)
+                     WHERE uid = ?1 AND state <> 'removed'
+                       AND (exit_status IS NULL OR exit_status = ?2)",
+                )
+                .bind(run.to_string())
+                .bind(status.as_str())
+                .bind(reason)
+                .bind(at)
+                .execute(&mut *connection)
+                .await
+                .during(OPERATION)?;
+                changed_or_ended(connection, run, changed.rows_affected(), OPERATION).await
+            })
+            .await
+    }
+}
+
+/// Returns the error for a change of a run's state that changed no row.
+async fn changed_or_ended(
+    connection: &mut SqliteConnection,
+    run: RunUid,
+    changed: u64,
+    operation: &'static str,
+) -> Result<(), StoreError> {
+    if changed > 0 {
+        return Ok(());
+    }
+    let known: Option<i64> = sqlx::query_scalar("SELECT scan_id FROM runs WHERE uid = ?1")
+        .bind(run.to_string())
+        .fetch_optional(connection)
+        .await
+        .during(operation)?;
+    Err(if known.is_some() { StoreError::RunEnded(run) } else { StoreError::NoSuchRun(run) })
+}

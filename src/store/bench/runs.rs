@@ -1,0 +1,99 @@
+//! Runs: storing, listing and reading them.
+//! Uses: `core`, `run_row`. Never: a change of a state (`run_state`).
+
+use sqlx::sqlite::SqliteConnection;
+
+use super::run_row::{self, NewRun, RunPage, RunRow};
+use crate::core::facts::RunFacts;
+use crate::core::{During, Store, StoreError};
+use crate::ids::RunUid;
+
+impl Store {
+    /// Stores a new run in the state `idle`. Returns its row, which holds its number.
+    ///
+    /// # Errors
+    /// `Refused` if the seed or the number of trials is too large or the deadband is not finite;
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn create_run(&self, new: NewRun) -> Result<RunRow, StoreError> {
+        const OPERATION: &str = "creating a run";
+        let now = self.now_text();
+        let insert = async move |c: &mut SqliteConnection| {
+            run_row::insert(c, new, false, now, OPERATION).await
+        };
+        Ok(self.keep_facts(self.inner.writer.run(OPERATION, insert).await?))
+    }
+
+    /// Returns a run by its id; `None` if it is not stored.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn run(&self, run: RunUid) -> Result<Option<RunRow>, StoreError> {
+        const OPERATION: &str = "reading a run";
+        sqlx::query("SELECT * FROM runs WHERE uid = ?1")
+            .bind(run.to_string())
+            .fetch_optional(&self.inner.readers)
+            .await
+            .during(OPERATION)?
+            .map(|row| RunRow::read(&row, OPERATION))
+            .transpose()
+    }
+
+    /// Returns a run by its number; `None` if it is not stored.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn run_by_scan_id(&self, scan_id: i64) -> Result<Option<RunRow>, StoreError> {
+        const OPERATION: &str = "reading a run";
+        sqlx::query("SELECT * FROM runs WHERE scan_id = ?1")
+            .bind(scan_id)
+            .fetch_optional(&self.inner.readers)
+            .await
+            .during(OPERATION)?
+            .map(|row| RunRow::read(&row, OPERATION))
+            .transpose()
+    }
+
+    /// Returns at most `limit` runs, newest first, with numbers below `before`.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn runs(&self, limit: u32, before: Option<i64>) -> Result<RunPage, StoreError> {
+        const OPERATION: &str = "listing runs";
+        let rows =
+            sqlx::query("SELECT * FROM runs WHERE scan_id < ?1 ORDER BY scan_id DESC LIMIT ?2")
+                .bind(before.unwrap_or(i64::MAX))
+                .bind(i64::from(limit) + 1)
+                .fetch_all(&self.inner.readers)
+                .await
+                .during(OPERATION)?;
+        let mut runs = run_row::read_all(&rows, OPERATION)?;
+        let more = runs.len() > limit as usize;
+        runs.truncate(limit as usize);
+        let next = if more { runs.last().map(|r| r.scan_id) } else { None };
+        Ok(RunPage { runs, next })
+    }
+
+    /// Returns the runs in a state of the engine, oldest first. Before an engine starts, these are the
+    /// runs that an earlier process did not end.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn open_runs(&self) -> Result<Vec<RunRow>, StoreError> {
+        const OPERATION: &str = "reading open runs";
+        let rows = sqlx::query(
+            "SELECT * FROM runs WHERE state NOT IN ('queued', 'interrupted', 'ended', 'removed')
+             ORDER BY scan_id",
+        )
+        .fetch_all(&self.inner.readers)
+        .await
+        .during(OPERATION)?;
+        run_row::read_all(&rows, OPERATION)
+    }
+
+    /// Caches the facts of a run that was stored, and returns its row.
+    pub(crate) fn keep_facts(&self, row: RunRow) -> RunRow {
+        let (scan_id, kind, deadband_n) = (row.scan_id, row.kind, row.deadband_n);
+        self.keep(row.uid, RunFacts { scan_id, kind, deadband_n });
+        row
+    }
+}

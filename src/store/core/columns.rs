@@ -1,0 +1,159 @@
+//! Encoding of values in columns (times, ids, words, arrays of numbers), and their decoding.
+//! Uses: `core::error`. Never: statements.
+
+use jiff::Timestamp;
+use serde::de::IntoDeserializer;
+use serde::de::value::StrDeserializer;
+use sha2::{Digest, Sha256};
+use sqlx::Row;
+use sqlx::sqlite::{Sqlite, SqliteRow};
+
+use super::error::{During, StoreError};
+use crate::ids::RunUid;
+
+/// Returns a time as it is stored: RFC 3339, UTC, truncated to milliseconds.
+pub(crate) fn time_text(at: Timestamp) -> String {
+    format!("{at:.3}")
+}
+
+/// Returns the sha256 of a text, in hexadecimal digits.
+pub(crate) fn sha256_hex(text: &str) -> String {
+    hex::encode(Sha256::digest(text.as_bytes()))
+}
+
+/// Returns the counts of a frame as they are stored: little-endian i16.
+pub(crate) fn counts_blob(counts: &[i16]) -> Vec<u8> {
+    counts.iter().flat_map(|c| c.to_le_bytes()).collect()
+}
+
+/// Returns voltages as they are stored: V, little-endian f32.
+pub(crate) fn volts_blob(volts: &[f32]) -> Vec<u8> {
+    volts.iter().flat_map(|v| v.to_le_bytes()).collect()
+}
+
+/// A row with the operation that reads it. Every method returns `StoreError::Sql` if the column is
+/// missing or has another type, and `StoreError::Unreadable` if its value cannot be decoded.
+pub(crate) struct Columns<'r> {
+    row: &'r SqliteRow,
+    operation: &'static str,
+}
+
+impl<'r> Columns<'r> {
+    /// Wraps `row`; errors name `operation`.
+    pub(crate) fn of(row: &'r SqliteRow, operation: &'static str) -> Self {
+        Self { row, operation }
+    }
+
+    /// Whether the query selected this column.
+    pub(crate) fn has(&self, column: &str) -> bool {
+        self.row.try_column(column).is_ok()
+    }
+
+    /// Returns the value of a column whose type sqlx decodes.
+    pub(crate) fn get<T>(&self, column: &'static str) -> Result<T, StoreError>
+    where
+        T: sqlx::Decode<'r, Sqlite> + sqlx::Type<Sqlite>,
+    {
+        self.row.try_get(column).during(self.operation)
+    }
+
+    /// Returns an integer that was stored from a narrower or unsigned type.
+    pub(crate) fn whole<T: TryFrom<i64>>(&self, column: &'static str) -> Result<T, StoreError> {
+        let value: i64 = self.get(column)?;
+        T::try_from(value).map_err(|_| self.unreadable(column, value))
+    }
+
+    /// Returns such an integer; `None` for NULL.
+    pub(crate) fn whole_or_none<T: TryFrom<i64>>(
+        &self,
+        column: &'static str,
+    ) -> Result<Option<T>, StoreError> {
+        let Some(value) = self.get::<Option<i64>>(column)? else { return Ok(None) };
+        T::try_from(value).map(Some).map_err(|_| self.unreadable(column, value))
+    }
+
+    /// Returns a time.
+    pub(crate) fn time(&self, column: &'static str) -> Result<Timestamp, StoreError> {
+        let text: &str = self.get(column)?;
+        text.parse().map_err(|_| self.unreadable(column, text))
+    }
+
+    /// Returns a time; `None` for NULL.
+    pub(crate) fn time_or_none(
+        &self,
+        column: &'static str,
+    ) -> Result<Option<Timestamp>, StoreError> {
+        let Some(text) = self.get::<Option<&str>>(column)? else { return Ok(None) };
+        text.parse().map(Some).map_err(|_| self.unreadable(column, text))
+    }
+
+    /// Returns the id of a run.
+    pub(crate) fn uid(&self, column: &'static str) -> Result<RunUid, StoreError> {
+        let text: &str = self.get(column)?;
+        text.parse().map_err(|_| self.unreadable(column, text))
+    }
+
+    /// Returns the id of a run; `None` for NULL.
+    pub(crate) fn uid_or_none(&self, column: &'static str) -> Result<Option<RunUid>, StoreError> {
+        let Some(text) = self.get::<Option<&str>>(column)? else { return Ok(None) };
+        text.parse().map(Some).map_err(|_| self.unreadable(column, text))
+    }
+
+    /// Returns a value that is stored as JSON.
+    pub(crate) fn json<T: serde::de::DeserializeOwned>(
+        &self,
+        column: &'static str,
+    ) -> Result<T, StoreError> {
+        let text: &str = self.get(column)?;
+        serde_json::from_str(text).map_err(|_| self.unreadable(column, text))
+    }
+
+    /// Returns a value of an enum that is stored as its serde name.
+    pub(crate) fn word<T: serde::de::DeserializeOwned>(
+        &self,
+        column: &'static str,
+    ) -> Result<T, StoreError> {
+        let text: &str = self.get(column)?;
+        word(text).ok_or_else(|| self.unreadable(column, text))
+    }
+
+    /// Returns the counts of a frame, injection-major.
+    pub(crate) fn counts(&self, column: &'static str) -> Result<Vec<i16>, StoreError> {
+        let bytes: &[u8] = self.get(column)?;
+        let (values, rest) = bytes.as_chunks::<2>();
+        if rest.is_empty() {
+            Ok(values.iter().map(|b| i16::from_le_bytes(*b)).collect())
+        } else {
+            Err(self.unreadable(column, format!("{} bytes", bytes.len())))
+        }
+    }
+
+    /// Returns voltages, V, injection-major; `None` for NULL.
+    pub(crate) fn volts_or_none(
+        &self,
+        column: &'static str,
+    ) -> Result<Option<Vec<f32>>, StoreError> {
+        let Some(bytes) = self.get::<Option<&[u8]>>(column)? else { return Ok(None) };
+        let (values, rest) = bytes.as_chunks::<4>();
+        if rest.is_empty() {
+            Ok(Some(values.iter().map(|b| f32::from_le_bytes(*b)).collect()))
+        } else {
+            Err(self.unreadable(column, format!("{} bytes", bytes.len())))
+        }
+    }
+
+    /// Returns the error for a value that cannot be decoded.
+    pub(crate) fn unreadable(
+        &self,
+        column: &'static str,
+        value: impl std::fmt::Display,
+    ) -> StoreError {
+        StoreError::Unreadable { operation: self.operation, column, value: value.to_string() }
+    }
+}
+
+/// Returns the value of an enum from its serde name; `None` for another word.
+pub(crate) fn word<T: serde::de::DeserializeOwned>(text: &str) -> Option<T> {
+    let word: StrDeserializer<'_, serde::de::value::Error> = text.into_deserializer();
+    T::deserialize(word).ok()
+}

@@ -1,0 +1,253 @@
+//! The errors of the store: one enum, whose variants name the failed operation.
+//! Uses: sqlx's errors as sources. Never: HTTP, logging.
+//!
+//! A method that reads returns `Sql` if its statement fails and `Unreadable` or `Damaged` if a stored
+//! value cannot be decoded or differs from its checksum. A method that writes returns `Sql` if its
+//! statement fails, and `Late` or `Closed` if the writer does not answer.
+
+use std::path::PathBuf;
+
+use crate::ids::{RunUid, TrialKey};
+use crate::journal::JournalError;
+
+/// Failure of an operation of the store.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The database file cannot be opened or created.
+    #[error("opening the database {path} failed")]
+    Open {
+        /// Path of the database file.
+        path: PathBuf,
+        /// Cause of the failure.
+        #[source]
+        source: sqlx::Error,
+    },
+    /// The database file is empty, or it is missing while its log exists.
+    #[error(
+        "the database {path} is lost: the file is empty, or missing while its log {path}-wal exists; \
+         restore it from a copy, or remove the remaining files to start a new database"
+    )]
+    Lost {
+        /// Path of the database file.
+        path: PathBuf,
+    },
+    /// The log of the database was changed after it was written. SQLite would drop stored transactions
+    /// when it opens the file.
+    #[error(
+        "the log {path}-wal is damaged at byte {at_byte}: at least {transactions} stored transactions \
+         after it cannot be read; copy both files before any program opens them, and restore the \
+         database from a copy"
+    )]
+    DamagedLog {
+        /// Path of the database file.
+        path: PathBuf,
+        /// Offset in the log of the first frame that differs from what was written, bytes.
+        at_byte: usize,
+        /// Smallest number of stored transactions at and after this offset.
+        transactions: usize,
+    },
+    /// A migration of the tables failed.
+    #[error("migrating the tables of the database failed")]
+    Migrate(#[source] sqlx::migrate::MigrateError),
+    /// The writer's thread, or its runtime, cannot be started.
+    #[error("starting the writer of the store failed")]
+    StartWriter(#[source] std::io::Error),
+    /// A statement failed. After a failed write the outcome is unknown, unless a constraint refused it:
+    /// read again before you continue.
+    #[error("{operation} failed in the database")]
+    Sql {
+        /// Operation that failed, as text.
+        operation: &'static str,
+        /// Cause of the failure.
+        #[source]
+        source: sqlx::Error,
+    },
+    /// A write failed. A later read of the database shows that it is not stored.
+    #[error("{operation} failed, and nothing of it is stored")]
+    NotStored {
+        /// Operation that failed, as text.
+        operation: &'static str,
+        /// Failure of the write.
+        #[source]
+        source: Box<StoreError>,
+    },
+    /// A write did not finish in time. Its outcome is unknown.
+    #[error("{operation} did not finish within {limit_s} s")]
+    Late {
+        /// Operation that failed, as text.
+        operation: &'static str,
+        /// Longest allowed wall time, s.
+        limit_s: u64,
+    },
+    /// The store has been closed.
+    #[error("{operation}: the store is closed")]
+    Closed {
+        /// Operation that was requested, as text.
+        operation: &'static str,
+    },
+    /// A record was refused before anything was written.
+    #[error("{operation}: {field} {limit}")]
+    Refused {
+        /// Operation that failed, as text.
+        operation: &'static str,
+        /// Field with the invalid value.
+        field: &'static str,
+        /// Limit of the field, as text.
+        limit: &'static str,
+    },
+    /// A stored value cannot be decoded.
+    #[error("{operation}: column {column} holds {value:?}")]
+    Unreadable {
+        /// Operation that failed, as text.
+        operation: &'static str,
+        /// Column that holds it.
+        column: &'static str,
+        /// Stored value, as text.
+        value: String,
+    },
+    /// The database file is damaged.
+    #[error("the database is damaged: {}", findings.join("; "))]
+    Damaged {
+        /// Damage that SQLite or a checksum reported; a damaged trial is named by its id.
+        findings: Vec<String>,
+    },
+    /// The free space of the disk cannot be read.
+    #[error("reading the free space of the disk failed")]
+    FreeSpace(#[source] std::io::Error),
+    /// No run with this id is stored.
+    #[error("there is no run {0}")]
+    NoSuchRun(RunUid),
+    /// The run has ended and no longer changes.
+    #[error("run {0} has ended")]
+    RunEnded(RunUid),
+    /// The run is not in the queue.
+    #[error("run {0} is not in the queue")]
+    NotQueued(RunUid),
+    /// The run has no trial with this key.
+    #[error("run {run} has no trial of configuration {} at depth {}", key.configuration, key.depth_index)]
+    NoSuchTrial {
+        /// Id of the run.
+        run: RunUid,
+        /// Configuration and depth of the trial.
+        key: TrialKey,
+    },
+    /// Another person holds the operator lock.
+    #[error("{holder} holds the operator lock: {note}")]
+    LockHeld {
+        /// Name of the holder.
+        holder: String,
+        /// Note of the holder.
+        note: String,
+    },
+}
+
+impl StoreError {
+    /// Whether a write that returned this error may be stored nevertheless: the disk, the file or the
+    /// connection failed, and no constraint refused the write. (A failed fsync can leave its row in the
+    /// file: `docs/references.md`, "SQLite".)
+    pub fn outcome_unknown(&self) -> bool {
+        match self {
+            Self::Sql { source: sqlx::Error::Database(e), .. } => {
+                matches!(e.kind(), sqlx::error::ErrorKind::Other)
+            }
+            Self::Sql { .. } | Self::Late { .. } => true,
+            Self::Open { .. }
+            | Self::Lost { .. }
+            | Self::DamagedLog { .. }
+            | Self::Migrate(_)
+            | Self::StartWriter(_)
+            | Self::NotStored { .. }
+            | Self::Closed { .. }
+            | Self::Refused { .. }
+            | Self::Unreadable { .. }
+            | Self::Damaged { .. }
+            | Self::FreeSpace(_)
+            | Self::NoSuchRun(_)
+            | Self::RunEnded(_)
+            | Self::NotQueued(_)
+            | Self::NoSuchTrial { .. }
+            | Self::LockHeld { .. } => false,
+        }
+    }
+
+    /// Whether the record itself is refused, so that a repetition fails, too.
+    fn is_refusal(&self) -> bool {
+        match self {
+            Self::Sql { source: sqlx::Error::Database(e), .. } => {
+                !matches!(e.kind(), sqlx::error::ErrorKind::Other)
+            }
+            Self::Refused { .. }
+            | Self::NoSuchRun(_)
+            | Self::RunEnded(_)
+            | Self::NotQueued(_)
+            | Self::NoSuchTrial { .. } => true,
+            _ => false,
+        }
+    }
+
+    /// Returns the error for one finding of damage.
+    pub(crate) fn damaged(finding: String) -> Self {
+        Self::Damaged { findings: vec![finding] }
+    }
+
+    /// Returns the findings if the error means that the file is damaged.
+    ///
+    /// # Errors
+    /// The error itself if it has another cause.
+    pub(crate) fn into_findings(self) -> Result<Vec<String>, Self> {
+        /// SQLite's result codes for a statement that does not match the tables (1), a failed read or
+        /// write (10), a malformed page (11) and a file that is no database (26).
+        const DAMAGE: [i32; 4] = [1, 10, 11, 26];
+        let damage = match &self {
+            Self::Damaged { findings } => return Ok(findings.clone()),
+            Self::Unreadable { .. } => true,
+            Self::Sql { source, .. } => match source {
+                sqlx::Error::Database(e) => {
+                    let code = e.code().and_then(|code| code.parse::<i32>().ok());
+                    code.is_some_and(|code| DAMAGE.contains(&(code & 0xff)))
+                }
+                sqlx::Error::ColumnDecode { .. } | sqlx::Error::Decode(_) => true,
+                _ => false,
+            },
+            _ => false,
+        };
+        if damage { Ok(vec![self.with_causes()]) } else { Err(self) }
+    }
+
+    /// Returns the message with the messages of its causes, without repetitions.
+    pub fn with_causes(&self) -> String {
+        let mut text = self.to_string();
+        let mut cause = std::error::Error::source(self);
+        while let Some(error) = cause {
+            let message = error.to_string();
+            if !text.contains(&message) {
+                text = format!("{text}: {message}");
+            }
+            cause = error.source();
+        }
+        text
+    }
+
+    /// Returns a conversion to the error of `Journal`, for `map_err`; `what` names the record.
+    pub(crate) fn of(what: &'static str) -> impl Fn(Self) -> JournalError {
+        move |source: Self| {
+            let refused = source.is_refusal();
+            JournalError { what, refused, source: Box::new(source) }
+        }
+    }
+}
+
+/// Conversion of a database failure into a [`StoreError`]: `.await.during(OPERATION)?`.
+pub(crate) trait During<T> {
+    /// Adds the name of the operation.
+    ///
+    /// # Errors
+    /// `StoreError::Sql` if `self` is an error.
+    fn during(self, operation: &'static str) -> Result<T, StoreError>;
+}
+
+impl<T> During<T> for Result<T, sqlx::Error> {
+    fn during(self, operation: &'static str) -> Result<T, StoreError> {
+        self.map_err(|source| StoreError::Sql { operation, source })
+    }
+}

@@ -1,0 +1,303 @@
+//! API keys: created from random bytes of the caller, stored as hashes, revocable.
+//! Uses: sha2, `core::writer`. Never: the text of a key in a table, a log or a `Debug`; a read of the
+//! store per request.
+//!
+//! A key is found by its sha256, so that the time of a comparison reveals nothing about a guess. A key
+//! of 32 random bytes needs no slow hash.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+
+use jiff::Timestamp;
+use parking_lot::{RwLock, RwLockReadGuard, RwLockWriteGuard};
+use serde::{Deserialize, Serialize};
+use sqlx::sqlite::SqliteRow;
+use utoipa::ToSchema;
+
+use super::columns::{Columns, sha256_hex, time_text};
+use super::{During, Store, StoreError};
+
+/// Start of the text of every key.
+const PREFIX: &str = "palpate_";
+
+/// Interval in which the use of a key is stored at most once, s.
+const USE_GRAIN_S: i64 = 60;
+
+/// Longest name of a key, characters.
+const NAME_MAX_CHARS: usize = 100;
+
+/// Name of a caller without a key and without a name.
+pub const KEYLESS: &str = "local";
+
+/// End of the name of a caller without a key; no name of a key ends in it.
+pub const KEYLESS_SUFFIX: &str = " (local)";
+
+/// Rights of an API key; each role includes the rights of the previous ones.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Role {
+    /// Read, and stop the rig.
+    Viewer,
+    /// Start runs and move the rig.
+    Operator,
+    /// Manage keys, and remove the operator lock of another person.
+    Admin,
+}
+
+impl Role {
+    fn as_str(self) -> &'static str {
+        match self {
+            Role::Viewer => "viewer",
+            Role::Operator => "operator",
+            Role::Admin => "admin",
+        }
+    }
+}
+
+/// An API key without its text.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct KeyRow {
+    /// Number of the key.
+    pub id: i64,
+    /// Name of the key: its holder or purpose.
+    pub name: String,
+    /// Rights of its holder.
+    pub role: Role,
+    /// Wall time of its creation.
+    #[schema(value_type = String, format = DateTime)]
+    pub created_at: Timestamp,
+    /// Wall time of its last use, to the minute; absent if it was never used.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub last_used_at: Option<Timestamp>,
+    /// Wall time of its revocation; absent while it is valid.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub revoked_at: Option<Timestamp>,
+}
+
+impl KeyRow {
+    fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
+        let c = Columns::of(row, operation);
+        Ok(Self {
+            id: c.get("id")?,
+            name: c.get("name")?,
+            role: c.word("role")?,
+            created_at: c.time("created_at")?,
+            last_used_at: c.time_or_none("last_used_at")?,
+            revoked_at: c.time_or_none("revoked_at")?,
+        })
+    }
+}
+
+/// A valid key in memory. Clones share the time of its last stored use.
+#[derive(Debug, Clone)]
+pub struct Key {
+    /// Number of the key.
+    pub id: i64,
+    /// Name of the key: its holder or purpose.
+    pub name: String,
+    /// Rights of its holder.
+    pub role: Role,
+    noted_s: Arc<AtomicI64>,
+}
+
+impl Key {
+    fn of(row: &KeyRow) -> Self {
+        let noted_s = row.last_used_at.map_or(i64::MIN, Timestamp::as_second);
+        let noted_s = Arc::new(AtomicI64::new(noted_s));
+        Self { id: row.id, name: row.name.clone(), role: row.role, noted_s }
+    }
+
+    /// Whether the use at this time, s, is to be stored: once per `USE_GRAIN_S`, and after the clock
+    /// was set back.
+    fn note_is_due(&self, now_s: i64) -> bool {
+        let noted_s = self.noted_s.load(Ordering::Relaxed);
+        let due = now_s < noted_s || now_s.saturating_sub(noted_s) >= USE_GRAIN_S;
+        let taken =
+            || self.noted_s.compare_exchange(noted_s, now_s, Ordering::Relaxed, Ordering::Relaxed);
+        due && taken().is_ok()
+    }
+}
+
+/// All valid keys in memory, by their hashes, so that a request is authorised without a read of the
+/// store. While the service runs, keys are created and revoked only through it. Clones share it.
+#[derive(Clone)]
+pub struct KeyRing {
+    store: Store,
+    valid: Arc<RwLock<HashMap<String, Key>>>,
+}
+
+impl KeyRing {
+    /// Reads the valid keys.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn load(store: Store) -> Result<Self, StoreError> {
+        const OPERATION: &str = "reading the valid keys";
+        let rows = sqlx::query("SELECT * FROM api_keys WHERE revoked_at IS NULL")
+            .fetch_all(&store.inner.readers)
+            .await
+            .during(OPERATION)?;
+        let entry = |row: &SqliteRow| {
+            let hash = Columns::of(row, OPERATION).get("sha256")?;
+            Ok((hash, Key::of(&KeyRow::read(row, OPERATION)?)))
+        };
+        let valid = rows.iter().map(entry).collect::<Result<_, StoreError>>()?;
+        Ok(Self { store, valid: Arc::new(RwLock::new(valid)) })
+    }
+
+    /// Whether no key is valid.
+    pub fn is_empty(&self) -> bool {
+        self.valid().is_empty()
+    }
+
+    /// Returns the valid key with this text. Does not wait for the store.
+    pub fn find(&self, secret: &str) -> Option<Key> {
+        self.valid().get(&sha256_hex(secret)).cloned()
+    }
+
+    /// Stores in the background that a key was used, at most once per minute. A failure is logged.
+    ///
+    /// # Panics
+    /// If it is called outside of a tokio runtime.
+    pub fn note_use(&self, key: &Key) {
+        let now = self.store.inner.clock.timestamp();
+        if !key.note_is_due(now.as_second()) {
+            return;
+        }
+        let (store, id) = (self.store.clone(), key.id);
+        tokio::spawn(async move {
+            if let Err(error) = store.note_key_use(id, now).await {
+                tracing::warn!(%error, key = id, "the use of a key was not stored");
+            }
+        });
+    }
+
+    /// Creates a key from 32 random bytes. Returns its row and its text, which is not stored.
+    ///
+    /// # Errors
+    /// `Refused` if the name is empty, longer than 100 characters, the name of another valid key, or
+    /// that of a caller without a key (names identify the holder of the operator lock); `Sql`, `Late` or
+    /// `Closed` if the write fails.
+    pub async fn create(
+        &self,
+        name: &str,
+        role: Role,
+        random: [u8; 32],
+    ) -> Result<(KeyRow, String), StoreError> {
+        self.check_name(name)?;
+        let secret = format!("{PREFIX}{}", hex::encode(random));
+        let hash = sha256_hex(&secret);
+        let row = self.store.insert_key(name, role, hash.clone()).await?;
+        self.change().insert(hash, Key::of(&row));
+        Ok((row, secret))
+    }
+
+    fn check_name(&self, name: &str) -> Result<(), StoreError> {
+        let refused =
+            |limit| StoreError::Refused { operation: "creating a key", field: "name", limit };
+        if name.trim().is_empty() || name.chars().count() > NAME_MAX_CHARS {
+            return Err(refused("must have 1 to 100 characters"));
+        }
+        if name == KEYLESS || name.ends_with(KEYLESS_SUFFIX) {
+            return Err(refused(
+                "must not be `local` or end in `(local)`: these names mean a caller without a key",
+            ));
+        }
+        if self.valid().values().any(|key| key.name == name) {
+            return Err(refused("must not be the name of another valid key"));
+        }
+        Ok(())
+    }
+
+    /// Revokes a key. Returns false if no key has this number, or it is already revoked. The key is
+    /// refused from now on; if the write fails, until the service starts again.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn revoke(&self, id: i64) -> Result<bool, StoreError> {
+        self.change().retain(|_, key| key.id != id);
+        self.store.revoke_key(id).await
+    }
+
+    fn valid(&self) -> RwLockReadGuard<'_, HashMap<String, Key>> {
+        self.valid.read()
+    }
+
+    fn change(&self) -> RwLockWriteGuard<'_, HashMap<String, Key>> {
+        self.valid.write()
+    }
+}
+
+impl Store {
+    async fn insert_key(&self, name: &str, role: Role, hash: String) -> Result<KeyRow, StoreError> {
+        const OPERATION: &str = "creating a key";
+        let (name, now) = (name.to_owned(), self.now_text());
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                let row = sqlx::query(
+                    "INSERT INTO api_keys (name, sha256, role, created_at)
+                     VALUES (?1, ?2, ?3, ?4) RETURNING *",
+                )
+                .bind(name)
+                .bind(hash)
+                .bind(role.as_str())
+                .bind(now)
+                .fetch_one(connection)
+                .await
+                .during(OPERATION)?;
+                KeyRow::read(&row, OPERATION)
+            })
+            .await
+    }
+
+    async fn note_key_use(&self, id: i64, at: Timestamp) -> Result<(), StoreError> {
+        const OPERATION: &str = "storing the use of a key";
+        let at = time_text(at);
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                sqlx::query("UPDATE api_keys SET last_used_at = ?2 WHERE id = ?1")
+                    .bind(id)
+                    .bind(at)
+                    .execute(connection)
+                    .await
+                    .during(OPERATION)?;
+                Ok(())
+            })
+            .await
+    }
+
+    async fn revoke_key(&self, id: i64) -> Result<bool, StoreError> {
+        const OPERATION: &str = "revoking a key";
+        let now = self.now_text();
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                let done = sqlx::query(
+                    "UPDATE api_keys SET revoked_at = ?2 WHERE id = ?1 AND revoked_at IS NULL",
+                )
+                .bind(id)
+                .bind(now)
+                .execute(connection)
+                .await
+                .during(OPERATION)?;
+                Ok(done.rows_affected() > 0)
+            })
+            .await
+    }
+
+    /// Returns all keys, also revoked ones, oldest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn keys(&self) -> Result<Vec<KeyRow>, StoreError> {
+        const OPERATION: &str = "listing keys";
+        let rows = sqlx::query("SELECT * FROM api_keys ORDER BY id")
+            .fetch_all(&self.inner.readers)
+            .await
+            .during(OPERATION)?;
+        rows.iter().map(|row| KeyRow::read(row, OPERATION)).collect()
+    }
+}

@@ -1,0 +1,140 @@
+//! The operator lock, which prevents starting and editing but never stopping, and the settings.
+//! Uses: `core::writer`. Never: the rig lock, the file with which one process holds the rig.
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use sqlx::sqlite::{SqliteConnection, SqliteRow};
+use utoipa::ToSchema;
+
+use super::columns::Columns;
+use super::{During, Store, StoreError};
+
+/// The operator lock while a person holds it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct LockRow {
+    /// Name of the holder.
+    pub holder: String,
+    /// Note of the holder.
+    pub note: String,
+    /// Wall time at which it was taken.
+    #[schema(value_type = String, format = DateTime)]
+    pub since: Timestamp,
+}
+
+impl LockRow {
+    fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
+        let c = Columns::of(row, operation);
+        Ok(Self { holder: c.get("holder")?, note: c.get("note")?, since: c.time("since")? })
+    }
+}
+
+impl Store {
+    /// Takes the lock, or changes the note if `holder` already holds it.
+    ///
+    /// # Errors
+    /// `LockHeld` if another person holds it; `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn set_lock(&self, holder: &str, note: &str) -> Result<LockRow, StoreError> {
+        const OPERATION: &str = "taking the operator lock";
+        let (holder, note, now) = (holder.to_owned(), note.to_owned(), self.now_text());
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                if let Some(held) = held(connection, OPERATION).await?
+                    && held.holder != holder
+                {
+                    return Err(StoreError::LockHeld { holder: held.holder, note: held.note });
+                }
+                let row = sqlx::query(
+                    "INSERT INTO operator_lock (id, holder, note, since) VALUES (1, ?1, ?2, ?3)
+                     ON CONFLICT (id) DO UPDATE SET note = ?2
+                     RETURNING *",
+                )
+                .bind(holder)
+                .bind(note)
+                .bind(now)
+                .fetch_one(connection)
+                .await
+                .during(OPERATION)?;
+                LockRow::read(&row, OPERATION)
+            })
+            .await
+    }
+
+    /// Removes the lock of any holder (the caller checks the rights). Returns the removed lock.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn clear_lock(&self) -> Result<Option<LockRow>, StoreError> {
+        const OPERATION: &str = "releasing the operator lock";
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                let was = held(connection, OPERATION).await?;
+                sqlx::query("DELETE FROM operator_lock")
+                    .execute(connection)
+                    .await
+                    .during(OPERATION)?;
+                Ok(was)
+            })
+            .await
+    }
+
+    /// Returns the lock; `None` if it is free.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn lock(&self) -> Result<Option<LockRow>, StoreError> {
+        const OPERATION: &str = "reading the operator lock";
+        held(&mut *self.read(OPERATION).await?, OPERATION).await
+    }
+
+    /// Returns the value of a setting; `None` if it was never stored.
+    ///
+    /// # Errors
+    /// `Sql` if the read fails.
+    pub async fn setting(&self, name: &str) -> Result<Option<String>, StoreError> {
+        sqlx::query_scalar("SELECT value FROM settings WHERE name = ?1")
+            .bind(name)
+            .fetch_optional(&self.inner.readers)
+            .await
+            .during("reading a setting")
+    }
+
+    /// Stores the value of a setting.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn set_setting(&self, name: &str, value: &str) -> Result<(), StoreError> {
+        const OPERATION: &str = "storing a setting";
+        let (name, value, now) = (name.to_owned(), value.to_owned(), self.now_text());
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                sqlx::query(
+                    "INSERT INTO settings (name, value, updated_at) VALUES (?1, ?2, ?3)
+                     ON CONFLICT (name) DO UPDATE SET value = ?2, updated_at = ?3",
+                )
+                .bind(name)
+                .bind(value)
+                .bind(now)
+                .execute(connection)
+                .await
+                .during(OPERATION)?;
+                Ok(())
+            })
+            .await
+    }
+}
+
+/// Returns the lock; `None` if it is free.
+async fn held(
+    connection: &mut SqliteConnection,
+    operation: &'static str,
+) -> Result<Option<LockRow>, StoreError> {
+    sqlx::query("SELECT * FROM operator_lock")
+        .fetch_optional(connection)
+        .await
+        .during(operation)?
+        .map(|row| LockRow::read(&row, operation))
+        .transpose()
+}

@@ -1,0 +1,22 @@
+//! The base of the store: the database file, its one writing connection, and what all other files use.
+//! Uses: `words`, sqlx. Never: `table`, `bench` or `lab`; the tables of trials.
+
+/// The errors of the store.
+pub(crate) mod error;
+/// Encoding and decoding of values in columns.
+pub(crate) mod columns;
+/// The thread with the one connection that writes.
+pub(crate) mod writer;
+/// Damage in SQLite's write-ahead log that SQLite does not report.
+mod log;
+/// Opening, sharing and closing the database.
+pub(crate) mod store;
+/// Facts of a run that never change, cached in memory.
+pub(crate) mod facts;
+/// The operator lock, and the settings.
+pub(crate) mod lock;
+/// API keys.
+pub(crate) mod keys;
+
+pub(crate) use error::{During, StoreError};
+pub(crate) use store::Store;

@@ -1,0 +1,186 @@
+//! The database of a rig: opening, sharing and closing. The other files add methods for its tables.
+//! Uses: `core::{writer, log}`, sqlx, `clock`. Never: the name of a table.
+
+use std::collections::HashMap;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use parking_lot::Mutex;
+use sqlx::sqlite::{
+    SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
+};
+use sqlx::{ConnectOptions, Sqlite, Transaction};
+
+use super::columns;
+use super::error::{During, StoreError};
+use super::facts::RunFacts;
+use super::log;
+use super::writer::Writer;
+use crate::clock::Clock;
+use crate::ids::RunUid;
+use crate::record::LOG_BYTES;
+
+/// Size of a page of the file, bytes: the voltages of about five trials. The file is a fifth smaller
+/// than with pages of 4096 bytes (`docs/decisions/0001`).
+pub(crate) const PAGE_BYTES: u32 = 16_384;
+
+/// Longest time that SQLite waits for the file lock of another process.
+const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Number of connections that read.
+const READERS: u32 = 4;
+
+/// Longest wait for a connection that reads.
+const READER_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Number of rows that a connection reads ahead of its caller: each wait is a switch between threads.
+const ROWS_AHEAD: usize = 1024;
+
+/// Result of the last examination of the file.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub enum Soundness {
+    /// No examination has completed.
+    #[default]
+    Unchecked,
+    /// The examination found no damage.
+    Sound,
+    /// Damage that it found, as text; a damaged trial is named by its id.
+    Damaged(Vec<String>),
+}
+
+/// The files of `migrations/`, in order.
+pub(crate) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations");
+
+/// The database of a rig. Clones share its connections.
+#[derive(Clone)]
+pub struct Store {
+    pub(crate) inner: Arc<Inner>,
+}
+
+pub(crate) struct Inner {
+    pub(crate) path: PathBuf,
+    pub(crate) clock: Clock,
+    pub(crate) writer: Writer,
+    pub(crate) readers: SqlitePool,
+    pub(crate) runs: Mutex<HashMap<RunUid, RunFacts>>,
+    pub(crate) soundness: Mutex<Soundness>,
+}
+
+impl Store {
+    /// Opens the database file. Creates it if it is missing, and applies missing migrations.
+    ///
+    /// # Errors
+    /// `Lost` if the file is empty, or missing while its log exists; `DamagedLog` if the log was changed
+    /// after it was written; `Damaged` if a column is missing; `Open`, `Migrate` or `StartWriter` if a
+    /// connection, a migration or the writer's thread fails; `Late` after 600 s.
+    pub async fn open(path: &Path, clock: Clock) -> Result<Self, StoreError> {
+        let open = |source| StoreError::Open { path: path.to_owned(), source };
+        let options = SqliteConnectOptions::new()
+            .filename(path)
+            .busy_timeout(BUSY_TIMEOUT)
+            .foreign_keys(true)
+            .disable_statement_logging();
+        let writing = options
+            .clone()
+            .page_size(PAGE_BYTES)
+            .journal_mode(SqliteJournalMode::Wal)
+            .synchronous(SqliteSynchronous::Full)
+            // A long read makes the log grow; afterwards SQLite truncates it to this size.
+            .pragma("journal_size_limit", LOG_BYTES.to_string());
+        let is_new = matches!(path.symlink_metadata(), Err(e) if e.kind() == ErrorKind::NotFound);
+        // The log is next to the target of a symbolic link.
+        let mut log = path.canonicalize().unwrap_or_else(|_| path.to_owned()).into_os_string();
+        log.push("-wal");
+        // SQLite takes an empty file for a new database.
+        if path.metadata().is_ok_and(|file| file.len() == 0) || is_new && Path::new(&log).exists() {
+            return Err(StoreError::Lost { path: path.to_owned() });
+        }
+        // SQLite ignores every transaction behind a damaged frame.
+        let damage = match std::fs::read(&log) {
+            Ok(log) => log::damage(&log),
+            Err(error) if error.kind() == ErrorKind::NotFound => None,
+            Err(error) => return Err(open(error.into())),
+        };
+        if let Some(log::LogDamage { at_byte, transactions }) = damage {
+            return Err(StoreError::DamagedLog { path: path.to_owned(), at_byte, transactions });
+        }
+        if is_new {
+            create(path, &writing).await?;
+        }
+        let writer = Writer::start(writing)?;
+        writer.open(path, &MIGRATIONS).await?;
+        let readers = SqlitePoolOptions::new()
+            .max_connections(READERS)
+            .acquire_timeout(READER_TIMEOUT)
+            .idle_timeout(None)
+            .max_lifetime(None)
+            .test_before_acquire(false)
+            .connect_with(
+                options.read_only(true).row_buffer_size(ROWS_AHEAD).pragma("query_only", "ON"),
+            )
+            .await
+            .map_err(open)?;
+        let (path, runs, soundness) = (path.to_owned(), Mutex::default(), Mutex::default());
+        Ok(Self { inner: Arc::new(Inner { path, clock, writer, readers, runs, soundness }) })
+    }
+
+    /// Returns the path of the database file.
+    pub fn path(&self) -> &Path {
+        &self.inner.path
+    }
+
+    /// Closes all connections after the submitted writes, and merges the log into the file.
+    pub async fn close(&self) {
+        self.inner.readers.close().await;
+        self.inner.writer.close().await;
+    }
+
+    /// Returns the free space of the disk of the database, bytes.
+    ///
+    /// # Errors
+    /// `FreeSpace` if the operating system does not report it.
+    pub async fn free_bytes(&self) -> Result<u64, StoreError> {
+        let folder = match self.inner.path.parent() {
+            Some(folder) if !folder.as_os_str().is_empty() => folder,
+            _ => Path::new("."),
+        };
+        let disk =
+            nix::sys::statvfs::statvfs(folder).map_err(|e| StoreError::FreeSpace(e.into()))?;
+        Ok(disk.blocks_available() * disk.fragment_size())
+    }
+
+    /// Begins a read transaction: a view of the file as it is now, which later writes do not change.
+    ///
+    /// # Errors
+    /// `Sql` if no connection is free within 5 s.
+    pub(crate) async fn read(
+        &self,
+        operation: &'static str,
+    ) -> Result<Transaction<'static, Sqlite>, StoreError> {
+        self.inner.readers.begin().await.during(operation)
+    }
+
+    /// Returns the current wall time as it is stored.
+    pub(crate) fn now_text(&self) -> String {
+        columns::time_text(self.inner.clock.timestamp())
+    }
+}
+
+/// Creates a new database under a temporary name, then renames it. A process that is killed meanwhile
+/// leaves no database, so that an empty file is always a lost one.
+async fn create(path: &Path, options: &SqliteConnectOptions) -> Result<(), StoreError> {
+    let new = path.with_added_extension("new");
+    // Remains of a killed process. SQLite removes their log itself.
+    let _ = std::fs::remove_file(&new);
+    let writer = Writer::start(options.clone().filename(&new).create_if_missing(true))?;
+    writer.open(path, &MIGRATIONS).await?;
+    writer.close().await;
+    let rename = || {
+        std::fs::rename(&new, path)?;
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        std::fs::File::open(folder.unwrap_or(Path::new(".")))?.sync_all()
+    };
+    rename().map_err(|e| StoreError::Open { path: path.to_owned(), source: e.into() })
+}

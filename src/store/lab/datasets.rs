@@ -1,0 +1,214 @@
+//! Datasets: their rows, and from which inputs each was made.
+//! Uses: `core::writer`. Never: the files themselves, the meaning of a definition.
+
+use jiff::Timestamp;
+use serde_json::Value;
+use sqlx::sqlite::SqliteRow;
+
+use crate::core::columns::{Columns, time_text};
+use crate::core::{During, Store, StoreError};
+use crate::ids::RunUid;
+
+/// A stored dataset. Its trials are in a Parquet file that is named by its id.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DatasetRow {
+    /// Id: `ds-` and the first digits of the sha256 of its contents.
+    pub id: String,
+    /// Name of its definition.
+    pub name: String,
+    /// Its definition, as JSON.
+    pub definition: Value,
+    /// Number of rows.
+    pub rows: u64,
+    /// Length of its Parquet file, bytes.
+    pub bytes: u64,
+    /// sha256 of its Parquet file.
+    pub sha256: String,
+    /// Report of the build, as JSON: parts, excluded trials with reasons, columns.
+    pub report: Value,
+    /// Lineage, as JSON: runs, models, calibrations, shards, code.
+    pub lineage: Value,
+    /// Wall time of its creation.
+    pub created_at: Timestamp,
+}
+
+impl DatasetRow {
+    fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
+        let c = Columns::of(row, operation);
+        Ok(Self {
+            id: c.get("id")?,
+            name: c.get("name")?,
+            definition: c.json("definition")?,
+            rows: c.whole("rows")?,
+            bytes: c.whole("bytes")?,
+            sha256: c.get("sha256")?,
+            report: c.json("report")?,
+            lineage: c.json("lineage")?,
+            created_at: c.time("created_at")?,
+        })
+    }
+}
+
+/// State of the trials and twins of a run: it changes whenever rows of a dataset of the run may change.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+pub struct RunExtent {
+    /// Number of stored trials.
+    pub trials: i64,
+    /// Id of the last stored trial; 0 without trials.
+    pub last: i64,
+    /// Number of discarded trials.
+    pub taken_back: i64,
+    /// Number of twins, failures included.
+    pub twins: i64,
+    /// Number of the newest model of the twins; a model that is stored later has a larger number. Absent
+    /// without twins.
+    pub newest: Option<i64>,
+    /// Simulation id of this model.
+    pub model: Option<String>,
+}
+
+impl Store {
+    /// Returns the state of the trials and twins of a run.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
+    pub async fn run_extent(&self, run: RunUid) -> Result<RunExtent, StoreError> {
+        const OPERATION: &str = "reading the extent of a run";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let row = sqlx::query(
+            "SELECT e.*, m.hash AS model,
+                 (SELECT count(*) FROM attempts WHERE run = ?1 AND trial IS NOT NULL) AS taken_back
+             FROM (SELECT count(DISTINCT t.id) AS trials, coalesce(max(t.id), 0) AS last,
+                       count(w.trial) AS twins, max(w.model) AS newest
+                   FROM trials t INDEXED BY trials_in_order
+                   LEFT JOIN twins w ON w.trial = t.id WHERE t.run = ?1) e
+             LEFT JOIN twin_models m ON m.id = e.newest",
+        )
+        .bind(scan_id)
+        .fetch_one(&self.inner.readers)
+        .await
+        .during(OPERATION)?;
+        let c = Columns::of(&row, OPERATION);
+        Ok(RunExtent {
+            trials: c.get("trials")?,
+            last: c.get("last")?,
+            taken_back: c.get("taken_back")?,
+            twins: c.get("twins")?,
+            newest: c.get("newest")?,
+            model: c.get("model")?,
+        })
+    }
+
+    /// Stores a dataset whose file exists, under the state of its inputs. A stored dataset is not
+    /// changed. Returns the stored dataset.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn insert_dataset(
+        &self,
+        new: DatasetRow,
+        inputs: &str,
+    ) -> Result<DatasetRow, StoreError> {
+        const OPERATION: &str = "storing a dataset";
+        let inputs = inputs.to_owned();
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                sqlx::query(
+                    "INSERT INTO datasets (id, name, definition, rows, bytes, sha256, report,
+                         lineage, created_at)
+                     VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9) ON CONFLICT (id) DO NOTHING",
+                )
+                .bind(&new.id)
+                .bind(&new.name)
+                .bind(new.definition.to_string())
+                .bind(new.rows.cast_signed())
+                .bind(new.bytes.cast_signed())
+                .bind(&new.sha256)
+                .bind(new.report.to_string())
+                .bind(new.lineage.to_string())
+                .bind(time_text(new.created_at))
+                .execute(&mut *connection)
+                .await
+                .during(OPERATION)?;
+                sqlx::query(
+                    "INSERT INTO dataset_inputs (inputs, dataset) VALUES (?1, ?2)
+                     ON CONFLICT (inputs) DO UPDATE SET dataset = ?2",
+                )
+                .bind(inputs)
+                .bind(&new.id)
+                .execute(&mut *connection)
+                .await
+                .during(OPERATION)?;
+                let row = sqlx::query("SELECT * FROM datasets WHERE id = ?1")
+                    .bind(&new.id)
+                    .fetch_one(connection)
+                    .await
+                    .during(OPERATION)?;
+                DatasetRow::read(&row, OPERATION)
+            })
+            .await
+    }
+
+    /// Returns the dataset with this id; `None` if it is not stored.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn dataset(&self, id: &str) -> Result<Option<DatasetRow>, StoreError> {
+        self.one_dataset("SELECT * FROM datasets WHERE id = ?1", id).await
+    }
+
+    /// Returns the dataset that was made from inputs in this state; `None` if none was.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn dataset_of_inputs(&self, inputs: &str) -> Result<Option<DatasetRow>, StoreError> {
+        self.one_dataset(
+            "SELECT d.* FROM dataset_inputs i JOIN datasets d ON d.id = i.dataset
+             WHERE i.inputs = ?1",
+            inputs,
+        )
+        .await
+    }
+
+    /// Returns the newest dataset with this name; `None` if none is stored.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn newest_dataset(&self, name: &str) -> Result<Option<DatasetRow>, StoreError> {
+        self.one_dataset(
+            "SELECT * FROM datasets WHERE name = ?1 ORDER BY created_at DESC, rowid DESC LIMIT 1",
+            name,
+        )
+        .await
+    }
+
+    /// Returns the dataset that `sql` selects by `value`.
+    async fn one_dataset(
+        &self,
+        sql: &'static str,
+        value: &str,
+    ) -> Result<Option<DatasetRow>, StoreError> {
+        const OPERATION: &str = "reading a dataset";
+        sqlx::query(sql)
+            .bind(value)
+            .fetch_optional(&self.inner.readers)
+            .await
+            .during(OPERATION)?
+            .map(|row| DatasetRow::read(&row, OPERATION))
+            .transpose()
+    }
+
+    /// Returns all datasets, newest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn datasets(&self) -> Result<Vec<DatasetRow>, StoreError> {
+        const OPERATION: &str = "listing datasets";
+        let rows = sqlx::query("SELECT * FROM datasets ORDER BY created_at DESC, rowid DESC")
+            .fetch_all(&self.inner.readers)
+            .await
+            .during(OPERATION)?;
+        rows.iter().map(|row| DatasetRow::read(row, OPERATION)).collect()
+    }
+}

@@ -1,0 +1,235 @@
+//! Imports: a run that was measured elsewhere, and its trials in batches.
+//! Uses: `core::writer`, `bench::run_row`, `twins`. Never: a value that the imported file does not
+//! state.
+//!
+//! A batch is a transaction. The run becomes `ended` after the last one. A killed import therefore never
+//! looks complete, and the next start removes its trials.
+
+use jiff::Timestamp;
+use sqlx::sqlite::SqliteConnection;
+
+use super::twins::{self, Twin, TwinModelId, TwinOutcome};
+use crate::bench::run_row::{self, NewRun, RunRow};
+use crate::bench::trials::insert_voltages;
+use crate::core::columns::time_text;
+use crate::core::{During, Store, StoreError};
+use crate::ids::{RunUid, TrialId, TrialKey};
+use crate::journal::ExitStatus;
+use crate::record::{Flag, FrameQuality};
+use crate::table::checksum::Numbers;
+use crate::table::trial_row::Contact;
+
+/// Version of a model whose simulated frames are part of an import.
+pub const IMPORTED_MODEL: &str = "imported";
+
+/// Largest number of contacts of an imported trial.
+pub const IMPORTED_CONTACTS_MAX: usize = 64;
+
+const STORING: &str = "storing an import";
+
+/// A trial measured elsewhere. Unknown values are absent.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ImportedTrial {
+    /// Position of the configuration in its plan; position of the trial in its file if it has no plan.
+    pub configuration: u32,
+    /// Position of the depth in the configuration.
+    pub depth_index: u32,
+    /// Depth, mm; absent if unknown.
+    pub depth_mm: Option<f64>,
+    /// Number of tips; if absent, the number of contacts is stored.
+    pub tips: Option<u8>,
+    /// Contacts, at most [`IMPORTED_CONTACTS_MAX`].
+    pub contacts: Vec<Contact>,
+    /// Measured frame, V, injection-major; NaN for a missing channel.
+    pub voltages_v: Vec<f32>,
+    /// Simulated frame of the same contacts, V, injection-major; absent without one.
+    pub sim_voltages_v: Option<Vec<f32>>,
+    /// RMSE (V) and FVU between the two frames; without them the simulated frame is not stored.
+    pub fit: Option<(f64, Option<f64>)>,
+    /// Marks of possible faults.
+    pub flags: Vec<Flag>,
+    /// Quality of its frame.
+    pub quality: FrameQuality,
+    /// Wall time of the measurement; absent if unknown.
+    pub started_at: Option<Timestamp>,
+}
+
+impl Store {
+    /// Stores a run that was measured elsewhere, in the state `removed` until [`Store::end_import`].
+    ///
+    /// # Errors
+    /// `Refused` if the number of trials is too large or the deadband is not finite;
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn begin_import(&self, new: NewRun) -> Result<RunRow, StoreError> {
+        let now = self.now_text();
+        self.inner
+            .writer
+            .run(STORING, async move |connection| {
+                let row = run_row::insert(connection, new, false, now, STORING).await?;
+                sqlx::query("UPDATE runs SET state = 'removed' WHERE scan_id = ?1")
+                    .bind(row.scan_id)
+                    .execute(connection)
+                    .await
+                    .during(STORING)?;
+                Ok(row)
+            })
+            .await
+    }
+
+    /// Stores a batch of trials of an import in one transaction. `model` is the model of their simulated
+    /// frames.
+    ///
+    /// # Errors
+    /// `Refused` if a trial has too many contacts; `NoSuchRun` if the run is not stored;
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn import_trials(
+        &self,
+        run: RunUid,
+        model: Option<TwinModelId>,
+        trials: Vec<ImportedTrial>,
+    ) -> Result<(), StoreError> {
+        let scan_id = self.facts(run, STORING).await?.scan_id;
+        let now = self.now_text();
+        self.inner
+            .writer
+            .run(STORING, async move |connection| {
+                for trial in &trials {
+                    insert(connection, scan_id, model, trial, &now).await?;
+                }
+                Ok(())
+            })
+            .await
+    }
+
+    /// Ends an import: it is then an ended run like any other. Returns its row.
+    ///
+    /// # Errors
+    /// `Sql` if the run is not an import; `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn end_import(&self, run: RunUid) -> Result<RunRow, StoreError> {
+        let now = self.now_text();
+        self.inner
+            .writer
+            .run(STORING, async move |connection| {
+                let row = sqlx::query(
+                    "UPDATE runs SET state = 'ended', exit_status = ?2, reason = 'imported',
+                         ended_at = ?3
+                     WHERE uid = ?1 AND kind = 'imported' RETURNING *",
+                )
+                .bind(run.to_string())
+                .bind(ExitStatus::Success.as_str())
+                .bind(now)
+                .fetch_one(connection)
+                .await
+                .during(STORING)?;
+                RunRow::read(&row, STORING)
+            })
+            .await
+    }
+
+    /// Removes the trials of incomplete imports, and returns their number. Call it at the start.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn sweep_imports(&self) -> Result<u64, StoreError> {
+        const OPERATION: &str = "removing an incomplete import";
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                let gone = sqlx::query(
+                    "DELETE FROM trials WHERE run IN
+                         (SELECT scan_id FROM runs WHERE kind = 'imported' AND state = 'removed')",
+                )
+                .execute(connection)
+                .await
+                .during(OPERATION)?;
+                Ok(gone.rows_affected())
+            })
+            .await
+    }
+}
+
+/// Inserts a trial with its voltages, contacts and simulated frame; `now` is the time of the import.
+async fn insert(
+    connection: &mut SqliteConnection,
+    scan_id: i64,
+    model: Option<TwinModelId>,
+    trial: &ImportedTrial,
+    now: &str,
+) -> Result<(), StoreError> {
+    let refused = |field, limit| StoreError::Refused { operation: STORING, field, limit };
+    if trial.contacts.len() > IMPORTED_CONTACTS_MAX {
+        return Err(refused("contacts", "must be at most 64"));
+    }
+    let contacts = trial.contacts.len() as u8;
+    let largest = trial.contacts.iter().filter_map(|c| c.force_n).reduce(f64::max);
+    let flags = serde_json::to_string(&trial.flags)
+        .map_err(|_| refused("flags", "must be words that JSON can represent"))?;
+    let at = trial.started_at.map(time_text);
+    let (configuration, depth_index) = (trial.configuration, trial.depth_index);
+    let numbers = Numbers {
+        key: TrialKey { configuration, depth_index },
+        attempt: 1,
+        tips: trial.tips.unwrap_or(contacts),
+        depth_mm: trial.depth_mm,
+        poses: [None, None],
+        arms: &[],
+        placed: &trial.contacts,
+        placed_by: None,
+        flags: &trial.flags,
+        quality: trial.quality,
+        settle_ms: None,
+        overshoot_n: None,
+        contact_count: contacts,
+        max_force_n: largest,
+        frame_count: 0,
+        times: [trial.started_at, None],
+    };
+    let id: i64 = sqlx::query_scalar(
+        "INSERT INTO trials (run, configuration, depth_index, attempt, tips, depth_mm, flags,
+             contact_count, max_force_n, frame_count, started_at, measured_at, saturated_channels,
+             stuck_channels, missing_channels, injection_sum_v, dropped_packets, crc32)
+         VALUES (?1, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8, 0, ?9, NULL, ?10, ?11, ?12, ?13, ?14, ?15)
+         RETURNING id",
+    )
+    .bind(scan_id)
+    .bind(trial.configuration)
+    .bind(trial.depth_index)
+    .bind(numbers.tips)
+    .bind(trial.depth_mm)
+    .bind(flags)
+    .bind(contacts)
+    .bind(largest)
+    .bind(at)
+    .bind(trial.quality.saturated_channels)
+    .bind(trial.quality.stuck_channels)
+    .bind(trial.quality.missing_channels)
+    .bind(trial.quality.injection_sum_v)
+    .bind(trial.quality.dropped_packets)
+    .bind(numbers.crc32())
+    .fetch_one(&mut *connection)
+    .await
+    .during(STORING)?;
+    insert_voltages(connection, TrialId(id), &trial.voltages_v, STORING).await?;
+    for (n, contact) in trial.contacts.iter().enumerate() {
+        sqlx::query(
+            "INSERT INTO placed_contacts (trial, n, x_mm, y_mm, force_n, diameter_mm)
+             VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+        )
+        .bind(id)
+        .bind(n as i64)
+        .bind(contact.x_mm)
+        .bind(contact.y_mm)
+        .bind(contact.force_n)
+        .bind(contact.diameter_mm)
+        .execute(&mut *connection)
+        .await
+        .during(STORING)?;
+    }
+    let (Some(model), Some(frame), Some((rmse_v, fvu))) = (model, &trial.sim_voltages_v, trial.fit)
+    else {
+        return Ok(());
+    };
+    let outcome = TwinOutcome::Frame { voltages_v: frame.clone(), rmse_v, fvu };
+    let twin = Twin { trial: TrialId(id), outcome };
+    twins::insert(connection, model, twin, now).await
+}

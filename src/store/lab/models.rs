@@ -1,0 +1,184 @@
+//! Models and promotions: rows that describe the model files.
+//! Uses: `core::writer`. Never: the files themselves, the meaning of a manifest.
+
+use jiff::Timestamp;
+use sqlx::sqlite::SqliteRow;
+
+use crate::core::columns::{Columns, time_text};
+use crate::core::{During, Store, StoreError};
+
+/// A stored model. Its files are in a folder that is named by its id.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ModelRow {
+    /// Id: `mdl-` and the first digits of the sha256 of its contents.
+    pub id: String,
+    /// Name of its recipe, or of its file if it was imported.
+    pub name: String,
+    /// Task of the net.
+    pub task: String,
+    /// Text of its manifest, TOML.
+    pub manifest: String,
+    /// Wall time at which it was stored.
+    pub created_at: Timestamp,
+}
+
+impl ModelRow {
+    fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
+        let c = Columns::of(row, operation);
+        Ok(Self {
+            id: c.get("id")?,
+            name: c.get("name")?,
+            task: c.get("task")?,
+            manifest: c.get("manifest")?,
+            created_at: c.time("created_at")?,
+        })
+    }
+}
+
+/// A promotion: what serves in a slot from a time on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PromotionRow {
+    /// Name of the slot: `transfer`, `map`, `points` or `skin`.
+    pub slot: String,
+    /// Id of a model or a calibration; if absent, nothing serves in the slot.
+    pub what: Option<String>,
+    /// Person or key that promoted it.
+    pub who: String,
+    /// Reason that the person entered; absent without one.
+    pub why: Option<String>,
+    /// Wall time of the promotion.
+    pub at: Timestamp,
+    /// Whether it restored an earlier promotion.
+    pub rolled_back: bool,
+}
+
+/// A promotion that is to be stored.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NewPromotion<'a> {
+    /// Name of the slot: `transfer`, `map`, `points` or `skin`.
+    pub slot: &'a str,
+    /// Id of a model or a calibration; if absent, nothing serves in the slot.
+    pub what: Option<&'a str>,
+    /// Whether it restores an earlier promotion.
+    pub rolled_back: bool,
+    /// Person or key that promotes it.
+    pub who: &'a str,
+    /// Reason that the person entered; absent without one.
+    pub why: Option<&'a str>,
+}
+
+impl PromotionRow {
+    fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
+        let c = Columns::of(row, operation);
+        Ok(Self {
+            slot: c.get("slot")?,
+            what: c.get("what")?,
+            who: c.get("who")?,
+            why: c.get("why")?,
+            at: c.time("at")?,
+            rolled_back: c.get("rolled_back")?,
+        })
+    }
+}
+
+impl Store {
+    /// Stores a model whose files exist. A stored model is not changed.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn insert_model(&self, new: ModelRow) -> Result<(), StoreError> {
+        const OPERATION: &str = "storing a model";
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                sqlx::query(
+                    "INSERT INTO models (id, name, task, manifest, created_at)
+                     VALUES (?1, ?2, ?3, ?4, ?5) ON CONFLICT (id) DO NOTHING",
+                )
+                .bind(&new.id)
+                .bind(&new.name)
+                .bind(&new.task)
+                .bind(&new.manifest)
+                .bind(time_text(new.created_at))
+                .execute(connection)
+                .await
+                .during(OPERATION)?;
+                Ok(())
+            })
+            .await
+    }
+
+    /// Returns the model with this id, or else the newest with this name; `None` if there is none.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn model(&self, id_or_name: &str) -> Result<Option<ModelRow>, StoreError> {
+        const OPERATION: &str = "reading a model";
+        sqlx::query(
+            "SELECT * FROM models WHERE id = ?1 OR name = ?1
+             ORDER BY id = ?1 DESC, created_at DESC, rowid DESC LIMIT 1",
+        )
+        .bind(id_or_name)
+        .fetch_optional(&self.inner.readers)
+        .await
+        .during(OPERATION)?
+        .map(|row| ModelRow::read(&row, OPERATION))
+        .transpose()
+    }
+
+    /// Returns all models, newest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn models(&self) -> Result<Vec<ModelRow>, StoreError> {
+        const OPERATION: &str = "listing models";
+        let rows = sqlx::query("SELECT * FROM models ORDER BY created_at DESC, rowid DESC")
+            .fetch_all(&self.inner.readers)
+            .await
+            .during(OPERATION)?;
+        rows.iter().map(|row| ModelRow::read(row, OPERATION)).collect()
+    }
+
+    /// Stores a promotion with the current wall time.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn promote(&self, new: NewPromotion<'_>) -> Result<(), StoreError> {
+        const OPERATION: &str = "storing a promotion";
+        let (slot, what) = (new.slot.to_owned(), new.what.map(str::to_owned));
+        let (who, why) = (new.who.to_owned(), new.why.map(str::to_owned));
+        let (rolled_back, now) = (new.rolled_back, self.now_text());
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                sqlx::query(
+                    "INSERT INTO promotions (slot, what, who, why, at, rolled_back)
+                     VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+                )
+                .bind(slot)
+                .bind(what)
+                .bind(who)
+                .bind(why)
+                .bind(now)
+                .bind(rolled_back)
+                .execute(connection)
+                .await
+                .during(OPERATION)?;
+                Ok(())
+            })
+            .await
+    }
+
+    /// Returns all promotions, newest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn promotions(&self) -> Result<Vec<PromotionRow>, StoreError> {
+        const OPERATION: &str = "reading promotions";
+        let rows = sqlx::query("SELECT * FROM promotions ORDER BY id DESC")
+            .fetch_all(&self.inner.readers)
+            .await
+            .during(OPERATION)?;
+        rows.iter().map(|row| PromotionRow::read(row, OPERATION)).collect()
+    }
+}

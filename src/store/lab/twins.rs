@@ -1,0 +1,336 @@
+//! Simulated twins: the trials without a twin of a model, and the fit of the model to the others.
+//! Uses: `core`, `table`. Never: a row for a pending twin; a twin is pending while it is absent
+//! (`docs/decisions/0008`).
+
+use serde::{Deserialize, Serialize};
+use sqlx::QueryBuilder;
+use sqlx::sqlite::SqliteConnection;
+use utoipa::ToSchema;
+
+use crate::core::columns::{Columns, volts_blob};
+use crate::core::{During, Store, StoreError};
+use crate::ids::{RunUid, TrialId};
+use crate::table::assemble::assemble;
+use crate::table::checksum;
+use crate::table::query::SELECT_WITH_VOLTAGES;
+use crate::table::trial_row::TrialRow;
+
+/// Number of a stored model of twins; a model that is stored later has a larger number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct TwinModelId(i64);
+
+impl TwinModelId {
+    /// A number that no model has.
+    pub const NONE: Self = Self(0);
+}
+
+/// A model of twins: what determines its frames.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NewTwinModel {
+    /// Simulation id: `sim-` and the first digits of a sha256 of everything that determines its frames.
+    pub hash: String,
+    /// sha256 of the text of the sensor file.
+    pub sensor_sha256: String,
+    /// Id of its calibration; absent for the nominal model.
+    pub calibration_id: Option<String>,
+    /// Version of the program.
+    pub version: String,
+    /// Commit of the program; absent if unknown.
+    pub git_commit: Option<String>,
+}
+
+/// The twin of a trial.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Twin {
+    /// Id of the trial.
+    pub trial: TrialId,
+    /// Result of the simulation.
+    pub outcome: TwinOutcome,
+}
+
+/// Result of the simulation of a trial.
+#[derive(Debug, Clone, PartialEq)]
+pub enum TwinOutcome {
+    /// A simulated frame.
+    Frame {
+        /// Voltages, V, injection-major.
+        voltages_v: Vec<f32>,
+        /// RMSE against the measured frame, V.
+        rmse_v: f64,
+        /// FVU (paper, Eq. 2); absent if the measured frame is constant.
+        fvu: Option<f64>,
+    },
+    /// The model cannot simulate the trial; the text is the cause.
+    Failure(String),
+}
+
+/// Progress of the twins of a run.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct TwinCount {
+    /// Number of stored trials.
+    pub trials: u64,
+    /// Number of trials with a twin.
+    pub twins: u64,
+    /// Number of trials that the model cannot simulate.
+    pub failures: u64,
+}
+
+impl TwinCount {
+    /// Returns the number of trials without a twin or a failure.
+    pub fn pending(&self) -> u64 {
+        self.trials.saturating_sub(self.twins + self.failures)
+    }
+}
+
+/// Fit of the newest model to a trial.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fit {
+    /// Id of the trial.
+    pub trial: TrialId,
+    /// Number of attached tips.
+    pub tips: u8,
+    /// Number of contacts at or above the deadband of the run.
+    pub contact_count: u8,
+    /// Largest raw force, N; absent if no force was measured.
+    pub max_force_n: Option<f64>,
+    /// x and y of the tip, skin coordinates, mm, for a trial with one tip; absent otherwise.
+    pub single_tip_mm: Option<[f64; 2]>,
+    /// Whether the trial has a flag.
+    pub flagged: bool,
+    /// RMSE of the frame against its twin, V.
+    pub rmse_v: f64,
+    /// FVU (paper, Eq. 2); absent if the measured frame is constant.
+    pub fvu: Option<f64>,
+}
+
+const STORING: &str = "storing twins";
+
+impl Store {
+    /// Returns the number of a model, after storing it if it is new.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn twin_model(&self, new: NewTwinModel) -> Result<TwinModelId, StoreError> {
+        const OPERATION: &str = "storing a model";
+        let now = self.now_text();
+        let id = self
+            .inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                sqlx::query_scalar(
+                    "INSERT INTO twin_models
+                         (hash, sensor_sha256, calibration_id, version, git_commit, created_at)
+                     VALUES (?1, ?2, ?3, ?4, ?5, ?6)
+                     ON CONFLICT (hash) DO UPDATE SET hash = excluded.hash RETURNING id",
+                )
+                .bind(new.hash)
+                .bind(new.sensor_sha256)
+                .bind(new.calibration_id)
+                .bind(new.version)
+                .bind(new.git_commit)
+                .bind(now)
+                .fetch_one(connection)
+                .await
+                .during(OPERATION)
+            })
+            .await?;
+        Ok(TwinModelId(id))
+    }
+
+    /// Returns the model with this simulation id; `None` if it is not stored.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn twin_model_of(&self, hash: &str) -> Result<Option<NewTwinModel>, StoreError> {
+        const OPERATION: &str = "reading a model";
+        let row = sqlx::query("SELECT * FROM twin_models WHERE hash = ?1")
+            .bind(hash)
+            .fetch_optional(&self.inner.readers)
+            .await
+            .during(OPERATION)?;
+        row.map(|row| {
+            let c = Columns::of(&row, OPERATION);
+            Ok(NewTwinModel {
+                hash: c.get("hash")?,
+                sensor_sha256: c.get("sensor_sha256")?,
+                calibration_id: c.get("calibration_id")?,
+                version: c.get("version")?,
+                git_commit: c.get("git_commit")?,
+            })
+        })
+        .transpose()
+    }
+
+    /// Returns at most `limit` trials of a run without a twin of this model, with their voltages, in
+    /// the order of storing, with ids above `after`.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Damaged` if a trial differs from its checksum;
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn pending_twins(
+        &self,
+        run: RunUid,
+        model: TwinModelId,
+        after: TrialId,
+        limit: u32,
+    ) -> Result<Vec<TrialRow>, StoreError> {
+        const OPERATION: &str = "reading pending twins";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let mut view = self.read(OPERATION).await?;
+        let mut query = QueryBuilder::new(SELECT_WITH_VOLTAGES);
+        query.push(" WHERE t.run = ").push_bind(scan_id);
+        query.push(" AND t.id > ").push_bind(after.0);
+        query.push(" AND NOT EXISTS (SELECT 1 FROM twins o WHERE o.trial = t.id AND o.model = ");
+        query.push_bind(model.0).push(") ORDER BY t.id LIMIT ").push_bind(limit);
+        let rows = query.build().fetch_all(&mut *view).await.during(OPERATION)?;
+        assemble(&mut view, rows, OPERATION).await
+    }
+
+    /// Stores twins of one model in one transaction. A stored twin is not changed. A twin of a trial
+    /// that was discarded meanwhile is not stored.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn insert_twins(
+        &self,
+        model: TwinModelId,
+        twins: Vec<Twin>,
+    ) -> Result<(), StoreError> {
+        let now = self.now_text();
+        self.inner
+            .writer
+            .run(STORING, async move |connection| {
+                for twin in twins {
+                    insert(connection, model, twin, &now).await?;
+                }
+                Ok(())
+            })
+            .await
+    }
+
+    /// Returns the progress of the twins of a run with this model.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
+    pub async fn twin_count(
+        &self,
+        run: RunUid,
+        model: TwinModelId,
+    ) -> Result<TwinCount, StoreError> {
+        const OPERATION: &str = "counting twins";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let (trials, rows, failures): (i64, i64, i64) = sqlx::query_as(
+            "SELECT count(*), count(w.trial), count(w.failure)
+             FROM trials t INDEXED BY trials_in_order
+             LEFT JOIN twins w ON w.trial = t.id AND w.model = ?2 WHERE t.run = ?1",
+        )
+        .bind(scan_id)
+        .bind(model.0)
+        .fetch_one(&self.inner.readers)
+        .await
+        .during(OPERATION)?;
+        Ok(TwinCount {
+            trials: trials.unsigned_abs(),
+            twins: (rows - failures).unsigned_abs(),
+            failures: failures.unsigned_abs(),
+        })
+    }
+
+    /// Returns the ids of the runs with trials, newest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn runs_with_trials(&self) -> Result<Vec<RunUid>, StoreError> {
+        const OPERATION: &str = "reading the runs with trials";
+        let rows = sqlx::query(
+            "SELECT uid FROM runs r WHERE EXISTS (SELECT 1 FROM trials t WHERE t.run = r.scan_id)
+             ORDER BY scan_id DESC",
+        )
+        .fetch_all(&self.inner.readers)
+        .await
+        .during(OPERATION)?;
+        rows.iter().map(|row| Columns::of(row, OPERATION).uid("uid")).collect()
+    }
+
+    /// Returns the fit of each trial of a run by the newest model with a twin of it, in the order of
+    /// storing. Trials without a simulated frame are omitted.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` or `Unreadable` if the read fails.
+    pub async fn fits(&self, run: RunUid) -> Result<Vec<Fit>, StoreError> {
+        const OPERATION: &str = "reading the fits of a run";
+        let scan_id = self.facts(run, OPERATION).await?.scan_id;
+        let rows = sqlx::query(
+            "SELECT t.id, t.tips, t.contact_count, t.max_force_n, t.flags <> '[]' AS flagged,
+                    w.rmse_v, w.fvu, p.x_mm, p.y_mm
+             FROM trials t
+             JOIN twins w ON w.trial = t.id
+                 AND w.model = (SELECT max(model) FROM twins x WHERE x.trial = t.id)
+             LEFT JOIN trial_tips p ON p.trial = t.id AND t.tips = 1
+             WHERE t.run = ?1 AND w.rmse_v IS NOT NULL ORDER BY t.id",
+        )
+        .bind(scan_id)
+        .fetch_all(&self.inner.readers)
+        .await
+        .during(OPERATION)?;
+        rows.iter()
+            .map(|row| {
+                let c = Columns::of(row, OPERATION);
+                let (x_mm, y_mm): (Option<f64>, Option<f64>) = (c.get("x_mm")?, c.get("y_mm")?);
+                Ok(Fit {
+                    trial: TrialId(c.get("id")?),
+                    tips: c.whole("tips")?,
+                    contact_count: c.whole("contact_count")?,
+                    max_force_n: c.get("max_force_n")?,
+                    single_tip_mm: x_mm.zip(y_mm).map(|(x, y)| [x, y]),
+                    flagged: c.get("flagged")?,
+                    rmse_v: c.get("rmse_v")?,
+                    fvu: c.get("fvu")?,
+                })
+            })
+            .collect()
+    }
+}
+
+/// Inserts a twin, unless it is stored or its trial is not; `now` is its time of simulation.
+pub(crate) async fn insert(
+    connection: &mut SqliteConnection,
+    model: TwinModelId,
+    twin: Twin,
+    now: &str,
+) -> Result<(), StoreError> {
+    let (voltages_v, rmse_v, fvu, failure) = match twin.outcome {
+        TwinOutcome::Frame { voltages_v, rmse_v, fvu } => {
+            (Some(voltages_v), Some(rmse_v), fvu, None)
+        }
+        TwinOutcome::Failure(why) => (None, None, None, Some(why)),
+    };
+    let inserted = sqlx::query(
+        "INSERT INTO twins (trial, model, rmse_v, fvu, failure, computed_at)
+         SELECT ?1, ?2, ?3, ?4, ?5, ?6 WHERE EXISTS (SELECT 1 FROM trials WHERE id = ?1)
+         ON CONFLICT (trial, model) DO NOTHING",
+    )
+    .bind(twin.trial.0)
+    .bind(model.0)
+    .bind(rmse_v)
+    .bind(fvu)
+    .bind(failure)
+    .bind(now)
+    .execute(&mut *connection)
+    .await
+    .during(STORING)?;
+    if let Some(voltages_v) = voltages_v.filter(|_| inserted.rows_affected() == 1) {
+        let volts = volts_blob(&voltages_v);
+        sqlx::query(
+            "INSERT INTO twin_voltages (trial, model, voltages_v, crc32) VALUES (?1, ?2, ?3, ?4)",
+        )
+        .bind(twin.trial.0)
+        .bind(model.0)
+        .bind(&volts)
+        .bind(checksum::of_volts(&volts))
+        .execute(connection)
+        .await
+        .during(STORING)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,215 @@
+//! Checksums of measured values: computed when they are stored, compared at every read.
+//! PURE. Uses: crc32fast, `record`, `core::{columns, error}`. Never: a statement, a correction of a
+//! damaged value.
+//!
+//! SQLite stores no checksums: a bit that flips on the disk is read as another number. Rows from before
+//! migration 6 have no checksum and are not compared.
+
+use jiff::Timestamp;
+
+use super::trial_row::{Contact, TrialRow};
+use crate::core::StoreError;
+use crate::core::columns::{Columns, counts_blob, time_text};
+use crate::ids::TrialKey;
+use crate::record::{ArmReading, Flag, FrameQuality, FrameRecord, Pose, TrialRecord};
+
+/// Returns the CRC-32 of a frame: of its counts as they are stored, then sequence, device time and
+/// scale, little-endian.
+pub(crate) fn of_frame(frame: &FrameRecord) -> u32 {
+    let mut sum = crc32fast::Hasher::new();
+    sum.update(&counts_blob(&frame.counts));
+    sum.update(&frame.sequence.to_le_bytes());
+    sum.update(&frame.device_time_us.to_le_bytes());
+    sum.update(&frame.volts_per_count.to_le_bytes());
+    sum.finalize()
+}
+
+/// Returns the CRC-32 of voltages as they are stored.
+pub(crate) fn of_volts(volts: &[u8]) -> u32 {
+    crc32fast::hash(volts)
+}
+
+/// Compares a checksum with the stored one, if any; `what` names the value in the error.
+///
+/// # Errors
+/// `Damaged` if they differ.
+pub(crate) fn compare(
+    stored: Option<u32>,
+    found: u32,
+    what: impl FnOnce() -> String,
+) -> Result<(), StoreError> {
+    match stored {
+        Some(stored) if stored != found => Err(StoreError::damaged(format!(
+            "{} was changed after it was stored (CRC-32 {found:08x}, stored {stored:08x})",
+            what()
+        ))),
+        _ => Ok(()),
+    }
+}
+
+/// Returns a frame from its columns, after comparison with its `crc32`; `of` names its owner.
+///
+/// # Errors
+/// `Damaged` if they differ; `Sql` or `Unreadable` if a column cannot be decoded.
+pub(crate) fn frame(
+    c: &Columns<'_>,
+    of: impl FnOnce() -> String,
+) -> Result<FrameRecord, StoreError> {
+    let frame = FrameRecord {
+        sequence: c.whole("sequence")?,
+        device_time_us: c.get::<i64>("device_time_us")?.cast_unsigned(),
+        volts_per_count: c.get("volts_per_count")?,
+        counts: c.counts("counts")?,
+    };
+    compare(c.whole_or_none("crc32")?, of_frame(&frame), || format!("a frame of {}", of()))?;
+    Ok(frame)
+}
+
+/// Returns voltages, V, after comparison with the checksum in column `sum`; `None` for NULL. `of` names
+/// their owner.
+///
+/// # Errors
+/// `Damaged` if they differ; `Sql` or `Unreadable` if a column cannot be decoded.
+pub(crate) fn volts(
+    c: &Columns<'_>,
+    column: &'static str,
+    sum: &'static str,
+    of: impl FnOnce() -> String,
+) -> Result<Option<Vec<f32>>, StoreError> {
+    if let Some(bytes) = c.get::<Option<&[u8]>>(column)? {
+        let what = || format!("{column} of {}", of());
+        compare(c.whole_or_none(sum)?, of_volts(bytes), what)?;
+    }
+    c.volts_or_none(column)
+}
+
+/// Values of a trial that its checksum covers: its row, tips and placed contacts.
+pub(crate) struct Numbers<'a> {
+    pub key: TrialKey,
+    pub attempt: u32,
+    pub tips: u8,
+    pub depth_mm: Option<f64>,
+    pub poses: [Option<Pose>; 2],
+    pub arms: &'a [ArmReading],
+    pub placed: &'a [Contact],
+    pub placed_by: Option<&'a str>,
+    pub flags: &'a [Flag],
+    pub quality: FrameQuality,
+    pub settle_ms: Option<f64>,
+    pub overshoot_n: Option<f64>,
+    pub contact_count: u8,
+    pub max_force_n: Option<f64>,
+    pub frame_count: u32,
+    pub times: [Option<Timestamp>; 2],
+}
+
+impl<'a> Numbers<'a> {
+    /// Returns the values of a trial that is to be stored.
+    pub(crate) fn of_record(
+        record: &'a TrialRecord,
+        placed: &'a [Contact],
+        contact_count: u8,
+        max_force_n: Option<f64>,
+    ) -> Self {
+        Self {
+            key: record.key,
+            attempt: record.attempt,
+            tips: record.tips,
+            depth_mm: record.depth_mm,
+            poses: [record.target, record.reached],
+            arms: &record.arms,
+            placed,
+            placed_by: record.placed_by.as_deref(),
+            flags: &record.flags,
+            quality: record.quality,
+            settle_ms: Some(record.settle_ms),
+            overshoot_n: record.overshoot_n,
+            contact_count,
+            max_force_n,
+            frame_count: record.frames.len() as u32,
+            times: [Some(record.started_at), Some(record.measured_at)],
+        }
+    }
+
+    /// Returns the values of a trial that was read; `placed` are its placed contacts as they are stored.
+    pub(crate) fn of_row(row: &'a TrialRow, placed: &'a [Contact]) -> Self {
+        Self {
+            key: TrialKey { configuration: row.configuration, depth_index: row.depth_index },
+            attempt: row.attempt,
+            tips: row.tips,
+            depth_mm: row.depth_mm,
+            poses: [row.target, row.reached],
+            arms: &row.arms,
+            placed,
+            placed_by: row.placed_by.as_deref(),
+            flags: &row.flags,
+            quality: row.quality,
+            settle_ms: row.settle_ms,
+            overshoot_n: row.overshoot_n,
+            contact_count: row.contact_count,
+            max_force_n: row.max_force_n,
+            frame_count: row.frame_count,
+            times: [row.started_at, row.measured_at],
+        }
+    }
+
+    /// Returns the CRC-32 of the values, in the order of this function.
+    pub(crate) fn crc32(&self) -> u32 {
+        let mut sum = Sum(crc32fast::Hasher::new());
+        let wholes = [
+            self.key.configuration,
+            self.key.depth_index,
+            self.attempt,
+            u32::from(self.tips),
+            u32::from(self.contact_count),
+            self.frame_count,
+        ];
+        sum.numbers(wholes.map(f64::from).map(Some));
+        sum.numbers([self.depth_mm, self.settle_ms, self.overshoot_n, self.max_force_n]);
+        for pose in self.poses {
+            let numbers = pose.map(|p| [p.x_mm, p.y_mm, p.z_mm, p.radius_mm]);
+            sum.numbers((0..4).map(|i| numbers.map(|n| n[i])));
+        }
+        for a in self.arms {
+            let numbers = [f64::from(a.arm), a.x_mm, a.y_mm, a.force_n, a.cell_v, a.tare_v];
+            sum.numbers(numbers.map(Some));
+        }
+        for p in self.placed {
+            sum.numbers([p.x_mm, p.y_mm, p.force_n, p.diameter_mm]);
+        }
+        let q = &self.quality;
+        let counts =
+            [q.saturated_channels, q.stuck_channels, q.missing_channels, q.dropped_packets];
+        sum.numbers(counts.map(|n| n.map(f64::from)));
+        sum.numbers([q.injection_sum_v]);
+        sum.text(self.placed_by);
+        for flag in self.flags {
+            sum.text(Some(flag.as_str()));
+        }
+        for at in self.times {
+            sum.text(at.map(time_text).as_deref());
+        }
+        sum.0.finalize()
+    }
+}
+
+/// A running checksum of values. An absent value differs from zero.
+struct Sum(crc32fast::Hasher);
+
+impl Sum {
+    /// Adds numbers. SQLite stores a negative zero as zero, and NaN as NULL.
+    fn numbers(&mut self, values: impl IntoIterator<Item = Option<f64>>) {
+        for value in values {
+            match value.filter(|v| !v.is_nan()) {
+                Some(value) => self.0.update(&(value + 0.0).to_le_bytes()),
+                None => self.0.update(b"-"),
+            }
+        }
+    }
+
+    /// Adds a text, then whether it is present.
+    fn text(&mut self, value: Option<&str>) {
+        self.0.update(value.unwrap_or_default().as_bytes());
+        self.0.update(&[u8::from(value.is_some())]);
+    }
+}

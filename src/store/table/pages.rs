@@ -1,0 +1,154 @@
+//! Reads of trials: single trials, pages that follow an index, voltages and raw frames.
+//! Uses: `query`, `assemble`, `checksum`. Never: a write, a value that differs from its checksum.
+
+use sqlx::QueryBuilder;
+
+use super::assemble::{assemble, rows_of_ids};
+use super::checksum;
+use super::query::{SELECT, SELECT_IDS, SELECT_WITH_VOLTAGES, TrialQuery};
+use super::trial_row::TrialRow;
+use crate::core::columns::Columns;
+use crate::core::{During, Store, StoreError};
+use crate::ids::TrialId;
+use crate::record::FrameRecord;
+
+const READING: &str = "reading trials";
+
+impl Store {
+    /// Returns a page of trials. Set `after` to its last id for the next page.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run of the query is not stored; `Damaged` if a trial differs from its
+    /// checksum; `Sql` or `Unreadable` if the read fails.
+    pub async fn trials(&self, query: &TrialQuery) -> Result<Vec<TrialRow>, StoreError> {
+        let scan_id = match query.run {
+            Some(run) => Some(self.facts(run, READING).await?.scan_id),
+            None => None,
+        };
+        let mut view = self.read(READING).await?;
+        let rows = query.build(scan_id).build().fetch_all(&mut *view).await.during(READING)?;
+        assemble(&mut view, rows, READING).await
+    }
+
+    /// Returns the ids of a page of trials, for a caller that reads the trials in smaller pieces.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run of the query is not stored; `Sql` if the read fails.
+    pub async fn trial_ids(&self, query: &TrialQuery) -> Result<Vec<TrialId>, StoreError> {
+        let scan_id = match query.run {
+            Some(run) => Some(self.facts(run, READING).await?.scan_id),
+            None => None,
+        };
+        let ids: Vec<i64> = query
+            .select(SELECT_IDS, scan_id)
+            .build_query_scalar()
+            .fetch_all(&self.inner.readers)
+            .await
+            .during(READING)?;
+        Ok(ids.into_iter().map(TrialId).collect())
+    }
+
+    /// Returns a trial with its voltages; `None` if it is not stored.
+    ///
+    /// # Errors
+    /// `Damaged` if it differs from its checksum; `Sql` or `Unreadable` if the read fails.
+    pub async fn trial_by_id(&self, trial: TrialId) -> Result<Option<TrialRow>, StoreError> {
+        let mut view = self.read(READING).await?;
+        let mut query = QueryBuilder::new(SELECT_WITH_VOLTAGES);
+        let rows = query
+            .push(" WHERE t.id = ")
+            .push_bind(trial.0)
+            .build()
+            .fetch_all(&mut *view)
+            .await
+            .during(READING)?;
+        Ok(assemble(&mut view, rows, READING).await?.pop())
+    }
+
+    /// Returns these trials with their voltages, by id. Missing trials are omitted.
+    ///
+    /// # Errors
+    /// `Damaged` if a trial differs from its checksum; `Sql` or `Unreadable` if the read fails.
+    pub async fn trials_with_voltages(&self, ids: &[TrialId]) -> Result<Vec<TrialRow>, StoreError> {
+        self.trials_by(SELECT_WITH_VOLTAGES, ids).await
+    }
+
+    /// Returns these trials without their voltages, by id. Missing trials are omitted.
+    ///
+    /// # Errors
+    /// `Damaged` if a trial differs from its checksum; `Sql` or `Unreadable` if the read fails.
+    pub async fn trials_of(&self, ids: &[TrialId]) -> Result<Vec<TrialRow>, StoreError> {
+        self.trials_by(SELECT, ids).await
+    }
+
+    async fn trials_by(
+        &self,
+        select: &'static str,
+        ids: &[TrialId],
+    ) -> Result<Vec<TrialRow>, StoreError> {
+        rows_of_ids(&mut *self.read(READING).await?, select, ids, READING).await
+    }
+
+    /// Returns the distinct numbers of channels of the frames of these trials, in ascending order.
+    ///
+    /// # Errors
+    /// `Sql` if the read fails.
+    pub async fn frame_lengths(&self, ids: &[TrialId]) -> Result<Vec<u32>, StoreError> {
+        let wanted: Vec<i64> = ids.iter().map(|id| id.0).collect();
+        sqlx::query_scalar(
+            "SELECT DISTINCT length(v.voltages_v) / 4 FROM json_each(?1) wanted
+             CROSS JOIN trial_voltages v ON v.trial = wanted.value ORDER BY 1",
+        )
+        .bind(format!("{wanted:?}"))
+        .fetch_all(&self.inner.readers)
+        .await
+        .during(READING)
+    }
+
+    /// Returns the mean of the frames of a trial, V, injection-major; `None` if it is not stored.
+    ///
+    /// # Errors
+    /// `Damaged` if it differs from its checksum; `Sql` or `Unreadable` if the read fails.
+    pub async fn trial_voltages(&self, trial: TrialId) -> Result<Option<Vec<f32>>, StoreError> {
+        const OPERATION: &str = "reading a trial's voltages";
+        let row = sqlx::query("SELECT voltages_v, crc32 FROM trial_voltages WHERE trial = ?1")
+            .bind(trial.0)
+            .fetch_optional(&self.inner.readers)
+            .await
+            .during(OPERATION)?;
+        let Some(row) = row else { return Ok(None) };
+        let of = || format!("trial {}", trial.0);
+        checksum::volts(&Columns::of(&row, OPERATION), "voltages_v", "crc32", of)
+    }
+
+    /// Returns the raw frames of a trial, in the order of measurement; empty if the trial is not stored.
+    ///
+    /// # Errors
+    /// `Damaged` if a frame differs from its checksum; `Sql` or `Unreadable` if the read fails.
+    pub async fn frames(&self, trial: TrialId) -> Result<Vec<FrameRecord>, StoreError> {
+        const OPERATION: &str = "reading a trial's frames";
+        let rows = sqlx::query("SELECT * FROM frames WHERE trial = ?1 ORDER BY n")
+            .bind(trial.0)
+            .fetch_all(&self.inner.readers)
+            .await
+            .during(OPERATION)?;
+        let of = || format!("trial {}", trial.0);
+        rows.iter().map(|row| checksum::frame(&Columns::of(row, OPERATION), of)).collect()
+    }
+
+    /// Returns the query plan of SQLite for a page, one line per step.
+    #[cfg(test)]
+    pub(crate) async fn explain(&self, query: &TrialQuery) -> Result<Vec<String>, StoreError> {
+        let scan_id = match query.run {
+            Some(run) => Some(self.facts(run, READING).await?.scan_id),
+            None => None,
+        };
+        let sql = format!("EXPLAIN QUERY PLAN {}", query.build(scan_id).sql().as_str());
+        let mut statement = sqlx::query(sqlx::AssertSqlSafe(sql));
+        for _ in 0..query.filters.len() + query.flags.len() + 3 {
+            statement = statement.bind(1);
+        }
+        let rows = statement.fetch_all(&self.inner.readers).await.during("explaining a query")?;
+        rows.iter().map(|row| Columns::of(row, "explaining a query").get("detail")).collect()
+    }
+}

@@ -1,0 +1,116 @@
+//! A query for trials (which, in which order), and its SQL statement.
+//! Uses: `condition`, sqlx's builder. Never: a connection, an OFFSET.
+
+use sqlx::{QueryBuilder, Sqlite};
+
+use super::condition::Condition;
+use crate::ids::{RunUid, TrialId};
+use crate::record::Flag;
+
+/// Largest number of trials of a page.
+pub const MAX_PAGE: u32 = 10_000;
+
+/// Columns of a row, with the fit of its newest twin. `CROSS JOIN` makes SQLite read the trials in their
+/// order.
+pub(crate) const SELECT: &str = "SELECT t.*, r.uid, r.experiment, r.kind, r.label, r.deadband_n,
+         r.tip_diameter_mm, w.rmse_v, w.fvu, m.hash AS sim_model
+     FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
+     LEFT JOIN twins w ON w.trial = t.id
+         AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)
+     LEFT JOIN twin_models m ON m.id = w.model";
+
+/// Only the ids.
+pub(crate) const SELECT_IDS: &str =
+    "SELECT t.id FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
+     LEFT JOIN twins w ON w.trial = t.id
+         AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)
+     LEFT JOIN twin_models m ON m.id = w.model";
+
+/// Columns of a row, with the mean voltages and the frame of its newest twin.
+pub(crate) const SELECT_WITH_VOLTAGES: &str =
+    "SELECT t.*, r.uid, r.experiment, r.kind, r.label, r.deadband_n,
+         r.tip_diameter_mm, w.rmse_v, w.fvu, m.hash AS sim_model, v.voltages_v,
+         v.crc32 AS volts_crc32, s.voltages_v AS sim_voltages_v, s.crc32 AS sim_volts_crc32
+     FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
+     CROSS JOIN trial_voltages v ON v.trial = t.id
+     LEFT JOIN twins w ON w.trial = t.id
+         AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)
+     LEFT JOIN twin_models m ON m.id = w.model
+     LEFT JOIN twin_voltages s ON s.trial = t.id AND s.model = w.model";
+
+/// Order of the trials.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Order {
+    /// In the order in which they were stored.
+    #[default]
+    OldestFirst,
+    /// In reverse order.
+    NewestFirst,
+}
+
+/// Selection of trials, and the size of a page.
+#[derive(Debug, Clone, Default)]
+pub struct TrialQuery {
+    /// Only trials of this run.
+    pub run: Option<RunUid>,
+    /// Conditions, all of which must be met.
+    pub filters: Vec<Condition>,
+    /// Flags, all of which must be set.
+    pub flags: Vec<Flag>,
+    /// Only trials with a flag (true), or only trials without (false).
+    pub flagged: Option<bool>,
+    /// Cursor: last id of the previous page.
+    pub after: Option<TrialId>,
+    /// Order of the trials; the cursor follows it.
+    pub order: Order,
+    /// Largest number of trials of the page; at most [`MAX_PAGE`].
+    pub limit: u32,
+    /// Whether the rows hold their voltages.
+    pub with_voltages: bool,
+}
+
+impl TrialQuery {
+    /// Returns the statement for the rows of these trials; `scan_id` is the number of `run`.
+    pub(crate) fn build(&self, scan_id: Option<i64>) -> QueryBuilder<Sqlite> {
+        self.select(if self.with_voltages { SELECT_WITH_VOLTAGES } else { SELECT }, scan_id)
+    }
+
+    /// Returns the statement with the columns and joins of `select`; `scan_id` is the number of `run`.
+    pub(crate) fn select(
+        &self,
+        select: &'static str,
+        scan_id: Option<i64>,
+    ) -> QueryBuilder<Sqlite> {
+        let mut query = QueryBuilder::new(select);
+        query.push(" WHERE TRUE");
+        if let Some(scan_id) = scan_id {
+            query.push(" AND t.run = ").push_bind(scan_id);
+        }
+        if let Some(after) = self.after {
+            let side = match self.order {
+                Order::OldestFirst => " AND t.id > ",
+                Order::NewestFirst => " AND t.id < ",
+            };
+            query.push(side).push_bind(after.0);
+        }
+        for filter in &self.filters {
+            filter.push_onto(&mut query);
+        }
+        match self.flagged {
+            Some(true) => drop(query.push(" AND t.flags <> '[]'")),
+            Some(false) => drop(query.push(" AND t.flags = '[]'")),
+            None => {}
+        }
+        for flag in &self.flags {
+            let word = serde_json::to_value(flag).unwrap_or_default();
+            query.push(" AND EXISTS (SELECT 1 FROM json_each(t.flags) WHERE value = ");
+            query.push_bind(word.as_str().unwrap_or_default().to_owned()).push(")");
+        }
+        query.push(match self.order {
+            Order::OldestFirst => " ORDER BY t.id LIMIT ",
+            Order::NewestFirst => " ORDER BY t.id DESC LIMIT ",
+        });
+        query.push_bind(i64::from(self.limit.min(MAX_PAGE)));
+        query
+    }
+}
