@@ -1,9 +1,10 @@
-//! Experiment, sensor and rig files, read and checked; and the files carried in the program.
+//! Experiment, sensor, rig and calibration files, read and checked; and the files carried in the program.
 //! Uses: `schedule`, `rig::config`, sim-core's sensor. Never: the network, motion.
 
 use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
+use sim_core::calibration::{Calibration, CalibrationError};
 use sim_core::sensor::{Sensor, SensorError, SensorFile};
 
 use super::error::CliError;
@@ -181,6 +182,34 @@ fn parse_sensor(file: &str, text: &str) -> Result<Sensor, CliError> {
         };
         CliError::Problems(vec![problem])
     })
+}
+
+/// Reads a calibration file and checks that it fits the sensor.
+///
+/// # Errors
+/// `CliError::Problems` if the file is invalid or of another sensor.
+pub fn read_calibration(path: &Path, sensor: &Sensor) -> Result<Calibration, CliError> {
+    let calibration = parse_calibration(path)?;
+    calibration.apply(sensor).map_err(|e| calibration_problem(path, e))?;
+    Ok(calibration)
+}
+
+/// Reads a calibration file of any sensor.
+///
+/// # Errors
+/// `CliError::Problems` if the file cannot be read or is invalid.
+pub fn parse_calibration(path: &Path) -> Result<Calibration, CliError> {
+    Calibration::from_toml(&read_input(path)?).map_err(|e| calibration_problem(path, e))
+}
+
+/// The problem of a calibration file.
+pub fn calibration_problem(path: &Path, error: CalibrationError) -> CliError {
+    let file = path.display().to_string();
+    let problem = match error {
+        CalibrationError::Value { key, value, limit } => Problem::new(&file, &key, value, limit),
+        other => Problem::whole(&file, other.to_string()),
+    };
+    CliError::Problems(vec![problem])
 }
 
 fn hex(text: &str) -> String {

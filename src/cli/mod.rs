@@ -35,6 +35,7 @@ mod serve;
 mod simulate;
 mod summary;
 mod train;
+mod twins;
 mod view;
 mod virtual_bench;
 

@@ -12,12 +12,12 @@ use serde_json::json;
 
 use super::client::Client;
 use super::error::CliError;
-use super::evaluate::wait_for_twins;
 use super::files::{DEFAULT_SKIN_SEED, ExperimentFiles, RigFiles};
 use super::follow::{Follower, Left, Signals, Watch};
 use super::output::{bytes, duration, say, say_json};
 use super::rig::{HOMING, until_rig};
 use super::summary::Closing;
+use super::twins::wait_for_twins;
 use super::view::{PreflightView, StatusView};
 use super::virtual_bench::{BenchOptions, VirtualBench};
 use super::{At, embed};

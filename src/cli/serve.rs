@@ -6,11 +6,10 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::calibrate::parse_calibration;
 use super::data_or_default;
 use super::embed::TWIN_WORKERS;
 use super::error::CliError;
-use super::files::{RigFiles, read_sensor_text};
+use super::files::{RigFiles, parse_calibration, read_sensor_text};
 use super::follow::Signals;
 use super::output::say;
 use crate::api::{ServeOptions, Service};

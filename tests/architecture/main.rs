@@ -11,8 +11,8 @@ use std::path::Path;
 
 use rules::{
     CHAPTERS, LONGEST, REFERENCES, broken_links, contents_out_of_order, dead_citations,
-    entangled_stand_in, faceless_folders, forward_imports, headless_or_long, impure_physics,
-    impure_where_pure, machine_paths, shelves_out_of_order,
+    entangled_stand_in, faceless_folders, folder, forward_imports, headless_or_long,
+    impure_physics, impure_where_pure, machine_paths, outgoing_studies, shelves_out_of_order,
 };
 use source::{File, checkout};
 
@@ -33,6 +33,11 @@ fn imports_look_back_along_the_flow() {
 fn what_is_called_pure_is_pure() {
     none(impure_physics(&checkout()));
     none(impure_where_pure(&checkout()));
+}
+
+#[test]
+fn studies_ask_their_lab_and_return_values() {
+    none(outgoing_studies(&checkout()));
 }
 
 #[test]
@@ -91,6 +96,9 @@ fn a_forward_import_is_found_however_it_is_written() {
     assert_eq!(vocabulary, ["src/words/ids.rs:1: ids may not use crate::rig"]);
     let stranger = forward_imports(&[file("src/util/mod.rs", "//! Helpers.")]);
     assert_eq!(stranger, ["src/util/mod.rs: util is neither stage nor vocabulary"]);
+    none(forward_imports(&[file("studies/maps.rs", "use crate::{budget, evaluate::score};")]));
+    let later = forward_imports(&[file("studies/maps.rs", "use super::unseen;")]);
+    assert_eq!(later, ["studies/maps.rs:1: maps may not use crate::unseen"]);
 }
 
 #[test]
@@ -111,7 +119,7 @@ fn a_table_of_contents_out_of_order_is_found() {
     let with = |path: &str, text: &str| {
         let chapters = CHAPTERS.iter().filter(|(c, _)| !["store", "cli"].contains(c));
         let mut files: Vec<File> = chapters
-            .map(|(c, modules)| (format!("src/{c}/lib.rs"), modules))
+            .map(|(c, modules)| (format!("{}/lib.rs", folder(c)), modules))
             .filter(|(lib, _)| lib != path)
             .map(|(lib, modules)| {
                 let lines: Vec<String> =
@@ -128,6 +136,9 @@ fn a_table_of_contents_out_of_order_is_found() {
     assert_eq!(with("src/model/simulate/a.rs", "use palpate_store::Store;").len(), 1);
     none(with("src/data/Cargo.toml", "palpate-store.workspace = true\n"));
     assert_eq!(with("src/touch/Cargo.toml", "palpate-bench.workspace = true\n").len(), 1);
+    assert_eq!(with("src/service/Cargo.toml", "palpate-studies.workspace = true\n").len(), 1);
+    assert_eq!(with("studies/Cargo.toml", "palpate-service.workspace = true\n").len(), 1);
+    assert_eq!(with("studies/maps.rs", "use palpate_touch::evaluate;").len(), 1);
 }
 
 #[test]
@@ -144,6 +155,20 @@ fn effects_in_pure_files_are_found() {
     assert!(!impure_physics(&[file("sim-core/src/a.rs", "std::time::Instant::now()")]).is_empty());
     assert!(!impure_physics(&[file("sim-core/Cargo.toml", "tokio.workspace = true")]).is_empty());
     none(impure_physics(&[file("sim-core/src/a.rs", "//! Never: async, tokio, std::fs.\n")]));
+}
+
+#[test]
+fn an_outgoing_study_is_found() {
+    for (path, text) in [
+        ("studies/maps.rs", "use clap::Args;"),
+        ("studies/maps.rs", "fn f() { eprintln!(\"training\"); }"),
+        ("studies/sheet.rs", "std::fs::write(path, text)"),
+        ("studies/Cargo.toml", "reqwest.workspace = true\n"),
+    ] {
+        assert_eq!(outgoing_studies(&[file(path, text)]).len(), 1, "{path}: {text}");
+    }
+    none(outgoing_studies(&[file("studies/lab.rs", "//! No files, no clap.\nasync fn f() {}")]));
+    none(outgoing_studies(&[file("src/cli/train.rs", "use clap::Args;")]));
 }
 
 #[test]

@@ -6,9 +6,10 @@ use std::path::Path;
 
 use super::source::{File, below, code, has_word, is_name};
 
-/// Chapters of `src/`, each a crate, with their modules in the order in which data flows; imports only
-/// look back along it. `store` is a module that fills its chapter; `cli` is in the root's crate.
-pub const CHAPTERS: [(&str, &[&str]); 8] = [
+/// Chapters of `src/`, and the studies next to it, each a crate, with their modules in the order in which
+/// data flows; imports only look back along it. `store` is a module that fills its chapter; `cli` is in
+/// the root's crate.
+pub const CHAPTERS: [(&str, &[&str]); 9] = [
     ("words", &VOCABULARY),
     ("bench", &["schedule", "rig", "campaign"]),
     ("store", &["store"]),
@@ -16,7 +17,23 @@ pub const CHAPTERS: [(&str, &[&str]); 8] = [
     ("data", &["dataset"]),
     ("touch", &["learn", "infer", "evaluate", "jobs"]),
     ("service", &["conductor", "twins", "api"]),
+    ("studies", &STUDIES),
     ("cli", &["cli"]),
+];
+
+/// The studies, after what they have in common.
+pub const STUDIES: [&str; 11] = [
+    "lab",
+    "budget",
+    "sheet",
+    "rows",
+    "simulation",
+    "method",
+    "transfer",
+    "maps",
+    "noise",
+    "factorial",
+    "unseen",
 ];
 
 /// What everything may use and what uses nothing but each other.
@@ -24,8 +41,9 @@ pub const VOCABULARY: [&str; 8] =
     ["chance", "clock", "commit", "ids", "journal", "problem", "record", "syntax"];
 
 /// Which chapters a chapter's `Cargo.toml` may name. What the stage does is known to the service alone: a
-/// change of the campaign does not build the nets again.
-pub const ARROWS: [(&str, &[&str]); 7] = [
+/// change of the campaign does not build the nets again. No chapter of `src/` may name the studies: only
+/// the command line, in the root's crate, uses them.
+pub const ARROWS: [(&str, &[&str]); 8] = [
     ("words", &[]),
     ("bench", &["words"]),
     ("store", &["words"]),
@@ -33,6 +51,23 @@ pub const ARROWS: [(&str, &[&str]); 7] = [
     ("data", &["words", "store", "model"]),
     ("touch", &["words", "store", "model", "data"]),
     ("service", &["words", "bench", "store", "model", "data", "touch"]),
+    ("studies", &["words", "bench", "store", "model", "data", "touch"]),
+];
+
+/// Crates and macros of the command line, of HTTP, of the database and of the terminal.
+pub const OUTSIDE: [&str; 12] = [
+    "clap",
+    "reqwest",
+    "axum",
+    "hyper",
+    "tokio",
+    "sqlx",
+    "indicatif",
+    "print",
+    "println",
+    "eprint",
+    "eprintln",
+    "dbg",
 ];
 
 /// Folders of `src/store/`, in the order in which their imports look back.
@@ -113,13 +148,19 @@ pub fn shelves_out_of_order(files: &[File]) -> Vec<String> {
     findings
 }
 
+/// Folder of a chapter: the studies are next to `src/`.
+pub fn folder(chapter: &str) -> String {
+    if chapter == "studies" { chapter.into() } else { format!("src/{chapter}") }
+}
+
 /// A chapter's `lib.rs` lists its modules in the order of the flow: it is the table of contents. It
 /// alone names other chapters, and its `Cargo.toml` names those that it may use.
 pub fn contents_out_of_order(files: &[File]) -> Vec<String> {
     let mut findings = Vec::new();
     for (chapter, modules) in CHAPTERS.iter().filter(|(c, _)| !["store", "cli"].contains(c)) {
-        let Some(lib) = files.iter().find(|f| f.path == format!("src/{chapter}/lib.rs")) else {
-            findings.push(format!("src/{chapter}/lib.rs is missing"));
+        let door = format!("{}/lib.rs", folder(chapter));
+        let Some(lib) = files.iter().find(|f| f.path == door) else {
+            findings.push(format!("{door} is missing"));
             continue;
         };
         let module = |l: &str| Some(l.strip_prefix("pub mod ")?.strip_suffix(';')?.to_owned());
@@ -128,18 +169,39 @@ pub fn contents_out_of_order(files: &[File]) -> Vec<String> {
             findings.push(format!("{} lists {listed:?}; the flow is {modules:?}", lib.path));
         }
     }
-    for file in files.iter().filter(|f| f.path.starts_with("src/")) {
+    let in_a_chapter = |f: &&File| f.path.starts_with("src/") || f.path.starts_with("studies/");
+    for file in files.iter().filter(in_a_chapter) {
         let at_the_door = file.path.ends_with("lib.rs") || file.path == "src/main.rs";
         if file.is_rust() && !at_the_door && code(&file.text, false).contains("palpate_") {
             findings.push(format!("{}: names a chapter; its lib.rs does that", file.path));
         }
         for (chapter, allowed) in ARROWS {
-            if file.path == format!("src/{chapter}/Cargo.toml") {
+            if file.path == format!("{}/Cargo.toml", folder(chapter)) {
                 let named = file.text.lines().filter_map(|l| l.strip_prefix("palpate-"));
                 let named = named.filter_map(|l| l.split(['.', ' ']).next());
                 let wrong = named.filter(|name| !allowed.contains(name));
                 findings.extend(wrong.map(|name| format!("{} may not use {name}", file.path)));
             }
+        }
+    }
+    findings
+}
+
+/// A study asks its lab and returns values: it knows no command line, no HTTP, no terminal, no files.
+pub fn outgoing_studies(files: &[File]) -> Vec<String> {
+    let mut findings = Vec::new();
+    for file in files.iter().filter(|f| f.path.starts_with("studies/")) {
+        if file.is_rust() {
+            let bare = code(&file.text, false);
+            let words = OUTSIDE.iter().filter(|word| has_word(&bare, word));
+            findings.extend(words.map(|word| format!("{} names {word}", file.path)));
+            let modules = below(&bare, "std").into_iter().map(|(_, name)| name);
+            let modules = modules.filter(|n| ["env", "fs", "io", "net", "process"].contains(&&**n));
+            findings.extend(modules.map(|name| format!("{} names std::{name}", file.path)));
+        } else if file.path == "studies/Cargo.toml" {
+            let name = |line: &str| line.split(['.', ' ']).next().unwrap_or_default().to_owned();
+            let named = file.text.lines().map(name).filter(|n| OUTSIDE.contains(&n.as_str()));
+            findings.extend(named.map(|name| format!("{} depends on {name}", file.path)));
         }
     }
     findings

@@ -20,9 +20,12 @@ impl File {
         self.path.ends_with(".rs")
     }
 
-    /// The chapter of `src/` that it belongs to, and its path in there; of the root's crate the chapter
-    /// is empty.
+    /// The chapter of `src/` that it belongs to, or the studies, and its path in there; of the root's
+    /// crate the chapter is empty.
     pub fn chapter(&self) -> Option<(&str, &str)> {
+        if let Some(inside) = self.path.strip_prefix("studies/") {
+            return self.is_rust().then_some(("studies", inside));
+        }
         let inside = self.path.strip_prefix("src/").filter(|_| self.is_rust())?;
         let first = inside.split_once('/');
         Some(

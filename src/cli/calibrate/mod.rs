@@ -2,22 +2,21 @@
 //! Uses: `calibrate`, `simulate` (the model that voltages are compared with), files; `skin` also
 //! the service, for a run's trials. Never: the rig.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand};
 use serde_json::json;
-use sim_core::calibration::{Accuracy, Calibration, CalibrationError, Fitted};
+use sim_core::calibration::{Accuracy, Calibration, Fitted};
 use sim_core::sensor::Sensor;
 
 mod skin;
 
 use super::data_or_default;
 use super::error::CliError;
-use super::files::{read_input, read_sensor, write};
+use super::files::{read_calibration, read_input, read_sensor, write};
 use super::output::{counted, say, say_json};
 use crate::calibrate::{CalibrateError, foam, frames, piezo, plot};
-use crate::problem::Problem;
 use crate::simulate::model::load_or_build;
 
 /// Options of `calibrate`.
@@ -125,33 +124,6 @@ fn of_table(law: Law, common: &Common) -> Result<ExitCode, CliError> {
     }
     answer(common, &whole, left_out)?;
     Ok(ExitCode::SUCCESS)
-}
-
-/// Reads a calibration file and checks that it fits the sensor.
-///
-/// # Errors
-/// `CliError::Problems` if the file is invalid or of another sensor.
-pub fn read_calibration(path: &Path, sensor: &Sensor) -> Result<Calibration, CliError> {
-    let calibration = parse_calibration(path)?;
-    calibration.apply(sensor).map_err(|e| calibration_problem(path, e))?;
-    Ok(calibration)
-}
-
-/// Reads a calibration file of any sensor.
-///
-/// # Errors
-/// `CliError::Problems` if the file cannot be read or is invalid.
-pub fn parse_calibration(path: &Path) -> Result<Calibration, CliError> {
-    Calibration::from_toml(&read_input(path)?).map_err(|e| calibration_problem(path, e))
-}
-
-fn calibration_problem(path: &Path, error: CalibrationError) -> CliError {
-    let file = path.display().to_string();
-    let problem = match error {
-        CalibrationError::Value { key, value, limit } => Problem::new(&file, &key, value, limit),
-        other => Problem::whole(&file, other.to_string()),
-    };
-    CliError::Problems(vec![problem])
 }
 
 /// Compares measured frames with the calibrated model; returns the number of skipped lines.

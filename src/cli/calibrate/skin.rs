@@ -17,11 +17,10 @@ use sim_core::sensor::Sensor;
 
 use super::super::client::Client;
 use super::super::error::CliError;
-use super::super::files::write;
+use super::super::files::{calibration_problem, parse_calibration, write};
 use super::super::output::{counted, say, say_json};
 use super::super::progress::{LogLines, progress_bar};
 use super::super::{At, embed};
-use super::{calibration_problem, parse_calibration};
 use crate::calibrate::CalibrateError;
 use crate::calibrate::skin::{CalibratedSkin, Candidate, Choice, Source, calibrate, choose};
 use crate::calibrate::skin_plot;

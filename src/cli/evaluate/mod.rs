@@ -1,20 +1,26 @@
-//! `palpate evaluate`: scores of simulation, nets and methods, compared with the paper's.
-//! Uses: `client`, `evaluate`. Never: computed scores (the service trains and scores).
+//! `palpate evaluate`: runs the studies of the paper's tables and figures with a service, and shows
+//! their results.
+//! Uses: `studies`, `client`. Never: computed scores (the service trains and scores).
+
+use std::path::Path;
 
 use clap::{Args, Subcommand};
 
 use super::error::CliError;
+use super::files::write;
+use crate::evaluate::request::{EvaluationRequest, FramesRead, Scored};
+use crate::studies::budget::{Budget, R2S};
+use crate::studies::factorial::fig_11;
+use crate::studies::maps::table_iv;
+use crate::studies::method::scores;
+use crate::studies::noise::fig_10;
+use crate::studies::sheet::OutputFile;
+use crate::studies::transfer::table_iii;
+use crate::studies::unseen::{Unseen, fig_12};
+use lab::{LabArgs, with_lab};
 
-mod factorial;
 mod lab;
-mod maps;
-mod method;
-mod noise;
 mod simulation;
-mod transfer;
-mod unseen;
-
-pub use simulation::wait_for_twins;
 
 /// Options of `evaluate`.
 #[derive(Debug, Args)]
@@ -32,17 +38,86 @@ enum What {
     /// table and one SVG per figure.
     Simulation(simulation::SimulationArgs),
     /// Score a method on a dataset: estimated compared with true contacts, by their number.
-    Method(method::MethodArgs),
+    Method(MethodArgs),
     /// Table III: Transfer-Nets trained on 1, 1 to 2, .. 1 to 6 contacts, tested on each number.
-    Transfer(transfer::TransferArgs),
+    Transfer(TransferArgs),
     /// Table IV and Fig. 9: Recon-Nets of twelve force maps, on simulated voltages.
-    Maps(lab::LabArgs),
+    Maps(LabArgs),
     /// Fig. 10: residuals of the Transfer-Net, and one trial's maps at three levels of noise.
-    Noise(lab::LabArgs),
+    Noise(LabArgs),
     /// Fig. 11: pixel size x diameter x noise, with a three-factor analysis of variance.
-    Factorial(lab::LabArgs),
+    Factorial(LabArgs),
     /// Fig. 12 and V-D: the paper's pipeline, both baselines and our methods on Real-Unseen.
-    Unseen(unseen::UnseenArgs),
+    Unseen(UnseenArgs),
+}
+
+/// Options of `evaluate method`.
+#[derive(Debug, Clone, Args)]
+struct MethodArgs {
+    /// Method: paper, fast, exact, tikhonov or noser.
+    #[arg(value_name = "METHOD", value_parser = scored)]
+    method: Scored,
+    /// Name or id of a dataset.
+    #[arg(long, value_name = "NAME", default_value = "real-unseen")]
+    dataset: String,
+    /// Part: train, validation or test; all rows if absent.
+    #[arg(long, value_name = "PART")]
+    part: Option<String>,
+    /// A condition on its rows; may be repeated.
+    #[arg(long = "where", value_name = "CONDITION")]
+    conditions: Vec<String>,
+    /// Id or name of a Transfer-Net.
+    #[arg(long, value_name = "MODEL")]
+    with_transfer: Option<String>,
+    /// Id or name of a net for maps.
+    #[arg(long, value_name = "MODEL")]
+    map: Option<String>,
+    /// Id or name of a Point-Net.
+    #[arg(long, value_name = "MODEL")]
+    points: Option<String>,
+    /// Id of a calibration stored in the service.
+    #[arg(long, value_name = "CAL")]
+    skin: Option<String>,
+    /// Read only the first frame of each trial, instead of the mean of all.
+    #[arg(long)]
+    first_frame: bool,
+    /// Least force of a peak, N.
+    #[arg(long, value_name = "N", default_value_t = 5.0)]
+    threshold_n: f64,
+    /// Skip contacts of exact whose position has a larger standard deviation than this, mm.
+    #[arg(long, value_name = "MM")]
+    place_sd_mm: Option<f64>,
+    #[command(flatten)]
+    lab: LabArgs,
+}
+
+/// Options of `evaluate transfer`.
+#[derive(Debug, Clone, Args)]
+struct TransferArgs {
+    /// The dataset; r2s-transfer-by-trial is split by trial, as in the paper.
+    #[arg(long, value_name = "NAME", default_value = R2S)]
+    dataset: String,
+    #[command(flatten)]
+    lab: LabArgs,
+}
+
+/// Options of `evaluate unseen`.
+#[derive(Debug, Clone, Args)]
+struct UnseenArgs {
+    /// Id or name of a Point-Net, scored as `fast`; also proposes to `exact`.
+    #[arg(long, value_name = "MODEL")]
+    points: Option<String>,
+    /// Id of a calibration stored in the service, scored as `exact`.
+    #[arg(long, value_name = "CAL")]
+    skin: Option<String>,
+    /// Skip the paper's nets: score our methods only.
+    #[arg(long)]
+    ours: bool,
+    /// Name or id of the dataset.
+    #[arg(long, value_name = "NAME", default_value = "real-unseen")]
+    dataset: String,
+    #[command(flatten)]
+    lab: LabArgs,
 }
 
 /// Runs `palpate evaluate`.
@@ -52,11 +127,57 @@ enum What {
 pub async fn evaluate(args: EvaluateArgs) -> Result<(), CliError> {
     match args.what {
         What::Simulation(args) => simulation::simulation(args).await,
-        What::Method(args) => method::method(args).await,
-        What::Transfer(args) => transfer::transfer(args).await,
-        What::Maps(args) => lab::with_lab(args, maps::maps).await,
-        What::Noise(args) => lab::with_lab(args, noise::noise).await,
-        What::Factorial(args) => lab::with_lab(args, factorial::factorial).await,
-        What::Unseen(args) => unseen::unseen(args).await,
+        What::Method(args) => method(args).await,
+        What::Transfer(TransferArgs { dataset, lab }) => {
+            with_lab(lab, |lab, budget| async move { table_iii(&lab, &budget, &dataset).await })
+                .await
+        }
+        What::Maps(args) => {
+            with_lab(args, |lab, budget| async move { table_iv(&lab, &budget).await }).await
+        }
+        What::Noise(args) => {
+            with_lab(args, |lab, budget| async move { fig_10(&lab, &budget).await }).await
+        }
+        What::Factorial(args) => {
+            with_lab(args, |lab, budget| async move { fig_11(&lab, &budget).await }).await
+        }
+        What::Unseen(UnseenArgs { points, skin, ours, dataset, lab }) => {
+            let unseen = Unseen { dataset, points, skin, ours };
+            with_lab(lab, |lab, budget| async move { fig_12(&lab, &budget, &unseen).await }).await
+        }
     }
+}
+
+async fn method(args: MethodArgs) -> Result<(), CliError> {
+    let study = args.lab.clone();
+    with_lab(study, |lab, budget| async move { scores(&lab, &args.request(&budget)).await }).await
+}
+
+impl MethodArgs {
+    /// The request for scores; the scale does not limit its rows.
+    fn request(self, budget: &Budget) -> EvaluationRequest {
+        EvaluationRequest {
+            limit: budget.scored,
+            conditions: self.conditions,
+            transfer: self.with_transfer,
+            map: self.map,
+            points: self.points,
+            skin: self.skin,
+            threshold_n: self.threshold_n,
+            place_sd_mm: self.place_sd_mm,
+            frames: if self.first_frame { FramesRead::First } else { FramesRead::Mean },
+            ..budget.request(self.method, &self.dataset, self.part.as_deref())
+        }
+    }
+}
+
+fn scored(name: &str) -> Result<Scored, String> {
+    let words = "must be paper, fast, exact, tikhonov or noser";
+    let scored = serde_json::from_value(name.into()).ok();
+    scored.filter(|scored| *scored != Scored::Voltages).ok_or_else(|| words.into())
+}
+
+/// Writes files to a folder, and creates it.
+fn write_all(folder: &Path, files: &[OutputFile]) -> Result<(), CliError> {
+    files.iter().try_for_each(|file| write(&folder.join(&file.name), &file.text))
 }

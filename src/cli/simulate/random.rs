@@ -13,10 +13,9 @@ use indicatif::ProgressBar;
 use serde_json::json;
 use sim_core::batch::{BatchModel, Kernel};
 
-use crate::cli::calibrate::read_calibration;
 use crate::cli::data_or_default;
 use crate::cli::error::CliError;
-use crate::cli::files::read_sensor;
+use crate::cli::files::{read_calibration, read_sensor};
 use crate::cli::follow::Signals;
 use crate::cli::output::{bytes, counted, duration, say, say_json};
 use crate::cli::progress::progress_bar;

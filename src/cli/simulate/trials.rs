@@ -11,10 +11,9 @@ use clap::Args;
 use serde::Serialize;
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 
-use crate::cli::calibrate::read_calibration;
 use crate::cli::data_or_default;
 use crate::cli::error::CliError;
-use crate::cli::files::{read_sensor, write};
+use crate::cli::files::{read_calibration, read_sensor, write};
 use crate::problem::Problem;
 use crate::simulate::contacts::{ContactLines, Limits};
 use crate::simulate::export::{self, ExportError};

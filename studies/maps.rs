@@ -1,54 +1,55 @@
 //! Table IV and Fig. 9: Recon-Nets of twelve force maps, on simulated voltages.
-//! Uses: `lab`, `evaluate::{published, table, charts}`. Never: training here.
+//! Uses: `lab`, `budget`, `evaluate::{published, table, charts}`. Never: training here.
 
 use serde_json::json;
 
-use super::lab::{Lab, Sheet};
-use crate::cli::error::CliError;
-use crate::dataset::force_map::TABLE_IV;
+use crate::budget::{Budget, RECON_NET};
+use crate::dataset::force_map::{ForceMapSpec, TABLE_IV};
 use crate::evaluate::charts::{Heat, heats};
-use crate::evaluate::published::table_iv;
+use crate::evaluate::published::table_iv as published_table_iv;
 use crate::evaluate::request::Scored;
 use crate::evaluate::score::{Mean, Score};
 use crate::evaluate::table::{Beside, COLUMNS, markdown, published_row, score_row};
+use crate::lab::{Lab, StudyError};
+use crate::sheet::{OutputFile, Sheet};
 
-/// Trains and scores the nets of the twelve maps.
+/// Trains and scores the nets of the twelve maps on the test part of `s2s-recon`.
 ///
 /// # Errors
-/// `CliError` if a training or an evaluation fails.
-pub async fn maps(lab: Lab) -> Result<Sheet, CliError> {
+/// Error of the lab if a training or an evaluation fails; `StudyError::Figure` if Fig. 9 cannot be
+/// drawn.
+///
+/// Source: paper, Table IV and Fig. 9.
+pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Error> {
     let (mut rows, mut numbers, mut scores) = (Vec::new(), Vec::new(), Vec::new());
     let mut label = String::new();
     for (number, spec) in (1..).zip(TABLE_IV) {
-        let model = lab.maps("recon-net", &spec.to_string(), None).await?;
-        let mut wish = lab.wish(Scored::Paper, "s2s-recon", Some("test"));
-        wish.map = Some(model.id.clone());
-        let report = lab.scored(&wish).await?;
+        let model = lab.train(&budget.map_net(RECON_NET, spec, None)).await?;
+        let mut request = budget.request(Scored::Paper, "s2s-recon", Some("test"));
+        request.map = Some(model.clone());
+        let report = lab.score(&request).await?;
         let name = format!("Map {number}, {spec}");
         if let (Some(found), Some(perfect)) = (&report.contacts, &report.perfect) {
             rows.push(score_row(&name, &found.all, Beside::Spread));
             rows.push(score_row("  perfect map", &perfect.all, Beside::Spread));
             scores.push((spec, found.all.clone()));
         }
-        rows.extend(table_iv(spec).map(|published| published_row("  paper", &published)));
-        numbers.push(json!({ "map": spec.to_string(), "model": model.id, "report": report }));
+        rows.extend(published_table_iv(spec).map(|paper| published_row("  paper", &paper)));
+        numbers.push(json!({ "map": spec.to_string(), "model": model, "report": report }));
         label = report.label;
     }
     let text = format!(
         "# Table IV: Recon-Net on simulated voltages, mean ± standard deviation\n\n{}\n{}\n",
         markdown(&COLUMNS, &rows),
-        lab.scale_words(&format!("simulated; twins of {label} trials"))
+        budget.caption(&format!("simulated; twins of {label} trials"))
     );
-    Ok(Sheet {
-        name: "table-iv".into(),
-        text,
-        numbers: json!({ "table": "IV", "scale": lab.args.scale.name(), "maps": numbers }),
-        pictures: vec![("fig-9.svg".into(), heats("Fig. 9", &figure(&scores))?)],
-    })
+    let fig_9 = heats("Fig. 9", &heats_of(&scores)).map_err(StudyError::from)?;
+    let numbers = json!({ "table": "IV", "scale": budget.scale.name(), "maps": numbers });
+    Ok(Sheet::new("table-iv", text, numbers, vec![OutputFile::new("fig-9.svg", fig_9)]))
 }
 
-/// Means by pixel and diameter.
-fn figure(scores: &[(crate::dataset::force_map::ForceMapSpec, Score)]) -> Vec<Heat> {
+/// Mean errors by pixel and diameter, mm: four heat maps.
+fn heats_of(scores: &[(ForceMapSpec, Score)]) -> Vec<Heat> {
     type Pick = fn(&Score) -> Option<Mean>;
     let quantities: [(&str, Pick); 4] = [
         ("number error (%)", |score| score.number_percent),

@@ -1,0 +1,237 @@
+//! Extent of a study: how long nets train, how many rows are used and scored; and the trainings and
+//! requests that follow from it.
+//! PURE. Uses: `lab` (trainings), `evaluate::request`. Never: training, scoring.
+
+use crate::dataset::force_map::ForceMapSpec;
+use crate::dataset::force_map::peaks::THRESHOLD_N;
+use crate::evaluate::request::{EvaluationRequest, FramesRead, Scored};
+use crate::lab::{Noise, Training};
+
+/// The dataset of Transfer-Nets.
+pub const R2S: &str = "r2s-transfer";
+/// The recipe of a net from simulated voltages to force maps (paper, V-B).
+pub const RECON_NET: &str = "recon-net";
+/// The recipe of the baseline from measured voltages to force maps (paper, V-D).
+pub const END_TO_END: &str = "end-to-end";
+/// Pixels of the paper's force maps, mm.
+const PIXELS_MM: [f64; 3] = [4.0, 10.0, 20.0];
+
+/// Extent of training and scoring.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Scale {
+    /// Minutes on two processors: few epochs, few rows. The numbers only show that it works.
+    Small,
+    /// Hours on two processors.
+    Medium,
+    /// As published: all rows, all epochs, every map. For a GPU.
+    Full,
+}
+
+impl Scale {
+    /// Name in options, captions and names of models.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Small => "small",
+            Self::Medium => "medium",
+            Self::Full => "full",
+        }
+    }
+
+    /// The finer pixel of the paper's factorial design, mm. The small scale uses 10 mm, since a net
+    /// of 4 mm learns almost nothing in a few minutes.
+    pub fn fine_mm(self) -> f64 {
+        if self == Self::Small { 10.0 } else { 4.0 }
+    }
+
+    /// Number of epochs and rows of a Transfer-Net; `None`: all rows.
+    fn transfer(self) -> (i64, Option<i64>) {
+        match self {
+            Self::Small => (12, Some(20_000)),
+            Self::Medium => (60, None),
+            Self::Full => (1024, None),
+        }
+    }
+
+    /// Extent of the training of a net for maps with this pixel, mm. A map of 4 mm takes 25 times as
+    /// long as one of 20 mm; with small batches the loss decreases faster per minute.
+    fn maps(self, pixel_mm: f64) -> MapTraining {
+        let (epochs, rows, batch) = match self {
+            Self::Small if pixel_mm < 10.0 => (2, Some(4_000), Some(16)),
+            Self::Small if pixel_mm < 20.0 => (4, Some(20_000), Some(16)),
+            Self::Small => (8, Some(20_000), Some(16)),
+            Self::Medium => (10, Some(40_000), None),
+            Self::Full => (1024, None, None),
+        };
+        MapTraining { epochs, rows, batch }
+    }
+
+    /// Largest number of scored rows; `None`: all.
+    fn scored(self) -> Option<u64> {
+        match self {
+            Self::Small => Some(2_000),
+            Self::Medium => Some(10_000),
+            Self::Full => None,
+        }
+    }
+}
+
+/// Extent of the training of a net for maps.
+struct MapTraining {
+    epochs: i64,
+    /// Largest number of rows; `None`: all.
+    rows: Option<i64>,
+    /// Batch size; `None`: that of the recipe.
+    batch: Option<i64>,
+}
+
+/// A scale with changes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Budget {
+    /// Extent of training and scoring.
+    pub scale: Scale,
+    /// Number of epochs, instead of that of the scale.
+    pub epochs: Option<i64>,
+    /// Number of rows for training, instead of that of the scale.
+    pub rows: Option<i64>,
+    /// Number of scored rows, instead of that of the scale.
+    pub scored: Option<u64>,
+    /// Seed of every training and of the bootstrap.
+    pub seed: i64,
+    /// The Transfer-Net's recipe: a carried one, or a file.
+    pub transfer: String,
+}
+
+impl Budget {
+    /// Training of a Transfer-Net of the budget's recipe, on rows of a dataset.
+    pub fn transfer(&self, stem: &str, dataset: &str, conditions: &[String]) -> Training {
+        self.transfer_by(&self.transfer, stem, dataset, conditions)
+    }
+
+    /// Training of the Transfer-Net of the paper's pipeline, on all numbers of contacts.
+    pub fn transfer_to_6(&self) -> Training {
+        self.transfer("transfer-to-6", R2S, &[up_to(6)])
+    }
+
+    /// Training of a Transfer-Net of a recipe, on rows of a dataset.
+    ///
+    /// `conditions`: those that a row must meet, each `COLUMN__lte=VALUE`.
+    pub fn transfer_by(
+        &self,
+        recipe: &str,
+        stem: &str,
+        dataset: &str,
+        conditions: &[String],
+    ) -> Training {
+        let (epochs, rows) = self.scale.transfer();
+        Training {
+            recipe: recipe.into(),
+            stem: format!("{stem}-{}", self.scale.name()),
+            dataset: Some(dataset.into()),
+            conditions: conditions.to_vec(),
+            map: None,
+            epochs: self.epochs.unwrap_or(epochs),
+            rows: self.rows.or(rows),
+            batch: None,
+            noise: None,
+            seed: self.seed,
+        }
+    }
+
+    /// Training of a net for these maps: [`RECON_NET`] or [`END_TO_END`], on the recipe's dataset.
+    pub fn map_net(&self, recipe: &str, map: ForceMapSpec, noise: Option<Noise>) -> Training {
+        let MapTraining { epochs, rows, batch } = self.scale.maps(map.pixel_mm);
+        let percent = 100.0 * noise.as_ref().map_or(0.0, |noise| noise.level);
+        Training {
+            recipe: recipe.into(),
+            stem: format!("{recipe}-{map}-{percent:.0}-{}", self.scale.name()),
+            dataset: None,
+            conditions: Vec::new(),
+            map: Some(map),
+            epochs: self.epochs.unwrap_or(epochs),
+            rows: self.rows.or(rows),
+            batch,
+            noise,
+            seed: self.seed,
+        }
+    }
+
+    /// Request for scores on a part of a dataset; on all of it if `part` is absent.
+    pub fn request(&self, scored: Scored, dataset: &str, part: Option<&str>) -> EvaluationRequest {
+        EvaluationRequest {
+            scored,
+            dataset: dataset.into(),
+            part: part.map(str::to_owned),
+            conditions: Vec::new(),
+            transfer: None,
+            map: None,
+            points: None,
+            skin: None,
+            frames: FramesRead::default(),
+            threshold_n: THRESHOLD_N,
+            place_sd_mm: None,
+            limit: self.scored.or(self.scale.scored()),
+            examples: 0,
+            seed: self.seed.unsigned_abs(),
+        }
+    }
+
+    /// Caption of every table: its scale and data.
+    pub fn caption(&self, label: &str) -> String {
+        let extent = |epochs: i64, rows: Option<i64>| {
+            let rows = self.rows.or(rows);
+            let rows = rows.map_or("all rows".into(), |rows| format!("up to {rows} rows"));
+            format!("{} epochs of {rows}", self.epochs.unwrap_or(epochs))
+        };
+        let transfer = self.scale.transfer();
+        let maps = PIXELS_MM.map(|pixel_mm| {
+            let training = self.scale.maps(pixel_mm);
+            format!("{} ({pixel_mm} mm)", extent(training.epochs, training.rows))
+        });
+        format!(
+            "Scale {}: Transfer-Net by {}, {}; nets of maps {}; seed {}. Data: {label}. \
+             The paper's: transfer-net-published, 1024 epochs of all rows, measured.",
+            self.scale.name(),
+            self.transfer,
+            extent(transfer.0, transfer.1),
+            maps.join(", "),
+            self.seed,
+        )
+    }
+}
+
+/// The condition of at most `contacts` contacts.
+pub fn up_to(contacts: u32) -> String {
+    format!("contact_count__lte={contacts}")
+}
+
+/// The small scale without changes.
+#[cfg(test)]
+pub fn small() -> Budget {
+    let transfer = "transfer-net".into();
+    Budget { scale: Scale::Small, epochs: None, rows: None, scored: None, seed: 1, transfer }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_net_is_named_by_recipe_map_noise_and_scale() {
+        let map = ForceMapSpec { pixel_mm: 10.0, diameter_mm: 20.0 };
+        let noise = Noise::at(0.1, "mdl-1");
+        assert_eq!(small().map_net(RECON_NET, map, noise).stem, "recon-net-10x20-10-small");
+        assert_eq!(small().map_net(END_TO_END, map, None).stem, "end-to-end-10x20-0-small");
+        assert_eq!(small().transfer_to_6().stem, "transfer-to-6-small");
+        assert_eq!(Noise::at(0.0, "mdl-1"), None);
+    }
+
+    #[test]
+    fn a_change_replaces_the_value_of_the_scale() {
+        let changed = Budget { epochs: Some(3), rows: Some(50), scored: Some(7), ..small() };
+        let training = changed.transfer_to_6();
+        assert_eq!((training.epochs, training.rows), (3, Some(50)));
+        assert_eq!(changed.request(Scored::Exact, "real", None).limit, Some(7));
+        assert_eq!(small().request(Scored::Exact, "real", None).limit, Some(2_000));
+        assert!(changed.caption("virtual").contains("3 epochs of up to 50 rows"));
+    }
+}

@@ -1,0 +1,208 @@
+//! What a study needs: nets trained by recipe, scores, readings, rows of datasets.
+//! Uses: `evaluate`, `learn`, `infer`. Never: how they are made (the lab's owner decides).
+
+use crate::dataset::force_map::ForceMapSpec;
+use crate::evaluate::anova::AnovaError;
+use crate::evaluate::figures::FigureError;
+use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
+use crate::infer::answer::Reading;
+use crate::learn::residuals::Residuals;
+use crate::store::Contact;
+
+/// Where nets are trained and methods are scored. A lab reports the progress of its work; a study
+/// does not.
+pub trait Lab: Sync {
+    /// Error of the lab; it also carries the errors of a study.
+    type Error: From<StudyError> + Send;
+
+    /// Returns the unit of a dataset's split, which is never divided: `configuration`, `trial`, or
+    /// `nothing`.
+    ///
+    /// # Errors
+    /// If the dataset does not exist or cannot be made.
+    fn split_by(&self, dataset: &str) -> impl Future<Output = Result<String, Self::Error>> + Send;
+
+    /// Returns the id of a net: of an earlier training with equal recipe and data, or of a new one.
+    ///
+    /// # Errors
+    /// If the recipe is invalid or the training fails.
+    fn train(
+        &self,
+        training: &Training,
+    ) -> impl Future<Output = Result<String, Self::Error>> + Send;
+
+    /// Scores a method on a dataset.
+    ///
+    /// # Errors
+    /// If the evaluation fails.
+    fn score(
+        &self,
+        request: &EvaluationRequest,
+    ) -> impl Future<Output = Result<EvaluationReport, Self::Error>> + Send;
+
+    /// Returns the residuals of a Transfer-Net, stored with its model.
+    ///
+    /// # Errors
+    /// If the model does not exist or has no residuals.
+    fn residuals(
+        &self,
+        transfer: &str,
+    ) -> impl Future<Output = Result<Residuals, Self::Error>> + Send;
+
+    /// Returns the first row of a dataset that meets all conditions, each `COLUMN__gt=VALUE`;
+    /// `None` if there is none with a frame.
+    ///
+    /// # Errors
+    /// If the dataset does not exist or a condition is invalid.
+    fn first_trial(
+        &self,
+        dataset: &str,
+        conditions: &[String],
+    ) -> impl Future<Output = Result<Option<Trial>, Self::Error>> + Send;
+
+    /// Reads one frame by a Transfer-Net and a net for maps; the reading contains the map.
+    ///
+    /// `frame_v`: voltages, V, 784, injection-major. `transfer`, `map`: ids of the nets.
+    ///
+    /// # Errors
+    /// If a net does not exist or the frame has another number of channels.
+    fn reading(
+        &self,
+        frame_v: &[f32],
+        transfer: &str,
+        map: &str,
+    ) -> impl Future<Output = Result<Reading, Self::Error>> + Send;
+}
+
+/// A training: a recipe with changes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Training {
+    /// A carried recipe, or the path of a recipe file.
+    pub recipe: String,
+    /// First part of the model's name.
+    pub stem: String,
+    /// Name of a dataset; that of the recipe if absent.
+    pub dataset: Option<String>,
+    /// Conditions on its rows, each `COLUMN__lte=VALUE`.
+    pub conditions: Vec<String>,
+    /// The force maps that the net draws.
+    pub map: Option<ForceMapSpec>,
+    /// Number of passes over the data.
+    pub epochs: i64,
+    /// Largest number of rows; all if absent.
+    pub rows: Option<i64>,
+    /// Number of samples in a batch; that of the recipe if absent.
+    pub batch: Option<i64>,
+    /// Noise that is added to the frames.
+    pub noise: Option<Noise>,
+    /// Seed of the first weights, the order of samples and the noise.
+    pub seed: i64,
+}
+
+/// Noise in training: the residuals of a Transfer-Net, times a factor (paper, V-C1).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Noise {
+    /// Factor on the residuals' standard deviation, above 0.
+    pub level: f64,
+    /// Id of the Transfer-Net.
+    pub of: String,
+}
+
+impl Noise {
+    /// Noise of a level, or none at level 0.
+    pub fn at(level: f64, of: &str) -> Option<Self> {
+        (level > 0.0).then(|| Self { level, of: of.to_owned() })
+    }
+}
+
+/// A row of a dataset.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Trial {
+    /// Voltages, V, 784, injection-major.
+    pub frame_v: Vec<f32>,
+    /// True contacts: skin coordinates, mm; forces, N.
+    pub contacts: Vec<Contact>,
+    /// Origin of the row: `measured`, `virtual` or `simulated`.
+    pub label: String,
+}
+
+/// Why a study has no result.
+#[derive(Debug, thiserror::Error)]
+pub enum StudyError {
+    /// A figure could not be drawn.
+    #[error(transparent)]
+    Figure(#[from] FigureError),
+    /// The scores do not fit the design of the analysis of variance.
+    #[error(transparent)]
+    Design(#[from] AnovaError),
+    /// The dataset has no trial for a figure.
+    #[error("{dataset}: must have {trial}")]
+    NoTrial {
+        /// Name of the dataset.
+        dataset: String,
+        /// Description of the trial.
+        trial: String,
+    },
+}
+
+/// A lab for tests: it records what is requested, and its reports have no scores.
+#[cfg(test)]
+pub mod fake {
+    use std::pin::pin;
+    use std::sync::Mutex;
+    use std::task::{Context, Poll, Waker};
+
+    use serde_json::json;
+
+    use super::*;
+
+    /// A lab that records requests.
+    #[derive(Default)]
+    pub struct FakeLab {
+        /// Requested trainings, in order.
+        pub trained: Mutex<Vec<Training>>,
+        /// Requested scores, in order.
+        pub scored: Mutex<Vec<EvaluationRequest>>,
+    }
+
+    impl Lab for FakeLab {
+        type Error = StudyError;
+
+        async fn split_by(&self, _: &str) -> Result<String, StudyError> {
+            Ok("configuration".into())
+        }
+
+        async fn train(&self, training: &Training) -> Result<String, StudyError> {
+            let mut trained = self.trained.lock().unwrap();
+            trained.push(training.clone());
+            Ok(format!("mdl-{}", trained.len()))
+        }
+
+        async fn score(&self, request: &EvaluationRequest) -> Result<EvaluationReport, StudyError> {
+            self.scored.lock().unwrap().push(request.clone());
+            let report = json!({ "scored": request.scored, "dataset": "ds-1", "label": "virtual",
+                "models": [], "rows": 0, "threshold_n": request.threshold_n });
+            Ok(serde_json::from_value(report).unwrap())
+        }
+
+        async fn residuals(&self, _: &str) -> Result<Residuals, StudyError> {
+            Ok(Residuals { mean_v: vec![0.0; 784], sd_v: vec![0.1; 784], trials: 1 })
+        }
+
+        async fn first_trial(&self, _: &str, _: &[String]) -> Result<Option<Trial>, StudyError> {
+            Ok(None)
+        }
+
+        async fn reading(&self, _: &[f32], _: &str, _: &str) -> Result<Reading, StudyError> {
+            Ok(Reading::default())
+        }
+    }
+
+    /// Result of a study with the fake lab, which never waits.
+    pub fn result<T>(study: impl Future<Output = T>) -> T {
+        match pin!(study).poll(&mut Context::from_waker(Waker::noop())) {
+            Poll::Ready(result) => result,
+            Poll::Pending => panic!("the fake lab waits"),
+        }
+    }
+}

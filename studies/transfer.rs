@@ -1,0 +1,112 @@
+//! Table III: Transfer-Nets by the numbers of contacts in their training.
+//! Uses: `lab`, `budget`, `evaluate::{published, table, charts}`. Never: training here.
+
+use serde_json::json;
+
+use crate::budget::{Budget, R2S, up_to};
+use crate::evaluate::charts::{Line, lines};
+use crate::evaluate::published::{TABLE_III, Transfer};
+use crate::evaluate::request::Scored;
+use crate::evaluate::table::markdown;
+use crate::evaluate::voltages::VoltageScores;
+use crate::lab::{Lab, StudyError};
+use crate::sheet::{OutputFile, Sheet};
+
+/// Columns: RMSE (V) / FVU (%) on the rows of the training, then on test trials of 1 to 6 contacts.
+const HEAD: [&str; 8] = ["trained on", "train", "I", "II", "III", "IV", "V", "VI"];
+
+/// Trains Transfer-Nets on 1, 1 to 2, .. 1 to 6 contacts, and compares their voltages with
+/// simulated ones for each number of contacts; also the measured voltages without a net.
+///
+/// `dataset`: `r2s-transfer`, or `r2s-transfer-by-trial`, which is split by trial as in the paper.
+///
+/// # Errors
+/// Error of the lab if a training or an evaluation fails; `StudyError::Figure` if the figure cannot
+/// be drawn.
+///
+/// Source: paper, V-A and Table III.
+pub async fn table_iii<L: Lab>(lab: &L, budget: &Budget, dataset: &str) -> Result<Sheet, L::Error> {
+    let split_by = lab.split_by(dataset).await?;
+    let mut rows = Vec::new();
+    let (mut numbers, mut curves) = (Vec::new(), Vec::new());
+    let plain = lab.score(&budget.request(Scored::Voltages, dataset, Some("test"))).await?;
+    if let Some(scores) = &plain.voltages {
+        rows.push(row("no net", None, scores));
+    }
+    for published in &TABLE_III {
+        let most = published.trained_to;
+        let conditions = vec![up_to(most)];
+        let training = budget.transfer(&format!("transfer-to-{most}"), dataset, &conditions);
+        let model = lab.train(&training).await?;
+        let mut request = budget.request(Scored::Voltages, dataset, Some("test"));
+        request.transfer = Some(model.clone());
+        let test = lab.score(&request).await?;
+        request.part = Some("train".into());
+        request.conditions = conditions;
+        let train = lab.score(&request).await?;
+        if let (Some(test), Some(train)) = (&test.voltages, &train.voltages) {
+            rows.push(row(&format!("1 to {most}"), Some(train), test));
+            let places = test
+                .by_contacts
+                .iter()
+                .filter_map(|score| Some((f64::from(score.contacts?), 100.0 * score.fvu)));
+            curves.push(Line { name: format!("trained to {most}"), places: places.collect() });
+        }
+        let cell = |cell: &Transfer| format!("{} / {}", cell.rmse_v, cell.fvu_percent);
+        let mut paper = vec![format!("  paper, 1 to {most}"), cell(&published.train)];
+        paper.extend(published.test.iter().map(cell));
+        rows.push(paper);
+        numbers.push(json!({ "trained_to": most, "model": model, "test": test.voltages,
+            "train": train.voltages }));
+    }
+    let text = format!(
+        "# Table III: mean RMSE (V) / mean FVU (%) by the number of contacts\n\n{}\n{}\n",
+        markdown(&HEAD, &rows),
+        budget.caption(&format!("{}, {dataset}, split by {split_by}", plain.label))
+    );
+    // Each split has its table: by configuration, and by trial as in the paper.
+    let name = if dataset == R2S { "table-iii".into() } else { format!("table-iii-{dataset}") };
+    let figure = lines("Table III", "contacts of the test trials", "mean FVU (%)", &curves)
+        .map_err(StudyError::from)?;
+    let numbers = json!({ "table": "III", "scale": budget.scale.name(), "label": plain.label,
+        "dataset": plain.dataset, "no_net": plain.voltages, "rungs": numbers });
+    let figures = vec![OutputFile::new(format!("{name}.svg"), figure)];
+    Ok(Sheet::new(&name, text, numbers, figures))
+}
+
+/// A row under [`HEAD`]; a dash where there are no trials.
+fn row(name: &str, train: Option<&VoltageScores>, test: &VoltageScores) -> Vec<String> {
+    let cell = |rmse_v: f64, fvu: f64| format!("{rmse_v:.4} / {:.1}", 100.0 * fvu);
+    let train = train.map_or("-".into(), |s| cell(s.all.rmse_v, s.all.fvu));
+    let of_count = |count: u32| {
+        let found = test.by_contacts.iter().find(|score| score.contacts == Some(count));
+        found.map_or("-".into(), |score| cell(score.rmse_v, score.fvu))
+    };
+    [name.to_owned(), train].into_iter().chain((1..=6).map(of_count)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::budget::small;
+    use crate::lab::fake::{FakeLab, result};
+
+    #[test]
+    fn six_nets_are_trained_and_scored_on_test_and_training_rows() {
+        let lab = FakeLab::default();
+        let sheet = result(table_iii(&lab, &small(), R2S)).unwrap();
+        let trained = lab.trained.lock().unwrap();
+        let conditions: Vec<&str> = trained.iter().map(|t| t.conditions[0].as_str()).collect();
+        assert_eq!(conditions.len(), 6);
+        assert_eq!(
+            (conditions[0], conditions[5]),
+            ("contact_count__lte=1", "contact_count__lte=6")
+        );
+        let scored = lab.scored.lock().unwrap();
+        assert_eq!(scored.len(), 13);
+        assert_eq!((&scored[0].transfer, scored[12].transfer.as_deref()), (&None, Some("mdl-6")));
+        assert_eq!(scored[12].part.as_deref(), Some("train"));
+        let names: Vec<&str> = sheet.files.iter().map(|file| file.name.as_str()).collect();
+        assert_eq!(names[1..], ["table-iii.json", "table-iii.svg"]);
+    }
+}

@@ -1,0 +1,340 @@
+//! Fig. 12 and V-D: contacts that were in no training, by the paper's pipeline, both baselines and
+//! the project's methods.
+//! Uses: `lab`, `budget`, `rows`, `evaluate::{published, table, charts}`. Never: training here.
+
+use serde_json::json;
+
+use crate::budget::{Budget, END_TO_END, R2S, RECON_NET, Scale, up_to};
+use crate::dataset::force_map::{ForceMapSpec, TABLE_IV};
+use crate::evaluate::charts::{Bar, Picture, bars, pictures};
+use crate::evaluate::figures::FigureError;
+use crate::evaluate::published::REAL_UNSEEN;
+use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Example, FramesRead, Scored};
+use crate::evaluate::score::{Mean, Score};
+use crate::evaluate::table::{Beside, COLUMNS, markdown, published_row, score_row};
+use crate::factorial::{COARSE_MM, DIAMETERS_MM};
+use crate::lab::{Lab, Noise, StudyError};
+use crate::noise::LEVELS;
+use crate::rows::{by_contacts, perfects, read_by};
+use crate::sheet::{OutputFile, Sheet};
+use crate::store::Contact;
+
+/// The recipe of the paper's Transfer-Net (V-A).
+const PUBLISHED: &str = "transfer-net-published";
+/// Number of trials that are drawn.
+const EXAMPLES: u64 = 3;
+
+/// What is scored.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Unseen {
+    /// Name or id of the dataset.
+    pub dataset: String,
+    /// Id or name of a Point-Net, scored as `fast`; also proposes to `exact`.
+    pub points: Option<String>,
+    /// Id of a stored calibration, scored as `exact`.
+    pub skin: Option<String>,
+    /// Skips the paper's nets.
+    pub ours: bool,
+}
+
+/// A method's name and report.
+type Named = (String, EvaluationReport);
+
+/// Reports by group.
+struct Scores {
+    /// The paper's pipeline: each map at each level of noise.
+    pipeline: Vec<Named>,
+    /// The baseline trained on measured trials only.
+    end_to_end: Vec<Named>,
+    /// The one-step reconstructions, Point-Net, and the fit through the exact model.
+    ours: Vec<Named>,
+    /// The best of the pipeline with the paper's Transfer-Net, if the budget has another one.
+    published: Option<EvaluationReport>,
+}
+
+/// Scores all methods on contacts that no net was trained on, and draws some trials.
+///
+/// # Errors
+/// Error of the lab if a training or an evaluation fails; `StudyError::Figure` if a figure cannot
+/// be drawn.
+///
+/// Source: paper, V-D and Fig. 12.
+pub async fn fig_12<L: Lab>(lab: &L, budget: &Budget, unseen: &Unseen) -> Result<Sheet, L::Error> {
+    let study = Study { lab, budget, unseen };
+    let ours = study.ours().await?;
+    let (pipeline, end_to_end) = if unseen.ours {
+        (Vec::new(), Vec::new())
+    } else {
+        (study.pipeline().await?, study.end_to_end().await?)
+    };
+    let mut published = None;
+    if let Some((_, report)) = best(&pipeline)
+        && budget.transfer != PUBLISHED
+    {
+        published = Some(study.with_published(report).await?);
+    }
+    let scores = Scores { pipeline, end_to_end, ours, published };
+    let columns = study.examples(&scores).await?;
+    Ok(sheet(budget, &scores, &columns)?)
+}
+
+/// The study's parts.
+struct Study<'a, L> {
+    lab: &'a L,
+    budget: &'a Budget,
+    unseen: &'a Unseen,
+}
+
+impl<L: Lab> Study<'_, L> {
+    /// Request for scores on the whole dataset; the scale does not limit its rows.
+    fn request(&self, scored: Scored) -> EvaluationRequest {
+        let mut request = self.budget.request(scored, &self.unseen.dataset, None);
+        request.limit = self.budget.scored;
+        request
+    }
+
+    async fn ours(&self) -> Result<Vec<Named>, L::Error> {
+        let Unseen { points, skin, .. } = self.unseen;
+        let mut scores = Vec::new();
+        for (name, scored) in
+            [("one step, Tikhonov", Scored::Tikhonov), ("one step, NOSER", Scored::Noser)]
+        {
+            let mut request = self.request(scored);
+            request.skin = skin.clone();
+            scores.push((name.into(), self.lab.score(&request).await?));
+        }
+        for (read, frames) in [("1 frame", FramesRead::First), ("mean", FramesRead::Mean)] {
+            if points.is_some() {
+                let mut request = self.request(Scored::Fast);
+                (request.points, request.frames) = (points.clone(), frames);
+                scores.push((format!("fast, {read}"), self.lab.score(&request).await?));
+            }
+            let mut request = self.request(Scored::Exact);
+            (request.points, request.skin, request.frames) = (points.clone(), skin.clone(), frames);
+            scores.push((format!("exact, {read}"), self.lab.score(&request).await?));
+        }
+        Ok(scores)
+    }
+
+    async fn pipeline(&self) -> Result<Vec<Named>, L::Error> {
+        let transfer = self.lab.train(&self.budget.transfer_to_6()).await?;
+        let mut scores = Vec::new();
+        for map in maps(self.budget.scale) {
+            for level in LEVELS {
+                let training = self.budget.map_net(RECON_NET, map, Noise::at(level, &transfer));
+                let net = self.lab.train(&training).await?;
+                let mut request = self.request(Scored::Paper);
+                request.transfer = Some(transfer.clone());
+                request.map = Some(net);
+                let name = format!("{map}, {:.0} %", 100.0 * level);
+                scores.push((name, self.lab.score(&request).await?));
+            }
+        }
+        Ok(scores)
+    }
+
+    /// Scores the best of the pipeline with the paper's Transfer-Net: least squares in volts.
+    async fn with_published(&self, best: &EvaluationReport) -> Result<EvaluationReport, L::Error> {
+        let stem = "transfer-published-to-6";
+        let training = self.budget.transfer_by(PUBLISHED, stem, R2S, &[up_to(6)]);
+        let transfer = self.lab.train(&training).await?;
+        let mut request = self.request(Scored::Paper);
+        (request.transfer, request.map) = (Some(transfer), best.models.last().cloned());
+        self.lab.score(&request).await
+    }
+
+    async fn end_to_end(&self) -> Result<Vec<Named>, L::Error> {
+        let mut scores = Vec::new();
+        for map in maps(self.budget.scale) {
+            let net = self.lab.train(&self.budget.map_net(END_TO_END, map, None)).await?;
+            let mut request = self.request(Scored::Paper);
+            request.map = Some(net);
+            scores.push((map.to_string(), self.lab.score(&request).await?));
+        }
+        Ok(scores)
+    }
+
+    /// Answers of each drawn method to the first trials.
+    async fn examples(&self, scores: &Scores) -> Result<Vec<Named>, L::Error> {
+        let mut requests = Vec::new();
+        let bests =
+            [("real-to-sim", best(&scores.pipeline)), ("end-to-end", best(&scores.end_to_end))];
+        for (name, best) in bests {
+            let Some((_, report)) = best else { continue };
+            let mut request = self.request(Scored::Paper);
+            // Reports name the Transfer-Net first, if there is one.
+            request.map = report.models.last().cloned();
+            request.transfer = report.models.first().cloned().filter(|_| report.models.len() > 1);
+            requests.push((name, request));
+        }
+        for (name, scored) in [("one step", Scored::Tikhonov), ("exact", Scored::Exact)] {
+            let mut request = self.request(scored);
+            request.skin = self.unseen.skin.clone();
+            if scored == Scored::Exact {
+                request.points = self.unseen.points.clone();
+            }
+            requests.push((name, request));
+        }
+        let mut columns = Vec::new();
+        for (name, mut request) in requests {
+            (request.limit, request.examples) = (Some(EXAMPLES), EXAMPLES);
+            columns.push((name.into(), self.lab.score(&request).await?));
+        }
+        Ok(columns)
+    }
+}
+
+/// The maps of Table IV; below full scale those of the factorial design.
+fn maps(scale: Scale) -> Vec<ForceMapSpec> {
+    if scale == Scale::Full {
+        return TABLE_IV.to_vec();
+    }
+    let of_pixel =
+        |pixel_mm| DIAMETERS_MM.map(|diameter_mm| ForceMapSpec { pixel_mm, diameter_mm });
+    [scale.fine_mm(), COARSE_MM].into_iter().flat_map(of_pixel).collect()
+}
+
+/// The best by the paper's rule (V-D).
+fn best(scores: &[Named]) -> Option<&Named> {
+    let cost = |report: &EvaluationReport| Some(report.contacts.as_ref()?.all.paper_cost());
+    let costs = scores.iter().filter_map(|named| Some((cost(&named.1)?, named)));
+    costs.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, named)| named)
+}
+
+/// Shows the scores. `columns`: answers to the drawn trials.
+fn sheet(budget: &Budget, scores: &Scores, columns: &[Named]) -> Result<Sheet, StudyError> {
+    let Scores { pipeline, end_to_end, ours, published } = scores;
+    let best_pipeline = best(pipeline);
+    let mut table = Vec::new();
+    if let Some((name, report)) = best_pipeline {
+        table.extend(by_contacts(&format!("real-to-sim, best: {name}"), report));
+    }
+    if let Some(report) = published {
+        table.extend(by_contacts("  the same, Transfer-Net as published", report));
+    }
+    if let Some((name, report)) = best(end_to_end) {
+        table.extend(by_contacts(&format!("end-to-end, best: {name}"), report));
+    }
+    table.push(published_row("paper, best of 36 of 4 to 20 mm, 1024 epochs", &REAL_UNSEEN));
+    for (name, report) in ours {
+        table.extend(by_contacts(name, report));
+    }
+    let all = ours.iter().chain(pipeline).chain(end_to_end).map(|(_, report)| report);
+    table.extend(perfects(all));
+    let any = ours.iter().chain(pipeline).map(|(_, report)| report).next();
+    let label = any.map(|report| report.label.clone()).unwrap_or_default();
+    let by_best = best_pipeline
+        .map_or(String::new(), |(_, report)| format!("real-to-sim, best: {}", read_by(report)));
+    let text = format!(
+        "# Fig. 12: contacts that no net has seen, mean [95 % interval]\n\n{}\n{}{by_best}{}{}\n",
+        markdown(&COLUMNS, &table),
+        nets(pipeline, end_to_end),
+        ours.last().map_or(String::new(), |(_, exact)| format!("exact: {}\n", read_by(exact))),
+        budget.caption(&label)
+    );
+    let listed = |scores: &[Named]| -> Vec<_> {
+        scores.iter().map(|(name, report)| json!({ "name": name, "report": report })).collect()
+    };
+    let numbers = json!({ "figure": "12", "scale": budget.scale.name(), "label": label,
+        "real_to_sim": listed(pipeline), "end_to_end": listed(end_to_end), "ours": listed(ours),
+        "best": best_pipeline.map(|(name, _)| name), "best_with_published_transfer": published });
+    let mut figures = errors(&[("real-to-sim", pipeline), ("end-to-end", end_to_end), ("", ours)])?;
+    figures.push(OutputFile::new("fig-12a.svg", examples(columns)?));
+    Ok(Sheet::new("fig-12", text, numbers, figures))
+}
+
+/// Table of all of the paper's nets, if there are any.
+fn nets(pipeline: &[Named], end_to_end: &[Named]) -> String {
+    let rows_of = |group: &'static str, scores: &[Named]| -> Vec<Vec<String>> {
+        let row = |(name, report): &Named| {
+            let name = format!("{group} {name}");
+            Some(score_row(&name, &report.contacts.as_ref()?.all, Beside::Interval))
+        };
+        scores.iter().filter_map(row).collect()
+    };
+    let rows = [rows_of("real-to-sim", pipeline), rows_of("end-to-end", end_to_end)].concat();
+    if rows.is_empty() {
+        return String::new();
+    }
+    format!("All nets, by map and noise:\n\n{}\n", markdown(&COLUMNS, &rows))
+}
+
+/// Fig. 12A: trials with each method's answer, one row each, true contacts first.
+fn examples(columns: &[Named]) -> Result<String, FigureError> {
+    let mut maps = Vec::new();
+    for row in 0..EXAMPLES as usize {
+        let of_row = columns.iter().filter_map(|(name, report)| {
+            Some((name.as_str(), report.map.as_deref()?.parse().ok()?, report.examples.get(row)?))
+        });
+        let of_row: Vec<(&str, ForceMapSpec, &Example)> = of_row.collect();
+        let Some((_, _, first)) = of_row.first() else { break };
+        let name = format!("{} contacts", first.truth.len());
+        maps.push(Picture::of_contacts(&name, TABLE_IV[0], &first.truth)?);
+        for (name, spec, example) in of_row {
+            maps.push(match &example.reading.force_map_n {
+                Some(map) => Picture { name: name.into(), spec, map: map.clone() },
+                None => {
+                    let found: Vec<Contact> =
+                        example.reading.contacts.iter().map(Contact::from).collect();
+                    Picture::of_contacts(name, spec, &found)?
+                }
+            });
+        }
+    }
+    pictures("Fig. 12A: true contacts, and each method's answer", &maps, 1 + columns.len())
+}
+
+/// Figures of the errors of location, mm, force and diameter, %: one bar per method.
+fn errors(groups: &[(&str, &Vec<Named>)]) -> Result<Vec<OutputFile>, FigureError> {
+    type Pick = fn(&Score) -> Option<Mean>;
+    let quantities: [(&str, &str, Pick); 3] = [
+        ("location", "contact location error (mm)", |score| score.location_mm),
+        ("force", "contact force error (%)", |score| score.force_percent),
+        ("diameter", "contact diameter error (%)", |score| score.diameter_percent),
+    ];
+    let mut figures = Vec::new();
+    for (key, words, pick) in quantities {
+        let mut all = Vec::new();
+        for (group, scores) in groups {
+            all.extend(scores.iter().filter_map(|(name, report)| {
+                let mean = pick(&report.contacts.as_ref()?.all)?;
+                let name = format!("{group} {name}").trim().to_owned();
+                Some(Bar { name, mean: mean.mean, sd: mean.sd.unwrap_or(0.0) })
+            }));
+        }
+        if !all.is_empty() {
+            figures.push(OutputFile::new(format!("fig-12-{key}.svg"), bars(words, &all)?));
+        }
+    }
+    Ok(figures)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::budget::small;
+    use crate::lab::fake::{FakeLab, result};
+
+    fn unseen(ours: bool) -> Unseen {
+        Unseen { dataset: "real-unseen".into(), points: None, skin: None, ours }
+    }
+
+    #[test]
+    fn the_papers_nets_are_trained_for_every_map_and_noise() {
+        let lab = FakeLab::default();
+        result(fig_12(&lab, &small(), &unseen(false))).unwrap();
+        // A Transfer-Net, four maps at three levels of noise, four end-to-end nets.
+        assert_eq!(lab.trained.lock().unwrap().len(), 1 + 4 * 3 + 4);
+        // Two one-step baselines, `exact` by the first frame and by the mean, and two examples.
+        assert_eq!(lab.scored.lock().unwrap().len(), 2 + 2 + 4 * 3 + 4 + 2);
+    }
+
+    #[test]
+    fn our_methods_need_no_training() {
+        let lab = FakeLab::default();
+        let sheet = result(fig_12(&lab, &small(), &unseen(true))).unwrap();
+        assert!(lab.trained.lock().unwrap().is_empty());
+        assert!(lab.scored.lock().unwrap().iter().all(|request| request.dataset == "real-unseen"));
+        assert!(sheet.files.iter().any(|file| file.name == "fig-12a.svg"));
+    }
+}
