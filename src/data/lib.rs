@@ -1,4 +1,4 @@
-//! Trials become datasets.
+//! Datasets: stored trials as labelled, split and exported tables.
 //! Uses: `words`, `store`, `model`. Never: motion, HTTP.
 
 use palpate_model::simulate;

@@ -141,7 +141,7 @@ async fn what_cannot_be_used_is_named_and_nothing_is_stored() {
         (words, PAD, "must be a column of lists of numbers"),
         (parquet(half), PAD, "configuration = 0.5: must be a column of whole numbers"),
         (parquet(vec![good().remove(0)]), PAD, "contacts = absent"),
-        (twice, PAD, "must come once"),
+        (twice, PAD, "must occur once"),
         (parquet(vec![("weather", frames(4, vec![Some(1.0); 4]))]), PAD, "voltages_v = absent"),
         (b"PAR2 or so".to_vec(), PAD, "must be a Parquet file"),
         (parquet(good()), "name = \"pad\"\n", "channels"),

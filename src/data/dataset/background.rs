@@ -1,24 +1,27 @@
-//! Work that takes seconds and must not be felt: a thread of its own, behind everything else.
-//! Uses: std's threads, rustix. Never: a thread that others use later (its priority stays low).
+//! Work that takes seconds: a dedicated thread with low priority for each task.
+//! Uses: std's threads, rustix. Never: a thread that is used again (its priority stays low).
 
 use tokio::sync::oneshot;
 
 use super::error::DatasetError;
 
-/// How far behind: of two threads that want a processor, one at 0 gets ten times as much.
+/// Nice value of the thread: a thread at 0 gets about ten times as much processor time.
 const NICE: i32 = 10;
 
-/// Does `work` on a thread of low priority.
+/// Runs `work` on a new thread with low priority and returns its result.
+///
+/// # Errors
+/// `DatasetError::Worker` if the thread does not start, or if `work` panics.
 pub async fn background<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, DatasetError> {
     let (done, finished) = oneshot::channel();
     let thread = std::thread::Builder::new().name("background".into()).spawn(move || {
-        // On Linux this is the calling thread's alone. A system that refuses is only less polite.
+        // On Linux this applies to the calling thread only. Without it the work only competes more.
         if let Err(error) = rustix::process::nice(NICE) {
-            tracing::debug!(%error, "the work continues at the usual priority");
+            tracing::debug!(%error, "background work runs with normal priority");
         }
-        // Who asked may have gone.
+        // The caller may have been dropped.
         let _ = done.send(work());
     });
     thread.map_err(|_| DatasetError::Worker)?;

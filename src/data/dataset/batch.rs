@@ -1,4 +1,4 @@
-//! Trials as columns: a batch of the trials table from rows of the store, or from Sim-Random.
+//! Trials as Arrow columns: a batch of the trials table from rows of the store, or from Sim-Random.
 //! PURE. Uses: `store`'s rows, `dataset::schema`, arrow. Never: files.
 
 use std::sync::Arc;
@@ -21,22 +21,30 @@ use crate::simulate::schema as base;
 use crate::store::table::{Column, Of};
 use crate::store::{Contact, TrialRow};
 
-/// A labelled trial and its part.
+/// A labelled trial and its part of the split.
 #[derive(Debug, Clone)]
 pub struct Row {
-    /// The trial, with contacts and count as they are labelled.
+    /// The trial. Contacts and contact count are the labels of the definition.
     pub trial: TrialRow,
-    /// Its part, where the rows are divided.
+    /// Part of the split; `None` if the dataset has no split.
     pub part: Option<Part>,
 }
 
-/// Rows as a batch of these columns.
+/// Converts rows of the store to a batch with the columns of `schema`.
+///
+/// # Errors
+/// `ArrowError` if `schema` has a column that trials do not have, or if a frame has another length
+/// than its column.
 pub fn of_trials(schema: &SchemaRef, rows: &[Row]) -> Result<RecordBatch, ArrowError> {
     let columns = schema.fields().iter().map(|field| column(field, rows));
     RecordBatch::try_new(schema.clone(), columns.collect::<Result<_, _>>()?)
 }
 
-/// A batch of Sim-Random shards in these columns; what it does not have is null.
+/// Converts a batch of a Sim-Random shard to the columns of `schema`; columns that shards do not have
+/// are null. `parts` holds the part of each row.
+///
+/// # Errors
+/// `ArrowError` if a column of the shard does not have the type of `schema`.
 pub fn of_shard(
     schema: &SchemaRef,
     shard: &RecordBatch,
@@ -60,14 +68,14 @@ pub fn of_shard(
     RecordBatch::try_new(schema.clone(), columns.collect::<Result<_, ArrowError>>()?)
 }
 
-/// The same contacts, in a type that could lack some of their numbers.
+/// Contacts of a shard, with the nullable fields of the trials table.
 fn nullable_contacts(column: &ArrayRef) -> Result<ArrayRef, ArrowError> {
     use arrow_array::cast::AsArray;
     let lists = column.as_list::<i32>();
     let contacts = lists.values().as_struct();
     let element = schema::contact_element();
     let DataType::Struct(fields) = element.data_type() else {
-        return Err(ArrowError::SchemaError("a contact is a struct".into()));
+        return Err(ArrowError::SchemaError("contacts must be a list of structs".into()));
     };
     let values = StructArray::try_new(fields.clone(), contacts.columns().to_vec(), None)?;
     let list =
@@ -78,7 +86,7 @@ fn nullable_contacts(column: &ArrayRef) -> Result<ArrayRef, ArrowError> {
 fn column(field: &Field, rows: &[Row]) -> Result<ArrayRef, ArrowError> {
     let trials = || rows.iter().map(|row| &row.trial);
     let Some(column) = Column::find(field.name()) else {
-        return Err(ArrowError::SchemaError(format!("trials have no {}", field.name())));
+        return Err(ArrowError::SchemaError(format!("trials have no column {}", field.name())));
     };
     Ok(match column.of {
         Of::Id(of) => Arc::new(Int64Array::from_iter_values(trials().map(of))),
@@ -119,7 +127,7 @@ fn contacts<'a>(
     ];
     let element = schema::contact_element();
     let DataType::Struct(fields) = element.data_type() else {
-        return Err(ArrowError::SchemaError("a contact is a struct".into()));
+        return Err(ArrowError::SchemaError("contacts must be a list of structs".into()));
     };
     let values = StructArray::try_new(fields.clone(), columns, None)?;
     let ends = OffsetBuffer::from_lengths(trials.map(|t| t.contacts.len()));
@@ -134,19 +142,19 @@ fn forces<'a>(trials: impl Iterator<Item = &'a TrialRow>) -> ArrayRef {
         for force_n in trial.forces_n {
             forces.values().append_option(force_n.map(|f| f as f32));
         }
-        // A trial without cells has no forces; one with fewer tips has no value for the others.
+        // A trial without load cells has no forces; arms without a tip have no value.
         forces.append(!trial.arms.is_empty());
     }
     Arc::new(forces.finish())
 }
 
-/// Frames as a column of this field; one of another length is an error.
+/// Converts frames to the column of `field`; a frame of another length is an error.
 fn frames<'a>(
     field: &Field,
     frames: impl Iterator<Item = Option<&'a [f32]>>,
 ) -> Result<ArrayRef, ArrowError> {
     let DataType::FixedSizeList(element, channels) = field.data_type() else {
-        return Err(ArrowError::SchemaError(format!("{} is no frame", field.name())));
+        return Err(ArrowError::SchemaError(format!("column {} holds no frames", field.name())));
     };
     let values: PrimitiveBuilder<Float32Type> = PrimitiveBuilder::new();
     let mut column = FixedSizeListBuilder::new(values, *channels).with_field(element.clone());
@@ -159,7 +167,7 @@ fn frames<'a>(
             Some(frame) => {
                 let found = frame.len();
                 return Err(ArrowError::InvalidArgumentError(format!(
-                    "{}: a frame of {found} voltages among frames of {channels}",
+                    "{}: a frame has {found} voltages, expected {channels}",
                     field.name()
                 )));
             }

@@ -1,12 +1,12 @@
-//! Making a dataset: survey its runs, then read, encode, hash and store the rows that stay.
+//! Makes a dataset: surveys its runs, then reads, encodes, hashes and stores the selected rows.
 //! Uses: `store`, `dataset::{survey, shards, batch, format, file}`. Never: HTTP; all rows at once.
 //!
 //! ```text
-//! runs -> survey (no frames) -> ids that stay, parts -> pages of 1000 with frames --+
+//! runs -> survey (no frames) -> selected ids, parts -> pages of 1000 with frames ---+
 //! shards, each checked --------------------------------------------------------> encoder thread
 //!                                           Parquet file <- row group, sha256 of the rows <-+
 //! ```
-//! The id is known when the last row is: the file is renamed to it then.
+//! The id is known after the last row; the file is then renamed to it.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -36,28 +36,36 @@ use super::split::{Group, Part, divide, place};
 use super::survey::{Survey, Surveyed, label};
 use crate::store::{DatasetRow, RunRow, Store, TrialQuery};
 
-/// Pages that may wait for the encoder.
+/// Largest number of pages that wait for the encoder.
 const AHEAD: usize = 2;
-/// Trials of a page of the survey, which has no frames.
+/// Number of trials per page of the survey, which reads no frames.
 const SURVEY_ROWS: u32 = 2000;
-/// Pages that are read at a time.
+/// Number of pages that are read concurrently.
 const READS: usize = 2;
-/// Hexadecimal digits of an id.
+/// Number of hexadecimal digits of an id.
 const ID_DIGITS: usize = 16;
 
-/// How far a dataset is.
+/// Progress of writing a dataset or an export; shared between threads.
 #[derive(Debug, Default)]
 pub struct Progress {
-    /// Rows that are written.
+    /// Number of rows written.
     pub done: AtomicU64,
-    /// Rows to write; 0 while they are being counted.
+    /// Number of rows to write; 0 until they are counted.
     pub total: AtomicU64,
 }
 
-/// A folder of shards, and the part of each of its trials.
-type Divided = (ShardFolder, Vec<Option<Part>>);
+/// A folder of shards with its split.
+struct SplitShards {
+    folder: ShardFolder,
+    /// Part of each trial, in the order of the shards; `None` without a split.
+    parts: Vec<Option<Part>>,
+}
 
-/// Makes the dataset of these inputs in this folder, and stores what it is.
+/// Makes the dataset of `inputs` in `folder`, with its card, and stores its row.
+///
+/// # Errors
+/// `DatasetError::Channels` or `Models` if runs or shards do not fit each other, `Changed` if trials
+/// are removed meanwhile, `Shards` if a shard is damaged, `File` or `Store` if writing fails.
 pub async fn build(
     store: &Store,
     folder: &Path,
@@ -69,17 +77,17 @@ pub async fn build(
     let definition = &inputs.definition;
     let columns = schema::of_dataset(definition, channels);
     let (mut surveyed, rows_of_run) = survey(store, &inputs).await?;
-    let parts_of_shards = divide_shards(&inputs, &mut surveyed)?;
-    let shard_rows: u64 = parts_of_shards.iter().map(|(folder, _)| folder.trials()).sum();
+    let shards = divide_shards(&inputs, &mut surveyed)?;
+    let shard_rows: u64 = shards.iter().map(|shards| shards.folder.trials()).sum();
     progress.total.store(surveyed.kept.len() as u64 + shard_rows, Ordering::Relaxed);
-    let lineage = lineage(store, &inputs, &rows_of_run, &parts_of_shards).await?;
+    let lineage = lineage(store, &inputs, &rows_of_run, &shards).await?;
     let footer = footer(definition, &inputs, &lineage)?;
 
     let (pages, waiting) = mpsc::channel(AHEAD);
     let encoder = Encoder::new(folder, definition, &columns, footer)?;
     let (shown, schema) = (progress.clone(), columns.clone());
-    let encoding = background(move || encode(encoder, waiting, parts_of_shards, &schema, &shown));
-    // When the encoder gives up, the pages have nowhere to go; it says why.
+    let encoding = background(move || encode(encoder, waiting, shards, &schema, &shown));
+    // If the encoder fails, reading ends without an error; the encoder returns the cause.
     let reading = read_pages(store, &inputs, &surveyed.kept, pages);
     let (encoded, read) = futures::join!(encoding, reading);
     read?;
@@ -90,7 +98,7 @@ pub async fn build(
     let finished = encoder.finish(&id)?;
     let row = DatasetRow {
         name: definition.name.clone(),
-        definition: serde_json::to_value(definition).map_err(DatasetError::json)?,
+        definition: serde_json::to_value(definition).map_err(DatasetError::Json)?,
         rows: tally.rows,
         bytes: finished.bytes,
         sha256: finished.sha256,
@@ -104,7 +112,7 @@ pub async fn build(
     Ok(row)
 }
 
-/// The first pass. Returns what stays, and how many trials each run has.
+/// The first pass. Returns the selected trials, and the number of trials by scan id.
 async fn survey(
     store: &Store,
     inputs: &Inputs,
@@ -130,8 +138,12 @@ async fn survey(
     Ok((surveyed, rows))
 }
 
-/// The parts of the trials of each folder of shards of the model; others are left out, and said.
-fn divide_shards(inputs: &Inputs, surveyed: &mut Surveyed) -> Result<Vec<Divided>, DatasetError> {
+/// Splits the trials of each folder of shards of the dataset's model. Folders of other models are
+/// excluded and counted in the report; an excluded folder that the definition names is an error.
+fn divide_shards(
+    inputs: &Inputs,
+    surveyed: &mut Surveyed,
+) -> Result<Vec<SplitShards>, DatasetError> {
     let split = &inputs.definition.split;
     let mut divided = Vec::new();
     let first = inputs.folders.first().map(|f| f.manifest.definition.model.as_str());
@@ -147,7 +159,7 @@ fn divide_shards(inputs: &Inputs, surveyed: &mut Surveyed) -> Result<Vec<Divided
                 });
             }
             let why = format!("Sim-Random {} of another model: {}", folder.name, definition.model);
-            surveyed.left_out.insert(why, folder.trials());
+            surveyed.excluded.insert(why, folder.trials());
             continue;
         }
         let numbers = folder.manifest.shards.iter().flat_map(|s| s.first..s.first + s.trials);
@@ -163,12 +175,12 @@ fn divide_shards(inputs: &Inputs, surveyed: &mut Surveyed) -> Result<Vec<Divided
             SplitBy::None => vec![None; groups.len()],
             _ => divide(&groups, split).into_iter().map(Some).collect(),
         };
-        divided.push((folder.clone(), parts));
+        divided.push(SplitShards { folder: folder.clone(), parts });
     }
     Ok(divided)
 }
 
-/// The second pass: the trials that stay, with their frames.
+/// The second pass: sends the selected trials with their frames, page by page.
 async fn read_pages(
     store: &Store,
     inputs: &Inputs,
@@ -204,7 +216,7 @@ async fn read_pages(
     Ok(())
 }
 
-/// What is counted while rows are written.
+/// Counts of the written rows.
 #[derive(Debug, Default)]
 struct Tally {
     rows: u64,
@@ -222,7 +234,7 @@ impl Tally {
     }
 }
 
-/// The file of a dataset on its way, and the hash of its rows.
+/// The unfinished file of a dataset, and the hash of its rows.
 struct Encoder {
     parquet: Stream<NewFile>,
     rows: StreamWriter<Hashing>,
@@ -235,13 +247,14 @@ impl Encoder {
         schema: &SchemaRef,
         footer: HashMap<String, String>,
     ) -> Result<Self, DatasetError> {
-        let file = NewFile::create(folder).map_err(DatasetError::file("making", folder))?;
+        let file =
+            NewFile::create(folder).map_err(DatasetError::file("creating a file in", folder))?;
         let described = Arc::new(schema.as_ref().clone().with_metadata(footer));
         let mut hash = Hashing::default();
-        hash.0.update(serde_json::to_string(definition).map_err(DatasetError::json)?);
+        hash.0.update(serde_json::to_string(definition).map_err(DatasetError::Json)?);
         Ok(Self {
             parquet: Stream::new(Format::Parquet, &described, file)?,
-            // Without what the file says of itself: the same rows have the same id, whoever made them.
+            // Without the footer: the same rows have the same id on every machine.
             rows: StreamWriter::try_new(hash, schema)?,
         })
     }
@@ -264,11 +277,11 @@ impl Encoder {
     }
 }
 
-/// Encodes pages of trials as they come, then the shards. On a thread of its own.
+/// Encodes pages of trials as they arrive, then the shards. Runs on a dedicated thread.
 fn encode(
     mut encoder: Encoder,
     mut pages: mpsc::Receiver<Vec<Row>>,
-    shards: Vec<Divided>,
+    shards: Vec<SplitShards>,
     schema: &SchemaRef,
     progress: &Progress,
 ) -> Result<(Encoder, Tally), DatasetError> {
@@ -278,7 +291,7 @@ fn encode(
         page.iter().for_each(|row| tally.count(row.part, row.trial.contact_count));
         progress.done.store(tally.rows, Ordering::Relaxed);
     }
-    for (folder, parts) in shards {
+    for SplitShards { folder, parts } in shards {
         let mut parts = parts.as_slice();
         for shard in &folder.manifest.shards {
             for rows in folder.read(shard)? {
@@ -299,12 +312,12 @@ fn encode(
     Ok((encoder, tally))
 }
 
-/// Where the rows come from, down to the code.
+/// Lineage of the rows: runs, models, folders of shards, and the version of the code.
 async fn lineage(
     store: &Store,
     inputs: &Inputs,
     rows_of_run: &BTreeMap<i64, u64>,
-    shards: &[Divided],
+    shards: &[SplitShards],
 ) -> Result<Value, DatasetError> {
     let runs: Vec<Value> = inputs
         .runs
@@ -335,7 +348,7 @@ async fn lineage(
     }
     let sim_random: Vec<Value> = shards
         .iter()
-        .map(|(folder, _)| {
+        .map(|SplitShards { folder, .. }| {
             json!({ "folder": folder.name, "definition": folder.manifest.definition,
                 "shards": folder.manifest.shards })
         })
@@ -349,13 +362,13 @@ async fn lineage(
     }))
 }
 
-/// What the Parquet file says of itself.
+/// Key-value metadata of the Parquet file: definition, lineage and sensor file.
 fn footer(
     definition: &Definition,
     inputs: &Inputs,
     lineage: &Value,
 ) -> Result<HashMap<String, String>, DatasetError> {
-    let definition = serde_json::to_string(definition).map_err(DatasetError::json)?;
+    let definition = serde_json::to_string(definition).map_err(DatasetError::Json)?;
     let mut footer = HashMap::from([
         ("palpate.definition".to_owned(), definition),
         ("palpate.lineage".to_owned(), lineage.to_string()),
@@ -384,12 +397,12 @@ fn report(
         .collect();
     json!({
         "task": definition.task, "channels": channels, "parts": tally.parts,
-        "contact_counts": tally.contact_counts, "left_out": surveyed.left_out,
+        "contact_counts": tally.contact_counts, "left_out": surveyed.excluded,
         "columns": columns,
     })
 }
 
-/// Writes the card beside the file.
+/// Writes the card next to the file.
 fn write_card(folder: &Path, row: &DatasetRow) -> Result<(), DatasetError> {
     let name = format!("{}.md", row.id);
     let write = || {
@@ -402,12 +415,12 @@ fn write_card(folder: &Path, row: &DatasetRow) -> Result<(), DatasetError> {
     Ok(())
 }
 
-/// Where a dataset's rows are.
+/// Path of the Parquet file of a dataset.
 pub fn data_file(folder: &Path, id: &str) -> PathBuf {
     folder.join(format!("{id}.parquet"))
 }
 
-/// Where its card is.
+/// Path of the card of a dataset.
 pub fn card_file(folder: &Path, id: &str) -> PathBuf {
     folder.join(format!("{id}.md"))
 }

@@ -1,5 +1,5 @@
-//! The card beside a dataset's file: what, when, where, how many, units, quality, citation.
-//! PURE. Uses: `store`'s row of a dataset. Never: a number that is not in it.
+//! The card of a dataset in Markdown: content, units, quality, origin and citation.
+//! PURE. Uses: `store`'s row of a dataset. Never: a number that is not in the row.
 
 use std::fmt::Write;
 
@@ -7,11 +7,11 @@ use serde_json::Value;
 
 use crate::store::DatasetRow;
 
-/// The work that these datasets follow.
+/// Title of the paper whose datasets these follow.
 const PAPER: &str = "Predicting the Force Map of an ERT-Based Tactile Sensor Using Simulation and \
                      Deep Networks (Table II)";
 
-/// The card, as Markdown.
+/// Returns the card as Markdown.
 pub fn text(row: &DatasetRow) -> String {
     let mut card = String::new();
     // Writing to a string does not fail.
@@ -22,12 +22,12 @@ pub fn text(row: &DatasetRow) -> String {
 fn write(card: &mut String, row: &DatasetRow) -> std::fmt::Result {
     let (report, lineage) = (&row.report, &row.lineage);
     writeln!(card, "# {} ({})\n", row.name, row.id)?;
-    writeln!(card, "{} rows, made {} by Palpate {}.", row.rows, row.created_at, code(lineage))?;
+    writeln!(card, "{} rows, made at {} by Palpate {}.", row.rows, row.created_at, code(lineage))?;
     let labels = labels(lineage);
     if labels.contains(&"virtual") {
         writeln!(card, "\n**Virtual**: measured on a virtual rig. No skin was touched.")?;
     }
-    writeln!(card, "\n## What\n")?;
+    writeln!(card, "\n## Content\n")?;
     writeln!(card, "Task: {}.", words(&report["task"]))?;
     counts(card, "Parts", &report["parts"])?;
     counts(card, "Rows by number of contacts", &report["contact_counts"])?;
@@ -35,13 +35,14 @@ fn write(card: &mut String, row: &DatasetRow) -> std::fmt::Result {
     writeln!(
         card,
         "Flags and counts of saturated, stuck and missing channels, injection sums, dropped \
-         packets, depth error, settling and overshoot are columns. What was not looked at is null."
+         packets, depth error, settling and overshoot are columns. A quality that was not checked \
+         is null."
     )?;
     match report["left_out"].as_object().filter(|reasons| !reasons.is_empty()) {
-        Some(_) => counts(card, "Left out", &report["left_out"])?,
-        None => writeln!(card, "\nNothing was left out.")?,
+        Some(_) => counts(card, "Excluded", &report["left_out"])?,
+        None => writeln!(card, "\nNo row was excluded.")?,
     }
-    writeln!(card, "\n## Where from\n")?;
+    writeln!(card, "\n## Origin\n")?;
     for run in lineage["runs"].as_array().into_iter().flatten() {
         writeln!(
             card,
@@ -86,7 +87,7 @@ fn write(card: &mut String, row: &DatasetRow) -> std::fmt::Result {
     writeln!(
         card,
         "\nA frame is injection-major: `v[28 k + j] = V_j - V_(j+1 mod 28)` while electrode k is \
-         the sink, V after gain. Contacts are in skin coordinates, from the skin's corner."
+         the sink, V after gain. Contacts are in skin coordinates, mm from the skin's corner."
     )?;
     writeln!(
         card,

@@ -1,8 +1,8 @@
-//! The datasets of a service: found, made when they are asked for, exported one after the other.
+//! The datasets of a service: found, made on request, exported one after the other.
 //! Uses: `store`, `dataset::{build, export}`. Never: HTTP; two builds or two exports at once.
 //!
-//! A name stands for the dataset that its definition gives on what is stored now; an id for one
-//! that never changes. Exports are rows of the store, so that a restart goes on with them.
+//! A name stands for the current result of its definition, an id for a dataset that never changes.
+//! Exports are rows of the store, so that they continue after a restart.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -15,8 +15,8 @@ use tokio::sync::watch;
 use super::background::background;
 use super::build::{self, Progress, build, data_file};
 use super::definition::Definition;
-use super::error::DatasetError;
-use super::export::{self, ExportRequest, Sendable};
+use super::error::{DatasetError, Product};
+use super::export::{self, ExportFile, ExportRequest};
 use super::file::sweep;
 use super::format::{Format, Rows};
 use super::inputs::Inputs;
@@ -27,25 +27,25 @@ use crate::clock::Clock;
 use crate::problem::Problem;
 use crate::store::{DatasetRow, ExportEnd, ExportRow, RunRow, Store};
 
-/// Free bytes that stay for runs, whatever is exported.
+/// Free space that is reserved for runs, bytes.
 const KEPT_FREE_BYTES: u64 = 2 << 30;
-/// Most bytes of export files that are kept; the oldest go first.
+/// Largest total size of the export files, bytes; the oldest are removed first.
 const EXPORTS_BYTES: u64 = 20 << 30;
-/// Most exports that may wait.
+/// Largest number of waiting exports.
 const WAITING_MAX: u32 = 100;
-/// Pause of the worker when nothing waits.
+/// Interval of polling the store if no export waits.
 const IDLE: Duration = Duration::from_millis(500);
 
-/// How far something is.
+/// Progress of an export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Done {
-    /// Rows that are written.
+pub struct ExportProgress {
+    /// Number of rows written.
     pub rows_done: u64,
-    /// Rows to write; 0 while they are being counted.
+    /// Number of rows to write; 0 until they are counted, and if the export is not being written.
     pub rows_total: u64,
 }
 
-/// The datasets. Clones share them.
+/// The datasets of a data folder. Clones share them.
 #[derive(Clone)]
 pub struct Catalog {
     inner: Arc<Inner>,
@@ -62,7 +62,10 @@ struct Inner {
 }
 
 impl Catalog {
-    /// The datasets of a data folder. What a killed process left half written is removed.
+    /// Opens the datasets of a data folder and removes unfinished files of an earlier process.
+    ///
+    /// # Errors
+    /// `DatasetError::File` if an unfinished file cannot be removed.
     pub fn open(store: Store, data: &Path, clock: Clock) -> Result<Self, DatasetError> {
         let inner = Inner {
             store,
@@ -75,27 +78,31 @@ impl Catalog {
         };
         let catalog = Self { inner: Arc::new(inner) };
         for folder in [catalog.datasets(), catalog.exports(), catalog.uploads()] {
-            sweep(&folder).map_err(DatasetError::file("sweeping", &folder))?;
+            sweep(&folder).map_err(DatasetError::file("removing unfinished files in", &folder))?;
         }
         Ok(catalog)
     }
 
-    /// Folder of the datasets' files.
+    /// Folder of the dataset files.
     pub fn datasets(&self) -> PathBuf {
         self.inner.data.join("datasets")
     }
 
-    /// Folder of files that are being handed in.
+    /// Folder of files that are being uploaded.
     pub fn uploads(&self) -> PathBuf {
         self.inner.data.join("uploads")
     }
 
-    /// Folder of the exports' files.
+    /// Folder of the export files.
     fn exports(&self) -> PathBuf {
         self.inner.data.join("exports")
     }
 
-    /// The dataset of an id, or the one that a name stands for now, made if need be.
+    /// Returns the dataset with this id, or the current one of this name, which is made if needed.
+    ///
+    /// # Errors
+    /// `DatasetError::NoDataset` if the id or name is unknown, `FileMissing` if the file of the id is
+    /// missing, `NotEnded` for the name of a run that has not ended; the errors of [`Self::make`].
     pub async fn resolve(&self, name: &str) -> Result<DatasetRow, DatasetError> {
         if name.starts_with("ds-") {
             return self.of_id(name).await;
@@ -107,7 +114,7 @@ impl Catalog {
     async fn of_id(&self, id: &str) -> Result<DatasetRow, DatasetError> {
         match self.inner.store.dataset(id).await? {
             Some(row) if data_file(&self.datasets(), id).is_file() => Ok(row),
-            Some(row) => Err(DatasetError::Damaged(row.id)),
+            Some(row) => Err(DatasetError::FileMissing(row.id)),
             None => Err(self.no_dataset(id)),
         }
     }
@@ -117,8 +124,12 @@ impl Catalog {
         DatasetError::NoDataset { name: name.into(), choices }
     }
 
-    /// The definition that a name stands for: of a run (`run-N`), of the binary, or of the last dataset
-    /// of that name.
+    /// Returns the definition of a name: of a run (`run-N`), built in, or of the newest dataset of
+    /// that name.
+    ///
+    /// # Errors
+    /// `DatasetError::NoDataset` if the name is unknown, `NotEnded` for a run that has not ended,
+    /// `Store` if the store fails.
     pub async fn definition(&self, name: &str) -> Result<Definition, DatasetError> {
         if let Some(run) = self.run_of(name).await? {
             return match run.state.as_str() {
@@ -130,13 +141,18 @@ impl Catalog {
             return Ok(built_in);
         }
         match self.inner.store.newest_dataset(name).await? {
-            Some(row) => serde_json::from_value(row.definition).map_err(DatasetError::json),
+            Some(row) => serde_json::from_value(row.definition).map_err(DatasetError::Json),
             None => Err(self.no_dataset(name)),
         }
     }
 
-    /// Makes the dataset of somebody's definition, which must not take a name that means another.
-    pub async fn make_own(
+    /// Makes the dataset of a client's definition. Its name must not be that of a built-in definition
+    /// with other content, or of a run.
+    ///
+    /// # Errors
+    /// `DatasetError::Problems` if the definition is invalid or its name is in use; the errors of
+    /// [`Self::make`].
+    pub async fn make_custom(
         &self,
         file: &str,
         definition: &Definition,
@@ -146,7 +162,7 @@ impl Catalog {
         let taken = name.starts_with("run-")
             || Definition::built_in(name).is_some_and(|built_in| built_in != *definition);
         if taken {
-            let limit = "is the name of another dataset: choose one of your own";
+            let limit = "is the name of a built-in dataset or of a run: choose another name";
             return Err(DatasetError::Problems(vec![Problem::new(file, "name", name, limit)]));
         }
         self.make(definition).await
@@ -159,8 +175,13 @@ impl Catalog {
         Ok(self.inner.store.run_by_scan_id(scan_id).await?)
     }
 
-    /// The dataset that a definition gives on what is stored now. One that is there is not made
-    /// again.
+    /// Returns the dataset of a definition on the current trials and shards. It is made unless it
+    /// exists.
+    ///
+    /// # Errors
+    /// `DatasetError::Problems` if the definition is invalid, `NoRun`, `Labels`, `Channels` or
+    /// `Models` if its runs or shards do not exist or do not fit each other, `Empty` if there are
+    /// none, `DiskFull` without free space; `Store`, `File` or `Shards` if reading or writing fails.
     pub async fn make(&self, definition: &Definition) -> Result<DatasetRow, DatasetError> {
         self.make_watched(definition, Arc::default()).await
     }
@@ -170,23 +191,23 @@ impl Catalog {
         definition: &Definition,
         progress: Arc<Progress>,
     ) -> Result<DatasetRow, DatasetError> {
-        if let Some(row) = self.made(definition).await?.0 {
+        if let Some(row) = self.existing(definition).await?.0 {
             return Ok(row);
         }
-        // Goes on when the one who asked has gone: the next one to ask finds it made.
+        // A separate task: it continues without the caller, and the next request finds the result.
         let (catalog, definition) = (self.clone(), definition.clone());
         let making = tokio::spawn(async move {
             let _one_at_a_time = catalog.inner.building.lock().await;
-            let (row, inputs) = catalog.made(&definition).await?;
+            let (row, inputs) = catalog.existing(&definition).await?;
             if let Some(row) = row {
                 return Ok(row);
             }
             let name = definition.name.clone();
             if inputs.candidates() == 0 {
-                let why = "no ended run, and no shard, that it takes".into();
+                let why = "no ended run and no shard matches its definition".into();
                 return Err(DatasetError::Empty { name, why });
             }
-            catalog.room_for(inputs.candidates() * 4096).await?;
+            catalog.check_space(Product::Dataset, inputs.candidates() * 4096).await?;
             let (store, folder) = (&catalog.inner.store, catalog.datasets());
             let at = catalog.inner.clock.timestamp();
             let row = build(store, &folder, inputs, at, progress).await?;
@@ -196,44 +217,57 @@ impl Catalog {
         making.await.map_err(|_| DatasetError::Worker)?
     }
 
-    /// The dataset of a definition's present inputs, if it is there.
-    async fn made(
+    /// The dataset of the current inputs of a definition, if it exists, and these inputs.
+    async fn existing(
         &self,
         definition: &Definition,
     ) -> Result<(Option<DatasetRow>, Inputs), DatasetError> {
         let inputs = Inputs::find(&self.inner.store, &self.inner.data, definition).await?;
         let row = self.inner.store.dataset_of_inputs(&inputs.key).await?;
-        let there = row.filter(|row| data_file(&self.datasets(), &row.id).is_file());
-        Ok((there, inputs))
+        let existing = row.filter(|row| data_file(&self.datasets(), &row.id).is_file());
+        Ok((existing, inputs))
     }
 
-    async fn room_for(&self, needed: u64) -> Result<(), DatasetError> {
+    /// Checks that a file of `needed` bytes leaves the space that is reserved for runs.
+    async fn check_space(&self, product: Product, needed: u64) -> Result<(), DatasetError> {
         let free = self.inner.store.free_bytes().await?;
         if free < KEPT_FREE_BYTES + needed {
-            return Err(DatasetError::DiskFull { needed, free, kept: KEPT_FREE_BYTES });
+            let kept = KEPT_FREE_BYTES;
+            return Err(DatasetError::DiskFull { product, needed, free, kept });
         }
         Ok(())
     }
 
-    /// Chosen rows of a dataset; what is wrong with the choice otherwise.
+    /// Opens selected rows of a dataset.
+    ///
+    /// # Errors
+    /// `DatasetError::Problems` if the selection does not fit the columns; `File` or `Parquet` if the
+    /// file cannot be read.
     pub fn rows(&self, id: &str, wanted: &Wanted) -> Result<DatasetRows, DatasetError> {
         DatasetRows::open(&data_file(&self.datasets(), id), wanted)
     }
 
-    /// The text of a dataset's card.
+    /// Returns the card of a dataset, Markdown.
+    ///
+    /// # Errors
+    /// `DatasetError::File` if the card cannot be read.
     pub fn card(&self, id: &str) -> Result<String, DatasetError> {
         let path = build::card_file(&self.datasets(), id);
         std::fs::read_to_string(&path).map_err(DatasetError::file("reading", &path))
     }
 
-    /// The file of a dataset's rows in this format, written if need be.
+    /// Returns the file with the selected rows of a dataset in `format`; it is written if needed.
+    ///
+    /// # Errors
+    /// `DatasetError::Problems` if the selection does not fit the columns, `DiskFull` without free
+    /// space; `File`, `Format` or `Parquet` if reading or writing fails.
     pub async fn file(
         &self,
         row: &DatasetRow,
         format: Format,
         wanted: &Wanted,
         progress: Arc<Progress>,
-    ) -> Result<Sendable, DatasetError> {
+    ) -> Result<ExportFile, DatasetError> {
         let (catalog, row, wanted) = (self.clone(), row.clone(), wanted.clone());
         let writing =
             tokio::spawn(async move { catalog.write(&row, format, &wanted, progress).await });
@@ -246,112 +280,121 @@ impl Catalog {
         format: Format,
         wanted: &Wanted,
         progress: Arc<Progress>,
-    ) -> Result<Sendable, DatasetError> {
+    ) -> Result<ExportFile, DatasetError> {
         let rows = self.rows(&row.id, wanted)?;
         if format == Format::Parquet && rows.is_whole() {
             let path = data_file(&self.datasets(), &row.id);
-            return Ok(Sendable { path, sha256: row.sha256.clone() });
+            return Ok(ExportFile { path, sha256: row.sha256.clone() });
         }
         let name = export::file_name(&row.id, format, wanted)?;
         let path = self.exports().join(&name);
-        // The sha256 stands beside the file, and is written after it.
-        let beside = path.with_extension(format!("{}.sha256", format.extension()));
-        let there = || {
-            let sha256 = std::fs::read_to_string(&beside).ok().filter(|_| path.is_file())?;
-            Some(Sendable { path: path.clone(), sha256 })
+        // The sha256 is stored in a file next to the export, and written after it.
+        let digest = path.with_extension(format!("{}.sha256", format.extension()));
+        let existing = || {
+            let sha256 = std::fs::read_to_string(&digest).ok().filter(|_| path.is_file())?;
+            Some(ExportFile { path: path.clone(), sha256 })
         };
-        if let Some(sendable) = there() {
-            return Ok(sendable);
+        if let Some(file) = existing() {
+            return Ok(file);
         }
         let _one_at_a_time = self.inner.writing.lock().await;
-        // Somebody else may have wished for the same meanwhile.
-        if let Some(sendable) = there() {
-            return Ok(sendable);
+        // An equal request may have been completed while this one waited.
+        if let Some(file) = existing() {
+            return Ok(file);
         }
-        let bytes_a_row = 8 * rows.schema().fields().len() as u64 + 3 * row.bytes / row.rows.max(1);
-        self.room_for(rows.count() * bytes_a_row).await?;
+        let row_bytes = 8 * rows.schema().fields().len() as u64 + 3 * row.bytes / row.rows.max(1);
+        self.check_space(Product::Export, rows.count() * row_bytes).await?;
         let folder = self.exports();
-        trim(&folder, EXPORTS_BYTES).map_err(DatasetError::file("trimming", &folder))?;
+        trim(&folder, EXPORTS_BYTES)
+            .map_err(DatasetError::file("removing old exports in", &folder))?;
         let writing = background(move || export::write(&rows, format, &folder, &name, &progress));
         let finished = writing.await??;
-        std::fs::write(&beside, &finished.sha256)
-            .map_err(DatasetError::file("writing", &beside))?;
-        Ok(Sendable { path, sha256: finished.sha256 })
+        std::fs::write(&digest, &finished.sha256)
+            .map_err(DatasetError::file("writing", &digest))?;
+        Ok(ExportFile { path, sha256: finished.sha256 })
     }
 
-    /// Stores a request for an export, checked as far as its dataset exists.
-    pub async fn ask(
+    /// Stores a request for an export. The request is checked against the dataset if it exists,
+    /// otherwise against the columns of its definition.
+    ///
+    /// # Errors
+    /// `DatasetError::Problems` if the selection does not fit the columns or too many exports wait,
+    /// `NoDataset` or `NotEnded` if the dataset cannot be made, `Store` if the store fails.
+    pub async fn request_export(
         &self,
         request: &ExportRequest,
         asked_by: &str,
     ) -> Result<ExportRow, DatasetError> {
         let waiting = self.inner.store.open_exports(WAITING_MAX).await?.len();
         if waiting >= WAITING_MAX as usize {
-            let limit = format!("must be under {WAITING_MAX}: wait for some to end");
-            return Err(DatasetError::value("exports that wait", waiting, &limit));
+            let limit = format!("must be under {WAITING_MAX}: wait until one ends");
+            return Err(DatasetError::value("waiting exports", waiting, &limit));
         }
         let wanted = request.wanted();
         if request.dataset.starts_with("ds-") {
             self.rows(&self.of_id(&request.dataset).await?.id, &wanted)?;
         } else {
-            // The number of channels is known when its rows are.
+            // The number of channels, and so the range of a slice, is known after the dataset is made.
             let wanted = Wanted { slice: None, ..wanted };
             let definition = self.definition(&request.dataset).await?;
             let columns = schema::of_dataset(&definition, schema::CHANNELS);
             Selection::new(&wanted, &columns, Some(SKIN)).map_err(DatasetError::Problems)?;
         }
         let id = format!("ex-{}", uuid::Uuid::now_v7());
-        let text = serde_json::to_value(request).map_err(DatasetError::json)?;
+        let text = serde_json::to_value(request).map_err(DatasetError::Json)?;
         let row = self.inner.store.create_export(id, text, asked_by).await?;
         self.inner.changed.send_modify(|changes| *changes += 1);
         Ok(row)
     }
 
-    /// How far an export is that is being written.
-    pub fn done(&self, export: &str) -> Done {
+    /// Progress of the export with this id.
+    pub fn export_progress(&self, export: &str) -> ExportProgress {
         use std::sync::atomic::Ordering::Relaxed;
         let progress = self.progress().get(export).cloned().unwrap_or_default();
-        Done { rows_done: progress.done.load(Relaxed), rows_total: progress.total.load(Relaxed) }
+        let (rows_done, rows_total) = (progress.done.load(Relaxed), progress.total.load(Relaxed));
+        ExportProgress { rows_done, rows_total }
     }
 
-    /// The file of an export that is done, if it is still there.
-    pub fn exported(&self, export: &ExportRow) -> Option<Sendable> {
+    /// The file of a completed export; `None` before its completion, and after its removal.
+    pub fn export_file(&self, export: &ExportRow) -> Option<ExportFile> {
         let (file, sha256) = (export.file.as_ref()?, export.sha256.clone()?);
         let path = [self.exports(), self.datasets()].map(|folder| folder.join(file));
         let path = path.into_iter().find(|path| path.is_file())?;
-        Some(Sendable { path, sha256 })
+        Some(ExportFile { path, sha256 })
     }
 
-    /// Carries out exports until it is dropped, oldest first.
+    /// Writes the requested exports, oldest first, until the future is dropped.
     pub async fn work(self) {
         let mut changed = self.inner.changed.subscribe();
         loop {
             match self.inner.store.open_exports(1).await {
                 Ok(open) if !open.is_empty() => {
                     for export in open {
-                        self.carry_out(export).await;
+                        self.write_export(export).await;
                     }
                     continue;
                 }
                 Ok(_) => {}
-                Err(error) => tracing::warn!(%error, "exports are not looked at"),
+                Err(error) => tracing::warn!(%error, "the waiting exports could not be read"),
             }
-            // A change that is missed is found at the next look.
+            // A missed notification is found at the next poll.
             let _ = tokio::time::timeout(IDLE, changed.changed()).await;
         }
     }
 
-    async fn carry_out(&self, export: ExportRow) {
+    async fn write_export(&self, export: ExportRow) {
         let progress = Arc::new(Progress::default());
         self.progress().insert(export.id.clone(), progress.clone());
-        let end = match self.exported_file(&export, progress).await {
-            Ok(sendable) => match tokio::fs::metadata(&sendable.path).await {
+        let end = match self.write_requested(&export, progress).await {
+            Ok(written) => match tokio::fs::metadata(&written.path).await {
                 Ok(metadata) => ExportEnd::Done {
-                    file: sendable.path.file_name().unwrap_or_default().to_string_lossy().into(),
+                    file: written.path.file_name().unwrap_or_default().to_string_lossy().into(),
                     bytes: metadata.len(),
-                    sha256: sendable.sha256,
+                    sha256: written.sha256,
                 },
-                Err(error) => ExportEnd::Failed(error.to_string()),
+                Err(error) => {
+                    ExportEnd::Failed(format!("reading {}: {error}", written.path.display()))
+                }
             },
             Err(error) => ExportEnd::Failed(error.to_string()),
         };
@@ -362,16 +405,16 @@ impl Catalog {
         self.progress().remove(&export.id);
     }
 
-    async fn exported_file(
+    async fn write_requested(
         &self,
         export: &ExportRow,
         progress: Arc<Progress>,
-    ) -> Result<Sendable, DatasetError> {
+    ) -> Result<ExportFile, DatasetError> {
         let request: ExportRequest =
-            serde_json::from_value(export.request.clone()).map_err(DatasetError::json)?;
+            serde_json::from_value(export.request.clone()).map_err(DatasetError::Json)?;
         let store = &self.inner.store;
         store.begin_export(&export.id, None).await?;
-        // After a restart the dataset that it had begun on, not what the name stands for by now.
+        // After a restart: the dataset that the export began with, not the current one of its name.
         let row = match &export.dataset {
             Some(id) => self.of_id(id).await?,
             None if request.dataset.starts_with("ds-") => self.of_id(&request.dataset).await?,
@@ -389,7 +432,7 @@ impl Catalog {
     }
 }
 
-/// Removes the oldest files of a folder until it holds no more than this.
+/// Removes the oldest files of a folder until their total size is at most `bytes`.
 fn trim(folder: &Path, bytes: u64) -> std::io::Result<()> {
     let entries = match std::fs::read_dir(folder) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),

@@ -1,7 +1,7 @@
-//! What a dataset is made of: which runs, how they are labelled, what is left out, how it is split.
-//! PURE. Uses: `problem`, `syntax`. Never: files, rows.
+//! The definition of a dataset: which runs, how they are labelled, filtered and split.
+//! PURE. Uses: `problem`, `syntax`, `store`'s conditions and labels. Never: files, rows.
 //!
-//! The paper's four (Table II) are definition files like anybody else's, and are in the binary.
+//! The four datasets of the paper (Table II) are ordinary definition files, built into the binary.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -10,7 +10,7 @@ use crate::problem::{Checks, Problem};
 use crate::store::{Condition, Label, RunKind};
 use crate::syntax::syntax_problem;
 
-/// The definitions that are in the binary, by their names.
+/// The built-in definitions: name and text.
 const BUILT_IN: [(&str, &str); 6] = [
     ("real", include_str!("../../../experiments/datasets/real.toml")),
     ("real-untouched", include_str!("../../../experiments/datasets/real-untouched.toml")),
@@ -23,27 +23,27 @@ const BUILT_IN: [(&str, &str); 6] = [
     ("real-unseen", include_str!("../../../experiments/datasets/real-unseen.toml")),
 ];
 
-/// Most runs, counts, filters or folders of one definition.
+/// Largest number of runs, counts, conditions or folders of one definition.
 const LIST_MAX: usize = 1000;
 
-/// What is learned from a dataset: its input and its output (paper, Table II).
+/// Input and output that a dataset is made for (paper, Table II).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Task {
-    /// Every trial of its runs with all columns; nothing in particular.
+    /// All trials of its runs with all columns, for no particular task.
     Trials,
     /// Measured voltages to force maps.
     Real,
-    /// Measured voltages to simulated ones.
+    /// Measured voltages to simulated voltages.
     R2sTransfer,
-    /// Simulated voltages to force maps; the twins and Sim-Random.
+    /// Simulated voltages to force maps, from the twins and Sim-Random.
     S2sRecon,
-    /// Measured voltages to force maps, of contacts placed freely.
+    /// Measured voltages to force maps, of freely placed contacts (Real-Random).
     RealUnseen,
 }
 
 impl Task {
-    /// The runs that it takes unless they are named (imports always are).
+    /// Kinds of runs that are selected if the definition names none. Imports must be named.
     pub fn kinds(self) -> &'static [RunKind] {
         match self {
             Self::Trials => &[RunKind::RealHex, RunKind::RealRandom],
@@ -52,59 +52,59 @@ impl Task {
         }
     }
 
-    /// Whether each row needs a simulated twin.
+    /// True if each row needs a simulated twin.
     pub fn needs_twin(self) -> bool {
         matches!(self, Self::R2sTransfer | Self::S2sRecon)
     }
 
-    /// Whether measured voltages belong to its rows.
+    /// True if the rows have measured voltages.
     pub fn has_measured(self) -> bool {
         self != Self::S2sRecon
     }
 
-    /// Whether simulated voltages belong to its rows.
+    /// True if the rows may have simulated voltages.
     pub fn has_simulated(self) -> bool {
         matches!(self, Self::Trials | Self::R2sTransfer | Self::S2sRecon)
     }
 }
 
-/// What becomes of some of the trials.
+/// Treatment of the trials with a certain property.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Choice {
-    /// They are left out, counted and said.
+    /// These trials are excluded, and counted in the report.
     #[default]
     LeaveOut,
-    /// They stay.
+    /// These trials are included.
     Keep,
-    /// The others are left out.
+    /// Only these trials are included.
     Only,
 }
 
-/// What is never divided between two parts of a split.
+/// Unit of a split: its rows are all in the same part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum SplitBy {
-    /// Equal configurations with all their depths, in whichever runs.
+    /// All depths of equal configurations, across runs.
     #[default]
     Configuration,
-    /// A trial, as in the paper's tables: neighbouring depths land on both sides.
+    /// A trial, as in the paper's tables. Neighbouring depths may be in different parts.
     Trial,
-    /// There are no parts.
+    /// No split: the rows have no part.
     None,
 }
 
-/// How rows are divided into train, validation and test.
+/// Division of the rows into train, validation and test.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Split {
-    /// What stays together.
+    /// Unit of the split.
     pub by: SplitBy,
     /// Shares of train, validation and test (paper V-A: 3:1:1).
     pub ratio: [u32; 3],
-    /// Seed of the draw.
+    /// Seed of the random order.
     pub seed: u64,
-    /// Divide each number of contacts by itself, so that every part has its share of each.
+    /// Split each number of contacts separately, so that all parts have similar shares of each.
     pub stratify: bool,
 }
 
@@ -114,57 +114,57 @@ impl Default for Split {
     }
 }
 
-/// A dataset to be.
+/// Definition of a dataset.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Definition {
-    /// Its name: lower-case letters, digits and hyphens.
+    /// Name: 1 to 60 lower-case letters, digits and hyphens.
     pub name: String,
-    /// What is learned from it.
+    /// Input and output that the dataset is made for.
     pub task: Task,
-    /// Runs, each by uid, scan id or experiment; empty: all ended runs that the task takes.
+    /// Runs, each by uid, scan id or experiment; empty: all ended runs of the kinds of the task.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub runs: Vec<String>,
-    /// Whether a skin was touched; needed where runs of more than one label would come together.
+    /// Only runs with this label; required if the selected runs have different labels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub label: Option<Label>,
-    /// In Real-Hex, contacts under this are removed and counts relabelled, N; absent: as each run's
-    /// experiment says (5 N).
+    /// Deadband, N: in Real-Hex, contacts below this force are removed from labels and counts.
+    /// Absent: the deadband of each run's experiment (5 N by default).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub deadband_n: Option<f64>,
-    /// Trials with a flag.
+    /// Treatment of trials with a flag.
     #[serde(default)]
     pub flagged: Choice,
-    /// Trials without a contact.
+    /// Treatment of trials without contact.
     #[serde(default)]
     pub untouched: Choice,
-    /// Only trials with so many contacts; empty: any number.
+    /// Only trials with one of these numbers of contacts; empty: any number.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub contact_counts: Vec<u32>,
-    /// More conditions, each `COLUMN__gt=VALUE`, on the labelled rows.
+    /// Further conditions, each `COLUMN__gt=VALUE`, on the labelled rows. All must hold.
     #[serde(default, rename = "where", skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<String>,
-    /// Folders of Sim-Random shards under the data folder's `sim-random`; `*` is all there are.
+    /// Folders of Sim-Random shards under `sim-random` in the data folder; `*` selects all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sim_random: Vec<String>,
-    /// How it is divided.
+    /// Division into train, validation and test.
     #[serde(default)]
     pub split: Split,
 }
 
 impl Definition {
-    /// The definition in the binary of this name.
+    /// The built-in definition of this name.
     pub fn built_in(name: &str) -> Option<Self> {
         let (_, text) = BUILT_IN.iter().find(|(known, _)| *known == name)?;
         toml::from_str(text).ok()
     }
 
-    /// Names of the definitions in the binary.
+    /// Names of the built-in definitions.
     pub fn built_in_names() -> impl Iterator<Item = &'static str> {
         BUILT_IN.iter().map(|(name, _)| *name)
     }
 
-    /// All trials of one run with all columns: what a finished campaign leaves behind.
+    /// The definition of all trials of one run with all columns, made when the run ends.
     pub fn of_run(scan_id: i64) -> Self {
         Self {
             name: format!("run-{scan_id}"),
@@ -181,7 +181,10 @@ impl Definition {
         }
     }
 
-    /// Reads a definition file and checks it.
+    /// Parses and checks a definition file; `file` is its name in messages.
+    ///
+    /// # Errors
+    /// The syntax error, or all invalid values.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Vec<Problem>> {
         let definition: Self =
             toml::from_str(text).map_err(|error| vec![syntax_problem(file, text, &error)])?;
@@ -189,12 +192,15 @@ impl Definition {
         Ok(definition)
     }
 
-    /// What is wrong with it; `file` is how messages name it.
+    /// Checks all values; `file` is the name of the definition in messages.
+    ///
+    /// # Errors
+    /// All invalid values.
     pub fn check(&self, file: &str) -> Result<(), Vec<Problem>> {
         let mut checks = Checks::of(file);
         let word = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
         let named = (1..=60).contains(&self.name.len()) && self.name.chars().all(word);
-        let limit = "must be 1 to 60 of a-z, 0-9 and - (not starting with ds-)";
+        let limit = "must be 1 to 60 characters of a-z, 0-9 and -, and must not start with ds-";
         checks.require(named && !self.name.starts_with("ds-"), "name", &self.name, limit);
         if let Some(deadband_n) = self.deadband_n {
             checks.within("deadband_n", deadband_n, 0.0, 1000.0);
@@ -202,7 +208,7 @@ impl Definition {
         let ratio = self.split.ratio;
         let sum = ratio.iter().map(|&part| u64::from(part)).sum::<u64>();
         let shown = format!("{ratio:?}");
-        let limit = "must be up to 1000 each, the first at least 1";
+        let limit = "must have a first share of at least 1 and a sum of at most 3000";
         checks.require(ratio[0] >= 1 && sum <= 3000, "split.ratio", shown, limit);
         for (key, length) in [
             ("runs", self.runs.len()),
@@ -214,7 +220,7 @@ impl Definition {
             checks.require(length <= LIST_MAX, key, length, &limit);
         }
         let takes_simulations = self.task == Task::S2sRecon;
-        let limit = "only a dataset of task s2s-recon takes Sim-Random";
+        let limit = "must be empty: only the task s2s-recon uses Sim-Random";
         let none = self.sim_random.is_empty();
         checks.require(none || takes_simulations, "sim_random", self.sim_random.len(), limit);
         for folder in &self.sim_random {
@@ -232,7 +238,7 @@ impl Definition {
         if problems.is_empty() { Ok(()) } else { Err(problems) }
     }
 
-    /// Its conditions, checked before.
+    /// The conditions, parsed; invalid ones are skipped ([`Self::check`] reports them).
     pub fn filters(&self) -> Vec<Condition> {
         self.conditions.iter().filter_map(|text| Condition::parse(text).ok()).collect()
     }

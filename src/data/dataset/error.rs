@@ -1,6 +1,7 @@
-//! What can go wrong with datasets: one enum, whose words name the field and the choices.
-//! Uses: the errors of what datasets are made with. Never: HTTP, logging.
+//! Errors of datasets, exports and imports: one enum, whose messages name field, value and choices.
+//! Uses: the errors of the store, the formats and the shards. Never: HTTP, logging.
 
+use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -12,121 +13,152 @@ use super::shards::ShardsError;
 use crate::problem::Problem;
 use crate::store::StoreError;
 
-/// Why there is no dataset, no export or no import.
+/// Why a dataset, an export or an import failed.
 #[derive(Debug, thiserror::Error)]
 pub enum DatasetError {
-    /// What was asked for cannot be.
+    /// Values of a request, a definition or an imported file are invalid.
     #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
     Problems(Vec<Problem>),
-    /// There is no dataset of this id or name.
-    #[error(
-        "there is no dataset {name}; there are {choices} (and run-N for every run that has ended)"
-    )]
+    /// No dataset has this id or name.
+    #[error("no dataset {name}: choose from {choices}, or run-N for a run that has ended")]
     NoDataset {
-        /// What was asked for.
+        /// The requested id or name.
         name: String,
-        /// Names that can be asked for.
+        /// Names of the built-in definitions, separated by commas.
         choices: String,
     },
-    /// A definition names a run that is not there.
-    #[error("runs: no run has the uid, the scan id or the experiment {0}")]
+    /// A definition names a run that does not exist.
+    #[error("runs = {0}: no run has this uid, scan id or experiment")]
     NoRun(String),
-    /// A run that still gets trials.
-    #[error("run {0} has not ended: page through its trials, or ask when it has")]
+    /// The run may still get trials. Holds its scan id.
+    #[error(
+        "run {0} has not ended: read its trials in pages, or request the dataset after its end"
+    )]
     NotEnded(i64),
-    /// There is nothing to make a dataset of.
+    /// The definition selects no rows.
     #[error("dataset {name} has no rows: {why}")]
     Empty {
-        /// Its name.
+        /// Name of the dataset.
         name: String,
-        /// Why.
+        /// The reason, as text.
         why: String,
     },
-    /// Trials that touched a skin and trials that did not.
-    #[error("label must be given, since measured and simulated never mix unasked: {0}")]
+    /// The selected runs have different labels, and the definition names none.
+    #[error("label = absent: the runs have different labels ({0}); select one label")]
     Labels(String),
-    /// Frames of different lengths.
-    #[error("frames of different lengths make no dataset: {one}, {other}; name the runs")]
+    /// The selected runs have frames of different lengths.
+    #[error(
+        "runs: all frames of a dataset must have the same length: {one}, {other}; name the runs"
+    )]
     Channels {
-        /// One of them.
+        /// A run and the length of its frames, as text.
         one: String,
-        /// Another.
+        /// Another run and the length of its frames, as text.
         other: String,
     },
-    /// Simulations of different models.
-    #[error("sim_random = {folder}: simulated with {there}, the twins with {here}")]
+    /// The simulated frames come from different models.
+    #[error("sim_random = {folder}: simulated with {there}, the other simulated rows with {here}")]
     Models {
-        /// The folder of shards.
+        /// Name of the folder of shards.
         folder: String,
-        /// Its model.
+        /// Simulation id of the folder.
         there: String,
-        /// The twins' model.
+        /// Simulation id of the twins, or of the first folder if there are no twins.
         here: String,
     },
-    /// Trials were taken back while they were read.
-    #[error("trials were taken back while they were read: ask again")]
+    /// Trials were removed between the two passes over them.
+    #[error("trials were removed while the dataset was made: request it again")]
     Changed,
-    /// The disk is too full.
+    /// The disk has not enough free space.
     #[error(
-        "an export of about {needed} bytes: only {free} are free, {kept} of them kept for runs"
+        "{product} of about {needed} bytes: {free} bytes are free, {kept} of them reserved for runs"
     )]
     DiskFull {
-        /// Bytes of the export, about.
+        /// The file to be written: a dataset or an export.
+        product: Product,
+        /// Estimated size of the file, bytes.
         needed: u64,
-        /// Free bytes.
+        /// Free space, bytes.
         free: u64,
-        /// Free bytes that stay.
+        /// Free space that is reserved for runs, bytes.
         kept: u64,
     },
-    /// A dataset's file is gone or is another one.
-    #[error("dataset {0}: its file is not what was stored; make it again")]
-    Damaged(String),
+    /// The file of a stored dataset is missing. Holds the id.
+    #[error("dataset {0}: its file is missing; make the dataset again by its name")]
+    FileMissing(String),
     /// Shards cannot be read.
     #[error(transparent)]
     Shards(#[from] ShardsError),
-    /// The store.
+    /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// A file.
-    #[error("{doing} {path}: {source}", path = path.display())]
+    /// A file could not be read or written.
+    #[error("{operation} {path}: {source}", path = path.display())]
     File {
-        /// What was being done.
-        doing: &'static str,
-        /// The file.
+        /// The failed operation.
+        operation: &'static str,
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// A format.
+    /// Rows could not be written in the requested format.
     #[error(transparent)]
     Format(#[from] FormatError),
-    /// Columns.
+    /// Columns could not be built or combined.
     #[error(transparent)]
     Arrow(#[from] ArrowError),
-    /// A Parquet file.
+    /// A Parquet file could not be read.
     #[error(transparent)]
     Parquet(#[from] ParquetError),
-    /// A value that JSON cannot hold.
-    #[error("a value cannot be written as JSON: {0}")]
+    /// A value could not be converted to or from JSON.
+    #[error("a value cannot be converted to or from JSON: {0}")]
     Json(serde_json::Error),
-    /// A thread ended early.
-    #[error("a worker panicked")]
+    /// A thread ended before its result.
+    #[error("a worker thread ended before its result")]
     Worker,
 }
 
+/// A file that the service writes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Product {
+    /// Rows and card of a dataset.
+    Dataset,
+    /// A dataset in a requested format.
+    Export,
+}
+
+impl fmt::Display for Product {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Dataset => "a dataset",
+            Self::Export => "an export",
+        })
+    }
+}
+
 impl DatasetError {
-    /// Says what was being done to which file.
-    pub(super) fn file(doing: &'static str, path: &Path) -> impl Fn(io::Error) -> Self + use<> {
+    /// Returns a conversion from an I/O error of an operation on a file.
+    pub(super) fn file(operation: &'static str, path: &Path) -> impl Fn(io::Error) -> Self + use<> {
         let path = path.to_owned();
-        move |source| Self::File { doing, path: path.clone(), source }
+        move |source| Self::File { operation, path: path.clone(), source }
     }
 
-    pub(super) fn json(error: serde_json::Error) -> Self {
-        Self::Json(error)
-    }
-
-    /// One value that cannot be used.
+    /// The error for one invalid value of a request.
     pub(super) fn value(key: &str, value: impl std::fmt::Display, limit: &str) -> Self {
         Self::Problems(vec![Problem::new("request", key, value, limit)])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{DatasetError, Product};
+
+    #[test]
+    fn a_full_disk_is_reported_for_what_was_to_be_written() {
+        let message =
+            |product| DatasetError::DiskFull { product, needed: 3, free: 2, kept: 1 }.to_string();
+        assert!(message(Product::Dataset).starts_with("a dataset of about 3 bytes: 2 bytes"));
+        assert!(message(Product::Export).starts_with("an export of about 3 bytes: 2 bytes"));
     }
 }

@@ -1,8 +1,8 @@
-//! An export: rows of a dataset in some format, as a file named by what it holds.
-//! Uses: `dataset::{read, format, file}`. Never: HTTP, the store; two files for equal wishes.
+//! An export: selected rows of a dataset in a format, as a file whose name is a hash of the request.
+//! Uses: `dataset::{read, format, file}`. Never: HTTP, the store; two files for equal requests.
 //!
-//! A dataset never changes and the formats give the same bytes for the same rows, so an export that
-//! a kill interrupted is written again and is the same file.
+//! A dataset never changes, and a format produces the same bytes for the same rows. An interrupted
+//! export is therefore written again as the same file.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
@@ -18,36 +18,36 @@ use super::format::{self, Format, Rows};
 use super::read::DatasetRows;
 use super::select::Wanted;
 
-/// Version of the formats' bytes: another one gives other files.
+/// Version of the bytes that the formats produce; part of the file name.
 const FORMAT_VERSION: u32 = 1;
-/// Hexadecimal digits of a file's name.
+/// Number of hexadecimal digits of a file name.
 const NAME_DIGITS: usize = 24;
 
-/// What is asked for.
+/// Request for an export.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ExportRequest {
-    /// A dataset's id, or a name: then the dataset as it is when the export begins.
+    /// Id of a dataset, or a name, which stands for the dataset at the begin of the export.
     pub dataset: String,
     /// `parquet`, `arrow`, `csv`, `ndjson` or `npz`.
     #[schema(value_type = String)]
     pub format: Format,
-    /// Columns, in this order; empty: all.
+    /// Columns, in this order; empty: all columns.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub columns: Vec<String>,
-    /// Conditions that all hold, each `COLUMN__gt=VALUE`.
+    /// Conditions, each `COLUMN__gt=VALUE`; all must hold.
     #[serde(default, rename = "where", skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<String>,
-    /// A force map for each row, as pixel and diameter in mm: `4x20`.
+    /// Adds a force map per row, N per pixel: pixel and map diameter in mm, as in `4x20`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub map: Option<String>,
-    /// Only these values of each frame: `0:28`, the end left out.
+    /// Only these values of each frame, as `FIRST:END`, end excluded: `0:28`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub slice: Option<String>,
 }
 
 impl ExportRequest {
-    /// Which rows and columns.
+    /// The requested rows and columns.
     pub fn wanted(&self) -> Wanted {
         Wanted {
             columns: self.columns.clone(),
@@ -58,23 +58,31 @@ impl ExportRequest {
     }
 }
 
-/// Name of the file that holds this: by its contents, so that equal wishes share it.
+/// Returns the file name of an export: a hash of the request, so that equal requests share a file.
+///
+/// # Errors
+/// `DatasetError::Json` if the request cannot be written as JSON.
 pub fn file_name(dataset: &str, format: Format, wanted: &Wanted) -> Result<String, DatasetError> {
     let text = serde_json::to_string(&(FORMAT_VERSION, dataset, format.name(), wanted));
-    let digest = Sha256::digest(text.map_err(DatasetError::json)?);
+    let digest = Sha256::digest(text.map_err(DatasetError::Json)?);
     Ok(format!("{}.{}", &hex::encode(digest)[..NAME_DIGITS], format.extension()))
 }
 
-/// A file that can be sent.
+/// A completed file of a dataset or an export.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Sendable {
-    /// Where it is.
+pub struct ExportFile {
+    /// Path of the file.
     pub path: PathBuf,
-    /// sha256 of its bytes.
+    /// sha256 of its bytes, in hexadecimal digits.
     pub sha256: String,
 }
 
-/// Writes rows into a file of this name. Takes long; the bytes follow from rows and format alone.
+/// Writes rows to the file `name` in `folder`. The bytes depend only on rows and format. Blocks for
+/// the whole duration of writing.
+///
+/// # Errors
+/// `DatasetError::File` if the file cannot be written, `Format` if the rows cannot be read or
+/// encoded.
 pub fn write(
     rows: &DatasetRows,
     format: Format,
@@ -84,10 +92,10 @@ pub fn write(
 ) -> Result<Finished, DatasetError> {
     progress.done.store(0, Ordering::Relaxed);
     progress.total.store(rows.count(), Ordering::Relaxed);
-    let file = NewFile::create(folder).map_err(DatasetError::file("making", folder))?;
+    let file = NewFile::create(folder).map_err(DatasetError::file("creating a file in", folder))?;
     let mut out = std::io::BufWriter::with_capacity(1 << 20, file);
-    let mut told = |done| progress.done.store(done, Ordering::Relaxed);
-    format::write(format, rows, &mut out, &mut told)?;
+    let mut show = |done| progress.done.store(done, Ordering::Relaxed);
+    format::write(format, rows, &mut out, &mut show)?;
     let path = folder.join(name);
     let failed = DatasetError::file("writing", &path);
     let file = out.into_inner().map_err(|error| failed(error.into_error()))?;

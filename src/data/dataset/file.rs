@@ -1,5 +1,5 @@
-//! Files that appear under their names only when they are whole and durable.
-//! Uses: std's files, sha2. Never: a name that is taken is written over by other bytes.
+//! Files that get their final name only after they are complete and durable.
+//! Uses: std's files, sha2. Never: other bytes under a name that is in use.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 
-/// How temporary names begin.
+/// Prefix of temporary names.
 const PARTIAL: &str = "_partial-";
 
-/// A file on its way, hashed and counted; removed when it is dropped unfinished.
+/// An unfinished file with the hash and number of its bytes; removed if it is dropped unfinished.
 #[derive(Debug)]
 pub struct NewFile {
     folder: PathBuf,
@@ -21,17 +21,20 @@ pub struct NewFile {
     finished: bool,
 }
 
-/// A file that is whole.
+/// A complete and durable file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Finished {
-    /// Its length.
+    /// Length, bytes.
     pub bytes: u64,
-    /// sha256 over its bytes, in hexadecimal digits.
+    /// sha256 of its bytes, in hexadecimal digits.
     pub sha256: String,
 }
 
 impl NewFile {
-    /// Starts a file in this folder, which is made if need be.
+    /// Creates a file under a temporary name in `folder`, which is created if needed.
+    ///
+    /// # Errors
+    /// If folder or file cannot be created.
     pub fn create(folder: &Path) -> io::Result<Self> {
         fs::create_dir_all(folder)?;
         let partial = folder.join(format!("{PARTIAL}{}", uuid::Uuid::now_v7()));
@@ -40,12 +43,15 @@ impl NewFile {
         Ok(Self { folder, partial, file, sha256, bytes: 0, finished: false })
     }
 
-    /// Where it is for now.
+    /// Path under the temporary name.
     pub fn path(&self) -> &Path {
         &self.partial
     }
 
-    /// Makes the file durable under its name.
+    /// Makes the file durable and renames it to `name`.
+    ///
+    /// # Errors
+    /// If syncing or renaming fails; a file that could not be renamed is removed.
     pub fn finish(mut self, name: &str) -> io::Result<Finished> {
         self.file.sync_all()?;
         fs::rename(&self.partial, self.folder.join(name))?;
@@ -72,13 +78,16 @@ impl Write for NewFile {
 impl Drop for NewFile {
     fn drop(&mut self) {
         if !self.finished {
-            // What stays is swept at the next start.
+            // A file that cannot be removed now is removed at the next start.
             fs::remove_file(&self.partial).ok();
         }
     }
 }
 
-/// Removes what a killed process left half written in a folder.
+/// Removes the unfinished files in a folder; a missing folder is no error.
+///
+/// # Errors
+/// If the folder cannot be read or a file cannot be removed.
 pub fn sweep(folder: &Path) -> io::Result<()> {
     let entries = match fs::read_dir(folder) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
@@ -93,7 +102,7 @@ pub fn sweep(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// A sink that hashes what is written to it.
+/// A sink that hashes the bytes written to it.
 #[derive(Debug, Default)]
 pub struct Hashing(pub Sha256);
 

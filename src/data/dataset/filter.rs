@@ -1,5 +1,5 @@
-//! Which rows of a table meet a condition.
-//! PURE. Uses: `store`'s conditions, arrow. Never: a syntax of conditions.
+//! Evaluates conditions on the rows of a batch.
+//! PURE. Uses: `store`'s conditions, arrow. Never: the syntax of conditions.
 
 use std::cmp::Ordering;
 
@@ -14,22 +14,22 @@ use arrow_schema::{DataType, Schema};
 use super::schema::comparable;
 use crate::store::{Condition, Operand};
 
-/// That a table has the column of a condition.
+/// Checks that a table has the column of a condition.
 ///
 /// # Errors
-/// The columns that the table can be compared by.
+/// The limit as text, with the comparable columns of the table.
 pub fn fits(condition: &Condition, schema: &Schema) -> Result<(), String> {
     let name = condition.column().name;
     match schema.field_with_name(name) {
         Ok(_) => Ok(()),
         Err(_) => {
             let names = comparable(schema).join(", ");
-            Err(format!("these rows have no column {name}; there are {names}"))
+            Err(format!("must name a column of these rows, which have no {name}: {names}"))
         }
     }
 }
 
-/// Which rows meet it; a table without its column has none.
+/// Returns which rows meet a condition; none if the batch lacks its column.
 pub fn mask(condition: &Condition, batch: &RecordBatch) -> BooleanArray {
     let Some(column) = batch.column_by_name(condition.column().name) else {
         return vec![false; batch.num_rows()].into();
@@ -38,10 +38,10 @@ pub fn mask(condition: &Condition, batch: &RecordBatch) -> BooleanArray {
     (0..batch.num_rows()).map(|row| Some(!column.is_null(row) && meets(row))).collect()
 }
 
-/// The order of a value against an operand.
+/// Compares a value with an operand; `None` if their types differ or a number is NaN.
 fn order(column: &dyn Array, row: usize, operand: &Operand) -> Option<Ordering> {
     match operand {
-        // A force that is kept as f32 is compared as one: 5.1 in it equals 5.1.
+        // A value stored as f32 is compared as f32: a stored 5.1 equals 5.1.
         Operand::Number(wanted) => match column.as_primitive_opt::<Float32Type>() {
             Some(singles) => singles.value(row).partial_cmp(&(*wanted as f32)),
             None => number(column, row)?.partial_cmp(wanted),
@@ -56,7 +56,7 @@ fn order(column: &dyn Array, row: usize, operand: &Operand) -> Option<Ordering> 
     }
 }
 
-/// A number of a column of numbers.
+/// A value of a numeric column; `None` for other types.
 pub(super) fn number(column: &dyn Array, row: usize) -> Option<f64> {
     Some(match column.data_type() {
         DataType::Float64 => column.as_primitive_opt::<Float64Type>()?.value(row),

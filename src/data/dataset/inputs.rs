@@ -1,4 +1,4 @@
-//! What a definition comes down to at this moment: its runs, its shards, and a key of their state.
+//! The current inputs of a definition: its runs, its shards, and a hash of their state.
 //! Uses: `store`, `dataset::shards`. Never: rows.
 
 use std::path::Path;
@@ -12,24 +12,29 @@ use super::schema;
 use super::shards::{self, ShardFolder};
 use crate::store::{Label, RunExtent, RunRow, Store};
 
-/// Version of the way from stored trials to rows: another one gives other inputs.
+/// Version of the code that makes rows of stored trials; part of the hash.
 const BUILD_VERSION: u32 = 1;
 
-/// What a definition comes down to at this moment.
+/// The current inputs of a definition.
 #[derive(Debug, Clone)]
 pub struct Inputs {
     /// The definition.
     pub definition: Definition,
-    /// Its runs, and how far each has come.
+    /// The selected runs by scan id, each with the extent of its trials.
     pub runs: Vec<(RunRow, RunExtent)>,
-    /// Its folders of shards.
+    /// The selected folders of shards, by name.
     pub folders: Vec<ShardFolder>,
-    /// sha256 over everything that the rows depend on.
+    /// sha256 over everything that the rows depend on, in hexadecimal digits.
     pub key: String,
 }
 
 impl Inputs {
-    /// Finds the runs and shards of a definition, as they are now.
+    /// Finds the current runs and shards of a definition. `data` is the data folder.
+    ///
+    /// # Errors
+    /// `DatasetError::Problems` if the definition is invalid, `NoRun` if it names an unknown run,
+    /// `Labels` if the runs have different labels, `Shards` if a folder cannot be read, `Store` if
+    /// the store fails.
     pub async fn find(
         store: &Store,
         data: &Path,
@@ -55,19 +60,22 @@ impl Inputs {
         Ok(Self { definition: definition.clone(), runs, folders, key })
     }
 
-    /// Rows that are looked at.
+    /// Number of rows before filtering.
     pub fn candidates(&self) -> u64 {
         let trials: u64 = self.runs.iter().map(|(_, e)| e.trials.unsigned_abs()).sum();
         trials + self.folders.iter().map(ShardFolder::trials).sum::<u64>()
     }
 
-    /// The newest model among the twins of the runs.
+    /// Simulation id of the run with the newest trial; `None` if it has no twins.
     pub fn model(&self) -> Option<&str> {
         let newest = self.runs.iter().max_by_key(|(_, extent)| extent.newest)?;
         newest.1.model.as_deref()
     }
 
-    /// Voltages in a frame: the same in all runs and shards.
+    /// Returns the number of voltages per frame, which must be equal in all runs; 784 without frames.
+    ///
+    /// # Errors
+    /// `DatasetError::Channels` if runs have frames of different lengths, `Store` if the store fails.
     pub async fn channels(&self, store: &Store) -> Result<i32, DatasetError> {
         let mut found: Option<(usize, String)> = None;
         for (run, extent) in &self.runs {
@@ -81,7 +89,7 @@ impl Inputs {
             match &found {
                 Some((channels, other)) if *channels != frame.len() => {
                     return Err(DatasetError::Channels {
-                        one: format!("{other} has {channels} voltages a frame"),
+                        one: format!("{other} has {channels} voltages per frame"),
                         other: format!("{who} has {}", frame.len()),
                     });
                 }
@@ -90,8 +98,8 @@ impl Inputs {
         }
         let channels = found.map_or(schema::CHANNELS as usize, |(channels, _)| channels);
         i32::try_from(channels).map_err(|_| DatasetError::Channels {
-            one: format!("{channels} voltages a frame"),
-            other: "more than can be stored".into(),
+            one: format!("{channels} voltages per frame"),
+            other: format!("limit {}", i32::MAX),
         })
     }
 }
@@ -112,9 +120,9 @@ async fn select_runs(store: &Store, definition: &Definition) -> Result<Vec<RunRo
     let labelled = |run: &RunRow| definition.label.is_none_or(|label| run.label == label);
     if definition.runs.is_empty() {
         let kinds = definition.task.kinds();
-        let takes =
+        let matches =
             |run: &RunRow| run.state == "ended" && kinds.contains(&run.kind) && labelled(run);
-        return Ok(all.into_iter().filter(takes).collect());
+        return Ok(all.into_iter().filter(matches).collect());
     }
     for wanted in &definition.runs {
         if !all.iter().any(|run| names(run, wanted)) {
@@ -125,12 +133,12 @@ async fn select_runs(store: &Store, definition: &Definition) -> Result<Vec<RunRo
     Ok(all.into_iter().filter(|run| named(run) && labelled(run)).collect())
 }
 
-/// Whether a word of a definition means this run.
+/// True if an entry of `runs` in a definition names this run.
 fn names(run: &RunRow, wanted: &str) -> bool {
     run.scan_id.to_string() == wanted || run.uid.to_string() == wanted || run.experiment == wanted
 }
 
-/// Measured and virtual trials never come together unasked.
+/// Checks that the runs with trials have one label; labels are only combined on request.
 fn check_labels(definition: &Definition, runs: &[(RunRow, RunExtent)]) -> Result<(), DatasetError> {
     let of = |label: Label| {
         let with = |run: &RunRow| run.label == label && definition.task != Task::S2sRecon;

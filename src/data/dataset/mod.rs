@@ -1,4 +1,4 @@
-//! Datasets that people can use in one line: labels, parts, force maps, files and exports.
+//! Datasets: definitions, labels, splits, force maps, files, exports and imports.
 //! Uses: `store`, `simulate` (Sim-Random's manifests). Never: HTTP, motion, a dataset that changes.
 //!
 //! PURE: `definition`, `filter`, `split`, `force_map`, `schema`, `batch`, `survey`, `select`, `sort`,

@@ -1,4 +1,4 @@
-//! What pressed in a stored trial, as the contacts that a simulation takes.
+//! The contacts of a stored trial as input of a simulation.
 //! PURE. Uses: `store` (its rows), sim-core's contact. Never: the database.
 
 use serde::Deserialize;
@@ -6,8 +6,8 @@ use sim_core::forward::Contact;
 
 use crate::store::{RunKind, TrialRow};
 
-/// What pressed: every attached tip whose force stands above the cells' noise, or the placed
-/// weights. `None` where that is not known of each contact.
+/// Returns the contacts of a trial: in Real-Hex each attached tip with a force above `force_noise_n`
+/// (N), otherwise the stored contacts. `None` if the position or force of a contact is unknown.
 pub fn contacts(trial: &TrialRow, kind: RunKind, force_noise_n: f64) -> Option<Vec<Contact>> {
     let contact = |x_mm, y_mm, force_n| Contact { x_mm, y_mm, force_n };
     match kind {
@@ -24,8 +24,8 @@ pub fn contacts(trial: &TrialRow, kind: RunKind, force_noise_n: f64) -> Option<V
     }
 }
 
-/// The noise of a rig's load cells by its file, N; `None` where the text is no rig file. A force that
-/// is not above it is no contact.
+/// Returns the noise of the load cells from the text of a rig file, N; `None` if the text has no such
+/// value. A force that does not exceed it is no contact.
 pub fn force_noise_n(rig: &str) -> Option<f64> {
     #[derive(Deserialize)]
     struct Rig {

@@ -1,4 +1,4 @@
-//! Rows of a dataset's file, chosen and cut: as often as they are asked for, in the same order.
+//! Selected rows of a dataset's file; each reading returns the same rows in the same order.
 //! Uses: parquet, `dataset::select`. Never: all rows at once.
 
 use std::fs::File;
@@ -21,10 +21,10 @@ use super::schema::{self, BATCH_ROWS};
 use super::select::{Selection, Skin, Wanted};
 use super::sort::Sort;
 
-/// The paper's skin, where a file says nothing else.
+/// Extent of the paper's skin, used if a file has no sensor file in its metadata.
 pub const SKIN: Skin = Skin { width_mm: 540.0, height_mm: 560.0 };
 
-/// Chosen rows of a dataset.
+/// Selected rows of a dataset.
 pub struct DatasetRows {
     path: PathBuf,
     metadata: ArrowReaderMetadata,
@@ -33,35 +33,40 @@ pub struct DatasetRows {
 }
 
 impl DatasetRows {
-    /// Opens a dataset's file for what is wanted of it.
+    /// Opens a dataset's file and counts the requested rows.
+    ///
+    /// # Errors
+    /// `DatasetError::Problems` if the request does not fit the columns, `File` or `Parquet` if the file
+    /// cannot be read.
     pub fn open(path: &Path, wanted: &Wanted) -> Result<Self, DatasetError> {
         let file = File::open(path).map_err(DatasetError::file("opening", path))?;
         let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())?;
         let selection = Selection::new(wanted, metadata.schema(), Some(skin(&metadata)))
             .map_err(DatasetError::Problems)?;
         let mut rows = Self { path: path.to_owned(), metadata, selection, count: 0 };
-        rows.count = rows.counted()?;
+        rows.count = rows.count_selected()?;
         Ok(rows)
     }
 
-    /// True when the rows are those of the file, as they are.
+    /// True if the rows are those of the file, unchanged.
     pub fn is_whole(&self) -> bool {
         self.selection.is_whole()
     }
 
-    /// Rows of a batch that comes out.
-    fn at_once(&self) -> usize {
+    /// Number of rows per batch of the result.
+    fn batch_rows(&self) -> usize {
         rows_per_batch(self.selection.schema())
     }
 
-    /// Rows of the file.
-    fn all(&self) -> u64 {
+    /// Number of rows of the file.
+    fn file_rows(&self) -> u64 {
         self.metadata.metadata().file_metadata().num_rows().unsigned_abs()
     }
 
-    fn counted(&self) -> Result<u64, DatasetError> {
+    /// Number of selected rows.
+    fn count_selected(&self) -> Result<u64, DatasetError> {
         if self.selection.keeps_all_rows() {
-            return Ok(self.all());
+            return Ok(self.file_rows());
         }
         let mut count = 0;
         for batch in self.raw(&self.selection.needed(Some(&[])), 0, BATCH_ROWS)? {
@@ -71,25 +76,30 @@ impl DatasetRows {
         Ok(count)
     }
 
-    /// A page: up to `limit` chosen rows from row `from` of the file on, and the row of the file
-    /// where the next page starts, if there may be more.
+    /// Returns a page: up to `limit` selected rows from row `from` of the file, and the row of the file
+    /// at which the next page starts; `None` at the end of the file.
+    ///
+    /// # Errors
+    /// `DatasetError::File`, `Parquet` or `Arrow` if the rows cannot be read.
     pub fn page(
         &self,
         from: u64,
         limit: usize,
     ) -> Result<(Vec<RecordBatch>, Option<u64>), DatasetError> {
         let (mut page, mut found, mut at) = (Vec::new(), 0, from);
-        // Where every row stays, no more of them are decoded than are asked for.
-        let all_stay = self.selection.keeps_all_rows();
-        let at_once = if all_stay { self.at_once().min(limit.max(1)) } else { self.at_once() };
-        for batch in self.raw(&self.selection.needed(None), from, at_once)? {
+        // Without conditions only the requested number of rows is decoded.
+        let mut batch_rows = self.batch_rows();
+        if self.selection.keeps_all_rows() {
+            batch_rows = batch_rows.min(limit.max(1));
+        }
+        for batch in self.raw(&self.selection.needed(None), from, batch_rows)? {
             let mut batch = batch?;
             let mask = self.selection.mask(&batch);
             let mut taken = batch.num_rows();
             if let Some(mask) = mask {
-                let stays: Vec<usize> = (0..mask.len()).filter(|&row| mask.value(row)).collect();
-                if let Some(&last) = stays.get(limit - found) {
-                    taken = last;
+                let selected: Vec<usize> = (0..mask.len()).filter(|&row| mask.value(row)).collect();
+                if let Some(&next) = selected.get(limit - found) {
+                    taken = next;
                 }
                 let mask = arrow_array::BooleanArray::from_iter(
                     (0..mask.len()).map(|row| Some(row < taken && mask.value(row))),
@@ -106,11 +116,15 @@ impl DatasetRows {
                 break;
             }
         }
-        Ok((page, (at < self.all()).then_some(at)))
+        Ok((page, (at < self.file_rows()).then_some(at)))
     }
 
-    /// A page in the order of a column, from the row at `from` of that order on, and where the next
-    /// one starts. The column is read as a whole, frames only of the page.
+    /// Returns a page in the order of a column, from position `from` of that order, and the position at
+    /// which the next page starts; `None` at the end. The whole column is read, frames only of the page.
+    ///
+    /// # Errors
+    /// `DatasetError::Problems` if the rows cannot be sorted by the column; `File`, `Parquet` or `Arrow`
+    /// if they cannot be read.
     pub fn sorted_page(
         &self,
         sort: &Sort,
@@ -128,8 +142,8 @@ impl DatasetRows {
         for batch in self.raw(&needed, 0, BATCH_ROWS)? {
             let batch = batch?;
             let mask = self.selection.mask(&batch);
-            let stays = |row: &usize| mask.as_ref().is_none_or(|mask| mask.value(*row));
-            rows.extend((0..batch.num_rows()).filter(stays).map(|row| first + row as u64));
+            let selected = |row: &usize| mask.as_ref().is_none_or(|mask| mask.value(*row));
+            rows.extend((0..batch.num_rows()).filter(selected).map(|row| first + row as u64));
             first += batch.num_rows() as u64;
             let batch = match &mask {
                 Some(mask) => filter_record_batch(&batch, mask)?,
@@ -147,12 +161,12 @@ impl DatasetRows {
         Ok((self.rows_in_order(&order)?, (next < rows.len() as u64).then_some(next)))
     }
 
-    /// These rows of the file, in this order.
+    /// Reads the given rows of the file, in the given order.
     fn rows_in_order(&self, order: &[u64]) -> Result<Vec<RecordBatch>, DatasetError> {
         let mut places: Vec<usize> = (0..order.len()).collect();
         places.sort_by_key(|&at| order[at]);
         let ranges = places.iter().map(|&at| order[at] as usize..order[at] as usize + 1);
-        let selection = RowSelection::from_consecutive_ranges(ranges, self.all() as usize);
+        let selection = RowSelection::from_consecutive_ranges(ranges, self.file_rows() as usize);
         let file = File::open(&self.path).map_err(DatasetError::file("opening", &self.path))?;
         let builder =
             ParquetRecordBatchReaderBuilder::new_with_metadata(file, self.metadata.clone());
@@ -161,26 +175,26 @@ impl DatasetRows {
         let reader = builder
             .with_projection(mask)
             .with_row_selection(selection)
-            .with_batch_size(self.at_once())
+            .with_batch_size(self.batch_rows())
             .build()?;
         let schema = SchemaRef::new(self.metadata.schema().project(&needed)?);
         let batches = reader.collect::<Result<Vec<_>, _>>()?;
         let found = concat_batches(&schema, &batches)?;
-        // Row n of what was found belongs to the nth of the places.
-        let mut turned = vec![0_u32; places.len()];
+        // The rows were read in the order of the file: `places` maps them to the requested order.
+        let mut row_at = vec![0_u32; places.len()];
         for (row, place) in places.into_iter().enumerate() {
-            turned[place] = row as u32;
+            row_at[place] = row as u32;
         }
-        let page = take_record_batch(&found, &UInt32Array::from(turned))?;
+        let page = take_record_batch(&found, &UInt32Array::from(row_at))?;
         Ok(vec![self.selection.apply(&page, None)?])
     }
 
-    /// Batches of some of the file's columns, from a row on.
+    /// Batches of some of the file's columns from row `from`, without conditions.
     fn raw(
         &self,
         columns: &[usize],
         from: u64,
-        at_once: usize,
+        batch_rows: usize,
     ) -> Result<parquet::arrow::arrow_reader::ParquetRecordBatchReader, DatasetError> {
         let file = File::open(&self.path).map_err(DatasetError::file("opening", &self.path))?;
         let builder =
@@ -201,12 +215,15 @@ impl DatasetRows {
             .with_projection(mask)
             .with_row_groups((first..groups.len()).collect())
             .with_offset((from - skipped.min(from)) as usize)
-            .with_batch_size(at_once)
+            .with_batch_size(batch_rows)
             .build()?)
     }
 }
 
-/// The text of the sensor file behind a dataset's file; empty where it does not say.
+/// Returns the text of the sensor file in the metadata of a dataset's file; empty if there is none.
+///
+/// # Errors
+/// `DatasetError::File` or `Parquet` if the file cannot be read.
 pub fn sensor_text(path: &Path) -> Result<String, DatasetError> {
     let file = File::open(path).map_err(DatasetError::file("opening", path))?;
     let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())?;
@@ -241,7 +258,7 @@ impl Rows for DatasetRows {
 
     fn batches(&self, columns: Option<&[usize]>) -> Result<Batches<'_>, RowsError> {
         let needed = self.selection.needed(columns);
-        let raw = self.raw(&needed, 0, self.at_once()).map_err(RowsError::new)?;
+        let raw = self.raw(&needed, 0, self.batch_rows()).map_err(RowsError::new)?;
         let columns: Option<Vec<usize>> = columns.map(<[usize]>::to_vec);
         if self.selection.keeps_all_rows() {
             return Ok(Box::new(raw.map(move |batch| {
@@ -249,16 +266,16 @@ impl Rows for DatasetRows {
                 self.selection.apply(&batch, columns.as_deref()).map_err(RowsError::new)
             })));
         }
-        // Rows that stay come in full batches again, so that row groups do not crumble.
+        // Selected rows are combined to full batches, so that row groups do not become small.
         let names =
             SchemaRef::new(self.metadata.schema().project(&needed).map_err(RowsError::new)?);
-        let coalescer = BatchCoalescer::new(names, self.at_once());
-        Ok(Box::new(Chosen { rows: self, raw, columns, coalescer, ended: false }))
+        let coalescer = BatchCoalescer::new(names, self.batch_rows());
+        Ok(Box::new(SelectedBatches { rows: self, raw, columns, coalescer, ended: false }))
     }
 }
 
-/// Full batches of rows that stay.
-struct Chosen<'a> {
+/// Full batches of the selected rows.
+struct SelectedBatches<'a> {
     rows: &'a DatasetRows,
     raw: parquet::arrow::arrow_reader::ParquetRecordBatchReader,
     columns: Option<Vec<usize>>,
@@ -266,7 +283,7 @@ struct Chosen<'a> {
     ended: bool,
 }
 
-impl Chosen<'_> {
+impl SelectedBatches<'_> {
     fn advance(&mut self) -> Result<Option<RecordBatch>, DatasetError> {
         loop {
             if let Some(batch) = self.coalescer.next_completed_batch() {
@@ -292,7 +309,7 @@ impl Chosen<'_> {
     }
 }
 
-impl Iterator for Chosen<'_> {
+impl Iterator for SelectedBatches<'_> {
     type Item = Result<RecordBatch, RowsError>;
 
     fn next(&mut self) -> Option<Self::Item> {

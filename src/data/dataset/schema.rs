@@ -11,19 +11,19 @@ use crate::store::table::{Column, Kind, Of, TABLE};
 
 /// Number of arms, attached or not.
 pub const ARMS: i32 = 6;
-/// Rows of a batch, and of a file's row group.
+/// Number of rows of a batch, and of a row group of a file.
 pub const BATCH_ROWS: usize = 1000;
 /// Column of the measured frame.
 pub const VOLTAGES_V: &str = "voltages_v";
 /// Column of a rendered force map.
 pub const FORCE_MAP_N: &str = "force_map_n";
-/// Column of the part of a split.
+/// Column of the part of the split.
 pub const SPLIT: &str = "split";
 
-/// Key of a file's metadata that holds the text of its sensor file.
+/// Metadata key of a file that holds the text of its sensor file.
 pub const SENSOR: &str = "palpate.sensor";
 
-/// Number of voltages of the paper's skin, where nothing says otherwise.
+/// Number of voltages per frame of the paper's skin, used if a dataset has no frames.
 pub const CHANNELS: i32 = 784;
 
 fn of(name: &str, kind: DataType) -> Field {
@@ -35,12 +35,12 @@ fn list(name: &str, items: i32, unit: &str) -> Field {
     base::with_unit(Field::new(name, DataType::FixedSizeList(Arc::new(element), items), true), unit)
 }
 
-/// A force map of so many pixels as a column, N per pixel, row by row.
+/// The column of force maps of `pixels` pixels, N per pixel, row-major.
 pub fn force_map(pixels: i32) -> Field {
     list(FORCE_MAP_N, pixels, "N")
 }
 
-/// All columns, for frames of `channels` voltages.
+/// All columns of the trials table, for frames of `channels` voltages.
 pub fn all(channels: i32) -> Schema {
     Schema::new(TABLE.iter().map(|column| field(column, channels)).collect::<Vec<_>>())
 }
@@ -69,21 +69,21 @@ fn field(column: &Column, channels: i32) -> Field {
     }
 }
 
-/// The columns that hold single values.
+/// The columns with scalar values.
 pub fn scalars() -> SchemaRef {
     let all = all(CHANNELS);
     let fields = all.fields().iter().filter(|field| is_comparable(field.name()));
     Arc::new(Schema::new(fields.cloned().collect::<Vec<_>>()))
 }
 
-/// A contact of which anything may be unknown.
+/// Element type of contacts: a struct whose fields are nullable.
 pub fn contact_element() -> Field {
     let fields = base::contact_fields();
     let known: Vec<Field> = fields.iter().map(|f| f.as_ref().clone().with_nullable(true)).collect();
     Field::new(base::ELEMENT, DataType::Struct(known.into()), false)
 }
 
-/// The columns of a dataset: those that its task knows anything of.
+/// The columns of a dataset: those that apply to its task and split.
 pub fn of_dataset(definition: &Definition, channels: i32) -> SchemaRef {
     let task = definition.task;
     let has =
@@ -101,7 +101,7 @@ pub fn of_dataset(definition: &Definition, channels: i32) -> SchemaRef {
     Arc::new(Schema::new(fields))
 }
 
-/// A type in words: `float32[784]`, `list of {x_mm float64, ..}`.
+/// Name of a type for people: `float32[784]`, `list of {x_mm float64, ..}`.
 pub fn type_words(data_type: &DataType) -> String {
     match data_type {
         DataType::Utf8 => "string".into(),
@@ -117,13 +117,13 @@ pub fn type_words(data_type: &DataType) -> String {
     }
 }
 
-/// The names of a table's columns that hold single values, which can be compared and sorted by.
+/// Names of the scalar columns of a table, which conditions and sorting may use.
 pub fn comparable(schema: &Schema) -> Vec<&str> {
     let fields = schema.fields().iter().map(|field| field.name().as_str());
     fields.filter(|name| is_comparable(name)).collect()
 }
 
-/// True for a column that holds single values.
+/// True if the column with this name holds scalar values.
 pub fn is_comparable(name: &str) -> bool {
     Column::find(name).is_some_and(|column| column.kind() != Kind::List)
 }

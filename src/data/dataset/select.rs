@@ -1,4 +1,4 @@
-//! Which rows and columns of a table are wanted, and what is worked out for them.
+//! Selection of rows and columns of a table, with slices of frames and rendered force maps.
 //! PURE. Uses: `dataset::{filter, force_map, schema}`, arrow. Never: files.
 
 use std::sync::Arc;
@@ -21,20 +21,20 @@ use crate::problem::Problem;
 use crate::simulate::schema as base;
 use crate::store::Condition;
 
-/// What is wanted of a table, as it is asked for.
+/// Requested rows and columns of a table, unchecked.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Wanted {
-    /// Columns, in this order; empty: all.
+    /// Columns, in this order; empty: all columns.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub columns: Vec<String>,
-    /// Conditions that all hold, each `COLUMN__gt=VALUE`.
+    /// Conditions, each `COLUMN__gt=VALUE`; all must hold.
     #[serde(rename = "where", skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<String>,
-    /// A force map for each row, as pixel and diameter in mm: `4x20`.
+    /// Adds a force map per row, N per pixel: pixel and map diameter in mm, as in `4x20`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub map: Option<String>,
-    /// Only these values of each frame: `0:28`, the end left out.
+    /// Only these values of each frame, as `FIRST:END`, end excluded: `0:28`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub slice: Option<String>,
 }
@@ -42,13 +42,13 @@ pub struct Wanted {
 /// Extent of a skin, mm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Skin {
-    /// Along x.
+    /// Extent along x, mm.
     pub width_mm: f64,
-    /// Along y.
+    /// Extent along y, mm.
     pub height_mm: f64,
 }
 
-/// What is wanted, checked against a table.
+/// Requested rows and columns, checked against a table.
 #[derive(Debug)]
 pub struct Selection {
     table: SchemaRef,
@@ -60,10 +60,11 @@ pub struct Selection {
 }
 
 impl Selection {
-    /// Checks what is wanted of a table of these columns. Force maps need the skin's extent.
+    /// Checks a request against the columns of a table. Force maps need `skin`, the extent of the skin.
     ///
     /// # Errors
-    /// All that is wrong, by key.
+    /// All invalid values: unknown or repeated columns, conditions that do not fit the table, a force
+    /// map without a skin or with an invalid resolution, a slice outside the frame.
     pub fn new(
         wanted: &Wanted,
         table: &SchemaRef,
@@ -77,17 +78,13 @@ impl Selection {
         for name in &wanted.columns {
             match table.index_of(name) {
                 Ok(at) if columns.contains(&at) => {
-                    wrong("columns", name, "is given twice".into());
+                    wrong("columns", name, "must be given once".into());
                 }
                 Ok(at) => columns.push(at),
                 Err(_) => {
                     let names: Vec<&str> =
                         table.fields().iter().map(|f| f.name().as_str()).collect();
-                    wrong(
-                        "columns",
-                        name,
-                        format!("there is no such column; there are {}", names.join(", ")),
-                    );
+                    wrong("columns", name, format!("must be a column: {}", names.join(", ")));
                 }
             }
         }
@@ -105,7 +102,8 @@ impl Selection {
         }
         let map = wanted.map.as_ref().and_then(|text| {
             let Some(skin) = skin else {
-                wrong("map", text, "these rows are of several skins: build a dataset".into());
+                let limit = "must be absent: these rows may be of several skins; make a dataset";
+                wrong("map", text, limit.into());
                 return None;
             };
             let spec = text.parse::<ForceMapSpec>();
@@ -128,17 +126,17 @@ impl Selection {
         Ok(Self { table: table.clone(), columns, filters, map, slice, schema })
     }
 
-    /// The columns that come out.
+    /// Columns of the result.
     pub fn schema(&self) -> &SchemaRef {
         &self.schema
     }
 
-    /// The wanted values of a frame.
+    /// The requested values of a frame.
     pub fn slice_of<'f>(&self, frame: &'f [f32]) -> &'f [f32] {
         self.slice.and_then(|(first, end)| frame.get(first..end)).unwrap_or(frame)
     }
 
-    /// True when the rows come out as they are in the table.
+    /// True if the result is the whole table, unchanged.
     pub fn is_whole(&self) -> bool {
         self.filters.is_empty()
             && self.map.is_none()
@@ -147,12 +145,13 @@ impl Selection {
             && self.columns.windows(2).all(|pair| pair[0] < pair[1])
     }
 
-    /// True when every row comes out.
+    /// True if no condition excludes rows.
     pub fn keeps_all_rows(&self) -> bool {
         self.filters.is_empty()
     }
 
-    /// Columns of the table that are read for these that come out.
+    /// Indices of the table's columns that must be read for the columns `out` of the result (`None`:
+    /// all), including those of the conditions. Sorted, without repetition.
     pub fn needed(&self, out: Option<&[usize]>) -> Vec<usize> {
         let all: Vec<usize> = (0..self.schema.fields().len()).collect();
         let mut needed: Vec<usize> = out
@@ -169,7 +168,7 @@ impl Selection {
         needed
     }
 
-    /// Which rows of a batch stay; `None` for all.
+    /// Returns which rows of a batch are selected; `None` if all are.
     pub fn mask(&self, batch: &RecordBatch) -> Option<BooleanArray> {
         let mut masks = self.filters.iter().map(|condition| filter::mask(condition, batch));
         let first = masks.next()?;
@@ -178,7 +177,10 @@ impl Selection {
         }))
     }
 
-    /// What comes out of rows that stay.
+    /// Converts a batch of selected rows to the columns `out` of the result (`None`: all).
+    ///
+    /// # Errors
+    /// `ArrowError` if the batch lacks a needed column, or a contact is outside the map's square.
     pub fn apply(
         &self,
         batch: &RecordBatch,
@@ -193,7 +195,7 @@ impl Selection {
                 Some(&column) => {
                     let name = self.table.field(column).name();
                     let found = batch.column_by_name(name).ok_or_else(|| {
-                        ArrowError::SchemaError(format!("there is no column {name}"))
+                        ArrowError::SchemaError(format!("a batch lacks column {name}"))
                     })?;
                     cut(found, self.table.field(column), self.slice)?
                 }
@@ -204,7 +206,7 @@ impl Selection {
         RecordBatch::try_new_with_options(schema, columns, &options)
     }
 
-    /// The force maps of rows; none where a contact has no place or no force.
+    /// Force maps of the rows; null if the position or force of a contact is unknown.
     fn maps(&self, batch: &RecordBatch) -> Result<ArrayRef, ArrowError> {
         let (Some(map), Some(contacts)) = (&self.map, batch.column_by_name(base::CONTACTS)) else {
             return Err(ArrowError::SchemaError("a force map needs contacts".into()));
@@ -222,7 +224,7 @@ impl Selection {
         }
         let field = schema::force_map(pixels as i32);
         let DataType::FixedSizeList(element, size) = field.data_type() else {
-            return Err(ArrowError::SchemaError("a force map is a list".into()));
+            return Err(ArrowError::SchemaError("a force map must be a list".into()));
         };
         let nulls = NullBuffer::from(known);
         let values = Arc::new(Float32Array::from(values));
@@ -231,13 +233,13 @@ impl Selection {
     }
 }
 
-/// Place (mm, mm) and force (N) of a contact.
+/// Position (x and y, mm) and force (N) of a contact, as [`ForceMap::render`] takes it.
 type Pressed = (f64, f64, f64);
 
-/// Place and force of contacts, or `None` where one of them is not known.
+/// Positions and forces of contacts; `None` if one of these values is unknown.
 fn pressed(contacts: &arrow_array::StructArray) -> Result<Option<Vec<Pressed>>, ArrowError> {
     let column = |name: &str| {
-        let missing = || ArrowError::SchemaError(format!("a contact has no {name}"));
+        let missing = || ArrowError::SchemaError(format!("contacts have no field {name}"));
         contacts.column_by_name(name).ok_or_else(missing)
     };
     let x = column("x_mm")?.as_primitive::<Float64Type>();
@@ -248,17 +250,18 @@ fn pressed(contacts: &arrow_array::StructArray) -> Result<Option<Vec<Pressed>>, 
     Ok((!unknown).then(|| (0..contacts.len()).map(of).collect()))
 }
 
+/// Parses `FIRST:END` and checks it against the frames of a table.
 fn slice(text: &str, table: &Schema) -> Result<(usize, usize), String> {
-    let channels = table.fields().iter().find_map(|f| is_frame(f)).unwrap_or_default();
-    let limit = || format!("must be FIRST:END within 0:{channels}, the end left out");
+    let channels = table.fields().iter().find_map(|f| self::channels(f)).unwrap_or_default();
+    let limit = || format!("must be FIRST:END within 0:{channels}, end excluded");
     let (first, end) = text.split_once(':').ok_or_else(limit)?;
     let (first, end): (usize, usize) =
         (first.parse().map_err(|_| limit())?, end.parse().map_err(|_| limit())?);
     if first < end && end <= channels { Ok((first, end)) } else { Err(limit()) }
 }
 
-/// The number of voltages, where a column holds frames.
-fn is_frame(field: &Field) -> Option<usize> {
+/// Number of voltages per frame; `None` if the column holds no frames.
+fn channels(field: &Field) -> Option<usize> {
     match (field.name().as_str(), field.data_type()) {
         (schema::VOLTAGES_V | base::SIM_VOLTAGES_V, DataType::FixedSizeList(_, size)) => {
             Some(*size as usize)
@@ -268,7 +271,7 @@ fn is_frame(field: &Field) -> Option<usize> {
 }
 
 fn sliced(field: &Field, slice: Option<(usize, usize)>) -> Field {
-    match (slice, is_frame(field)) {
+    match (slice, channels(field)) {
         (Some((first, end)), Some(_)) => {
             base::voltages(field.name(), (end - first) as i32, field.is_nullable())
         }
@@ -276,13 +279,13 @@ fn sliced(field: &Field, slice: Option<(usize, usize)>) -> Field {
     }
 }
 
-/// A column, its frames cut where a slice is wanted.
+/// A column of the result: frames are cut to the slice.
 fn cut(
     column: &ArrayRef,
     field: &Field,
     slice: Option<(usize, usize)>,
 ) -> Result<ArrayRef, ArrowError> {
-    let (Some((first, end)), Some(channels)) = (slice, is_frame(field)) else {
+    let (Some((first, end)), Some(channels)) = (slice, channels(field)) else {
         return Ok(column.clone());
     };
     let frames = column.as_fixed_size_list();

@@ -1,5 +1,5 @@
-//! Sim-Random's shards as rows of a dataset: only what the manifest vouches for is read.
-//! Uses: `simulate::random`'s manifest, parquet, files. Never: a shard whose sha256 is another.
+//! Sim-Random's shards as rows of a dataset: only shards that match their manifest are read.
+//! Uses: `simulate::random`'s manifest, parquet, files. Never: a shard with another sha256.
 
 use std::fs;
 use std::io;
@@ -14,9 +14,9 @@ use super::schema::BATCH_ROWS;
 use crate::simulate::random::folder::MANIFEST;
 use crate::simulate::random::manifest::{Manifest, ShardRow};
 
-/// Folder of the folders of shards, in the data folder.
+/// Folder in the data folder that holds the folders of shards.
 pub const SIM_RANDOM: &str = "sim-random";
-/// All folders that there are.
+/// Name that selects all folders.
 const ALL: &str = "*";
 
 /// Why shards cannot be read.
@@ -25,34 +25,34 @@ pub enum ShardsError {
     /// A folder or file cannot be read.
     #[error("reading {path}: {source}", path = path.display())]
     Read {
-        /// The folder or file.
+        /// Path of the folder or file.
         path: PathBuf,
-        /// Why.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// There is no such folder of shards.
-    #[error("sim_random = {0}: there is no folder of that name with shards under DATA/sim-random")]
+    /// No folder of shards has this name.
+    #[error("sim_random = {0}: must be a folder with shards under DATA/sim-random")]
     None(String),
-    /// The manifest cannot be understood.
+    /// The manifest is invalid.
     #[error("{path}: {why}", path = path.display())]
     Manifest {
-        /// The file.
+        /// Path of the manifest.
         path: PathBuf,
-        /// Why.
+        /// Error of the parser.
         why: String,
     },
-    /// A shard is not what its manifest says.
-    #[error("{path}: its sha256 is not the manifest's: `palpate simulate random --verify` makes it again", path = path.display())]
+    /// The sha256 of a shard differs from the manifest.
+    #[error("{path}: its sha256 differs from the manifest: run `palpate simulate random --verify`", path = path.display())]
     Damaged {
-        /// The shard.
+        /// Path of the shard.
         path: PathBuf,
     },
-    /// A shard is no Parquet file.
+    /// A shard is not a valid Parquet file.
     #[error("{path}: {why}", path = path.display())]
     Parquet {
-        /// The shard.
+        /// Path of the shard.
         path: PathBuf,
-        /// Why.
+        /// Error of the Parquet reader.
         why: String,
     },
 }
@@ -60,20 +60,24 @@ pub enum ShardsError {
 /// A folder of shards.
 #[derive(Debug, Clone)]
 pub struct ShardFolder {
-    /// Its name under the data folder's `sim-random`.
+    /// Name of the folder under `sim-random` in the data folder.
     pub name: String,
-    /// What it holds.
+    /// Definition of the simulation and list of the finished shards.
     pub manifest: Manifest,
     path: PathBuf,
 }
 
 impl ShardFolder {
-    /// Trials in its finished shards.
+    /// Number of trials in the finished shards.
     pub fn trials(&self) -> u64 {
         self.manifest.shards.iter().map(|shard| shard.trials).sum()
     }
 
-    /// The rows of a shard, in batches of [`BATCH_ROWS`].
+    /// Reads the rows of a shard, in batches of [`BATCH_ROWS`].
+    ///
+    /// # Errors
+    /// `ShardsError::Read` if the file cannot be read, `Damaged` if its sha256 differs from the
+    /// manifest, `Parquet` if it cannot be decoded.
     pub fn read(&self, shard: &ShardRow) -> Result<Vec<RecordBatch>, ShardsError> {
         let path = self.path.join(&shard.file);
         let read = |source| ShardsError::Read { path: path.clone(), source };
@@ -89,7 +93,10 @@ impl ShardFolder {
     }
 }
 
-/// The folders of these names in the data folder, by name; `*` is all that there are.
+/// Returns the folders with the given names, sorted by name; `*` selects all. `data` is the data folder.
+///
+/// # Errors
+/// `ShardsError::None` if a folder does not exist, `Read` or `Manifest` if its manifest cannot be read.
 pub fn find(data: &Path, wanted: &[String]) -> Result<Vec<ShardFolder>, ShardsError> {
     let root = data.join(SIM_RANDOM);
     let mut names: Vec<String> = Vec::new();

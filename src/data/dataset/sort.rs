@@ -1,4 +1,4 @@
-//! The order of rows by a column of single values.
+//! The order of rows by a scalar column.
 //! PURE. Uses: arrow. Never: frames, files.
 
 use arrow_array::{ArrayRef, UInt64Array};
@@ -7,32 +7,39 @@ use arrow_schema::{ArrowError, Schema};
 
 use super::schema::comparable;
 
-/// By which column, and which end first.
+/// Sort key: a column and a direction.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sort {
-    /// The column.
+    /// Name of the column.
     pub column: String,
-    /// The largest first. What is absent comes last either way.
+    /// True: largest value first. Absent values are last in both directions.
     pub descending: bool,
 }
 
 impl Sort {
-    /// Reads `COLUMN` or `-COLUMN`.
+    /// Parses `COLUMN` (ascending) or `-COLUMN` (descending).
     pub fn parse(text: &str) -> Self {
         let descending = text.starts_with('-');
         Self { column: text.trim_start_matches('-').into(), descending }
     }
 
-    /// The column's place in a table; what is wrong otherwise.
+    /// Returns the index of the column in a table.
+    ///
+    /// # Errors
+    /// The limit as text if the table has no such column, or if it holds lists.
     pub fn find(&self, table: &Schema) -> Result<usize, String> {
         let names = comparable(table);
         if names.contains(&self.column.as_str()) {
             return table.index_of(&self.column).map_err(|error| error.to_string());
         }
-        Err(format!("must be COLUMN or -COLUMN of {}", names.join(", ")))
+        Err(format!("must be COLUMN or -COLUMN, with a column of {}", names.join(", ")))
     }
 
-    /// The rows in their order, from the one at `from` on, up to `limit`; equal ones as they stand.
+    /// Returns up to `limit` of `rows` in the order of `keys`, from position `from` of that order.
+    /// Equal keys are sorted by row.
+    ///
+    /// # Errors
+    /// `ArrowError` if the type of `keys` cannot be sorted.
     pub fn order(
         &self,
         keys: ArrayRef,

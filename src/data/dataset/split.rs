@@ -1,9 +1,10 @@
-//! Dividing rows into train, validation and test (paper V-A: 3:1:1) without leaks.
-//! PURE. Never: rows, files, chance of its own (the order comes from hashes of seed and key).
+//! Division of rows into train, validation and test (paper V-A: 3:1:1) without leaks.
+//! PURE. Uses: sha2. Never: rows, files, a random generator (the order is that of hashes of seed and
+//! key).
 //!
-//! What stays together is a group. Groups are put in the order of their hashes, and the order is cut
-//! by the shares of rows. All trials of the runs take part, also those that are left out of the
-//! dataset later: so `real` and `r2s-transfer` of the same runs divide alike.
+//! A group holds rows that must be in the same part. Groups are sorted by their hashes, and the order
+//! is cut at the shares of rows. All trials of the runs take part, including those that the dataset
+//! excludes later: `real` and `r2s-transfer` of the same runs therefore have the same split.
 
 use sha2::{Digest, Sha256};
 
@@ -12,19 +13,19 @@ use super::definition::Split;
 /// Part of a split.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Part {
-    /// To learn from.
+    /// Rows that a net is trained on.
     Train,
-    /// To choose with.
+    /// Rows that select the best epoch.
     Validation,
-    /// To score with.
+    /// Rows that a net is evaluated on.
     Test,
 }
 
 impl Part {
-    /// All, in the order of their shares.
+    /// All parts, in the order of their shares.
     pub const ALL: [Self; 3] = [Self::Train, Self::Validation, Self::Test];
 
-    /// The part as it is stored.
+    /// Name of the part in the column `split`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Train => "train",
@@ -34,18 +35,18 @@ impl Part {
     }
 }
 
-/// Rows that stay together.
+/// Rows that must be in the same part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Group {
-    /// Its place in the order: see [`place`].
+    /// Position in the order: see [`place`].
     pub place: u128,
-    /// Its rows.
+    /// Number of rows.
     pub rows: u64,
-    /// Groups of one stratum are divided among themselves.
+    /// Stratum: the groups of each stratum are divided separately.
     pub stratum: u32,
 }
 
-/// The place in the order of what has this key.
+/// Returns the position of a key in the order: the start of a sha256 over seed and key.
 pub fn place(seed: u64, key: &[u8]) -> u128 {
     let mut hash = Sha256::new();
     hash.update(seed.to_le_bytes());
@@ -54,7 +55,7 @@ pub fn place(seed: u64, key: &[u8]) -> u128 {
     digest[..16].iter().fold(0, |place, &byte| place << 8 | u128::from(byte))
 }
 
-/// The part of each group, in the order in which they were given.
+/// Returns the part of each group, in the order of `groups`.
 pub fn divide(groups: &[Group], split: &Split) -> Vec<Part> {
     let mut order: Vec<usize> = (0..groups.len()).collect();
     order.sort_by_key(|&at| (groups[at].stratum, groups[at].place, at));
@@ -63,7 +64,7 @@ pub fn divide(groups: &[Group], split: &Split) -> Vec<Part> {
         let rows: u64 = stratum.iter().map(|&at| groups[at].rows).sum();
         let mut before = 0;
         for &at in stratum {
-            // By the middle of the group: the cut falls on the nearest border between groups.
+            // The middle of the group decides: the cut is at the nearest border between groups.
             parts[at] = part_of(2 * before + groups[at].rows, 2 * rows, split.ratio);
             before += groups[at].rows;
         }
@@ -71,7 +72,7 @@ pub fn divide(groups: &[Group], split: &Split) -> Vec<Part> {
     parts
 }
 
-/// The part in which `at` of `all` falls.
+/// The part that holds position `at` of `all`.
 fn part_of(at: u64, all: u64, ratio: [u32; 3]) -> Part {
     let whole: u64 = ratio.iter().map(|&share| u64::from(share)).sum();
     let mut end = 0;

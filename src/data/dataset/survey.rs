@@ -1,4 +1,4 @@
-//! The first pass over the trials of a dataset's runs: labels, parts, and who is left out for what.
+//! The first pass over the trials of a dataset's runs: labels, parts, and reasons of exclusion.
 //! PURE. Uses: `store`'s rows, `dataset::{definition, split, filter, batch}`. Never: frames.
 
 use std::collections::{BTreeMap, HashMap};
@@ -12,7 +12,8 @@ use super::split::{Group, Part, divide, place};
 use crate::ids::TrialId;
 use crate::store::{Condition, RunKind, RunRow, TrialRow, tips_as_contacts};
 
-/// Labels a trial as a definition wants it: in Real-Hex, tips under the deadband are no contacts.
+/// Applies the deadband of a definition, if it has one, to contacts and contact count of a Real-Hex
+/// trial.
 pub fn label(trial: &mut TrialRow, definition: &Definition, run: &RunRow) {
     let Some(deadband_n) = definition.deadband_n else { return };
     if trial.kind == RunKind::RealHex {
@@ -21,13 +22,13 @@ pub fn label(trial: &mut TrialRow, definition: &Definition, run: &RunRow) {
     }
 }
 
-/// What is remembered of a trial between the two passes.
+/// A trial of the first pass.
 #[derive(Debug, Clone, Copy)]
-struct Seen {
+struct Candidate {
     trial: TrialId,
     group: usize,
-    /// Index of the reason why it is left out.
-    left_out: Option<usize>,
+    /// Index of the reason why the trial is excluded; `None` if it is selected.
+    excluded: Option<usize>,
 }
 
 /// The first pass, page by page.
@@ -37,54 +38,59 @@ pub struct Survey<'a> {
     filters: Vec<Condition>,
     schema: SchemaRef,
     model: Option<&'a str>,
-    seen: Vec<Seen>,
+    candidates: Vec<Candidate>,
     groups: Vec<Group>,
     by_place: HashMap<u128, usize>,
     reasons: Vec<String>,
 }
 
-/// What a survey found.
+/// Result of a survey.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Surveyed {
-    /// The trials that stay, by run and then as they were stored, each with its part.
+    /// The selected trials in the order in which they were pushed, each with its part.
     pub kept: Vec<(TrialId, Option<Part>)>,
-    /// Trials left out by the reason, in words.
-    pub left_out: BTreeMap<String, u64>,
+    /// Number of excluded trials by reason.
+    pub excluded: BTreeMap<String, u64>,
 }
 
 impl<'a> Survey<'a> {
-    /// A survey for rows of these columns; twins of any model but this one do not count.
+    /// Starts a survey. `schema` holds the columns that conditions need; twins of another model than
+    /// `model` count as absent.
     pub fn new(definition: &'a Definition, schema: SchemaRef, model: Option<&'a str>) -> Self {
         Self {
             definition,
             filters: definition.filters(),
             schema,
             model,
-            seen: Vec::new(),
+            candidates: Vec::new(),
             groups: Vec::new(),
             by_place: HashMap::new(),
             reasons: Vec::new(),
         }
     }
 
-    /// Takes in trials of a run, already labelled.
+    /// Adds labelled trials of a run.
+    ///
+    /// # Errors
+    /// `ArrowError` if the trials do not fit the columns.
     pub fn push(&mut self, trials: Vec<TrialRow>) -> Result<(), ArrowError> {
         let rows: Vec<Row> = trials.into_iter().map(|trial| Row { trial, part: None }).collect();
         let batch = batch::of_trials(&self.schema, &rows)?;
         let masks: Vec<_> = self.filters.iter().map(|condition| mask(condition, &batch)).collect();
         for (at, Row { trial, .. }) in rows.iter().enumerate() {
-            let refused = masks.iter().position(|mask| !mask.value(at));
-            let why = self.why_left_out(trial).or_else(|| {
-                refused.map(|condition| format!("not {}", self.definition.conditions[condition]))
+            let failed = masks.iter().position(|mask| !mask.value(at));
+            let why = self.why_excluded(trial).or_else(|| {
+                failed.map(|condition| format!("not {}", self.definition.conditions[condition]))
             });
-            let left_out = why.map(|why| self.reason(why));
+            let excluded = why.map(|why| self.reason(why));
             let group = self.group(trial);
-            self.seen.push(Seen { trial: trial.trial_id, group, left_out });
+            self.candidates.push(Candidate { trial: trial.trial_id, group, excluded });
         }
         Ok(())
     }
 
-    fn why_left_out(&self, trial: &TrialRow) -> Option<String> {
+    /// Reason of exclusion, as text; these texts are keys of the report.
+    fn why_excluded(&self, trial: &TrialRow) -> Option<String> {
         let definition = self.definition;
         match (definition.flagged, trial.flags.is_empty()) {
             (Choice::LeaveOut, false) => {
@@ -116,6 +122,7 @@ impl<'a> Survey<'a> {
         None
     }
 
+    /// Index of a reason in `reasons`.
     fn reason(&mut self, why: String) -> usize {
         self.reasons.iter().position(|known| *known == why).unwrap_or_else(|| {
             self.reasons.push(why);
@@ -123,7 +130,7 @@ impl<'a> Survey<'a> {
         })
     }
 
-    /// The group of a trial, one row larger.
+    /// Adds a trial to its group and returns the index of the group.
     fn group(&mut self, trial: &TrialRow) -> usize {
         let split = &self.definition.split;
         let place = place(split.seed, group_key(trial, split.by).as_bytes());
@@ -134,24 +141,24 @@ impl<'a> Survey<'a> {
         });
         let group = &mut self.groups[at];
         group.rows += 1;
-        // A configuration counts as what its deepest press made of it.
+        // The stratum of a configuration is its largest number of contacts.
         group.stratum = group.stratum.max(count);
         at
     }
 
-    /// Divides what was seen.
+    /// Divides the groups and returns the result.
     pub fn finish(self) -> Surveyed {
         let divided = (self.definition.split.by != SplitBy::None)
             .then(|| divide(&self.groups, &self.definition.split));
         let mut found = Surveyed::default();
-        for seen in &self.seen {
-            match seen.left_out {
+        for candidate in &self.candidates {
+            match candidate.excluded {
                 Some(reason) => {
-                    *found.left_out.entry(self.reasons[reason].clone()).or_default() += 1;
+                    *found.excluded.entry(self.reasons[reason].clone()).or_default() += 1;
                 }
                 None => {
-                    let part = divided.as_ref().map(|parts| parts[seen.group]);
-                    found.kept.push((seen.trial, part));
+                    let part = divided.as_ref().map(|parts| parts[candidate.group]);
+                    found.kept.push((candidate.trial, part));
                 }
             }
         }
@@ -159,8 +166,8 @@ impl<'a> Survey<'a> {
     }
 }
 
-/// What trials that stay together have in common: the places that were pressed, whatever the run
-/// and the depth; or nothing at all.
+/// Key of the group of a trial. For a split by configuration it is the pressed positions, independent
+/// of run and depth; otherwise it is unique for each trial.
 fn group_key(trial: &TrialRow, by: SplitBy) -> String {
     if by != SplitBy::Configuration {
         return format!("{} {} {}", trial.run, trial.configuration, trial.depth_index);
@@ -174,7 +181,7 @@ fn group_key(trial: &TrialRow, by: SplitBy) -> String {
         tips.map(|(x, y)| (micrometres(x), micrometres(y))).collect()
     };
     if places.is_empty() {
-        // Nothing is known of where it was: its configuration in its run is all there is.
+        // Without positions the configuration of the run is the group.
         return format!("{} {}", trial.run, trial.configuration);
     }
     places.sort_unstable();

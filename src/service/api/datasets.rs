@@ -118,10 +118,10 @@ pub async fn make(
     let file = new.file.as_deref().unwrap_or("definition");
     let row = match (new.name, new.definition, new.toml) {
         (Some(name), None, None) => app.datasets.resolve(&name).await?,
-        (None, Some(definition), None) => app.datasets.make_own(file, &definition).await?,
+        (None, Some(definition), None) => app.datasets.make_custom(file, &definition).await?,
         (None, None, Some(text)) => {
             let definition = Definition::from_toml(file, &text).map_err(DatasetError::Problems)?;
-            app.datasets.make_own(file, &definition).await?
+            app.datasets.make_custom(file, &definition).await?
         }
         _ => return Err(ApiError::value("dataset", "", "must be one of name, definition, toml")),
     };
@@ -235,7 +235,7 @@ pub async fn data(
         format.map_err(|error: UnknownFormat| ApiError::not_found(format!("{file}: {error}")))?;
     let wanted = file_query(&pairs).map_err(ApiError::bad_query)?;
     let row = app.datasets.resolve(name).await?;
-    let sendable = app.datasets.file(&row, format, &wanted, std::sync::Arc::default()).await?;
+    let export_file = app.datasets.file(&row, format, &wanted, std::sync::Arc::default()).await?;
     let shown = format!("{}.{}", row.id, format.extension());
-    send::file(request, &sendable, format, (&shown, name == row.id)).await
+    send::file(request, &export_file, format, (&shown, name == row.id)).await
 }

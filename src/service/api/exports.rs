@@ -55,8 +55,8 @@ pub struct ExportOut {
 }
 
 fn out(app: &App, row: ExportRow) -> ExportOut {
-    let done = app.datasets.done(&row.id);
-    let url = app.datasets.exported(&row).map(|_| format!("/api/v1/exports/{}/file", row.id));
+    let done = app.datasets.export_progress(&row.id);
+    let url = app.datasets.export_file(&row).map(|_| format!("/api/v1/exports/{}/file", row.id));
     ExportOut {
         url,
         rows_done: done.rows_done,
@@ -83,7 +83,7 @@ pub async fn ask(
     Extension(asker): Extension<Asker>,
     Body(request): Body<ExportRequest>,
 ) -> Result<(StatusCode, Json<ExportOut>), ApiError> {
-    let row = app.datasets.ask(&request, &asker.name(None)).await?;
+    let row = app.datasets.request_export(&request, &asker.name(None)).await?;
     Ok((StatusCode::ACCEPTED, Json(out(&app, row))))
 }
 
@@ -130,14 +130,14 @@ pub async fn file(
             return Err(ApiError::new(StatusCode::CONFLICT, words));
         }
     }
-    let Some(sendable) = app.datasets.exported(&row) else {
+    let Some(export_file) = app.datasets.export_file(&row) else {
         let words = format!("the file of {export} made room for later ones: ask for it again");
         return Err(ApiError::new(StatusCode::GONE, words));
     };
     let format = row.request["format"].as_str().and_then(|name| name.parse().ok());
     let format: Format = format.unwrap_or(Format::Parquet);
     let name = format!("{export}.{}", format.extension());
-    send::file(request, &sendable, format, (&name, true)).await
+    send::file(request, &export_file, format, (&name, true)).await
 }
 
 async fn find(app: &App, export: &str) -> Result<ExportRow, ApiError> {

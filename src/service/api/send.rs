@@ -17,7 +17,7 @@ use tower_http::services::ServeFile;
 
 use super::problem::ApiError;
 use crate::dataset::error::DatasetError;
-use crate::dataset::export::Sendable;
+use crate::dataset::export::ExportFile;
 use crate::dataset::format::{Format, Stream};
 
 /// The media type of a format's answers.
@@ -29,11 +29,11 @@ fn media_type(format: Format) -> HeaderValue {
 /// fetched in pieces belongs together. `immutable` where the address can never mean another file.
 pub async fn file(
     mut request: Request,
-    sendable: &Sendable,
+    export_file: &ExportFile,
     format: Format,
     (name, immutable): (&str, bool),
 ) -> Result<Response, ApiError> {
-    let tag = format!("\"{}\"", sendable.sha256);
+    let tag = format!("\"{}\"", export_file.sha256);
     let unchanged = text(request.headers(), &header::IF_NONE_MATCH).is_some_and(|tags| {
         tags == "*" || tags.split(',').any(|known| known.trim().trim_start_matches("W/") == tag)
     });
@@ -53,7 +53,7 @@ pub async fn file(
         StatusCode::NOT_MODIFIED.into_response()
     } else {
         let mime = format.media_type().parse().map_err(|_| internal("a media type"))?;
-        let sent = ServeFile::new_with_mime(&sendable.path, &mime).try_call(request).await;
+        let sent = ServeFile::new_with_mime(&export_file.path, &mime).try_call(request).await;
         sent.map_err(|error| internal(&error.to_string()))?.map(Body::new)
     };
     let headers = response.headers_mut();
@@ -65,7 +65,7 @@ pub async fn file(
     };
     set(header::ETAG, tag);
     set(header::CONTENT_DISPOSITION, format!("attachment; filename=\"{name}\""));
-    if let Some(digest) = digest(&sendable.sha256) {
+    if let Some(digest) = digest(&export_file.sha256) {
         set(HeaderName::from_static("repr-digest"), digest);
     }
     let cache = if immutable { "private, max-age=31536000, immutable" } else { "no-cache" };

@@ -12,8 +12,8 @@
 //! 0                                  outside, x < 0 and y < 0
 //! ```
 //!
-//! and a rectangle is the alternating sum over its four corners. `g` is worked out once for each
-//! grid line, so a corner costs an addition.
+//! and a rectangle is the alternating sum over its four corners. `g` is computed once for each grid
+//! line, so a corner costs an addition.
 
 pub mod peaks;
 
@@ -30,16 +30,16 @@ use serde::{Deserialize, Serialize};
 pub const SIDE_MM: f64 = 640.0;
 /// Smallest and largest side of a pixel, mm.
 pub const PIXEL_MM: (f64, f64) = (2.0, 160.0);
-/// Largest diameter of the disc that a force is spread over, mm.
+/// Largest map diameter, mm.
 pub const DIAMETER_MAX_MM: f64 = 320.0;
 
-/// Resolution of a map and the spread of its forces; written `4x20` (pixel x diameter, mm).
+/// Pixel and map diameter of a force map; written `4x20` (pixel x diameter, mm).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct ForceMapSpec {
     /// Side of a pixel, mm: a whole number of pixels fits [`SIDE_MM`].
     pub pixel_mm: f64,
-    /// Diameter of the disc that each contact's force is spread over, mm.
+    /// Map diameter, mm: diameter of the disc over which the force of each contact is distributed.
     pub diameter_mm: f64,
 }
 
@@ -63,55 +63,58 @@ const fn spec(pixel_mm: f64, diameter_mm: f64) -> ForceMapSpec {
     ForceMapSpec { pixel_mm, diameter_mm }
 }
 
-/// A map that cannot be drawn, and the limit that says so.
+/// Why a force map cannot be rendered, with the limit.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ForceMapError {
-    /// Not two numbers with an `x` between them.
+    /// The text is not two numbers with an `x` between them.
     #[error("force map `{text}`: must be pixel x diameter in mm, as in 4x20")]
     Syntax {
-        /// What was given.
+        /// The invalid text.
         text: String,
     },
-    /// Pixels too small or too large.
+    /// The pixel is too small or too large.
     #[error("pixel {pixel_mm} mm: must be from {} to {} mm", PIXEL_MM.0, PIXEL_MM.1)]
     PixelRange {
-        /// The side asked for.
+        /// Requested side of a pixel, mm.
         pixel_mm: f64,
     },
-    /// Pixels that do not fill the square.
+    /// The pixels do not fill the square.
     #[error("pixel {pixel_mm} mm: must divide {SIDE_MM} mm, as 4, 10 and 20 do")]
     PixelDivides {
-        /// The side asked for.
+        /// Requested side of a pixel, mm.
         pixel_mm: f64,
     },
-    /// No disc, or too large a one.
+    /// The map diameter is not positive, or too large.
     #[error("diameter {diameter_mm} mm: must be above 0 and at most {DIAMETER_MAX_MM} mm")]
     Diameter {
-        /// The diameter asked for.
+        /// Requested map diameter, mm.
         diameter_mm: f64,
     },
-    /// A skin that reaches beyond the square.
+    /// The skin is larger than the square.
     #[error("skin of {width_mm} x {height_mm} mm: sides must be above 0 and at most {SIDE_MM} mm")]
     Skin {
-        /// Extent along x.
+        /// Extent along x, mm.
         width_mm: f64,
-        /// Extent along y.
+        /// Extent along y, mm.
         height_mm: f64,
     },
-    /// A contact whose disc misses the square, or that is not a number.
+    /// The disc of a contact is outside the square, or its position or force is not finite.
     #[error("contact of {force_n} N at ({x_mm}, {y_mm}) mm: its disc must touch the map's square")]
     Contact {
-        /// Its place along x.
+        /// Position along x, mm.
         x_mm: f64,
-        /// Its place along y.
+        /// Position along y, mm.
         y_mm: f64,
-        /// Its force.
+        /// Force, N.
         force_n: f64,
     },
 }
 
 impl ForceMapSpec {
-    /// A map of these sizes, or the limit that one of them breaks.
+    /// Checks pixel and map diameter, mm.
+    ///
+    /// # Errors
+    /// `ForceMapError::PixelRange`, `PixelDivides` or `Diameter` for a value outside its limits.
     pub fn new(pixel_mm: f64, diameter_mm: f64) -> Result<Self, ForceMapError> {
         if !(PIXEL_MM.0..=PIXEL_MM.1).contains(&pixel_mm) {
             return Err(ForceMapError::PixelRange { pixel_mm });
@@ -125,7 +128,7 @@ impl ForceMapSpec {
         Ok(Self { pixel_mm, diameter_mm })
     }
 
-    /// Pixels along a side of the map.
+    /// Number of pixels along a side of the map.
     pub fn pixels(&self) -> usize {
         (SIDE_MM / self.pixel_mm).round() as usize
     }
@@ -164,7 +167,7 @@ impl From<ForceMapSpec> for String {
     }
 }
 
-/// Draws the maps of one specification on one skin.
+/// Renders the maps of one specification on one skin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ForceMap {
     spec: ForceMapSpec,
@@ -173,7 +176,11 @@ pub struct ForceMap {
 }
 
 impl ForceMap {
-    /// Maps of a skin of this extent (mm): the square's centre is the skin's.
+    /// Prepares maps of a skin with this extent, mm. The centre of the square is that of the skin.
+    ///
+    /// # Errors
+    /// `ForceMapError::Skin` if the skin is larger than the square; the errors of
+    /// [`ForceMapSpec::new`].
     pub fn new(spec: ForceMapSpec, width_mm: f64, height_mm: f64) -> Result<Self, ForceMapError> {
         let spec = ForceMapSpec::new(spec.pixel_mm, spec.diameter_mm)?;
         let fits = |extent_mm: f64| extent_mm > 0.0 && extent_mm <= SIDE_MM;
@@ -184,7 +191,7 @@ impl ForceMap {
         Ok(Self { spec, origin_mm: [corner(width_mm), corner(height_mm)] })
     }
 
-    /// Pixels along a side: a map holds the square of this.
+    /// Number of pixels along a side: a map holds the square of this number.
     pub fn pixels(&self) -> usize {
         self.spec.pixels()
     }
@@ -193,14 +200,15 @@ impl ForceMap {
     ///
     /// `map` is row-major, `pixels x pixels`: `map[row * pixels + column]`, row 0 at the least y,
     /// column 0 at the least x; N per pixel. What a contact adds sums to its force. Only pixels
-    /// that its disc overlaps are written. Where a disc reaches beyond the square (on the default
-    /// skin only discs above 80 mm can), the part beyond is left out and the rest carries the whole
-    /// force.
+    /// that its disc overlaps are written. If a part of a disc is outside the square (on the default
+    /// skin only discs above 80 mm), the other part carries the whole force.
     ///
-    /// Fails on a contact whose disc misses the square; those before it are then in `map` already.
+    /// # Errors
+    /// `ForceMapError::Contact` if the disc of a contact is outside the square, or a value is not
+    /// finite. The contacts before it are already in `map`.
     ///
     /// # Panics
-    /// When `map` is not `pixels x pixels` long.
+    /// If `map` is not `pixels x pixels` long.
     pub fn render(
         &self,
         contacts: &[(f64, f64, f64)],
@@ -227,13 +235,13 @@ impl ForceMap {
         Ok(())
     }
 
-    /// The pixels around a disc centred this far from the square's corner, along one axis.
+    /// The pixels around a disc along one axis; `centre_mm` is measured from the square's corner.
     fn axis(&self, disc: &Disc, centre_mm: f64) -> Axis {
         let pixel_mm = self.spec.pixel_mm;
-        // A centre that is not a number gives no pixels; a far one is held at the square's rim.
-        let held = |line: f64| line.clamp(0.0, self.pixels() as f64) as usize;
-        let first = held(((centre_mm - disc.radius_mm) / pixel_mm).floor());
-        let last = held(((centre_mm + disc.radius_mm) / pixel_mm).ceil());
+        // NaN becomes 0, so that there are no pixels; positions outside are clamped to the square.
+        let clamped = |line: f64| line.clamp(0.0, self.pixels() as f64) as usize;
+        let first = clamped(((centre_mm - disc.radius_mm) / pixel_mm).floor());
+        let last = clamped(((centre_mm + disc.radius_mm) / pixel_mm).ceil());
         let line = |i: usize| disc.line(i as f64 * pixel_mm - centre_mm);
         let lines: Vec<Line> = (first..=last).map(line).collect();
         let whole = Span::new(lines[0], lines[lines.len() - 1]);
@@ -244,23 +252,23 @@ impl ForceMap {
 
 /// The pixels that a disc may overlap, along one axis.
 struct Axis {
-    /// Number of the first.
+    /// Index of the first pixel.
     first: usize,
-    /// From the first to the last.
+    /// Span from the first pixel to the last.
     whole: Span,
     pixels: Vec<Span>,
 }
 
-/// A grid line as a disc sees it.
+/// A grid line relative to a disc.
 #[derive(Debug, Clone, Copy)]
 struct Line {
-    /// Signed distance from the disc's centre, mm, held within its radius.
+    /// Signed distance from the disc's centre, mm, clamped to its radius.
     at_mm: f64,
-    /// `g` of it, mm^2: area between the axis, the line and the disc's upper rim.
+    /// `g` at this distance, mm^2: area between the axis, the line and the disc's upper rim.
     under_mm2: f64,
 }
 
-/// What lies between two grid lines.
+/// The interval between two grid lines.
 #[derive(Debug, Clone, Copy)]
 struct Span {
     low: Line,

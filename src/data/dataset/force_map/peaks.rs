@@ -1,52 +1,53 @@
-//! The contacts that a force map shows (paper V-B2): its peaks, their force and their width.
-//! PURE. Uses: `ForceMap` (where the pixels lie). Never: truth, scores, a map of another square.
+//! Estimates contacts from a force map (paper V-B2): its peaks with their forces and diameters.
+//! PURE. Uses: `ForceMap` (positions of the pixels). Never: truth, scores, a map of another square.
 //!
-//! 1. A pixel is a summit when no pixel whose centre lies within 32 mm of its own is larger.
-//! 2. A summit and the pixels joined to it (by edges) that equal it are one plateau, placed at the
-//!    mean of their centres. Flat discs, as labels are, would otherwise be a peak in each pixel.
-//! 3. No two peaks share a circle: from the largest down (among equals the first in row order), a
-//!    plateau placed within 32 mm of one before it is dropped. Single pixels never are, by (1).
-//! 4. A peak's force is the sum of the pixels whose centres lie within 32 mm of its place. Peaks
-//!    under the threshold are then dropped.
-//! 5. Its diameter is that of the circle with the area of the region, joined by edges, at or above
-//!    half of its largest pixel (full width at half maximum).
+//! 1. A pixel is a summit if no pixel whose centre is within 32 mm of its centre is larger.
+//! 2. A summit and the equal pixels that are connected to it by edges form one plateau, positioned at
+//!    the mean of their centres. Without this rule each pixel of a flat disc (a label) would be a peak.
+//! 3. No two peaks are within 32 mm of each other: in the order of decreasing value (equal values in
+//!    row order), a plateau within 32 mm of an earlier one is dropped. By (1) this affects only
+//!    plateaus of several pixels.
+//! 4. The force of a peak is the sum of the pixels whose centres are within 32 mm of its position.
+//!    Peaks below the threshold are then dropped.
+//! 5. The diameter of a peak is that of the circle with the area of the region, connected by edges,
+//!    at or above half of its largest pixel (full width at half maximum).
 //!
-//! Pixels within a millionth of each other are equal: a disc drawn in f32 is flat to a few 1e-7.
-//! Pixels that are negative or not finite count as 0: they carry no force and join nothing.
+//! Pixels that differ by less than one millionth are equal: a disc rendered in f32 is flat to a few
+//! 1e-7. Pixels that are negative or not finite count as 0: they carry no force and connect nothing.
 
 use std::f64::consts::{PI, SQRT_2};
 
 use super::ForceMap;
 use crate::store::Contact;
 
-/// Radius of the circle that a peak is the largest of and that its force is summed over, mm.
+/// Radius of the neighbourhood in which a peak is the maximum, and over which its force is summed, mm.
 pub const NEIGHBOURHOOD_MM: f64 = 32.0;
-/// Least force of a peak in the paper (V-B2), N: the sensor's deadband.
+/// Smallest force of a peak in the paper (V-B2), N: the sensor's deadband.
 pub const THRESHOLD_N: f64 = 5.0;
-/// Pixels that differ by less than this part of the larger are equal.
+/// Pixels whose relative difference is below this are equal.
 const EQUAL: f32 = 1e-6;
-/// A pixel at exactly 32 mm is within the circle, however its distance was rounded.
+/// Tolerance of squared distances, so that a pixel at exactly 32 mm is within the neighbourhood.
 const ROUNDING_MM2: f64 = 1e-6;
 
-/// A contact as a map shows it.
+/// A contact estimated from a map.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Peak {
-    /// Its place on the skin, mm.
+    /// Position along x, mm, skin coordinates.
     pub x_mm: f64,
-    /// Its place on the skin, mm.
+    /// Position along y, mm, skin coordinates.
     pub y_mm: f64,
-    /// Sum of its neighbourhood, N.
+    /// Sum of the pixels in the neighbourhood, N.
     pub force_n: f64,
-    /// Diameter of the circle with the area at or above half of its largest pixel, mm.
+    /// Diameter of the circle with the area at or above half of the largest pixel, mm.
     pub diameter_mm: f64,
 }
 
 impl ForceMap {
-    /// The peaks of a map (laid out as [`ForceMap::render`] says, N per pixel) whose force is at
-    /// least `threshold_n`, from the largest pixel down.
+    /// Returns the peaks with a force of at least `threshold_n` (N) of a map (layout of
+    /// [`ForceMap::render`], N per pixel), sorted by decreasing largest pixel.
     ///
     /// # Panics
-    /// When `map` is not `pixels x pixels` long.
+    /// If `map` is not `pixels x pixels` long.
     pub fn peaks(&self, map: &[f32], threshold_n: f64) -> Vec<Peak> {
         let field = Field::new(map, self.pixels(), self.spec.pixel_mm);
         let mut plateaus = field.plateaus();
@@ -62,8 +63,8 @@ impl ForceMap {
             let force_n = field.sum_around(plateau.place_mm);
             if force_n >= threshold_n {
                 let half = plateau.largest / 2.0;
-                let half =
-                    field.joined(plateau.first, |value| value >= half, (&mut visits, number));
+                let marks = Marks { marks: &mut visits, mark: number };
+                let half = field.joined(plateau.first, |value| value >= half, marks);
                 let area_mm2 = half.len() as f64 * field.pixel_mm * field.pixel_mm;
                 peaks.push(Peak {
                     x_mm: self.origin_mm[0] + plateau.place_mm[0],
@@ -77,28 +78,36 @@ impl ForceMap {
     }
 }
 
-/// Whether a pixel is at least as large as another, or equal to it.
+/// True if a pixel is larger than another, or equal to it within the tolerance.
 fn equal_or_above(value: f32, other: f32) -> bool {
     value >= other * (1.0 - EQUAL)
 }
 
-/// Whether two places share a circle.
+/// True if two positions are in the same neighbourhood.
 fn within(a: [f64; 2], b: [f64; 2]) -> bool {
     let (x, y) = (a[0] - b[0], a[1] - b[1]);
     x * x + y * y <= NEIGHBOURHOOD_MM * NEIGHBOURHOOD_MM + ROUNDING_MM2
 }
 
-/// Equal pixels, joined, at least one of which is a summit.
+/// Equal, connected pixels, at least one of which is a summit.
 struct Plateau {
-    /// Index of its first pixel in row order.
+    /// Index of the first pixel in row order.
     first: usize,
-    /// Its largest pixel, N.
+    /// The largest pixel, N.
     largest: f32,
-    /// Mean of its pixels' centres, mm from the map's corner.
+    /// Mean of the pixels' centres, mm from the map's corner.
     place_mm: [f64; 2],
 }
 
-/// A map with a rim of zeros as wide as the circle, so that no circle reaches beyond it.
+/// Marks of the pixels that a search has visited.
+struct Marks<'a> {
+    /// One mark per pixel.
+    marks: &'a mut [u32],
+    /// Mark of this search.
+    mark: u32,
+}
+
+/// A map with a rim of zeros as wide as the neighbourhood, so that no neighbourhood extends beyond it.
 struct Field {
     values: Vec<f32>,
     pixel_mm: f64,
@@ -127,7 +136,7 @@ impl Field {
         self.pixels + 2 * self.rim
     }
 
-    /// Steps from a pixel's index to those of the others in its circle, the nearest first.
+    /// Index offsets from a pixel to the others of its neighbourhood, the nearest first.
     fn circle(&self) -> Vec<isize> {
         let (rim, stride) = (self.rim as isize, self.stride() as isize);
         let mm = |pixels: isize| pixels as f64 * self.pixel_mm;
@@ -139,8 +148,8 @@ impl Field {
         steps.into_iter().map(|(row, column)| row * stride + column).collect()
     }
 
-    /// In no order. A block whose corners share a circle holds no summits but its largest pixels:
-    /// that leaves few to be looked at closely.
+    /// The plateaus, unsorted. The map is searched in blocks that fit in a neighbourhood: only the
+    /// largest pixels of a block can be summits, so that few pixels are checked fully.
     fn plateaus(&self) -> Vec<Plateau> {
         let side = (NEIGHBOURHOOD_MM / self.pixel_mm / SQRT_2) as usize + 1;
         let (circle, stride) = (self.circle(), self.stride());
@@ -166,7 +175,8 @@ impl Field {
                         let own = self.values[at];
                         let equal =
                             |value| equal_or_above(value, own) && equal_or_above(own, value);
-                        found.push(self.plateau(&self.joined(at, equal, (&mut taken, 1))));
+                        let marks = Marks { marks: &mut taken, mark: 1 };
+                        found.push(self.plateau(&self.joined(at, equal, marks)));
                     }
                 }
             }
@@ -174,19 +184,20 @@ impl Field {
         found
     }
 
-    /// Nearly every pixel has a larger one close by: nearest first is what makes this quick.
+    /// True if no pixel of the neighbourhood is larger. The nearest pixels are compared first, because
+    /// nearly every pixel has a larger one close to it.
     fn is_summit(&self, at: usize, circle: &[isize]) -> bool {
         let value = self.values[at];
         circle.iter().all(|step| equal_or_above(value, self.values[at.wrapping_add_signed(*step)]))
     }
 
-    /// The pixels joined to one by edges over pixels that belong to it (none of 0 may) and that do not
-    /// carry the mark yet; they carry it then.
+    /// Returns the pixels that are connected to `from` by edges over pixels for which `belongs` is true
+    /// (it must be false for 0) and that are not marked yet; marks them.
     fn joined(
         &self,
         from: usize,
         belongs: impl Fn(f32) -> bool,
-        (marks, mark): (&mut [u32], u32),
+        Marks { marks, mark }: Marks<'_>,
     ) -> Vec<usize> {
         let stride = self.stride();
         let mut region = vec![from];
@@ -217,12 +228,12 @@ impl Field {
         Plateau { first, largest, place_mm: sum_mm.map(|mm| mm / count) }
     }
 
-    /// Centre of a row or column (counted with the rim), mm from the map's corner.
+    /// Centre of a row or column (index including the rim), mm from the map's corner.
     fn centre_mm(&self, line: usize) -> f64 {
         (line as f64 - self.rim as f64 + 0.5) * self.pixel_mm
     }
 
-    /// Sum of the pixels whose centres lie within the circle around a place of the map, N.
+    /// Sum of the pixels whose centres are in the neighbourhood of a position of the map, N.
     fn sum_around(&self, place_mm: [f64; 2]) -> f64 {
         let lines = |at_mm: f64| {
             let line = |mm: f64| (mm / self.pixel_mm).clamp(0.0, self.pixels as f64) as usize;

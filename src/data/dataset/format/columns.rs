@@ -1,17 +1,17 @@
-//! How wide rows are, and what a list is made of.
+//! Width of rows, and the number of rows per batch that follows from it.
 //! PURE. Uses: arrow. Never: values.
 
 use arrow_schema::{DataType, Schema};
 
-/// Rows of a batch where nothing asks for fewer.
+/// Largest number of rows per batch.
 const ROWS: usize = 1000;
-/// Bytes that a batch should stay under.
+/// Largest size of a batch of several rows, bytes.
 const BYTES: usize = 16 << 20;
-/// What a text, or a list of any length, is reckoned to hold, bytes.
+/// Assumed size of a text or a list of variable length, bytes.
 const LOOSE_BYTES: usize = 64;
 
-/// Rows of a batch, and so of a Parquet row group: 1000, or fewer where rows are so wide (force
-/// maps) that these would hold more than 16 MiB; never none.
+/// Returns the number of rows per batch, and so per Parquet row group: 1000, or fewer for wide rows
+/// (force maps), so that a batch holds at most 16 MiB; at least 1.
 pub fn rows_per_batch(schema: &Schema) -> usize {
     let row: usize = schema.fields().iter().map(|field| bytes(field.data_type())).sum();
     (BYTES / row.max(1)).clamp(1, ROWS)

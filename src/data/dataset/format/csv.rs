@@ -1,8 +1,8 @@
-//! CSV: single values as text, lists of one length as a column for each item, other lists as JSON.
+//! CSV: scalars as text, lists of fixed length as a column per item, other lists as JSON.
 //! Uses: `dataset::format`, arrow, csv. Never: names of time zones (see `zone`).
 //!
-//! Numbers are the shortest text that reads back as the same number of their width; a missing
-//! value is an empty cell, as an empty text is; what is not a number is `NaN`, `inf` or `-inf`.
+//! A number is the shortest text that parses to the same number of its width. A missing value and an
+//! empty text are both an empty cell. Numbers that are not finite are `NaN`, `inf` or `-inf`.
 
 use std::io::Write;
 
@@ -40,7 +40,7 @@ impl<W: Write> Writer<W> {
         Ok(Self { lines })
     }
 
-    /// Writes a line for each row.
+    /// Writes one line per row.
     pub(super) fn push(&mut self, batch: &RecordBatch) -> Result<(), FormatError> {
         let schema = batch.schema();
         let texts = FormatOptions::new().with_display_error(false);
@@ -60,13 +60,13 @@ impl<W: Write> Writer<W> {
         Ok(())
     }
 
-    /// Writes what is still held back.
+    /// Writes the buffered lines and returns the output.
     pub(super) fn finish(self) -> Result<W, FormatError> {
         self.lines.into_inner().map_err(|error| FormatError::Io(error.into_error()))
     }
 }
 
-/// The cells of a row, and room for the text of one; used again and again.
+/// The cells of a row, with reused buffers for their texts.
 #[derive(Default)]
 struct Line {
     cells: ByteRecord,
@@ -85,8 +85,11 @@ impl Line {
 
 /// A column of a batch as cells.
 enum Column<'a> {
+    /// Scalars: one cell.
     One(ArrayFormatter<'a>),
+    /// Lists of fixed length: one cell per item.
     Each(&'a FixedSizeListArray, ArrayFormatter<'a>),
+    /// Other lists: one cell of JSON.
     Json(NullableEncoder<'a>),
 }
 

@@ -1,10 +1,10 @@
-//! Rows of a dataset in the formats that people load: Parquet, Arrow, CSV, NDJSON, NPZ.
-//! Uses: arrow, parquet, csv, zip. Never: what the rows mean, where they come from, files.
+//! Writers of rows in common formats: Parquet, Arrow, CSV, NDJSON, NPZ.
+//! Uses: arrow, parquet, csv, zip. Never: the meaning or origin of rows, files.
 //!
-//! The same rows give the same bytes. Memory is bounded by a batch: formats that hold rows are
-//! written as batches come ([`Stream`]); NPZ holds columns, and reads the rows again for each.
-//! The metadata of the rows' schema goes along where a format has a place for it: footer
-//! key-values in Parquet, schema metadata in Arrow.
+//! The same rows produce the same bytes. Memory is bounded by a batch: row formats are written as
+//! batches arrive ([`Stream`]); NPZ holds columns, and the rows are read again for each column.
+//! The metadata of the schema is written where the format has a place for it: footer key-values in
+//! Parquet, schema metadata in Arrow.
 
 #[cfg(test)]
 mod tests;
@@ -30,30 +30,30 @@ use zip::result::ZipError;
 pub use columns::rows_per_batch;
 pub use stream::Stream;
 
-/// A format of rows.
+/// File format of rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Format {
-    /// Apache Parquet: a row group for each batch, zstd.
+    /// Apache Parquet: a row group for each batch, compressed with zstd.
     Parquet,
-    /// Arrow IPC stream, not compressed.
+    /// Arrow IPC stream, uncompressed.
     Arrow,
-    /// RFC 4180, with a header line. Lists of one length have a column for each item
+    /// CSV (RFC 4180) with a header line. Lists of fixed length have a column for each item
     /// (`voltages_v_0`, `voltages_v_1` ...); other lists are a cell of JSON. A missing value is an
     /// empty cell.
     Csv,
-    /// A JSON object on each line, without the values that are missing.
+    /// A JSON object per line, without missing values.
     Ndjson,
-    /// NumPy arrays, one for each column, that `numpy.load` reads without pickle; the head of
-    /// `npz.rs` says what each type of column becomes.
+    /// NumPy arrays, one per column, readable by `numpy.load` without pickle; `npz.rs` lists the array
+    /// type of each column type.
     Npz,
 }
 
 impl Format {
-    /// Every format, in the order in which choices are listed.
+    /// All formats, in the order in which messages list them.
     pub const ALL: [Self; 5] = [Self::Parquet, Self::Arrow, Self::Csv, Self::Ndjson, Self::Npz];
 
-    /// The name in queries, commands and definitions.
+    /// Name in queries and commands.
     pub fn name(self) -> &'static str {
         match self {
             Self::Parquet => "parquet",
@@ -64,7 +64,7 @@ impl Format {
         }
     }
 
-    /// How a file's name ends, without the dot.
+    /// Extension of file names, without the dot.
     pub fn extension(self) -> &'static str {
         match self {
             Self::Arrow => "arrows",
@@ -72,7 +72,7 @@ impl Format {
         }
     }
 
-    /// The media type in HTTP.
+    /// Media type in HTTP.
     pub fn media_type(self) -> &'static str {
         match self {
             Self::Parquet => "application/vnd.apache.parquet",
@@ -83,7 +83,7 @@ impl Format {
         }
     }
 
-    /// Whether rows can be written as they come, in one pass: all but NPZ.
+    /// True if rows can be written in one pass: all formats except NPZ.
     pub fn streams(self) -> bool {
         self != Self::Npz
     }
@@ -95,11 +95,11 @@ impl fmt::Display for Format {
     }
 }
 
-/// A name that no format has.
+/// The name is not that of a format.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no format is named `{name}`: choose from {}", Format::ALL.map(Format::name).join(", "))]
+#[error("format {name}: choose from {}", Format::ALL.map(Format::name).join(", "))]
 pub struct UnknownFormat {
-    /// What was given.
+    /// The unknown name.
     pub name: String,
 }
 
@@ -112,81 +112,87 @@ impl FromStr for Format {
     }
 }
 
-/// Batches as they are read.
+/// Iterator over batches.
 pub type Batches<'a> = Box<dyn Iterator<Item = Result<RecordBatch, RowsError>> + 'a>;
 
-/// Rows that can be read more than once, always in the same order and the same batches.
+/// Rows that can be read several times, each time in the same order and batches.
 pub trait Rows {
-    /// Columns, with the metadata that goes along with them.
+    /// Columns and metadata.
     fn schema(&self) -> SchemaRef;
 
     /// Number of rows.
     fn count(&self) -> u64;
 
-    /// The rows in batches; of all columns, or of those with these indices in the schema, in the
-    /// order of the indices. A batch becomes a row group of Parquet: [`rows_per_batch`] says how
-    /// long one should be.
+    /// Returns the rows in batches: all columns, or those with the given indices of the schema, in this
+    /// order. A batch becomes a row group of Parquet; [`rows_per_batch`] is its recommended length.
+    ///
+    /// # Errors
+    /// `RowsError` if the rows cannot be read.
     fn batches(&self, columns: Option<&[usize]>) -> Result<Batches<'_>, RowsError>;
 }
 
-/// Rows could not be read.
+/// The rows could not be read.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot read the rows")]
 pub struct RowsError(#[source] Box<dyn std::error::Error + Send + Sync>);
 
 impl RowsError {
-    /// The reason, as the source of rows states it.
+    /// Wraps the error of the source of the rows.
     pub fn new(reason: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
         Self(reason.into())
     }
 }
 
-/// Rows could not be written.
+/// Why rows could not be written.
 #[derive(Debug, thiserror::Error)]
 pub enum FormatError {
-    /// They could not be read.
+    /// The rows could not be read.
     #[error(transparent)]
     Rows(#[from] RowsError),
-    /// A column's type has no place in the format.
+    /// The format cannot hold the type of a column.
     #[error("column {column} of type {kind} cannot be written as {format}")]
     Column {
         /// Name of the column.
         column: String,
-        /// Its type.
+        /// Type of the column.
         kind: DataType,
-        /// The format asked for.
+        /// The requested format.
         format: Format,
     },
-    /// Rows were lost or added between passes.
-    #[error("{found} rows were read where {expected} were counted")]
+    /// The number of rows differs from the number that was counted.
+    #[error("{found} rows were read, {expected} were counted")]
     Count {
-        /// What the rows' source said.
+        /// Number of rows that the source counted.
         expected: u64,
-        /// What it gave.
+        /// Number of rows that were read.
         found: u64,
     },
-    /// NPZ asked for where rows come one by one.
-    #[error("npz holds columns, so it cannot be written row by row")]
+    /// NPZ cannot be written as a stream.
+    #[error("npz holds columns and cannot be written row by row: choose another format")]
     NotAStream,
-    /// Parquet encoding or its output.
+    /// Parquet could not be encoded or written.
     #[error("cannot write Parquet")]
     Parquet(#[from] ParquetError),
-    /// Arrow or JSON encoding or their output.
+    /// Arrow or JSON could not be encoded or written.
     #[error("cannot write Arrow columns")]
     Arrow(#[from] ArrowError),
-    /// CSV encoding or its output.
+    /// CSV could not be encoded or written.
     #[error("cannot write CSV")]
     Csv(#[from] ::csv::Error),
-    /// The container of an NPZ.
+    /// The container of an NPZ could not be written.
     #[error("cannot write the NPZ container")]
     Zip(#[from] ZipError),
-    /// The output.
+    /// The output could not be written.
     #[error("cannot write the output")]
     Io(#[from] io::Error),
 }
 
-/// Writes all rows. `progress` is told after each batch how many of [`Rows::count`] are done; where
-/// the rows are read more than once it is the part of the bytes that is written, in rows.
+/// Writes all rows. `progress` is called after each batch with the number of written rows; for NPZ,
+/// which reads the rows several times, with the written share of the bytes, in rows.
+///
+/// # Errors
+/// `FormatError::Rows` if the rows cannot be read, `Column` if the format cannot hold a column, `Count`
+/// if their number changes; the other variants if encoding or writing fails.
 pub fn write(
     format: Format,
     rows: &dyn Rows,
@@ -205,11 +211,11 @@ pub fn write(
         progress(done);
     }
     stream.finish()?;
-    counted(rows, done)
+    check_count(rows, done)
 }
 
-/// That as many rows were read as there are.
-fn counted(rows: &dyn Rows, found: u64) -> Result<(), FormatError> {
+/// Checks that the number of read rows is the number that was counted.
+fn check_count(rows: &dyn Rows, found: u64) -> Result<(), FormatError> {
     let expected = rows.count();
     if found == expected { Ok(()) } else { Err(FormatError::Count { expected, found }) }
 }

@@ -1,7 +1,7 @@
-//! What a column becomes as a NumPy array: its header, and the bytes of its values.
+//! Columns as NumPy arrays: header and bytes of the values.
 //! PURE. Uses: arrow. Never: the container.
 //!
-//! Source: numpy.lib.format, version 1.0. All values are little-endian, rows first.
+//! Source: numpy.lib.format, version 1.0. All values are little-endian, row-major.
 
 use arrow_array::cast::AsArray;
 use arrow_array::types::{
@@ -13,22 +13,22 @@ use arrow_json::EncoderOptions;
 use arrow_json::writer::make_encoder;
 use arrow_schema::{ArrowError, DataType, Field, FieldRef, TimeUnit};
 
-/// Bytes before the values: as many as any of our headers needs, so that values are aligned.
+/// Length of the header, bytes: enough for all layouts, and a multiple of the alignment.
 const HEADER_BYTES: usize = 128;
-/// NumPy's time that is none.
+/// NumPy's NaT.
 const NOT_A_TIME: i64 = i64::MIN;
 
-/// What has to be known of a column's values before its array can be laid out.
+/// Properties of a column's values that determine its layout.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Survey {
-    /// Values that are missing.
+    /// Number of missing values.
     nulls: usize,
-    /// Characters of the longest text, items of the longest list.
+    /// Number of characters of the longest text, or of items of the longest list.
     longest: usize,
 }
 
 impl Survey {
-    /// Whether a column of this type needs one.
+    /// True if the layout of a column depends on its values.
     pub(super) fn is_needed(field: &Field) -> bool {
         match field.data_type() {
             DataType::Utf8 | DataType::List(_) => true,
@@ -36,7 +36,7 @@ impl Survey {
         }
     }
 
-    /// Takes in more of the column.
+    /// Adds a batch of the column.
     pub(super) fn add(&mut self, field: &FieldRef, values: &ArrayRef) -> Result<(), ArrowError> {
         self.nulls += values.null_count();
         let longest = match field.data_type() {
@@ -55,48 +55,48 @@ impl Survey {
     }
 }
 
-/// What a column becomes.
+/// Array layout of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Layout {
-    /// Numbers of the column's own type.
+    /// Numbers of the column's type.
     Numbers {
-        /// As NumPy names it.
+        /// Type name of NumPy.
         kind: &'static str,
-        /// Bytes of one.
+        /// Length of a number, bytes.
         bytes: usize,
     },
-    /// Whole numbers or truths some of which are missing: f64, NaN where missing.
+    /// Whole numbers or booleans with missing values: f64, NaN if missing.
     Gaps,
-    /// Truths, a byte each.
-    Truths,
-    /// Milliseconds since 1970, UTC; not-a-time where missing.
+    /// Booleans, one byte each.
+    Booleans,
+    /// Milliseconds since 1970, UTC; NaT if missing.
     Times,
-    /// Texts padded to `chars` characters; empty where missing.
+    /// Texts padded to `chars` characters; empty if missing.
     Texts {
-        /// Characters of the longest.
+        /// Number of characters of the longest text.
         chars: usize,
     },
-    /// Lists of texts as JSON.
+    /// Lists of texts as JSON; empty if missing.
     Json {
-        /// Characters of the longest.
+        /// Number of characters of the longest JSON text.
         chars: usize,
     },
-    /// Lists of one length of f32, NaN where missing.
+    /// Lists of f32 of fixed length, NaN if missing.
     Frames {
-        /// Items of each.
+        /// Number of items of each list.
         length: usize,
     },
-    /// Lists of records of numbers: `items x fields` f64 for each row, NaN beyond a list's end.
+    /// Lists of records of numbers: `items x fields` f64 per row, NaN beyond a list's end.
     Records {
-        /// Items of the longest list.
+        /// Number of items of the longest list.
         items: usize,
-        /// Numbers of each record, in the order of its fields.
+        /// Number of fields of a record.
         fields: usize,
     },
 }
 
 impl Layout {
-    /// What this column becomes; none where NumPy has no array for its type.
+    /// Layout of a column; `None` if its type has no layout.
     pub(super) fn of(field: &Field, survey: Survey) -> Option<Self> {
         let numbers = |kind, bytes| Some(Self::Numbers { kind, bytes });
         let chars = survey.longest.max(1);
@@ -110,7 +110,7 @@ impl Layout {
             DataType::UInt32 => numbers("<u4", 4),
             DataType::UInt16 => numbers("<u2", 2),
             DataType::UInt8 => numbers("|u1", 1),
-            DataType::Boolean => Some(Self::Truths),
+            DataType::Boolean => Some(Self::Booleans),
             DataType::Timestamp(TimeUnit::Millisecond, _) => Some(Self::Times),
             DataType::Utf8 => Some(Self::Texts { chars }),
             DataType::FixedSizeList(item, length) if item.data_type() == &DataType::Float32 => {
@@ -127,11 +127,11 @@ impl Layout {
         }
     }
 
-    /// Bytes of a row.
+    /// Length of a row, bytes.
     pub(super) fn row_bytes(self) -> usize {
         match self {
             Self::Numbers { bytes, .. } => bytes,
-            Self::Truths => 1,
+            Self::Booleans => 1,
             Self::Gaps | Self::Times => 8,
             Self::Texts { chars } | Self::Json { chars } => 4 * chars,
             Self::Frames { length } => 4 * length,
@@ -139,12 +139,12 @@ impl Layout {
         }
     }
 
-    /// The header of an array of so many rows.
+    /// Header of an array of `rows` rows.
     pub(super) fn header(self, rows: u64) -> Vec<u8> {
         let (kind, shape) = match self {
             Self::Numbers { kind, .. } => (kind.to_owned(), format!("({rows},)")),
             Self::Gaps => ("<f8".to_owned(), format!("({rows},)")),
-            Self::Truths => ("|b1".to_owned(), format!("({rows},)")),
+            Self::Booleans => ("|b1".to_owned(), format!("({rows},)")),
             Self::Times => ("<M8[ms]".to_owned(), format!("({rows},)")),
             Self::Texts { chars } | Self::Json { chars } => {
                 (format!("<U{chars}"), format!("({rows},)"))
@@ -163,7 +163,7 @@ impl Layout {
         bytes
     }
 
-    /// Appends the bytes of more of the column.
+    /// Appends the bytes of a batch of the column.
     pub(super) fn append(
         self,
         field: &FieldRef,
@@ -173,7 +173,7 @@ impl Layout {
         match self {
             Self::Numbers { .. } => numbers(values, out),
             Self::Gaps => as_f64(values).for_each(|value| put_f64(value, out)),
-            Self::Truths => {
+            Self::Booleans => {
                 out.extend(values.as_boolean().iter().map(|truth| u8::from(truth == Some(true))));
             }
             Self::Times => {
@@ -210,7 +210,7 @@ fn numbers(values: &ArrayRef, out: &mut Vec<u8>) {
     }
 }
 
-/// Numbers none of which is missing.
+/// Appends numbers without missing values.
 fn plain<T: ArrowPrimitiveType, const BYTES: usize>(
     values: &ArrayRef,
     bytes: impl Fn(T::Native) -> [u8; BYTES],
@@ -233,7 +233,7 @@ fn put_f64(value: Option<f64>, out: &mut Vec<u8>) {
     out.extend_from_slice(&value.unwrap_or(f64::NAN).to_le_bytes());
 }
 
-/// Numbers and truths of any type.
+/// Numbers or booleans as f64; `None` if missing.
 fn as_f64(values: &dyn Array) -> Box<dyn Iterator<Item = Option<f64>> + '_> {
     fn each<T: ArrowPrimitiveType>(
         values: &dyn Array,
@@ -261,7 +261,7 @@ fn put_text(text: &str, chars: usize, out: &mut Vec<u8>) {
     out.resize(end, 0);
 }
 
-/// Each value as JSON; empty where it is missing.
+/// Each value as JSON; empty if missing.
 fn json(field: &FieldRef, values: &ArrayRef) -> Result<Vec<String>, ArrowError> {
     let options = EncoderOptions::default();
     let mut encoder = make_encoder(field, values.as_ref(), &options)?;

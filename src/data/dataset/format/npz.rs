@@ -1,23 +1,23 @@
-//! NPZ: a NumPy array for each column in a zip file, not compressed, that `numpy.load` reads
-//! without pickle.
+//! NPZ: an uncompressed zip file with a NumPy array for each column, readable by `numpy.load` without
+//! pickle.
 //! Uses: `dataset::format`, zip. Never: all rows at once.
 //!
 //! | column | array of N rows |
 //! |---|---|
-//! | f32, f64 | the same, NaN where missing |
-//! | whole numbers | the same; f64 with NaN where any is missing |
-//! | truths | bool; f64 with NaN where any is missing |
-//! | text | `<U`, as wide as the longest; empty where missing |
-//! | time | `datetime64[ms]` in UTC, NaT where missing |
-//! | list of one length of f32 (frames, forces, maps) | `(N, length)` f32, NaN where missing |
+//! | f32, f64 | the same type, NaN if missing |
+//! | whole numbers | the same type; f64 with NaN if any value is missing |
+//! | boolean | bool; f64 with NaN if any value is missing |
+//! | text | `<U`, as wide as the longest; empty if missing |
+//! | time | `datetime64[ms]` in UTC, NaT if missing |
+//! | list of fixed length of f32 (frames, forces, maps) | `(N, length)` f32, NaN if missing |
 //! | list of records (contacts) | `(N, most, fields)` f64, NaN beyond a list's end and if missing |
-//! | list of texts (flags) | `<U` of JSON; empty where missing |
+//! | list of texts (flags) | `<U` of JSON; empty if missing |
 //!
 //! The fields of a record are in the order of the schema: `x_mm, y_mm, force_n, diameter_mm` in
 //! `contacts`. `most` is the length of the longest list.
 //!
-//! The rows are read once to learn the widths, and once more for each column, so that no more than
-//! a batch is held. Sizes are zip64, times fixed, values aligned to 64 bytes.
+//! The rows are read once to determine the widths, and once for each column, so that at most one
+//! batch is in memory. Sizes are zip64, times fixed, values aligned to 64 bytes.
 
 use std::io::Write;
 
@@ -25,9 +25,9 @@ use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
 use super::npy::{Layout, Survey};
-use super::{Format, FormatError, Rows, counted};
+use super::{Format, FormatError, Rows, check_count};
 
-/// Writes all rows; `progress` is told the part of the bytes that is done, in rows.
+/// Writes all rows; `progress` is called with the written share of the bytes, in rows.
 pub(super) fn write(
     rows: &dyn Rows,
     out: &mut (impl Write + Send),
@@ -57,13 +57,13 @@ pub(super) fn write(
             written += bytes.len() as u64;
             progress(written / row_bytes.max(1) as u64);
         }
-        counted(rows, found)?;
+        check_count(rows, found)?;
     }
     file.finish()?;
     Ok(())
 }
 
-/// What each column becomes, after a look at those whose values decide it.
+/// Array layout of each column, after a survey of the columns whose values determine it.
 fn layouts(rows: &dyn Rows) -> Result<Vec<Layout>, FormatError> {
     let schema = rows.schema();
     let fields = schema.fields();

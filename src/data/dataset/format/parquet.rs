@@ -1,9 +1,9 @@
-//! Parquet: a row group for each batch, its columns encoded on two threads.
+//! Parquet: one row group per batch, its columns encoded on two threads.
 //! Uses: `dataset::format`, parquet. Never: files, the meaning of columns.
 //!
-//! Settings follow from the schema (`docs/decisions/0007-parquet-encoding.md`): byte stream split
-//! for floating point numbers, whose upper bytes repeat; deltas for whole numbers; statistics for
-//! single values, so that readers skip row groups, and none for lists.
+//! The schema determines the settings (`docs/decisions/0007-parquet-encoding.md`): byte stream split
+//! for floating-point numbers, whose upper bytes repeat; deltas for whole numbers; statistics for
+//! scalars, so that readers can skip row groups, and none for lists.
 
 use std::io::Write;
 use std::{panic, thread};
@@ -64,7 +64,7 @@ impl<W: Write + Send> Writer<W> {
     }
 }
 
-/// Encodes and compresses the columns of a row group on two threads, in their order.
+/// Encodes and compresses the columns of a row group on two threads; returns them in their order.
 fn encode(
     columns: Vec<(ArrowLeafColumn, ArrowColumnWriter)>,
 ) -> Result<Vec<ArrowColumnChunk>, ParquetError> {

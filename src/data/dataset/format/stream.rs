@@ -1,4 +1,4 @@
-//! Batches written one by one, for files and for pages of an answer.
+//! Writes batches one by one, for files and for pages of a response.
 //! Uses: `dataset::format`, arrow. Never: NPZ, which holds columns.
 
 use std::io::Write;
@@ -10,7 +10,7 @@ use arrow_schema::SchemaRef;
 
 use super::{Format, FormatError, csv, parquet, zone};
 
-/// Writes batches of one schema in a format that holds rows.
+/// Writes batches of one schema in a row format.
 pub struct Stream<W: Write + Send>(Writer<W>);
 
 enum Writer<W: Write + Send> {
@@ -21,7 +21,10 @@ enum Writer<W: Write + Send> {
 }
 
 impl<W: Write + Send> Stream<W> {
-    /// Starts an output: a header where the format has one. NPZ cannot be streamed.
+    /// Starts an output and writes the header, if the format has one.
+    ///
+    /// # Errors
+    /// `FormatError::NotAStream` for NPZ; another variant if the header cannot be written.
     pub fn new(format: Format, schema: &SchemaRef, out: W) -> Result<Self, FormatError> {
         Ok(Self(match format {
             Format::Parquet => Writer::Parquet(Box::new(parquet::Writer::new(schema, out)?)),
@@ -32,7 +35,10 @@ impl<W: Write + Send> Stream<W> {
         }))
     }
 
-    /// Writes a batch; in Parquet it is a row group.
+    /// Writes a batch; in Parquet, a row group.
+    ///
+    /// # Errors
+    /// `FormatError` if the batch cannot be encoded or written.
     pub fn push(&mut self, batch: &RecordBatch) -> Result<(), FormatError> {
         match &mut self.0 {
             Writer::Parquet(writer) => writer.push(batch),
@@ -42,7 +48,10 @@ impl<W: Write + Send> Stream<W> {
         }
     }
 
-    /// Ends the output and gives it back.
+    /// Writes the end of the format and returns the output.
+    ///
+    /// # Errors
+    /// `FormatError` if the output cannot be written.
     pub fn finish(self) -> Result<W, FormatError> {
         match self.0 {
             Writer::Parquet(writer) => writer.finish(),

@@ -1,4 +1,4 @@
-//! Times in UTC for the writers of text, which know offsets but no names of zones.
+//! Times in UTC for the text writers, which support offsets but no names of zones.
 //! PURE. Uses: arrow. Never: other zones.
 
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use arrow_array::types::TimestampMillisecondType;
 use arrow_array::{ArrayRef, RecordBatch};
 use arrow_schema::{ArrowError, DataType, Field, Schema, TimeUnit};
 
-/// The batch with zone `+00:00` where a column has `UTC`; the instants stay.
+/// Replaces the zone `UTC` by `+00:00` in all columns; the instants do not change.
 pub(super) fn as_offsets(batch: &RecordBatch) -> Result<RecordBatch, ArrowError> {
     let schema = batch.schema();
     let offset = Arc::<str>::from("+00:00");

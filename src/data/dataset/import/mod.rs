@@ -1,5 +1,5 @@
-//! Trials measured elsewhere, from a Parquet file to a run of their own.
-//! Uses: `store::imports`, parquet. Never: HTTP; half an import that looks like a whole one.
+//! Import of trials measured elsewhere: a Parquet file becomes a separate run.
+//! Uses: `store::imports`, parquet. Never: HTTP; an incomplete import that counts as a run.
 
 pub mod rows;
 pub mod sensor;
@@ -23,38 +23,43 @@ use crate::store::{
 use rows::Reader;
 use sensor::ImportedSensor;
 
-/// Trials of one transaction.
-const AT_ONCE: usize = 500;
+/// Number of trials per transaction.
+const BATCH_TRIALS: usize = 500;
 
-/// What is imported.
+/// Request for an import.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Import {
     /// Name of the experiment.
     pub name: String,
-    /// Whether a skin was touched.
+    /// Origin of the data.
     pub label: Label,
-    /// How messages name the Parquet file.
+    /// Name of the Parquet file in messages.
     pub file: String,
-    /// How messages name the sensor file.
+    /// Name of the sensor file in messages.
     pub sensor_file: String,
     /// Text of the sensor file.
     pub sensor: String,
-    /// Who asks.
+    /// Name of the person or key that requested the import.
     pub submitted_by: String,
 }
 
-/// What became of it.
+/// Result of an import.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Imported {
-    /// The run.
+    /// The run that holds the trials.
     pub run: RunRow,
-    /// Its trials.
+    /// Number of trials.
     pub trials: u64,
-    /// Columns of the file that nothing was made of.
+    /// Columns of the file that were ignored.
     pub columns_left_out: Vec<String>,
 }
 
-/// Reads a file twice: all of it is checked before the first trial is stored.
+/// Imports a file as a run. The file is read twice: it is checked completely before the first trial is
+/// stored.
+///
+/// # Errors
+/// `DatasetError::Problems` if sensor file, columns or values are invalid, or the file has no trials;
+/// `File` or `Parquet` if the file cannot be read; `Store` if the store fails.
 pub async fn import(store: &Store, path: &Path, import: Import) -> Result<Imported, DatasetError> {
     let sensor = ImportedSensor::from_toml(&import.sensor_file, &import.sensor)
         .map_err(DatasetError::Problems)?;
@@ -67,12 +72,13 @@ pub async fn import(store: &Store, path: &Path, import: Import) -> Result<Import
         true => Some(model(store, &checked.sha256, &run).await?),
         false => None,
     };
-    store_trials(store, path, &import, &sensor, (run.uid, model)).await?;
+    let target = Target { run: run.uid, model };
+    store_trials(store, path, &import, &sensor, target).await?;
     let run = store.end_import(run.uid).await?;
     Ok(Imported { run, trials: checked.trials, columns_left_out: checked.columns_left_out })
 }
 
-/// What a first look at a file found.
+/// Result of the first reading of a file.
 struct Checked {
     trials: u64,
     simulated: bool,
@@ -93,7 +99,7 @@ fn check(path: &Path, file: &str, sensor: &ImportedSensor) -> Result<Checked, Da
     let batches = batches(path, file)?;
     let mut reader = Reader::new(file, sensor);
     reader.check(&batches.schema()).map_err(DatasetError::Problems)?;
-    checked.columns_left_out = rows::left_out(&batches.schema());
+    checked.columns_left_out = rows::ignored(&batches.schema());
     for batch in batches {
         let trials = reader.read(&batch?).map_err(DatasetError::Problems)?;
         checked.trials += trials.len() as u64;
@@ -112,9 +118,9 @@ fn batches(
 ) -> Result<parquet::arrow::arrow_reader::ParquetRecordBatchReader, DatasetError> {
     let opened = File::open(path).map_err(DatasetError::file("opening", path))?;
     let built = ParquetRecordBatchReaderBuilder::try_new(opened)
-        .and_then(|builder| builder.with_batch_size(AT_ONCE).build());
+        .and_then(|builder| builder.with_batch_size(BATCH_TRIALS).build());
     built.map_err(|error| {
-        let limit = format!("must be a Parquet file of the trials table: {error}");
+        let limit = format!("must be a Parquet file with the columns of the trials table: {error}");
         DatasetError::Problems(vec![Problem::whole(file, limit)])
     })
 }
@@ -136,7 +142,7 @@ fn new_run(import: &Import, sensor: &ImportedSensor, checked: &Checked) -> NewRu
         label: import.label,
         version: env!("CARGO_PKG_VERSION").into(),
         git_commit: crate::commit::known().map(Into::into),
-        // Contacts are as they were handed in.
+        // Contacts are used as they are in the file.
         deadband_n: 0.0,
         tip_diameter_mm: sensor.tip_diameter_mm,
         trials_planned: checked.trials,
@@ -145,7 +151,7 @@ fn new_run(import: &Import, sensor: &ImportedSensor, checked: &Checked) -> NewRu
     }
 }
 
-/// The model that simulated frames of this file stand for.
+/// Stores a model that stands for the origin of the file's simulated frames, and returns its id.
 async fn model(store: &Store, sha256: &str, run: &RunRow) -> Result<TwinModelId, DatasetError> {
     let digest = Sha256::digest(format!("{IMPORTED_MODEL} {sha256}"));
     let new = NewTwinModel {
@@ -158,12 +164,19 @@ async fn model(store: &Store, sha256: &str, run: &RunRow) -> Result<TwinModelId,
     Ok(store.twin_model(new).await?)
 }
 
+/// The rows of the store that imported trials belong to.
+struct Target {
+    run: RunUid,
+    /// Model of the simulated frames; `None` if the file has none.
+    model: Option<TwinModelId>,
+}
+
 async fn store_trials(
     store: &Store,
     path: &Path,
     import: &Import,
     sensor: &ImportedSensor,
-    (run, model): (RunUid, Option<TwinModelId>),
+    target: Target,
 ) -> Result<(), DatasetError> {
     let (sender, mut pages) = mpsc::channel::<Vec<ImportedTrial>>(2);
     let (path, file, sensor) = (path.to_owned(), import.file.clone(), sensor.clone());
@@ -179,9 +192,9 @@ async fn store_trials(
     });
     let storing = async {
         while let Some(trials) = pages.recv().await {
-            store.import_trials(run, model, trials).await?;
+            store.import_trials(target.run, target.model, trials).await?;
         }
-        // Dropped here, so that the reader ends too when storing failed.
+        // Dropped here, so that the reader also ends if storing fails.
         drop(pages);
         Ok::<(), DatasetError>(())
     };

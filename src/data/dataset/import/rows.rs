@@ -1,5 +1,5 @@
 //! Rows of a foreign Parquet file as trials: known columns by their names, each value checked.
-//! PURE. Uses: arrow, `store`'s imported trial. Never: files; a value in place of one that lacks.
+//! PURE. Uses: arrow, `store`'s imported trial. Never: files; a default for a missing measurement.
 
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -31,20 +31,20 @@ const READ: [&str; 9] = [
     "flags",
     "started_at",
 ];
-/// What may be known of a contact.
+/// Fields of a contact.
 const CONTACT: [&str; 4] = ["x_mm", "y_mm", "force_n", "diameter_mm"];
-/// Problems after which no more are looked for.
+/// Number of problems after which checking ends.
 const PROBLEMS_MAX: usize = 20;
-/// Largest force that is taken for one, N.
+/// Largest valid force of a contact, N.
 const FORCE_MAX_N: f64 = 100_000.0;
 
-/// Columns of a file that nothing is made of.
-pub fn left_out(schema: &Schema) -> Vec<String> {
+/// Names of the columns of a file that an import ignores.
+pub fn ignored(schema: &Schema) -> Vec<String> {
     let names = schema.fields().iter().map(|field| field.name());
     names.filter(|name| !READ.contains(&name.as_str())).cloned().collect()
 }
 
-/// Reads batches one after the other; keys must not come twice.
+/// Converts batches, one after the other, to trials; checks that no key occurs twice.
 #[derive(Debug)]
 pub struct Reader<'a> {
     file: &'a str,
@@ -55,12 +55,15 @@ pub struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    /// A reader for trials on this sensor; `file` is how messages name their file.
+    /// Starts a reader for trials of a sensor; `file` is the name of the file in messages.
     pub fn new(file: &'a str, sensor: &'a ImportedSensor) -> Self {
         Self { file, sensor, keys: HashSet::new(), row: 0, problems: Vec::new() }
     }
 
-    /// That a file has what cannot be done without.
+    /// Checks that the required columns exist.
+    ///
+    /// # Errors
+    /// A problem for each missing column.
     pub fn check(&self, schema: &Schema) -> Result<(), Vec<Problem>> {
         let names: Vec<&str> = schema.fields().iter().map(|f| f.name().as_str()).collect();
         let wanted = [
@@ -78,7 +81,10 @@ impl<'a> Reader<'a> {
         if problems.is_empty() { Ok(()) } else { Err(problems) }
     }
 
-    /// The trials of a batch.
+    /// Converts a batch to trials.
+    ///
+    /// # Errors
+    /// The invalid values by row and column; checking ends after 20.
     pub fn read(&mut self, batch: &RecordBatch) -> Result<Vec<ImportedTrial>, Vec<Problem>> {
         let columns = Columns::of(self.file, batch).map_err(|problem| vec![problem])?;
         let mut trials = Vec::with_capacity(batch.num_rows());
@@ -117,7 +123,7 @@ impl<'a> Reader<'a> {
         let configuration = u32::try_from(configuration.unwrap_or(self.row as i64));
         let depth_index = u32::try_from(whole(&columns.depth_index).unwrap_or(0));
         let tips = whole(&columns.tips).map(u8::try_from).transpose();
-        let limit = "must be a whole number from 0";
+        let limit = "must be a whole number from 0 to 4294967295";
         if configuration.is_err() {
             self.wrong("configuration", "out of range", limit);
         }
@@ -132,12 +138,12 @@ impl<'a> Reader<'a> {
             (configuration.unwrap_or(0), depth_index.unwrap_or(0), tips.ok().flatten());
         if has_key && !self.keys.insert((configuration, depth_index)) {
             let value = format!("{configuration}, {depth_index}");
-            self.wrong("configuration, depth_index", value, "must come once in a file");
+            self.wrong("configuration, depth_index", value, "must occur once in a file");
         }
         let flags = self.flags(columns, at);
         let depth_mm = columns.depth_mm.as_ref().and_then(|column| known(column, at));
         if depth_mm.is_some_and(f64::is_infinite) {
-            self.wrong("depth_mm", "infinite", "must be a number");
+            self.wrong("depth_mm", "infinite", "must be finite, or null");
         }
         let started_at = columns.started_at.as_ref().filter(|times| !times.is_null(at));
         let started_at = started_at.and_then(|times| {
@@ -188,11 +194,11 @@ impl<'a> Reader<'a> {
         let frame: Vec<f32> =
             values.iter().map(|v| v.filter(|v| !v.is_nan()).unwrap_or(f32::NAN)).collect();
         if frame.iter().any(|v| v.is_infinite()) {
-            self.wrong(column, "infinite", "must be volts; null or NaN where a channel is missing");
+            self.wrong(column, "infinite", "must be finite, V; null or NaN for a missing channel");
             return None;
         }
         if frame.iter().all(|v| v.is_nan()) {
-            self.wrong(column, "no value at all", "must have some channels");
+            self.wrong(column, "no values", "must have at least one channel with a value");
             return None;
         }
         Some(frame)
@@ -207,7 +213,8 @@ impl<'a> Reader<'a> {
         let found = lists.as_list::<i64>().value(at);
         let found = found.as_struct();
         if found.len() > IMPORTED_CONTACTS_MAX {
-            self.wrong(CONTACTS, found.len(), format!("must be at most {IMPORTED_CONTACTS_MAX}"));
+            let limit = format!("must have at most {IMPORTED_CONTACTS_MAX} contacts");
+            self.wrong(CONTACTS, found.len(), limit);
             return Vec::new();
         }
         let number = |name: &str, contact: usize| {
@@ -232,8 +239,8 @@ impl<'a> Reader<'a> {
                 }
             }
             if x_mm.is_some() != y_mm.is_some() {
-                let limit = "x_mm and y_mm must both be there, or neither";
-                self.wrong(&format!("contacts[{contact}]"), "half a place", limit);
+                let limit = "must have both x_mm and y_mm, or neither";
+                self.wrong(&format!("contacts[{contact}]"), "one coordinate", limit);
             }
             contacts.push(Contact { x_mm, y_mm, force_n, diameter_mm });
         }
@@ -258,14 +265,14 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// A number that is there: neither null nor NaN.
+/// A value as f64; `None` if it is null or NaN.
 fn known(column: &ArrayRef, at: usize) -> Option<f64> {
     let column = cast(column, &DataType::Float64).ok()?;
     let numbers = column.as_primitive::<Float64Type>();
     (!numbers.is_null(at)).then(|| numbers.value(at)).filter(|number| !number.is_nan())
 }
 
-/// The columns of a batch, in types of ours.
+/// The columns of a batch, converted to the types that the reader uses.
 struct Columns {
     voltages_v: Option<ArrayRef>,
     sim_voltages_v: Option<ArrayRef>,
@@ -293,7 +300,7 @@ impl Columns {
             if let Some(fraction) = fraction(found, &wanted) {
                 return Err(wrong(fraction.to_string()));
             }
-            // What does not fit is an error, not a null.
+            // A value that does not fit is an error, not a null.
             let options = CastOptions { safe: false, ..CastOptions::default() };
             let cast = cast_with_options(found, &wanted, &options);
             cast.map(Some).map_err(|error| wrong(error.to_string()))
@@ -312,8 +319,8 @@ impl Columns {
     }
 }
 
-/// Whether a column is of the sort that is wanted: numbers are not read from words, nor lists from
-/// single values.
+/// True if a type may be converted to the wanted one: numbers are not read from text, nor lists from
+/// scalars.
 fn resembles(found: &DataType, wanted: &DataType) -> bool {
     use DataType::{FixedSizeList, LargeList, List, Null};
     match (found, wanted) {
@@ -330,8 +337,8 @@ fn resembles(found: &DataType, wanted: &DataType) -> bool {
     }
 }
 
-/// The first number with a fraction in a column that should hold whole ones (pandas makes floats of
-/// whole numbers with gaps).
+/// First number with a fraction in a column that must hold whole numbers. (pandas stores whole numbers
+/// with gaps as floats.)
 fn fraction(found: &ArrayRef, wanted: &DataType) -> Option<f64> {
     if *wanted != DataType::Int64 || !found.data_type().is_floating() {
         return None;
@@ -340,18 +347,18 @@ fn fraction(found: &ArrayRef, wanted: &DataType) -> Option<f64> {
     numbers.as_primitive::<Float64Type>().iter().flatten().find(|number| number.fract() != 0.0)
 }
 
-/// The contacts, whose items may have any of four numbers of any type.
+/// The column of contacts: lists of structs with any of four fields of any numeric type.
 fn contacts(file: &str, batch: &RecordBatch) -> Result<Option<ArrayRef>, Problem> {
     let Some(found) = batch.column_by_name(CONTACTS) else { return Ok(None) };
     let item = match found.data_type() {
         DataType::List(item) | DataType::LargeList(item) | DataType::FixedSizeList(item, _) => item,
-        _ => return Err(no_contacts(file, found)),
+        _ => return Err(wrong_contacts(file, found)),
     };
     match item.data_type() {
-        // A file in which nothing was ever touched.
-        DataType::Null => cast(found, &DataType::LargeList(Arc::new(nothing())))
+        // A file whose trials are all untouched.
+        DataType::Null => cast(found, &DataType::LargeList(Arc::new(empty_contact())))
             .map(Some)
-            .map_err(|_| no_contacts(file, found)),
+            .map_err(|_| wrong_contacts(file, found)),
         DataType::Struct(fields) => {
             let known = |field: &Arc<Field>| {
                 let numeric =
@@ -359,22 +366,22 @@ fn contacts(file: &str, batch: &RecordBatch) -> Result<Option<ArrayRef>, Problem
                 CONTACT.contains(&field.name().as_str()) && numeric
             };
             if !fields.iter().all(known) {
-                return Err(no_contacts(file, found));
+                return Err(wrong_contacts(file, found));
             }
             cast(found, &DataType::LargeList(item.clone()))
                 .map(Some)
-                .map_err(|_| no_contacts(file, found))
+                .map_err(|_| wrong_contacts(file, found))
         }
-        _ => Err(no_contacts(file, found)),
+        _ => Err(wrong_contacts(file, found)),
     }
 }
 
-/// A contact of which nothing is known.
-fn nothing() -> Field {
+/// Element type of contacts without fields.
+fn empty_contact() -> Field {
     Field::new("item", DataType::Struct(Vec::<Field>::new().into()), true)
 }
 
-fn no_contacts(file: &str, found: &ArrayRef) -> Problem {
+fn wrong_contacts(file: &str, found: &ArrayRef) -> Problem {
     let limit = "must be lists of {x_mm, y_mm, force_n, diameter_mm}, all numbers, each of which may be \
                  null or absent";
     Problem::new(file, CONTACTS, found.data_type(), limit)

@@ -1,5 +1,5 @@
-//! The sensor file beside imported trials: Palpate's own, or as much as is known of another skin.
-//! PURE. Uses: sim-core's sensor file, `syntax`. Never: a value that the file does not say.
+//! The sensor file of imported trials: a complete one of Palpate, or the basic values of another skin.
+//! PURE. Uses: sim-core's sensor file, `syntax`. Never: a value that the file does not state.
 
 use serde::Deserialize;
 use sim_core::sensor::Sensor;
@@ -7,29 +7,32 @@ use sim_core::sensor::Sensor;
 use crate::problem::{Checks, Problem};
 use crate::syntax::syntax_problem;
 
-/// Most voltages of a frame.
+/// Largest number of voltages per frame.
 const CHANNELS_MAX: usize = 65_536;
 /// Largest side of a skin, mm.
 const SIDE_MAX_MM: f64 = 100_000.0;
 
-/// What datasets need to know of a skin.
+/// Values of a sensor that datasets need.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct ImportedSensor {
-    /// Its name.
+    /// Name of the sensor.
     pub name: String,
-    /// Voltages of a frame.
+    /// Number of voltages per frame.
     pub channels: usize,
     /// Extent along x, mm.
     pub width_mm: f64,
     /// Extent along y, mm.
     pub height_mm: f64,
-    /// Diameter of what touches it, mm, where it is always the same.
+    /// Diameter of the tips, mm; absent if it varies or is unknown.
     pub tip_diameter_mm: Option<f64>,
 }
 
 impl ImportedSensor {
-    /// Reads a sensor file: one of Palpate's (then trials get simulated twins), or any TOML with
-    /// `name`, `channels`, `width_mm` and `height_mm`.
+    /// Parses a sensor file: a complete one of Palpate (its trials get simulated twins), or any TOML
+    /// with `name`, `channels`, `width_mm` and `height_mm`. `file` is its name in messages.
+    ///
+    /// # Errors
+    /// The syntax error, or all invalid values.
     pub fn from_toml(file: &str, text: &str) -> Result<Self, Vec<Problem>> {
         if let Ok(sensor) = Sensor::from_toml(text) {
             let electrodes: usize = sensor.file.electrodes.columns.iter().map(Vec::len).sum();
@@ -64,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn palpates_own_and_a_few_lines_are_both_sensors() {
+    fn a_complete_sensor_file_and_four_values_are_both_sensors() {
         let own = include_str!("../../../../experiments/sensors/ert-28.toml");
         let own = ImportedSensor::from_toml("own", own).unwrap();
         assert_eq!((own.channels, own.width_mm, own.tip_diameter_mm), (784, 540.0, Some(20.0)));
