@@ -64,6 +64,7 @@ fn new_run(trials: u32) -> NewRun {
         rig: Some(String::new()),
         sensor: String::new(),
         calibration_id: None,
+        plan: None,
         label: Label::Virtual,
         version: env!("CARGO_PKG_VERSION").into(),
         git_commit: None,

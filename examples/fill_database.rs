@@ -160,6 +160,7 @@ fn new_run(seed: u64, trials: u32, sensor: &Sensor) -> NewRun {
         rig: Some(RIG.into()),
         sensor: SENSOR.into(),
         calibration_id: None,
+        plan: None,
         label: Label::Virtual,
         version: env!("CARGO_PKG_VERSION").into(),
         git_commit: None,

@@ -2,7 +2,9 @@
 //! touched. The modules below are listed in the order in which data flows through them; each chapter
 //! is a crate, and crates only use those before them.
 
-pub use palpate_words::{chance, clock, commit, ids, journal, problem, record, syntax};
+pub use palpate_words::{
+    chance, clock, commit, digest, ids, journal, problem, record, state, syntax,
+};
 
 pub use palpate_bench::{campaign, rig, schedule};
 pub use palpate_data::dataset;

@@ -106,6 +106,7 @@ async fn open_with_run(path: &Path) -> Store {
         rig: Some(String::new()),
         sensor: String::new(),
         calibration_id: None,
+        plan: None,
         label: Label::Virtual,
         version: "0".into(),
         git_commit: None,

@@ -16,6 +16,7 @@ use super::output::{counted, duration, say_json};
 use super::view::{RunView, StatusView};
 use crate::campaign::shown::status::{Eta, Phase};
 use crate::ids::RunUid;
+use crate::state::StoredState;
 
 /// Interval of polling the status.
 const LOOK: Duration = Duration::from_millis(200);
@@ -159,9 +160,11 @@ impl Follower {
             return Ok(None);
         }
         let row = self.client.run(self.watch.run).await?;
-        let left = match row.state.as_str() {
-            "ended" | "removed" => Some(Left::Ended),
-            "interrupted" if self.seen => Some(Left::Open("the service stopped driving it")),
+        let left = match row.state {
+            StoredState::Ended | StoredState::Removed => Some(Left::Ended),
+            StoredState::Interrupted if self.seen => {
+                Some(Left::Open("the service stopped driving it"))
+            }
             _ if self.seen || self.watch.waiting => None,
             _ if self.started.elapsed() > TAKEN_UP => {
                 let what = format!("the start of run {} ({})", row.scan_id, row.state);

@@ -26,6 +26,7 @@ use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
 use crate::problem::Problem;
 use crate::rig::config::RigConfig;
+use crate::state::StoredState;
 use crate::store::RunRow;
 
 /// Default speed of the virtual rig.
@@ -342,7 +343,7 @@ async fn resumable(
     let (definition, sensor) = (order.files.definition_sha256(), order.files.sensor_sha256());
     client
         .find_run(|run| {
-            run.state == "interrupted"
+            run.state == StoredState::Interrupted
                 && run.definition_sha256 == definition
                 && run.sensor_sha256 == sensor
                 && run

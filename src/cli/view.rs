@@ -12,6 +12,7 @@ use crate::campaign::safe_end::SafeEnd;
 use crate::campaign::shown::status::{Eta, Phase};
 use crate::ids::{RunUid, TrialKey};
 use crate::record::Pose;
+use crate::state::{PausedWhy, StoredState};
 use crate::store::LockRow;
 
 /// `GET /api/v1/status`.
@@ -90,11 +91,11 @@ pub struct RunView {
     /// Name of the experiment.
     pub experiment: String,
     /// State of the run.
-    pub state: String,
+    pub state: StoredState,
     /// Requested state.
-    pub requested_state: Option<String>,
+    pub requested_state: Option<StoredState>,
     /// Reason of a pause.
-    pub paused_why: Option<String>,
+    pub paused_why: Option<PausedWhy>,
     /// What the run waits for, as text.
     pub waiting_for: Option<String>,
     /// Current phase.

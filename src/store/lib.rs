@@ -17,7 +17,7 @@
 //! Methods of `Journal` wait for the disk without limit, since the campaign has its own deadlines; all
 //! others return [`StoreError::Late`] after 30 s.
 
-use palpate_words::{clock, ids, journal, record};
+use palpate_words::{clock, digest, ids, journal, record, state};
 
 mod core;
 pub mod table;

@@ -14,6 +14,7 @@ use utoipa::ToSchema;
 
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::record::{AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord};
+use crate::state::StateChange;
 
 /// A record could not be made durable, or could not be read.
 #[derive(Debug, thiserror::Error)]
@@ -147,9 +148,7 @@ pub trait Journal: Send + Sync {
     async fn run_state(
         &self,
         run: RunUid,
-        state: &str,
-        requested: Option<&str>,
-        why: Option<&str>,
+        change: StateChange,
         at: Timestamp,
     ) -> Result<(), JournalError>;
     /// Stores the end of a run.

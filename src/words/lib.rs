@@ -4,8 +4,10 @@
 pub mod chance;
 pub mod clock;
 pub mod commit;
+pub mod digest;
 pub mod ids;
 pub mod journal;
 pub mod problem;
 pub mod record;
+pub mod state;
 pub mod syntax;

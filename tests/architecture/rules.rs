@@ -37,8 +37,9 @@ pub const STUDIES: [&str; 11] = [
 ];
 
 /// What everything may use and what uses nothing but each other.
-pub const VOCABULARY: [&str; 8] =
-    ["chance", "clock", "commit", "ids", "journal", "problem", "record", "syntax"];
+pub const VOCABULARY: [&str; 10] = [
+    "chance", "clock", "commit", "digest", "ids", "journal", "problem", "record", "state", "syntax",
+];
 
 /// Which chapters a chapter's `Cargo.toml` may name. What the stage does is known to the service alone: a
 /// change of the campaign does not build the nets again. No chapter of `src/` may name the studies: only

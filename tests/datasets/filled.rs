@@ -56,6 +56,7 @@ fn new_run(kind: RunKind, experiment: &str) -> NewRun {
         rig: Some("name = \"made up\"\n".into()),
         sensor: SENSOR.into(),
         calibration_id: None,
+        plan: None,
         label: Label::Virtual,
         version: "0.1.0".into(),
         git_commit: None,

@@ -20,6 +20,7 @@ use tokio::sync::{mpsc, oneshot};
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::{ExitStatus, Journal, JournalError, Mounting};
 use crate::record::{AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord};
+use crate::state::StateChange;
 
 /// Notes that may wait for the store. A rig at rest creates a few per hour.
 const CAPACITY: usize = 4096;
@@ -39,7 +40,7 @@ pub enum Note {
         data: serde_json::Value,
     },
     /// Change of a run's state: state reached, state requested, reason.
-    RunState(RunUid, String, Option<String>, Option<String>),
+    RunState(RunUid, StateChange),
     /// End of a run: exit status and reason.
     EndRun(RunUid, ExitStatus, String),
     /// A failed attempt of a trial.
@@ -225,9 +226,7 @@ async fn put(journal: &dyn Journal, note: &Note, at: Timestamp) -> Result<(), Jo
         Note::Event { run, kind, data } => {
             journal.event(*run, kind, data.clone(), at).await.map(|_| ())
         }
-        Note::RunState(run, state, requested, why) => {
-            journal.run_state(*run, state, requested.as_deref(), why.as_deref(), at).await
-        }
+        Note::RunState(run, change) => journal.run_state(*run, *change, at).await,
         Note::EndRun(run, status, reason) => journal.end_run(*run, *status, reason, at).await,
         Note::Attempt(run, attempt) => journal.attempt(*run, attempt).await,
         Note::Tare(run, tare) => journal.tare(*run, tare).await,

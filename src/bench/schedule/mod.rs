@@ -6,6 +6,7 @@ pub mod configuration;
 pub mod order;
 pub mod manual;
 pub mod plan;
+pub mod kept;
 pub mod reach;
 pub mod lint;
 pub mod estimate;

@@ -25,6 +25,7 @@ use super::schema;
 use super::select::{Selection, Wanted};
 use crate::clock::Clock;
 use crate::problem::Problem;
+use crate::state::StoredState;
 use crate::store::{DatasetRow, ExportEnd, ExportRow, RunRow, Store};
 
 /// Free space that is reserved for runs, bytes.
@@ -132,8 +133,8 @@ impl Catalog {
     /// `Store` if the store fails.
     pub async fn definition(&self, name: &str) -> Result<Definition, DatasetError> {
         if let Some(run) = self.run_of(name).await? {
-            return match run.state.as_str() {
-                "ended" => Ok(Definition::of_run(run.scan_id)),
+            return match run.state {
+                StoredState::Ended => Ok(Definition::of_run(run.scan_id)),
                 _ => Err(DatasetError::NotEnded(run.scan_id)),
             };
         }

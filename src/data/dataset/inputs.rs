@@ -10,6 +10,7 @@ use super::definition::{Definition, Task};
 use super::error::DatasetError;
 use super::schema;
 use super::shards::{self, ShardFolder};
+use crate::state::StoredState;
 use crate::store::{Label, RunExtent, RunRow, Store};
 
 /// Version of the code that makes rows of stored trials; part of the hash.
@@ -115,13 +116,14 @@ async fn select_runs(store: &Store, definition: &Definition) -> Result<Vec<RunRo
             break;
         }
     }
-    all.retain(|run| run.state != "removed");
+    all.retain(|run| run.state != StoredState::Removed);
     all.sort_by_key(|run| run.scan_id);
     let labelled = |run: &RunRow| definition.label.is_none_or(|label| run.label == label);
     if definition.runs.is_empty() {
         let kinds = definition.task.kinds();
-        let matches =
-            |run: &RunRow| run.state == "ended" && kinds.contains(&run.kind) && labelled(run);
+        let matches = |run: &RunRow| {
+            run.state == StoredState::Ended && kinds.contains(&run.kind) && labelled(run)
+        };
         return Ok(all.into_iter().filter(matches).collect());
     }
     for wanted in &definition.runs {

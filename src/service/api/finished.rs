@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use super::App;
 use crate::dataset::definition::Definition;
+use crate::state::StoredState;
 use crate::store::RunKind;
 
 /// How often runs that have ended are looked for.
@@ -28,7 +29,7 @@ pub async fn keep(app: App) {
                 continue;
             }
         };
-        for run in runs.iter().filter(|run| run.state == "ended") {
+        for run in runs.iter().filter(|run| run.state == StoredState::Ended) {
             // An import may be of a skin that has no model: nothing is waited for.
             let gets_twins = app.twins.status().workers > 0 && run.kind != RunKind::Imported;
             let twins_wait = match app.twins.count(run.uid).await {

@@ -111,6 +111,9 @@ impl From<ConductorError> for ApiError {
         match error {
             ConductorError::Problems { problems } => Self::problems(problems),
             ConductorError::NoRun(_) => Self::not_found(error.to_string()),
+            ConductorError::PlanDiffers { .. } => {
+                Self::new(StatusCode::CONFLICT, error.to_string())
+            }
             ConductorError::Forbidden(words) => Self::new(StatusCode::CONFLICT, words),
             ConductorError::Refused(refusal) => refusal.into(),
             ConductorError::Store(error) => error.into(),

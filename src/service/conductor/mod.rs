@@ -20,6 +20,7 @@ use crate::ids::RunUid;
 use crate::problem::Problem;
 use crate::rig::config::RigConfig;
 use crate::schedule::preflight::Preflight;
+use crate::state::StoredState;
 use crate::store::{NewRun, RunRow, Soundness, Store, StoreError};
 
 mod prepare;
@@ -111,6 +112,20 @@ pub enum ConductorError {
     /// There is no run with this id.
     #[error("there is no run {0}")]
     NoRun(String),
+    /// This version plans the files of a stored run differently.
+    #[error(
+        "run {run} was planned by version {version}, and this version plans it differently: \
+         {difference}. The trials of one run come from one plan: resume it with that version, or \
+         abort it and queue its files again"
+    )]
+    PlanDiffers {
+        /// Number of the run.
+        run: i64,
+        /// Version that planned it.
+        version: String,
+        /// Differing places with both values.
+        difference: String,
+    },
     /// The state of the run or the store forbids it.
     #[error("{0}")]
     Forbidden(String),
@@ -171,6 +186,7 @@ impl Conductor {
             git_commit: crate::commit::known().map(Into::into),
             deadband_n: experiment.measure.deadband_n,
             tip_diameter_mm: Some(prepared.tip_diameter_mm),
+            plan: Some(prepared.plan.text()),
             trials_planned: prepared.preflight.trials,
             auto_resume: auto_resume.unwrap_or(experiment.policy.auto_resume),
             submitted_by: who,
@@ -199,7 +215,7 @@ impl Conductor {
     pub async fn arm(&self, run: &RunRow) -> Result<Armed, ConductorError> {
         startable(run)?;
         self.require_sound_store()?;
-        let preflight = self.prepare(Submission::of(run)).await?.sound()?.preflight;
+        let preflight = self.prepare_stored(run).await?.preflight;
         // The tail of a v7 uuid is random.
         let code: String = RunUid::new().0.simple().to_string()[26..].into();
         let expires_at = Timestamp::now() + CODE_VALID;
@@ -254,7 +270,7 @@ impl Conductor {
 
     async fn begin(&self, run: &RunRow) -> Result<(), ConductorError> {
         self.require_sound_store()?;
-        let job = self.prepare(Submission::of(run)).await?.sound()?.job(run);
+        let job = self.prepare_stored(run).await?.job(run);
         self.inner.campaign.ask(Request::Start(Arc::new(job))).await?;
         self.armings().remove(&run.uid);
         self.waiting().remove(&run.uid);
@@ -363,8 +379,12 @@ impl Conductor {
             let why = error.to_string();
             self.say(run, "not_gone_on", json!({ "attempt": attempt, "why": why })).await;
             let tripped = self.inner.campaign.status().rig.state == RigState::Tripped;
-            let for_good =
-                matches!(error, ConductorError::Problems { .. } | ConductorError::Forbidden(_));
+            let for_good = matches!(
+                error,
+                ConductorError::Problems { .. }
+                    | ConductorError::PlanDiffers { .. }
+                    | ConductorError::Forbidden(_)
+            );
             if tripped || for_good {
                 return Err(error);
             }
@@ -412,6 +432,17 @@ impl Conductor {
         tokio::time::timeout(HOMING, homed).await.unwrap_or_else(|_| late())
     }
 
+    /// Plans a stored run again, and compares the plan with the one that was kept. The plan of a run
+    /// that an older version queued is kept now.
+    async fn prepare_stored(&self, run: &RunRow) -> Result<Prepared, ConductorError> {
+        let prepared = self.prepare(Submission::of(run)).await?.sound()?;
+        match self.inner.store.plan_of(run.uid).await? {
+            Some(stored) => prepared.matches(run, &stored)?,
+            None => self.inner.store.keep_plan(run.uid, prepared.plan.text()).await?,
+        }
+        Ok(prepared)
+    }
+
     async fn prepare(&self, submission: Submission) -> Result<Prepared, ConductorError> {
         let rig = self.inner.rig.clone();
         // A plan of 198,000 trials takes about 0.3 s: not on a thread that answers requests.
@@ -432,8 +463,8 @@ impl Conductor {
 }
 
 fn startable(run: &RunRow) -> Result<(), ConductorError> {
-    match run.state.as_str() {
-        "queued" | "interrupted" => Ok(()),
+    match run.state {
+        StoredState::Queued | StoredState::Interrupted => Ok(()),
         state => Err(ConductorError::Forbidden(format!(
             "run {} is {state}: only a queued or an interrupted run can be started",
             run.scan_id

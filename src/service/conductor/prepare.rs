@@ -11,6 +11,7 @@ use crate::problem::Problem;
 use crate::rig::config;
 use crate::rig::reach::{bench, reach};
 use crate::schedule::experiment::Experiment;
+use crate::schedule::kept;
 use crate::schedule::lint::lint;
 use crate::schedule::plan::{Kind, Plan};
 use crate::schedule::preflight::Preflight;
@@ -95,6 +96,26 @@ impl Prepared {
         match self.plan.kind {
             Kind::RealHex => RunKind::RealHex,
             Kind::RealRandom => RunKind::RealRandom,
+        }
+    }
+
+    /// Checks that this version plans the run as it was planned when it was queued.
+    ///
+    /// # Errors
+    /// `ConductorError::PlanDiffers` with the differing places.
+    pub fn matches(&self, run: &RunRow, stored: &str) -> Result<(), ConductorError> {
+        let difference = kept::difference(stored, &self.plan)
+            .unwrap_or_else(|error| Some(format!("the stored plan cannot be read: {error}")));
+        match difference {
+            None => Ok(()),
+            Some(difference) => Err(ConductorError::PlanDiffers {
+                run: run.scan_id,
+                version: match &run.git_commit {
+                    Some(commit) => format!("{} (commit {commit})", run.version),
+                    None => run.version.clone(),
+                },
+                difference,
+            }),
         }
     }
 

@@ -1,8 +1,8 @@
 //! Decides after a start of the service, from the open and waiting runs of the earlier process,
 //! which run is driven first, which runs still wait, and which a person must start again.
-//! PURE. Uses: `campaign::run::run_state`, `store` (its rows). Never: the rig, a request.
+//! PURE. Uses: `state`, `store` (its rows). Never: the rig, a request.
 
-use crate::campaign::run::run_state::{PausedWhy, RunState};
+use crate::state::{PausedWhy, StoredState};
 use crate::store::RunRow;
 
 /// This start of the service does not allow automatic resumes.
@@ -49,8 +49,7 @@ impl TakenOver {
 /// Whether a run was driven without a person. A run that waited for a person, was tripped, or was
 /// ending when the process ended does not resume automatically: a person may be at the rig.
 fn was_driven(run: &RunRow) -> bool {
-    run.state == RunState::Running.as_str()
-        || run.paused_why.as_deref() == Some(PausedWhy::Restart.as_str())
+    run.state == StoredState::Running || run.paused_why == Some(PausedWhy::Restart)
 }
 
 #[cfg(test)]
@@ -59,7 +58,7 @@ mod tests {
     use crate::ids::RunUid;
     use crate::store::{Label, RunKind};
 
-    fn run(state: &str, paused_why: Option<&str>, auto_resume: bool) -> RunRow {
+    fn run(state: StoredState, paused_why: Option<PausedWhy>, auto_resume: bool) -> RunRow {
         RunRow {
             uid: RunUid::new(),
             scan_id: 1,
@@ -80,9 +79,10 @@ mod tests {
             tip_diameter_mm: None,
             trials_planned: 1,
             auto_resume,
-            state: state.into(),
+            plan_sha256: None,
+            state,
             requested_state: None,
-            paused_why: paused_why.map(Into::into),
+            paused_why,
             exit_status: None,
             reason: None,
             queue_position: None,
@@ -100,7 +100,7 @@ mod tests {
         waits_and_may: Option<bool>,
         resume: bool,
     ) -> (bool, bool, Option<&'static str>) {
-        let waiting = waits_and_may.map(|may| run("queued", None, may));
+        let waiting = waits_and_may.map(|may| run(StoredState::Queued, None, may));
         let taken =
             TakenOver::of(open.into_iter().collect(), waiting.into_iter().collect(), resume);
         let why = taken.dropped.first().map(|(_, why)| *why);
@@ -109,22 +109,24 @@ mod tests {
 
     #[test]
     fn a_run_that_was_under_way_goes_on_where_its_arming_allows_it() {
-        let running = |may| Some(run("running", None, may));
+        let running = |may| Some(run(StoredState::Running, None, may));
         assert_eq!(becomes(running(true), None, true), (true, false, None));
         assert_eq!(becomes(running(false), None, true), (false, false, None));
         assert_eq!(becomes(running(true), None, false), (false, false, None));
-        let restarted = run("paused", Some("restart"), true);
+        let restarted = run(StoredState::Paused, Some(PausedWhy::Restart), true);
         assert_eq!(becomes(Some(restarted), None, true), (true, false, None));
-        for (state, why) in
-            [("paused", Some("operator")), ("paused", Some("trip")), ("stopping", None)]
-        {
+        for (state, why) in [
+            (StoredState::Paused, Some(PausedWhy::Operator)),
+            (StoredState::Paused, Some(PausedWhy::Trip)),
+            (StoredState::Stopping, None),
+        ] {
             assert_eq!(becomes(Some(run(state, why, true)), None, true), (false, false, None));
         }
     }
 
     #[test]
     fn a_run_that_waits_keeps_its_turn_where_its_arming_allows_it() {
-        let running = |may| Some(run("running", None, may));
+        let running = |may| Some(run(StoredState::Running, None, may));
         // Behind one that resumes, behind one that may not, and without one before it.
         assert_eq!(becomes(running(true), Some(true), true), (true, true, None));
         assert_eq!(becomes(running(false), Some(true), true), (false, true, None));
@@ -136,7 +138,7 @@ mod tests {
 
     #[test]
     fn nothing_begins_by_itself_where_somebody_may_be_at_the_rig() {
-        let change = run("paused", Some("tip_change"), true);
+        let change = run(StoredState::Paused, Some(PausedWhy::TipChange), true);
         assert_eq!(becomes(Some(change), Some(true), true), (false, false, Some(SOMEBODY_THERE)));
     }
 }

@@ -8,6 +8,7 @@ use crate::core::{Store, StoreError};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::{Event, ExitStatus, Journal, JournalError, Mounting, Progress};
 use crate::record::{AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord};
+use crate::state::StateChange;
 
 #[async_trait]
 impl Journal for Store {
@@ -52,14 +53,10 @@ impl Journal for Store {
     async fn run_state(
         &self,
         run: RunUid,
-        state: &str,
-        requested: Option<&str>,
-        why: Option<&str>,
+        change: StateChange,
         at: Timestamp,
     ) -> Result<(), JournalError> {
-        self.set_run_state(run, state, requested, why, at)
-            .await
-            .map_err(StoreError::of("the state of a run"))
+        self.set_run_state(run, change, at).await.map_err(StoreError::of("the state of a run"))
     }
 
     async fn end_run(

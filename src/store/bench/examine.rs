@@ -8,9 +8,10 @@ use std::time::Duration;
 use sqlx::ConnectOptions;
 use sqlx::sqlite::SqliteConnection;
 
-use crate::core::columns::{Columns, sha256_hex};
+use crate::core::columns::Columns;
 use crate::core::store::Soundness;
 use crate::core::{During, Store, StoreError};
+use crate::digest::sha256_hex;
 use crate::ids::TrialId;
 use crate::table::assemble::rows_of_ids;
 use crate::table::checksum;
@@ -109,11 +110,13 @@ async fn structure(connection: &mut SqliteConnection) -> Result<Vec<String>, Sto
     Ok(findings)
 }
 
-/// Returns the runs whose stored files differ from their sha256: a resume would compute another plan.
+/// Returns the runs whose stored files differ from their sha256, so that a resume would compute another
+/// plan, and the plans that differ from theirs.
 async fn changed_texts(connection: &mut SqliteConnection) -> Result<Vec<String>, StoreError> {
     const TEXTS: [(&str, &str); 3] =
         [("definition", "definition_sha256"), ("rig", "rig_sha256"), ("sensor", "sensor_sha256")];
-    let rows = sqlx::query("SELECT * FROM runs").fetch_all(connection).await.during(OPERATION)?;
+    let rows =
+        sqlx::query("SELECT * FROM runs").fetch_all(&mut *connection).await.during(OPERATION)?;
     let mut findings = Vec::new();
     for row in &rows {
         let c = Columns::of(row, OPERATION);
@@ -125,6 +128,13 @@ async fn changed_texts(connection: &mut SqliteConnection) -> Result<Vec<String>,
                     .push(format!("the {text} file of run {run} was changed after it was stored"));
             }
         }
+    }
+    let plans: Vec<(String, String)> = sqlx::query_as("SELECT sha256, plan FROM plans")
+        .fetch_all(connection)
+        .await
+        .during(OPERATION)?;
+    for (sha256, _) in plans.iter().filter(|(sha256, plan)| sha256_hex(plan) != *sha256) {
+        findings.push(format!("the plan {sha256} was changed after it was stored"));
     }
     Ok(findings)
 }

@@ -6,6 +6,7 @@ pub(crate) mod run_row;
 /// Storing, listing and reading runs.
 mod runs;
 /// The state and the end of a run.
+mod plans;
 mod run_state;
 /// Queued runs, and started runs that wait for their turn.
 mod queue;

@@ -1,16 +1,19 @@
 //! The row of a run: its inputs, its state and its end; inserting and decoding it.
-//! Uses: `core`, `journal`. Never: a change of a state (`run_state`).
+//! Uses: `core`, `plans`, `journal`, `state`. Never: a change of a state (`run_state`).
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::{SqliteConnection, SqliteRow};
 use utoipa::ToSchema;
 
-use crate::core::columns::{Columns, sha256_hex};
+use super::plans;
+use crate::core::columns::Columns;
 use crate::core::facts::{Label, RunKind};
 use crate::core::{During, StoreError};
+use crate::digest::sha256_hex;
 use crate::ids::RunUid;
 use crate::journal::ExitStatus;
+use crate::state::{PausedWhy, StoredState};
 
 /// Inputs of a run that is to be stored.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,6 +44,8 @@ pub struct NewRun {
     pub deadband_n: f64,
     /// Diameter of a tip, mm; absent if the sensor file does not state it.
     pub tip_diameter_mm: Option<f64>,
+    /// Its plan as JSON; absent for an import.
+    pub plan: Option<String>,
     /// Number of trials of its plan.
     pub trials_planned: u64,
     /// Whether it may resume automatically after a restart.
@@ -90,12 +95,15 @@ pub struct RunRow {
     pub trials_planned: u64,
     /// Whether it may resume automatically after a restart.
     pub auto_resume: bool,
-    /// `queued`, a state of the engine, `interrupted`, `ended` or `removed`.
-    pub state: String,
+    /// sha256 of its plan; absent for an import, and for a run of an older version that has not been
+    /// armed since.
+    pub plan_sha256: Option<String>,
+    /// State of the run.
+    pub state: StoredState,
     /// Requested state that is not reached yet; absent without a request.
-    pub requested_state: Option<String>,
+    pub requested_state: Option<StoredState>,
     /// Cause of the pause; absent unless it is paused or interrupted.
-    pub paused_why: Option<String>,
+    pub paused_why: Option<PausedWhy>,
     /// Exit status; absent until it ends.
     pub exit_status: Option<ExitStatus>,
     /// Reason of the exit status; absent until it ends.
@@ -130,10 +138,6 @@ pub struct RunPage {
 impl RunRow {
     pub(crate) fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
         let c = Columns::of(row, operation);
-        let exit_status = match c.get::<Option<&str>>("exit_status")? {
-            None => None,
-            Some(_) => Some(c.word("exit_status")?),
-        };
         Ok(Self {
             uid: c.uid("uid")?,
             scan_id: c.get("scan_id")?,
@@ -154,10 +158,11 @@ impl RunRow {
             tip_diameter_mm: c.get("tip_diameter_mm")?,
             trials_planned: c.whole("trials_planned")?,
             auto_resume: c.get("auto_resume")?,
-            state: c.get("state")?,
-            requested_state: c.get("requested_state")?,
-            paused_why: c.get("paused_why")?,
-            exit_status,
+            plan_sha256: c.get("plan_sha256")?,
+            state: c.word("state")?,
+            requested_state: c.word_or_none("requested_state")?,
+            paused_why: c.word_or_none("paused_why")?,
+            exit_status: c.word_or_none("exit_status")?,
             reason: c.get("reason")?,
             queue_position: c.whole_or_none("queue_position")?,
             waiting_since: c.time_or_none("waiting_since")?,
@@ -190,15 +195,19 @@ pub(crate) async fn insert(
     if !new.deadband_n.is_finite() {
         return Err(refused("deadband_n", "must be finite"));
     }
+    let plan_sha256 = match &new.plan {
+        Some(plan) => Some(plans::keep(&mut *connection, plan, operation).await?),
+        None => None,
+    };
     let row = sqlx::query(
         "INSERT INTO runs (uid, experiment, kind, definition, definition_sha256, seed, rig,
              rig_sha256, sensor, sensor_sha256, calibration_id, label, version, git_commit,
              deadband_n, tip_diameter_mm, trials_planned, auto_resume, state, queue_position,
-             created_at, submitted_by)
+             created_at, submitted_by, plan_sha256)
          VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18,
              ?19, CASE WHEN ?19 = 'queued'
                   THEN (SELECT coalesce(max(queue_position), 0) + 1 FROM runs) END,
-             ?20, ?21)
+             ?20, ?21, ?22)
          RETURNING *",
     )
     .bind(new.uid.to_string())
@@ -219,9 +228,10 @@ pub(crate) async fn insert(
     .bind(new.tip_diameter_mm)
     .bind(planned)
     .bind(new.auto_resume)
-    .bind(if queued { "queued" } else { "idle" })
+    .bind(if queued { StoredState::Queued } else { StoredState::Idle }.as_str())
     .bind(now)
     .bind(&new.submitted_by)
+    .bind(plan_sha256)
     .fetch_one(connection)
     .await
     .during(operation)?;

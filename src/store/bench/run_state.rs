@@ -8,6 +8,7 @@ use crate::core::columns::time_text;
 use crate::core::{During, Store, StoreError};
 use crate::ids::RunUid;
 use crate::journal::ExitStatus;
+use crate::state::{PausedWhy, StateChange, StoredState};
 
 impl Store {
     /// Marks the runs that an earlier process did not end as `interrupted`, except for `but`. Call it
@@ -44,20 +45,15 @@ impl Store {
     pub(crate) async fn set_run_state(
         &self,
         run: RunUid,
-        state: &str,
-        requested: Option<&str>,
-        why: Option<&str>,
+        change: StateChange,
         at: Timestamp,
     ) -> Result<(), StoreError> {
         const OPERATION: &str = "storing a run's state";
-        const OWN: [&str; 3] = ["queued", "ended", "removed"];
-        if OWN.contains(&state) {
+        if matches!(change.state, StoredState::Queued | StoredState::Ended | StoredState::Removed) {
             let limit =
                 "must be a state of the engine (only the store sets queued, ended and removed)";
             return Err(StoreError::Refused { operation: OPERATION, field: "state", limit });
         }
-        let (state, requested, why) =
-            (state.to_owned(), requested.map(str::to_owned), why.map(str::to_owned));
         let at = time_text(at);
         self.inner
             .writer
@@ -70,9 +66,9 @@ impl Store {
                      WHERE uid = ?1 AND state NOT IN ('ended', 'removed')",
                 )
                 .bind(run.to_string())
-                .bind(state)
-                .bind(requested)
-                .bind(why)
+                .bind(change.state.as_str())
+                .bind(change.requested.map(StoredState::as_str))
+                .bind(change.why.map(PausedWhy::as_str))
                 .bind(at)
                 .execute(&mut *connection)
                 .await

@@ -4,7 +4,6 @@
 use jiff::Timestamp;
 use serde::de::IntoDeserializer;
 use serde::de::value::StrDeserializer;
-use sha2::{Digest, Sha256};
 use sqlx::Row;
 use sqlx::sqlite::{Sqlite, SqliteRow};
 
@@ -14,11 +13,6 @@ use crate::ids::RunUid;
 /// Returns a time as it is stored: RFC 3339, UTC, truncated to milliseconds.
 pub(crate) fn time_text(at: Timestamp) -> String {
     format!("{at:.3}")
-}
-
-/// Returns the sha256 of a text, in hexadecimal digits.
-pub(crate) fn sha256_hex(text: &str) -> String {
-    hex::encode(Sha256::digest(text.as_bytes()))
 }
 
 /// Returns the counts of a frame as they are stored: little-endian i16.
@@ -115,6 +109,14 @@ impl<'r> Columns<'r> {
     ) -> Result<T, StoreError> {
         let text: &str = self.get(column)?;
         word(text).ok_or_else(|| self.unreadable(column, text))
+    }
+
+    /// Like `word`; `None` for NULL.
+    pub(crate) fn word_or_none<T: serde::de::DeserializeOwned>(
+        &self,
+        column: &'static str,
+    ) -> Result<Option<T>, StoreError> {
+        self.get::<Option<&str>>(column)?.map(|_| self.word(column)).transpose()
     }
 
     /// Returns the counts of a frame, injection-major.

@@ -15,8 +15,9 @@ use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
 use utoipa::ToSchema;
 
-use super::columns::{Columns, sha256_hex, time_text};
+use super::columns::{Columns, time_text};
 use super::{During, Store, StoreError};
+use crate::digest::sha256_hex;
 
 /// Start of the text of every key.
 const PREFIX: &str = "palpate_";

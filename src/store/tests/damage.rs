@@ -14,6 +14,7 @@ use crate::core::store::PAGE_BYTES;
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::Journal;
 use crate::record::{ArmReading, FrameRecord, Pose, ReferenceRecord};
+use crate::state::{StateChange, StoredState};
 use crate::{RunKind, Soundness, Store, StoreError, TrialQuery};
 
 /// Number of trials in the file that is damaged.
@@ -24,7 +25,7 @@ const PAGE: usize = PAGE_BYTES as usize;
 async fn filled(folder: &Folder) -> RunUid {
     let store = open(&folder.file()).await;
     let run = store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid;
-    store.run_state(run, "running", None, None, now()).await.unwrap();
+    store.run_state(run, StateChange::to(StoredState::Running), now()).await.unwrap();
     for n in 0..TRIALS {
         let mut trial = hex_trial(n / 11, n % 11, &[f64::from(n), 7.5]);
         trial.frames.push(FrameRecord { sequence: n, ..trial.frames[0].clone() });

@@ -8,6 +8,7 @@ use sqlx::sqlite::SqliteConnectOptions;
 use super::{Folder, new_run, open, random_trial, time};
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::Journal;
+use crate::state::StoredState;
 use crate::{
     Contact, DatasetRow, ExportEnd, ExportState, ImportedTrial, Label, NewRun, NewTwinModel,
     RunKind, Store, TrialQuery,
@@ -18,6 +19,7 @@ fn imported() -> NewRun {
         kind: RunKind::Imported,
         seed: None,
         rig: None,
+        plan: None,
         label: Label::Measured,
         deadband_n: 0.0,
         ..new_run(RunKind::Imported)
@@ -48,7 +50,7 @@ async fn an_import_is_a_run_whose_trials_lack_what_was_not_known() {
     let folder = Folder::new();
     let store = open(&folder.file()).await;
     let run = store.begin_import(imported()).await.unwrap();
-    assert_eq!(store.run(run.uid).await.unwrap().unwrap().state, "removed");
+    assert_eq!(store.run(run.uid).await.unwrap().unwrap().state, StoredState::Removed);
     let model = NewTwinModel {
         hash: "sim-1".into(),
         sensor_sha256: "s".into(),
@@ -59,7 +61,7 @@ async fn an_import_is_a_run_whose_trials_lack_what_was_not_known() {
     let model = store.twin_model(model).await.unwrap();
     store.import_trials(run.uid, Some(model), vec![elsewhere(0), elsewhere(4)]).await.unwrap();
     let ended = store.end_import(run.uid).await.unwrap();
-    assert_eq!((ended.state.as_str(), ended.seed, ended.rig), ("ended", None, None));
+    assert_eq!((ended.state, ended.seed, ended.rig), (StoredState::Ended, None, None));
     let trials = all(&store, run.uid).await;
     assert_eq!(trials.len(), 2);
     let trial = &trials[1];

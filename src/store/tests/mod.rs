@@ -66,6 +66,7 @@ fn new_run(kind: RunKind) -> NewRun {
         rig: Some("rig".into()),
         sensor: "sensor".into(),
         calibration_id: None,
+        plan: None,
         label: Label::Virtual,
         version: "0.1.0".into(),
         git_commit: Some("abc".into()),

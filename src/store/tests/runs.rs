@@ -4,6 +4,7 @@
 use super::{Folder, hex_trial, new_run, now, open, time};
 use crate::ids::RunUid;
 use crate::journal::{ExitStatus, Journal};
+use crate::state::{PausedWhy, StateChange, StoredState};
 use crate::{RunKind, StoreError};
 
 #[tokio::test]
@@ -12,7 +13,7 @@ async fn a_run_keeps_its_provenance() {
     let store = open(&folder.file()).await;
     let new = new_run(RunKind::RealRandom);
     let row = store.create_run(new.clone()).await.unwrap();
-    assert_eq!((row.scan_id, row.state.as_str(), row.seed), (1, "idle", Some(7)));
+    assert_eq!((row.scan_id, row.state, row.seed), (1, StoredState::Idle, Some(7)));
     assert_eq!(row.definition, new.definition);
     // printf rig | sha256sum
     let known = "c00ae0a63348054ecc8343f23278fe13bfa5c44255e208ff6102ffc2d7910a53";
@@ -35,27 +36,34 @@ async fn states_go_on_until_the_end_and_no_further() {
     let run = store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid;
     assert_eq!(store.run(run).await.unwrap().unwrap().queue_position, Some(1));
     let at = time("2026-11-20T18:00:00.5Z");
-    store.run_state(run, "running", Some("pausing"), None, at).await.unwrap();
+    let pausing = Some(StoredState::Pausing);
+    let change = StateChange { requested: pausing, ..StateChange::to(StoredState::Running) };
+    store.run_state(run, change, at).await.unwrap();
     let row = store.run(run).await.unwrap().unwrap();
     assert_eq!(row.started_at, Some(at), "when it happened, not when it was written");
-    assert_eq!((row.state.as_str(), row.queue_position), ("running", None));
-    assert_eq!(row.requested_state.as_deref(), Some("pausing"));
+    assert_eq!((row.state, row.queue_position), (StoredState::Running, None));
+    assert_eq!(row.requested_state, pausing);
     let started = row.started_at.unwrap();
-    store.run_state(run, "paused", None, Some("tip change"), now()).await.unwrap();
+    let why = Some(PausedWhy::TipChange);
+    let change = StateChange { why, ..StateChange::to(StoredState::Paused) };
+    store.run_state(run, change, now()).await.unwrap();
     let row = store.run(run).await.unwrap().unwrap();
-    assert_eq!((row.paused_why.as_deref(), row.requested_state), (Some("tip change"), None));
+    assert_eq!((row.paused_why, row.requested_state), (why, None));
     assert_eq!(row.started_at, Some(started));
-    assert!(store.run_state(run, "queued", None, None, now()).await.is_err());
+    assert!(store.run_state(run, StateChange::to(StoredState::Queued), now()).await.is_err());
 
     store.end_run(run, ExitStatus::Success, "finished", now()).await.unwrap();
     let ended = store.run(run).await.unwrap().unwrap();
-    assert_eq!((ended.state.as_str(), ended.exit_status), ("ended", Some(ExitStatus::Success)));
-    assert_eq!((ended.reason.as_deref(), ended.paused_why.clone()), (Some("finished"), None));
+    assert_eq!((ended.state, ended.exit_status), (StoredState::Ended, Some(ExitStatus::Success)));
+    assert_eq!((ended.reason.as_deref(), ended.paused_why), (Some("finished"), None));
     store.end_run(run, ExitStatus::Success, "asked twice", now()).await.unwrap();
     assert!(store.end_run(run, ExitStatus::Fail, "no", now()).await.is_err());
-    assert!(store.run_state(run, "running", None, None, now()).await.is_err());
+    assert!(store.run_state(run, StateChange::to(StoredState::Running), now()).await.is_err());
     assert_eq!(store.run(run).await.unwrap().unwrap(), ended);
-    let unknown = store.run_state(RunUid::new(), "running", None, None, now()).await.unwrap_err();
+    let unknown = store
+        .run_state(RunUid::new(), StateChange::to(StoredState::Running), now())
+        .await
+        .unwrap_err();
     let cause = std::error::Error::source(&unknown).unwrap().to_string();
     assert!(cause.contains("there is no run"), "{cause}");
 }
@@ -65,19 +73,21 @@ async fn open_runs_are_interrupted_at_the_start() {
     let folder = Folder::new();
     let store = open(&folder.file()).await;
     let mut uids = Vec::new();
-    for state in ["running", "paused", "ended", "queued"] {
+    use StoredState::{Ended, Paused, Queued, Running};
+    for state in [Running, Paused, Ended, Queued] {
         let new = new_run(RunKind::RealHex);
         let uid = new.uid;
-        if state == "queued" {
+        if state == Queued {
             store.enqueue(new).await.unwrap();
         } else {
             store.create_run(new).await.unwrap();
-            store.run_state(uid, "running", None, None, now()).await.unwrap();
+            store.run_state(uid, StateChange::to(StoredState::Running), now()).await.unwrap();
         }
-        if state == "paused" {
-            store.run_state(uid, state, Some("running"), Some("operator"), now()).await.unwrap();
+        if state == Paused {
+            let (requested, why) = (Some(Running), Some(PausedWhy::Operator));
+            store.run_state(uid, StateChange { state, requested, why }, now()).await.unwrap();
         }
-        if state == "ended" {
+        if state == Ended {
             store.end_run(uid, ExitStatus::Abort, "by request", now()).await.unwrap();
         }
         uids.push(uid);
@@ -90,8 +100,8 @@ async fn open_runs_are_interrupted_at_the_start() {
     store.interrupt_open_runs(None).await.unwrap();
     assert!(open().await.is_empty());
     let left = store.run(uids[1]).await.unwrap().unwrap();
-    assert_eq!((left.state.as_str(), left.requested_state), ("interrupted", None));
-    store.run_state(uids[0], "running", None, None, now()).await.unwrap();
+    assert_eq!((left.state, left.requested_state), (StoredState::Interrupted, None));
+    store.run_state(uids[0], StateChange::to(StoredState::Running), now()).await.unwrap();
 }
 
 #[tokio::test]
@@ -114,12 +124,12 @@ async fn the_queue_is_in_the_order_that_was_asked_for() {
     assert_eq!(order(store.move_item(a, 3).await.unwrap()), [b, c, a, d]);
     assert_eq!(store.next_queued().await.unwrap().unwrap().uid, b);
     let removed = store.remove(c).await.unwrap();
-    assert_eq!((removed.state.as_str(), removed.queue_position), ("removed", None));
+    assert_eq!((removed.state, removed.queue_position), (StoredState::Removed, None));
     assert_eq!(order(store.queue().await.unwrap()), [b, a, d]);
     assert!(matches!(store.remove(c).await, Err(StoreError::NotQueued(u)) if u == c));
     assert!(matches!(store.move_item(c, 1).await, Err(StoreError::NotQueued(_))));
-    assert!(store.run_state(c, "running", None, None, now()).await.is_err());
-    store.run_state(b, "running", None, None, now()).await.unwrap();
+    assert!(store.run_state(c, StateChange::to(StoredState::Running), now()).await.is_err());
+    store.run_state(b, StateChange::to(StoredState::Running), now()).await.unwrap();
     assert_eq!(store.next_queued().await.unwrap().unwrap().uid, a);
 }
 
@@ -153,7 +163,7 @@ async fn a_run_that_waits_for_its_turn_does_so_through_a_crash() {
     }
     let [a, b, c, d] = uids[..] else { panic!() };
     assert!(store.waiting_runs().await.unwrap().is_empty());
-    store.run_state(a, "running", None, None, now()).await.unwrap();
+    store.run_state(a, StateChange::to(StoredState::Running), now()).await.unwrap();
     for run in [d, b, c] {
         store.set_waiting(run).await.unwrap();
     }
@@ -170,7 +180,7 @@ async fn a_run_that_waits_for_its_turn_does_so_through_a_crash() {
     // One is removed from the queue, one begins, one must be started again.
     store.remove(b).await.unwrap();
     assert_eq!(waiting().await, [c, d]);
-    store.run_state(c, "running", None, None, now()).await.unwrap();
+    store.run_state(c, StateChange::to(StoredState::Running), now()).await.unwrap();
     assert_eq!(waiting().await, [d]);
     store.clear_waiting(d).await.unwrap();
     assert!(waiting().await.is_empty());
@@ -189,4 +199,40 @@ async fn nothing_is_stored_for_a_run_that_is_not_there() {
     assert!(store.trial(RunUid::new(), &hex_trial(0, 0, &[9.0])).await.is_err());
     assert!(store.event(Some(RunUid::new()), "state", serde_json::json!({}), now()).await.is_err());
     assert!(store.events_since(0, 10, None).await.unwrap().is_empty());
+}
+
+#[tokio::test]
+async fn a_plan_is_kept_once_and_read_with_its_digest() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let with_plan = |plan: &str| {
+        let mut new = new_run(RunKind::RealHex);
+        new.plan = Some(plan.into());
+        new
+    };
+    let first = store.enqueue(with_plan("{\"steps\":[1]}")).await.unwrap();
+    let same = store.enqueue(with_plan("{\"steps\":[1]}")).await.unwrap();
+    assert_eq!(first.plan_sha256, same.plan_sha256);
+    assert_eq!(store.plan_of(same.uid).await.unwrap().as_deref(), Some("{\"steps\":[1]}"));
+
+    // Queued by an older version: kept later, and then never replaced.
+    let older = store.enqueue(new_run(RunKind::RealHex)).await.unwrap();
+    assert_eq!(store.plan_of(older.uid).await.unwrap(), None);
+    store.keep_plan(older.uid, "{\"steps\":[2]}".into()).await.unwrap();
+    store.keep_plan(older.uid, "{\"steps\":[3]}".into()).await.unwrap();
+    assert_eq!(store.plan_of(older.uid).await.unwrap().as_deref(), Some("{\"steps\":[2]}"));
+    assert!(matches!(store.plan_of(RunUid::new()).await, Err(StoreError::NoSuchRun(_))));
+
+    store
+        .inner
+        .writer
+        .run("changing a plan", async |c| {
+            sqlx::query("UPDATE plans SET plan = '{}'").execute(c).await.unwrap();
+            Ok(())
+        })
+        .await
+        .unwrap();
+    let damaged = store.plan_of(first.uid).await.unwrap_err().to_string();
+    assert!(damaged.contains("was changed after it was stored"), "{damaged}");
+    assert!(store.integrity_check().await.is_err());
 }

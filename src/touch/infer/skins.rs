@@ -16,6 +16,7 @@ use crate::dataset::file::NewFile;
 use crate::dataset::pressed::{contacts, force_noise_n};
 use crate::problem::Problem;
 use crate::simulate::model::load_or_build;
+use crate::state::StoredState;
 use crate::store::{Condition, MAX_PAGE, RunKind, RunRow, Store, TrialQuery, TrialRow};
 
 /// Number of newest runs that are searched for the one with the known trials.
@@ -66,7 +67,7 @@ impl Skins {
             Some(uid) => run.uid.to_string() == *uid,
             None => {
                 let same = Sensor::from_toml(&run.sensor).is_ok_and(|s| s.file == sensor.file);
-                run.kind == RunKind::RealHex && run.state == "ended" && same
+                run.kind == RunKind::RealHex && run.state == StoredState::Ended && same
             }
         };
         let Some(run) = runs.iter().find(fits) else { return Ok(Vec::new()) };

@@ -20,6 +20,7 @@ use virtual_rig::run::VirtualRig;
 
 use super::journal::Scripted;
 use crate::bench::{self, LIMIT, rig_args};
+use palpate::state::StoredState;
 
 /// Process seconds in a wall second: each fault is over in seconds, and this computer's lateness,
 /// 5 ms of the wall, is 40 ms of the rig.
@@ -140,7 +141,8 @@ impl Harness {
         let ended = |s: &Status| s.rig.state == RigState::Tripped && s.rig.safe_end.is_some();
         let status = self.until("a trip", ended).await;
         // Of the run, the state that follows.
-        self.until("a halt", |s| s.run.as_ref().is_none_or(|r| r.state != "running")).await;
+        self.until("a halt", |s| s.run.as_ref().is_none_or(|r| r.state != StoredState::Running))
+            .await;
         status
     }
 

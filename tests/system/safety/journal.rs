@@ -9,6 +9,7 @@ use jiff::Timestamp;
 use palpate::ids::{RunUid, TrialId, TrialKey};
 use palpate::journal::{Event, ExitStatus, Journal, JournalError, Mounting, Progress};
 use palpate::record::{AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord};
+use palpate::state::StateChange;
 use serde_json::Value;
 use tokio::sync::watch;
 
@@ -122,12 +123,10 @@ impl Journal for Scripted {
     async fn run_state(
         &self,
         _: RunUid,
-        state: &str,
-        _: Option<&str>,
-        _: Option<&str>,
+        change: StateChange,
         _: Timestamp,
     ) -> Result<(), JournalError> {
-        self.write(&format!("run {state}")).await.map(drop)
+        self.write(&format!("run {}", change.state)).await.map(drop)
     }
 
     async fn end_run(

@@ -12,6 +12,7 @@ use serde_json::json;
 
 use super::harness::{Harness, experiment};
 use super::journal::Mood;
+use palpate::state::StoredState;
 
 /// Tripped by this kind, in these words.
 fn cause(status: &Status, kind: TripKind, words: &str) {
@@ -164,10 +165,14 @@ async fn an_alarm_of_z_in_contact_is_for_a_person_and_the_run_goes_on_afterwards
     harness.fault("alarm", "z", json!({ "count": 1 })).await;
     let status = harness.tripped().await;
     assert!(matches!(status.rig.safe_end.unwrap().tips, Tips::NotRaised(_)));
-    harness.until("panicked", |s| s.run.as_ref().is_some_and(|r| r.state == "panicked")).await;
+    harness
+        .until("panicked", |s| s.run.as_ref().is_some_and(|r| r.state == StoredState::Panicked))
+        .await;
     harness.tell(json!({ "cmd": "mend" })).await;
     harness.ask(Request::Reset).await.unwrap();
-    harness.until("paused", |s| s.run.as_ref().is_some_and(|r| r.state == "paused")).await;
+    harness
+        .until("paused", |s| s.run.as_ref().is_some_and(|r| r.state == StoredState::Paused))
+        .await;
     harness.home().await;
     harness.ask(Request::Resume).await.unwrap();
     harness.until("the end", |s| s.run.is_none()).await;
@@ -213,7 +218,9 @@ async fn a_store_that_fails_raises_and_the_run_goes_on_when_it_is_back() {
         harness.run(2, "").await;
         harness.stored(2).await;
         harness.journal.set(mood);
-        harness.until("paused", |s| s.run.as_ref().is_some_and(|r| r.state == "paused")).await;
+        harness
+            .until("paused", |s| s.run.as_ref().is_some_and(|r| r.state == StoredState::Paused))
+            .await;
         harness.is_safe().await;
         assert_eq!(harness.handle.status().rig.state, RigState::Armed, "{mood:?}");
         harness.journal.set(Mood::Sound);

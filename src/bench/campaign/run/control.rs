@@ -19,6 +19,7 @@ use crate::campaign::shown::command::{Envelope, Inbox, Refusal, Request};
 use crate::campaign::shown::status::{Phase, RunStatus, Status};
 use crate::ids::RunUid;
 use crate::journal::{Journal, JournalError};
+use crate::state::StateChange;
 
 /// Longest wait for the store, for a trial or for earlier notes to be durable.
 pub const STORE_LIMIT: Duration = Duration::from_secs(30);
@@ -152,15 +153,11 @@ impl Control {
     }
 
     fn publish_run_state(&mut self, state: RunState) {
-        let requested = match state {
-            RunState::Pausing(_) | RunState::Suspending(_) => Some("paused"),
-            RunState::Stopping | RunState::Aborting => Some("idle"),
-            RunState::Idle | RunState::Running | RunState::Paused(_) | RunState::Panicked => None,
-        };
+        let change = state.change();
         self.show_run(|run| {
-            run.state = state.as_str().into();
-            run.requested_state = requested.map(Into::into);
-            run.paused_why = state.why();
+            run.state = change.state;
+            run.requested_state = change.requested;
+            run.paused_why = change.why;
             if state == RunState::Running {
                 run.waiting_for = None;
                 run.wanted = None;
@@ -168,17 +165,9 @@ impl Control {
         });
         // The end of a run is recorded by `EndRun`, with its status.
         if let Some(run) = self.current.filter(|_| state != RunState::Idle) {
-            let why = state.why().map(PausedWhy::as_str);
-            self.diary.note(Note::RunState(
-                run,
-                state.as_str().into(),
-                requested.map(Into::into),
-                why.map(Into::into),
-            ));
-            self.say(
-                "state",
-                json!({ "state": state.as_str(), "requested": requested, "why": why }),
-            );
+            let StateChange { state, requested, why } = change;
+            self.diary.note(Note::RunState(run, change));
+            self.say("state", json!({ "state": state, "requested": requested, "why": why }));
         }
     }
 

@@ -1,5 +1,5 @@
 //! The state machine of the run: one enum, one diagram, one function.
-//! PURE. Uses: `journal`. Never: motion, storage, time.
+//! PURE. Uses: `journal`, `state`. Never: motion, storage, time.
 //!
 //! ```text
 //!              start                     pause at checkpoint / need a person
@@ -18,46 +18,12 @@
 //! ```
 //! `requested` is the last requested state; the state is the one that has been reached.
 
-use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
-
 use crate::journal::ExitStatus;
-
-/// Reason why a run waits.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum PausedWhy {
-    /// A person requested it.
-    Operator,
-    /// Tips must be mounted or removed.
-    TipChange,
-    /// Weights must be placed by a person.
-    ManualTrial,
-    /// A suspender suspended it.
-    Suspender,
-    /// A limit or a fault tripped the rig.
-    Trip,
-    /// The service was restarted during the run.
-    Restart,
-}
-
-impl PausedWhy {
-    /// Name of the reason, as stored.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            PausedWhy::Operator => "operator",
-            PausedWhy::TipChange => "tip_change",
-            PausedWhy::ManualTrial => "manual_trial",
-            PausedWhy::Suspender => "suspender",
-            PausedWhy::Trip => "trip",
-            PausedWhy::Restart => "restart",
-        }
-    }
-}
+pub use crate::state::PausedWhy;
+use crate::state::{StateChange, StoredState};
 
 /// State that a run has reached (names as in Bluesky).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case", tag = "state", content = "why")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RunState {
     /// No run is active.
     Idle,
@@ -78,18 +44,37 @@ pub enum RunState {
 }
 
 impl RunState {
-    /// Name of the state, as stored.
-    pub fn as_str(self) -> &'static str {
+    /// The state as it is stored and shown, without its reason.
+    pub fn stored(self) -> StoredState {
         match self {
-            RunState::Idle => "idle",
-            RunState::Running => "running",
-            RunState::Pausing(_) => "pausing",
-            RunState::Paused(_) => "paused",
-            RunState::Stopping => "stopping",
-            RunState::Aborting => "aborting",
-            RunState::Suspending(_) => "suspending",
-            RunState::Panicked => "panicked",
+            RunState::Idle => StoredState::Idle,
+            RunState::Running => StoredState::Running,
+            RunState::Pausing(_) => StoredState::Pausing,
+            RunState::Paused(_) => StoredState::Paused,
+            RunState::Stopping => StoredState::Stopping,
+            RunState::Aborting => StoredState::Aborting,
+            RunState::Suspending(_) => StoredState::Suspending,
+            RunState::Panicked => StoredState::Panicked,
         }
+    }
+
+    /// Text of the state.
+    pub fn as_str(self) -> &'static str {
+        self.stored().as_str()
+    }
+
+    /// State that was requested and is not reached yet; none if the state is not a transition.
+    pub fn requested(self) -> Option<StoredState> {
+        match self {
+            RunState::Pausing(_) | RunState::Suspending(_) => Some(StoredState::Paused),
+            RunState::Stopping | RunState::Aborting => Some(StoredState::Idle),
+            RunState::Idle | RunState::Running | RunState::Paused(_) | RunState::Panicked => None,
+        }
+    }
+
+    /// The state with its request and reason, for the journal.
+    pub fn change(self) -> StateChange {
+        StateChange { state: self.stored(), requested: self.requested(), why: self.why() }
     }
 
     /// Reason why the run waits or is about to wait; none in other states.

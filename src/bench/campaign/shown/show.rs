@@ -11,7 +11,6 @@ use crate::campaign::bench::stage::Stage;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::eta::Pace;
 use crate::campaign::run::job::Job;
-use crate::campaign::run::run_state::RunState;
 use crate::campaign::shown::status::{
     Phase, RigStatus, RunStatus, Status, StreamStatus, WireStatus,
 };
@@ -20,6 +19,7 @@ use crate::rig::config::RigConfig;
 use crate::rig::link::LineCounts;
 use crate::rig::registry::OpenBench;
 use crate::rig::traits::Frame;
+use crate::state::StoredState;
 
 /// Shortest time between two frames of the live view, wall: less than one frame period of a rig at
 /// speed 1.
@@ -58,7 +58,7 @@ pub fn started(job: &Job) -> RunStatus {
         uid: job.run,
         scan_id: job.scan_id,
         experiment: job.plan.experiment.clone(),
-        state: RunState::Idle.as_str().into(),
+        state: StoredState::Idle,
         requested_state: None,
         paused_why: None,
         waiting_for: None,

@@ -12,6 +12,7 @@ use crate::campaign::run::run_state::PausedWhy;
 use crate::campaign::safe_end::SafeEnd;
 use crate::ids::{RunUid, TrialKey};
 use crate::record::{PlacedContact, Pose, TouchOffRecord};
+use crate::state::StoredState;
 
 /// Status of rig and run.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
@@ -112,9 +113,9 @@ pub struct RunStatus {
     /// Name of the experiment.
     pub experiment: String,
     /// State that the run has reached.
-    pub state: String,
+    pub state: StoredState,
     /// State that was requested; null once it is reached.
-    pub requested_state: Option<String>,
+    pub requested_state: Option<StoredState>,
     /// Reason why the run waits or is about to wait; null otherwise.
     pub paused_why: Option<PausedWhy>,
     /// What the run waits for, as text; null if it does not wait.

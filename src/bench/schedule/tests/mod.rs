@@ -1,5 +1,6 @@
 //! Properties of every plan, and of the predictions from it.
 
+mod golden;
 mod plans;
 mod predictions;
 
@@ -14,14 +15,14 @@ fn skin() -> Sensor {
     Sensor::from_toml(include_str!("../../../../experiments/sensors/ert-28.toml")).unwrap()
 }
 
-fn hex(seed: u64, keys: &str) -> Experiment {
+pub(super) fn hex(seed: u64, keys: &str) -> Experiment {
     let text = format!(
         "name = \"test\"\nseed = {seed}\nsensor = \"sensors/ert-28.toml\"\n[real_hex]\n{keys}"
     );
     Experiment::from_toml("test.toml", &text).unwrap()
 }
 
-fn planned(experiment: &Experiment) -> Plan {
+pub(super) fn planned(experiment: &Experiment) -> Plan {
     Plan::of("test.toml", experiment, &skin()).unwrap()
 }
 

@@ -145,6 +145,7 @@ fn new_run(import: &Import, sensor: &ImportedSensor, checked: &Checked) -> NewRu
         // Contacts are used as they are in the file.
         deadband_n: 0.0,
         tip_diameter_mm: sensor.tip_diameter_mm,
+        plan: None,
         trials_planned: checked.trials,
         auto_resume: false,
         submitted_by: import.submitted_by.clone(),

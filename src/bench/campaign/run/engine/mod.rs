@@ -30,6 +30,7 @@ use crate::campaign::shown::show;
 use crate::journal::{ExitStatus, Journal, Mounting, error_chain};
 use crate::rig::config::RigConfig;
 use crate::rig::registry::OpenBench;
+use crate::state::{StateChange, StoredState};
 
 mod bench;
 mod decide;
@@ -224,8 +225,9 @@ impl Engine {
         if self.control.run() != RunState::Idle
             && let Some(run) = self.control.run_uid()
         {
-            let why = Some(PausedWhy::Trip.as_str().to_owned());
-            self.control.diary.note(Note::RunState(run, "interrupted".into(), None, why));
+            let why = Some(PausedWhy::Trip);
+            let change = StateChange { why, ..StateChange::to(StoredState::Interrupted) };
+            self.control.diary.note(Note::RunState(run, change));
         }
         self.control.forget_run();
         self.control.show(|status| status.run = None);

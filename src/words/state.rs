@@ -1,0 +1,143 @@
+//! States of a run as they are stored and shown, with their only texts.
+//! PURE. Uses: no other module. Never: which state follows which (`campaign::run::run_state`).
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// State of a run, from submission to end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum StoredState {
+    /// It waits in the queue.
+    Queued,
+    /// It was taken from the queue and has not started.
+    Idle,
+    /// Moving and measuring.
+    Running,
+    /// Pauses after the current trial.
+    Pausing,
+    /// Paused with the tips raised.
+    Paused,
+    /// Ends after the current trial.
+    Stopping,
+    /// Raises the tips now, then ends.
+    Aborting,
+    /// Raises the tips now, then waits.
+    Suspending,
+    /// The tips could not be raised: a person must inspect the rig.
+    Panicked,
+    /// The process that drove it ended; it can resume.
+    Interrupted,
+    /// It has an exit status.
+    Ended,
+    /// It was removed from the queue before it started.
+    Removed,
+}
+
+impl StoredState {
+    /// Text of the state, in the database and on every wire.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Queued => "queued",
+            Self::Idle => "idle",
+            Self::Running => "running",
+            Self::Pausing => "pausing",
+            Self::Paused => "paused",
+            Self::Stopping => "stopping",
+            Self::Aborting => "aborting",
+            Self::Suspending => "suspending",
+            Self::Panicked => "panicked",
+            Self::Interrupted => "interrupted",
+            Self::Ended => "ended",
+            Self::Removed => "removed",
+        }
+    }
+}
+
+impl fmt::Display for StoredState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+/// Reason why a run waits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PausedWhy {
+    /// A person requested it.
+    Operator,
+    /// Tips must be mounted or removed.
+    TipChange,
+    /// Weights must be placed by a person.
+    ManualTrial,
+    /// A suspender suspended it.
+    Suspender,
+    /// A limit or a fault tripped the rig.
+    Trip,
+    /// The service was restarted during the run.
+    Restart,
+}
+
+impl PausedWhy {
+    /// Text of the reason, in the database and on every wire.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Operator => "operator",
+            Self::TipChange => "tip_change",
+            Self::ManualTrial => "manual_trial",
+            Self::Suspender => "suspender",
+            Self::Trip => "trip",
+            Self::Restart => "restart",
+        }
+    }
+}
+
+/// A state that a run has reached, as it is stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StateChange {
+    /// The state.
+    pub state: StoredState,
+    /// Requested state that is not reached yet.
+    pub requested: Option<StoredState>,
+    /// Reason why the run waits or is about to wait.
+    pub why: Option<PausedWhy>,
+}
+
+impl StateChange {
+    /// A state without a request or a reason.
+    pub fn to(state: StoredState) -> Self {
+        Self { state, requested: None, why: None }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_are_those_of_serde() {
+        use StoredState as S;
+        for state in [
+            S::Queued,
+            S::Idle,
+            S::Running,
+            S::Pausing,
+            S::Paused,
+            S::Stopping,
+            S::Aborting,
+            S::Suspending,
+            S::Panicked,
+            S::Interrupted,
+            S::Ended,
+            S::Removed,
+        ] {
+            assert_eq!(serde_json::to_value(state).unwrap(), state.as_str());
+        }
+        use PausedWhy as W;
+        for why in [W::Operator, W::TipChange, W::ManualTrial, W::Suspender, W::Trip, W::Restart] {
+            assert_eq!(serde_json::to_value(why).unwrap(), why.as_str());
+        }
+    }
+}
