@@ -5,6 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
+use sim_core::calibrated::CalibratedSensor;
 use sim_core::calibration::Calibration;
 use sim_core::forward::ForwardModel;
 use sim_core::sensor::Sensor;
@@ -59,7 +60,7 @@ impl Skins {
     /// Trials of the run that a skin was calibrated to, or else of the newest Real-Hex run on this
     /// sensor: taken evenly from those with few contacts above its deadband, of configurations to
     /// which no skin is fitted. Empty if the store does not have that run.
-    async fn known_trials(&self, sensor: &Sensor) -> Result<Vec<KnownTrial>, InferError> {
+    async fn known_trials(&self, sensor: &CalibratedSensor) -> Result<Vec<KnownTrial>, InferError> {
         let of_skin = sensor.skin().map(|skin| skin.evidence.run.clone());
         let runs = self.store.runs(RUNS_LOOKED_AT, None).await?.runs;
         let fits = |run: &&RunRow| match &of_skin {
@@ -131,9 +132,9 @@ impl Skins {
                     let text = text.map_err(InferError::file("reading", &path))?;
                     Calibration::from_toml(&text)?.apply(&sensor)?
                 }
-                None => sensor,
+                None => sensor.into(),
             };
-            Ok(load_or_build(&sensor, &cache)?)
+            Ok(load_or_build(sensor, &cache)?)
         });
         building.await.map_err(|_| InferError::Worker)?
     }
