@@ -7,7 +7,7 @@ use super::answer::{FoundContact, Reading};
 use super::error::InferError;
 use super::registry::Model;
 use crate::dataset::force_map::{ForceMap, ForceMapSpec, TABLE_IV};
-use crate::learn::model_file::NetTask;
+use crate::learn::task::NetTask;
 
 /// Least sum of a peak for nets trained without forces, whose contacts sum up to 1.
 const HALF_A_CONTACT: f64 = 0.5;

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use super::answer::{FoundContact, Reading};
 use super::error::InferError;
 use super::registry::Model;
-use crate::learn::model_file::NetTask;
+use crate::learn::task::NetTask;
 
 /// Points within this distance belong to one contact, mm: the second ring of points, at 34.6 mm, is
 /// the smallest distance of another tip of the indenter. Without that ring the counts of 600 trials

@@ -23,7 +23,7 @@ use super::points::PointPipeline;
 use super::registry::{Model, Registry};
 use super::skins::Skins;
 use crate::dataset::force_map::peaks::THRESHOLD_N;
-use crate::learn::model_file::NetTask;
+use crate::learn::task::NetTask;
 use crate::store::{PromotionRow, Store};
 
 /// Slot for promotions.

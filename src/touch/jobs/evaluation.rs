@@ -31,7 +31,7 @@ use crate::infer::points::PointPipeline;
 use crate::infer::registry::Model;
 use crate::learn::error::LearnError;
 use crate::learn::examples::{MEASURED, SIMULATED};
-use crate::learn::model_file::NetTask;
+use crate::learn::task::NetTask;
 use crate::simulate::compare::difference;
 use crate::store::{Contact, DatasetRow, JobRow};
 
