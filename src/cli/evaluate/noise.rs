@@ -9,7 +9,8 @@ use crate::cli::error::CliError;
 use crate::dataset::force_map::ForceMapSpec;
 use crate::evaluate::charts::{Picture, pictures, residuals};
 use crate::evaluate::table::markdown;
-use crate::infer::answer::{FoundContact, Method};
+use crate::infer::answer::FoundContact;
+use crate::infer::methods::Method;
 use crate::learn::residuals::Residuals;
 use crate::store::Contact;
 
