@@ -1,6 +1,9 @@
 //! Training of Palpate's nets (paper V): Transfer-Net, Recon-Net, the end-to-end net, Point-Net.
 //! Uses: burn, here alone; sim-core, to simulate trials while Point-Net trains. Never: the store,
 //! datasets' files, HTTP.
+//!
+//! A net is a folder that uses the shared parts before it; training uses the nets only through
+//! their list (`net`).
 
 // Shared parts: what a net is made of, and what describes it.
 pub mod error;
