@@ -1,6 +1,6 @@
 //! Contacts fitted to a frame through the exact model of a skin.
-//! Uses: sim-core's `inverse::contacts`, `fast` (proposals), std threads for the
-//! preparation of a skin. Never: files.
+//! Uses: sim-core's `inverse::contacts`, `fast` (proposals), std threads for the preparation of a
+//! skin. Never: files (`skins` has them).
 
 pub mod skins;
 
