@@ -6,8 +6,9 @@
 use std::time::{Duration, Instant};
 
 use nets::device::Compute;
+use nets::error::SamplesError;
 use nets::recipe::Recipe;
-use nets::samples::{Samples, SamplesError};
+use nets::samples::Samples;
 use nets::train::{Flow, Observer, Plan, Progress, train};
 
 /// The same few hundred samples repeatedly: reading costs almost no time.
@@ -18,6 +19,8 @@ struct Repeated {
 }
 
 const CHANNELS: usize = 784;
+/// Number of points of the paper's skin.
+const POINTS: usize = 804;
 const KEPT: usize = 256;
 
 impl Samples for Repeated {
@@ -82,11 +85,7 @@ fn main() {
     let threads = rest.first().map_or(0, |t| t.parse().expect("THREADS is a number"));
     let toml = format!("seed = 1\nepochs = 1\nbatch = {batch}\nnet = {net}\n");
     let recipe = Recipe::from_toml(&toml).expect("a recipe");
-    let target_len = match &recipe.net {
-        nets::recipe::Net::TransferNet(_) => CHANNELS,
-        nets::recipe::Net::ReconNet(net) | nets::recipe::Net::EndToEnd(net) => net.side * net.side,
-        nets::recipe::Net::PointNet(_) => 804,
-    };
+    let target_len = recipe.net.answer().target_len(CHANNELS, POINTS);
     let numbers = |n: usize| (0..n).map(|i| (i as f32 * 0.618).sin() * 0.05).collect();
     let samples = Repeated {
         inputs: numbers(KEPT * CHANNELS),

@@ -9,7 +9,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
 
 use crate::model::Model;
-use crate::recipe::Optimiser;
+use crate::optimiser::Optimiser;
 
 /// Number of values that one thread updates at a time.
 const CHUNK: usize = 1 << 14;

@@ -47,18 +47,18 @@ fn apart(found: &[f32], wanted: &[f32]) -> f32 {
 struct Begun {
     recipe: Recipe,
     model: Model,
-    loss: Loss,
+    loss: Box<dyn Loss>,
     samples: [Tensor<2>; 2],
 }
 
 fn begin(case: &Case) -> Begun {
     let recipe = Recipe::from_toml(&case.recipe).unwrap();
-    let statistics = Statistics::unknown(recipe.net.input(), case.channels);
+    let statistics = Statistics::unknown(recipe.net.input().components(), case.channels);
     let mut network = first(&recipe, &statistics, case.target);
     assert_eq!(network.numbers().len(), case.numbers.len(), "{}", case.recipe);
     network.set_numbers(&case.numbers);
     let device = Device::flex();
-    let loss = Loss::of(&recipe.net, network.target_size());
+    let loss = recipe.net.architecture().loss(network.target_size());
     let model = Model::new(network, Input::LAYERS, &device);
     let samples = [(&case.inputs, case.channels), (&case.targets, case.target)].map(|(x, len)| {
         Tensor::from_data(TensorData::new(x.clone(), [x.len() / len, len]), &device)

@@ -7,8 +7,9 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use rand::seq::SliceRandom;
 
 use crate::chance::{Purpose, generator};
+use crate::error::SamplesError;
 use crate::noise::NoiseSource;
-use crate::samples::{Samples, SamplesError, read_finite};
+use crate::samples::{Samples, read_finite};
 
 /// Number of batches that wait for the trainer, in addition to the one being read and the one being
 /// learned.

@@ -7,6 +7,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::error::CheckpointError;
 use crate::network::Network;
 use crate::recipe::Recipe;
 
@@ -75,20 +76,6 @@ pub(crate) struct State {
     pub steps: u64,
     /// Moments of the optimiser.
     pub moments: Vec<Vec<f32>>,
-}
-
-/// Why bytes are not a checkpoint of this training.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum CheckpointError {
-    /// Damaged, or not a checkpoint of this version.
-    #[error("checkpoint: {0}")]
-    Bytes(&'static str),
-    /// A checkpoint of another training.
-    #[error("checkpoint: of another training: {}", .0.join("; "))]
-    Other(
-        /// Each field that differs, with both values.
-        Vec<String>,
-    ),
 }
 
 /// Writes a checkpoint.

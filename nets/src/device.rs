@@ -3,7 +3,7 @@
 
 use burn::tensor::Device;
 
-use crate::train::TrainError;
+use crate::error::TrainError;
 
 /// Location of the tensors and device that computes on them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -3,12 +3,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::network::Layer;
+use crate::network::{Layer, NORM_FLOOR_V};
 use crate::statistics::Statistics;
-
-/// Lower limit of the norm that divides a frame, V: that of readout noise of 36 uV, so that the
-/// frame of an untouched skin stays small instead of being scaled to one.
-pub const NORM_FLOOR_V: f32 = 1e-3;
 
 /// Normalisation of frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -29,6 +25,14 @@ pub enum Input {
 impl Input {
     /// Number of layers of a normalisation.
     pub const LAYERS: usize = 2;
+
+    /// Number of principal components that must be measured, if any.
+    pub(crate) fn components(self) -> Option<usize> {
+        match self {
+            Self::Standardised | Self::Unit => None,
+            Self::Whitened { components } => Some(components),
+        }
+    }
 
     /// Number of outputs for `channels` inputs.
     pub fn width(self, channels: usize) -> usize {

@@ -1,6 +1,13 @@
 //! A net as plain numbers: the form that is trained, written as ONNX, and read back.
 //! Never: burn, files.
 
+/// Lower limit of the norm that divides a frame, V: that of readout noise of 36 uV, so that the
+/// frame of an untouched skin stays small instead of being scaled to one.
+pub const NORM_FLOOR_V: f32 = 1e-3;
+
+/// Largest number of weights between two layers: with gradients and Adam's moments 4 GB.
+pub(crate) const WEIGHTS_MAX: usize = 1 << 28;
+
 /// A layer of a net. Tensors are row-major, batch first.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Layer {

@@ -2,9 +2,19 @@
 //! PURE. Never: targets.
 
 use rand_distr::{Distribution, StandardNormal};
+use serde::{Deserialize, Serialize};
 
 use crate::chance::{Purpose, generator};
-use crate::recipe::Noise;
+
+/// Gaussian noise on every channel, redrawn in each epoch (paper V-C).
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Noise {
+    /// Factor on each channel's standard deviation, which the plan states: the paper's 0, 0.1, 0.5.
+    pub level: f64,
+    /// Additional standard deviation of all channels, V: the readout's white noise.
+    pub white_v: f64,
+}
 
 /// Noise of a training.
 #[derive(Debug, Clone)]

@@ -3,10 +3,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::input::Input;
-use crate::point_net::PointNet;
-use crate::recon_net::ReconNet;
-use crate::transfer_net::TransferNet;
+use crate::error::{RecipeError, require};
+use crate::net::Net;
+use crate::noise::Noise;
+use crate::optimiser::Optimiser;
 
 /// Everything that determines the trained bytes, except for the data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -29,120 +29,6 @@ pub struct Recipe {
     /// Noise that is added to the inputs.
     #[serde(default)]
     pub noise: Noise,
-}
-
-/// The nets of the paper (V), and Point-Net.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "kebab-case")]
-pub enum Net {
-    /// Real voltages to simulated ones (paper V-A).
-    TransferNet(TransferNet),
-    /// Simulated voltages to a force map (paper V-B).
-    ReconNet(ReconNet),
-    /// Real voltages to a force map (paper V-D): Recon-Net's layers on other data.
-    EndToEnd(ReconNet),
-    /// Voltages to presence and force at each point.
-    PointNet(PointNet),
-}
-
-impl Net {
-    /// Normalisation of its frames.
-    pub fn input(&self) -> Input {
-        match self {
-            Self::TransferNet(net) => net.input(),
-            Self::ReconNet(net) | Self::EndToEnd(net) => net.input,
-            Self::PointNet(net) => net.input(),
-        }
-    }
-}
-
-/// Adam, as PyTorch defines it (Kingma and Ba 2015, algorithm 1).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Optimiser {
-    /// Step size at the start.
-    pub learning_rate: f64,
-    /// Decay of the mean gradient: the paper's "momentum of 0.7".
-    pub beta1: f64,
-    /// Decay of the mean squared gradient.
-    pub beta2: f64,
-    /// Added to the denominator, which keeps the quotient finite.
-    pub epsilon: f64,
-    /// Step size during the training.
-    pub schedule: Schedule,
-}
-
-impl Default for Optimiser {
-    /// The paper's values (V-A), and PyTorch's defaults for the others.
-    fn default() -> Self {
-        let schedule = Schedule::Constant;
-        Self { learning_rate: 1e-3, beta1: 0.7, beta2: 0.999, epsilon: 1e-8, schedule }
-    }
-}
-
-/// Step size as a function of the step.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Schedule {
-    /// The same in every step.
-    Constant,
-    /// Half a cosine, from the first step size to zero at the end of the last epoch.
-    Cosine,
-}
-
-impl Optimiser {
-    /// Step size of a step, from 0, of `steps` steps in total.
-    pub fn rate(&self, step: u64, steps: u64) -> f64 {
-        match self.schedule {
-            Schedule::Constant => self.learning_rate,
-            Schedule::Cosine => {
-                let done = step as f64 / steps as f64;
-                self.learning_rate * 0.5 * (1.0 + (std::f64::consts::PI * done).cos())
-            }
-        }
-    }
-}
-
-/// Gaussian noise on every channel, redrawn in each epoch (paper V-C).
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Noise {
-    /// Factor on each channel's standard deviation, which the plan states: the paper's 0, 0.1, 0.5.
-    pub level: f64,
-    /// Additional standard deviation of all channels, V: the readout's white noise.
-    pub white_v: f64,
-}
-
-/// Why a recipe is invalid: the field, its value, its limit.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum RecipeError {
-    /// The text is not TOML, or does not have these fields.
-    #[error("recipe: {0}")]
-    Text(#[from] toml::de::Error),
-    /// A value is outside its limits.
-    #[error("recipe: {field} is {found}, must be {limit}")]
-    Value {
-        /// Dotted path of the field.
-        field: &'static str,
-        /// Value of the field, as text.
-        found: String,
-        /// Allowed values.
-        limit: &'static str,
-    },
-}
-
-/// Largest number of weights between two layers: with gradients and Adam's moments 4 GB.
-pub(crate) const WEIGHTS_MAX: usize = 1 << 28;
-
-/// Returns an error for a value unless a condition holds.
-pub(crate) fn require(
-    holds: bool,
-    field: &'static str,
-    found: impl ToString,
-    limit: &'static str,
-) -> Result<(), RecipeError> {
-    let found = || found.to_string();
-    if holds { Ok(()) } else { Err(RecipeError::Value { field, found: found(), limit }) }
 }
 
 impl Recipe {
@@ -181,10 +67,6 @@ impl Recipe {
         let Noise { level, white_v } = self.noise;
         require(level.is_finite() && level >= 0.0, "noise.level", level, "at least 0")?;
         require(white_v.is_finite() && white_v >= 0.0, "noise.white_v", white_v, "at least 0")?;
-        match &self.net {
-            Net::TransferNet(net) => net.check(),
-            Net::ReconNet(net) | Net::EndToEnd(net) => net.check(),
-            Net::PointNet(net) => net.check(),
-        }
+        self.net.architecture().check()
     }
 }

@@ -1,6 +1,8 @@
 //! Sources of samples: a dataset's rows, or simulations made while a net trains.
 //! PURE. Never: the order of samples, memory of them.
 
+use crate::error::SamplesError;
+
 /// Numbered samples, each an input and a target of fixed lengths. Read by one thread at a time, but
 /// not always by the same one.
 pub trait Samples: Sync {
@@ -30,27 +32,6 @@ pub trait Samples: Sync {
         inputs: &mut [f32],
         targets: &mut [f32],
     ) -> Result<(), SamplesError>;
-}
-
-/// Why samples could not be read.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum SamplesError {
-    /// The source failed.
-    #[error("samples: {message}")]
-    Source {
-        /// Message of the source.
-        message: String,
-    },
-    /// A value is not finite.
-    #[error("sample {sample}: {side} number {number} is not finite")]
-    NotFinite {
-        /// Number of the sample, from 0.
-        sample: u64,
-        /// `"input"` or `"target"`.
-        side: &'static str,
-        /// Index of the value in the input or target.
-        number: usize,
-    },
 }
 
 /// Reads samples and checks that all values are finite.

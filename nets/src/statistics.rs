@@ -5,9 +5,10 @@ use faer::{Mat, Side};
 use rand::RngExt;
 
 use crate::chance::{Purpose, generator};
-use crate::input::{Input, NORM_FLOOR_V};
+use crate::error::SamplesError;
+use crate::network::NORM_FLOOR_V;
 use crate::noise::NoiseSource;
-use crate::samples::{Samples, SamplesError, read_finite};
+use crate::samples::{Samples, read_finite};
 
 /// Largest number of samples that are measured, drawn from the seed.
 pub const MEASURED_MAX: u64 = 8192;
@@ -60,23 +61,22 @@ impl Moments {
 
 impl Statistics {
     /// Placeholder without data: determines the shape of networks, and nothing else.
-    pub(crate) fn unknown(input: Input, channels: usize) -> Self {
-        let whitening = match input {
-            Input::Whitened { .. } => {
-                let width = input.width(channels);
-                (vec![0.0; width * (channels + 1)], vec![0.0; width])
-            }
-            _ => Default::default(),
-        };
+    pub(crate) fn unknown(components: Option<usize>, channels: usize) -> Self {
+        let whitening = components.map(|components| {
+            let width = components.min(channels) + 1;
+            (vec![0.0; width * (channels + 1)], vec![0.0; width])
+        });
+        let whitening = whitening.unwrap_or_default();
         let of = |x| vec![x; channels];
         Self { mean: of(0.0), sd: of(1.0), target_size: 1.0, whitening }
     }
 
     /// Measures up to [`MEASURED_MAX`] samples with the noise of the first epoch: components that
-    /// contain only noise must have the variance of that noise.
+    /// contain only noise must have the variance of that noise. Principal components are measured
+    /// only if their number is stated.
     pub(crate) fn measure(
         from: &dyn Samples,
-        input: Input,
+        components: Option<usize>,
         noise: &NoiseSource,
         seed: u64,
     ) -> Result<Self, SamplesError> {
@@ -84,10 +84,8 @@ impl Statistics {
         let mut of_inputs = Moments::new(channels);
         let mut of_logs = Moments::new(1);
         let mut of_targets = Moments::new(1);
-        let mut products = match input {
-            Input::Whitened { .. } => Mat::<f64>::zeros(channels, channels),
-            _ => Mat::zeros(0, 0),
-        };
+        let rows = components.map_or(0, |_| channels);
+        let mut products = Mat::<f64>::zeros(rows, rows);
         let mut unit_sum = vec![0.0; channels];
         let picked = pick(from, seed);
         let (mut x, mut y) = (vec![0.0; CHUNK * channels], vec![0.0; CHUNK * targets]);
@@ -118,7 +116,7 @@ impl Statistics {
             target_size: if size > 0.0 { size as f32 } else { 1.0 },
             whitening: (Vec::new(), Vec::new()),
         };
-        if let Input::Whitened { components } = input {
+        if let Some(components) = components {
             let count = of_inputs.count;
             let mean: Vec<f64> = unit_sum.iter().map(|s| s / count).collect();
             let covariance = Mat::from_fn(channels, channels, |i, j| {

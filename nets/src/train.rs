@@ -4,17 +4,19 @@
 use burn::tensor::{Tensor, TensorData};
 
 use crate::adam::Adam;
+use crate::architecture::Answer;
 use crate::batches::{Batch, Pass};
-use crate::checkpoint::{self, CheckpointError, EpochLoss, Place, State, Subject};
+use crate::checkpoint::{self, EpochLoss, Place, State, Subject};
 use crate::device::Compute;
+use crate::error::{RecipeError, TrainError, require};
 use crate::initial::Initial;
 use crate::input::Input;
 use crate::loss::Loss;
 use crate::model::Model;
 use crate::network::Network;
 use crate::noise::NoiseSource;
-use crate::recipe::{Net, Recipe, RecipeError, require};
-use crate::samples::{Samples, SamplesError};
+use crate::recipe::Recipe;
+use crate::samples::Samples;
 use crate::statistics::Statistics;
 
 /// Largest number of values in a batch: a few batches are in memory, and activations are larger.
@@ -101,37 +103,6 @@ pub struct Trained {
     pub end: End,
 }
 
-/// Why a training failed.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum TrainError {
-    /// The recipe is invalid, also for these data.
-    #[error(transparent)]
-    Recipe(#[from] RecipeError),
-    /// The data cannot be read, or a value is not finite.
-    #[error(transparent)]
-    Samples(#[from] SamplesError),
-    /// The checkpoint is not one of this training.
-    #[error(transparent)]
-    Checkpoint(#[from] CheckpointError),
-    /// The layers of the initial network are not those of the recipe.
-    #[error("start: {0}")]
-    Start(&'static str),
-    /// The loss is not finite.
-    #[error(
-        "training: the loss is not finite in epoch {epoch}, batch {batch}: a smaller \
-             learning rate may help"
-    )]
-    Diverged {
-        /// Number of the epoch, from 0.
-        epoch: u32,
-        /// Number of the batch, from 0.
-        batch: u64,
-    },
-    /// The threads could not be started.
-    #[error("training: its threads could not be started: {0}")]
-    Threads(String),
-}
-
 /// Trains a net, from the beginning or from a checkpoint of the same plan and data.
 ///
 /// # Errors
@@ -185,26 +156,21 @@ fn check(plan: &Plan, train: &dyn Samples, validation: &dyn Samples) -> Result<(
     let given = plan.recipe.noise.level == 0.0 || plan.noise_sd_v.is_some();
     let limit = "0 without the residuals of a Transfer-Net";
     require(given, "noise.level", plan.recipe.noise.level, limit)?;
-    match &plan.recipe.net {
-        Net::TransferNet(_) => {
+    match plan.recipe.net.answer() {
+        Answer::Frame => {
             require(target == channels, "numbers of a target", target, "as many as channels")
         }
-        Net::ReconNet(net) | Net::EndToEnd(net) => {
-            let square = net.side * net.side;
+        Answer::Map { side } => {
+            let square = side * side;
             require(target == square, "numbers of a target", target, "the square of net.side")
         }
-        Net::PointNet(_) => require(target > 0, "points", target, "at least 1"),
+        Answer::Points => require(target > 0, "points", target, "at least 1"),
     }
 }
 
 /// The net before the first step.
 pub(crate) fn first(recipe: &Recipe, statistics: &Statistics, target: usize) -> Network {
-    let mut initial = Initial::new(recipe.seed);
-    match &recipe.net {
-        Net::TransferNet(net) => net.first(statistics, &mut initial),
-        Net::ReconNet(net) | Net::EndToEnd(net) => net.first(statistics, &mut initial),
-        Net::PointNet(net) => net.first(statistics, target, &mut initial),
-    }
+    recipe.net.architecture().first(statistics, target, &mut Initial::new(recipe.seed))
 }
 
 /// A running training.
@@ -214,7 +180,7 @@ struct Training<'a> {
     train: &'a dyn Samples,
     validation: &'a dyn Samples,
     noise: NoiseSource,
-    loss: Loss,
+    loss: Box<dyn Loss>,
     model: Model,
     adam: Adam,
     place: Place,
@@ -241,17 +207,17 @@ impl<'a> Training<'a> {
         };
         let noise =
             NoiseSource::new(recipe.seed, recipe.noise, plan.noise_sd_v.as_deref(), channels);
-        let input = recipe.net.input();
+        let components = recipe.net.input().components();
         let state = checkpoint.map(|bytes| checkpoint::read(bytes, &subject)).transpose()?;
         let mut network = match (&state, &plan.start) {
             (None, None) => {
-                let statistics = Statistics::measure(train, input, &noise, recipe.seed)?;
+                let statistics = Statistics::measure(train, components, &noise, recipe.seed)?;
                 first(recipe, &statistics, target)
             }
             (_, Some(start)) => start.clone(),
-            (Some(_), None) => first(recipe, &Statistics::unknown(input, channels), target),
+            (Some(_), None) => first(recipe, &Statistics::unknown(components, channels), target),
         };
-        let described = first(recipe, &Statistics::unknown(input, channels), target);
+        let described = first(recipe, &Statistics::unknown(components, channels), target);
         if network.shape() != described.shape() {
             return Err(TrainError::Start("its layers are not those of the recipe"));
         }
@@ -264,7 +230,7 @@ impl<'a> Training<'a> {
             place = state.place.clone();
         }
         let device = plan.compute.device();
-        let loss = Loss::of(&recipe.net, network.target_size());
+        let loss = recipe.net.architecture().loss(network.target_size());
         let model = Model::new(network, Input::LAYERS, &device);
         let mut adam = Adam::new(recipe.optimiser, model.shapes(), &device, plan.compute.is_host());
         if let Some(state) = state {

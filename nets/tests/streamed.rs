@@ -5,9 +5,10 @@ use std::collections::BTreeSet;
 use std::sync::{Arc, OnceLock};
 
 use nets::device::Compute;
+use nets::points::draws::Draws;
+use nets::points::streamed::Streamed;
 use nets::recipe::Recipe;
 use nets::samples::Samples;
-use nets::streamed::{Draws, Streamed};
 use nets::train::{Flow, Observer, Plan, Progress, train};
 use sim_core::batch::{BatchModel, Kernel};
 use sim_core::forward::{Contact, ForwardModel, Workspace};

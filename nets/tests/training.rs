@@ -3,12 +3,12 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use nets::checkpoint::CheckpointError;
 use nets::device::Compute;
+use nets::error::{CheckpointError, SamplesError, TrainError};
 use nets::network::{Layer, Network};
 use nets::recipe::Recipe;
-use nets::samples::{Samples, SamplesError};
-use nets::train::{End, Flow, Observer, Plan, Progress, TrainError, Trained, answer, train};
+use nets::samples::Samples;
+use nets::train::{End, Flow, Observer, Plan, Progress, Trained, answer, train};
 
 const CHANNELS: usize = 12;
 
@@ -268,7 +268,7 @@ fn data_that_a_net_cannot_be_trained_on_are_named() {
     )
     .unwrap_err()
     {
-        TrainError::Recipe(nets::recipe::RecipeError::Value { field, .. }) => field,
+        TrainError::Recipe(nets::error::RecipeError::Value { field, .. }) => field,
         other => panic!("{other}"),
     };
     let (volts, maps) = (rows(10, bent), rows(10, map));

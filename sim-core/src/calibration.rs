@@ -11,6 +11,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use crate::calibrated::CalibratedSensor;
 use crate::digest::Digest;
 use crate::responses::UnitResponses;
 use crate::sensor::{Sensor, SensorError};
@@ -240,7 +241,7 @@ impl Calibration {
     /// # Errors
     /// `OtherSensor` or `OtherMesh` if the calibration is of another sensor or mesh; `Sensor` or
     /// `Value` if the result is invalid.
-    pub fn apply(&self, sensor: &Sensor) -> Result<Sensor, CalibrationError> {
+    pub fn apply(&self, sensor: &Sensor) -> Result<CalibratedSensor, CalibrationError> {
         let mut file = sensor.file.clone();
         if self.sensor != file.name {
             let (found, needed) = (self.sensor.clone(), file.name);
@@ -264,7 +265,7 @@ impl Calibration {
         if let Some(skin) = &self.skin {
             skin.check_for(&calibrated)?;
         }
-        Ok(calibrated.calibrated(self.id()?, self.skin.clone().map(Arc::new)))
+        Ok(CalibratedSensor::new(calibrated, self.id()?, self.skin.clone().map(Arc::new)))
     }
 
     fn content(&self) -> Result<String, CalibrationError> {
@@ -414,7 +415,7 @@ mod tests {
         let applied = skin().over(&piezo()).unwrap().apply(&sensor()).unwrap();
         assert_eq!(applied.skin(), skin().skin.as_ref());
         assert_eq!(applied.file.piezo.b_per_mm, 1.5);
-        assert_eq!(sensor().skin(), None);
+        assert_eq!(CalibratedSensor::from(sensor()).skin(), None);
         assert_eq!(piezo().over(&skin()).unwrap().skin, None);
     }
 
@@ -461,7 +462,7 @@ mod tests {
         assert_eq!(applied.file.layers.foam.youngs_mpa, 0.05);
         assert_eq!(applied.file.circuit, sensor().file.circuit);
         assert_eq!(applied.calibration(), Some(both.id().unwrap().as_str()));
-        assert_eq!(sensor().calibration(), None);
+        assert_eq!(CalibratedSensor::from(sensor()).calibration(), None);
     }
 
     #[test]

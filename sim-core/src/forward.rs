@@ -6,6 +6,7 @@
 
 use std::sync::Arc;
 
+use crate::calibrated::CalibratedSensor;
 use crate::circuit::ReadoutCircuit;
 use crate::deformation::NodeForce;
 use crate::digest::Digest;
@@ -105,7 +106,7 @@ pub(crate) struct NodeLaw {
 /// The forward model of one skin. `Send + Sync`; each thread needs its own [`Workspace`].
 #[derive(Debug, Clone)]
 pub struct ForwardModel {
-    sensor: Sensor,
+    sensor: CalibratedSensor,
     mesh: Mesh,
     responses: Arc<UnitResponses>,
     fields: NodeFields,
@@ -157,11 +158,15 @@ impl ForwardModel {
     ///
     /// # Errors
     /// `ModelError` if the mesh, the unit responses, the foam's law or an electrode does not match.
-    pub fn new(sensor: &Sensor, responses: Arc<UnitResponses>) -> Result<Self, ModelError> {
-        let mesh = Mesh::new(sensor)?;
+    pub fn new(
+        sensor: impl Into<CalibratedSensor>,
+        responses: Arc<UnitResponses>,
+    ) -> Result<Self, ModelError> {
+        let sensor = sensor.into();
+        let mesh = Mesh::new(&sensor)?;
         let (fields, circuit) = match sensor.skin() {
-            Some(skin) => (skin.fields.over(sensor, &mesh)?, skin.electrodes.circuit(sensor)),
-            None => (NodeFields::nominal(&mesh), ReadoutCircuit::nominal(sensor)),
+            Some(skin) => (skin.fields.over(&sensor, &mesh)?, skin.electrodes.circuit(&sensor)),
+            None => (NodeFields::nominal(&mesh), ReadoutCircuit::nominal(&sensor)),
         };
         Self::with(sensor, responses, fields, circuit)
     }
@@ -171,27 +176,28 @@ impl ForwardModel {
     /// # Errors
     /// `ModelError` if the mesh, the unit responses, a field or an electrode does not match.
     pub fn with(
-        sensor: &Sensor,
+        sensor: impl Into<CalibratedSensor>,
         responses: Arc<UnitResponses>,
         fields: NodeFields,
         circuit: ReadoutCircuit,
     ) -> Result<Self, ModelError> {
-        if !responses.fits(sensor) {
+        let sensor = sensor.into();
+        if !responses.fits(&sensor) {
             return Err(ModelError::OtherResponses);
         }
-        let mesh = Mesh::new(sensor)?;
+        let mesh = Mesh::new(&sensor)?;
         fields.check(&mesh)?;
-        let network = network(sensor, &mesh, &fields, &circuit)?;
+        let network = network(&sensor, &mesh, &fields, &circuit)?;
         Ok(Self {
-            laws: node_laws(sensor, &mesh, &fields),
-            hash: model_hash(sensor, &responses, &fields, &circuit, Spreading::default()),
+            laws: node_laws(&sensor, &mesh, &fields),
+            hash: model_hash(&sensor, &responses, &fields, &circuit, Spreading::default()),
             spreading: Spreading::default(),
             reduction: KronReduction::new(&network),
             network_nodes: network.places_mm.len(),
             electrode_nodes: network.electrodes,
-            lattice: TipLattice::new(sensor, &mesh),
+            lattice: TipLattice::new(&sensor, &mesh),
             point_rows: mesh.points.iter().map(|p| p.vertices.map(|v| v as usize)).collect(),
-            sensor: sensor.clone(),
+            sensor,
             mesh,
             responses,
             fields,
@@ -225,8 +231,8 @@ impl ForwardModel {
         self
     }
 
-    /// The sensor of the model.
-    pub fn sensor(&self) -> &Sensor {
+    /// The sensor of the model, with its calibration.
+    pub fn sensor(&self) -> &CalibratedSensor {
         &self.sensor
     }
 

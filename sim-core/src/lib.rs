@@ -22,6 +22,7 @@ pub mod piezo;
 pub mod fields;
 pub mod circuit;
 pub mod skin;
+pub mod calibrated;
 pub mod network;
 pub mod tip;
 pub mod forward;

@@ -1,16 +1,11 @@
 //! The sensor file: the skin's geometry, its 804 points, its 28 electrodes and its materials.
-//! Uses: serde, toml; carries an applied `skin`. Never: files (the text is passed in), mesh,
-//! physics.
+//! Uses: serde, toml. Never: files (the text is passed in), mesh, physics, a calibration.
 //!
 //! Geometry is inferred, since the paper does not state it (`docs/references.md`, "Skin geometry"):
 //! hexagons whose longest diagonal is the tip's 20 mm tile the skin, and a tip is centred on a
 //! hexagon.
 
-use std::sync::Arc;
-
 use serde::{Deserialize, Serialize};
-
-use crate::skin::SkinCalibration;
 
 /// Why a sensor file is invalid.
 #[derive(Debug, thiserror::Error, PartialEq)]
@@ -163,8 +158,6 @@ pub struct Sensor {
     pub file: SensorFile,
     points: Vec<Point>,
     electrodes: Vec<[f64; 2]>,
-    calibration: Option<String>,
-    skin: Option<Arc<SkinCalibration>>,
 }
 
 impl Sensor {
@@ -188,7 +181,7 @@ impl Sensor {
         check(&file)?;
         let points = lay_out_points(&file);
         let electrodes = lay_out_electrodes(&file);
-        let sensor = Self { file, points, electrodes, calibration: None, skin: None };
+        let sensor = Self { file, points, electrodes };
         for (i, p) in sensor.points.iter().enumerate() {
             if !sensor.holds_tip(p.x_mm, p.y_mm) {
                 let value = format!("point {i} at ({:.2}, {:.2}) mm", p.x_mm, p.y_mm);
@@ -204,22 +197,6 @@ impl Sensor {
             }
         }
         Ok(sensor)
-    }
-
-    /// Returns the same sensor, with the id of the calibration of its values, and the calibration
-    /// of the individual skin.
-    pub(crate) fn calibrated(self, id: String, skin: Option<Arc<SkinCalibration>>) -> Self {
-        Self { calibration: Some(id), skin, ..self }
-    }
-
-    /// Id of the calibration that was applied to the file's values, if any.
-    pub fn calibration(&self) -> Option<&str> {
-        self.calibration.as_deref()
-    }
-
-    /// Calibration of the individual skin, if one was applied.
-    pub fn skin(&self) -> Option<&SkinCalibration> {
-        self.skin.as_deref()
     }
 
     /// Distance between neighbouring points, mm: the hexagon's side times sqrt(3).

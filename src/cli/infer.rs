@@ -11,7 +11,8 @@ use super::files::read_input;
 use super::output::{say, say_json};
 use super::{At, embed};
 use crate::api::{FrameAnswer, InferRequest, LiveAnswer, Wish};
-use crate::infer::answer::{FoundContact, Method};
+use crate::infer::answer::FoundContact;
+use crate::infer::methods::Method;
 use crate::problem::Problem;
 
 /// Number of frames per request.

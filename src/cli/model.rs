@@ -14,7 +14,7 @@ use super::output::{say, say_json};
 use super::{At, embed};
 use crate::api::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
 use crate::evaluate::request::EvaluationReport;
-use crate::infer::serving::Slot;
+use crate::infer::slot::Slot;
 
 /// Options of `model`.
 #[derive(Debug, Args)]

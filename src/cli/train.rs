@@ -27,24 +27,26 @@ const LOOK: Duration = Duration::from_millis(250);
 const FEW_PIXELS: i64 = 64;
 const FEWER_CHANNELS: [i64; 3] = [128, 64, 32];
 
-/// The recipes carried in the program, by name.
-const CARRIED: [(&str, &str); 5] = [
-    ("transfer-net", include_str!("../../experiments/recipes/transfer-net.toml")),
-    (
-        "transfer-net-published",
-        include_str!("../../experiments/recipes/transfer-net-published.toml"),
-    ),
-    ("recon-net", include_str!("../../experiments/recipes/recon-net.toml")),
-    ("end-to-end", include_str!("../../experiments/recipes/end-to-end.toml")),
-    ("point-net", include_str!("../../experiments/recipes/point-net.toml")),
-];
+/// Lists the recipes of `experiments/recipes` that the program carries.
+macro_rules! carried {
+    ($first:literal $(, $more:literal)* $(,)?) => {
+        /// The recipes carried in the program, by name.
+        const CARRIED: &[(&str, &str)] = &[carried!(@ $first) $(, carried!(@ $more))*];
+        /// Help of the argument RECIPE.
+        const RECIPE_HELP: &str =
+            concat!("A recipe file, or a carried recipe: ", $first $(, ", ", $more)*);
+    };
+    (@ $name:literal) => {
+        ($name, include_str!(concat!("../../experiments/recipes/", $name, ".toml")))
+    };
+}
+
+carried!["transfer-net", "transfer-net-published", "recon-net", "end-to-end", "point-net"];
 
 /// Options of `train`.
 #[derive(Debug, Args)]
 pub struct TrainArgs {
-    /// A recipe file, or a carried recipe: transfer-net, transfer-net-published, recon-net,
-    /// end-to-end, point-net.
-    #[arg(value_name = "RECIPE")]
+    #[arg(value_name = "RECIPE", help = RECIPE_HELP)]
     recipe: String,
     #[command(flatten)]
     changes: Changes,

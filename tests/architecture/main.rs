@@ -12,7 +12,8 @@ use std::path::Path;
 use rules::{
     CHAPTERS, LONGEST, REFERENCES, broken_links, contents_out_of_order, dead_citations,
     entangled_stand_in, faceless_folders, folder, forward_imports, headless_or_long,
-    impure_physics, impure_where_pure, machine_paths, outgoing_studies, shelves_out_of_order,
+    import_circles, impure_physics, impure_where_pure, machine_paths, outgoing_studies,
+    shelves_out_of_order,
 };
 use source::{File, checkout};
 
@@ -27,6 +28,11 @@ fn imports_look_back_along_the_flow() {
     none(forward_imports(&checkout()));
     none(contents_out_of_order(&checkout()));
     none(shelves_out_of_order(&checkout()));
+}
+
+#[test]
+fn modules_of_nets_and_physics_do_not_import_in_circles() {
+    none(import_circles(&checkout()));
 }
 
 #[test]
@@ -139,6 +145,27 @@ fn a_table_of_contents_out_of_order_is_found() {
     assert_eq!(with("src/service/Cargo.toml", "palpate-studies.workspace = true\n").len(), 1);
     assert_eq!(with("studies/Cargo.toml", "palpate-service.workspace = true\n").len(), 1);
     assert_eq!(with("studies/maps.rs", "use palpate_touch::evaluate;").len(), 1);
+}
+
+#[test]
+fn a_circle_of_imports_is_found() {
+    for (root, above) in [("nets/src", "super::super::a::A"), ("sim-core/src", "crate::{a, c}")] {
+        let circle = [
+            file(&format!("{root}/lib.rs"), "use crate::a::A;"),
+            file(&format!("{root}/a.rs"), "//! Uses `crate::c`.\nuse crate::d::D;"),
+            file(&format!("{root}/d.rs"), "fn f() -> crate::b::B { crate::b::f() }"),
+            file(&format!("{root}/b/mod.rs"), "pub mod inner; use crate::b::inner;"),
+            file(&format!("{root}/b/inner.rs"), &format!("use {above};")),
+        ];
+        assert_eq!(import_circles(&circle), [format!("{root}/: a -> d -> b -> a")]);
+        none(import_circles(&circle[..4]));
+    }
+    let two = [
+        file("nets/src/a.rs", "use super::b::B;"),
+        file("nets/src/b.rs", "use crate::{a::A, c::C};"),
+        file("nets/src/c.rs", "use crate::b;"),
+    ];
+    assert_eq!(import_circles(&two), ["nets/src/: a -> b -> a", "nets/src/: b -> c -> b"]);
 }
 
 #[test]

@@ -26,7 +26,7 @@ fn model() -> &'static ForwardModel {
     static MODEL: OnceLock<ForwardModel> = OnceLock::new();
     MODEL.get_or_init(|| {
         let sensor = include_str!("../../experiments/sensors/ert-28.toml");
-        load_or_build(&Sensor::from_toml(sensor).unwrap(), &data().join("cache")).unwrap()
+        load_or_build(Sensor::from_toml(sensor).unwrap(), &data().join("cache")).unwrap()
     })
 }
 

@@ -123,7 +123,7 @@ fn loads_add_before_the_clamp() {
 fn the_area_reading_scales_the_foam_down() {
     let mut file = sensor().file.clone();
     file.piezo.resistance_per = ResistancePer::Area;
-    let scaled = ForwardModel::new(&Sensor::new(file).unwrap(), responses()).unwrap();
+    let scaled = ForwardModel::new(Sensor::new(file).unwrap(), responses()).unwrap();
     let mut work = Workspace::default();
     let contact = [press(point_at(270.0, 280.0), 40.0)];
     let ratio = sd(&frame(&contact)) / sd(scaled.voltages(&contact, &mut work).unwrap());

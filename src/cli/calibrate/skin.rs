@@ -128,7 +128,7 @@ fn start(run: &RunRow, args: &SkinArgs) -> Result<(Sensor, Option<Calibration>),
         return Ok((sensor, None));
     }
     let applied = earlier.apply(&sensor).map_err(|e| calibration_problem(path, e))?;
-    Ok((applied, Some(earlier)))
+    Ok((applied.into_sensor(), Some(earlier)))
 }
 
 /// All trials of a run without a flag: positions of the tips, contacts.

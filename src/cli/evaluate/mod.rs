@@ -172,9 +172,9 @@ impl MethodArgs {
 }
 
 fn scored(name: &str) -> Result<Scored, String> {
-    let words = "must be paper, fast, exact, tikhonov or noser";
-    let scored = serde_json::from_value(name.into()).ok();
-    scored.filter(|scored| *scored != Scored::Voltages).ok_or_else(|| words.into())
+    let found = Scored::METHODS.into_iter().find(|(known, _)| *known == name);
+    let names = || Scored::METHODS.map(|(name, _)| name).join(", ");
+    found.map(|(_, scored)| scored).ok_or_else(|| format!("must be {}", names()))
 }
 
 /// Writes files to a folder, and creates it.

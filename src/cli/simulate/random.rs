@@ -12,6 +12,7 @@ use clap::Args;
 use indicatif::ProgressBar;
 use serde_json::json;
 use sim_core::batch::{BatchModel, Kernel};
+use sim_core::calibrated::CalibratedSensor;
 
 use crate::cli::data_or_default;
 use crate::cli::error::CliError;
@@ -123,7 +124,7 @@ pub async fn random(args: RandomArgs) -> Result<ExitCode, CliError> {
 }
 
 fn make(args: &RandomArgs, stop: &AtomicBool) -> Result<ExitCode, CliError> {
-    let mut sensor = read_sensor(args.sensor.as_deref())?;
+    let mut sensor = CalibratedSensor::from(read_sensor(args.sensor.as_deref())?);
     if let Some(path) = &args.calibration {
         sensor = read_calibration(path, &sensor)?.apply(&sensor)?;
     }

@@ -9,6 +9,7 @@ use std::process::ExitCode;
 
 use clap::Args;
 use serde::Serialize;
+use sim_core::calibrated::CalibratedSensor;
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 
 use crate::cli::data_or_default;
@@ -70,7 +71,7 @@ struct Answer<'a> {
 /// `CliError::Problems` if an option or a line is invalid; other variants if a file cannot be
 /// written.
 pub fn trials(args: &TrialArgs) -> Result<ExitCode, CliError> {
-    let mut sensor = read_sensor(args.sensor.as_deref())?;
+    let mut sensor = CalibratedSensor::from(read_sensor(args.sensor.as_deref())?);
     if let Some(path) = &args.calibration {
         sensor = read_calibration(path, &sensor)?.apply(&sensor)?;
     }

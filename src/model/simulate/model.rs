@@ -10,6 +10,7 @@ use std::sync::Arc;
 
 use rustix::io::Errno;
 use rustix::process::{Pid, test_kill_process};
+use sim_core::calibrated::CalibratedSensor;
 use sim_core::forward::{ForwardModel, ModelError};
 use sim_core::responses::{ResponsesError, UnitResponses};
 use sim_core::sensor::Sensor;
@@ -31,8 +32,12 @@ pub enum ModelUnavailable {
 ///
 /// # Errors
 /// `ModelUnavailable` if the solve fails, or mesh, fields or electrodes do not match.
-pub fn load_or_build(sensor: &Sensor, cache_dir: &Path) -> Result<ForwardModel, ModelUnavailable> {
-    let responses = unit_responses(sensor, cache_dir)?;
+pub fn load_or_build(
+    sensor: impl Into<CalibratedSensor>,
+    cache_dir: &Path,
+) -> Result<ForwardModel, ModelUnavailable> {
+    let sensor = sensor.into();
+    let responses = unit_responses(&sensor, cache_dir)?;
     Ok(ForwardModel::new(sensor, Arc::new(responses))?)
 }
 

@@ -18,10 +18,12 @@ use super::App;
 use super::problem::{ApiError, Params, ProblemBody};
 use crate::clock::Clock;
 use crate::dataset::background::background;
-use crate::infer::answer::{Method, Reading};
+use crate::infer::answer::Reading;
 use crate::infer::error::InferError;
-use crate::infer::exact::Tracked;
-use crate::infer::serving::{Pipeline, Slot};
+use crate::infer::methods::Method;
+use crate::infer::methods::exact::Tracked;
+use crate::infer::pipeline::Pipeline;
+use crate::infer::slot::Slot;
 
 /// Largest body with frames.
 pub const FRAMES_MAX_BYTES: usize = 64 << 20;
@@ -108,10 +110,7 @@ pub async fn infer(
     let channels = app.serving.sensor().channels();
     let (wish, frames) = received(&app, request, channels).await?;
     let pipeline = pipeline(&app, &wish).await?;
-    let turns = match wish.method {
-        Method::Exact => &app.turns.fits,
-        Method::Paper | Method::Fast => &app.turns.answers,
-    };
+    let turns = if wish.method.is_fit() { &app.turns.fits } else { &app.turns.answers };
     let Ok(Ok(turn)) = timeout(TURN, turns.clone().acquire_owned()).await else {
         let words = "as many requests as can be are being answered: ask again";
         return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
@@ -141,7 +140,7 @@ async fn pipeline(app: &App, wish: &Wish) -> Result<Pipeline, ApiError> {
     for name in wish.transfer.iter().chain(&wish.model) {
         let model = app.models.load(name).await?;
         app.serving.fits(&model)?;
-        if !Slot::used_by(wish.method).contains(&Slot::of(model.manifest.model.task)) {
+        if !wish.method.slots().contains(&Slot::of(model.manifest.model.task)) {
             return Err(InferError::OtherTask {
                 id: model.manifest.id.clone(),
                 task: model.manifest.model.task.as_str(),
@@ -188,7 +187,7 @@ async fn received(
     if count == 0 || count > FRAMES_MAX {
         return Err(ApiError::value("frames", count, &format!("must be from 1 to {FRAMES_MAX}")));
     }
-    if wish.method == Method::Exact && count > EXACT_MAX {
+    if wish.method.is_fit() && count > EXACT_MAX {
         let limit = format!("must be from 1 to {EXACT_MAX} where contacts are fitted");
         return Err(ApiError::value("frames", count, &limit));
     }
@@ -253,7 +252,7 @@ pub async fn live(
         })?,
     };
     // Said now, with a status, what every frame would say otherwise.
-    serves(&serving, method)?;
+    serving.ready(method)?;
     let turn = app.turns.live.clone().try_acquire_owned().map_err(|_| {
         let words = format!("{LIVE_AT_ONCE} clients follow the skin already");
         ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words)
@@ -279,16 +278,8 @@ impl Default for Turns {
     }
 }
 
-fn serves(pipeline: &Pipeline, method: Method) -> Result<(), InferError> {
-    match method {
-        Method::Paper => pipeline.maps(0.0).map(|_| ()),
-        Method::Fast => pipeline.points().map(|_| ()),
-        Method::Exact => pipeline.exact().map(|_| ()),
-    }
-}
-
 fn best(pipeline: &Pipeline) -> Option<Method> {
-    [Method::Exact, Method::Fast, Method::Paper].into_iter().find(|m| serves(pipeline, *m).is_ok())
+    Method::ALL.into_iter().rev().find(|method| pipeline.ready(*method).is_ok())
 }
 
 async fn follow(app: App, mut socket: WebSocket, method: Method, map: bool) {

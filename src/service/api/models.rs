@@ -15,7 +15,7 @@ use super::auth::Asker;
 use super::jobs::ndjson;
 use super::problem::{ApiError, Body, ProblemBody};
 use crate::infer::registry::{NewModel, facts};
-use crate::infer::serving::Slot;
+use crate::infer::slot::Slot;
 use crate::learn::model_file::{ModelFacts, manifest_for_foreign};
 use crate::learn::residuals::Residuals;
 use crate::problem::Problem;

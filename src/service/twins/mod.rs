@@ -289,9 +289,9 @@ impl TwinPool {
             let sensor = Sensor::from_toml(&text).map_err(|e| e.to_string())?;
             let sensor = match calibration.filter(|c| c.sensor == sensor.file.name) {
                 Some(calibration) => calibration.apply(&sensor).map_err(|e| e.to_string())?,
-                None => sensor,
+                None => sensor.into(),
             };
-            load_or_build(&sensor, &cache_dir).map_err(|e| e.to_string())
+            load_or_build(sensor, &cache_dir).map_err(|e| e.to_string())
         });
         let built = built.await.map_err(|_| PoolError::Worker)?;
         built.map(Arc::new).map_err(unusable)

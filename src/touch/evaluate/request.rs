@@ -37,6 +37,17 @@ pub enum Scored {
     Noser,
 }
 
+impl Scored {
+    /// The methods from a frame to contacts, with their names in commands.
+    pub const METHODS: [(&'static str, Self); 5] = [
+        ("paper", Self::Paper),
+        ("fast", Self::Fast),
+        ("exact", Self::Exact),
+        ("tikhonov", Self::Tikhonov),
+        ("noser", Self::Noser),
+    ];
+}
+
 /// Frame of a trial that is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "kebab-case")]

@@ -6,32 +6,6 @@ use utoipa::ToSchema;
 
 use crate::store::Contact;
 
-/// Method from frames to contacts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum Method {
-    /// The paper's method: Transfer-Net, Recon-Net, peaks of the map (V-C).
-    Paper,
-    /// Candidates of Point-Net.
-    Fast,
-    /// Contacts fitted to the frame through the exact model.
-    Exact,
-}
-
-impl Method {
-    /// All methods.
-    pub const ALL: [Self; 3] = [Self::Paper, Self::Fast, Self::Exact];
-
-    /// Name in commands and answers.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Paper => "paper",
-            Self::Fast => "fast",
-            Self::Exact => "exact",
-        }
-    }
-}
-
 /// An estimated contact.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct FoundContact {

@@ -4,7 +4,6 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::answer::Method;
 use super::plan::PlanError;
 use crate::dataset::force_map::ForceMapError;
 use crate::learn::model_file::ModelError;
@@ -25,10 +24,10 @@ pub enum InferError {
     #[error("no calibration {0}: add it with `palpate model add-calibration FILE`")]
     NoSkin(String),
     /// No model is promoted to a slot that the method needs.
-    #[error("method = {}: no {needs} is promoted: run `palpate model promote ID`", method.name())]
+    #[error("method = {method}: no {needs} is promoted: run `palpate model promote ID`")]
     NotServed {
-        /// The requested method.
-        method: Method,
+        /// Name of the requested method.
+        method: &'static str,
         /// The kind of model that is missing.
         needs: &'static str,
     },

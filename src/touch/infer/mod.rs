@@ -3,7 +3,8 @@
 //! motion.
 //!
 //! ```text
-//! registry (folders, loaded plans) -> serving (what is promoted) -> methods: paper, fast, exact
+//! registry (folders, loaded plans) -> serving (what is promoted) -> pipeline (what serves)
+//!     -> methods: paper, fast, exact; one_step for evaluations
 //! ```
 
 pub mod answer;
@@ -11,8 +12,7 @@ pub mod error;
 pub mod plan;
 pub mod registry;
 pub mod maps;
-pub mod points;
-pub mod exact;
-pub mod one_step;
-pub mod skins;
+pub mod slot;
+pub mod methods;
+pub mod pipeline;
 pub mod serving;

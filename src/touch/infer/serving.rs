@@ -1,6 +1,6 @@
 //! The serving models: the promoted ones, combined, and replaced without losing a frame.
-//! Uses: `infer::{registry, maps, points, exact, skins}`, `store` (promotions). Never: HTTP,
-//! training.
+//! Uses: `infer::{registry, pipeline, slot}`, the skins of `exact`, `store` (promotions). Never:
+//! HTTP, training.
 //!
 //! A pipeline is immutable: a caller uses the one that was current when the frame arrived; a
 //! promotion builds a new one, loads and warms it, and replaces the current one.
@@ -9,212 +9,18 @@ use std::path::Path;
 use std::sync::Arc;
 
 use parking_lot::RwLock;
-use serde::{Deserialize, Serialize};
 use sim_core::forward::ForwardModel;
 use sim_core::sensor::Sensor;
 use tokio::sync::watch;
-use utoipa::ToSchema;
 
-use super::answer::{Method, Reading};
 use super::error::InferError;
-use super::exact::{ExactPipeline, ExactSkin, Tracked};
-use super::maps::{MapPipeline, draw};
-use super::points::PointPipeline;
+use super::methods::Method;
+use super::methods::exact::ExactSkin;
+use super::methods::exact::skins::Skins;
+use super::pipeline::Pipeline;
 use super::registry::{Model, Registry};
-use super::skins::Skins;
-use crate::dataset::force_map::peaks::THRESHOLD_N;
-use crate::learn::model_file::NetTask;
+use super::slot::Slot;
 use crate::store::{NewPromotion, PromotionRow, Store};
-
-/// Slot for promotions.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum Slot {
-    /// The Transfer-Net of `paper`.
-    Transfer,
-    /// The net of `paper` with force maps as answers: a Recon-Net, or an end-to-end net.
-    Map,
-    /// The Point-Net of `fast`, which also proposes to `exact`.
-    Points,
-    /// The calibrated skin of `exact`.
-    Skin,
-}
-
-impl Slot {
-    /// All slots.
-    pub const ALL: [Self; 4] = [Self::Transfer, Self::Map, Self::Points, Self::Skin];
-
-    /// Name in commands, requests and the store.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Transfer => "transfer",
-            Self::Map => "map",
-            Self::Points => "points",
-            Self::Skin => "skin",
-        }
-    }
-
-    /// The slots that a method uses.
-    pub fn used_by(method: Method) -> &'static [Self] {
-        match method {
-            Method::Paper => &[Self::Transfer, Self::Map],
-            Method::Fast => &[Self::Points],
-            Method::Exact => &[Self::Points, Self::Skin],
-        }
-    }
-
-    /// The slot of models with a task.
-    pub fn of(task: NetTask) -> Self {
-        match task {
-            NetTask::Transfer => Self::Transfer,
-            NetTask::Recon | NetTask::EndToEnd => Self::Map,
-            NetTask::Points => Self::Points,
-        }
-    }
-}
-
-/// The models of all methods; a method without its models returns an error that names them.
-#[derive(Debug, Clone, Default)]
-pub struct Pipeline {
-    transfer: Option<Arc<Model>>,
-    map: Option<Arc<Model>>,
-    points: Option<PointPipeline>,
-    skin: Option<Arc<ExactSkin>>,
-}
-
-/// Answers, and the models that gave them.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Answered {
-    /// One reading per frame.
-    pub readings: Vec<Reading>,
-    /// Id of the model, or ids joined with `+`; for `exact` that of the calibration, and that of
-    /// the Point-Net with its proposals.
-    pub model: String,
-}
-
-impl Pipeline {
-    /// Returns the pipeline with a net in its slot.
-    ///
-    /// # Errors
-    /// `InferError::OtherTask` if the net does not fit its slot.
-    pub fn with(mut self, model: Arc<Model>) -> Result<Self, InferError> {
-        match Slot::of(model.manifest.model.task) {
-            Slot::Transfer => self.transfer = Some(model),
-            Slot::Points => self.points = Some(PointPipeline::new(model)?),
-            Slot::Map | Slot::Skin => self.map = Some(model),
-        }
-        Ok(self)
-    }
-
-    /// Returns the pipeline with a skin, or without one.
-    pub fn with_skin(mut self, skin: Option<Arc<ExactSkin>>) -> Self {
-        self.skin = skin;
-        self
-    }
-
-    /// Returns the pipeline with an empty slot.
-    fn without(mut self, slot: Slot) -> Self {
-        match slot {
-            Slot::Transfer => self.transfer = None,
-            Slot::Map => self.map = None,
-            Slot::Points => self.points = None,
-            Slot::Skin => self.skin = None,
-        }
-        self
-    }
-
-    /// The pipeline of `paper`.
-    ///
-    /// # Errors
-    /// `InferError::NotServed` if a net is missing; `Map` if the map does not fit the skin.
-    pub fn maps(&self, threshold_n: f64) -> Result<MapPipeline, InferError> {
-        let lacks = |needs| InferError::NotServed { method: Method::Paper, needs };
-        let map = self.map.clone().ok_or_else(|| lacks("recon-net or end-to-end net"))?;
-        let transfer = match map.manifest.model.task {
-            NetTask::EndToEnd => None,
-            _ => Some(self.transfer.clone().ok_or_else(|| lacks("transfer-net"))?),
-        };
-        MapPipeline::new(transfer, map, threshold_n)
-    }
-
-    /// The pipeline of `fast`.
-    ///
-    /// # Errors
-    /// `InferError::NotServed` without a Point-Net.
-    pub fn points(&self) -> Result<&PointPipeline, InferError> {
-        let lacks = InferError::NotServed { method: Method::Fast, needs: "point-net" };
-        self.points.as_ref().ok_or(lacks)
-    }
-
-    /// The pipeline of `exact`.
-    ///
-    /// # Errors
-    /// `InferError::NotServed` without a skin.
-    pub fn exact(&self) -> Result<ExactPipeline, InferError> {
-        let lacks = InferError::NotServed { method: Method::Exact, needs: "skin" };
-        let skin = self.skin.clone().ok_or(lacks)?;
-        Ok(ExactPipeline { skin, points: self.points.clone() })
-    }
-
-    /// Answers frames (V, one after the other), each the mean of `averaged` frames.
-    ///
-    /// # Errors
-    /// `InferError::NotServed` if a model is missing; other variants if a frame cannot be answered.
-    pub fn answer(
-        &self,
-        method: Method,
-        frames: &[f32],
-        averaged: f64,
-        with_map: bool,
-    ) -> Result<Answered, InferError> {
-        let (mut answered, size_mm) = match method {
-            Method::Paper => {
-                let maps = self.maps(THRESHOLD_N)?;
-                let readings = maps.read(frames, with_map)?;
-                return Ok(Answered { readings, model: maps.models().join("+") });
-            }
-            Method::Fast => {
-                let points = self.points()?;
-                let (readings, model) = (points.read(frames)?, points.model().into());
-                (Answered { readings, model }, points.net().size_mm())
-            }
-            Method::Exact => {
-                let exact = self.exact()?;
-                let readings = exact.read(frames, averaged)?;
-                (Answered { readings, model: exact.models() }, exact.skin.size_mm())
-            }
-        };
-        if with_map {
-            draw(&mut answered.readings, size_mm)?;
-        }
-        Ok(answered)
-    }
-
-    /// Answers the next frame of a stream (V), and returns the id of the models.
-    ///
-    /// # Errors
-    /// `InferError::NotServed` if a model is missing; other variants if the frame cannot be
-    /// answered.
-    pub fn follow(
-        &self,
-        method: Method,
-        frame: &[f32],
-        with_map: bool,
-        tracked: &mut Tracked,
-    ) -> Result<(Reading, String), InferError> {
-        if method == Method::Exact {
-            let exact = self.exact()?;
-            let mut reading = exact.follow(frame, tracked)?;
-            if with_map {
-                draw(std::slice::from_mut(&mut reading), exact.skin.size_mm())?;
-            }
-            return Ok((reading, exact.models()));
-        }
-        let answered = self.answer(method, frame, 1.0, with_map)?;
-        let reading = answered.readings.into_iter().next().unwrap_or_default();
-        Ok((reading, answered.model))
-    }
-}
 
 /// The current pipeline, and its changes. Clones share it.
 #[derive(Clone)]
@@ -286,7 +92,7 @@ impl Serving {
     /// Waits until the slots of a method are restored after a restart, and returns the pipeline:
     /// seconds, with a skin most of a minute. Without a method: until all slots are restored.
     pub async fn once_restored(&self, method: Option<Method>) -> Arc<Pipeline> {
-        let needed = method.map_or(Slot::ALL.as_slice(), Slot::used_by);
+        let needed = method.map_or(Slot::ALL.as_slice(), Method::slots);
         let mut restored = self.inner.restored.subscribe();
         // `self` owns the sender, so the wait cannot fail.
         let _ = restored.wait_for(|up| needed.iter().all(|slot| up.contains(slot))).await;
@@ -431,7 +237,7 @@ impl Serving {
     /// # Errors
     /// `InferError` if there is no such calibration or the skin cannot be prepared.
     pub async fn skin(&self, calibration: Option<&str>) -> Result<Arc<ExactSkin>, InferError> {
-        if let Some(serves) = &self.current().skin
+        if let Some(serves) = self.current().skin()
             && serves.calibration() == calibration
         {
             return Ok(serves.clone());

@@ -22,40 +22,54 @@ use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Example, Fra
 use crate::evaluate::score::Scores;
 use crate::evaluate::touch::{Metric, Touch};
 use crate::evaluate::voltages::VoltageScores;
-use crate::infer::answer::{FoundContact, Reading};
+use crate::infer::answer::FoundContact;
 use crate::infer::error::InferError;
-use crate::infer::exact::ExactPipeline;
-use crate::infer::maps::{MAP_1, MapPipeline};
-use crate::infer::one_step::OneStepPipeline;
-use crate::infer::points::PointPipeline;
+use crate::infer::methods::ReadyMethod;
+use crate::infer::methods::exact::ExactPipeline;
+use crate::infer::methods::fast::PointPipeline;
+use crate::infer::methods::one_step::OneStepPipeline;
+use crate::infer::methods::paper::MapPipeline;
 use crate::infer::registry::Model;
 use crate::learn::error::LearnError;
 use crate::learn::examples::{MEASURED, SIMULATED};
-use crate::learn::model_file::NetTask;
+use crate::learn::task::Reads;
 use crate::simulate::compare::difference;
 use crate::store::{Contact, DatasetRow, JobRow};
 
 /// Number of frames that a Transfer-Net reads at a time.
 const FRAMES_AT_ONCE: usize = 8;
 
-/// Method that reads frames.
+/// Reader of the frames.
 enum Reader {
+    /// A Transfer-Net, or none: the frames themselves.
     Voltages(Option<Arc<Model>>),
-    Maps(MapPipeline),
-    Points(PointPipeline),
-    Exact(ExactPipeline),
-    OneStep(OneStepPipeline, Option<String>),
+    /// A method from a frame to contacts.
+    Contacts(Box<dyn ReadyMethod>),
 }
 
 impl Reader {
-    /// Nets of the method.
+    /// The method, if contacts are read.
+    fn method(&self) -> Option<&dyn ReadyMethod> {
+        match self {
+            Self::Voltages(_) => None,
+            Self::Contacts(method) => Some(method.as_ref()),
+        }
+    }
+
+    /// Nets that are used.
     fn nets(&self) -> Vec<&Model> {
         match self {
             Self::Voltages(transfer) => transfer.iter().map(Arc::as_ref).collect(),
-            Self::Maps(maps) => maps.nets().collect(),
-            Self::Points(points) => vec![points.net()],
-            Self::Exact(exact) => exact.points.iter().map(PointPipeline::net).collect(),
-            Self::OneStep(..) => Vec::new(),
+            Self::Contacts(method) => method.nets(),
+        }
+    }
+
+    /// Columns of frames that are needed.
+    fn columns(&self) -> &'static [&'static str] {
+        match self.method().map(|method| method.reads()) {
+            None => &[MEASURED, SIMULATED],
+            Some(Reads::Simulated) => &[SIMULATED],
+            Some(Reads::Measured) => &[MEASURED],
         }
     }
 }
@@ -78,7 +92,7 @@ pub(super) async fn run(
     let file = data_file(&jobs.inner.datasets.datasets(), &dataset.id);
     watch.phase("gathering frames", dataset.rows);
     let scratch = jobs.inner.data.join("cache");
-    let columns = columns(&reader, &request);
+    let columns = reader.columns();
     let measured = columns.contains(&MEASURED);
     if request.frames == FramesRead::First && !measured {
         let limit = "no measured frames are read: use mean, or name a Transfer-Net";
@@ -119,20 +133,20 @@ async fn reader(jobs: &Jobs, request: &EvaluationRequest) -> Result<Reader, JobE
     };
     let transfer = load(&request.transfer).await?;
     let points = load(&request.points).await?.map(PointPipeline::new).transpose()?;
-    Ok(match request.scored {
-        Scored::Voltages => Reader::Voltages(transfer),
+    let none = || InferError::NoModel("none".into());
+    let method: Box<dyn ReadyMethod> = match request.scored {
+        Scored::Voltages => return Ok(Reader::Voltages(transfer)),
         Scored::Paper => {
-            let map = load(&request.map).await?;
-            let map = map.ok_or_else(|| InferError::NoModel("none".into()))?;
-            Reader::Maps(MapPipeline::new(transfer, map, request.threshold_n)?)
+            let map = load(&request.map).await?.ok_or_else(none)?;
+            Box::new(MapPipeline::new(transfer, map, request.threshold_n)?)
         }
-        Scored::Fast => Reader::Points(points.ok_or_else(|| InferError::NoModel("none".into()))?),
+        Scored::Fast => Box::new(points.ok_or_else(none)?),
         Scored::Exact => {
             let calibration = skin(jobs, request).await?;
             // The preparation of a skin takes most of a minute: it is reused.
             jobs.inner.serving.once_restored(None).await;
             let skin = jobs.inner.serving.skin(calibration.as_deref()).await?;
-            Reader::Exact(ExactPipeline { skin, points })
+            Box::new(ExactPipeline { skin, points })
         }
         Scored::Tikhonov | Scored::Noser => {
             let model = jobs.inner.serving.model(skin(jobs, request).await?.as_deref()).await?;
@@ -141,11 +155,11 @@ async fn reader(jobs: &Jobs, request: &EvaluationRequest) -> Result<Reader, JobE
                 _ => Regularisation::Tikhonov,
             };
             let threshold_n = request.threshold_n;
-            let calibration = model.sensor().calibration().map(str::to_owned);
-            let ready = move || OneStepPipeline::new(&model, kind, MAP_1, threshold_n);
-            Reader::OneStep(background(ready).await??, calibration)
+            let ready = move || OneStepPipeline::new(&model, kind, threshold_n);
+            Box::new(background(ready).await??)
         }
-    })
+    };
+    Ok(Reader::Contacts(method))
 }
 
 /// Whether none of the scored rows can have been used to train a net of the reader.
@@ -175,17 +189,6 @@ async fn skin(jobs: &Jobs, request: &EvaluationRequest) -> Result<Option<String>
     }
 }
 
-/// Columns of frames that a reader needs.
-fn columns(reader: &Reader, request: &EvaluationRequest) -> &'static [&'static str] {
-    match reader {
-        Reader::Voltages(_) => &[MEASURED, SIMULATED],
-        Reader::Maps(maps) if request.transfer.is_none() && maps.task() == NetTask::Recon => {
-            &[SIMULATED]
-        }
-        _ => &[MEASURED],
-    }
-}
-
 /// Inputs of the scoring.
 struct Scoring {
     request: EvaluationRequest,
@@ -210,7 +213,7 @@ impl Scoring {
         self.watch.phase("scoring", self.gathered.rows.len() as u64);
         let done = match &self.reader {
             Reader::Voltages(transfer) => self.voltages(transfer.as_deref(), &mut report)?,
-            _ => self.contacts(&mut report)?,
+            Reader::Contacts(method) => self.contacts(method.as_ref(), &mut report)?,
         };
         Ok(done.then_some(report))
     }
@@ -222,12 +225,9 @@ impl Scoring {
             let facts = &net.manifest.model;
             (net.manifest.id.clone(), facts.sensor.clone(), facts.channels)
         });
-        let of_rig = match &self.reader {
-            Reader::Exact(exact) => Some(exact.skin.id().to_owned()),
-            Reader::OneStep(..) => Some("of one step".to_owned()),
-            _ => None,
-        };
-        let of_rig = of_rig.map(|id| (id, self.rig_sensor.0.clone(), self.rig_sensor.1));
+        let skin = self.reader.method().and_then(|method| method.skin());
+        let of_rig =
+            skin.map(|skin| (skin.id.to_owned(), self.rig_sensor.0.clone(), self.rig_sensor.1));
         let same = |(_, sensor, channels): &(String, String, usize)| {
             *sensor == here.name && *channels == here.channels
         };
@@ -244,10 +244,7 @@ impl Scoring {
 
     /// Restrictions on the validity of the scores.
     fn notes(&self) -> Vec<String> {
-        let run = match &self.reader {
-            Reader::Exact(exact) => exact.skin.run(),
-            _ => None,
-        };
+        let run = self.reader.method().and_then(|method| method.skin()?.run);
         let runs = self.dataset.lineage["runs"].as_array().into_iter().flatten();
         let seen = run.filter(|run| runs.into_iter().any(|r| r["uid"].as_str() == Some(run)));
         let seen = seen.map(|run| {
@@ -259,18 +256,9 @@ impl Scoring {
     }
 
     fn blank(&self) -> EvaluationReport {
-        let (models, calibration) = match &self.reader {
-            Reader::Voltages(transfer) => {
-                (transfer.iter().map(|model| model.manifest.id.clone()).collect(), None)
-            }
-            Reader::Maps(maps) => (maps.models(), None),
-            Reader::Points(points) => (vec![points.model().to_owned()], None),
-            Reader::Exact(exact) => {
-                let points = exact.points.iter().map(|points| points.model().to_owned());
-                (points.collect(), exact.skin.calibration().map(str::to_owned))
-            }
-            Reader::OneStep(_, calibration) => (Vec::new(), calibration.clone()),
-        };
+        let models = self.reader.nets().iter().map(|net| net.manifest.id.clone()).collect();
+        let skin = self.reader.method().and_then(|method| method.skin());
+        let calibration = skin.and_then(|skin| skin.calibration.map(str::to_owned));
         let label = self.dataset.lineage["runs"][0]["label"].as_str();
         EvaluationReport {
             scored: self.request.scored,
@@ -336,7 +324,11 @@ impl Scoring {
     }
 
     /// Scores contacts; returns `false` if it was stopped.
-    fn contacts(&self, report: &mut EvaluationReport) -> Result<bool, JobError> {
+    fn contacts(
+        &self,
+        method: &dyn ReadyMethod,
+        report: &mut EvaluationReport,
+    ) -> Result<bool, JobError> {
         let began_s = self.clock.process_s();
         let (mut touches, mut latencies) = (Vec::new(), Vec::new());
         // One frame at a time, as on a rig: the latency is measured.
@@ -344,7 +336,7 @@ impl Scoring {
             let frames = self.frames(at, rows)?;
             let before_s = self.clock.process_s();
             let shown = (self.request.examples as usize).saturating_sub(report.examples.len());
-            let readings = self.read(&frames, rows[0], shown > 0)?;
+            let readings = method.read(&frames, self.averaged(rows[0]), shown > 0)?;
             latencies.push(1e3 * (self.clock.process_s() - before_s));
             for (&row, reading) in rows.iter().zip(&readings) {
                 let sure = reading.contacts.iter().filter(|found| self.is_sure(found));
@@ -365,10 +357,7 @@ impl Scoring {
             quantile(&latencies, 0.5).zip(quantile(&latencies, 0.99)).map(Into::into);
         report.contacts = Some(Scores::of(&touches, self.request.seed));
         report.cells = Some(cells(&touches));
-        let spec = match &self.reader {
-            Reader::Maps(maps) => maps.spec(),
-            _ => MAP_1,
-        };
+        let spec = method.map();
         let draws = ForceMap::new(spec, self.gathered.skin.width_mm, self.gathered.skin.height_mm);
         let draws = draws.map_err(InferError::from)?;
         let truths: Vec<Vec<Contact>> =
@@ -410,18 +399,11 @@ impl Scoring {
         Ok(frames)
     }
 
-    fn read(&self, frames: &[f32], first: u32, map: bool) -> Result<Vec<Reading>, InferError> {
-        match &self.reader {
-            Reader::Maps(maps) => maps.read(frames, map),
-            Reader::Points(points) => points.read(frames),
-            Reader::Exact(exact) => {
-                let count = self.gathered.examples.frame_count(first);
-                let single = self.raw.is_some() || count == 0;
-                exact.read(frames, if single { 1.0 } else { f64::from(count) })
-            }
-            Reader::OneStep(step, _) => step.read(frames, map),
-            Reader::Voltages(_) => Ok(Vec::new()),
-        }
+    /// Number of frames of which the frame of a row is the mean.
+    fn averaged(&self, row: u32) -> f64 {
+        let count = self.gathered.examples.frame_count(row);
+        let single = self.raw.is_some() || count == 0;
+        if single { 1.0 } else { f64::from(count) }
     }
 }
 

@@ -140,7 +140,7 @@ struct Work {
 impl Work {
     fn on_dataset(self, dataset: &DatasetRow, file: &Path) -> Result<Option<NewModel>, JobError> {
         self.watch.phase("gathering frames", dataset.rows);
-        let columns = train::columns(self.recipe.task());
+        let columns = self.recipe.task().columns();
         let sensor = crate::dataset::read::sensor_text(file)?;
         let (skin, _) = registry::facts("sensor", &sensor)?;
         let conditions = &self.recipe.conditions;

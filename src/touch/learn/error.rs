@@ -27,7 +27,7 @@ pub enum LearnError {
     /// The training failed.
     #[cfg(feature = "train")]
     #[error(transparent)]
-    Train(nets::train::TrainError),
+    Train(nets::error::TrainError),
     /// The trained net cannot become a model.
     #[error(transparent)]
     Model(#[from] super::model_file::ModelError),

@@ -6,6 +6,7 @@
 //! ```
 
 pub mod error;
+pub mod task;
 pub mod model_file;
 pub mod onnx;
 pub mod examples;

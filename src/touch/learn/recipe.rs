@@ -1,10 +1,9 @@
 //! A recipe: dataset, net and training. One TOML file.
 //! PURE. Uses: nets (its part of the file), `dataset::force_map`. Never: data.
 
-use nets::recipe::Net;
 use serde::{Deserialize, Serialize};
 
-use super::model_file::NetTask;
+use super::task::{Answers, NetTask};
 use crate::dataset::force_map::ForceMapSpec;
 use crate::problem::{Checks, Problem};
 use crate::syntax::syntax_problem;
@@ -54,12 +53,7 @@ impl Recipe {
 
     /// Task of its net.
     pub fn task(&self) -> NetTask {
-        match self.training.net {
-            Net::TransferNet(_) => NetTask::Transfer,
-            Net::ReconNet(_) => NetTask::Recon,
-            Net::EndToEnd(_) => NetTask::EndToEnd,
-            Net::PointNet(_) => NetTask::Points,
-        }
+        NetTask::of(&self.training.net)
     }
 
     fn check(&self, file: &str) -> Result<(), Vec<Problem>> {
@@ -70,10 +64,10 @@ impl Recipe {
         let own = !self.name.starts_with("mdl-");
         checks.require(named && own, "name", &self.name, "must be letters, digits, - _ . only");
         let map = self.map.map_or("none".into(), |map| map.to_string());
-        let limit = "must be set for recon-net and end-to-end, and only for these";
+        let limit = "must be set for nets with force maps as answers, and only for these";
         checks.require(task.gives_map() == self.map.is_some(), "map", map, limit);
         let dataset = self.dataset.as_deref().unwrap_or("none");
-        let has_data = self.dataset.is_some() || task == NetTask::Points;
+        let has_data = self.dataset.is_some() || task.answers() == Answers::Points;
         checks.require(has_data, "dataset", dataset, "must be a dataset's name or id");
         let rows = self.rows.unwrap_or(1);
         checks.require((1..=ROWS_MAX).contains(&rows), "rows", rows, "must be 1 to 20000000");

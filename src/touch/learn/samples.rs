@@ -1,7 +1,8 @@
 //! Rows of a dataset as a net's samples: a frame and its target.
 //! Uses: `learn::examples`, `dataset::force_map`, nets' trait. Never: frames or maps in memory.
 
-use nets::samples::{Samples, SamplesError};
+use nets::error::SamplesError;
+use nets::samples::Samples;
 
 use super::error::LearnError;
 use super::examples::Examples;

@@ -3,20 +3,23 @@
 
 use std::sync::Arc;
 
+use nets::architecture::Answer;
+use nets::error::TrainError;
+use nets::net::Net;
 use nets::network::{Layer, Network};
-use nets::recipe::Net;
+use nets::points::streamed::Streamed;
 use nets::samples::Samples;
-use nets::streamed::Streamed;
-use nets::train::{self as training, Observer, Plan, TrainError};
+use nets::train::{self as training, Observer, Plan};
 use sim_core::batch::BatchModel;
 use sim_core::forward::ForwardModel;
 
 use super::error::LearnError;
-use super::examples::{Examples, MEASURED, SIMULATED};
-use super::model_file::{NetTask, TrainedRange};
+use super::examples::Examples;
+use super::model_file::TrainedRange;
 use super::recipe::Recipe;
 use super::residuals::Residuals;
 use super::samples::{Fixed, FramePairs, FramesAndMaps};
+use super::task::Answers;
 use crate::dataset::force_map::ForceMap;
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::dataset::split::Part;
@@ -31,15 +34,6 @@ const STREAM_CHOSEN_WITH: u64 = 2_000;
 const CHOOSING: u64 = 1 << 62;
 /// Number of frames that are answered at a time.
 const FRAMES_AT_ONCE: usize = 256;
-
-/// Columns of a dataset that a task is trained on, in the order of input and target.
-pub fn columns(task: NetTask) -> &'static [&'static str] {
-    match task {
-        NetTask::Transfer => &[MEASURED, SIMULATED],
-        NetTask::Recon | NetTask::Points => &[SIMULATED],
-        NetTask::EndToEnd => &[MEASURED],
-    }
-}
 
 /// Inputs of a training in addition to its recipe.
 #[derive(Debug)]
@@ -101,9 +95,9 @@ pub fn train(
     let [learn, choose] = [learn, choose].map(|rows| samples(recipe, given, rows));
     let (learn, choose) = (learn?, choose?);
     let trained = training::train(&plan, &*learn, &*choose, checkpoint, observer)?;
-    let residuals = match recipe.task() {
-        NetTask::Transfer => Some(residuals(&trained.network, given)?),
-        _ => None,
+    let residuals = match recipe.task().answers() {
+        Answers::Frame => Some(residuals(&trained.network, given)?),
+        Answers::Map | Answers::Points => None,
     };
     Ok(Learned { trained, range, residuals })
 }
@@ -168,14 +162,14 @@ fn samples<'a>(
     rows: Vec<u32>,
 ) -> Result<Box<dyn Samples + 'a>, LearnError> {
     let examples = given.examples;
-    match (&recipe.training.net, recipe.map) {
-        (Net::TransferNet(_), _) => Ok(Box::new(FramePairs { examples, rows })),
-        (Net::ReconNet(net) | Net::EndToEnd(net), Some(map)) => {
+    match (recipe.training.net.answer(), recipe.map) {
+        (Answer::Frame, _) => Ok(Box::new(FramePairs { examples, rows })),
+        (Answer::Map { side }, Some(map)) => {
             let draws = ForceMap::new(map, given.skin.width_mm, given.skin.height_mm);
             let draws = draws.map_err(|error| LearnError::value("map", map, &error.to_string()))?;
-            if draws.pixels() != net.side {
+            if draws.pixels() != side {
                 let limit = format!("must be the {} pixels of a side of map {map}", draws.pixels());
-                return Err(LearnError::value("training.net.side", net.side, &limit));
+                return Err(LearnError::value("training.net.side", side, &limit));
             }
             // If no contact has a force, the map contains positions only.
             let contacts = || rows.iter().flat_map(|&row| examples.contacts(row));

@@ -16,6 +16,7 @@ use super::onnx::{
     sealed,
     write::{Description, WriteError, to_onnx},
 };
+use super::task::NetTask;
 use crate::dataset::force_map::ForceMapSpec;
 use crate::problem::{Checks, Problem};
 use crate::store::Label;
@@ -25,56 +26,6 @@ use crate::syntax::syntax_problem;
 const ID_DIGITS: usize = 16;
 /// Largest number of values of an answer, and of channels of a sensor: bounds the memory.
 const NUMBERS_MAX: usize = 1 << 20;
-
-/// Task of a net (paper, section V).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum NetTask {
-    /// Measured voltages to simulated ones (Transfer-Net).
-    Transfer,
-    /// Simulated voltages to a force map (Recon-Net).
-    Recon,
-    /// Measured voltages to a force map.
-    EndToEnd,
-    /// Voltages to presence (logit) and log-force of a contact at each point of the sensor.
-    Points,
-}
-
-impl NetTask {
-    /// Name of the task in manifests.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Transfer => "transfer",
-            Self::Recon => "recon",
-            Self::EndToEnd => "end-to-end",
-            Self::Points => "points",
-        }
-    }
-
-    /// Whether the answer is a force map.
-    pub fn gives_map(self) -> bool {
-        matches!(self, Self::Recon | Self::EndToEnd)
-    }
-
-    /// Name of the input tensor, and its description.
-    pub fn input(self) -> [&'static str; 2] {
-        match self {
-            Self::Recon => ["voltages_v_sim", "simulated voltages, V, injection-major"],
-            _ => ["voltages_v", "measured voltages, V, injection-major"],
-        }
-    }
-
-    /// Name of the output tensor, and its description.
-    pub fn output(self) -> [&'static str; 2] {
-        match self {
-            Self::Transfer => ["voltages_v_sim", "simulated voltages, V, injection-major"],
-            Self::Recon | Self::EndToEnd => {
-                ["force_map_n", "newtons per pixel, row = y, column = x, row 0 at the lowest y"]
-            }
-            Self::Points => ["points", "logit of a contact, and ln(force / N), at each point"],
-        }
-    }
-}
 
 /// Facts of a sensor that a model must match.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -259,19 +210,15 @@ impl ModelFacts {
         let channels = self.channels == sensor.channels && self.channels <= NUMBERS_MAX;
         checks.require(channels, "model.channels", self.channels, &limit);
         let map = self.force_map.map_or("none".into(), |map| map.to_string());
-        let limit = "must be set for recon and end-to-end, and only for these";
+        let limit = "must be set for nets with force maps as answers, and only for these";
         checks.require(
             self.task.gives_map() == self.force_map.is_some(),
             "model.force_map",
             map,
             limit,
         );
-        let wanted = match (self.task, self.force_map) {
-            (NetTask::Transfer, _) => vec![sensor.channels],
-            (NetTask::Points, _) => vec![2, sensor.points],
-            (NetTask::Recon | NetTask::EndToEnd, Some(map)) => vec![map.pixels(); 2],
-            (NetTask::Recon | NetTask::EndToEnd, None) => self.output_shape.clone(),
-        };
+        let wanted = self.task.output_shape(sensor, self.force_map);
+        let wanted = wanted.unwrap_or_else(|| self.output_shape.clone());
         let numbers = wanted.iter().try_fold(1, |n: usize, &l| n.checked_mul(l)).unwrap_or(0);
         let limit = format!("must be {wanted:?} for {} on this sensor", self.task.as_str());
         let fits = self.output_shape == wanted && (1..=NUMBERS_MAX).contains(&numbers);

@@ -1,13 +1,18 @@
 //! Transfer-Net (paper V-A): real voltages to simulated ones, five hidden layers of rectified
 //! neurons, as many as channels.
-//! PURE. Uses: `initial`, `input`. Never: burn.
+//! PURE. Uses: the shared parts. Never: data.
+
+mod loss;
 
 use serde::{Deserialize, Serialize};
 
+use self::loss::Relative;
+use crate::architecture::{Answer, Architecture};
+use crate::error::{RecipeError, require};
 use crate::initial::{Initial, LINEAR};
-use crate::input::{Input, NORM_FLOOR_V};
-use crate::network::{Form, Layer, Network};
-use crate::recipe::{RecipeError, WEIGHTS_MAX, require};
+use crate::input::Input;
+use crate::loss::{Loss, MeanSquare};
+use crate::network::{Form, Layer, NORM_FLOOR_V, Network, WEIGHTS_MAX};
 use crate::statistics::Statistics;
 
 /// Parameters of a Transfer-Net.
@@ -39,24 +44,33 @@ impl Default for TransferNet {
     }
 }
 
-impl TransferNet {
-    /// Normalisation of its frames.
-    pub fn input(&self) -> Input {
+impl Architecture for TransferNet {
+    fn input(&self) -> Input {
         match self.form {
             TransferForm::Plain => Input::Standardised,
             TransferForm::Residual => Input::Unit,
         }
     }
 
-    pub(crate) fn check(&self) -> Result<(), RecipeError> {
+    fn answer(&self) -> Answer {
+        Answer::Frame
+    }
+
+    fn check(&self) -> Result<(), RecipeError> {
         require((1..=64).contains(&self.hidden), "net.hidden", self.hidden, "1..64")?;
         require(self.width <= 1 << 14, "net.width", self.width, "at most 16384")?;
         let weights = self.hidden * self.width * self.width;
         require(weights <= WEIGHTS_MAX, "net.hidden x net.width^2", weights, "at most 2^28")
     }
 
-    /// The net before the first step.
-    pub(crate) fn first(&self, statistics: &Statistics, initial: &mut Initial) -> Network {
+    fn loss(&self, target_size: f32) -> Box<dyn Loss> {
+        match self.form {
+            TransferForm::Plain => Box::new(MeanSquare { unit: target_size }),
+            TransferForm::Residual => Box::new(Relative),
+        }
+    }
+
+    fn first(&self, statistics: &Statistics, _: usize, initial: &mut Initial) -> Network {
         let channels = statistics.mean.len();
         let width = if self.width == 0 { channels } else { self.width };
         let mut layers = self.input().layers(statistics);

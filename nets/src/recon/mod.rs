@@ -1,14 +1,16 @@
 //! Recon-Net (paper V-B): voltages to a force map, newtons per pixel. The paper's layers are not
 //! public; these are the project's: a dense layer draws a small image with many channels, and
 //! transposed convolutions double its sides until it has the size of the map.
-//! PURE. Uses: `initial`, `input`. Never: burn.
+//! PURE. Uses: the shared parts. Never: data.
 
 use serde::{Deserialize, Serialize};
 
+use crate::architecture::{Answer, Architecture};
+use crate::error::{RecipeError, require};
 use crate::initial::{Initial, LINEAR, RECTIFIED};
 use crate::input::Input;
-use crate::network::{Form, Layer, Network};
-use crate::recipe::{RecipeError, WEIGHTS_MAX, require};
+use crate::loss::{Loss, MeanSquare};
+use crate::network::{Form, Layer, Network, WEIGHTS_MAX};
 use crate::statistics::Statistics;
 
 /// Number of inputs that the size check of a net without a hidden layer assumes: the paper's
@@ -69,8 +71,18 @@ impl ReconNet {
     fn first_side(&self) -> usize {
         self.side >> self.channels.len()
     }
+}
 
-    pub(crate) fn check(&self) -> Result<(), RecipeError> {
+impl Architecture for ReconNet {
+    fn input(&self) -> Input {
+        self.input
+    }
+
+    fn answer(&self) -> Answer {
+        Answer::Map { side: self.side }
+    }
+
+    fn check(&self) -> Result<(), RecipeError> {
         let few = (1..=10).contains(&self.channels.len());
         require(few, "net.channels", self.channels.len(), "a list of 1 to 10")?;
         let sizes = self.channels.iter().all(|c| (1..=4096).contains(c));
@@ -87,8 +99,11 @@ impl ReconNet {
         require(weights <= WEIGHTS_MAX, "weights", weights, "at most 2^28: fewer net.channels")
     }
 
-    /// The net before the first step.
-    pub(crate) fn first(&self, statistics: &Statistics, initial: &mut Initial) -> Network {
+    fn loss(&self, target_size: f32) -> Box<dyn Loss> {
+        Box::new(MeanSquare { unit: target_size })
+    }
+
+    fn first(&self, statistics: &Statistics, _: usize, initial: &mut Initial) -> Network {
         let inputs = statistics.mean.len();
         let mut layers = self.input.layers(statistics);
         let mut width = self.input.width(inputs);

@@ -1,6 +1,8 @@
 //! Contacts fitted to a frame through the exact model of a skin.
-//! Uses: sim-core's `inverse::contacts`, `infer::points` (proposals), std threads for the
-//! preparation of a skin. Never: files.
+//! Uses: sim-core's `inverse::contacts`, `fast` (proposals), std threads for the preparation of a
+//! skin. Never: files (`skins` has them).
+
+pub mod skins;
 
 use std::sync::Arc;
 use std::thread;
@@ -13,9 +15,11 @@ use sim_core::inverse::contacts::{
 };
 use sim_core::inverse::skin::{MeasuredTrial, noise_v};
 
-use super::answer::{FoundContact, Reading};
-use super::error::InferError;
-use super::points::{PROPOSED, PointPipeline};
+use super::fast::{PROPOSED, PointPipeline};
+use super::{ReadyMethod, UsedSkin};
+use crate::infer::answer::{FoundContact, Reading};
+use crate::infer::error::InferError;
+use crate::infer::registry::Model;
 
 /// Standard deviation of a voltage's noise if neither known trials nor the calibration state it, V.
 const NOISE_SD_V: f64 = 1.2e-3;
@@ -300,18 +304,14 @@ pub struct Tracked {
     skin: Option<String>,
 }
 
-impl ExactPipeline {
-    /// Id of the model in answers: those of the skin and the net.
-    pub fn models(&self) -> String {
+impl ReadyMethod for ExactPipeline {
+    /// Ids of the skin and the net.
+    fn id(&self) -> String {
         let net = self.points.as_ref().map(|points| format!("+{}", points.model()));
         format!("{}{}", self.skin.id(), net.unwrap_or_default())
     }
 
-    /// Reads frames (V, one after the other), each the mean of `averaged` frames, independently.
-    ///
-    /// # Errors
-    /// `InferError` if a frame is not finite or the net fails.
-    pub fn read(&self, frames: &[f32], averaged: f64) -> Result<Vec<Reading>, InferError> {
+    fn read(&self, frames: &[f32], averaged: f64, _: bool) -> Result<Vec<Reading>, InferError> {
         let (mut work, mut frame_v) = (FitWork::default(), Vec::new());
         let mut readings = Vec::new();
         for frame in frames.chunks_exact(self.skin.channels()) {
@@ -323,12 +323,9 @@ impl ExactPipeline {
         Ok(readings)
     }
 
-    /// Reads the next frame of a stream: the mean of those since the last change of the load,
-    /// starting from the last fit if it is still valid.
-    ///
-    /// # Errors
-    /// `InferError` if the frame is invalid or the net fails.
-    pub fn follow(&self, frame: &[f32], tracked: &mut Tracked) -> Result<Reading, InferError> {
+    /// Fits the mean of the frames since the last change of the load, starting from the last fit if
+    /// it is still valid.
+    fn follow(&self, frame: &[f32], _: bool, tracked: &mut Tracked) -> Result<Reading, InferError> {
         if tracked.skin.as_deref() != Some(self.skin.id()) {
             *tracked = Tracked { skin: Some(self.skin.id().to_owned()), ..Tracked::default() };
         }
@@ -357,6 +354,21 @@ impl ExactPipeline {
         Ok(reading)
     }
 
+    fn nets(&self) -> Vec<&Model> {
+        self.points.iter().map(PointPipeline::net).collect()
+    }
+
+    fn skin(&self) -> Option<UsedSkin<'_>> {
+        let (calibration, run) = (self.skin.calibration(), self.skin.run());
+        Some(UsedSkin { id: self.skin.id(), calibration, run })
+    }
+
+    fn size_mm(&self) -> [f64; 2] {
+        self.skin.size_mm()
+    }
+}
+
+impl ExactPipeline {
     fn proposals(&self, frame: &[f32]) -> Result<Vec<Proposal>, InferError> {
         let Some(points) = &self.points else { return Ok(Vec::new()) };
         let candidates = points.candidates(frame, PROPOSED)?;

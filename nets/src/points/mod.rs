@@ -1,15 +1,22 @@
 //! Point-Net: for each point of the skin the logit of the presence of a contact and the logarithm
 //! of its force (`docs/references.md`, "Feasibility study").
-//! PURE. Uses: `initial`, `input`. Never: burn.
+//! PURE. Uses: the shared parts; `streamed` simulates its samples. Never: data.
+
+pub mod draws;
+mod loss;
+pub mod streamed;
 
 use serde::{Deserialize, Serialize};
 
+use self::draws::Draws;
+use self::loss::PresenceAndForce;
+use crate::architecture::{Answer, Architecture};
+use crate::error::{RecipeError, require};
 use crate::initial::{Initial, LINEAR};
 use crate::input::Input;
-use crate::network::{Form, Layer, Network};
-use crate::recipe::{RecipeError, WEIGHTS_MAX, require};
+use crate::loss::Loss;
+use crate::network::{Form, Layer, Network, WEIGHTS_MAX};
 use crate::statistics::Statistics;
-use crate::streamed::Draws;
 
 /// Parameters of a Point-Net. Its answer is `[2, points]`: logits, then `ln` of the force in
 /// newtons.
@@ -40,13 +47,16 @@ const RARE: f32 = -5.4;
 /// `ln` of the force at the start: 15 N.
 const TYPICAL: f32 = 2.7;
 
-impl PointNet {
-    /// Normalisation of its frames.
-    pub fn input(&self) -> Input {
+impl Architecture for PointNet {
+    fn input(&self) -> Input {
         Input::Whitened { components: self.components }
     }
 
-    pub(crate) fn check(&self) -> Result<(), RecipeError> {
+    fn answer(&self) -> Answer {
+        Answer::Points
+    }
+
+    fn check(&self) -> Result<(), RecipeError> {
         require(self.components > 0, "net.components", self.components, "at least 1")?;
         require((1..=64).contains(&self.hidden), "net.hidden", self.hidden, "1..64")?;
         require((1..=1 << 14).contains(&self.width), "net.width", self.width, "1..16384")?;
@@ -57,13 +67,11 @@ impl PointNet {
         self.draws.check()
     }
 
-    /// The net before the first step, for `points` points.
-    pub(crate) fn first(
-        &self,
-        statistics: &Statistics,
-        points: usize,
-        initial: &mut Initial,
-    ) -> Network {
+    fn loss(&self, _: f32) -> Box<dyn Loss> {
+        Box::new(PresenceAndForce { force_weight: self.force_weight })
+    }
+
+    fn first(&self, statistics: &Statistics, points: usize, initial: &mut Initial) -> Network {
         let channels = statistics.mean.len();
         let mut layers = self.input().layers(statistics);
         let mut inputs = self.input().width(channels);

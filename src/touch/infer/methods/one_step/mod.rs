@@ -9,10 +9,12 @@ use std::sync::Arc;
 use sim_core::forward::ForwardModel;
 use sim_core::inverse::linear::{OneStep, Penalty, PointSlopes, Regularisation};
 
-use super::answer::Reading;
-use super::error::InferError;
-use super::maps::contacts;
-use crate::dataset::force_map::{ForceMap, ForceMapSpec};
+use super::{ReadyMethod, UsedSkin};
+use crate::dataset::force_map::ForceMap;
+use crate::infer::answer::Reading;
+use crate::infer::error::InferError;
+use crate::infer::maps::{MAP_1, contacts};
+use crate::infer::registry::Model;
 
 /// Force per point about which the model is linearised, N: the middle of the usual range.
 const ABOUT_N: f64 = 15.0;
@@ -25,11 +27,13 @@ pub struct OneStepPipeline {
     offset_v: Vec<f64>,
     draws: ForceMap,
     threshold_n: f64,
+    /// Id of the calibration of the model.
+    calibration: Option<String>,
+    size_mm: [f64; 2],
 }
 
 impl OneStepPipeline {
-    /// Linearises a model; maps are laid out by `spec`, peaks have at least `threshold_n`. Takes
-    /// about 1 s.
+    /// Linearises a model; peaks have at least `threshold_n`. Takes about 1 s.
     ///
     /// # Errors
     /// `InferError::OneStep` if the model cannot be inverted; `Map` if the map does not fit the
@@ -37,7 +41,6 @@ impl OneStepPipeline {
     pub fn new(
         model: &ForwardModel,
         regularisation: Regularisation,
-        spec: ForceMapSpec,
         threshold_n: f64,
     ) -> Result<Self, InferError> {
         let sensor = model.sensor();
@@ -50,16 +53,16 @@ impl OneStepPipeline {
             step: Arc::new(OneStep::new(&slopes, regularisation)?),
             points_mm: sensor.points().iter().map(|p| [p.x_mm, p.y_mm]).collect(),
             offset_v: offsets.unwrap_or_else(|| vec![0.0; channels]),
-            draws: ForceMap::new(spec, sensor.file.width_mm, sensor.file.height_mm)?,
+            draws: ForceMap::new(MAP_1, sensor.file.width_mm, sensor.file.height_mm)?,
             threshold_n,
+            calibration: sensor.calibration().map(str::to_owned),
+            size_mm: [sensor.file.width_mm, sensor.file.height_mm],
         })
     }
+}
 
-    /// Reads frames (V, one after the other).
-    ///
-    /// # Errors
-    /// `InferError::OneStep` if a frame is not finite.
-    pub fn read(&self, frames: &[f32], with_map: bool) -> Result<Vec<Reading>, InferError> {
+impl ReadyMethod for OneStepPipeline {
+    fn read(&self, frames: &[f32], _: f64, with_map: bool) -> Result<Vec<Reading>, InferError> {
         let mut readings = Vec::new();
         for frame in frames.chunks_exact(self.offset_v.len()) {
             let frame = frame.iter().zip(&self.offset_v).map(|(v, offset)| f64::from(*v) - offset);
@@ -75,5 +78,18 @@ impl OneStepPipeline {
             });
         }
         Ok(readings)
+    }
+
+    fn nets(&self) -> Vec<&Model> {
+        Vec::new()
+    }
+
+    fn skin(&self) -> Option<UsedSkin<'_>> {
+        let calibration = self.calibration.as_deref();
+        Some(UsedSkin { id: "of one step", calibration, run: None })
+    }
+
+    fn size_mm(&self) -> [f64; 2] {
+        self.size_mm
     }
 }

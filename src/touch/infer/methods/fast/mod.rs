@@ -7,10 +7,11 @@
 
 use std::sync::Arc;
 
-use super::answer::{FoundContact, Reading};
-use super::error::InferError;
-use super::registry::Model;
-use crate::learn::model_file::NetTask;
+use super::ReadyMethod;
+use crate::infer::answer::{FoundContact, Reading};
+use crate::infer::error::InferError;
+use crate::infer::registry::Model;
+use crate::learn::task::Answers;
 
 /// Points within this distance belong to one contact, mm: the second ring of points, at 34.6 mm, is
 /// the smallest distance of another tip of the indenter. Without that ring the counts of 600 trials
@@ -36,7 +37,7 @@ impl PointPipeline {
     /// `InferError::OtherTask` if the model is not a Point-Net.
     pub fn new(model: Arc<Model>) -> Result<Self, InferError> {
         let facts = &model.manifest.model;
-        if facts.task != NetTask::Points {
+        if facts.task.answers() != Answers::Points {
             return Err(InferError::OtherTask {
                 id: model.manifest.id.clone(),
                 task: facts.task.as_str(),
@@ -72,12 +73,10 @@ impl PointPipeline {
         let answers = answers.chunks_exact(2 * points.len());
         Ok(answers.map(|answer| pool(points, answer, least)).collect())
     }
+}
 
-    /// Reads frames (V, one after the other).
-    ///
-    /// # Errors
-    /// `InferError::Plan` if the net fails on a frame.
-    pub fn read(&self, frames: &[f32]) -> Result<Vec<Reading>, InferError> {
+impl ReadyMethod for PointPipeline {
+    fn read(&self, frames: &[f32], _: f64, _: bool) -> Result<Vec<Reading>, InferError> {
         let range = &self.model.manifest.model.trained_on;
         let candidates = self.candidates(frames, SAID)?;
         let frames = frames.chunks_exact(self.model.plan.channels());
@@ -91,6 +90,13 @@ impl PointPipeline {
             Reading { contacts, outside, ..Reading::default() }
         };
         Ok(frames.zip(candidates).map(read).collect())
+    }
+    fn nets(&self) -> Vec<&Model> {
+        vec![self.net()]
+    }
+
+    fn size_mm(&self) -> [f64; 2] {
+        self.model.size_mm()
     }
 }
 

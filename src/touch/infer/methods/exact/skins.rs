@@ -1,19 +1,20 @@
 //! Skins prepared for fits of frames: the model of a calibration, and the errors of the model,
 //! which are estimated from known trials and cached.
-//! Uses: `store`, `infer::exact`, `simulate::model`; an optional cache. Never: the serving slots.
+//! Uses: `store`, `exact`, `simulate::model`; an optional cache. Never: the serving slots.
 
 use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
+use sim_core::calibrated::CalibratedSensor;
 use sim_core::calibration::Calibration;
 use sim_core::forward::ForwardModel;
 use sim_core::sensor::Sensor;
 
-use super::error::InferError;
-use super::exact::{ExactSkin, KnownTrial, SkinErrors};
+use super::{ExactSkin, KnownTrial, SkinErrors};
 use crate::calibrate::skin;
 use crate::dataset::file::NewFile;
 use crate::dataset::pressed::{contacts, force_noise_n};
+use crate::infer::error::InferError;
 use crate::problem::Problem;
 use crate::simulate::model::load_or_build;
 use crate::state::StoredState;
@@ -60,7 +61,7 @@ impl Skins {
     /// Trials of the run that a skin was calibrated to, or else of the newest Real-Hex run on this
     /// sensor: taken evenly from those with few contacts above its deadband, of configurations to
     /// which no skin is fitted. Empty if the store does not have that run.
-    async fn known_trials(&self, sensor: &Sensor) -> Result<Vec<KnownTrial>, InferError> {
+    async fn known_trials(&self, sensor: &CalibratedSensor) -> Result<Vec<KnownTrial>, InferError> {
         let of_skin = sensor.skin().map(|skin| skin.evidence.run.clone());
         let runs = self.store.runs(RUNS_LOOKED_AT, None).await?.runs;
         let fits = |run: &&RunRow| match &of_skin {
@@ -132,9 +133,9 @@ impl Skins {
                     let text = text.map_err(InferError::file("reading", &path))?;
                     Calibration::from_toml(&text)?.apply(&sensor)?
                 }
-                None => sensor,
+                None => sensor.into(),
             };
-            Ok(load_or_build(&sensor, &cache)?)
+            Ok(load_or_build(sensor, &cache)?)
         });
         building.await.map_err(|_| InferError::Worker)?
     }
@@ -226,7 +227,8 @@ mod tests {
     use sim_core::responses::UnitResponses;
 
     use super::*;
-    use crate::infer::exact::ExactPipeline;
+    use crate::infer::methods::ReadyMethod;
+    use crate::infer::methods::exact::ExactPipeline;
 
     /// Single touches of a model with noise, 10 % stronger than their label.
     fn trials(model: &ForwardModel, count: usize) -> Vec<KnownTrial> {
@@ -248,7 +250,8 @@ mod tests {
     #[test]
     fn a_skin_from_the_cache_answers_as_the_one_that_was_learnt() {
         let sensor =
-            Sensor::from_toml(include_str!("../../../experiments/sensors/ert-28.toml")).unwrap();
+            Sensor::from_toml(include_str!("../../../../../experiments/sensors/ert-28.toml"))
+                .unwrap();
         let responses = Arc::new(UnitResponses::solve(&sensor).unwrap());
         let model = ForwardModel::new(&sensor, responses).unwrap();
         let cache = std::env::temp_dir().join(format!("palpate-skins-{}", std::process::id()));
@@ -256,7 +259,7 @@ mod tests {
         let (known, other) = (&trials[..70], &trials[75]);
         let answer = || {
             let skin = Arc::new(ready(&model, known, &cache).unwrap());
-            let read = ExactPipeline { skin, points: None }.read(&other.frame_v, 1.0);
+            let read = ExactPipeline { skin, points: None }.read(&other.frame_v, 1.0, false);
             read.unwrap().remove(0)
         };
         let learnt = answer();

@@ -1,0 +1,61 @@
+//! What a net is to its training: its input, its layers, its answer, its loss, its limits.
+//! Uses: the types of the shared parts. Never: a particular net (`net` lists them).
+
+use crate::error::RecipeError;
+use crate::initial::Initial;
+use crate::input::Input;
+use crate::loss::Loss;
+use crate::network::Network;
+use crate::statistics::Statistics;
+
+/// Frames that a net reads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Frames {
+    /// Measured ones.
+    Measured,
+    /// Simulated ones.
+    Simulated,
+}
+
+/// Answer of a net to a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Answer {
+    /// A frame, V.
+    Frame,
+    /// A square force map, N per pixel.
+    Map {
+        /// Number of pixels along a side.
+        side: usize,
+    },
+    /// Logit of presence and `ln` of the force, N, at each point; the target is the force.
+    Points,
+}
+
+impl Answer {
+    /// Length of a target.
+    pub fn target_len(self, channels: usize, points: usize) -> usize {
+        match self {
+            Self::Frame => channels,
+            Self::Map { side } => side * side,
+            Self::Points => points,
+        }
+    }
+}
+
+/// Parameters of a net in a recipe, and what follows from them.
+pub(crate) trait Architecture {
+    /// Normalisation of its frames.
+    fn input(&self) -> Input;
+
+    /// Kind of its answers.
+    fn answer(&self) -> Answer;
+
+    /// Checks the limits of its parameters.
+    fn check(&self) -> Result<(), RecipeError>;
+
+    /// Its loss; `target_size` is the root mean square of its targets.
+    fn loss(&self, target_size: f32) -> Box<dyn Loss>;
+
+    /// The net before the first step; `target` is the length of a target.
+    fn first(&self, statistics: &Statistics, target: usize, initial: &mut Initial) -> Network;
+}

@@ -1,0 +1,123 @@
+//! The paper's method (V-C): Transfer-Net, then Recon-Net, then the peaks of the map.
+//! Uses: `infer::{maps, registry}`, `dataset::force_map`. Never: files, its own threshold.
+
+use std::sync::Arc;
+
+use super::ReadyMethod;
+use crate::dataset::force_map::{ForceMap, ForceMapSpec};
+use crate::infer::answer::Reading;
+use crate::infer::error::InferError;
+use crate::infer::maps::contacts;
+use crate::infer::registry::Model;
+use crate::learn::task::{Answers, Reads};
+
+/// Least sum of a peak for nets trained without forces, whose contacts sum up to 1.
+const HALF_A_CONTACT: f64 = 0.5;
+/// Number of frames whose maps are in memory at a time.
+const FRAMES_AT_ONCE: usize = 64;
+
+/// Transfer-Net and Recon-Net, or an end-to-end net alone.
+#[derive(Debug, Clone)]
+pub struct MapPipeline {
+    transfer: Option<Arc<Model>>,
+    map: Arc<Model>,
+    spec: ForceMapSpec,
+    draws: ForceMap,
+    /// Least force of a peak, N.
+    threshold_n: f64,
+    /// Whether peaks have forces.
+    has_forces: bool,
+}
+
+impl MapPipeline {
+    /// Combines a net with force maps as answers and, if it needs simulated voltages, a
+    /// Transfer-Net. Without `transfer`, frames are the input of `map`.
+    ///
+    /// # Errors
+    /// `InferError::OtherTask` if a net has another task; `Map` if the map does not fit the skin.
+    pub fn new(
+        transfer: Option<Arc<Model>>,
+        map: Arc<Model>,
+        threshold_n: f64,
+    ) -> Result<Self, InferError> {
+        let other = |model: &Model, wanted| InferError::OtherTask {
+            id: model.manifest.id.clone(),
+            task: model.manifest.model.task.as_str(),
+            wanted,
+        };
+        if let Some(transfer) = &transfer
+            && transfer.manifest.model.task.answers() != Answers::Frame
+        {
+            return Err(other(transfer, "a Transfer-Net is needed"));
+        }
+        let spec = map.manifest.model.force_map;
+        let spec = spec.ok_or_else(|| other(&map, "a Recon-Net or an end-to-end net is needed"))?;
+        let draws = ForceMap::new(spec, map.skin.width_mm, map.skin.height_mm)?;
+        let has_forces = !map.manifest.model.trained_on.forces_unknown;
+        let threshold_n = if has_forces { threshold_n } else { HALF_A_CONTACT };
+        Ok(Self { transfer, map, spec, draws, threshold_n, has_forces })
+    }
+
+    fn read_some(&self, frames: &[f32], with_map: bool) -> Result<Vec<Reading>, InferError> {
+        let mut transferred = Vec::new();
+        let frames_in = match &self.transfer {
+            Some(transfer) => {
+                transfer.plan.answer(frames, &mut transferred)?;
+                &transferred
+            }
+            None => frames,
+        };
+        let mut maps = Vec::new();
+        self.map.plan.answer(frames_in, &mut maps)?;
+        let first = self.transfer.as_ref().unwrap_or(&self.map);
+        let frames = frames.chunks_exact(first.plan.channels());
+        let pixels = self.draws.pixels();
+        let mut readings = Vec::with_capacity(frames.len());
+        for (frame, map) in frames.zip(maps.chunks_exact(pixels * pixels)) {
+            let mut contacts = contacts(&self.draws, map, self.threshold_n);
+            if !self.has_forces {
+                contacts.iter_mut().for_each(|contact| contact.force_n = None);
+            }
+            let forces_n: Vec<f64> = contacts.iter().filter_map(|c| c.force_n).collect();
+            let ranges = [&first.manifest.model.trained_on, &self.map.manifest.model.trained_on];
+            let outside = ranges[0].frame(frame).into_iter().chain(ranges[1].answer(&forces_n));
+            readings.push(Reading {
+                contacts,
+                force_map_n: with_map.then(|| map.to_vec()),
+                outside: outside.map(|out| out.to_string()).collect(),
+                ..Reading::default()
+            });
+        }
+        Ok(readings)
+    }
+}
+
+impl ReadyMethod for MapPipeline {
+    fn read(&self, frames: &[f32], _: f64, with_map: bool) -> Result<Vec<Reading>, InferError> {
+        let mut readings = Vec::new();
+        let first = self.transfer.as_ref().unwrap_or(&self.map);
+        for frames in frames.chunks(FRAMES_AT_ONCE * first.plan.channels()) {
+            readings.extend(self.read_some(frames, with_map)?);
+        }
+        Ok(readings)
+    }
+
+    fn nets(&self) -> Vec<&Model> {
+        self.transfer.iter().chain([&self.map]).map(Arc::as_ref).collect()
+    }
+
+    fn reads(&self) -> Reads {
+        match self.transfer {
+            Some(_) => Reads::Measured,
+            None => self.map.manifest.model.task.reads(),
+        }
+    }
+
+    fn map(&self) -> ForceMapSpec {
+        self.spec
+    }
+
+    fn size_mm(&self) -> [f64; 2] {
+        self.map.size_mm()
+    }
+}

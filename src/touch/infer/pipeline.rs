@@ -1,0 +1,136 @@
+//! The models that serve, by slot, and the methods that are ready with them.
+//! Uses: `infer::{slot, methods, registry}`. Never: the store, a change while a frame is answered.
+
+use std::sync::Arc;
+
+use super::answer::Reading;
+use super::error::InferError;
+use super::maps::draw;
+use super::methods::exact::{ExactPipeline, ExactSkin, Tracked};
+use super::methods::fast::PointPipeline;
+use super::methods::paper::MapPipeline;
+use super::methods::{Method, ReadyMethod};
+use super::registry::Model;
+use super::slot::Slot;
+use crate::dataset::force_map::peaks::THRESHOLD_N;
+use crate::learn::task::Reads;
+
+/// The models of all methods; a method without its models returns an error that names them.
+#[derive(Debug, Clone, Default)]
+pub struct Pipeline {
+    transfer: Option<Arc<Model>>,
+    map: Option<Arc<Model>>,
+    points: Option<PointPipeline>,
+    skin: Option<Arc<ExactSkin>>,
+}
+
+/// Answers, and the models that gave them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Answered {
+    /// One reading per frame.
+    pub readings: Vec<Reading>,
+    /// Id of the model, or ids joined with `+`; for `exact` that of the calibration, and that of
+    /// the Point-Net with its proposals.
+    pub model: String,
+}
+
+impl Pipeline {
+    /// Returns the pipeline with a net in its slot.
+    ///
+    /// # Errors
+    /// `InferError::OtherTask` if the net does not fit its slot.
+    pub fn with(mut self, model: Arc<Model>) -> Result<Self, InferError> {
+        match Slot::of(model.manifest.model.task) {
+            Slot::Transfer => self.transfer = Some(model),
+            Slot::Points => self.points = Some(PointPipeline::new(model)?),
+            Slot::Map | Slot::Skin => self.map = Some(model),
+        }
+        Ok(self)
+    }
+
+    /// Returns the pipeline with a skin, or without one.
+    pub fn with_skin(mut self, skin: Option<Arc<ExactSkin>>) -> Self {
+        self.skin = skin;
+        self
+    }
+
+    /// The skin that serves.
+    pub fn skin(&self) -> Option<&Arc<ExactSkin>> {
+        self.skin.as_ref()
+    }
+
+    /// Returns the pipeline with an empty slot.
+    pub fn without(mut self, slot: Slot) -> Self {
+        match slot {
+            Slot::Transfer => self.transfer = None,
+            Slot::Map => self.map = None,
+            Slot::Points => self.points = None,
+            Slot::Skin => self.skin = None,
+        }
+        self
+    }
+
+    /// Returns a method with its models.
+    ///
+    /// # Errors
+    /// `InferError::NotServed` if a model is missing; `Map` if a map does not fit the skin.
+    pub fn ready(&self, method: Method) -> Result<Box<dyn ReadyMethod>, InferError> {
+        let lacks = |needs| InferError::NotServed { method: method.name(), needs };
+        Ok(match method {
+            Method::Paper => {
+                let map = self.map.clone().ok_or_else(|| lacks("recon-net or end-to-end net"))?;
+                let transfer = match map.manifest.model.task.reads() {
+                    Reads::Measured => None,
+                    Reads::Simulated => {
+                        Some(self.transfer.clone().ok_or_else(|| lacks("transfer-net"))?)
+                    }
+                };
+                Box::new(MapPipeline::new(transfer, map, THRESHOLD_N)?)
+            }
+            Method::Fast => Box::new(self.points.clone().ok_or_else(|| lacks("point-net"))?),
+            Method::Exact => {
+                let skin = self.skin.clone().ok_or_else(|| lacks("skin"))?;
+                Box::new(ExactPipeline { skin, points: self.points.clone() })
+            }
+        })
+    }
+
+    /// Answers frames (V, one after the other), each the mean of `averaged` frames.
+    ///
+    /// # Errors
+    /// `InferError::NotServed` if a model is missing; other variants if a frame cannot be answered.
+    pub fn answer(
+        &self,
+        method: Method,
+        frames: &[f32],
+        averaged: f64,
+        with_map: bool,
+    ) -> Result<Answered, InferError> {
+        let ready = self.ready(method)?;
+        let mut readings = ready.read(frames, averaged, with_map)?;
+        if with_map {
+            draw(&mut readings, ready.size_mm())?;
+        }
+        Ok(Answered { readings, model: ready.id() })
+    }
+
+    /// Answers the next frame of a stream (V), and returns the id of the models.
+    ///
+    /// # Errors
+    /// `InferError::NotServed` if a model is missing; other variants if the frame cannot be
+    /// answered.
+    pub fn follow(
+        &self,
+        method: Method,
+        frame: &[f32],
+        with_map: bool,
+        tracked: &mut Tracked,
+    ) -> Result<(Reading, String), InferError> {
+        let ready = self.ready(method)?;
+        let mut reading = ready.follow(frame, with_map, tracked)?;
+        if with_map {
+            draw(std::slice::from_mut(&mut reading), ready.size_mm())?;
+        }
+        Ok((reading, ready.id()))
+    }
+}

@@ -1,0 +1,45 @@
+//! The slots for promotions: each holds a net or a skin that serves.
+//! PURE. Uses: `learn::task`. Never: what is in a slot.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::learn::task::{Answers, NetTask};
+
+/// Slot for promotions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Slot {
+    /// The Transfer-Net of `paper`.
+    Transfer,
+    /// The net of `paper` with force maps as answers: a Recon-Net, or an end-to-end net.
+    Map,
+    /// The Point-Net of `fast`, which also proposes to `exact`.
+    Points,
+    /// The calibrated skin of `exact`.
+    Skin,
+}
+
+impl Slot {
+    /// All slots.
+    pub const ALL: [Self; 4] = [Self::Transfer, Self::Map, Self::Points, Self::Skin];
+
+    /// Name in commands, requests and the store.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Transfer => "transfer",
+            Self::Map => "map",
+            Self::Points => "points",
+            Self::Skin => "skin",
+        }
+    }
+
+    /// The slot of models with a task.
+    pub fn of(task: NetTask) -> Self {
+        match task.answers() {
+            Answers::Frame => Self::Transfer,
+            Answers::Map => Self::Map,
+            Answers::Points => Self::Points,
+        }
+    }
+}
