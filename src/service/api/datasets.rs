@@ -101,7 +101,7 @@ pub struct RowsPage {
 type Pairs = Query<Vec<(String, String)>>;
 
 /// Returns the existing datasets, and the names of the built-in definitions.
-#[utoipa::path(get, path = "/api/v1/datasets", tag = "datasets",
+#[utoipa::path(get, operation_id = "list_datasets", path = "/api/v1/datasets", tag = "datasets",
     responses((status = 200, body = Datasets)))]
 pub async fn list(State(app): State<App>) -> Result<Json<Datasets>, ApiError> {
     let datasets = app.store.datasets().await?.into_iter().map(DatasetOut::from).collect();
@@ -109,9 +109,17 @@ pub async fn list(State(app): State<App>) -> Result<Json<Datasets>, ApiError> {
 }
 
 /// Makes a dataset from the stored trials, or returns the existing one.
-#[utoipa::path(post, path = "/api/v1/datasets", tag = "datasets", request_body = DatasetRequest,
-    responses((status = 200, body = DatasetOut), (status = 400, body = ProblemBody),
-        (status = 404, body = ProblemBody), (status = 409, body = ProblemBody)))]
+#[utoipa::path(post, operation_id = "make_dataset",
+    path = "/api/v1/datasets", tag = "datasets", request_body = DatasetRequest,
+    responses((status = 200, body = DatasetOut),
+        (status = 400, body = ProblemBody,
+            description = "the definition is invalid, or its name is in use"),
+        (status = 404, body = ProblemBody,
+            description = "no dataset, run or folder of shards has the name, or no rows are selected"),
+        (status = 409, body = ProblemBody,
+            description = "the runs differ in label, frame length or model, or a run has not ended"),
+        (status = 422, body = ProblemBody,
+            description = "the body is invalid, or has not exactly one of name, definition and toml")))]
 pub async fn make(
     State(app): State<App>,
     Body(new): Body<DatasetRequest>,
@@ -136,9 +144,11 @@ pub async fn make(
 /// Returns the dataset with an id, or the current dataset of a name.
 ///
 /// The dataset of a name is made if needed.
-#[utoipa::path(get, path = "/api/v1/datasets/{dataset}", tag = "datasets",
+#[utoipa::path(get, operation_id = "dataset", path = "/api/v1/datasets/{dataset}", tag = "datasets",
     params(("dataset" = String, Path, description = "id or name")),
-    responses((status = 200, body = DatasetOut), (status = 404, body = ProblemBody)))]
+    responses((status = 200, body = DatasetOut),
+        (status = 404, body = ProblemBody,
+            description = "no dataset has this id or name, or its definition selects no rows")))]
 pub async fn one(
     State(app): State<App>,
     Path(dataset): Path<String>,
@@ -147,9 +157,12 @@ pub async fn one(
 }
 
 /// Returns the lineage of a dataset: runs, models, calibrations, shards and code.
-#[utoipa::path(get, path = "/api/v1/datasets/{dataset}/lineage", tag = "datasets",
+#[utoipa::path(get, operation_id = "dataset_lineage",
+    path = "/api/v1/datasets/{dataset}/lineage", tag = "datasets",
     params(("dataset" = String, Path, description = "id or name")),
-    responses((status = 200, body = Object), (status = 404, body = ProblemBody)))]
+    responses((status = 200, body = Object),
+        (status = 404, body = ProblemBody,
+            description = "no dataset has this id or name, or its definition selects no rows")))]
 pub async fn lineage(
     State(app): State<App>,
     Path(dataset): Path<String>,
@@ -162,10 +175,12 @@ pub async fn lineage(
 }
 
 /// Returns the card of a dataset in Markdown: content, units, quality, origin and citation.
-#[utoipa::path(get, path = "/api/v1/datasets/{dataset}/card", tag = "datasets",
+#[utoipa::path(get, operation_id = "dataset_card",
+    path = "/api/v1/datasets/{dataset}/card", tag = "datasets",
     params(("dataset" = String, Path, description = "id or name")),
     responses((status = 200, body = String, content_type = "text/markdown"),
-        (status = 404, body = ProblemBody)))]
+        (status = 404, body = ProblemBody,
+            description = "no dataset has this id or name, or its definition selects no rows")))]
 pub async fn card(
     State(app): State<App>,
     Path(dataset): Path<String>,
@@ -178,9 +193,11 @@ pub async fn card(
 /// Returns a page of the rows of a dataset.
 ///
 /// In a format other than JSON the cursor of the next page is in the header `x-next-cursor`.
-#[utoipa::path(get, path = "/api/v1/datasets/{dataset}/rows", tag = "datasets",
+#[utoipa::path(get, operation_id = "dataset_rows",
+    path = "/api/v1/datasets/{dataset}/rows", tag = "datasets",
     params(("dataset" = String, Path, description = "id or name"), RowsParams),
-    responses((status = 200, body = RowsPage), (status = 400, body = ProblemBody)))]
+    responses((status = 200, body = RowsPage),
+        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid")))]
 pub async fn rows(
     State(app): State<App>,
     Path(dataset): Path<String>,
@@ -228,12 +245,15 @@ pub async fn rows(
 ///
 /// The header `Range` selects a part; the entity tag is the sha256 of the file. The dataset of a name
 /// and the file are made if needed. For a large dataset request an export, which shows its progress.
-#[utoipa::path(get, path = "/api/v1/data/{file}", tag = "datasets",
+#[utoipa::path(get, operation_id = "dataset_file", path = "/api/v1/data/{file}", tag = "datasets",
     params(("file" = String, Path, description = "ID_OR_NAME.parquet|arrow|csv|ndjson|npz"),
         FileParams),
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 206, body = Vec<u8>, content_type = "application/octet-stream"),
-        (status = 304), (status = 400, body = ProblemBody), (status = 404, body = ProblemBody)))]
+        (status = 304),
+        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid"),
+        (status = 404, body = ProblemBody,
+            description = "no dataset has this id or name, or the format is unknown")))]
 pub async fn data(
     State(app): State<App>,
     Path(file): Path<String>,

@@ -13,9 +13,11 @@ use crate::evaluate::simulation::{SimulationReport, report};
 /// Returns the fit of the simulated twins to the trials of a run (paper, Fig. 7B to 7F).
 ///
 /// Trials without a twin are excluded.
-#[utoipa::path(get, path = "/api/v1/runs/{run}/evaluation/simulation", tag = "simulation",
+#[utoipa::path(get, operation_id = "evaluate_simulation",
+    path = "/api/v1/runs/{run}/evaluation/simulation", tag = "simulation",
     params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = SimulationReport), (status = 404, body = ProblemBody)))]
+    responses((status = 200, body = SimulationReport),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
 pub async fn simulation(
     State(app): State<App>,
     Path(run): Path<String>,

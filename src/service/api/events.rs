@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::problem::{ApiError, Params};
+use super::problem::{ApiError, Params, ProblemBody};
 use super::runs::find;
 use crate::ids::RunUid;
 use crate::journal::Event;
@@ -51,13 +51,15 @@ pub struct EventPage {
 /// With `Accept: text/event-stream` the response is a live stream of server-sent events. Their `id` is
 /// the number of the event, with which a reconnecting client continues.
 #[utoipa::path(get, path = "/api/v1/events", tag = "events", params(EventParams),
-    responses((status = 200, body = EventPage)))]
+    responses((status = 200, body = EventPage),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
+        (status = 422, body = ProblemBody, description = "a parameter is invalid")))]
 pub async fn events(
     State(app): State<App>,
-    Params(asked): Params<EventParams>,
+    Params(params): Params<EventParams>,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
-    let run = match &asked.run {
+    let run = match &params.run {
         Some(run) => Some(find(&app, run).await?.uid),
         None => None,
     };
@@ -65,15 +67,15 @@ pub async fn events(
     let live = text(header::ACCEPT).is_some_and(|a| a.contains("text/event-stream"));
     if live {
         let last = text(header::HeaderName::from_static("last-event-id"));
-        let since = match last.and_then(|id| id.parse().ok()).or(asked.since) {
+        let since = match last.and_then(|id| id.parse().ok()).or(params.since) {
             Some(since) => resolved(&app, since).await?,
             None => app.store.last_event_seq().await?,
         };
         let keep_alive = KeepAlive::new().interval(Duration::from_secs(15));
         return Ok(Sse::new(follow(app, since, run)).keep_alive(keep_alive).into_response());
     }
-    let since = resolved(&app, asked.since.unwrap_or(0)).await?;
-    let limit = asked.limit.unwrap_or(PAGE);
+    let since = resolved(&app, params.since.unwrap_or(0)).await?;
+    let limit = params.limit.unwrap_or(PAGE);
     if !(1..=1000).contains(&limit) {
         return Err(ApiError::value("limit", limit, "must be from 1 to 1000"));
     }

@@ -77,10 +77,13 @@ fn out(app: &App, row: ExportRow) -> ExportOut {
 /// Requests an export.
 ///
 /// It continues after a restart and produces the same bytes.
-#[utoipa::path(post, path = "/api/v1/exports", tag = "datasets", request_body = ExportRequest,
-    responses((status = 202, body = ExportOut), (status = 400, body = ProblemBody),
-        (status = 404, body = ProblemBody)))]
-pub async fn ask(
+#[utoipa::path(post, operation_id = "request_export",
+    path = "/api/v1/exports", tag = "datasets", request_body = ExportRequest,
+    responses((status = 202, body = ExportOut),
+        (status = 400, body = ProblemBody,
+            description = "the selection is invalid, or too many exports wait"),
+        (status = 404, body = ProblemBody, description = "no dataset has this id or name")))]
+pub async fn request(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
     Body(request): Body<ExportRequest>,
@@ -90,7 +93,7 @@ pub async fn ask(
 }
 
 /// Returns the newest 200 exports, newest first.
-#[utoipa::path(get, path = "/api/v1/exports", tag = "datasets",
+#[utoipa::path(get, operation_id = "list_exports", path = "/api/v1/exports", tag = "datasets",
     responses((status = 200, body = Vec<ExportOut>)))]
 pub async fn list(State(app): State<App>) -> Result<Json<Vec<ExportOut>>, ApiError> {
     let rows = app.store.exports(LISTED).await?;
@@ -98,9 +101,10 @@ pub async fn list(State(app): State<App>) -> Result<Json<Vec<ExportOut>>, ApiErr
 }
 
 /// Returns the state and progress of an export.
-#[utoipa::path(get, path = "/api/v1/exports/{export}", tag = "datasets",
-    params(("export" = String, Path, description = "its id")),
-    responses((status = 200, body = ExportOut), (status = 404, body = ProblemBody)))]
+#[utoipa::path(get, operation_id = "export", path = "/api/v1/exports/{export}", tag = "datasets",
+    params(("export" = String, Path, description = "id of the export")),
+    responses((status = 200, body = ExportOut),
+        (status = 404, body = ProblemBody, description = "no export has this id")))]
 pub async fn one(
     State(app): State<App>,
     Path(export): Path<String>,
@@ -111,12 +115,14 @@ pub async fn one(
 /// Returns the file of a completed export.
 ///
 /// The header `Range` selects a part of it; the entity tag is its sha256.
-#[utoipa::path(get, path = "/api/v1/exports/{export}/file", tag = "datasets",
-    params(("export" = String, Path, description = "its id")),
+#[utoipa::path(get, operation_id = "export_file",
+    path = "/api/v1/exports/{export}/file", tag = "datasets",
+    params(("export" = String, Path, description = "id of the export")),
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 206, body = Vec<u8>, content_type = "application/octet-stream"),
-        (status = 404, body = ProblemBody), (status = 409, body = ProblemBody),
-        (status = 410, body = ProblemBody)))]
+        (status = 404, body = ProblemBody, description = "no export has this id"),
+        (status = 409, body = ProblemBody, description = "the export is not done, or it failed"),
+        (status = 410, body = ProblemBody, description = "the file was removed to free space")))]
 pub async fn file(
     State(app): State<App>,
     Path(export): Path<String>,

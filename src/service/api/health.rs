@@ -31,7 +31,8 @@ pub struct Live {
 }
 
 /// Returns name, version and process id of the service.
-#[utoipa::path(get, path = "/health/live", tag = "health", responses((status = 200, body = Live)))]
+#[utoipa::path(get, operation_id = "liveness",
+    path = "/health/live", tag = "health", responses((status = 200, body = Live)))]
 pub async fn live() -> Json<Live> {
     let version = env!("CARGO_PKG_VERSION");
     Json(Live { service: "palpate", version, pid: std::process::id() })
@@ -40,8 +41,10 @@ pub async fn live() -> Json<Live> {
 /// Checks that the service can store trials.
 ///
 /// The database responds and is not damaged, its disk is not full, and the campaign's thread runs.
-#[utoipa::path(get, path = "/health/ready", tag = "health",
-    responses((status = 204), (status = 503, body = ProblemBody)))]
+#[utoipa::path(get, operation_id = "readiness", path = "/health/ready", tag = "health",
+    responses((status = 204),
+        (status = 503, body = ProblemBody,
+            description = "the database is damaged, unchecked or not readable, the disk is full, or the campaign has ended")))]
 pub async fn ready(State(app): State<App>) -> Result<StatusCode, ApiError> {
     let unavailable = |words: String| ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words);
     app.store.last_event_seq().await.map_err(|e| unavailable(e.to_string()))?;
@@ -116,7 +119,12 @@ pub async fn metrics(State(app): State<App>) -> impl IntoResponse {
         let of_run = |v: u64| [(uid.clone(), v as f64)];
         metric("trials_planned", "gauge", "Trials in the plan.", &of_run(run.trials_planned));
         metric("trials_stored", "gauge", "Trials stored.", &of_run(run.trials_stored));
-        metric("trials_skipped", "gauge", "Trials given up.", &of_run(run.trials_skipped));
+        metric(
+            "trials_skipped",
+            "gauge",
+            "Planned trials of skipped configurations.",
+            &of_run(run.trials_skipped),
+        );
         metric("retries", "gauge", "Failed attempts.", &of_run(run.retries));
         if let Some(eta) = run.eta {
             let value = [(uid.clone(), eta.remaining_s)];

@@ -64,9 +64,11 @@ struct Parts {
 }
 
 /// Imports trials measured elsewhere as a new run.
-#[utoipa::path(post, path = "/api/v1/imports", tag = "datasets",
+#[utoipa::path(post, operation_id = "import_trials", path = "/api/v1/imports", tag = "datasets",
     request_body(content = ImportForm, content_type = "multipart/form-data"),
-    responses((status = 201, body = ImportOut), (status = 400, body = ProblemBody)))]
+    responses((status = 201, body = ImportOut),
+        (status = 400, body = ProblemBody,
+            description = "a part of the form, the sensor file or a value of the file is invalid")))]
 pub async fn add(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,

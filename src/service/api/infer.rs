@@ -46,7 +46,7 @@ const SEND: Duration = Duration::from_secs(5);
 #[derive(Debug, Clone, Serialize, Deserialize, ToSchema, IntoParams)]
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
-pub struct Wish {
+pub struct InferOptions {
     /// Method: `paper`, `fast` or `exact`.
     #[param(inline)]
     pub method: Method,
@@ -74,7 +74,7 @@ fn one() -> f64 {
 pub struct InferRequest {
     /// Options.
     #[serde(flatten)]
-    pub wish: Wish,
+    pub wish: InferOptions,
     /// Frames, V, each with one voltage per channel, injection-major; 1 to 2000, for `exact` 300, with
     /// maps 100.
     pub frames: Vec<Vec<f32>>,
@@ -100,19 +100,23 @@ pub struct FrameAnswer {
 ///
 /// In addition to JSON, the body may be frames of little-endian f32, one after the other, as
 /// `application/octet-stream`, with the options in the query.
-#[utoipa::path(post, path = "/api/v1/infer", tag = "infer", params(Wish),
+#[utoipa::path(post, path = "/api/v1/infer", tag = "infer", params(InferOptions),
     request_body(content((InferRequest = "application/json"),
         (Vec<u8> = "application/octet-stream"))),
-    responses((status = 200, body = Vec<FrameAnswer>), (status = 404, body = ProblemBody),
-        (status = 409, body = ProblemBody), (status = 422, body = ProblemBody), (status = 503, body = ProblemBody)))]
+    responses((status = 200, body = Vec<FrameAnswer>),
+        (status = 404, body = ProblemBody, description = "no model has the given id or name"),
+        (status = 409, body = ProblemBody,
+            description = "no model serves for the method, or a model does not fit method or sensor"),
+        (status = 422, body = ProblemBody, description = "a frame or an option is invalid"),
+        (status = 503, body = ProblemBody, description = "too many requests are in progress")))]
 pub async fn infer(
     State(app): State<App>,
     request: Request,
 ) -> Result<Json<Vec<FrameAnswer>>, ApiError> {
     let channels = app.serving.sensor().channels();
-    let (wish, frames) = received(&app, request, channels).await?;
-    let pipeline = pipeline(&app, &wish).await?;
-    let turns = match wish.method {
+    let (options, frames) = received(&app, request, channels).await?;
+    let pipeline = pipeline(&app, &options).await?;
+    let turns = match options.method {
         Method::Exact => &app.turns.fits,
         Method::Paper | Method::Fast => &app.turns.answers,
     };
@@ -124,13 +128,13 @@ pub async fn infer(
     let work = move || {
         let _turn = turn;
         let started_s = clock.process_s();
-        let answered = pipeline.answer(wish.method, &frames, wish.averaged, wish.map)?;
+        let answered = pipeline.answer(options.method, &frames, options.averaged, options.map)?;
         let count = answered.readings.len().max(1) as f64;
         let latency_us = (1e6 * (clock.process_s() - started_s) / count) as u64;
         let answer = |reading| FrameAnswer {
             reading,
             model: answered.model.clone(),
-            method: wish.method,
+            method: options.method,
             latency_us,
         };
         Ok::<_, InferError>(answered.readings.into_iter().map(answer).collect())
@@ -140,12 +144,12 @@ pub async fn infer(
     Ok(Json(answers))
 }
 
-async fn pipeline(app: &App, wish: &Wish) -> Result<Pipeline, ApiError> {
-    let mut pipeline = app.serving.once_restored(Some(wish.method)).await.as_ref().clone();
-    for name in wish.transfer.iter().chain(&wish.model) {
+async fn pipeline(app: &App, options: &InferOptions) -> Result<Pipeline, ApiError> {
+    let mut pipeline = app.serving.once_restored(Some(options.method)).await.as_ref().clone();
+    for name in options.transfer.iter().chain(&options.model) {
         let model = app.models.load(name).await?;
         app.serving.fits(&model)?;
-        if !Slot::used_by(wish.method).contains(&Slot::of(model.manifest.model.task)) {
+        if !Slot::used_by(options.method).contains(&Slot::of(model.manifest.model.task)) {
             return Err(InferError::OtherTask {
                 id: model.manifest.id.clone(),
                 task: model.manifest.model.task.as_str(),
@@ -163,11 +167,11 @@ async fn received(
     app: &App,
     request: Request,
     channels: usize,
-) -> Result<(Wish, Vec<f32>), ApiError> {
+) -> Result<(InferOptions, Vec<f32>), ApiError> {
     let kind = request.headers().get(header::CONTENT_TYPE);
     let raw = kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/octet-stream"));
-    let (wish, frames) = if raw {
-        let query = Query::<Wish>::try_from_uri(request.uri()).map_err(ApiError::from)?.0;
+    let (options, frames) = if raw {
+        let query = Query::<InferOptions>::try_from_uri(request.uri()).map_err(ApiError::from)?.0;
         let bytes = bytes::Bytes::from_request(request, app).await;
         let bytes = bytes.map_err(|e| ApiError::new(e.status(), e.body_text()))?;
         if bytes.len() % (4 * channels) != 0 {
@@ -179,7 +183,7 @@ async fn received(
     } else {
         let body =
             Json::<InferRequest>::from_request(request, app).await.map_err(ApiError::from)?;
-        let InferRequest { wish, frames } = body.0;
+        let InferRequest { wish: options, frames } = body.0;
         for (index, frame) in frames.iter().enumerate() {
             if frame.len() != channels {
                 let key = format!("frames[{index}]");
@@ -187,17 +191,17 @@ async fn received(
                 return Err(ApiError::value(&key, frame.len(), &limit));
             }
         }
-        (wish, frames.concat())
+        (options, frames.concat())
     };
     let count = frames.len() / channels;
     if count == 0 || count > FRAMES_MAX {
         return Err(ApiError::value("frames", count, &format!("must be from 1 to {FRAMES_MAX}")));
     }
-    if wish.method == Method::Exact && count > EXACT_MAX {
+    if options.method == Method::Exact && count > EXACT_MAX {
         let limit = format!("must be from 1 to {EXACT_MAX} for the method exact");
         return Err(ApiError::value("frames", count, &limit));
     }
-    if wish.map && count > MAPS_MAX {
+    if options.map && count > MAPS_MAX {
         let limit = format!("must be from 1 to {MAPS_MAX} if maps are requested");
         return Err(ApiError::value("frames", count, &limit));
     }
@@ -205,10 +209,10 @@ async fn received(
         let key = format!("frames[{}][{}]", at / channels, at % channels);
         return Err(ApiError::value(&key, frames[at], "must be a finite number of volts"));
     }
-    if !(wish.averaged >= 1.0 && wish.averaged <= 1e6) {
-        return Err(ApiError::value("averaged", wish.averaged, "must be from 1 to 1e6 frames"));
+    if !(options.averaged >= 1.0 && options.averaged <= 1e6) {
+        return Err(ApiError::value("averaged", options.averaged, "must be from 1 to 1e6 frames"));
     }
-    Ok((wish, frames))
+    Ok((options, frames))
 }
 
 /// Options of a live stream of contacts.
@@ -243,16 +247,18 @@ pub struct LiveAnswer {
 /// Streams the contacts of the rig's live frames as JSON messages over a WebSocket.
 ///
 /// A slow client misses frames; nothing waits for it.
-#[utoipa::path(get, path = "/api/v1/live", tag = "infer", params(LiveParams),
+#[utoipa::path(get, operation_id = "live_contacts",
+    path = "/api/v1/live", tag = "infer", params(LiveParams),
     responses((status = 101, description = "WebSocket whose messages are LiveAnswer", body = LiveAnswer),
-        (status = 409, body = ProblemBody), (status = 503, body = ProblemBody)))]
+        (status = 409, body = ProblemBody, description = "no model serves for the method"),
+        (status = 503, body = ProblemBody, description = "too many live clients are connected")))]
 pub async fn live(
     State(app): State<App>,
-    Params(wish): Params<LiveParams>,
+    Params(options): Params<LiveParams>,
     upgrade: WebSocketUpgrade,
 ) -> Result<Response, ApiError> {
-    let serving = app.serving.once_restored(wish.method).await;
-    let method = match wish.method {
+    let serving = app.serving.once_restored(options.method).await;
+    let method = match options.method {
         Some(method) => method,
         None => best(&serving).ok_or_else(|| {
             let words = "no model serves: train or add a model, then promote it";
@@ -266,7 +272,7 @@ pub async fn live(
         ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words)
     })?;
     Ok(upgrade.on_upgrade(async move |socket| {
-        follow(app, socket, method, wish.map).await;
+        follow(app, socket, method, options.map).await;
         drop(turn);
     }))
 }

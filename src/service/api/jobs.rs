@@ -85,7 +85,8 @@ fn out(app: &App, row: JobRow) -> JobOut {
 ///
 /// After a restart the training continues from its last checkpoint.
 #[utoipa::path(post, path = "/api/v1/trainings", tag = "jobs", request_body = TrainingRequest,
-    responses((status = 202, body = JobOut), (status = 422, body = ProblemBody)))]
+    responses((status = 202, body = JobOut),
+        (status = 422, body = ProblemBody, description = "the recipe is invalid")))]
 pub async fn train(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
@@ -99,7 +100,8 @@ pub async fn train(
 
 /// Requests an evaluation.
 #[utoipa::path(post, path = "/api/v1/evaluations", tag = "jobs", request_body = EvaluationRequest,
-    responses((status = 202, body = JobOut), (status = 422, body = ProblemBody)))]
+    responses((status = 202, body = JobOut),
+        (status = 422, body = ProblemBody, description = "a value of the request is invalid")))]
 pub async fn evaluate(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
@@ -110,7 +112,7 @@ pub async fn evaluate(
 }
 
 /// Returns the newest 500 jobs, newest first, without the examples of evaluations.
-#[utoipa::path(get, path = "/api/v1/jobs", tag = "jobs",
+#[utoipa::path(get, operation_id = "list_jobs", path = "/api/v1/jobs", tag = "jobs",
     responses((status = 200, body = Vec<JobOut>)))]
 pub async fn list(State(app): State<App>) -> Result<Json<Vec<JobOut>>, ApiError> {
     let rows = app.store.jobs(LISTED).await?;
@@ -127,9 +129,10 @@ fn without_examples(mut result: Value) -> Value {
 }
 
 /// Returns the state, progress and result of a job.
-#[utoipa::path(get, path = "/api/v1/jobs/{job}", tag = "jobs",
-    params(("job" = String, Path, description = "its id")),
-    responses((status = 200, body = JobOut), (status = 404, body = ProblemBody)))]
+#[utoipa::path(get, operation_id = "job", path = "/api/v1/jobs/{job}", tag = "jobs",
+    params(("job" = String, Path, description = "id of the job")),
+    responses((status = 200, body = JobOut),
+        (status = 404, body = ProblemBody, description = "no job has this id")))]
 pub async fn one(
     State(app): State<App>,
     Path(job): Path<String>,
@@ -140,10 +143,10 @@ pub async fn one(
 /// Returns the losses of a running training, a JSON object per epoch.
 ///
 /// After its end the losses are those of its model.
-#[utoipa::path(get, path = "/api/v1/jobs/{job}/losses", tag = "jobs",
-    params(("job" = String, Path, description = "its id")),
+#[utoipa::path(get, operation_id = "job_losses", path = "/api/v1/jobs/{job}/losses", tag = "jobs",
+    params(("job" = String, Path, description = "id of the job")),
     responses((status = 200, body = String, content_type = "application/x-ndjson"),
-        (status = 404, body = ProblemBody)))]
+        (status = 404, body = ProblemBody, description = "no job has this id")))]
 pub async fn losses(State(app): State<App>, Path(job): Path<String>) -> Result<Response, ApiError> {
     let row = find(&app, &job).await?;
     Ok(ndjson(app.jobs.losses(&row.id)))
@@ -152,9 +155,10 @@ pub async fn losses(State(app): State<App>, Path(job): Path<String>) -> Result<R
 /// Stops a job.
 ///
 /// A job that has ended does not change.
-#[utoipa::path(post, path = "/api/v1/jobs/{job}/stop", tag = "jobs",
-    params(("job" = String, Path, description = "its id")),
-    responses((status = 202, body = JobOut), (status = 404, body = ProblemBody)))]
+#[utoipa::path(post, operation_id = "stop_job", path = "/api/v1/jobs/{job}/stop", tag = "jobs",
+    params(("job" = String, Path, description = "id of the job")),
+    responses((status = 202, body = JobOut),
+        (status = 404, body = ProblemBody, description = "no job has this id")))]
 pub async fn stop(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,

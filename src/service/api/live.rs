@@ -32,7 +32,7 @@ pub struct LiveFrame {
 }
 
 /// Streams live frames as JSON messages over a WebSocket.
-#[utoipa::path(get, path = "/api/v1/frames/live", tag = "frames",
+#[utoipa::path(get, operation_id = "live_frames", path = "/api/v1/frames/live", tag = "frames",
     responses((status = 101, description = "WebSocket whose messages are LiveFrame", body = LiveFrame)))]
 pub async fn frames(State(app): State<App>, upgrade: WebSocketUpgrade) -> Response {
     upgrade.on_upgrade(move |socket| send(app, socket))

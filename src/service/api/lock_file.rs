@@ -102,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_second_holder_is_told_who_has_it_until_the_first_lets_go() {
+    fn a_second_holder_is_refused_with_the_process_id_of_the_first() {
         let folder = std::env::temp_dir().join(format!("palpate-lock-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let first = LockFile::of_data(&folder).unwrap();

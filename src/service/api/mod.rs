@@ -66,7 +66,7 @@ mod trials;
 mod twins;
 mod work;
 
-pub use infer::{FrameAnswer, InferRequest, LiveAnswer, Turns, Wish};
+pub use infer::{FrameAnswer, InferOptions as Wish, InferRequest, LiveAnswer, Turns};
 pub use jobs::JobOut;
 pub use lock_file::{LockFile, LockFileError};
 pub use models::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
@@ -243,7 +243,7 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(datasets::card))
         .routes(routes!(datasets::rows))
         .routes(routes!(datasets::data))
-        .routes(routes!(exports::list, exports::ask))
+        .routes(routes!(exports::list, exports::request))
         .routes(routes!(exports::one))
         .routes(routes!(exports::file))
         .routes(routes!(jobs::train))

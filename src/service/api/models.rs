@@ -113,7 +113,7 @@ pub struct PromotionOut {
 }
 
 /// Returns all models, newest first.
-#[utoipa::path(get, path = "/api/v1/models", tag = "models",
+#[utoipa::path(get, operation_id = "list_models", path = "/api/v1/models", tag = "models",
     responses((status = 200, body = Vec<ModelOut>)))]
 pub async fn list(State(app): State<App>) -> Result<Json<Vec<ModelOut>>, ApiError> {
     let mut models = Vec::new();
@@ -124,9 +124,10 @@ pub async fn list(State(app): State<App>) -> Result<Json<Vec<ModelOut>>, ApiErro
 }
 
 /// Returns a model.
-#[utoipa::path(get, path = "/api/v1/models/{model}", tag = "models",
-    params(("model" = String, Path, description = "its id or name")),
-    responses((status = 200, body = ModelOut), (status = 404, body = ProblemBody)))]
+#[utoipa::path(get, operation_id = "model", path = "/api/v1/models/{model}", tag = "models",
+    params(("model" = String, Path, description = "id or name of the model")),
+    responses((status = 200, body = ModelOut),
+        (status = 404, body = ProblemBody, description = "no model has this id or name")))]
 pub async fn one(
     State(app): State<App>,
     Path(model): Path<String>,
@@ -135,10 +136,11 @@ pub async fn one(
 }
 
 /// Returns the ONNX file of a model.
-#[utoipa::path(get, path = "/api/v1/models/{model}/onnx", tag = "models",
-    params(("model" = String, Path, description = "its id or name")),
+#[utoipa::path(get, operation_id = "model_onnx",
+    path = "/api/v1/models/{model}/onnx", tag = "models",
+    params(("model" = String, Path, description = "id or name of the model")),
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
-        (status = 404, body = ProblemBody)))]
+        (status = 404, body = ProblemBody, description = "no model has this id or name")))]
 pub async fn onnx(State(app): State<App>, Path(model): Path<String>) -> Result<Response, ApiError> {
     let row = app.models.find(&model).await?;
     let path = app.models.onnx(&row.id);
@@ -153,10 +155,11 @@ pub async fn onnx(State(app): State<App>, Path(model): Path<String>) -> Result<R
 /// Returns the losses of a model's training, a JSON object per epoch.
 ///
 /// The response is empty for an uploaded model.
-#[utoipa::path(get, path = "/api/v1/models/{model}/losses", tag = "models",
-    params(("model" = String, Path, description = "its id or name")),
+#[utoipa::path(get, operation_id = "model_losses",
+    path = "/api/v1/models/{model}/losses", tag = "models",
+    params(("model" = String, Path, description = "id or name of the model")),
     responses((status = 200, body = String, content_type = "application/x-ndjson"),
-        (status = 404, body = ProblemBody)))]
+        (status = 404, body = ProblemBody, description = "no model has this id or name")))]
 pub async fn losses(
     State(app): State<App>,
     Path(model): Path<String>,
@@ -166,9 +169,11 @@ pub async fn losses(
 }
 
 /// Returns the residuals of a Transfer-Net on trials outside its training part (paper, Fig. 10A).
-#[utoipa::path(get, path = "/api/v1/models/{model}/residuals", tag = "models",
-    params(("model" = String, Path, description = "its id or name")),
-    responses((status = 200, body = Residuals), (status = 404, body = ProblemBody)))]
+#[utoipa::path(get, operation_id = "model_residuals",
+    path = "/api/v1/models/{model}/residuals", tag = "models",
+    params(("model" = String, Path, description = "id or name of the model")),
+    responses((status = 200, body = Residuals),
+        (status = 404, body = ProblemBody, description = "no model has this id or name")))]
 pub async fn residuals(
     State(app): State<App>,
     Path(model): Path<String>,
@@ -192,9 +197,11 @@ pub struct ModelForm {
 }
 
 /// Adds a model trained elsewhere.
-#[utoipa::path(post, path = "/api/v1/models", tag = "models",
+#[utoipa::path(post, operation_id = "add_model", path = "/api/v1/models", tag = "models",
     request_body(content = ModelForm, content_type = "multipart/form-data"),
-    responses((status = 201, body = ModelOut), (status = 422, body = ProblemBody)))]
+    responses((status = 201, body = ModelOut),
+        (status = 422, body = ProblemBody,
+            description = "a part of the form is missing or invalid, or the model does not run")))]
 pub async fn add(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
@@ -241,7 +248,9 @@ async fn store(
 
 /// Adds a calibration of this rig's sensor (text of its file), so that it can be promoted.
 #[utoipa::path(post, path = "/api/v1/calibrations", tag = "models", request_body = String,
-    responses((status = 201, body = String), (status = 422, body = ProblemBody)))]
+    responses((status = 201, body = String),
+        (status = 422, body = ProblemBody,
+            description = "the calibration is invalid or for another sensor")))]
 pub async fn add_calibration(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
@@ -273,8 +282,11 @@ pub async fn serving(State(app): State<App>) -> Result<Json<ServingOut>, ApiErro
 ///
 /// It is loaded and warmed up before it replaces the serving one: no frame is dropped.
 #[utoipa::path(post, path = "/api/v1/serving", tag = "models", request_body = PromotionRequest,
-    responses((status = 200, body = ServesOut), (status = 404, body = ProblemBody),
-        (status = 409, body = ProblemBody)))]
+    responses((status = 200, body = ServesOut),
+        (status = 404, body = ProblemBody,
+            description = "no model or calibration has this id or name"),
+        (status = 409, body = ProblemBody,
+            description = "the model is for another sensor or task")))]
 pub async fn promote(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
@@ -291,8 +303,9 @@ pub async fn promote(
 /// Restores the previous model or calibration of a slot.
 #[utoipa::path(post, path = "/api/v1/serving/roll-back", tag = "models",
     request_body = RollBackRequest,
-    responses((status = 200, body = ServesOut), (status = 409, body = ProblemBody),
-        (status = 422, body = ProblemBody)))]
+    responses((status = 200, body = ServesOut),
+        (status = 409, body = ProblemBody, description = "the slot has no earlier promotion"),
+        (status = 422, body = ProblemBody, description = "the slot is unknown")))]
 pub async fn roll_back(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,

@@ -65,7 +65,8 @@ pub async fn lock(State(app): State<App>) -> Result<Json<Option<LockRow>>, ApiEr
 ///
 /// It prevents others from starting and editing, never from stopping.
 #[utoipa::path(put, path = "/api/v1/lock", tag = "people", request_body = LockRequest,
-    responses((status = 200, body = LockRow), (status = 409, body = ProblemBody)))]
+    responses((status = 200, body = LockRow),
+        (status = 409, body = ProblemBody, description = "another person holds the operator lock")))]
 pub async fn take_lock(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
@@ -82,7 +83,9 @@ pub async fn take_lock(
 ///
 /// Only the role `admin` may release the lock of another holder.
 #[utoipa::path(delete, path = "/api/v1/lock", tag = "people", params(WhoParams),
-    responses((status = 204), (status = 403, body = ProblemBody)))]
+    responses((status = 204),
+        (status = 403, body = ProblemBody,
+            description = "another person holds the lock, and the role is not admin")))]
 pub async fn clear_lock(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
@@ -104,7 +107,8 @@ pub async fn clear_lock(
 
 /// Returns the API keys, without their texts.
 #[utoipa::path(get, path = "/api/v1/keys", tag = "people",
-    responses((status = 200, body = Vec<KeyRow>), (status = 403, body = ProblemBody)))]
+    responses((status = 200, body = Vec<KeyRow>),
+        (status = 403, body = ProblemBody, description = "the role is not admin")))]
 pub async fn keys(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
@@ -115,8 +119,9 @@ pub async fn keys(
 
 /// Creates an API key.
 #[utoipa::path(post, path = "/api/v1/keys", tag = "people", request_body = KeyRequest,
-    responses((status = 201, body = CreatedKey), (status = 403, body = ProblemBody),
-        (status = 422, body = ProblemBody)))]
+    responses((status = 201, body = CreatedKey),
+        (status = 403, body = ProblemBody, description = "the role is not admin"),
+        (status = 422, body = ProblemBody, description = "the name is invalid or in use")))]
 pub async fn create_key(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
@@ -134,8 +139,9 @@ pub async fn create_key(
 
 /// Revokes an API key.
 #[utoipa::path(delete, path = "/api/v1/keys/{id}", tag = "people",
-    params(("id" = i64, Path, description = "its number")),
-    responses((status = 204), (status = 404, body = ProblemBody)))]
+    params(("id" = i64, Path, description = "number of the key")),
+    responses((status = 204),
+        (status = 404, body = ProblemBody, description = "no valid key has this number")))]
 pub async fn revoke_key(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,

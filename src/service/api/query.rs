@@ -68,23 +68,23 @@ pub fn trial_query(
 /// All unknown names and invalid values.
 pub fn rows_query(pairs: &[(String, String)]) -> Result<RowsRequest, Vec<Problem>> {
     let wanted = Wanted::default();
-    let mut asked = RowsRequest { wanted, format: None, sort: None, from: 0, limit: PAGE };
+    let mut request = RowsRequest { wanted, format: None, sort: None, from: 0, limit: PAGE };
     each(pairs, |key, value| {
-        if common(&mut asked.wanted, &mut asked.format, &mut asked.limit, key, value)? {
+        if common(&mut request.wanted, &mut request.format, &mut request.limit, key, value)? {
             return Ok(true);
         }
         match key {
-            "cursor" => asked.from = whole(value)?,
-            "sort" => asked.sort = Some(Sort::parse(value)),
-            "map" => asked.wanted.map = Some(value.into()),
+            "cursor" => request.from = whole(value)?,
+            "sort" => request.sort = Some(Sort::parse(value)),
+            "map" => request.wanted.map = Some(value.into()),
             _ => {
                 let text = condition(key, value)?.1;
-                asked.wanted.conditions.push(text);
+                request.wanted.conditions.push(text);
             }
         }
         Ok(true)
     })?;
-    Ok(asked)
+    Ok(request)
 }
 
 /// Parses a query string for a dataset as a file. It has no pages, and its name determines the format.
@@ -98,7 +98,7 @@ pub fn file_query(pairs: &[(String, String)]) -> Result<Wanted, Vec<Problem>> {
                      /api/v1/datasets/NAME/rows";
         return Err(vec![Problem::new("query", key, value, limit)]);
     }
-    rows_query(pairs).map(|asked| asked.wanted)
+    rows_query(pairs).map(|request| request.wanted)
 }
 
 /// Applies `apply` to each pair and collects the problems.

@@ -53,14 +53,17 @@ pub struct MoveRequest {
 }
 
 /// Returns the queue.
-#[utoipa::path(get, path = "/api/v1/queue", tag = "queue", responses((status = 200, body = Queue)))]
+#[utoipa::path(get, operation_id = "queue",
+    path = "/api/v1/queue", tag = "queue", responses((status = 200, body = Queue)))]
 pub async fn list(State(app): State<App>) -> Result<Json<Queue>, ApiError> {
     Ok(Json(Queue { runs: app.store.queue().await? }))
 }
 
 /// Queues a run.
-#[utoipa::path(post, path = "/api/v1/queue", tag = "queue", request_body = QueueRequest,
-    responses((status = 201, body = RunRow), (status = 422, body = ProblemBody)))]
+#[utoipa::path(post, operation_id = "queue_run",
+    path = "/api/v1/queue", tag = "queue", request_body = QueueRequest,
+    responses((status = 201, body = RunRow),
+        (status = 422, body = ProblemBody, description = "a file of the submission is invalid")))]
 pub async fn add(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
@@ -80,9 +83,12 @@ pub async fn add(
 }
 
 /// Removes a run from the queue.
-#[utoipa::path(delete, path = "/api/v1/queue/{run}", tag = "queue", params(WhoParams,
+#[utoipa::path(delete, operation_id = "remove_run",
+    path = "/api/v1/queue/{run}", tag = "queue", params(WhoParams,
     ("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = RunRow), (status = 409, body = ProblemBody)))]
+    responses((status = 200, body = RunRow),
+        (status = 409, body = ProblemBody,
+            description = "the run is not queued, or another person holds the operator lock")))]
 pub async fn remove(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
@@ -100,9 +106,12 @@ pub async fn remove(
 }
 
 /// Moves a run in the queue.
-#[utoipa::path(post, path = "/api/v1/queue/{run}/move", tag = "queue", request_body = MoveRequest,
+#[utoipa::path(post, operation_id = "move_run",
+    path = "/api/v1/queue/{run}/move", tag = "queue", request_body = MoveRequest,
     params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = Queue), (status = 409, body = ProblemBody)))]
+    responses((status = 200, body = Queue),
+        (status = 409, body = ProblemBody,
+            description = "the run is not queued, or another person holds the operator lock")))]
 pub async fn shift(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
@@ -121,8 +130,10 @@ pub async fn shift(
 }
 
 /// Returns the preflight of a submission on this rig, without queuing it.
-#[utoipa::path(post, path = "/api/v1/preflight", tag = "queue", request_body = Submission,
-    responses((status = 200, body = Preflight), (status = 422, body = ProblemBody)))]
+#[utoipa::path(post, operation_id = "preflight_submission",
+    path = "/api/v1/preflight", tag = "queue", request_body = Submission,
+    responses((status = 200, body = Preflight),
+        (status = 422, body = ProblemBody, description = "a file of the submission is invalid")))]
 pub async fn preflight(
     State(app): State<App>,
     Body(submission): Body<Submission>,

@@ -157,8 +157,10 @@ pub async fn find(app: &App, run: &str) -> Result<RunRow, ApiError> {
 }
 
 /// Returns a page of runs, newest first.
-#[utoipa::path(get, path = "/api/v1/runs", tag = "runs", params(PageParams),
-    responses((status = 200, body = RunPage)))]
+#[utoipa::path(get, operation_id = "list_runs",
+    path = "/api/v1/runs", tag = "runs", params(PageParams),
+    responses((status = 200, body = RunPage),
+        (status = 422, body = ProblemBody, description = "the limit is invalid")))]
 pub async fn list(
     State(app): State<App>,
     Params(page): Params<PageParams>,
@@ -171,9 +173,10 @@ pub async fn list(
 }
 
 /// Returns a run.
-#[utoipa::path(get, path = "/api/v1/runs/{run}", tag = "runs",
+#[utoipa::path(get, operation_id = "run", path = "/api/v1/runs/{run}", tag = "runs",
     params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = RunRow), (status = 404, body = ProblemBody)))]
+    responses((status = 200, body = RunRow),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
 pub async fn one(
     State(app): State<App>,
     Path(run): Path<String>,
@@ -182,9 +185,10 @@ pub async fn one(
 }
 
 /// Returns the results of a run.
-#[utoipa::path(get, path = "/api/v1/runs/{run}/summary", tag = "runs",
+#[utoipa::path(get, operation_id = "run_summary", path = "/api/v1/runs/{run}/summary", tag = "runs",
     params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = Summary), (status = 404, body = ProblemBody)))]
+    responses((status = 200, body = Summary),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
 pub async fn summary(
     State(app): State<App>,
     Path(run): Path<String>,
@@ -229,9 +233,11 @@ pub async fn summary(
 }
 
 /// Returns the preflight of a stored run on this rig.
-#[utoipa::path(get, path = "/api/v1/runs/{run}/preflight", tag = "runs",
+#[utoipa::path(get, operation_id = "run_preflight",
+    path = "/api/v1/runs/{run}/preflight", tag = "runs",
     params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = Preflight), (status = 404, body = ProblemBody)))]
+    responses((status = 200, body = Preflight),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
 pub async fn preflight(
     State(app): State<App>,
     Path(run): Path<String>,
@@ -243,10 +249,13 @@ pub async fn preflight(
 /// Arms a run: checks it and returns the preflight and a code.
 ///
 /// This is the first of two steps; the action `start` with the code is the second.
-#[utoipa::path(post, path = "/api/v1/runs/{run}/arm", tag = "runs", request_body = Attribution,
+#[utoipa::path(post, operation_id = "arm_run",
+    path = "/api/v1/runs/{run}/arm", tag = "runs", request_body = Attribution,
     params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = Armed), (status = 409, body = ProblemBody),
-        (status = 422, body = ProblemBody)))]
+    responses((status = 200, body = Armed),
+        (status = 409, body = ProblemBody,
+            description = "the state of rig or run does not allow arming, or another person holds the operator lock"),
+        (status = 422, body = ProblemBody, description = "the preflight has problems")))]
 pub async fn arm(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
@@ -265,10 +274,13 @@ pub async fn arm(
 }
 
 /// Requests an action on a run; the response confirms the request, the status shows its effect.
-#[utoipa::path(post, path = "/api/v1/runs/{run}/actions", tag = "runs", request_body = ActionRequest,
+#[utoipa::path(post, operation_id = "run_action",
+    path = "/api/v1/runs/{run}/actions", tag = "runs", request_body = ActionRequest,
     description = STOPS,
     params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 202, body = ActionAccepted), (status = 409, body = ProblemBody)))]
+    responses((status = 202, body = ActionAccepted),
+        (status = 409, body = ProblemBody,
+            description = "the state of the run does not allow the action, or another person holds the operator lock")))]
 pub async fn act(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,

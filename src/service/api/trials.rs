@@ -64,9 +64,10 @@ type Pairs = Query<Vec<(String, String)>>;
 /// Returns a page of the trials of a run, in the order of storing.
 ///
 /// In a format other than JSON the cursor of the next page is in the header `x-next-cursor`.
-#[utoipa::path(get, path = "/api/v1/runs/{run}/trials", tag = "trials",
+#[utoipa::path(get, operation_id = "run_trials", path = "/api/v1/runs/{run}/trials", tag = "trials",
     params(("run" = String, Path, description = "uid or scan_id"), TrialParams),
-    responses((status = 200, body = TrialPage), (status = 400, body = ProblemBody)))]
+    responses((status = 200, body = TrialPage),
+        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid")))]
 pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,
@@ -80,8 +81,10 @@ pub async fn of_run(
 /// Returns a page of the trials of all runs, in the order of storing.
 ///
 /// In a format other than JSON the cursor of the next page is in the header `x-next-cursor`.
-#[utoipa::path(get, path = "/api/v1/trials", tag = "trials", params(TrialParams),
-    responses((status = 200, body = TrialPage), (status = 400, body = ProblemBody)))]
+#[utoipa::path(get, operation_id = "list_trials",
+    path = "/api/v1/trials", tag = "trials", params(TrialParams),
+    responses((status = 200, body = TrialPage),
+        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid")))]
 pub async fn all(
     State(app): State<App>,
     Query(pairs): Pairs,
@@ -273,9 +276,10 @@ fn trials_schema(channels: i32, with_voltages: bool) -> SchemaRef {
 }
 
 /// Returns a trial with its mean voltages.
-#[utoipa::path(get, path = "/api/v1/trials/{trial}", tag = "trials",
-    params(("trial" = i64, Path, description = "its id")),
-    responses((status = 200, body = TrialRow), (status = 404, body = ProblemBody)))]
+#[utoipa::path(get, operation_id = "trial", path = "/api/v1/trials/{trial}", tag = "trials",
+    params(("trial" = i64, Path, description = "id of the trial")),
+    responses((status = 200, body = TrialRow),
+        (status = 404, body = ProblemBody, description = "no trial has this id")))]
 pub async fn one(
     State(app): State<App>,
     Path(trial): Path<i64>,
@@ -285,9 +289,11 @@ pub async fn one(
 }
 
 /// Returns the raw frames of a trial.
-#[utoipa::path(get, path = "/api/v1/trials/{trial}/frames", tag = "trials",
-    params(("trial" = i64, Path, description = "its id")),
-    responses((status = 200, body = Vec<FrameOut>), (status = 404, body = ProblemBody)))]
+#[utoipa::path(get, operation_id = "trial_frames",
+    path = "/api/v1/trials/{trial}/frames", tag = "trials",
+    params(("trial" = i64, Path, description = "id of the trial")),
+    responses((status = 200, body = Vec<FrameOut>),
+        (status = 404, body = ProblemBody, description = "no trial has this id")))]
 pub async fn frames(
     State(app): State<App>,
     Path(trial): Path<i64>,
@@ -310,7 +316,9 @@ pub async fn frames(
 #[utoipa::path(get, path = "/api/v1/runs/{run}/records/{kind}", tag = "trials",
     params(("run" = String, Path, description = "uid or scan_id"),
         ("kind" = String, Path, description = "attempts, tares, touch-offs or references")),
-    responses((status = 200, body = Vec<Object>), (status = 404, body = ProblemBody)))]
+    responses((status = 200, body = Vec<Object>),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
+        (status = 422, body = ProblemBody, description = "the kind is unknown")))]
 pub async fn bench_records(
     State(app): State<App>,
     Path((run, kind)): Path<(String, String)>,

@@ -45,7 +45,7 @@ impl RunTwins {
 }
 
 /// Returns the status of the simulated twins.
-#[utoipa::path(get, path = "/api/v1/twins", tag = "simulation",
+#[utoipa::path(get, operation_id = "twins", path = "/api/v1/twins", tag = "simulation",
     responses((status = 200, body = Twins)))]
 pub async fn all(State(app): State<App>) -> Result<Json<Twins>, ApiError> {
     let mut runs = Vec::new();
@@ -56,9 +56,11 @@ pub async fn all(State(app): State<App>) -> Result<Json<Twins>, ApiError> {
 }
 
 /// Returns the number of twins of a run.
-#[utoipa::path(get, path = "/api/v1/runs/{run}/twins", tag = "simulation",
+#[utoipa::path(get, operation_id = "run_twins",
+    path = "/api/v1/runs/{run}/twins", tag = "simulation",
     params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = RunTwins), (status = 404, body = ProblemBody)))]
+    responses((status = 200, body = RunTwins),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
 pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,

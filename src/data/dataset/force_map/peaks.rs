@@ -388,7 +388,7 @@ mod tests {
     }
 
     proptest! {
-        /// Wherever discs of any map of Table IV stand, no two peaks share a circle, none is under
+        /// For discs at any positions of any map of Table IV, no two peaks are neighbours, none is under
         /// the threshold, and contacts that are far from each other are all found.
         #[test]
         fn peaks_keep_their_distance(

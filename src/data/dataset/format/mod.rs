@@ -97,7 +97,7 @@ impl fmt::Display for Format {
 
 /// The name is not that of a format.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("format {name}: choose from {}", Format::ALL.map(Format::name).join(", "))]
+#[error("format `{name}`: choose from {}", Format::ALL.map(Format::name).join(", "))]
 pub struct UnknownFormat {
     /// The unknown name.
     pub name: String,
