@@ -1,5 +1,5 @@
-//! Authentication and authorisation: API keys and roles; on loopback, checks that prevent a foreign web
-//! page from moving the rig.
+//! Authentication and authorisation: API keys and roles; on loopback, checks that prevent a foreign
+//! web page from moving the rig.
 //! Uses: `store` (the keys in memory). Never: the text of a key in a log; a wait for the store.
 
 use std::net::IpAddr;
@@ -23,8 +23,8 @@ pub struct Caller {
 }
 
 impl Caller {
-    /// Returns the name for the log: that of the key, with the claimed name in parentheses; without a
-    /// key the claimed name.
+    /// Returns the name for the log: that of the key, with the claimed name in parentheses; without
+    /// a key the claimed name.
     pub fn name(&self, claimed: Option<&str>) -> String {
         let key = self.key.as_ref().map(|key| key.name.as_str());
         match (key, claimed) {
@@ -35,8 +35,8 @@ impl Caller {
         }
     }
 
-    /// Returns the identity for the operator lock: the name of the key, or without a key the claimed
-    /// name with a suffix, so that a claim never equals the name of a key.
+    /// Returns the identity for the operator lock: the name of the key, or without a key the
+    /// claimed name with a suffix, so that a claim never equals the name of a key.
     pub fn identity(&self, claimed: Option<&str>) -> String {
         match (&self.key, claimed) {
             (Some(key), _) => key.name.clone(),
@@ -84,8 +84,8 @@ pub async fn admit(
 /// Determines the caller from the head of a request. Neither waits nor writes.
 ///
 /// # Errors
-/// 401 without a valid key (on loopback only for an invalid one); 403 on loopback for a foreign host or
-/// origin.
+/// 401 without a valid key (on loopback only for an invalid one); 403 on loopback for a foreign
+/// host or origin.
 pub fn identify(app: &App, headers: &HeaderMap, query: Option<&str>) -> Result<Caller, ApiError> {
     if app.loopback() {
         own_host(headers)?;
@@ -101,8 +101,8 @@ pub fn identify(app: &App, headers: &HeaderMap, query: Option<&str>) -> Result<C
     }
 }
 
-/// True for the actions on runs: any valid key may stop a run, and the handler checks the role for other
-/// actions. The e-stop has a separate route without this check.
+/// True for the actions on runs: any valid key may stop a run, and the handler checks the role for
+/// other actions. The e-stop has a separate route without this check.
 fn may_stop(path: &str) -> bool {
     path.starts_with("/api/v1/runs/") && path.ends_with("/actions")
 }
@@ -116,8 +116,9 @@ fn unauthorized(words: &str) -> ApiError {
     ApiError::new(StatusCode::UNAUTHORIZED, words)
 }
 
-/// Returns the text of the key: a bearer token, or `key=` in the query, because a browser's WebSocket
-/// sends no headers. An invalid header is an error: treated as "no key" it would count as local.
+/// Returns the text of the key: a bearer token, or `key=` in the query, because a browser's
+/// WebSocket sends no headers. An invalid header is an error: treated as "no key" it would count as
+/// local.
 fn secret(headers: &HeaderMap, query: Option<&str>) -> Result<Option<String>, ApiError> {
     let Some(value) = headers.get(header::AUTHORIZATION) else {
         let key = query.and_then(|q| q.split('&').find_map(|pair| pair.strip_prefix("key=")));
@@ -130,8 +131,8 @@ fn secret(headers: &HeaderMap, query: Option<&str>) -> Result<Option<String>, Ap
     }
 }
 
-/// Checks, on loopback, that `Host` is this machine (against DNS rebinding) and that `Origin`, which a
-/// browser sends with the requests of a page, is this service.
+/// Checks, on loopback, that `Host` is this machine (against DNS rebinding) and that `Origin`,
+/// which a browser sends with the requests of a page, is this service.
 fn own_host(headers: &HeaderMap) -> Result<(), ApiError> {
     let text = |name| headers.get(name).map(|v| v.to_str().unwrap_or_default());
     let host = text(header::HOST).unwrap_or_default();

@@ -35,8 +35,8 @@ pub struct DatasetOut {
     pub bytes: u64,
     /// sha256 of the Parquet file, in hexadecimal digits.
     pub sha256: String,
-    /// Number of rows by part and by number of contacts, number of excluded trials by reason, columns
-    /// with types and units.
+    /// Number of rows by part and by number of contacts, number of excluded trials by reason,
+    /// columns with types and units.
     #[schema(value_type = Object)]
     pub report: Value,
     /// Time at which the dataset was made.
@@ -67,7 +67,8 @@ impl From<DatasetRow> for DatasetOut {
 pub struct Datasets {
     /// Existing datasets, newest first.
     pub datasets: Vec<DatasetOut>,
-    /// Names of the built-in definitions. These, and `run-N` for each ended run, are made on request.
+    /// Names of the built-in definitions. These, and `run-N` for each ended run, are made on
+    /// request.
     pub definitions: Vec<&'static str>,
 }
 
@@ -243,8 +244,9 @@ pub async fn rows(
 
 /// Returns a dataset as a file: `real.parquet`, `ds-0123.npz`, `run-3.csv`.
 ///
-/// The header `Range` selects a part; the entity tag is the sha256 of the file. The dataset of a name
-/// and the file are made if needed. For a large dataset request an export, which shows its progress.
+/// The header `Range` selects a part; the entity tag is the sha256 of the file. The dataset of a
+/// name and the file are made if needed. For a large dataset request an export, which shows its
+/// progress.
 #[utoipa::path(get, operation_id = "dataset_file", path = "/api/v1/data/{file}", tag = "datasets",
     params(("file" = String, Path, description = "ID_OR_NAME.parquet|arrow|csv|ndjson|npz"),
         FileParams),

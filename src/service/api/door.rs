@@ -1,7 +1,8 @@
-//! The door: accepts connections, limits their number and idle time, and reserves some for the e-stop.
+//! The door: accepts connections, limits their number and idle time, and reserves some for the
+//! e-stop.
 //! Uses: hyper for each connection, the router for each request. Never: a connection that is closed
-//! while its request is in progress; an exit because a connection could not be accepted; work on this
-//! thread that would delay the e-stop.
+//! while its request is in progress; an exit because a connection could not be accepted; work on
+//! this thread that would delay the e-stop.
 //!
 //! ```text
 //! this thread:    accept -> seat -> hyper -> router: the e-stop
@@ -9,7 +10,8 @@
 //! other threads:                       +---> router: all other requests (`work`)
 //! ```
 //! If all seats are taken, the connection that has been idle for longest is closed (`seat`). If all
-//! connections are busy, a limited number of further ones is accepted, for the e-stop and /health only.
+//! connections are busy, a limited number of further ones is accepted, for the e-stop and /health
+//! only.
 
 use std::io;
 use std::pin::pin;
@@ -48,8 +50,8 @@ const FILES: u64 = 4096;
 /// Longest wait for requests in progress when the service ends.
 const FAREWELL: Duration = Duration::from_secs(5);
 
-/// Raises the limit of open files of this process to `FILES`, or as far as the system allows. A failure
-/// is only logged.
+/// Raises the limit of open files of this process to `FILES`, or as far as the system allows. A
+/// failure is only logged.
 pub fn raise_file_limit() {
     let now = getrlimit(Resource::Nofile);
     let wanted = now.maximum.map_or(FILES, |most| most.min(FILES));
@@ -60,8 +62,8 @@ pub fn raise_file_limit() {
     }
 }
 
-/// Makes a write beyond the limit of file sizes return an error, as on a full disk, instead of ending
-/// the process while tips press. Needs a runtime. A failure is only logged.
+/// Makes a write beyond the limit of file sizes return an error, as on a full disk, instead of
+/// ending the process while tips press. Needs a runtime. A failure is only logged.
 pub fn outlive_file_size_limit() {
     if let Err(error) = signal(SignalKind::from_raw(Signal::XFSZ.as_raw())) {
         tracing::warn!(%error, "a write beyond the limit of file sizes would end the process");
@@ -75,8 +77,9 @@ struct Handlers {
     threads: runtime::Handle,
 }
 
-/// Starts the door's thread. It serves until `ending` is true, then waits for requests in progress, at
-/// most 5 s, and closes all connections. Requests other than the e-stop run on the current runtime.
+/// Starts the door's thread. It serves until `ending` is true, then waits for requests in progress,
+/// at most 5 s, and closes all connections. Requests other than the e-stop run on the current
+/// runtime.
 ///
 /// # Errors
 /// If the thread or its runtime cannot be started, or the listener cannot be used.

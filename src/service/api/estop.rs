@@ -1,6 +1,6 @@
 //! The e-stop by HTTP: latch first, then read name and reason from the body, then log.
-//! Uses: `auth` (the keys in memory), `campaign::shown::command`. Never, before the latch: the body, a
-//! lock, a queue, the store, a log, any other wait.
+//! Uses: `auth` (the keys in memory), `campaign::shown::command`. Never, before the latch: the
+//! body, a lock, a queue, the store, a log, any other wait.
 
 use std::time::Duration;
 
@@ -37,8 +37,9 @@ pub struct Latched {
 
 /// Stops all axes immediately and latches the e-stop.
 ///
-/// Any valid key permits it, whatever its role and whoever holds the lock; it may be repeated. The body
-/// is only used for the log of actions: without one, or with an invalid one, the stop is the same.
+/// Any valid key permits it, whatever its role and whoever holds the lock; it may be repeated. The
+/// body is only used for the log of actions: without one, or with an invalid one, the stop is the
+/// same.
 #[utoipa::path(post, path = "/api/v1/estop", tag = "rig", request_body = Option<Attribution>,
     responses((status = 200, body = Latched),
         (status = 401, body = ProblemBody, description = "the key is missing, unknown or revoked")))]
@@ -68,8 +69,8 @@ async fn log(app: App, caller: Caller, body: Body) {
     let _ = app.logged(&caller, "estop", context, Ok(())).await;
 }
 
-/// Returns the first bytes of a body that arrive in time. Further bytes are received and dropped, so
-/// that a client that sends them can read the response.
+/// Returns the first bytes of a body that arrive in time. Further bytes are received and dropped,
+/// so that a client that sends them can read the response.
 async fn beginning(body: Body) -> Vec<u8> {
     let mut kept = Vec::new();
     let mut pieces = body.into_data_stream();

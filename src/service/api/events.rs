@@ -28,8 +28,8 @@ const POLL: Duration = Duration::from_millis(200);
 #[derive(Debug, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 pub struct EventParams {
-    /// Only events after this number; a negative number counts from the end. Absent: all events of a
-    /// page, only new events of a live stream.
+    /// Only events after this number; a negative number counts from the end. Absent: all events of
+    /// a page, only new events of a live stream.
     pub since: Option<i64>,
     /// Only events of this run: uid or scan_id.
     pub run: Option<String>,
@@ -48,8 +48,8 @@ pub struct EventPage {
 
 /// Returns a page of events, or a live stream.
 ///
-/// With `Accept: text/event-stream` the response is a live stream of server-sent events. Their `id` is
-/// the number of the event, with which a reconnecting client continues.
+/// With `Accept: text/event-stream` the response is a live stream of server-sent events. Their `id`
+/// is the number of the event, with which a reconnecting client continues.
 #[utoipa::path(get, path = "/api/v1/events", tag = "events", params(EventParams),
     responses((status = 200, body = EventPage),
         (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),

@@ -1,5 +1,6 @@
 //! Estimates contacts from frames: of a request, and live from the stream of the rig.
-//! Uses: `infer::serving`, the campaign's newest frame. Never: a queue of frames, a delay of the rig.
+//! Uses: `infer::serving`, the campaign's newest frame. Never: a queue of frames, a delay of the
+//! rig.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -56,11 +57,12 @@ pub struct InferOptions {
     /// Id or name of a Transfer-Net to use instead of the serving one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub transfer: Option<String>,
-    /// Include the force map: the output of the net, or for `fast` and `exact` the contacts rendered
-    /// as Map 1 (4x20).
+    /// Include the force map: the output of the net, or for `fast` and `exact` the contacts
+    /// rendered as Map 1 (4x20).
     #[serde(default)]
     pub map: bool,
-    /// Number of frames of which each given frame is the mean, 1 to 1e6: `exact` assumes less noise.
+    /// Number of frames of which each given frame is the mean, 1 to 1e6: `exact` assumes less
+    /// noise.
     #[serde(default = "one")]
     pub averaged: f64,
 }
@@ -75,8 +77,8 @@ pub struct InferRequest {
     /// Options.
     #[serde(flatten)]
     pub wish: InferOptions,
-    /// Frames, V, each with one voltage per channel, injection-major; 1 to 2000, for `exact` 300, with
-    /// maps 100.
+    /// Frames, V, each with one voltage per channel, injection-major; 1 to 2000, for `exact` 300,
+    /// with maps 100.
     pub frames: Vec<Vec<f32>>,
 }
 
@@ -86,13 +88,13 @@ pub struct FrameAnswer {
     /// Contacts, force map, and values outside the trained range.
     #[serde(flatten)]
     pub reading: Reading,
-    /// Id of the model, or ids joined by `+`. For `exact`: id of the calibration, and of the Point-Net
-    /// that proposes contacts.
+    /// Id of the model, or ids joined by `+`. For `exact`: id of the calibration, and of the
+    /// Point-Net that proposes contacts.
     pub model: String,
     /// Method that was used.
     pub method: Method,
-    /// Latency, microseconds: for several frames their mean; live, from the arrival of the frame's last
-    /// byte.
+    /// Latency, microseconds: for several frames their mean; live, from the arrival of the frame's
+    /// last byte.
     pub latency_us: u64,
 }
 
@@ -223,8 +225,8 @@ pub struct LiveParams {
     /// Method; absent: the first of `exact`, `fast` and `paper` for which a model serves.
     #[param(inline)]
     pub method: Option<Method>,
-    /// Include the force map: the output of the net, or for `fast` and `exact` the contacts rendered
-    /// as Map 1 (4x20).
+    /// Include the force map: the output of the net, or for `fast` and `exact` the contacts
+    /// rendered as Map 1 (4x20).
     #[serde(default)]
     pub map: bool,
     /// API key, because a browser's WebSocket sends no headers.

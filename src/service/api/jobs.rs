@@ -45,8 +45,8 @@ pub struct JobOut {
     pub progress: Option<Progress>,
     /// Id of the dataset; absent until it is determined.
     pub dataset: Option<String>,
-    /// Result: `{"model": id, "name": ..}` of a training, an EvaluationReport of an evaluation. Absent
-    /// until the job is done.
+    /// Result: `{"model": id, "name": ..}` of a training, an EvaluationReport of an evaluation.
+    /// Absent until the job is done.
     #[schema(value_type = Option<Object>)]
     pub result: Option<Value>,
     /// Cause of the failure; absent unless the job failed.

@@ -48,7 +48,8 @@ impl HttpBody for Sent {
     }
 }
 
-/// A socket that reports transfers to its seat. It keeps the seat, also after an upgrade to a WebSocket.
+/// A socket that reports transfers to its seat. It keeps the seat, also after an upgrade to a
+/// WebSocket.
 pub struct Line {
     /// The socket.
     pub stream: TcpStream,

@@ -191,7 +191,8 @@ impl App {
         self.facts.bind.ip().is_loopback()
     }
 
-    /// Checks that no other person holds the operator lock; `who` is the name that the caller entered.
+    /// Checks that no other person holds the operator lock; `who` is the name that the caller
+    /// entered.
     async fn unlocked(&self, caller: &Caller, who: Option<&str>) -> Result<(), ApiError> {
         match self.store.lock().await? {
             Some(lock) if lock.holder != caller.identity(who) => Err(ApiError::new(

@@ -318,8 +318,8 @@ pub async fn roll_back(
     Ok(Json(ServesOut { slot, what }))
 }
 
-/// True if a report is a score of a model of this task: by a method that uses the task, on rows outside
-/// its training, and not a report of examples only.
+/// True if a report is a score of a model of this task: by a method that uses the task, on rows
+/// outside its training, and not a report of examples only.
 fn is_score(task: &str, report: &Value) -> bool {
     let methods: &[&str] = match task {
         "transfer" => &["voltages", "paper"],

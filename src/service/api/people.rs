@@ -18,7 +18,8 @@ use crate::store::{ActionRow, KeyRow, LockRow, Role};
 /// Request for the operator lock.
 #[derive(Debug, Deserialize, ToSchema)]
 pub struct LockRequest {
-    /// Name of the holder. With a key the holder is the name of the key, without one `NAME (local)`.
+    /// Name of the holder. With a key the holder is the name of the key, without one `NAME
+    /// (local)`.
     pub holder: Option<String>,
     /// Reason, shown to other persons.
     pub note: String,

@@ -1,4 +1,5 @@
-//! Parses query strings to selections of rows: `column__gt=..`, `columns`, `sort`, `limit`, `cursor`.
+//! Parses query strings to selections of rows: `column__gt=..`, `columns`, `sort`, `limit`,
+//! `cursor`.
 //! PURE. Uses: `store`'s table of columns and its conditions. Never: SQL, a name of a column.
 
 use crate::dataset::format::Format;
@@ -87,7 +88,8 @@ pub fn rows_query(pairs: &[(String, String)]) -> Result<RowsRequest, Vec<Problem
     Ok(request)
 }
 
-/// Parses a query string for a dataset as a file. It has no pages, and its name determines the format.
+/// Parses a query string for a dataset as a file. It has no pages, and its name determines the
+/// format.
 ///
 /// # Errors
 /// A parameter of pages, or all unknown names and invalid values.

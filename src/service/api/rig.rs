@@ -76,7 +76,7 @@ pub struct RigCheckRequest {
     path = "/api/v1/rig/actions", tag = "rig", request_body = RigActionRequest,
     responses((status = 202),
         (status = 409, body = ProblemBody,
-            description = "the state of the rig does not allow the action, or another person holds the operator lock"),
+            description = "the state of the rig does not allow the action, or another person holds the lock"),
         (status = 422, body = ProblemBody, description = "a value is missing or invalid")))]
 pub async fn act(
     State(app): State<App>,

@@ -103,7 +103,8 @@ impl Action {
         }
     }
 
-    /// True if the action needs the role `operator` and respects the operator lock. Stopping never does.
+    /// True if the action needs the role `operator` and respects the operator lock. Stopping never
+    /// does.
     fn needs_lock(self) -> bool {
         match self {
             Action::Start | Action::Resume | Action::Confirm | Action::Repeat => true,
@@ -254,7 +255,7 @@ pub async fn preflight(
     params(("run" = String, Path, description = "uid or scan_id")),
     responses((status = 200, body = Armed),
         (status = 409, body = ProblemBody,
-            description = "the state of rig or run does not allow arming, or another person holds the operator lock"),
+            description = "the state of rig or run does not allow arming, or another person holds the lock"),
         (status = 422, body = ProblemBody, description = "the preflight has problems")))]
 pub async fn arm(
     State(app): State<App>,
@@ -280,7 +281,7 @@ pub async fn arm(
     params(("run" = String, Path, description = "uid or scan_id")),
     responses((status = 202, body = ActionAccepted),
         (status = 409, body = ProblemBody,
-            description = "the state of the run does not allow the action, or another person holds the operator lock")))]
+            description = "the state of the run does not allow the action, or another person holds the lock")))]
 pub async fn act(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,

@@ -9,9 +9,11 @@ use tokio::sync::Notify;
 use tokio::sync::futures::Notified;
 use tokio::time::Instant;
 
-/// Largest number of ordinary connections. A page holds about six, a script one; the rest is for streams.
+/// Largest number of ordinary connections. A page holds about six, a script one; the rest is for
+/// streams.
 const CONNECTIONS: usize = 512;
-/// Number of further connections, while all ordinary ones are busy, for the e-stop and /health only.
+/// Number of further connections, while all ordinary ones are busy, for the e-stop and /health
+/// only.
 const RESERVED: usize = 32;
 /// Largest number of connections including those that are being closed.
 const WITH_CLOSING: usize = 2 * CONNECTIONS;

@@ -34,8 +34,8 @@ pub struct Download<'a> {
     pub immutable: bool,
 }
 
-/// Returns a file, or the requested part of it. The entity tag is the sha256 of the file, so that parts
-/// of different files are never combined.
+/// Returns a file, or the requested part of it. The entity tag is the sha256 of the file, so that
+/// parts of different files are never combined.
 ///
 /// # Errors
 /// 500 if the file cannot be read.

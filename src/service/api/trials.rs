@@ -170,7 +170,8 @@ impl Serialize for SelectedTrial<'_> {
     }
 }
 
-/// A page in a row format, encoded in pieces while it is sent, so that only a few pieces are in memory.
+/// A page in a row format, encoded in pieces while it is sent, so that only a few pieces are in
+/// memory.
 struct Table {
     pieces: ReceiverStream<std::io::Result<Vec<u8>>>,
     /// Cursor of the next page.
@@ -289,18 +290,26 @@ pub async fn one(
 }
 
 /// Returns the raw frames of a trial.
+///
+/// Imported trials have none.
 #[utoipa::path(get, operation_id = "trial_frames",
     path = "/api/v1/trials/{trial}/frames", tag = "trials",
     params(("trial" = i64, Path, description = "id of the trial")),
     responses((status = 200, body = Vec<FrameOut>),
-        (status = 404, body = ProblemBody, description = "no trial has this id")))]
+        (status = 404, body = ProblemBody, description = "no trial has this id, or it has no raw frames")))]
 pub async fn frames(
     State(app): State<App>,
     Path(trial): Path<i64>,
 ) -> Result<Json<Vec<FrameOut>>, ApiError> {
     let frames = app.store.frames(TrialId(trial)).await?;
     if frames.is_empty() {
-        return Err(ApiError::not_found(format!("no trial {trial}")));
+        let words = match app.store.trial_by_id(TrialId(trial)).await? {
+            Some(_) => {
+                format!("trial {trial} has no raw frames: only its mean voltages are stored")
+            }
+            None => format!("no trial {trial}"),
+        };
+        return Err(ApiError::not_found(words));
     }
     let out = frames.into_iter().map(|f| FrameOut {
         sequence: f.sequence,

@@ -22,7 +22,8 @@ pub struct Work {
     _task: JoinSet<()>,
 }
 
-/// Handles a request on a runtime. A streamed body is also produced there, at the pace of its client.
+/// Handles a request on a runtime. A streamed body is also produced there, at the pace of its
+/// client.
 ///
 /// # Errors
 /// If the handler panics, or the runtime has ended.
