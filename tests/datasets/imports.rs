@@ -93,6 +93,10 @@ async fn another_skins_trials_are_a_run_like_any_other() {
     assert!(trials[1]["contacts"][0].get("force_n").is_none());
     assert_eq!(trials[1]["missing_channels"], 1);
     assert_eq!(trials[2]["contact_count"], 0);
+    let imported = trials[0]["trial_id"].as_i64().unwrap();
+    let (status, words) = lab.refused(&format!("/api/v1/trials/{imported}/frames")).await;
+    assert_eq!(status, 404);
+    assert!(words.contains("no raw frames"), "{words}");
     // Without a force there is no map, not a map of zeros.
     let path = format!("/api/v1/datasets/run-{run}/rows?map=10x10&columns=trial_id,voltages_v");
     let rows = lab.get(&path).await["rows"].clone();

@@ -146,7 +146,7 @@ async fn bad_queries_are_400_with_the_column_and_the_choices() {
         ("map=wide", "4x20"),
         ("slice=0:785&columns=voltages_v", "0:784"),
         ("slice=9:3&columns=voltages_v", "FIRST:END"),
-        ("columns=sim_voltages_v", "there are"),
+        ("columns=sim_voltages_v", "must be a column"),
         ("format=npz", "npz"),
     ] {
         let (status, words) = lab.refused(&format!("/api/v1/datasets/real/rows?{query}")).await;

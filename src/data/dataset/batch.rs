@@ -40,8 +40,8 @@ pub fn of_trials(schema: &SchemaRef, rows: &[Row]) -> Result<RecordBatch, ArrowE
     RecordBatch::try_new(schema.clone(), columns.collect::<Result<_, _>>()?)
 }
 
-/// Converts a batch of a Sim-Random shard to the columns of `schema`; columns that shards do not have
-/// are null. `parts` holds the part of each row.
+/// Converts a batch of a Sim-Random shard to the columns of `schema`; columns that shards do not
+/// have are null. `parts` holds the part of each row.
 ///
 /// # Errors
 /// `ArrowError` if a column of the shard does not have the type of `schema`.

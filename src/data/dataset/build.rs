@@ -64,8 +64,9 @@ struct SplitShards {
 /// Makes the dataset of `inputs` in `folder`, with its card, and stores its row.
 ///
 /// # Errors
-/// `DatasetError::Channels` or `Models` if runs or shards do not fit each other, `Changed` if trials
-/// are removed meanwhile, `Shards` if a shard is damaged, `File` or `Store` if writing fails.
+/// `DatasetError::Channels` or `Models` if runs or shards do not fit each other, `Changed` if
+/// trials are removed meanwhile, `Shards` if a shard is damaged, `File` or `Store` if writing
+/// fails.
 pub async fn build(
     store: &Store,
     folder: &Path,

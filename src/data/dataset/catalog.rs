@@ -102,8 +102,9 @@ impl Catalog {
     /// Returns the dataset with this id, or the current one of this name, which is made if needed.
     ///
     /// # Errors
-    /// `DatasetError::NoDataset` if the id or name is unknown, `FileMissing` if the file of the id is
-    /// missing, `NotEnded` for the name of a run that has not ended; the errors of [`Self::make`].
+    /// `DatasetError::NoDataset` if the id or name is unknown, `FileMissing` if the file of the id
+    /// is missing, `NotEnded` for the name of a run that has not ended; the errors of
+    /// [`Self::make`].
     pub async fn resolve(&self, name: &str) -> Result<DatasetRow, DatasetError> {
         if name.starts_with("ds-") {
             return self.of_id(name).await;
@@ -147,8 +148,8 @@ impl Catalog {
         }
     }
 
-    /// Makes the dataset of a client's definition. Its name must not be that of a built-in definition
-    /// with other content, or of a run.
+    /// Makes the dataset of a client's definition. Its name must not be that of a built-in
+    /// definition with other content, or of a run.
     ///
     /// # Errors
     /// `DatasetError::Problems` if the definition is invalid or its name is in use; the errors of
@@ -182,7 +183,8 @@ impl Catalog {
     /// # Errors
     /// `DatasetError::Problems` if the definition is invalid, `NoRun`, `Labels`, `Channels` or
     /// `Models` if its runs or shards do not exist or do not fit each other, `Empty` if there are
-    /// none, `DiskFull` without free space; `Store`, `File` or `Shards` if reading or writing fails.
+    /// none, `DiskFull` without free space; `Store`, `File` or `Shards` if reading or writing
+    /// fails.
     pub async fn make(&self, definition: &Definition) -> Result<DatasetRow, DatasetError> {
         self.make_watched(definition, Arc::default()).await
     }
@@ -242,8 +244,8 @@ impl Catalog {
     /// Opens selected rows of a dataset.
     ///
     /// # Errors
-    /// `DatasetError::Problems` if the selection does not fit the columns; `File` or `Parquet` if the
-    /// file cannot be read.
+    /// `DatasetError::Problems` if the selection does not fit the columns; `File` or `Parquet` if
+    /// the file cannot be read.
     pub fn rows(&self, id: &str, wanted: &Wanted) -> Result<DatasetRows, DatasetError> {
         DatasetRows::open(&data_file(&self.datasets(), id), wanted)
     }
@@ -335,7 +337,8 @@ impl Catalog {
         if request.dataset.starts_with("ds-") {
             self.rows(&self.of_id(&request.dataset).await?.id, &wanted)?;
         } else {
-            // The number of channels, and so the range of a slice, is known after the dataset is made.
+            // The number of channels, and so the range of a slice, is known after the dataset is
+            // made.
             let wanted = Wanted { slice: None, ..wanted };
             let definition = self.definition(&request.dataset).await?;
             let columns = schema::of_dataset(&definition, schema::CHANNELS);

@@ -1,4 +1,5 @@
-//! An export: selected rows of a dataset in a format, as a file whose name is a hash of the request.
+//! An export: selected rows of a dataset in a format, as a file whose name is a hash of the
+//! request.
 //! Uses: `dataset::{read, format, file}`. Never: HTTP, the store; two files for equal requests.
 //!
 //! A dataset never changes, and a format produces the same bytes for the same rows. An interrupted

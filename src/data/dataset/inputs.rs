@@ -73,10 +73,12 @@ impl Inputs {
         newest.1.model.as_deref()
     }
 
-    /// Returns the number of voltages per frame, which must be equal in all runs; 784 without frames.
+    /// Returns the number of voltages per frame, which must be equal in all runs; 784 without
+    /// frames.
     ///
     /// # Errors
-    /// `DatasetError::Channels` if runs have frames of different lengths, `Store` if the store fails.
+    /// `DatasetError::Channels` if runs have frames of different lengths, `Store` if the store
+    /// fails.
     pub async fn channels(&self, store: &Store) -> Result<i32, DatasetError> {
         let mut found: Option<(usize, String)> = None;
         for (run, extent) in &self.runs {

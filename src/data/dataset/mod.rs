@@ -1,8 +1,8 @@
 //! Datasets: definitions, labels, splits, force maps, files, exports and imports.
 //! Uses: `store`, `simulate` (Sim-Random's manifests). Never: HTTP, motion, a dataset that changes.
 //!
-//! PURE: `definition`, `filter`, `split`, `force_map`, `schema`, `batch`, `survey`, `select`, `sort`,
-//! `card`, `pressed`.
+//! PURE: `definition`, `filter`, `split`, `force_map`, `schema`, `batch`, `survey`, `select`,
+//! `sort`, `card`, `pressed`.
 //!
 //! ```text
 //! definition -> build: survey, batch, shards -> file DATA/datasets/ds-..  -> read, select -> format

@@ -6,8 +6,9 @@ use sim_core::forward::Contact;
 
 use crate::store::{RunKind, TrialRow};
 
-/// Returns the contacts of a trial: in Real-Hex each attached tip with a force above `force_noise_n`
-/// (N), otherwise the stored contacts. `None` if the position or force of a contact is unknown.
+/// Returns the contacts of a trial: in Real-Hex each attached tip with a force above
+/// `force_noise_n` (N), otherwise the stored contacts. `None` if the position or force of a contact
+/// is unknown.
 pub fn contacts(trial: &TrialRow, kind: RunKind, force_noise_n: f64) -> Option<Vec<Contact>> {
     let contact = |x_mm, y_mm, force_n| Contact { x_mm, y_mm, force_n };
     match kind {
@@ -24,8 +25,8 @@ pub fn contacts(trial: &TrialRow, kind: RunKind, force_noise_n: f64) -> Option<V
     }
 }
 
-/// Returns the noise of the load cells from the text of a rig file, N; `None` if the text has no such
-/// value. A force that does not exceed it is no contact.
+/// Returns the noise of the load cells from the text of a rig file, N; `None` if the text has no
+/// such value. A force that does not exceed it is no contact.
 pub fn force_noise_n(rig: &str) -> Option<f64> {
     #[derive(Deserialize)]
     struct Rig {

@@ -36,8 +36,8 @@ impl DatasetRows {
     /// Opens a dataset's file and counts the requested rows.
     ///
     /// # Errors
-    /// `DatasetError::Problems` if the request does not fit the columns, `File` or `Parquet` if the file
-    /// cannot be read.
+    /// `DatasetError::Problems` if the request does not fit the columns, `File` or `Parquet` if the
+    /// file cannot be read.
     pub fn open(path: &Path, wanted: &Wanted) -> Result<Self, DatasetError> {
         let file = File::open(path).map_err(DatasetError::file("opening", path))?;
         let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())?;
@@ -76,8 +76,8 @@ impl DatasetRows {
         Ok(count)
     }
 
-    /// Returns a page: up to `limit` selected rows from row `from` of the file, and the row of the file
-    /// at which the next page starts; `None` at the end of the file.
+    /// Returns a page: up to `limit` selected rows from row `from` of the file, and the row of the
+    /// file at which the next page starts; `None` at the end of the file.
     ///
     /// # Errors
     /// `DatasetError::File`, `Parquet` or `Arrow` if the rows cannot be read.
@@ -119,12 +119,13 @@ impl DatasetRows {
         Ok((page, (at < self.file_rows()).then_some(at)))
     }
 
-    /// Returns a page in the order of a column, from position `from` of that order, and the position at
-    /// which the next page starts; `None` at the end. The whole column is read, frames only of the page.
+    /// Returns a page in the order of a column, from position `from` of that order, and the
+    /// position at which the next page starts; `None` at the end. The whole column is read, frames
+    /// only of the page.
     ///
     /// # Errors
-    /// `DatasetError::Problems` if the rows cannot be sorted by the column; `File`, `Parquet` or `Arrow`
-    /// if they cannot be read.
+    /// `DatasetError::Problems` if the rows cannot be sorted by the column; `File`, `Parquet` or
+    /// `Arrow` if they cannot be read.
     pub fn sorted_page(
         &self,
         sort: &Sort,

@@ -60,11 +60,12 @@ pub struct Selection {
 }
 
 impl Selection {
-    /// Checks a request against the columns of a table. Force maps need `skin`, the extent of the skin.
+    /// Checks a request against the columns of a table. Force maps need `skin`, the extent of the
+    /// skin.
     ///
     /// # Errors
-    /// All invalid values: unknown or repeated columns, conditions that do not fit the table, a force
-    /// map without a skin or with an invalid resolution, a slice outside the frame.
+    /// All invalid values: unknown or repeated columns, conditions that do not fit the table, a
+    /// force map without a skin or with an invalid resolution, a slice outside the frame.
     pub fn new(
         wanted: &Wanted,
         table: &SchemaRef,
@@ -150,8 +151,8 @@ impl Selection {
         self.filters.is_empty()
     }
 
-    /// Indices of the table's columns that must be read for the columns `out` of the result (`None`:
-    /// all), including those of the conditions. Sorted, without repetition.
+    /// Indices of the table's columns that must be read for the columns `out` of the result
+    /// (`None`: all), including those of the conditions. Sorted, without repetition.
     pub fn needed(&self, out: Option<&[usize]>) -> Vec<usize> {
         let all: Vec<usize> = (0..self.schema.fields().len()).collect();
         let mut needed: Vec<usize> = out

@@ -93,10 +93,12 @@ impl ShardFolder {
     }
 }
 
-/// Returns the folders with the given names, sorted by name; `*` selects all. `data` is the data folder.
+/// Returns the folders with the given names, sorted by name; `*` selects all. `data` is the data
+/// folder.
 ///
 /// # Errors
-/// `ShardsError::None` if a folder does not exist, `Read` or `Manifest` if its manifest cannot be read.
+/// `ShardsError::None` if a folder does not exist, `Read` or `Manifest` if its manifest cannot be
+/// read.
 pub fn find(data: &Path, wanted: &[String]) -> Result<Vec<ShardFolder>, ShardsError> {
     let root = data.join(SIM_RANDOM);
     let mut names: Vec<String> = Vec::new();

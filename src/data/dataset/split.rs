@@ -1,10 +1,11 @@
 //! Division of rows into train, validation and test (paper V-A: 3:1:1) without leaks.
-//! PURE. Uses: sha2. Never: rows, files, a random generator (the order is that of hashes of seed and
-//! key).
+//! PURE. Uses: sha2. Never: rows, files, a random generator (the order is that of hashes of seed
+//! and key).
 //!
-//! A group holds rows that must be in the same part. Groups are sorted by their hashes, and the order
-//! is cut at the shares of rows. All trials of the runs take part, including those that the dataset
-//! excludes later: `real` and `r2s-transfer` of the same runs therefore have the same split.
+//! A group holds rows that must be in the same part. Groups are sorted by their hashes, and the
+//! order is cut at the shares of rows. All trials of the runs take part, including those that the
+//! dataset excludes later: `real` and `r2s-transfer` of the same runs therefore have the same
+//! split.
 
 use sha2::{Digest, Sha256};
 

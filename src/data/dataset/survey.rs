@@ -54,8 +54,8 @@ pub struct Surveyed {
 }
 
 impl<'a> Survey<'a> {
-    /// Starts a survey. `schema` holds the columns that conditions need; twins of another model than
-    /// `model` count as absent.
+    /// Starts a survey. `schema` holds the columns that conditions need; twins of another model
+    /// than `model` count as absent.
     pub fn new(definition: &'a Definition, schema: SchemaRef, model: Option<&'a str>) -> Self {
         Self {
             definition,
@@ -166,8 +166,8 @@ impl<'a> Survey<'a> {
     }
 }
 
-/// Key of the group of a trial. For a split by configuration it is the pressed positions, independent
-/// of run and depth; otherwise it is unique for each trial.
+/// Key of the group of a trial. For a split by configuration it is the pressed positions,
+/// independent of run and depth; otherwise it is unique for each trial.
 fn group_key(trial: &TrialRow, by: SplitBy) -> String {
     if by != SplitBy::Configuration {
         return format!("{} {} {}", trial.run, trial.configuration, trial.depth_index);

@@ -1,36 +1,50 @@
-//! The log of actions: who asked for what, and what came of it.
-//! Uses: `store`. Never: an action that waits for its entry when the entry cannot be stored.
+//! The log of actions: who requested what, and the outcome.
+//! Uses: `store`. Never: an action that waits because its entry cannot be stored.
 
 use std::time::Duration;
 
 use jiff::Timestamp;
 
 use super::App;
-use super::auth::Asker;
+use super::auth::Caller;
 use super::problem::ApiError;
 use crate::ids::RunUid;
 use crate::store::{NewAction, StoreError};
 
-/// Actions that wait at once for a store that takes nothing.
+/// Largest number of entries that wait for a failing store.
 pub(super) const LOGGED_LATER_MAX: usize = 1000;
-/// How often such an action is tried again.
+/// Interval of storing such an entry again.
 const LOG_AGAIN: Duration = Duration::from_secs(1);
 
+/// What an entry of the log refers to.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct ActionContext<'a> {
+    /// The run that the action affects.
+    pub run: Option<RunUid>,
+    /// Name that the caller entered.
+    pub who: Option<&'a str>,
+    /// Reason that the caller entered, or the name of the object that the action affects.
+    pub why: Option<&'a str>,
+}
+
 impl App {
-    /// Logs an action and what came of it, and hands the outcome on.
+    /// Logs an action with its outcome, and returns the outcome.
+    ///
+    /// # Errors
+    /// The error of `outcome`; a failure of the log is only reported.
     pub(super) async fn logged<T>(
         &self,
-        asker: &Asker,
+        caller: &Caller,
         action: &str,
-        about: (Option<RunUid>, Option<&str>, Option<&str>),
+        context: ActionContext<'_>,
         outcome: Result<T, ApiError>,
     ) -> Result<T, ApiError> {
-        let (run, who, why) = about;
+        let ActionContext { run, who, why } = context;
         let new = NewAction {
             at: Timestamp::now(),
             run,
             action: action.into(),
-            who: asker.name(who),
+            who: caller.name(who),
             why: why.map(Into::into),
             accepted: outcome.is_ok(),
             detail: outcome.as_ref().err().map(|e| e.detail().into()),
@@ -42,11 +56,11 @@ impl App {
         outcome
     }
 
-    /// Tries again until an action is logged or the store refuses it for good; for up to
-    /// `LOGGED_LATER_MAX` actions at a time.
+    /// Stores an entry again until it is logged or the store rejects it permanently; for at most
+    /// `LOGGED_LATER_MAX` entries at a time.
     fn log_later(&self, action: NewAction) {
         let Ok(place) = self.facts.logged_later.clone().try_acquire_owned() else {
-            tracing::error!(?action, "too many actions wait to be logged: this one is not");
+            tracing::error!(?action, "an action was not logged: too many entries wait");
             return;
         };
         let store = self.store.clone();

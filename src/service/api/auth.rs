@@ -1,6 +1,6 @@
-//! Who asks, and whether they may: keys and roles, and on loopback the checks that keep a foreign
-//! page from moving the rig.
-//! Uses: `store` (the keys in memory). Never: a key's text in a log; a wait for the store.
+//! Authentication and authorisation: API keys and roles; on loopback, checks that prevent a foreign
+//! web page from moving the rig.
+//! Uses: `store` (the keys in memory). Never: the text of a key in a log; a wait for the store.
 
 use std::net::IpAddr;
 
@@ -13,17 +13,18 @@ use super::App;
 use super::problem::ApiError;
 use crate::store::{KEYLESS, KEYLESS_SUFFIX, Key, Role};
 
-/// Who asks.
+/// The sender of a request.
 #[derive(Debug, Clone)]
-pub struct Asker {
-    /// The key, or absent on loopback without one.
+pub struct Caller {
+    /// The API key; `None` on loopback without a key.
     pub key: Option<Key>,
-    /// What they may do.
+    /// Rights of the caller.
     pub role: Role,
 }
 
-impl Asker {
-    /// The name for the log: the key's where there is one, else what they call themselves.
+impl Caller {
+    /// Returns the name for the log: that of the key, with the claimed name in parentheses; without
+    /// a key the claimed name.
     pub fn name(&self, claimed: Option<&str>) -> String {
         let key = self.key.as_ref().map(|key| key.name.as_str());
         match (key, claimed) {
@@ -34,8 +35,8 @@ impl Asker {
         }
     }
 
-    /// Who they are for the operator lock: the key's name, which nobody can have by claiming it;
-    /// without a key the claimed name, marked as such.
+    /// Returns the identity for the operator lock: the name of the key, or without a key the
+    /// claimed name with a suffix, so that a claim never equals the name of a key.
     pub fn identity(&self, claimed: Option<&str>) -> String {
         match (&self.key, claimed) {
             (Some(key), _) => key.name.clone(),
@@ -44,59 +45,69 @@ impl Asker {
         }
     }
 
-    /// Refuses who has less than this role.
+    /// Checks that the caller has at least this role.
+    ///
+    /// # Errors
+    /// 403 if the role is lower.
     pub fn require(&self, role: Role) -> Result<(), ApiError> {
         if self.role >= role {
             return Ok(());
         }
-        let words = format!("needs the role {role:?}, this key is {:?}", self.role).to_lowercase();
+        let words = format!("role = {:?}: must be at least {role:?}", self.role).to_lowercase();
         Err(ApiError::new(StatusCode::FORBIDDEN, words))
     }
 }
 
-/// Lets a request in: a key that is known, or loopback with our own host and origin. Looks at
-/// nothing but the request and the keys in memory.
+/// Admits a request with a valid key, or on loopback with the local host and origin. Requests that
+/// change something need the role `operator`. Uses only the request and the keys in memory.
+///
+/// # Errors
+/// 401 or 403 as in [`identify`]; 403 if the role is too low.
 pub async fn admit(
     State(app): State<App>,
     mut request: Request,
     next: Next,
 ) -> Result<Response, ApiError> {
-    let asker = identify(&app, request.headers(), request.uri().query())?;
+    let caller = identify(&app, request.headers(), request.uri().query())?;
     let path = request.uri().path();
     let reads = matches!(*request.method(), Method::GET | Method::HEAD) || is_reading(path);
     if !reads && !may_stop(path) {
-        asker.require(Role::Operator)?;
+        caller.require(Role::Operator)?;
     }
-    if let Some(key) = &asker.key {
+    if let Some(key) = &caller.key {
         app.keys.note_use(key);
     }
-    request.extensions_mut().insert(asker);
+    request.extensions_mut().insert(caller);
     Ok(next.run(request).await)
 }
 
-/// Who asks, by the head of a request. Neither waits nor writes.
-pub fn identify(app: &App, headers: &HeaderMap, query: Option<&str>) -> Result<Asker, ApiError> {
+/// Determines the caller from the head of a request. Neither waits nor writes.
+///
+/// # Errors
+/// 401 without a valid key (on loopback only for an invalid one); 403 on loopback for a foreign
+/// host or origin.
+pub fn identify(app: &App, headers: &HeaderMap, query: Option<&str>) -> Result<Caller, ApiError> {
     if app.loopback() {
         own_host(headers)?;
     }
     match secret(headers, query)? {
         Some(secret) => {
             let key = app.keys.find(&secret);
-            let key = key.ok_or_else(|| unauthorized("this key is not known or was revoked"))?;
-            Ok(Asker { role: key.role, key: Some(key) })
+            let key = key.ok_or_else(|| unauthorized("this key is unknown or revoked"))?;
+            Ok(Caller { role: key.role, key: Some(key) })
         }
-        None if app.loopback() => Ok(Asker { key: None, role: Role::Admin }),
-        None => Err(unauthorized("a key is needed: Authorization: Bearer KEY")),
+        None if app.loopback() => Ok(Caller { key: None, role: Role::Admin }),
+        None => Err(unauthorized("no key: send the header Authorization: Bearer KEY")),
     }
 }
 
-/// Any valid key may stop a run: its actions look at the role themselves. The e-stop does not come
-/// by here.
+/// True for the actions on runs: any valid key may stop a run, and the handler checks the role for
+/// other actions. The e-stop has a separate route without this check.
 fn may_stop(path: &str) -> bool {
     path.starts_with("/api/v1/runs/") && path.ends_with("/actions")
 }
 
-/// An export only reads what its asker could read in pieces; frames are answered and not kept.
+/// True for POST requests that only read: an export reads rows, an inference stores nothing.
 fn is_reading(path: &str) -> bool {
     matches!(path, "/api/v1/exports" | "/api/v1/infer")
 }
@@ -105,8 +116,9 @@ fn unauthorized(words: &str) -> ApiError {
     ApiError::new(StatusCode::UNAUTHORIZED, words)
 }
 
-/// The key: a bearer, or `key=` in the query, because a browser's WebSocket sends no headers. A
-/// header that is not understood is refused: read as "no key" it would make its sender local.
+/// Returns the text of the key: a bearer token, or `key=` in the query, because a browser's
+/// WebSocket sends no headers. An invalid header is an error: treated as "no key" it would count as
+/// local.
 fn secret(headers: &HeaderMap, query: Option<&str>) -> Result<Option<String>, ApiError> {
     let Some(value) = headers.get(header::AUTHORIZATION) else {
         let key = query.and_then(|q| q.split('&').find_map(|pair| pair.strip_prefix("key=")));
@@ -115,17 +127,17 @@ fn secret(headers: &HeaderMap, query: Option<&str>) -> Result<Option<String>, Ap
     let credentials = value.to_str().ok().and_then(|value| value.split_once(' '));
     match credentials {
         Some((scheme, key)) if scheme.eq_ignore_ascii_case("bearer") => Ok(Some(key.trim().into())),
-        Some(_) | None => Err(unauthorized("Authorization: must be Bearer KEY")),
+        Some(_) | None => Err(unauthorized("header Authorization: must be Bearer KEY")),
     }
 }
 
-/// On loopback `Host` must be this machine (against DNS rebinding), and `Origin`, which a browser
-/// sends with what a page does, must be one of ours.
+/// Checks, on loopback, that `Host` is this machine (against DNS rebinding) and that `Origin`,
+/// which a browser sends with the requests of a page, is this service.
 fn own_host(headers: &HeaderMap) -> Result<(), ApiError> {
     let text = |name| headers.get(name).map(|v| v.to_str().unwrap_or_default());
     let host = text(header::HOST).unwrap_or_default();
     if !is_local(host) {
-        let words = format!("Host = {host}: must be this machine's loopback name");
+        let words = format!("Host = {host}: must be localhost or a loopback address");
         return Err(ApiError::new(StatusCode::FORBIDDEN, words));
     }
     if let Some(origin) = text(header::ORIGIN) {

@@ -1,4 +1,4 @@
-//! Datasets: what there is, what each is made of, its rows by pages and as files.
+//! Datasets: lists, lineage, cards, rows by pages and as files.
 //! Uses: `dataset::catalog`. Never: SQL, a row that is not in a dataset's file.
 
 use axum::Json;
@@ -13,7 +13,7 @@ use super::App;
 use super::params::{FileParams, RowsParams};
 use super::problem::{ApiError, Body, ProblemBody};
 use super::query::{file_query, rows_query};
-use super::send;
+use super::send::{self, Download};
 use crate::dataset::definition::Definition;
 use crate::dataset::error::DatasetError;
 use crate::dataset::format::{Format, Rows, UnknownFormat};
@@ -24,24 +24,25 @@ use crate::store::DatasetRow;
 pub struct DatasetOut {
     /// `ds-` and the start of a sha256 over its definition, its rows and its columns.
     pub id: String,
-    /// Its definition's name.
+    /// Name of the definition.
     pub name: String,
-    /// What it is made of.
+    /// The definition.
     #[schema(value_type = Definition)]
     pub definition: Value,
-    /// Rows.
+    /// Number of rows.
     pub rows: u64,
-    /// Length of its Parquet file.
+    /// Length of the Parquet file, bytes.
     pub bytes: u64,
-    /// sha256 of its Parquet file.
+    /// sha256 of the Parquet file, in hexadecimal digits.
     pub sha256: String,
-    /// Rows by part and by number of contacts, trials left out by reason, columns with units.
+    /// Number of rows by part and by number of contacts, number of excluded trials by reason,
+    /// columns with types and units.
     #[schema(value_type = Object)]
     pub report: Value,
-    /// When it was made.
+    /// Time at which the dataset was made.
     #[schema(value_type = String, format = DateTime)]
     pub created_at: jiff::Timestamp,
-    /// Where its rows are, for pandas, polars and DuckDB.
+    /// Address of the Parquet file, for pandas, polars and DuckDB.
     pub url: String,
 }
 
@@ -64,56 +65,65 @@ impl From<DatasetRow> for DatasetOut {
 /// The datasets of a service.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Datasets {
-    /// Those that were made, newest first.
+    /// Existing datasets, newest first.
     pub datasets: Vec<DatasetOut>,
-    /// Names that are made when they are asked for, beside `run-N` for every run that has ended.
+    /// Names of the built-in definitions. These, and `run-N` for each ended run, are made on
+    /// request.
     pub definitions: Vec<&'static str>,
 }
 
-/// A dataset to make: by one of these.
+/// Request for a dataset: exactly one of `name`, `definition` and `toml`.
 #[derive(Debug, Default, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
-pub struct NewDataset {
-    /// A name that there is.
+pub struct DatasetRequest {
+    /// Name of a built-in definition, of an existing dataset, or of a run (`run-N`).
     pub name: Option<String>,
     /// A definition.
     pub definition: Option<Definition>,
-    /// The text of a definition file.
+    /// Text of a definition file.
     pub toml: Option<String>,
-    /// What messages call that file.
+    /// Name of the definition in messages; default `definition`.
     pub file: Option<String>,
 }
 
 /// A page of a dataset's rows.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct RowsPage {
-    /// The dataset.
+    /// Id of the dataset.
     pub dataset: String,
-    /// Its rows, a column absent where it is null.
+    /// The rows; a null value is absent.
     #[schema(value_type = Vec<Object>)]
     pub rows: Vec<Box<serde_json::value::RawValue>>,
-    /// Hand this in as `cursor` for the page that follows; absent on the last.
+    /// Value of `cursor` for the next page; absent on the last page.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub next: Option<String>,
 }
 
 type Pairs = Query<Vec<(String, String)>>;
 
-/// The datasets that were made, and the names that can be asked for.
-#[utoipa::path(get, path = "/api/v1/datasets", tag = "datasets",
+/// Returns the existing datasets, and the names of the built-in definitions.
+#[utoipa::path(get, operation_id = "list_datasets", path = "/api/v1/datasets", tag = "datasets",
     responses((status = 200, body = Datasets)))]
 pub async fn list(State(app): State<App>) -> Result<Json<Datasets>, ApiError> {
     let datasets = app.store.datasets().await?.into_iter().map(DatasetOut::from).collect();
     Ok(Json(Datasets { datasets, definitions: Definition::built_in_names().collect() }))
 }
 
-/// Makes a dataset on what is stored now; one that is there already is given back.
-#[utoipa::path(post, path = "/api/v1/datasets", tag = "datasets", request_body = NewDataset,
-    responses((status = 200, body = DatasetOut), (status = 400, body = ProblemBody),
-        (status = 404, body = ProblemBody), (status = 409, body = ProblemBody)))]
+/// Makes a dataset from the stored trials, or returns the existing one.
+#[utoipa::path(post, operation_id = "make_dataset",
+    path = "/api/v1/datasets", tag = "datasets", request_body = DatasetRequest,
+    responses((status = 200, body = DatasetOut),
+        (status = 400, body = ProblemBody,
+            description = "the definition is invalid, or its name is in use"),
+        (status = 404, body = ProblemBody,
+            description = "no dataset, run or folder of shards has the name, or no rows are selected"),
+        (status = 409, body = ProblemBody,
+            description = "the runs differ in label, frame length or model, or a run has not ended"),
+        (status = 422, body = ProblemBody,
+            description = "the body is invalid, or has not exactly one of name, definition and toml")))]
 pub async fn make(
     State(app): State<App>,
-    Body(new): Body<NewDataset>,
+    Body(new): Body<DatasetRequest>,
 ) -> Result<Json<DatasetOut>, ApiError> {
     let file = new.file.as_deref().unwrap_or("definition");
     let row = match (new.name, new.definition, new.toml) {
@@ -123,15 +133,23 @@ pub async fn make(
             let definition = Definition::from_toml(file, &text).map_err(DatasetError::Problems)?;
             app.datasets.make_custom(file, &definition).await?
         }
-        _ => return Err(ApiError::value("dataset", "", "must be one of name, definition, toml")),
+        _ => {
+            let limit = "must have exactly one of name, definition and toml";
+            let problem = crate::problem::Problem::whole("request", limit);
+            return Err(ApiError::problems(vec![problem]));
+        }
     };
     Ok(Json(row.into()))
 }
 
-/// A dataset by its id, or the one that a name stands for now.
-#[utoipa::path(get, path = "/api/v1/datasets/{dataset}", tag = "datasets",
+/// Returns the dataset with an id, or the current dataset of a name.
+///
+/// The dataset of a name is made if needed.
+#[utoipa::path(get, operation_id = "dataset", path = "/api/v1/datasets/{dataset}", tag = "datasets",
     params(("dataset" = String, Path, description = "id or name")),
-    responses((status = 200, body = DatasetOut), (status = 404, body = ProblemBody)))]
+    responses((status = 200, body = DatasetOut),
+        (status = 404, body = ProblemBody,
+            description = "no dataset has this id or name, or its definition selects no rows")))]
 pub async fn one(
     State(app): State<App>,
     Path(dataset): Path<String>,
@@ -139,10 +157,13 @@ pub async fn one(
     Ok(Json(app.datasets.resolve(&dataset).await?.into()))
 }
 
-/// Where a dataset's rows come from: runs, models, calibrations, shards, code.
-#[utoipa::path(get, path = "/api/v1/datasets/{dataset}/lineage", tag = "datasets",
+/// Returns the lineage of a dataset: runs, models, calibrations, shards and code.
+#[utoipa::path(get, operation_id = "dataset_lineage",
+    path = "/api/v1/datasets/{dataset}/lineage", tag = "datasets",
     params(("dataset" = String, Path, description = "id or name")),
-    responses((status = 200, body = Object), (status = 404, body = ProblemBody)))]
+    responses((status = 200, body = Object),
+        (status = 404, body = ProblemBody,
+            description = "no dataset has this id or name, or its definition selects no rows")))]
 pub async fn lineage(
     State(app): State<App>,
     Path(dataset): Path<String>,
@@ -154,11 +175,13 @@ pub async fn lineage(
     })))
 }
 
-/// A dataset's card: what, when, where, how many, units, quality, citation.
-#[utoipa::path(get, path = "/api/v1/datasets/{dataset}/card", tag = "datasets",
+/// Returns the card of a dataset in Markdown: content, units, quality, origin and citation.
+#[utoipa::path(get, operation_id = "dataset_card",
+    path = "/api/v1/datasets/{dataset}/card", tag = "datasets",
     params(("dataset" = String, Path, description = "id or name")),
     responses((status = 200, body = String, content_type = "text/markdown"),
-        (status = 404, body = ProblemBody)))]
+        (status = 404, body = ProblemBody,
+            description = "no dataset has this id or name, or its definition selects no rows")))]
 pub async fn card(
     State(app): State<App>,
     Path(dataset): Path<String>,
@@ -168,20 +191,25 @@ pub async fn card(
     Ok(([(header::CONTENT_TYPE, "text/markdown; charset=utf-8")], text).into_response())
 }
 
-/// Rows of a dataset.
-#[utoipa::path(get, path = "/api/v1/datasets/{dataset}/rows", tag = "datasets",
+/// Returns a page of the rows of a dataset.
+///
+/// In a format other than JSON the cursor of the next page is in the header `x-next-cursor`.
+#[utoipa::path(get, operation_id = "dataset_rows",
+    path = "/api/v1/datasets/{dataset}/rows", tag = "datasets",
     params(("dataset" = String, Path, description = "id or name"), RowsParams),
-    responses((status = 200, body = RowsPage), (status = 400, body = ProblemBody)))]
+    responses((status = 200, body = RowsPage),
+        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid")))]
 pub async fn rows(
     State(app): State<App>,
     Path(dataset): Path<String>,
     Query(pairs): Pairs,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
-    let asked = rows_query(&pairs).map_err(ApiError::bad_query)?;
-    let format = asked.format.or_else(|| send::accepted(&headers));
+    let requested = rows_query(&pairs).map_err(ApiError::bad_query)?;
+    let format = requested.format.or_else(|| send::accepted(&headers));
     if format == Some(Format::Npz) {
-        let limit = "pages come as json, ndjson, csv, parquet or arrow; /api/v1/data/NAME.npz";
+        let limit = "must be json, ndjson, csv, parquet or arrow for pages; npz is at \
+                     /api/v1/data/NAME.npz";
         return Err(ApiError::bad_query(vec![crate::problem::Problem::new(
             "query", "format", "npz", limit,
         )]));
@@ -189,11 +217,11 @@ pub async fn rows(
     let row = app.datasets.resolve(&dataset).await?;
     let catalog = app.datasets.clone();
     let reading = tokio::task::spawn_blocking(move || {
-        let rows = catalog.rows(&row.id, &asked.wanted)?;
-        let limit = asked.limit as usize;
-        let (batches, next) = match &asked.sort {
-            Some(sort) => rows.sorted_page(sort, asked.from, limit)?,
-            None => rows.page(asked.from, limit)?,
+        let rows = catalog.rows(&row.id, &requested.wanted)?;
+        let limit = requested.limit as usize;
+        let (batches, next) = match &requested.sort {
+            Some(sort) => rows.sorted_page(sort, requested.from, limit)?,
+            None => rows.page(requested.from, limit)?,
         };
         let next = next.map(|next| next.to_string());
         match format {
@@ -214,14 +242,20 @@ pub async fn rows(
     reading.await.map_err(|_| ApiError::from(DatasetError::Worker))?
 }
 
-/// A dataset as a file: `real.parquet`, `ds-0123.npz`, `run-3.csv`. Takes `Range`; the entity tag is the file's sha256. A name is made first
-/// where need be; for something large ask for an export instead, which tells how far it is.
-#[utoipa::path(get, path = "/api/v1/data/{file}", tag = "datasets",
+/// Returns a dataset as a file: `real.parquet`, `ds-0123.npz`, `run-3.csv`.
+///
+/// The header `Range` selects a part; the entity tag is the sha256 of the file. The dataset of a
+/// name and the file are made if needed. For a large dataset request an export, which shows its
+/// progress.
+#[utoipa::path(get, operation_id = "dataset_file", path = "/api/v1/data/{file}", tag = "datasets",
     params(("file" = String, Path, description = "ID_OR_NAME.parquet|arrow|csv|ndjson|npz"),
         FileParams),
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 206, body = Vec<u8>, content_type = "application/octet-stream"),
-        (status = 304), (status = 400, body = ProblemBody), (status = 404, body = ProblemBody)))]
+        (status = 304),
+        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid"),
+        (status = 404, body = ProblemBody,
+            description = "no dataset has this id or name, or the format is unknown")))]
 pub async fn data(
     State(app): State<App>,
     Path(file): Path<String>,
@@ -237,5 +271,6 @@ pub async fn data(
     let row = app.datasets.resolve(name).await?;
     let export_file = app.datasets.file(&row, format, &wanted, std::sync::Arc::default()).await?;
     let shown = format!("{}.{}", row.id, format.extension());
-    send::file(request, &export_file, format, (&shown, name == row.id)).await
+    let download = Download { name: &shown, immutable: name == row.id };
+    send::file(request, &export_file, format, download).await
 }

@@ -1,16 +1,17 @@
-//! The door: takes connections in, bounds how many there are and how long they may wait, and keeps
-//! places that nobody can fill but who wants to stop the rig.
-//! Uses: hyper for each connection, the router for each request. Never: a connection that is cut
-//! while its request is under way; an end because a connection could not be taken; work on this
-//! thread that a stop would wait for.
+//! The door: accepts connections, limits their number and idle time, and reserves some for the
+//! e-stop.
+//! Uses: hyper for each connection, the router for each request. Never: a connection that is closed
+//! while its request is in progress; an exit because a connection could not be accepted; work on
+//! this thread that would delay the e-stop.
 //!
 //! ```text
-//! this thread: accept -> seat -> hyper -> router: the stop
-//!                                   |
-//! the others:                       +---> router: all else (`work`)
+//! this thread:    accept -> seat -> hyper -> router: the e-stop
+//!                                      |
+//! other threads:                       +---> router: all other requests (`work`)
 //! ```
-//! When it is full, the connection that has waited longest without a request makes room (`seat`);
-//! when all are busy, some more are taken in, which reach only the stop and /health.
+//! If all seats are taken, the connection that has been idle for longest is closed (`seat`). If all
+//! connections are busy, a limited number of further ones is accepted, for the e-stop and /health
+//! only.
 
 use std::io;
 use std::pin::pin;
@@ -36,54 +37,58 @@ use tower_service::Service;
 
 use super::line::{Line, Sent};
 use super::problem::ApiError;
-use super::seat::{Asking, Seat, Seats};
+use super::seat::{InFlight, Seat, Seats};
 use super::work;
 
-/// How often those that have waited too long are looked for.
+/// Interval of closing connections that have been idle for too long.
 const SWEEP: Duration = Duration::from_secs(1);
-/// Wait after a connection could not be taken: the process or the machine has no more files.
+/// Wait after a connection could not be accepted because no more files may be open.
 const RETRY: Duration = Duration::from_millis(20);
-/// Files that the process may have open, where the system lets it: connections, and what reads them.
+/// Wanted limit of open files of the process.
 const FILES: u64 = 4096;
 
-/// Longest wait for requests that are under way when the service ends.
+/// Longest wait for requests in progress when the service ends.
 const FAREWELL: Duration = Duration::from_secs(5);
 
-/// Raises the number of files that this process may have open towards `FILES`, as far as the system
-/// allows; a failure is only logged.
+/// Raises the limit of open files of this process to `FILES`, or as far as the system allows. A
+/// failure is only logged.
 pub fn raise_file_limit() {
     let now = getrlimit(Resource::Nofile);
     let wanted = now.maximum.map_or(FILES, |most| most.min(FILES));
     if now.current.is_some_and(|current| current < wanted)
         && let Err(error) = setrlimit(Resource::Nofile, Rlimit { current: Some(wanted), ..now })
     {
-        tracing::warn!(%error, wanted, "the limit of open files stays as it is");
+        tracing::warn!(%error, wanted, "the limit of open files was not raised");
     }
 }
 
-/// From now on a write beyond a limit of file sizes fails with an error, as on a full disk, instead of
-/// ending the process with tips pressed. Needs a runtime; a failure is only logged.
+/// Makes a write beyond the limit of file sizes return an error, as on a full disk, instead of
+/// ending the process while tips press. Needs a runtime. A failure is only logged.
 pub fn outlive_file_size_limit() {
     if let Err(error) = signal(SignalKind::from_raw(Signal::XFSZ.as_raw())) {
-        tracing::warn!(%error, "a limit of file sizes would end the process");
+        tracing::warn!(%error, "a write beyond the limit of file sizes would end the process");
     }
 }
 
-/// What carries requests out.
+/// The router, and the runtime for requests other than the e-stop.
 #[derive(Clone)]
-struct House {
+struct Handlers {
     router: Router,
     threads: runtime::Handle,
 }
 
-/// Starts the door's thread: it answers until `ending` says so, then lets requests that are under
-/// way be answered and cuts the rest. All but the stop is carried out on the caller's runtime.
+/// Starts the door's thread. It serves until `ending` is true, then waits for requests in progress,
+/// at most 5 s, and closes all connections. Requests other than the e-stop run on the current
+/// runtime.
+///
+/// # Errors
+/// If the thread or its runtime cannot be started, or the listener cannot be used.
 pub fn open(
     listener: std::net::TcpListener,
     router: Router,
     ending: watch::Receiver<bool>,
 ) -> io::Result<thread::JoinHandle<()>> {
-    let house = House { router, threads: runtime::Handle::current() };
+    let handlers = Handlers { router, threads: runtime::Handle::current() };
     let own = runtime::Builder::new_current_thread().enable_all().build()?;
     let listener = {
         let _inside = own.enter();
@@ -97,12 +102,12 @@ pub fn open(
         }
     };
     thread::Builder::new().name("door".into()).spawn(move || {
-        own.block_on(serve(listener, house, ending));
+        own.block_on(serve(listener, handlers, ending));
         own.shutdown_background();
     })
 }
 
-async fn serve(listener: TcpListener, house: House, mut ending: watch::Receiver<bool>) {
+async fn serve(listener: TcpListener, handlers: Handlers, mut ending: watch::Receiver<bool>) {
     let mut seats = Seats::default();
     let mut connections = JoinSet::new();
     let mut sweep = interval(SWEEP);
@@ -117,13 +122,13 @@ async fn serve(listener: TcpListener, house: House, mut ending: watch::Receiver<
                 Ok((stream, _)) => {
                     refused = false;
                     let seat = seats.take();
-                    connections.spawn(attend(stream, seat, house.clone(), until.clone()));
+                    connections.spawn(attend(stream, seat, handlers.clone(), until.clone()));
                 }
-                // The client has gone again.
+                // The client has disconnected already.
                 Err(error) if error.kind() == io::ErrorKind::ConnectionAborted => {}
                 Err(error) => {
                     if !std::mem::replace(&mut refused, true) {
-                        tracing::warn!(%error, "a connection could not be taken");
+                        tracing::warn!(%error, "a connection could not be accepted");
                     }
                     seats.make_room();
                     sleep(RETRY).await;
@@ -137,29 +142,29 @@ async fn serve(listener: TcpListener, house: House, mut ending: watch::Receiver<
     drop(listener);
     if timeout(FAREWELL, async { while connections.join_next().await.is_some() {} }).await.is_err()
     {
-        tracing::warn!("some connections were cut");
+        tracing::warn!("connections were closed while a request was in progress");
     }
 }
 
 async fn ended(ending: &mut watch::Receiver<bool>) {
-    // A service that has gone has ended, too.
+    // A dropped sender also means the end of the service.
     let _ = ending.wait_for(|ended| *ended).await;
 }
 
-/// One connection until its end, or until it has become a WebSocket.
+/// Serves one connection until its end, or until it has become a WebSocket.
 async fn attend(
     stream: TcpStream,
     seat: Arc<Seat>,
-    house: House,
+    handlers: Handlers,
     mut ending: watch::Receiver<bool>,
 ) {
-    // Without it answers are only a little later.
+    // Without it responses are only delayed slightly.
     let _ = stream.set_nodelay(true);
     let answering = seat.clone();
-    let service = service_fn(move |request| answer(house.clone(), answering.clone(), request));
+    let service = service_fn(move |request| answer(handlers.clone(), answering.clone(), request));
     let io = TokioIo::new(Line { stream, seat: seat.clone() });
     let mut connection = pin!(http1::Builder::new().serve_connection(io, service).with_upgrades());
-    let mut told = false;
+    let mut ends = false;
     loop {
         tokio::select! {
             outcome = connection.as_mut() => {
@@ -168,10 +173,10 @@ async fn attend(
                 }
                 return;
             }
-            // A request may have come in the meantime: it is answered.
-            () = seat.dismissed() => if seat.is_leaving() { return },
-            () = ended(&mut ending), if !told => {
-                told = true;
+            // A request may have arrived in the meantime: it is served.
+            () = seat.closed() => if seat.is_closing() { return },
+            () = ended(&mut ending), if !ends => {
+                ends = true;
                 connection.as_mut().graceful_shutdown();
             }
         }
@@ -179,29 +184,29 @@ async fn attend(
 }
 
 async fn answer(
-    house: House,
+    handlers: Handlers,
     seat: Arc<Seat>,
     request: Request<Incoming>,
 ) -> io::Result<Response<Sent>> {
-    let asking = Asking::begin(seat.clone());
-    let House { mut router, threads } = house;
+    let request_guard = InFlight::begin(seat.clone());
+    let Handlers { mut router, threads } = handlers;
     let path = request.uri().path();
     let mut response = if is_stop(path) {
         let Ok(response) = router.call(request).await;
-        response.map(|body| Sent::new(body, asking, None))
+        response.map(|body| Sent::new(body, request_guard, None))
     } else if seat.reserved() && !path.starts_with("/health/") {
-        let words = "all connections are in use; this one reaches only the stop and /health";
+        let words = "all connections are in use: only the e-stop and /health are available; retry";
         let response = ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words).into_response();
-        response.map(|body| Sent::new(body, asking, None))
+        response.map(|body| Sent::new(body, request_guard, None))
     } else {
-        let (response, work) = work::carry_out(&threads, router, request).await?;
-        response.map(|body| Sent::new(body, asking, Some(work)))
+        let (response, work) = work::handle(&threads, router, request).await?;
+        response.map(|body| Sent::new(body, request_guard, Some(work)))
     };
     if seat.reserved() {
         response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
     }
     if response.status() == StatusCode::SWITCHING_PROTOCOLS {
-        seat.keep();
+        seat.upgrade();
     }
     Ok(response)
 }

@@ -1,4 +1,4 @@
-//! How good the model is on a run.
+//! Quality of the simulation on a run.
 //! Uses: `evaluate`, `store`. Never: a computation that a motion waits for.
 
 use axum::Json;
@@ -10,11 +10,14 @@ use super::problem::{ApiError, ProblemBody};
 use super::runs::find;
 use crate::evaluate::simulation::{SimulationReport, report};
 
-/// How well the simulated twins fit a run's trials: the paper's Fig. 7B to 7F as numbers. Trials
-/// without a twin yet are not in it.
-#[utoipa::path(get, path = "/api/v1/runs/{run}/evaluation/simulation", tag = "simulation",
+/// Returns the fit of the simulated twins to the trials of a run (paper, Fig. 7B to 7F).
+///
+/// Trials without a twin are excluded.
+#[utoipa::path(get, operation_id = "evaluate_simulation",
+    path = "/api/v1/runs/{run}/evaluation/simulation", tag = "simulation",
     params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = SimulationReport), (status = 404, body = ProblemBody)))]
+    responses((status = 200, body = SimulationReport),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
 pub async fn simulation(
     State(app): State<App>,
     Path(run): Path<String>,

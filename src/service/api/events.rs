@@ -1,4 +1,4 @@
-//! Events: as a page, or live by SSE with sequence numbers and `?since=`.
+//! Events: as a page, or as server-sent events with sequence numbers and `?since=`.
 //! Uses: `store`. Never: a queue per client (each reads the table at its own pace).
 
 use std::convert::Infallible;
@@ -14,48 +14,52 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::problem::{ApiError, Params};
+use super::problem::{ApiError, Params, ProblemBody};
 use super::runs::find;
 use crate::ids::RunUid;
 use crate::journal::Event;
 
-/// Events read at once.
+/// Number of events per page by default, and per reading of a live stream.
 const PAGE: u32 = 200;
-/// How often the table is looked at for a live client.
-const LOOK: Duration = Duration::from_millis(200);
+/// Interval of reading the table for a live client.
+const POLL: Duration = Duration::from_millis(200);
 
-/// Which events.
+/// Selection of events.
 #[derive(Debug, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
-pub struct Since {
-    /// Those after this number; a negative one counts from the end; for a live stream without it,
-    /// only new ones.
+pub struct EventParams {
+    /// Only events after this number; a negative number counts from the end. Absent: all events of
+    /// a page, only new events of a live stream.
     pub since: Option<i64>,
-    /// Of this run only: uid or scan_id.
+    /// Only events of this run: uid or scan_id.
     pub run: Option<String>,
-    /// Up to so many in a page, at most 1000.
+    /// Largest number of events in a page, 1 to 1000, default 200.
     pub limit: Option<u32>,
 }
 
 /// A page of events.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct EventPage {
-    /// In order.
+    /// Events in ascending order of their numbers.
     pub events: Vec<Event>,
-    /// Hand this in as `since` for what follows.
+    /// Value of `since` for the next page.
     pub next: i64,
 }
 
-/// Events after a number. With `Accept: text/event-stream` a live stream, in which `id` is the
-/// number, so that a reconnecting client goes on where it was.
-#[utoipa::path(get, path = "/api/v1/events", tag = "events", params(Since),
-    responses((status = 200, body = EventPage)))]
+/// Returns a page of events, or a live stream.
+///
+/// With `Accept: text/event-stream` the response is a live stream of server-sent events. Their `id`
+/// is the number of the event, with which a reconnecting client continues.
+#[utoipa::path(get, path = "/api/v1/events", tag = "events", params(EventParams),
+    responses((status = 200, body = EventPage),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
+        (status = 422, body = ProblemBody, description = "a parameter is invalid")))]
 pub async fn events(
     State(app): State<App>,
-    Params(asked): Params<Since>,
+    Params(params): Params<EventParams>,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
-    let run = match &asked.run {
+    let run = match &params.run {
         Some(run) => Some(find(&app, run).await?.uid),
         None => None,
     };
@@ -63,15 +67,15 @@ pub async fn events(
     let live = text(header::ACCEPT).is_some_and(|a| a.contains("text/event-stream"));
     if live {
         let last = text(header::HeaderName::from_static("last-event-id"));
-        let since = match last.and_then(|id| id.parse().ok()).or(asked.since) {
-            Some(since) => counted(&app, since).await?,
+        let since = match last.and_then(|id| id.parse().ok()).or(params.since) {
+            Some(since) => resolved(&app, since).await?,
             None => app.store.last_event_seq().await?,
         };
         let keep_alive = KeepAlive::new().interval(Duration::from_secs(15));
         return Ok(Sse::new(follow(app, since, run)).keep_alive(keep_alive).into_response());
     }
-    let since = counted(&app, asked.since.unwrap_or(0)).await?;
-    let limit = asked.limit.unwrap_or(PAGE);
+    let since = resolved(&app, params.since.unwrap_or(0)).await?;
+    let limit = params.limit.unwrap_or(PAGE);
     if !(1..=1000).contains(&limit) {
         return Err(ApiError::value("limit", limit, "must be from 1 to 1000"));
     }
@@ -80,12 +84,12 @@ pub async fn events(
     Ok(Json(EventPage { events, next }).into_response())
 }
 
-/// A negative number counts from the end: -30 means the last 30.
-async fn counted(app: &App, since: i64) -> Result<i64, ApiError> {
+/// Resolves a negative number, which counts from the end: -30 selects the last 30 events.
+async fn resolved(app: &App, since: i64) -> Result<i64, ApiError> {
     Ok(if since < 0 { (app.store.last_event_seq().await? + since).max(0) } else { since })
 }
 
-/// Reads the table again and again until the service ends.
+/// Polls the table until the service ends or the store fails.
 fn follow(
     app: App,
     since: i64,
@@ -97,7 +101,7 @@ fn follow(
             let events = match app.store.events_since(since, PAGE, run).await {
                 Ok(events) => events,
                 Err(error) => {
-                    tracing::warn!(%error, "a stream of events ends");
+                    tracing::warn!(%error, "an event stream was ended: the store failed");
                     return None;
                 }
             };
@@ -107,7 +111,7 @@ fn follow(
             }
             tokio::select! {
                 ended = ending.wait_for(|e| *e) => { let _ = ended; return None; }
-                () = tokio::time::sleep(LOOK) => {}
+                () = tokio::time::sleep(POLL) => {}
             }
         }
     })
@@ -116,6 +120,6 @@ fn follow(
 
 fn out(event: Event) -> Result<sse::Event, Infallible> {
     let sse = sse::Event::default().id(event.seq.to_string()).event(event.kind.clone());
-    // An event is plain JSON: it always serialises.
+    // An event is plain JSON: serialisation does not fail.
     Ok(sse.json_data(&event).unwrap_or_default())
 }

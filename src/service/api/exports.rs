@@ -1,4 +1,4 @@
-//! Exports: wishes that take a while, how far they are, and their files.
+//! Exports: requests, progress and files.
 //! Uses: `dataset::catalog`. Never: the rows themselves.
 
 use axum::extract::{Path, Request, State};
@@ -10,47 +10,47 @@ use serde_json::Value;
 use utoipa::ToSchema;
 
 use super::App;
-use super::auth::Asker;
+use super::auth::Caller;
 use super::problem::{ApiError, Body, ProblemBody};
-use super::send;
+use super::send::{self, Download};
 use crate::dataset::export::ExportRequest;
 use crate::dataset::format::Format;
 use crate::store::{ExportRow, ExportState};
 
-/// Exports that are listed.
+/// Largest number of exports in a list.
 const LISTED: u32 = 200;
 
 /// An export.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct ExportOut {
-    /// Its id.
+    /// Id of the export, `ex-..`.
     pub id: String,
-    /// What was asked for.
+    /// The request.
     #[schema(value_type = ExportRequest)]
     pub request: Value,
-    /// How far it is.
+    /// State of the export.
     pub state: ExportState,
-    /// Rows that are written.
+    /// Number of rows written; 0 unless the export is running.
     pub rows_done: u64,
-    /// Rows to write; 0 while they are being counted.
+    /// Number of rows to write; 0 until they are counted, and unless the export is running.
     pub rows_total: u64,
-    /// The dataset, once it is known.
+    /// Id of the dataset; absent until it is determined.
     pub dataset: Option<String>,
-    /// Length of its file, once it is done.
+    /// Length of the file, bytes; absent until the export is done.
     pub bytes: Option<u64>,
-    /// sha256 of its file, once it is done.
+    /// sha256 of the file, in hexadecimal digits; absent until the export is done.
     pub sha256: Option<String>,
-    /// Why it failed.
+    /// Cause of the failure; absent unless the export failed.
     pub error: Option<String>,
-    /// Who asked.
+    /// Name of the person or key that requested the export.
     pub asked_by: String,
-    /// When.
+    /// Time of the request.
     #[schema(value_type = String, format = DateTime)]
     pub created_at: jiff::Timestamp,
-    /// When it was done, or failed.
+    /// Time of completion or failure; absent before it.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub finished_at: Option<jiff::Timestamp>,
-    /// Where its file is, once it is done.
+    /// Address of the file; absent before completion, and after removal of the file.
     pub url: Option<String>,
 }
 
@@ -74,31 +74,37 @@ fn out(app: &App, row: ExportRow) -> ExportOut {
     }
 }
 
-/// Asks for an export. It goes on after a restart, and gives the same bytes.
-#[utoipa::path(post, path = "/api/v1/exports", tag = "datasets", request_body = ExportRequest,
-    responses((status = 202, body = ExportOut), (status = 400, body = ProblemBody),
-        (status = 404, body = ProblemBody)))]
-pub async fn ask(
+/// Requests an export.
+///
+/// It continues after a restart and produces the same bytes.
+#[utoipa::path(post, operation_id = "request_export",
+    path = "/api/v1/exports", tag = "datasets", request_body = ExportRequest,
+    responses((status = 202, body = ExportOut),
+        (status = 400, body = ProblemBody,
+            description = "the selection is invalid, or too many exports wait"),
+        (status = 404, body = ProblemBody, description = "no dataset has this id or name")))]
+pub async fn request(
     State(app): State<App>,
-    Extension(asker): Extension<Asker>,
+    Extension(caller): Extension<Caller>,
     Body(request): Body<ExportRequest>,
 ) -> Result<(StatusCode, Json<ExportOut>), ApiError> {
-    let row = app.datasets.request_export(&request, &asker.name(None)).await?;
+    let row = app.datasets.request_export(&request, &caller.name(None)).await?;
     Ok((StatusCode::ACCEPTED, Json(out(&app, row))))
 }
 
-/// The last exports, newest first.
-#[utoipa::path(get, path = "/api/v1/exports", tag = "datasets",
+/// Returns the newest 200 exports, newest first.
+#[utoipa::path(get, operation_id = "list_exports", path = "/api/v1/exports", tag = "datasets",
     responses((status = 200, body = Vec<ExportOut>)))]
 pub async fn list(State(app): State<App>) -> Result<Json<Vec<ExportOut>>, ApiError> {
     let rows = app.store.exports(LISTED).await?;
     Ok(Json(rows.into_iter().map(|row| out(&app, row)).collect()))
 }
 
-/// How far an export is.
-#[utoipa::path(get, path = "/api/v1/exports/{export}", tag = "datasets",
-    params(("export" = String, Path, description = "its id")),
-    responses((status = 200, body = ExportOut), (status = 404, body = ProblemBody)))]
+/// Returns the state and progress of an export.
+#[utoipa::path(get, operation_id = "export", path = "/api/v1/exports/{export}", tag = "datasets",
+    params(("export" = String, Path, description = "id of the export")),
+    responses((status = 200, body = ExportOut),
+        (status = 404, body = ProblemBody, description = "no export has this id")))]
 pub async fn one(
     State(app): State<App>,
     Path(export): Path<String>,
@@ -106,13 +112,17 @@ pub async fn one(
     Ok(Json(out(&app, find(&app, &export).await?)))
 }
 
-/// The file of an export that is done. Takes `Range`; the entity tag is its sha256.
-#[utoipa::path(get, path = "/api/v1/exports/{export}/file", tag = "datasets",
-    params(("export" = String, Path, description = "its id")),
+/// Returns the file of a completed export.
+///
+/// The header `Range` selects a part of it; the entity tag is its sha256.
+#[utoipa::path(get, operation_id = "export_file",
+    path = "/api/v1/exports/{export}/file", tag = "datasets",
+    params(("export" = String, Path, description = "id of the export")),
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 206, body = Vec<u8>, content_type = "application/octet-stream"),
-        (status = 404, body = ProblemBody), (status = 409, body = ProblemBody),
-        (status = 410, body = ProblemBody)))]
+        (status = 404, body = ProblemBody, description = "no export has this id"),
+        (status = 409, body = ProblemBody, description = "the export is not done, or it failed"),
+        (status = 410, body = ProblemBody, description = "the file was removed to free space")))]
 pub async fn file(
     State(app): State<App>,
     Path(export): Path<String>,
@@ -123,24 +133,28 @@ pub async fn file(
         ExportState::Done => {}
         ExportState::Failed => {
             let why = row.error.unwrap_or_default();
-            return Err(ApiError::new(StatusCode::CONFLICT, format!("{export} failed: {why}")));
+            return Err(ApiError::new(
+                StatusCode::CONFLICT,
+                format!("export {export} failed: {why}"),
+            ));
         }
         _ => {
-            let words = format!("{export} is not done: look at /api/v1/exports/{export}");
+            let words = format!("export {export} is not done: see /api/v1/exports/{export}");
             return Err(ApiError::new(StatusCode::CONFLICT, words));
         }
     }
     let Some(export_file) = app.datasets.export_file(&row) else {
-        let words = format!("the file of {export} made room for later ones: ask for it again");
+        let words = format!("the file of export {export} was removed: request the export again");
         return Err(ApiError::new(StatusCode::GONE, words));
     };
     let format = row.request["format"].as_str().and_then(|name| name.parse().ok());
     let format: Format = format.unwrap_or(Format::Parquet);
     let name = format!("{export}.{}", format.extension());
-    send::file(request, &export_file, format, (&name, true)).await
+    let download = Download { name: &name, immutable: true };
+    send::file(request, &export_file, format, download).await
 }
 
 async fn find(app: &App, export: &str) -> Result<ExportRow, ApiError> {
     let row = app.store.export(export).await?;
-    row.ok_or_else(|| ApiError::not_found(format!("there is no export {export}")))
+    row.ok_or_else(|| ApiError::not_found(format!("no export {export}")))
 }

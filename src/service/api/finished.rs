@@ -1,5 +1,5 @@
-//! What a run that has ended is given: its Parquet file and card.
-//! Uses: `dataset`, `simulate::twins`, `store`. Never: work while a run is under way.
+//! Makes the dataset of each run that has ended: Parquet file and card.
+//! Uses: `dataset`, `twins`, `store`. Never: work while a run is active.
 
 use std::time::Duration;
 
@@ -8,39 +8,38 @@ use crate::dataset::definition::Definition;
 use crate::state::StoredState;
 use crate::store::RunKind;
 
-/// How often runs that have ended are looked for.
-const LOOK_FOR_FINISHED: Duration = Duration::from_secs(5);
-/// Runs that are looked at, newest first.
-const FINISHED_AT_ONCE: u32 = 20;
+/// Interval of checking for runs that have ended.
+const POLL: Duration = Duration::from_secs(5);
+/// Number of runs that are checked, newest first.
+const CHECKED_RUNS: u32 = 20;
 
-/// Gives every run that has ended, and has its twins, its Parquet file and card; while no run is
-/// under way.
+/// Makes the dataset of every run that has ended and has its twins, while no run is active.
 pub async fn keep(app: App) {
-    let mut kept = std::collections::HashSet::new();
+    let mut done = std::collections::HashSet::new();
     loop {
-        tokio::time::sleep(LOOK_FOR_FINISHED).await;
+        tokio::time::sleep(POLL).await;
         if app.campaign.status().run.is_some() {
             continue;
         }
-        let runs = match app.store.runs(FINISHED_AT_ONCE, None).await {
+        let runs = match app.store.runs(CHECKED_RUNS, None).await {
             Ok(page) => page.runs,
             Err(error) => {
-                tracing::warn!(%error, "finished runs are not looked for");
+                tracing::warn!(%error, "the runs could not be read");
                 continue;
             }
         };
         for run in runs.iter().filter(|run| run.state == StoredState::Ended) {
-            // An import may be of a skin that has no model: nothing is waited for.
+            // An import may be of a skin without a model: its twins are not awaited.
             let gets_twins = app.twins.status().workers > 0 && run.kind != RunKind::Imported;
             let twins_wait = match app.twins.count(run.uid).await {
                 Ok(count) => gets_twins && count.pending() > 0,
                 Err(_) => true,
             };
-            if twins_wait || !kept.insert(run.uid) {
+            if twins_wait || !done.insert(run.uid) {
                 continue;
             }
             if let Err(error) = app.datasets.make(&Definition::of_run(run.scan_id)).await {
-                tracing::info!(run = run.scan_id, %error, "a finished run has no file");
+                tracing::info!(run = run.scan_id, %error, "the dataset of an ended run was not made");
             }
         }
     }

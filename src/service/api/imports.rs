@@ -1,5 +1,5 @@
-//! Trials measured elsewhere, handed in as a file.
-//! Uses: `dataset::import`. Never: a file in memory, a file that stays when it is refused.
+//! Imports of trials measured elsewhere, uploaded as a file.
+//! Uses: `dataset::import`. Never: a whole file in memory, an upload that is kept.
 
 use std::io::Write;
 
@@ -11,45 +11,46 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::App;
-use super::auth::Asker;
+use super::audit::ActionContext;
+use super::auth::Caller;
 use super::problem::{ApiError, ProblemBody};
 use crate::dataset::file::NewFile;
 use crate::dataset::import::{Import, import};
 use crate::problem::Problem;
 use crate::store::{Label, RunRow};
 
-/// The largest file.
+/// Largest size of an upload, bytes.
 pub const FILE_MAX_BYTES: usize = 16 << 30;
-/// The largest sensor file.
+/// Largest size of a sensor file, bytes.
 const TEXT_MAX_BYTES: usize = 1 << 20;
 
-/// What became of an import.
+/// Result of an import.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct ImportOut {
     /// The run that holds the trials.
     pub run: RunRow,
-    /// Trials.
+    /// Number of imported trials.
     pub trials: u64,
-    /// Columns of the file that nothing was made of.
+    /// Columns of the file that were ignored.
     pub columns_left_out: Vec<String>,
-    /// Name of the dataset of all its trials.
+    /// Name of the dataset of all trials of the run.
     pub dataset: String,
 }
 
-/// The parts of an upload.
+/// Form of an import.
 #[derive(Debug, ToSchema)]
 #[expect(dead_code, reason = "describes the request for openapi.yaml")]
 pub struct ImportForm {
-    /// A Parquet file of the trials table.
+    /// Parquet file with columns of the trials table.
     #[schema(value_type = String, format = Binary)]
     file: Vec<u8>,
-    /// Text of its sensor file.
+    /// Sensor file (TOML), at most 1 MiB.
     sensor: String,
-    /// Name of the experiment.
+    /// Name of the experiment, 1 to 100 bytes.
     name: String,
-    /// `measured`, `virtual` or `simulated`.
+    /// Origin of the data: `measured`, `virtual` or `simulated`.
     label: String,
-    /// Who asks.
+    /// Name of the person, for the log of actions.
     who: Option<String>,
 }
 
@@ -62,38 +63,41 @@ struct Parts {
     who: Option<String>,
 }
 
-/// Stores trials measured elsewhere as a run of their own.
-#[utoipa::path(post, path = "/api/v1/imports", tag = "datasets",
+/// Imports trials measured elsewhere as a new run.
+#[utoipa::path(post, operation_id = "import_trials", path = "/api/v1/imports", tag = "datasets",
     request_body(content = ImportForm, content_type = "multipart/form-data"),
-    responses((status = 201, body = ImportOut), (status = 400, body = ProblemBody)))]
+    responses((status = 201, body = ImportOut),
+        (status = 400, body = ProblemBody,
+            description = "a part of the form, the sensor file or a value of the file is invalid")))]
 pub async fn add(
     State(app): State<App>,
-    Extension(asker): Extension<Asker>,
+    Extension(caller): Extension<Caller>,
     form: Multipart,
 ) -> Result<(StatusCode, Json<ImportOut>), ApiError> {
     let mut who = None;
     let outcome = async {
         let parts = receive(&app, form).await?;
         who = parts.who.clone();
-        app.unlocked(&asker, parts.who.as_deref()).await?;
-        let lacks = |part: &str| {
+        app.unlocked(&caller, parts.who.as_deref()).await?;
+        let missing = |part: &str| {
             ApiError::bad_query(vec![Problem::new("form", part, "absent", "must be given")])
         };
-        let (file, upload) = parts.file.ok_or_else(|| lacks("file"))?;
-        let (sensor_file, sensor) = parts.sensor.ok_or_else(|| lacks("sensor"))?;
-        let what = Import {
-            name: parts.name.ok_or_else(|| lacks("name"))?,
-            label: parts.label.ok_or_else(|| lacks("label"))?,
+        let (file, upload) = parts.file.ok_or_else(|| missing("file"))?;
+        let (sensor_file, sensor) = parts.sensor.ok_or_else(|| missing("sensor"))?;
+        let request = Import {
+            name: parts.name.ok_or_else(|| missing("name"))?,
+            label: parts.label.ok_or_else(|| missing("label"))?,
             file,
             sensor_file,
             sensor,
-            submitted_by: asker.name(parts.who.as_deref()),
+            submitted_by: caller.name(parts.who.as_deref()),
         };
-        Ok(import(&app.store, upload.path(), what).await?)
+        Ok(import(&app.store, upload.path(), request).await?)
     }
     .await;
     let run = outcome.as_ref().ok().map(|done| done.run.uid);
-    let done = app.logged(&asker, "import", (run, who.as_deref(), None), outcome).await?;
+    let context = ActionContext { run, who: who.as_deref(), why: None };
+    let done = app.logged(&caller, "import", context, outcome).await?;
     let dataset = format!("run-{}", done.run.scan_id);
     let out = ImportOut {
         dataset,
@@ -104,7 +108,7 @@ pub async fn add(
     Ok((StatusCode::CREATED, Json(out)))
 }
 
-/// Receives the parts; the file goes to the disk as it comes, and goes away again after.
+/// Receives the parts. The file is written to the disk as it arrives, and removed with the value.
 async fn receive(app: &App, mut form: Multipart) -> Result<Parts, ApiError> {
     let mut parts = Parts::default();
     while let Some(mut field) = form.next_field().await.map_err(|error| refused(&error))? {
@@ -115,7 +119,7 @@ async fn receive(app: &App, mut form: Multipart) -> Result<Parts, ApiError> {
             let failed = |error: std::io::Error| {
                 ApiError::new(
                     StatusCode::INTERNAL_SERVER_ERROR,
-                    format!("{}: {error}", folder.display()),
+                    format!("writing an upload in {}: {error}", folder.display()),
                 )
             };
             let mut upload = NewFile::create(&folder).map_err(failed)?;
@@ -140,7 +144,7 @@ async fn receive(app: &App, mut form: Multipart) -> Result<Parts, ApiError> {
                 Ok(label) => parts.label = Some(label),
                 Err(_) => return Err(wrong("must be measured, virtual or simulated")),
             },
-            _ => return Err(wrong("must be file, sensor, name, label or who")),
+            _ => return Err(wrong("unknown part: must be file, sensor, name, label or who")),
         }
     }
     Ok(parts)

@@ -1,5 +1,6 @@
-//! Frames in, contacts out: on request, and live from the rig's stream.
-//! Uses: `infer::serving`, the campaign's newest frame. Never: a queue of frames, a wait of the rig's.
+//! Estimates contacts from frames: of a request, and live from the stream of the rig.
+//! Uses: `infer::serving`, the campaign's newest frame. Never: a queue of frames, a delay of the
+//! rig.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -25,43 +26,45 @@ use crate::infer::methods::exact::Tracked;
 use crate::infer::pipeline::Pipeline;
 use crate::infer::slot::Slot;
 
-/// Largest body with frames.
+/// Largest size of a body with frames, bytes.
 pub const FRAMES_MAX_BYTES: usize = 64 << 20;
-/// Most frames of a request.
+/// Largest number of frames per request.
 const FRAMES_MAX: usize = 2_000;
-/// Most frames of a request for `exact`: a fit takes a tenth of a second.
+/// Largest number of frames per request for `exact`: a fit takes about 0.1 s.
 const EXACT_MAX: usize = 300;
-/// Most frames of a request for maps: each is 25,600 numbers.
+/// Largest number of frames per request with maps: a map has 25,600 numbers.
 const MAPS_MAX: usize = 100;
-/// Requests that nets answer at a time; others wait.
-const ANSWERED_AT_ONCE: usize = 4;
-/// Requests that `exact` answers at a time; others wait.
-const FITTED_AT_ONCE: usize = 2;
-/// Live clients at a time.
-const LIVE_AT_ONCE: usize = 8;
+/// Number of requests that nets answer concurrently; further ones wait.
+const NET_REQUESTS: usize = 4;
+/// Number of requests that `exact` answers concurrently; further ones wait.
+const FIT_REQUESTS: usize = 2;
+/// Largest number of live clients.
+const LIVE_CLIENTS: usize = 8;
 /// Longest wait for a turn.
 const TURN: Duration = Duration::from_secs(10);
-/// A client that takes longer for one message is gone.
+/// Longest time for sending a message; a slower client is disconnected.
 const SEND: Duration = Duration::from_secs(5);
 
-/// How frames are to be answered.
+/// Options of an inference.
 #[derive(Debug, Clone, Serialize, Deserialize, ToSchema, IntoParams)]
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
-pub struct Wish {
-    /// `paper`, `fast` or `exact`.
+pub struct InferOptions {
+    /// Method: `paper`, `fast` or `exact`.
     #[param(inline)]
     pub method: Method,
-    /// A model's id or name, in place of the one that serves.
+    /// Id or name of a model to use instead of the serving one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,
-    /// A Transfer-Net's id or name before it, in place of the one that serves.
+    /// Id or name of a Transfer-Net to use instead of the serving one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub transfer: Option<String>,
-    /// With the force map: the net's own, or what `fast` and `exact` found, drawn as Map 1.
+    /// Include the force map: the output of the net, or for `fast` and `exact` the contacts
+    /// rendered as Map 1 (4x20).
     #[serde(default)]
     pub map: bool,
-    /// Each frame is the mean of so many: `exact` reckons with less noise.
+    /// Number of frames of which each given frame is the mean, 1 to 1e6: `exact` assumes less
+    /// noise.
     #[serde(default = "one")]
     pub averaged: f64,
 }
@@ -70,77 +73,84 @@ fn one() -> f64 {
     1.0
 }
 
-/// Frames to answer.
+/// Request for contacts of frames.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct InferRequest {
-    /// How.
+    /// Options.
     #[serde(flatten)]
-    pub wish: Wish,
-    /// The frames, V, each of the sensor's channels, injection-major.
+    pub wish: InferOptions,
+    /// Frames, V, each with one voltage per channel, injection-major; 1 to 2000, for `exact` 300,
+    /// with maps 100.
     pub frames: Vec<Vec<f32>>,
 }
 
-/// The answer to a frame.
+/// Contacts of a frame.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct FrameAnswer {
-    /// Contacts, map, what is outside of the trained range.
+    /// Contacts, force map, and values outside the trained range.
     #[serde(flatten)]
     pub reading: Reading,
-    /// The model's id, or ids with a `+` between; for `exact` a calibration's id, and that of the
-    /// Point-Net that proposes to it.
+    /// Id of the model, or ids joined by `+`. For `exact`: id of the calibration, and of the
+    /// Point-Net that proposes contacts.
     pub model: String,
-    /// The method.
+    /// Method that was used.
     pub method: Method,
-    /// Time to this answer, microseconds: of several frames, their mean; live, since the frame's last
-    /// byte arrived.
+    /// Latency, microseconds: for several frames their mean; live, from the arrival of the frame's
+    /// last byte.
     pub latency_us: u64,
 }
 
-/// Contacts of frames. Besides JSON it takes little-endian f32 frames, one after the other, as
-/// `application/octet-stream`, with the wish in the query.
-#[utoipa::path(post, path = "/api/v1/infer", tag = "infer", params(Wish),
+/// Estimates the contacts of frames.
+///
+/// In addition to JSON, the body may be frames of little-endian f32, one after the other, as
+/// `application/octet-stream`, with the options in the query.
+#[utoipa::path(post, path = "/api/v1/infer", tag = "infer", params(InferOptions),
     request_body(content((InferRequest = "application/json"),
         (Vec<u8> = "application/octet-stream"))),
-    responses((status = 200, body = Vec<FrameAnswer>), (status = 404, body = ProblemBody),
-        (status = 409, body = ProblemBody), (status = 422, body = ProblemBody), (status = 503, body = ProblemBody)))]
+    responses((status = 200, body = Vec<FrameAnswer>),
+        (status = 404, body = ProblemBody, description = "no model has the given id or name"),
+        (status = 409, body = ProblemBody,
+            description = "no model serves for the method, or a model does not fit method or sensor"),
+        (status = 422, body = ProblemBody, description = "a frame or an option is invalid"),
+        (status = 503, body = ProblemBody, description = "too many requests are in progress")))]
 pub async fn infer(
     State(app): State<App>,
     request: Request,
 ) -> Result<Json<Vec<FrameAnswer>>, ApiError> {
     let channels = app.serving.sensor().channels();
-    let (wish, frames) = received(&app, request, channels).await?;
-    let pipeline = pipeline(&app, &wish).await?;
-    let turns = if wish.method.is_fit() { &app.turns.fits } else { &app.turns.answers };
+    let (options, frames) = received(&app, request, channels).await?;
+    let pipeline = pipeline(&app, &options).await?;
+    let turns = if options.method.is_fit() { &app.turns.fits } else { &app.turns.answers };
     let Ok(Ok(turn)) = timeout(TURN, turns.clone().acquire_owned()).await else {
-        let words = "as many requests as can be are being answered: ask again";
+        let words = "too many requests: none could be started within 10 s; retry";
         return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
     };
     let clock = Clock::new(1.0);
     let work = move || {
         let _turn = turn;
-        let began_s = clock.process_s();
-        let answered = pipeline.answer(wish.method, &frames, wish.averaged, wish.map)?;
+        let started_s = clock.process_s();
+        let answered = pipeline.answer(options.method, &frames, options.averaged, options.map)?;
         let count = answered.readings.len().max(1) as f64;
-        let latency_us = (1e6 * (clock.process_s() - began_s) / count) as u64;
+        let latency_us = (1e6 * (clock.process_s() - started_s) / count) as u64;
         let answer = |reading| FrameAnswer {
             reading,
             model: answered.model.clone(),
-            method: wish.method,
+            method: options.method,
             latency_us,
         };
         Ok::<_, InferError>(answered.readings.into_iter().map(answer).collect())
     };
-    // Whoever asks waits for the campaign and for the live frames.
+    // Low priority: the campaign and the live frames come first.
     let answers = background(work).await.map_err(|_| InferError::Worker)??;
     Ok(Json(answers))
 }
 
-async fn pipeline(app: &App, wish: &Wish) -> Result<Pipeline, ApiError> {
-    let mut pipeline = app.serving.once_restored(Some(wish.method)).await.as_ref().clone();
-    for name in wish.transfer.iter().chain(&wish.model) {
+async fn pipeline(app: &App, options: &InferOptions) -> Result<Pipeline, ApiError> {
+    let mut pipeline = app.serving.once_restored(Some(options.method)).await.as_ref().clone();
+    for name in options.transfer.iter().chain(&options.model) {
         let model = app.models.load(name).await?;
         app.serving.fits(&model)?;
-        if !wish.method.slots().contains(&Slot::of(model.manifest.model.task)) {
+        if !options.method.slots().contains(&Slot::of(model.manifest.model.task)) {
             return Err(InferError::OtherTask {
                 id: model.manifest.id.clone(),
                 task: model.manifest.model.task.as_str(),
@@ -153,117 +163,122 @@ async fn pipeline(app: &App, wish: &Wish) -> Result<Pipeline, ApiError> {
     Ok(pipeline)
 }
 
-/// The wish and its frames, all of them whole and finite.
+/// Reads options and frames, and checks that all frames are complete and finite.
 async fn received(
     app: &App,
     request: Request,
     channels: usize,
-) -> Result<(Wish, Vec<f32>), ApiError> {
+) -> Result<(InferOptions, Vec<f32>), ApiError> {
     let kind = request.headers().get(header::CONTENT_TYPE);
     let raw = kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/octet-stream"));
-    let (wish, frames) = if raw {
-        let query = Query::<Wish>::try_from_uri(request.uri()).map_err(ApiError::from)?.0;
+    let (options, frames) = if raw {
+        let query = Query::<InferOptions>::try_from_uri(request.uri()).map_err(ApiError::from)?.0;
         let bytes = bytes::Bytes::from_request(request, app).await;
         let bytes = bytes.map_err(|e| ApiError::new(e.status(), e.body_text()))?;
         if bytes.len() % (4 * channels) != 0 {
-            let limit = format!("bytes: must be frames of {channels} little-endian f32");
+            let limit =
+                format!("must be a multiple of {} bytes: frames of {channels} f32", 4 * channels);
             return Err(ApiError::value("body", bytes.len(), &limit));
         }
         (query, bytes.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect())
     } else {
         let body =
             Json::<InferRequest>::from_request(request, app).await.map_err(ApiError::from)?;
-        let InferRequest { wish, frames } = body.0;
+        let InferRequest { wish: options, frames } = body.0;
         for (index, frame) in frames.iter().enumerate() {
             if frame.len() != channels {
                 let key = format!("frames[{index}]");
-                let limit = format!("voltages: must be {channels}, as the sensor has channels");
+                let limit = format!("must have {channels} voltages, one per channel of the sensor");
                 return Err(ApiError::value(&key, frame.len(), &limit));
             }
         }
-        (wish, frames.concat())
+        (options, frames.concat())
     };
     let count = frames.len() / channels;
     if count == 0 || count > FRAMES_MAX {
         return Err(ApiError::value("frames", count, &format!("must be from 1 to {FRAMES_MAX}")));
     }
-    if wish.method.is_fit() && count > EXACT_MAX {
-        let limit = format!("must be from 1 to {EXACT_MAX} where contacts are fitted");
+    if options.method.is_fit() && count > EXACT_MAX {
+        let limit = format!("must be from 1 to {EXACT_MAX} for a method that fits contacts");
         return Err(ApiError::value("frames", count, &limit));
     }
-    if wish.map && count > MAPS_MAX {
-        let limit = format!("must be from 1 to {MAPS_MAX} where maps are wished for");
+    if options.map && count > MAPS_MAX {
+        let limit = format!("must be from 1 to {MAPS_MAX} if maps are requested");
         return Err(ApiError::value("frames", count, &limit));
     }
     if let Some(at) = frames.iter().position(|v| !v.is_finite()) {
         let key = format!("frames[{}][{}]", at / channels, at % channels);
         return Err(ApiError::value(&key, frames[at], "must be a finite number of volts"));
     }
-    if !(wish.averaged >= 1.0 && wish.averaged <= 1e6) {
-        return Err(ApiError::value("averaged", wish.averaged, "must be from 1 to 1e6 frames"));
+    if !(options.averaged >= 1.0 && options.averaged <= 1e6) {
+        return Err(ApiError::value("averaged", options.averaged, "must be from 1 to 1e6 frames"));
     }
-    Ok((wish, frames))
+    Ok((options, frames))
 }
 
-/// What is wished of the live answers.
+/// Options of a live stream of contacts.
 #[derive(Debug, Clone, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
-pub struct LiveWish {
-    /// `paper`, `fast` or `exact`; the best one that something serves for otherwise.
+pub struct LiveParams {
+    /// Method; absent: the first of `exact`, `fast` and `paper` for which a model serves.
     #[param(inline)]
     pub method: Option<Method>,
-    /// With the force map: the net's own, or what `fast` and `exact` found, drawn as Map 1.
+    /// Include the force map: the output of the net, or for `fast` and `exact` the contacts
+    /// rendered as Map 1 (4x20).
     #[serde(default)]
     pub map: bool,
-    /// The key of who asks, since a browser's WebSocket sends no headers.
+    /// API key, because a browser's WebSocket sends no headers.
     #[expect(dead_code, reason = "auth reads it")]
     key: Option<String>,
 }
 
-/// The answer to a live frame.
+/// Contacts of a live frame.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct LiveAnswer {
-    /// Counter of the device.
+    /// Frame counter of the device.
     pub sequence: u32,
     /// Device time of the first sample, microseconds.
     pub device_time_us: u64,
-    /// The answer.
+    /// Contacts of the frame.
     #[serde(flatten)]
     pub answer: FrameAnswer,
 }
 
-/// Contacts of the rig's frames as they come: a WebSocket of JSON messages. A client that is slow
-/// misses frames, nobody waits for it.
-#[utoipa::path(get, path = "/api/v1/live", tag = "infer", params(LiveWish),
-    responses((status = 101, description = "messages are LiveAnswer", body = LiveAnswer),
-        (status = 409, body = ProblemBody), (status = 503, body = ProblemBody)))]
+/// Streams the contacts of the rig's live frames as JSON messages over a WebSocket.
+///
+/// A slow client misses frames; nothing waits for it.
+#[utoipa::path(get, operation_id = "live_contacts",
+    path = "/api/v1/live", tag = "infer", params(LiveParams),
+    responses((status = 101, description = "WebSocket whose messages are LiveAnswer", body = LiveAnswer),
+        (status = 409, body = ProblemBody, description = "no model serves for the method"),
+        (status = 503, body = ProblemBody, description = "too many live clients are connected")))]
 pub async fn live(
     State(app): State<App>,
-    Params(wish): Params<LiveWish>,
+    Params(options): Params<LiveParams>,
     upgrade: WebSocketUpgrade,
 ) -> Result<Response, ApiError> {
-    let serving = app.serving.once_restored(wish.method).await;
-    let method = match wish.method {
+    let serving = app.serving.once_restored(options.method).await;
+    let method = match options.method {
         Some(method) => method,
         None => best(&serving).ok_or_else(|| {
-            let words = "nothing serves yet: train or add a model, and promote it";
+            let words = "no model serves: train or add a model, then promote it";
             ApiError::new(StatusCode::CONFLICT, words)
         })?,
     };
-    // Said now, with a status, what every frame would say otherwise.
+    // Checked now, so that the error is a status instead of a message for each frame.
     serving.ready(method)?;
     let turn = app.turns.live.clone().try_acquire_owned().map_err(|_| {
-        let words = format!("{LIVE_AT_ONCE} clients follow the skin already");
+        let words = format!("{LIVE_CLIENTS} live clients are connected, the largest number");
         ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words)
     })?;
     Ok(upgrade.on_upgrade(async move |socket| {
-        follow(app, socket, method, wish.map).await;
+        follow(app, socket, method, options.map).await;
         drop(turn);
     }))
 }
 
-/// Turns of those who want answers: the campaign comes first.
+/// Limits of concurrent inferences, so that enough processor time remains for the campaign.
 #[derive(Clone)]
 pub struct Turns {
     answers: Arc<Semaphore>,
@@ -274,7 +289,7 @@ pub struct Turns {
 impl Default for Turns {
     fn default() -> Self {
         let of = |count| Arc::new(Semaphore::new(count));
-        Self { answers: of(ANSWERED_AT_ONCE), fits: of(FITTED_AT_ONCE), live: of(LIVE_AT_ONCE) }
+        Self { answers: of(NET_REQUESTS), fits: of(FIT_REQUESTS), live: of(LIVE_CLIENTS) }
     }
 }
 

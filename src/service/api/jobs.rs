@@ -1,4 +1,4 @@
-//! Long computations: trainings and evaluations, asked for, watched, ended.
+//! Trainings and evaluations: requests, progress, results, stop.
 //! Uses: `jobs`. Never: the computation itself.
 
 use axum::extract::{Path, State};
@@ -10,16 +10,17 @@ use serde_json::Value;
 use utoipa::ToSchema;
 
 use super::App;
-use super::auth::Asker;
+use super::audit::ActionContext;
+use super::auth::Caller;
 use super::problem::{ApiError, Body, ProblemBody};
 use crate::evaluate::request::EvaluationRequest;
 use crate::jobs::Progress;
 use crate::store::{JobKind, JobRow, JobState};
 
-/// Jobs that are listed.
+/// Largest number of jobs in a list.
 const LISTED: u32 = 500;
 
-/// A wish for a training.
+/// Request for a training.
 #[derive(Debug, Deserialize, Serialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TrainingRequest {
@@ -27,38 +28,38 @@ pub struct TrainingRequest {
     pub recipe: String,
 }
 
-/// A job.
+/// A training or an evaluation.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct JobOut {
-    /// Its id.
+    /// Id of the job, `job-..`.
     pub id: String,
-    /// What is computed.
+    /// Kind of computation.
     pub kind: JobKind,
-    /// What was asked for.
+    /// The request: `{"recipe": text}` or an EvaluationRequest.
     #[schema(value_type = Object)]
     pub request: Value,
-    /// How far it is.
+    /// State of the job.
     pub state: JobState,
-    /// How far it is in itself, while it runs.
+    /// Progress; absent unless the job is running.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub progress: Option<Progress>,
-    /// The dataset, once it is known.
+    /// Id of the dataset; absent until it is determined.
     pub dataset: Option<String>,
-    /// What came of it: `{"model": id, "name": ..}` of a training, an EvaluationReport of an
-    /// evaluation.
+    /// Result: `{"model": id, "name": ..}` of a training, an EvaluationReport of an evaluation.
+    /// Absent until the job is done.
     #[schema(value_type = Option<Object>)]
     pub result: Option<Value>,
-    /// Why it failed.
+    /// Cause of the failure; absent unless the job failed.
     pub error: Option<String>,
-    /// Who asked.
+    /// Name of the person or key that requested the job.
     pub asked_by: String,
-    /// When.
+    /// Time of the request.
     #[schema(value_type = String, format = DateTime)]
     pub created_at: jiff::Timestamp,
-    /// When it first began.
+    /// Time of the first start; absent before it.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub started_at: Option<jiff::Timestamp>,
-    /// When it ended.
+    /// Time of the end; absent before it.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub finished_at: Option<jiff::Timestamp>,
 }
@@ -80,34 +81,38 @@ fn out(app: &App, row: JobRow) -> JobOut {
     }
 }
 
-/// Asks for a training. It goes on after a restart, from its last checkpoint.
+/// Requests a training.
+///
+/// After a restart the training continues from its last checkpoint.
 #[utoipa::path(post, path = "/api/v1/trainings", tag = "jobs", request_body = TrainingRequest,
-    responses((status = 202, body = JobOut), (status = 422, body = ProblemBody)))]
+    responses((status = 202, body = JobOut),
+        (status = 422, body = ProblemBody, description = "the recipe is invalid")))]
 pub async fn train(
     State(app): State<App>,
-    Extension(asker): Extension<Asker>,
+    Extension(caller): Extension<Caller>,
     Body(request): Body<TrainingRequest>,
 ) -> Result<(StatusCode, Json<JobOut>), ApiError> {
-    let asked = app.jobs.train(&request.recipe, &asker.name(None)).await;
-    let outcome = asked.map_err(ApiError::from);
-    let row = app.logged(&asker, "train", (None, None, None), outcome).await?;
+    let requested = app.jobs.train(&request.recipe, &caller.name(None)).await;
+    let outcome = requested.map_err(ApiError::from);
+    let row = app.logged(&caller, "train", ActionContext::default(), outcome).await?;
     Ok((StatusCode::ACCEPTED, Json(out(&app, row))))
 }
 
-/// Asks for an evaluation.
+/// Requests an evaluation.
 #[utoipa::path(post, path = "/api/v1/evaluations", tag = "jobs", request_body = EvaluationRequest,
-    responses((status = 202, body = JobOut), (status = 422, body = ProblemBody)))]
+    responses((status = 202, body = JobOut),
+        (status = 422, body = ProblemBody, description = "a value of the request is invalid")))]
 pub async fn evaluate(
     State(app): State<App>,
-    Extension(asker): Extension<Asker>,
+    Extension(caller): Extension<Caller>,
     Body(request): Body<EvaluationRequest>,
 ) -> Result<(StatusCode, Json<JobOut>), ApiError> {
-    let row = app.jobs.evaluate(&request, &asker.name(None)).await?;
+    let row = app.jobs.evaluate(&request, &caller.name(None)).await?;
     Ok((StatusCode::ACCEPTED, Json(out(&app, row))))
 }
 
-/// The last jobs, newest first; an evaluation's examples are left out.
-#[utoipa::path(get, path = "/api/v1/jobs", tag = "jobs",
+/// Returns the newest 500 jobs, newest first, without the examples of evaluations.
+#[utoipa::path(get, operation_id = "list_jobs", path = "/api/v1/jobs", tag = "jobs",
     responses((status = 200, body = Vec<JobOut>)))]
 pub async fn list(State(app): State<App>) -> Result<Json<Vec<JobOut>>, ApiError> {
     let rows = app.store.jobs(LISTED).await?;
@@ -115,7 +120,7 @@ pub async fn list(State(app): State<App>) -> Result<Json<Vec<JobOut>>, ApiError>
     Ok(Json(rows.into_iter().map(brief).collect()))
 }
 
-/// A result for a list: the maps of examples, which are large, are the job's own to hand over.
+/// A result without the maps of its examples, which are large.
 fn without_examples(mut result: Value) -> Value {
     if let Some(report) = result.as_object_mut() {
         report.remove("examples");
@@ -123,10 +128,11 @@ fn without_examples(mut result: Value) -> Value {
     result
 }
 
-/// How far a job is, and what came of it.
-#[utoipa::path(get, path = "/api/v1/jobs/{job}", tag = "jobs",
-    params(("job" = String, Path, description = "its id")),
-    responses((status = 200, body = JobOut), (status = 404, body = ProblemBody)))]
+/// Returns the state, progress and result of a job.
+#[utoipa::path(get, operation_id = "job", path = "/api/v1/jobs/{job}", tag = "jobs",
+    params(("job" = String, Path, description = "id of the job")),
+    responses((status = 200, body = JobOut),
+        (status = 404, body = ProblemBody, description = "no job has this id")))]
 pub async fn one(
     State(app): State<App>,
     Path(job): Path<String>,
@@ -134,33 +140,38 @@ pub async fn one(
     Ok(Json(out(&app, find(&app, &job).await?)))
 }
 
-/// The losses of a training that is under way: a JSON object for each epoch. Those of one that is
-/// done are its model's.
-#[utoipa::path(get, path = "/api/v1/jobs/{job}/losses", tag = "jobs",
-    params(("job" = String, Path, description = "its id")),
+/// Returns the losses of a running training, a JSON object per epoch.
+///
+/// After its end the losses are those of its model.
+#[utoipa::path(get, operation_id = "job_losses", path = "/api/v1/jobs/{job}/losses", tag = "jobs",
+    params(("job" = String, Path, description = "id of the job")),
     responses((status = 200, body = String, content_type = "application/x-ndjson"),
-        (status = 404, body = ProblemBody)))]
+        (status = 404, body = ProblemBody, description = "no job has this id")))]
 pub async fn losses(State(app): State<App>, Path(job): Path<String>) -> Result<Response, ApiError> {
     let row = find(&app, &job).await?;
     Ok(ndjson(app.jobs.losses(&row.id)))
 }
 
-/// Ends a job. One that has ended stays as it is.
-#[utoipa::path(post, path = "/api/v1/jobs/{job}/stop", tag = "jobs",
-    params(("job" = String, Path, description = "its id")),
-    responses((status = 202, body = JobOut), (status = 404, body = ProblemBody)))]
+/// Stops a job.
+///
+/// A job that has ended does not change.
+#[utoipa::path(post, operation_id = "stop_job", path = "/api/v1/jobs/{job}/stop", tag = "jobs",
+    params(("job" = String, Path, description = "id of the job")),
+    responses((status = 202, body = JobOut),
+        (status = 404, body = ProblemBody, description = "no job has this id")))]
 pub async fn stop(
     State(app): State<App>,
-    Extension(asker): Extension<Asker>,
+    Extension(caller): Extension<Caller>,
     Path(job): Path<String>,
 ) -> Result<(StatusCode, Json<JobOut>), ApiError> {
     let row = find(&app, &job).await?;
     let stopped = app.jobs.stop(&row.id).await.map_err(ApiError::from);
-    app.logged(&asker, "stop a job", (None, None, Some(&row.id)), stopped).await?;
+    let context = ActionContext { why: Some(&row.id), ..ActionContext::default() };
+    app.logged(&caller, "stop a job", context, stopped).await?;
     Ok((StatusCode::ACCEPTED, Json(out(&app, find(&app, &job).await?))))
 }
 
-/// Lines of JSON.
+/// Returns a response of JSON lines.
 pub fn ndjson(text: String) -> Response {
     let kind = HeaderValue::from_static("application/x-ndjson");
     ([(header::CONTENT_TYPE, kind)], text).into_response()
@@ -168,5 +179,5 @@ pub fn ndjson(text: String) -> Response {
 
 async fn find(app: &App, job: &str) -> Result<JobRow, ApiError> {
     let row = app.store.job(job).await?;
-    row.ok_or_else(|| ApiError::not_found(format!("there is no job {job}")))
+    row.ok_or_else(|| ApiError::not_found(format!("no job {job}")))
 }

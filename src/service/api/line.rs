@@ -1,4 +1,4 @@
-//! A connection's socket and the bodies that are sent over it, as the door watches them.
+//! The socket of a connection and the bodies sent over it, monitored by the door.
 //! Uses: `seat`. Never: a byte changed, kept or counted.
 
 use std::io;
@@ -11,20 +11,20 @@ use hyper::body::{Frame, SizeHint};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 
-use super::seat::{Asking, Seat};
+use super::seat::{InFlight, Seat};
 use super::work::Work;
 
-/// The body of an answer; its request is under way until it has been sent or given up.
+/// The body of a response; its request is in progress until the body has been sent or dropped.
 pub struct Sent {
     body: Body,
-    _asking: Asking,
+    _in_flight: InFlight,
     _work: Option<Work>,
 }
 
 impl Sent {
-    /// A body, the request that it answers, and what makes it.
-    pub fn new(body: Body, asking: Asking, work: Option<Work>) -> Self {
-        Self { body, _asking: asking, _work: work }
+    /// Combines a body with its request and with the task that produces it.
+    pub fn new(body: Body, in_flight: InFlight, work: Option<Work>) -> Self {
+        Self { body, _in_flight: in_flight, _work: work }
     }
 }
 
@@ -48,11 +48,12 @@ impl HttpBody for Sent {
     }
 }
 
-/// A socket that tells its seat when bytes move; it holds the seat, as a WebSocket too.
+/// A socket that reports transfers to its seat. It keeps the seat, also after an upgrade to a
+/// WebSocket.
 pub struct Line {
     /// The socket.
     pub stream: TcpStream,
-    /// Its seat.
+    /// Seat of the connection.
     pub seat: Arc<Seat>,
 }
 
@@ -66,7 +67,7 @@ impl AsyncRead for Line {
         let before = buffer.filled().len();
         let polled = Pin::new(stream).poll_read(context, buffer);
         if buffer.filled().len() > before {
-            seat.bytes_came();
+            seat.bytes_received();
         }
         polled
     }
@@ -79,7 +80,7 @@ impl AsyncWrite for Line {
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
         let Self { stream, seat } = self.get_mut();
-        seat.bytes_go();
+        seat.bytes_sent();
         Pin::new(stream).poll_write(context, bytes)
     }
 
@@ -89,7 +90,7 @@ impl AsyncWrite for Line {
         pieces: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
         let Self { stream, seat } = self.get_mut();
-        seat.bytes_go();
+        seat.bytes_sent();
         Pin::new(stream).poll_write_vectored(context, pieces)
     }
 

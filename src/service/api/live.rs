@@ -1,4 +1,4 @@
-//! Live frames over a WebSocket: the newest one, as fast as the client takes them.
+//! Live frames over a WebSocket: always the newest, as fast as the client receives them.
 //! Uses: the campaign's newest frame. Never: a queue (a slow client misses frames).
 
 use std::time::Duration;
@@ -13,27 +13,27 @@ use utoipa::ToSchema;
 use super::App;
 use crate::rig::traits::Frame;
 
-/// Shortest time between two frames to one client: thirty a second.
-const BEAT: Duration = Duration::from_millis(33);
-/// A client that takes longer for one frame is gone.
+/// Shortest time between two frames to one client: about 30 per second.
+const INTERVAL: Duration = Duration::from_millis(33);
+/// Longest time for sending a frame; a slower client is disconnected.
 const SEND: Duration = Duration::from_secs(5);
 
-/// A frame as it is shown.
+/// A live frame.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct LiveFrame {
-    /// Counter of the device.
+    /// Frame counter of the device.
     pub sequence: u32,
     /// Device time of the first sample, microseconds.
     pub device_time_us: u64,
-    /// Largest magnitude of an injection's sum, V: zero up to noise.
+    /// Largest magnitude of an injection sum, V; zero up to noise.
     pub largest_injection_sum_v: f64,
-    /// 784 voltages, injection-major, V.
+    /// Voltages, V, 784, injection-major.
     pub voltages_v: Vec<f32>,
 }
 
-/// Live frames: a WebSocket of JSON messages.
-#[utoipa::path(get, path = "/api/v1/frames/live", tag = "frames",
-    responses((status = 101, description = "messages are LiveFrame", body = LiveFrame)))]
+/// Streams live frames as JSON messages over a WebSocket.
+#[utoipa::path(get, operation_id = "live_frames", path = "/api/v1/frames/live", tag = "frames",
+    responses((status = 101, description = "WebSocket whose messages are LiveFrame", body = LiveFrame)))]
 pub async fn frames(State(app): State<App>, upgrade: WebSocketUpgrade) -> Response {
     upgrade.on_upgrade(move |socket| send(app, socket))
 }
@@ -57,7 +57,7 @@ async fn send(app: App, mut socket: WebSocket) {
         if !matches!(sent, Ok(Ok(()))) {
             return;
         }
-        tokio::time::sleep(BEAT).await;
+        tokio::time::sleep(INTERVAL).await;
     }
 }
 

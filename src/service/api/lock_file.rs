@@ -1,4 +1,4 @@
-//! Lock files: one process has a data folder, one process has a rig.
+//! Lock files: only one process uses a data folder, only one process uses a rig.
 //! Uses: the system's file locks, which a crash releases. Never: a stale file that must be deleted.
 
 use std::fs::File;
@@ -9,46 +9,52 @@ use sha2::{Digest, Sha256};
 
 use crate::rig::config::{LineConfig, RigConfig};
 
-/// A lock that lives as long as this value.
+/// A lock that is held until this value is dropped.
 #[derive(Debug)]
 pub struct LockFile {
     _file: File,
 }
 
-/// A lock that could not be had.
+/// Why a lock could not be taken.
 #[derive(Debug, thiserror::Error)]
 pub enum LockFileError {
-    /// Somebody has it.
+    /// Another process holds the lock.
     #[error(
-        "{what} is in use by process {holder} (lock file {}): a service, or a command that started its \
-         own; `palpate serve` started first answers several commands",
+        "{what} is in use by process {holder} (lock file {}): stop that process, or start `palpate serve` \
+         first and run commands as its clients",
         path.display()
     )]
     Held {
-        /// What is locked.
+        /// The locked resource, as text.
         what: String,
-        /// Its holder's process id, as it wrote it.
+        /// Process id of the holder, as written in the lock file.
         holder: String,
-        /// The lock file.
+        /// Path of the lock file.
         path: PathBuf,
     },
-    /// The file cannot be used.
+    /// The lock file cannot be opened or written.
     #[error("lock file {}: {source}", path.display())]
     File {
-        /// The lock file.
+        /// Path of the lock file.
         path: PathBuf,
-        /// Why.
+        /// Error of the operating system.
         source: std::io::Error,
     },
 }
 
 impl LockFile {
-    /// The lock of a data folder.
+    /// Takes the lock of a data folder.
+    ///
+    /// # Errors
+    /// `LockFileError::Held` if another process holds it, `File` if the lock file cannot be used.
     pub fn of_data(folder: &Path) -> Result<Self, LockFileError> {
         Self::take(&folder.join("palpate.lock"), &format!("the data folder {}", folder.display()))
     }
 
-    /// The lock of a rig on this machine: whoever drives the same wires needs the same one.
+    /// Takes the lock of a rig on this machine. Rig files with the same wires have the same lock.
+    ///
+    /// # Errors
+    /// `LockFileError::Held` if another process holds it, `File` if the lock file cannot be used.
     pub fn of_rig(rig: &RigConfig) -> Result<Self, LockFileError> {
         let mut wires: Vec<&str> = rig
             .lines
@@ -96,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_second_holder_is_told_who_has_it_until_the_first_lets_go() {
+    fn a_second_holder_is_refused_with_the_process_id_of_the_first() {
         let folder = std::env::temp_dir().join(format!("palpate-lock-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let first = LockFile::of_data(&folder).unwrap();

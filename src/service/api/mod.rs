@@ -66,113 +66,113 @@ mod trials;
 mod twins;
 mod work;
 
-pub use infer::{FrameAnswer, InferRequest, LiveAnswer, Turns, Wish};
+pub use infer::{FrameAnswer, InferOptions as Wish, InferRequest, LiveAnswer, Turns};
 pub use jobs::JobOut;
 pub use lock_file::{LockFile, LockFileError};
 pub use models::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
 pub use runs::Summary;
 
-use auth::Asker;
+use auth::Caller;
 use problem::ApiError;
 
-/// Newest trials whose checksums are compared at the start.
+/// Number of newest trials whose checksums are verified at the start.
 const EXAMINED_TRIALS: u32 = 2000;
 
-/// Longest wait for the tips to be raised when the service ends.
+/// Longest wait for the campaign's thread, which raises the tips, when the service ends.
 const LEAVE: Duration = Duration::from_secs(60);
 
-/// What a service is made of.
+/// Options of a service.
 #[derive(Debug, Clone)]
 pub struct ServeOptions {
-    /// Where it listens; port 0 takes a free one.
+    /// Address to listen on; port 0 selects a free port.
     pub bind: SocketAddr,
-    /// Folder of the database.
+    /// Data folder.
     pub data: PathBuf,
-    /// Name of the rig file, for problems.
+    /// Name of the rig file in messages.
     pub rig_file: String,
-    /// Its text.
+    /// Text of the rig file.
     pub rig_text: String,
-    /// Go on by itself with an interrupted run that allows it.
+    /// True: resume an interrupted run automatically, if its policy allows it.
     pub resume: bool,
-    /// Threads that compute simulated twins; 0 for none.
+    /// Number of threads that simulate twins; 0 simulates none.
     pub twin_workers: usize,
-    /// What the simulated twins of runs on its sensor are made with.
+    /// Calibration for the twins of runs on its sensor.
     pub calibration: Option<Calibration>,
-    /// The skin under the rig.
+    /// Sensor of the skin under the rig.
     pub sensor: Sensor,
-    /// Text of its file.
+    /// Text of the sensor file.
     pub sensor_text: String,
 }
 
-/// Why a service does not start.
+/// Why a service did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
-    /// The rig file cannot be used.
+    /// The rig file is invalid.
     #[error("{}", problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
     Rig {
-        /// All of what is wrong.
+        /// All invalid values.
         problems: Vec<crate::problem::Problem>,
     },
-    /// The data folder cannot be used.
+    /// The data folder cannot be created.
     #[error("data folder {}: {source}", path.display())]
     Data {
-        /// The folder.
+        /// The data folder.
         path: PathBuf,
-        /// Why.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// Another process has the rig or the data.
+    /// Another process uses the rig or the data folder.
     #[error(transparent)]
     Locked(#[from] LockFileError),
-    /// The store does not open.
+    /// The store cannot be opened.
     #[error("{}", .0.with_causes())]
     Store(#[from] StoreError),
-    /// The address cannot be listened at.
+    /// The address is not available.
     #[error("listening at {bind}: {source}")]
     Bind {
         /// The address.
         bind: SocketAddr,
-        /// Why.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// An address that others reach, and no key to keep them out.
+    /// The address is reachable from other machines, and there is no API key.
     #[error(
-        "bind = {0}: an address beyond this machine needs a key first: palpate key create NAME"
+        "bind = {0}: must be a loopback address while there is no API key; run `palpate key create NAME`"
     )]
     NoKey(SocketAddr),
-    /// The folders of datasets cannot be used.
+    /// The folders of datasets cannot be opened.
     #[error(transparent)]
     Datasets(#[from] DatasetError),
-    /// The folder of models cannot be used.
+    /// The folder of models cannot be opened.
     #[error(transparent)]
     Models(#[from] InferError),
-    /// The campaign's thread, or the door's, does not start.
+    /// The thread of the campaign or of the door cannot be started.
     #[error("starting a thread: {0}")]
     Thread(#[source] std::io::Error),
 }
 
-/// What every handler knows. Clones share it.
+/// State of all handlers. Clones share it.
 #[derive(Clone)]
 pub struct App {
-    /// Records.
+    /// Stored records.
     pub store: Store,
-    /// The valid keys.
+    /// Valid API keys.
     pub keys: KeyRing,
-    /// The campaign.
+    /// Status and requests of the campaign.
     pub campaign: Handle,
-    /// The queue.
+    /// Queue and arming.
     pub conductor: Conductor,
-    /// The simulated twins.
+    /// Pool of simulated twins.
     pub twins: TwinPool,
-    /// The datasets.
+    /// Datasets and exports.
     pub datasets: Catalog,
-    /// The models.
+    /// Stored models.
     pub models: Registry,
-    /// Which of them serve.
+    /// Serving models.
     pub serving: Serving,
     /// Trainings and evaluations.
     pub jobs: Jobs,
-    /// Turns of those who want answers.
+    /// Limits of concurrent inferences.
     pub turns: Turns,
     facts: Arc<Facts>,
 }
@@ -191,25 +191,29 @@ impl App {
         self.facts.bind.ip().is_loopback()
     }
 
-    /// Refuses while somebody else holds the operator lock; `who` is what the asker claims to be.
-    async fn unlocked(&self, asker: &Asker, who: Option<&str>) -> Result<(), ApiError> {
+    /// Checks that no other person holds the operator lock; `who` is the name that the caller
+    /// entered.
+    async fn unlocked(&self, caller: &Caller, who: Option<&str>) -> Result<(), ApiError> {
         match self.store.lock().await? {
-            Some(lock) if lock.holder != asker.identity(who) => Err(ApiError::new(
+            Some(lock) if lock.holder != caller.identity(who) => Err(ApiError::new(
                 axum::http::StatusCode::CONFLICT,
-                format!("{} holds the operator lock: {}", lock.holder, lock.note),
+                format!(
+                    "{} holds the operator lock ({}): ask the holder to release it",
+                    lock.holder, lock.note
+                ),
             )),
             _ => Ok(()),
         }
     }
 }
 
-/// The description of every route, as `openapi.yaml` holds it.
+/// Description of all routes; `openapi.yaml` is generated from it.
 #[derive(OpenApi)]
 #[openapi(info(
     title = "Palpate",
-    description = "Touches a robot skin overnight, learns from it, and tells where and how hard \
-                   it is touched. Units are in the names; times are RFC 3339 in UTC; errors are \
-                   RFC 9457 problems."
+    description = "Presses a tactile robot skin with a rig, trains models on the measured trials, \
+                   and estimates position and force of contacts. Units are in the names; times are \
+                   RFC 3339 in UTC; errors are RFC 9457 problem bodies."
 ))]
 struct Description;
 
@@ -240,7 +244,7 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(datasets::card))
         .routes(routes!(datasets::rows))
         .routes(routes!(datasets::data))
-        .routes(routes!(exports::list, exports::ask))
+        .routes(routes!(exports::list, exports::request))
         .routes(routes!(exports::one))
         .routes(routes!(exports::file))
         .routes(routes!(jobs::train))
@@ -270,7 +274,7 @@ fn routes() -> OpenApiRouter<App> {
         .merge(uploads())
 }
 
-/// Routes whose bodies are large.
+/// Routes with larger limits of the body.
 fn uploads() -> OpenApiRouter<App> {
     let imports = OpenApiRouter::new()
         .routes(routes!(imports::add))
@@ -284,7 +288,7 @@ fn uploads() -> OpenApiRouter<App> {
     imports.merge(models).merge(frames)
 }
 
-/// Routes that nothing stands before: the stop, which asks for a key by itself, and health.
+/// Routes without the check of role and key: the e-stop, which checks the key itself, and health.
 fn open_routes() -> OpenApiRouter<App> {
     OpenApiRouter::new()
         .routes(routes!(estop::estop))
@@ -292,7 +296,7 @@ fn open_routes() -> OpenApiRouter<App> {
         .routes(routes!(health::ready))
 }
 
-/// The description of all routes.
+/// Description of all routes.
 fn description() -> utoipa::openapi::OpenApi {
     routes().merge(open_routes()).to_openapi()
 }
@@ -306,11 +310,11 @@ fn router(app: App) -> axum::Router {
         .route("/estop", post(estop::estop))
         .route("/", get(page::first))
         .route("/openapi.json", get(page::description))
-        .fallback(page::nothing)
+        .fallback(page::unknown)
         .with_state(app)
 }
 
-/// A service that answers.
+/// A running service.
 pub struct Service {
     address: SocketAddr,
     app: App,
@@ -322,7 +326,13 @@ pub struct Service {
 }
 
 impl Service {
-    /// Opens the store, starts the campaign's thread, listens.
+    /// Opens the store, starts the campaign's thread and listens.
+    ///
+    /// # Errors
+    /// `ServeError::Rig` if the rig file is invalid, `Data` or `Store` if the data folder cannot be
+    /// used, `Locked` if another process uses it or the rig, `NoKey` for a public address without a
+    /// key, `Bind` if the address is not available, `Datasets`, `Models` or `Thread` for a failed
+    /// start of these parts.
     pub async fn start(options: ServeOptions) -> Result<Self, ServeError> {
         let config = crate::rig::config::RigConfig::from_toml(&options.rig_file, &options.rig_text)
             .map_err(|problems| ServeError::Rig { problems })?;
@@ -408,29 +418,29 @@ impl Service {
         Ok(Self { address, app, ending, door, tasks, engine, _locks: locks })
     }
 
-    /// Where it answers.
+    /// Address of the service, `http://HOST:PORT`.
     pub fn url(&self) -> String {
         format!("http://{}", self.address)
     }
 
-    /// Serves until the future resolves, then ends: the tips are raised, the database is closed.
+    /// Serves until `end` completes, then shuts down.
     pub async fn run_until(self, end: impl Future<Output = ()>) {
         end.await;
         self.shutdown().await;
     }
 
-    /// Raises the tips, leaves an open run to be resumed, closes the database.
+    /// Raises the tips, leaves an active run resumable, and closes the database.
     pub async fn shutdown(self) {
         for task in &self.tasks {
             task.abort();
         }
-        // An engine that moves takes this up at its next poll; its end is waited for either way.
+        // A moving engine reads this request at its next poll; its end is awaited in any case.
         let _ = self.app.campaign.ask(Request::Shutdown).await;
         let engine = tokio::task::spawn_blocking(move || self.engine.join());
         if tokio::time::timeout(LEAVE, engine).await.is_err() {
             tracing::error!("the campaign's thread did not end in time");
         }
-        // Streams of events and frames end, so that the server can.
+        // Streams of events and frames must end before the door can.
         self.ending.send_replace(true);
         let door = tokio::task::spawn_blocking(move || self.door.join());
         if !matches!(door.await, Ok(Ok(()))) {
@@ -440,10 +450,10 @@ impl Service {
     }
 }
 
-/// Looks the database over, and goes on with what the process before left. A run that goes on by
-/// itself does so on a database that was looked over; one that somebody starts need not wait.
+/// Examines the database, and continues the work of the previous process. A run is resumed
+/// automatically only after the examination; runs that a person starts do not wait for it.
 async fn after_start(app: App, resume: bool) {
-    let go_on = async {
+    let continue_run = async {
         if let Err(error) = app.conductor.go_on(resume).await {
             tracing::warn!(%error, "no run was resumed");
         }
@@ -461,24 +471,24 @@ async fn after_start(app: App, resume: bool) {
     };
     if resume {
         examine.await;
-        go_on.await;
+        continue_run.await;
     } else {
-        go_on.await;
+        continue_run.await;
         examine.await;
     }
 }
 
 #[cfg(test)]
 mod tests {
-    /// The description that is committed is the one that the code gives; `UPDATE=1` writes it.
+    /// The committed description equals the generated one; `UPDATE=1` writes it.
     #[test]
     fn openapi_yaml_is_what_the_code_says() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../openapi.yaml");
-        let said = super::description().to_yaml().unwrap();
+        let generated = super::description().to_yaml().unwrap();
         if std::env::var_os("UPDATE").is_some() {
-            std::fs::write(path, &said).unwrap();
+            std::fs::write(path, &generated).unwrap();
         }
-        let kept = std::fs::read_to_string(path).unwrap_or_default();
-        assert!(kept == said, "openapi.yaml is old: UPDATE=1 cargo test openapi_yaml");
+        let committed = std::fs::read_to_string(path).unwrap_or_default();
+        assert!(committed == generated, "openapi.yaml is old: UPDATE=1 cargo test openapi_yaml");
     }
 }

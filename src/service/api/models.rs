@@ -1,4 +1,4 @@
-//! Models: what there is, how well they did, files out and in, and which of them serve.
+//! Models: lists, scores, files, uploads, and promotions.
 //! Uses: `infer::{registry, serving}`, `store`. Never: training, frames.
 
 use axum::extract::multipart::Multipart;
@@ -11,7 +11,8 @@ use serde_json::Value;
 use utoipa::ToSchema;
 
 use super::App;
-use super::auth::Asker;
+use super::audit::ActionContext;
+use super::auth::Caller;
 use super::jobs::ndjson;
 use super::problem::{ApiError, Body, ProblemBody};
 use crate::infer::registry::{NewModel, facts};
@@ -22,72 +23,72 @@ use crate::problem::Problem;
 use crate::store::ModelRow;
 use crate::syntax::syntax_problem;
 
-/// Largest ONNX file that is taken in.
+/// Largest size of an uploaded model, bytes.
 pub const MODEL_MAX_BYTES: usize = 256 << 20;
 
 /// A model.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct ModelOut {
-    /// Its id.
+    /// Id of the model, `mdl-..`.
     pub id: String,
-    /// What it is called.
+    /// Name of the model.
     pub name: String,
-    /// What it does: transfer, recon, end-to-end or points.
+    /// Task: `transfer`, `recon`, `end-to-end` or `points`.
     pub task: String,
-    /// What is known of it: datasets, recipe, calibration, code, where it has been.
+    /// Manifest: label, sensor, datasets, recipe, calibration, code, trained range.
     #[schema(value_type = Object)]
     pub manifest: Value,
-    /// When it came.
+    /// Time at which the model was stored.
     #[schema(value_type = String, format = DateTime)]
     pub created_at: jiff::Timestamp,
-    /// Whether it serves.
+    /// True if the model serves in a slot.
     pub serves: bool,
     /// Reports of its evaluations, newest first.
     #[schema(value_type = Vec<Object>)]
     pub scores: Vec<Value>,
 }
 
-/// A wish to let a model, or a calibration, serve.
+/// Request to promote a model or a calibration.
 #[derive(Debug, Deserialize, Serialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PromotionRequest {
-    /// A model's id or name, or a calibration's id.
+    /// Id or name of a model, or id of a calibration.
     pub what: String,
-    /// Why.
+    /// Reason, for the log of actions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
-    /// Who.
+    /// Name of the person, for the log of actions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub who: Option<String>,
 }
 
-/// A wish to go back to what served before.
+/// Request to restore the previous model or calibration of a slot.
 #[derive(Debug, Deserialize, Serialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RollBackRequest {
-    /// Where.
+    /// The slot.
     pub slot: Slot,
-    /// Why.
+    /// Reason, for the log of actions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
-    /// Who.
+    /// Name of the person, for the log of actions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub who: Option<String>,
 }
 
-/// What serves in a slot.
+/// Content of a slot.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct ServesOut {
     /// The slot.
     pub slot: Slot,
-    /// A model's id, or a calibration's; absent: nothing.
+    /// Id of the serving model or calibration; null if the slot is empty.
     pub what: Option<String>,
 }
 
-/// What serves, and what did.
+/// Serving models and calibrations, with the history of promotions.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct ServingOut {
-    /// For each slot.
+    /// Content of each slot.
     pub serves: Vec<ServesOut>,
     /// Promotions, newest first.
     pub history: Vec<PromotionOut>,
@@ -98,21 +99,21 @@ pub struct ServingOut {
 pub struct PromotionOut {
     /// The slot.
     pub slot: String,
-    /// A model's id, or a calibration's; absent: nothing.
+    /// Id of the promoted model or calibration; null if the slot was emptied.
     pub what: Option<String>,
-    /// Who.
+    /// Name of the person or key.
     pub who: String,
-    /// Why.
+    /// Reason; null if none was entered.
     pub why: Option<String>,
-    /// When.
+    /// Time of the promotion.
     #[schema(value_type = String, format = DateTime)]
     pub at: jiff::Timestamp,
-    /// Whether it had served before and was gone back to.
+    /// True if this restored an earlier promotion.
     pub rolled_back: bool,
 }
 
-/// All models, newest first.
-#[utoipa::path(get, path = "/api/v1/models", tag = "models",
+/// Returns all models, newest first.
+#[utoipa::path(get, operation_id = "list_models", path = "/api/v1/models", tag = "models",
     responses((status = 200, body = Vec<ModelOut>)))]
 pub async fn list(State(app): State<App>) -> Result<Json<Vec<ModelOut>>, ApiError> {
     let mut models = Vec::new();
@@ -122,10 +123,11 @@ pub async fn list(State(app): State<App>) -> Result<Json<Vec<ModelOut>>, ApiErro
     Ok(Json(models))
 }
 
-/// One model.
-#[utoipa::path(get, path = "/api/v1/models/{model}", tag = "models",
-    params(("model" = String, Path, description = "its id or name")),
-    responses((status = 200, body = ModelOut), (status = 404, body = ProblemBody)))]
+/// Returns a model.
+#[utoipa::path(get, operation_id = "model", path = "/api/v1/models/{model}", tag = "models",
+    params(("model" = String, Path, description = "id or name of the model")),
+    responses((status = 200, body = ModelOut),
+        (status = 404, body = ProblemBody, description = "no model has this id or name")))]
 pub async fn one(
     State(app): State<App>,
     Path(model): Path<String>,
@@ -133,11 +135,12 @@ pub async fn one(
     Ok(Json(out(&app, app.models.find(&model).await?).await?))
 }
 
-/// A model's ONNX file.
-#[utoipa::path(get, path = "/api/v1/models/{model}/onnx", tag = "models",
-    params(("model" = String, Path, description = "its id or name")),
+/// Returns the ONNX file of a model.
+#[utoipa::path(get, operation_id = "model_onnx",
+    path = "/api/v1/models/{model}/onnx", tag = "models",
+    params(("model" = String, Path, description = "id or name of the model")),
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
-        (status = 404, body = ProblemBody)))]
+        (status = 404, body = ProblemBody, description = "no model has this id or name")))]
 pub async fn onnx(State(app): State<App>, Path(model): Path<String>) -> Result<Response, ApiError> {
     let row = app.models.find(&model).await?;
     let path = app.models.onnx(&row.id);
@@ -149,11 +152,14 @@ pub async fn onnx(State(app): State<App>, Path(model): Path<String>) -> Result<R
     Ok(([(header::CONTENT_TYPE, kind), (header::CONTENT_DISPOSITION, name)], bytes).into_response())
 }
 
-/// The losses of a model's training: a JSON object for each epoch; none where it came otherwise.
-#[utoipa::path(get, path = "/api/v1/models/{model}/losses", tag = "models",
-    params(("model" = String, Path, description = "its id or name")),
+/// Returns the losses of a model's training, a JSON object per epoch.
+///
+/// The response is empty for an uploaded model.
+#[utoipa::path(get, operation_id = "model_losses",
+    path = "/api/v1/models/{model}/losses", tag = "models",
+    params(("model" = String, Path, description = "id or name of the model")),
     responses((status = 200, body = String, content_type = "application/x-ndjson"),
-        (status = 404, body = ProblemBody)))]
+        (status = 404, body = ProblemBody, description = "no model has this id or name")))]
 pub async fn losses(
     State(app): State<App>,
     Path(model): Path<String>,
@@ -162,10 +168,12 @@ pub async fn losses(
     Ok(ndjson(app.models.losses(&row.id).unwrap_or_default()))
 }
 
-/// What a Transfer-Net leaves over on trials that it did not learn from (paper, Fig. 10A).
-#[utoipa::path(get, path = "/api/v1/models/{model}/residuals", tag = "models",
-    params(("model" = String, Path, description = "its id or name")),
-    responses((status = 200, body = Residuals), (status = 404, body = ProblemBody)))]
+/// Returns the residuals of a Transfer-Net on trials outside its training part (paper, Fig. 10A).
+#[utoipa::path(get, operation_id = "model_residuals",
+    path = "/api/v1/models/{model}/residuals", tag = "models",
+    params(("model" = String, Path, description = "id or name of the model")),
+    responses((status = 200, body = Residuals),
+        (status = 404, body = ProblemBody, description = "no model has this id or name")))]
 pub async fn residuals(
     State(app): State<App>,
     Path(model): Path<String>,
@@ -173,28 +181,30 @@ pub async fn residuals(
     Ok(Json(app.models.residuals(&model).await?))
 }
 
-/// What is handed in with a model from elsewhere.
+/// Form of a model trained elsewhere.
 #[derive(ToSchema)]
 #[allow(dead_code)] // For the description alone.
 pub struct ModelForm {
-    /// The ONNX file.
+    /// ONNX file, at most 256 MiB.
     #[schema(value_type = String, format = Binary)]
     file: Vec<u8>,
-    /// Text of its sensor file.
+    /// Sensor file (TOML).
     sensor: String,
-    /// What is known of it: the table `model` of a manifest, TOML.
+    /// Facts of the model: the table `model` of a manifest (TOML).
     facts: String,
-    /// What it is called.
+    /// Name of the model.
     name: String,
 }
 
-/// Takes in a model trained elsewhere.
-#[utoipa::path(post, path = "/api/v1/models", tag = "models",
+/// Adds a model trained elsewhere.
+#[utoipa::path(post, operation_id = "add_model", path = "/api/v1/models", tag = "models",
     request_body(content = ModelForm, content_type = "multipart/form-data"),
-    responses((status = 201, body = ModelOut), (status = 422, body = ProblemBody)))]
+    responses((status = 201, body = ModelOut),
+        (status = 422, body = ProblemBody,
+            description = "a part of the form is missing or invalid, or the model does not run")))]
 pub async fn add(
     State(app): State<App>,
-    Extension(asker): Extension<Asker>,
+    Extension(caller): Extension<Caller>,
     mut form: Multipart,
 ) -> Result<(StatusCode, Json<ModelOut>), ApiError> {
     let mut parts = std::collections::HashMap::new();
@@ -205,12 +215,13 @@ pub async fn add(
         let name = field.name().unwrap_or_default().to_owned();
         parts.insert(name, field.bytes().await.map_err(refused)?);
     }
-    let outcome = keep(&app, &parts).await;
-    let row = app.logged(&asker, "add a model", (None, None, None), outcome).await?;
+    let outcome = store(&app, &parts).await;
+    let row = app.logged(&caller, "add a model", ActionContext::default(), outcome).await?;
     Ok((StatusCode::CREATED, Json(out(&app, row).await?)))
 }
 
-async fn keep(
+/// Checks the parts of a form and stores the model.
+async fn store(
     app: &App,
     parts: &std::collections::HashMap<String, bytes::Bytes>,
 ) -> Result<ModelRow, ApiError> {
@@ -222,33 +233,35 @@ async fn keep(
         let bytes = part(name)?.to_vec();
         String::from_utf8(bytes).map_err(|_| ApiError::value(name, "bytes", "must be text, UTF-8"))
     };
-    let (sensor, name, said) = (text("sensor")?, text("name")?, text("facts")?);
+    let (sensor, name, stated) = (text("sensor")?, text("name")?, text("facts")?);
     let (_, sensor_facts) = facts("sensor", &sensor).map_err(ApiError::problems)?;
-    let said: ModelFacts = toml::from_str(&said)
-        .map_err(|error| ApiError::problems(vec![syntax_problem("facts", &said, &error)]))?;
+    let stated: ModelFacts = toml::from_str(&stated)
+        .map_err(|error| ApiError::problems(vec![syntax_problem("facts", &stated, &error)]))?;
     let onnx = part("file")?.to_vec();
-    let manifest = manifest_for_foreign(&onnx, said, &sensor_facts)
+    let manifest = manifest_for_foreign(&onnx, stated, &sensor_facts)
         .map_err(crate::infer::error::InferError::from)?;
     let new = NewModel { name, manifest, onnx, sensor, losses: None, residuals: None };
-    // It must run before it is kept.
+    // The model must run on one frame before it is stored.
     new.try_out().await?;
     Ok(app.models.add(new).await?)
 }
 
-/// Keeps a calibration of this rig's sensor (text of its file), so that it can be promoted.
+/// Adds a calibration of this rig's sensor (text of its file), so that it can be promoted.
 #[utoipa::path(post, path = "/api/v1/calibrations", tag = "models", request_body = String,
-    responses((status = 201, body = String), (status = 422, body = ProblemBody)))]
+    responses((status = 201, body = String),
+        (status = 422, body = ProblemBody,
+            description = "the calibration is invalid or for another sensor")))]
 pub async fn add_calibration(
     State(app): State<App>,
-    Extension(asker): Extension<Asker>,
+    Extension(caller): Extension<Caller>,
     text: String,
 ) -> Result<(StatusCode, Json<String>), ApiError> {
     let outcome = app.serving.keep_calibration(&text).await.map_err(ApiError::from);
-    let id = app.logged(&asker, "add a calibration", (None, None, None), outcome).await?;
+    let id = app.logged(&caller, "add a calibration", ActionContext::default(), outcome).await?;
     Ok((StatusCode::CREATED, Json(id)))
 }
 
-/// What serves, and what did.
+/// Returns the content of all slots, and the history of promotions.
 #[utoipa::path(get, path = "/api/v1/serving", tag = "models",
     responses((status = 200, body = ServingOut)))]
 pub async fn serving(State(app): State<App>) -> Result<Json<ServingOut>, ApiError> {
@@ -265,57 +278,65 @@ pub async fn serving(State(app): State<App>) -> Result<Json<ServingOut>, ApiErro
     Ok(Json(ServingOut { serves, history: history.collect() }))
 }
 
-/// Lets a model or a calibration serve. It is loaded and warmed first: no frame is dropped.
+/// Promotes a model or a calibration.
+///
+/// It is loaded and warmed up before it replaces the serving one: no frame is dropped.
 #[utoipa::path(post, path = "/api/v1/serving", tag = "models", request_body = PromotionRequest,
-    responses((status = 200, body = ServesOut), (status = 404, body = ProblemBody),
-        (status = 409, body = ProblemBody)))]
+    responses((status = 200, body = ServesOut),
+        (status = 404, body = ProblemBody,
+            description = "no model or calibration has this id or name"),
+        (status = 409, body = ProblemBody,
+            description = "the model is for another sensor or task")))]
 pub async fn promote(
     State(app): State<App>,
-    Extension(asker): Extension<Asker>,
+    Extension(caller): Extension<Caller>,
     Body(request): Body<PromotionRequest>,
 ) -> Result<Json<ServesOut>, ApiError> {
     let (who, why) = (request.who.as_deref(), request.why.as_deref());
-    let promoted = app.serving.promote(&request.what, &asker.name(who), why).await;
+    let promoted = app.serving.promote(&request.what, &caller.name(who), why).await;
     let outcome = promoted.map_err(ApiError::from);
-    let slot = app.logged(&asker, "promote", (None, who, why), outcome).await?;
+    let context = ActionContext { run: None, who, why };
+    let slot = app.logged(&caller, "promote", context, outcome).await?;
     Ok(Json(ServesOut { slot, what: Some(request.what) }))
 }
 
-/// Lets what served before serve again.
+/// Restores the previous model or calibration of a slot.
 #[utoipa::path(post, path = "/api/v1/serving/roll-back", tag = "models",
     request_body = RollBackRequest,
-    responses((status = 200, body = ServesOut), (status = 409, body = ProblemBody),
-        (status = 422, body = ProblemBody)))]
+    responses((status = 200, body = ServesOut),
+        (status = 409, body = ProblemBody, description = "the slot has no earlier promotion"),
+        (status = 422, body = ProblemBody, description = "the slot is unknown")))]
 pub async fn roll_back(
     State(app): State<App>,
-    Extension(asker): Extension<Asker>,
+    Extension(caller): Extension<Caller>,
     Body(request): Body<RollBackRequest>,
 ) -> Result<Json<ServesOut>, ApiError> {
     let (who, why, slot) = (request.who.as_deref(), request.why.as_deref(), request.slot);
-    let outcome = app.serving.roll_back(slot, &asker.name(who), why).await.map_err(ApiError::from);
-    let what = app.logged(&asker, "roll back", (None, who, why), outcome).await?;
+    let outcome = app.serving.roll_back(slot, &caller.name(who), why).await.map_err(ApiError::from);
+    let context = ActionContext { run: None, who, why };
+    let what = app.logged(&caller, "roll back", context, outcome).await?;
     Ok(Json(ServesOut { slot, what }))
 }
 
-/// Whether a report says how good a model is: by a method that it is for, on rows that it did not
-/// learn from, and on more than a few that were shown.
-fn tells_of(task: &str, report: &Value) -> bool {
+/// True if a report is a score of a model of this task: by a method that uses the task, on rows
+/// outside its training, and not a report of examples only.
+fn is_score(task: &str, report: &Value) -> bool {
     let methods: &[&str] = match task {
         "transfer" => &["voltages", "paper"],
         "points" => &["fast"],
         _ => &["paper"],
     };
-    let learned = report["held_out"] == false
+    let trained_on = report["held_out"] == false
         || matches!(report["part"].as_str(), Some("train" | "validation"));
     let is_for = report["scored"].as_str().is_some_and(|scored| methods.contains(&scored));
-    is_for && !learned && report["examples"].is_null()
+    is_for && !trained_on && report["examples"].is_null()
 }
 
 async fn out(app: &App, row: ModelRow) -> Result<ModelOut, ApiError> {
     let manifest: toml::Table = toml::from_str(&row.manifest).unwrap_or_default();
     let serves = app.serving.promoted().await?;
     let reports = app.store.evaluations_of(&row.id).await?.into_iter().filter_map(|job| job.result);
-    let scores = reports.filter(|report| tells_of(&row.task, report));
+    let scores = reports.filter(|report| is_score(&row.task, report));
     Ok(ModelOut {
         serves: serves.iter().any(|(_, what)| what.as_ref() == Some(&row.id)),
         manifest: serde_json::to_value(manifest.get("model")).unwrap_or_default(),

@@ -1,4 +1,4 @@
-//! The first page, the description, and the answer to an address that means nothing.
+//! The HTML page, the API description, and the response for unknown addresses.
 //! Uses: nothing of the rig. Never: data (the page asks the API for it).
 
 use axum::Json;
@@ -7,20 +7,20 @@ use axum::response::{Html, IntoResponse};
 
 use super::problem::ApiError;
 
-/// Nothing from elsewhere is loaded or talked to.
+/// Content security policy: the page loads from and connects to this service only.
 const POLICY: &str = "default-src 'self' 'unsafe-inline'; frame-ancestors 'none'";
 
-/// `/`
+/// Returns the HTML page (`/`).
 pub async fn first() -> impl IntoResponse {
     ([(header::CONTENT_SECURITY_POLICY, POLICY)], Html(include_str!("page.html")))
 }
 
-/// `/openapi.json`
+/// Returns the API description (`/openapi.json`).
 pub async fn description() -> impl IntoResponse {
     Json(super::description())
 }
 
-/// Everything else.
-pub async fn nothing(uri: Uri) -> ApiError {
-    ApiError::not_found(format!("there is nothing at {}; see /openapi.json", uri.path()))
+/// Returns the error for an unknown address.
+pub async fn unknown(uri: Uri) -> ApiError {
+    ApiError::not_found(format!("{}: unknown address; see /openapi.json", uri.path()))
 }

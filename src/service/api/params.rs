@@ -1,5 +1,4 @@
-//! What a query string of rows may hold, for the API's description: made from the table of columns, so
-//! that no list has to follow it.
+//! Query parameters of rows for the API description, generated from the table of columns.
 //! PURE. Uses: `store::table`, `dataset::format`, utoipa. Never: a value of a request.
 
 use utoipa::IntoParams;
@@ -9,11 +8,11 @@ use utoipa::openapi::schema::{ArrayBuilder, ObjectBuilder, Schema, SchemaType, T
 use crate::dataset::format::Format;
 use crate::store::table::{self, Column, Kind, TABLE};
 
-/// Of pages of stored trials.
+/// Parameters of pages of stored trials.
 pub struct TrialParams;
-/// Of pages of a dataset's rows.
+/// Parameters of pages of a dataset's rows.
 pub struct RowsParams;
-/// Of a dataset as a file.
+/// Parameters of a dataset as a file.
 pub struct FileParams;
 
 impl IntoParams for TrialParams {
@@ -48,7 +47,7 @@ impl IntoParams for FileParams {
     }
 }
 
-/// What every list of rows understands.
+/// Parameters of every selection of rows: conditions, columns and slice.
 fn selected(has: fn(&Column) -> bool) -> Vec<Parameter> {
     let comparable = table::names(|column| has(column) && column.kind() != Kind::List);
     let pattern = format!("^({})(__(eq|gt|gte|lt|lte|in))?=.+$", comparable.replace(", ", "|"));
@@ -70,7 +69,7 @@ fn selected(has: fn(&Column) -> bool) -> Vec<Parameter> {
     ]
 }
 
-/// The meaning of each column.
+/// Description of `columns`, with the meaning of each column.
 fn meanings(has: fn(&Column) -> bool) -> String {
     let line = |c: &Column| match c.unit {
         "" => format!("- `{}`: {}", c.name, c.about),
@@ -89,14 +88,14 @@ fn page(cursor: &str) -> [Parameter; 3] {
         .minimum(Some(1))
         .maximum(Some(crate::store::MAX_PAGE));
     [
-        parameter("limit", "rows of a page, 100 unless given", limit.into()),
+        parameter("limit", "number of rows per page, default 100", limit.into()),
         parameter("cursor", cursor, text()),
-        parameter("format", "format of the answer; `Accept` names it, too", format.into()),
+        parameter("format", "format of the response; may also be given by `Accept`", format.into()),
     ]
 }
 
 fn map() -> Parameter {
-    let about = "a force map for each row, as pixel and diameter in mm: `4x20`";
+    let about = "adds a force map per row: pixel and map diameter in mm, as in `4x20`";
     parameter("map", about, text())
 }
 

@@ -1,5 +1,4 @@
-//! What the service answers when it does not do what was asked: RFC 9457 problem bodies that name
-//! the field and the limit.
+//! Error responses: RFC 9457 problem bodies that name field, value and limit.
 //! Uses: axum, the errors of `conductor`, `store`, `campaign`. Never: logging of secrets.
 
 use axum::Json;
@@ -21,22 +20,22 @@ use crate::store::StoreError;
 /// A problem body (RFC 9457).
 #[derive(Debug, Clone, Serialize, ToSchema)]
 pub struct ProblemBody {
-    /// `about:blank`: the status says what kind it is.
+    /// Always `about:blank`: the status determines the kind of error.
     #[serde(rename = "type")]
     pub kind: &'static str,
-    /// The status in words.
+    /// Name of the HTTP status.
     pub title: String,
-    /// The status.
+    /// HTTP status.
     pub status: u16,
-    /// What happened, for people.
+    /// Description of the error, for people.
     pub detail: String,
-    /// Values outside their limits.
+    /// Invalid values; absent if the error is of another kind.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[schema(value_type = Vec<Object>)]
     pub errors: Vec<Problem>,
 }
 
-/// A refusal on its way to the asker.
+/// An error response.
 #[derive(Debug)]
 pub struct ApiError {
     status: StatusCode,
@@ -45,33 +44,33 @@ pub struct ApiError {
 }
 
 impl ApiError {
-    /// A refusal with a status.
+    /// An error with a status and a description.
     pub fn new(status: StatusCode, detail: impl Into<String>) -> Self {
         Self { status, detail: detail.into(), errors: Vec::new() }
     }
 
-    /// One value of a request is outside its limits.
+    /// One invalid value of a request (422).
     pub fn value(key: &str, value: impl std::fmt::Display, limit: &str) -> Self {
         Self::problems(vec![Problem::new("request", key, value, limit)])
     }
 
-    /// Values are outside their limits.
+    /// Invalid values (422).
     pub fn problems(errors: Vec<Problem>) -> Self {
         let detail = errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
         Self { status: StatusCode::UNPROCESSABLE_ENTITY, detail, errors }
     }
 
-    /// A query names what there is not, or values of another type.
+    /// Invalid values of a query, a form or a dataset definition (400).
     pub fn bad_query(errors: Vec<Problem>) -> Self {
         Self { status: StatusCode::BAD_REQUEST, ..Self::problems(errors) }
     }
 
-    /// There is nothing of that name.
+    /// The requested object does not exist (404).
     pub fn not_found(what: impl Into<String>) -> Self {
         Self::new(StatusCode::NOT_FOUND, what)
     }
 
-    /// What is told, for the log of actions.
+    /// The description, for the log of actions.
     pub fn detail(&self) -> &str {
         &self.detail
     }
@@ -139,7 +138,7 @@ impl From<DatasetError> for ApiError {
             _ => StatusCode::INTERNAL_SERVER_ERROR,
         };
         if status == StatusCode::INTERNAL_SERVER_ERROR {
-            tracing::error!(%error, "a dataset failed");
+            tracing::error!(%error, "an operation on datasets failed");
         }
         Self::new(status, error.to_string())
     }
@@ -216,12 +215,12 @@ impl From<QueryRejection> for ApiError {
     }
 }
 
-/// A JSON body whose faults are answered as problems.
+/// Extractor of a JSON body; an invalid body is answered with a problem body.
 #[derive(axum::extract::FromRequest)]
 #[from_request(via(axum::Json), rejection(ApiError))]
 pub struct Body<T>(pub T);
 
-/// A query string whose faults are answered as problems.
+/// Extractor of a query string; an invalid one is answered with a problem body.
 #[derive(axum::extract::FromRequestParts)]
 #[from_request(via(axum::extract::Query), rejection(ApiError))]
 pub struct Params<T>(pub T);

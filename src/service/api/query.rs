@@ -1,4 +1,5 @@
-//! A query string as filters over rows: `column__gt=..`, `columns`, `sort`, `limit`, `cursor`.
+//! Parses query strings to selections of rows: `column__gt=..`, `columns`, `sort`, `limit`,
+//! `cursor`.
 //! PURE. Uses: `store`'s table of columns and its conditions. Never: SQL, a name of a column.
 
 use crate::dataset::format::Format;
@@ -10,47 +11,51 @@ use crate::record::Flag;
 use crate::store::table::{self, Column};
 use crate::store::{Condition, MAX_PAGE, Order, TrialQuery};
 
-/// Rows of a page, unless asked otherwise.
+/// Default number of rows per page.
 const PAGE: u32 = 100;
 
-/// What a query string asks of stored trials.
+/// Selection of stored trials by a query string.
 #[derive(Debug, Default)]
-pub struct TrialsWanted {
-    /// Which trials.
+pub struct TrialsRequest {
+    /// Run, conditions, order and page.
     pub query: TrialQuery,
-    /// Which columns, and how much of each frame.
+    /// Columns and slice of the frames.
     pub wanted: Wanted,
-    /// In which format, where it is said.
+    /// Format; `None` for JSON or the format of the `Accept` header.
     pub format: Option<Format>,
 }
 
-/// What a query string asks of a dataset's rows.
+/// Selection of a dataset's rows by a query string.
 #[derive(Debug)]
-pub struct RowsWanted {
-    /// Which rows and columns.
+pub struct RowsRequest {
+    /// Conditions, columns, slice and force map.
     pub wanted: Wanted,
-    /// In which format, where it is said.
+    /// Format; `None` for JSON or the format of the `Accept` header.
     pub format: Option<Format>,
-    /// In the order of a column, where one is named.
+    /// Order; `None` for the order of the file.
     pub sort: Option<Sort>,
-    /// The row, of the file or of that order, where the page starts.
+    /// Position at which the page starts: row of the file, or position in the order of `sort`.
     pub from: u64,
-    /// Up to so many rows.
+    /// Largest number of rows in the page.
     pub limit: u32,
 }
 
-/// Reads the pairs of a query string; an unknown name is a problem, not ignored.
+/// Parses a query string for stored trials.
+///
+/// # Errors
+/// All unknown names and invalid values.
 pub fn trial_query(
     run: Option<RunUid>,
     pairs: &[(String, String)],
-) -> Result<TrialsWanted, Vec<Problem>> {
+) -> Result<TrialsRequest, Vec<Problem>> {
     let query = TrialQuery { run, limit: PAGE, ..TrialQuery::default() };
-    let mut wanted = TrialsWanted { query, ..TrialsWanted::default() };
+    let mut wanted = TrialsRequest { query, ..TrialsRequest::default() };
     each(pairs, |key, value| {
         let of_datasets =
             |name: &str| Column::find(name.trim()).is_some_and(|column| !column.is_of_stored());
         if key == "columns" && value.split(',').any(of_datasets) {
-            return Err(format!("stored trials have {}", table::names(Column::is_of_stored)));
+            let names = table::names(Column::is_of_stored);
+            return Err(format!("must name columns of stored trials: {names}"));
         }
         Ok(common(&mut wanted.wanted, &mut wanted.format, &mut wanted.query.limit, key, value)?
             || apply(&mut wanted.query, key, value)?)
@@ -58,40 +63,47 @@ pub fn trial_query(
     Ok(wanted)
 }
 
-/// The same for the rows of a dataset, whose filters look at its columns as they are labelled.
-pub fn rows_query(pairs: &[(String, String)]) -> Result<RowsWanted, Vec<Problem>> {
+/// Parses a query string for the rows of a dataset. Conditions apply to the labelled rows.
+///
+/// # Errors
+/// All unknown names and invalid values.
+pub fn rows_query(pairs: &[(String, String)]) -> Result<RowsRequest, Vec<Problem>> {
     let wanted = Wanted::default();
-    let mut asked = RowsWanted { wanted, format: None, sort: None, from: 0, limit: PAGE };
+    let mut request = RowsRequest { wanted, format: None, sort: None, from: 0, limit: PAGE };
     each(pairs, |key, value| {
-        if common(&mut asked.wanted, &mut asked.format, &mut asked.limit, key, value)? {
+        if common(&mut request.wanted, &mut request.format, &mut request.limit, key, value)? {
             return Ok(true);
         }
         match key {
-            "cursor" => asked.from = whole(value)?,
-            "sort" => asked.sort = Some(Sort::parse(value)),
-            "map" => asked.wanted.map = Some(value.into()),
+            "cursor" => request.from = whole(value)?,
+            "sort" => request.sort = Some(Sort::parse(value)),
+            "map" => request.wanted.map = Some(value.into()),
             _ => {
                 let text = condition(key, value)?.1;
-                asked.wanted.conditions.push(text);
+                request.wanted.conditions.push(text);
             }
         }
         Ok(true)
     })?;
-    Ok(asked)
+    Ok(request)
 }
 
-/// The same for a dataset as a file, which has no pages and whose name says its format.
+/// Parses a query string for a dataset as a file. It has no pages, and its name determines the
+/// format.
+///
+/// # Errors
+/// A parameter of pages, or all unknown names and invalid values.
 pub fn file_query(pairs: &[(String, String)]) -> Result<Wanted, Vec<Problem>> {
     const PAGES: [&str; 4] = ["limit", "cursor", "format", "sort"];
     if let Some((key, value)) = pairs.iter().find(|(key, _)| PAGES.contains(&key.as_str())) {
-        let limit = "belongs to pages, /api/v1/datasets/NAME/rows; a file is whole, and its name \
-                     says its format";
+        let limit = "must be absent for a file, whose name determines the format; for pages use \
+                     /api/v1/datasets/NAME/rows";
         return Err(vec![Problem::new("query", key, value, limit)]);
     }
-    rows_query(pairs).map(|asked| asked.wanted)
+    rows_query(pairs).map(|request| request.wanted)
 }
 
-/// Applies each pair, and collects what is wrong.
+/// Applies `apply` to each pair and collects the problems.
 fn each(
     pairs: &[(String, String)],
     mut apply: impl FnMut(&str, &str) -> Result<bool, String>,
@@ -105,7 +117,7 @@ fn each(
     if problems.is_empty() { Ok(()) } else { Err(problems) }
 }
 
-/// What every list of rows understands; `false` for other keys.
+/// Applies a parameter that all lists of rows have; `false` for other keys.
 fn common(
     wanted: &mut Wanted,
     format: &mut Option<Format>,
@@ -117,13 +129,13 @@ fn common(
         "key" => {}
         "limit" => match value.parse() {
             Ok(n @ 1..=MAX_PAGE) => *page = n,
-            _ => return Err(format!("must be from 1 to {MAX_PAGE}; for more ask for an export")),
+            _ => return Err(format!("must be from 1 to {MAX_PAGE}; for more request an export")),
         },
         "columns" => {
             for name in value.split(',').map(str::trim) {
                 if Column::find(name).is_none() {
                     let names = table::names(|_| true);
-                    return Err(format!("there is no column {name}; there are {names}"));
+                    return Err(format!("column {name} is unknown; must be of {names}"));
                 }
                 wanted.columns.push(name.into());
             }
@@ -163,7 +175,7 @@ fn condition(key: &str, value: &str) -> Result<(Condition, String), String> {
 }
 
 fn whole<T: std::str::FromStr>(value: &str) -> Result<T, String> {
-    value.parse().map_err(|_| "must be what `next` said".into())
+    value.parse().map_err(|_| "must be the value of `next` of a page".into())
 }
 
 fn yes_or_no(value: &str) -> Result<bool, String> {

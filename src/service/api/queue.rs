@@ -1,4 +1,4 @@
-//! The queue, and what a submission would be.
+//! The queue of runs, and the preflight of a submission.
 //! Uses: `conductor`, `store`. Never: starting a run (`runs` does).
 
 use axum::extract::{Path, State};
@@ -8,119 +8,132 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::auth::Asker;
+use super::audit::ActionContext;
+use super::auth::Caller;
 use super::problem::{ApiError, Body, Params, ProblemBody};
 use super::runs::find;
 use crate::conductor::Submission;
 use crate::schedule::preflight::Preflight;
 use crate::store::RunRow;
 
-/// Runs in their order.
+/// The queue.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Queue {
-    /// The next one first.
+    /// Waiting runs, the next one first.
     pub runs: Vec<RunRow>,
 }
 
-/// What is to be queued.
+/// Request to queue a run.
 #[derive(Debug, Deserialize, ToSchema)]
-pub struct NewItem {
-    /// The files.
+pub struct QueueRequest {
+    /// Text and names of the files.
     #[serde(flatten)]
     pub submission: Submission,
-    /// Who asks.
+    /// Name of the person, for the log of actions.
     pub who: Option<String>,
-    /// The run may go on by itself; the experiment's own policy if absent.
+    /// True if the run may resume automatically; absent: as in the policy of the experiment.
     pub auto_resume: Option<bool>,
 }
 
-/// Who asks, in a query.
+/// Parameters of a request that only names the person.
 #[derive(Debug, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
-pub struct ByWhom {
-    /// A name for the log of actions.
+pub struct WhoParams {
+    /// Name of the person, for the log of actions.
     pub who: Option<String>,
 }
 
-/// Where a run is moved to.
+/// Request to move a run in the queue.
 #[derive(Debug, Deserialize, ToSchema)]
-pub struct Shift {
-    /// From 1; beyond the end means the end.
+pub struct MoveRequest {
+    /// New position, from 1; a position after the end is the end.
     pub position: u32,
-    /// Who asks.
+    /// Name of the person, for the log of actions.
     pub who: Option<String>,
 }
 
-/// The queue.
-#[utoipa::path(get, path = "/api/v1/queue", tag = "queue", responses((status = 200, body = Queue)))]
+/// Returns the queue.
+#[utoipa::path(get, operation_id = "queue",
+    path = "/api/v1/queue", tag = "queue", responses((status = 200, body = Queue)))]
 pub async fn list(State(app): State<App>) -> Result<Json<Queue>, ApiError> {
     Ok(Json(Queue { runs: app.store.queue().await? }))
 }
 
 /// Queues a run.
-#[utoipa::path(post, path = "/api/v1/queue", tag = "queue", request_body = NewItem,
-    responses((status = 201, body = RunRow), (status = 422, body = ProblemBody)))]
+#[utoipa::path(post, operation_id = "queue_run",
+    path = "/api/v1/queue", tag = "queue", request_body = QueueRequest,
+    responses((status = 201, body = RunRow),
+        (status = 422, body = ProblemBody, description = "a file of the submission is invalid")))]
 pub async fn add(
     State(app): State<App>,
-    Extension(asker): Extension<Asker>,
-    Body(item): Body<NewItem>,
+    Extension(caller): Extension<Caller>,
+    Body(item): Body<QueueRequest>,
 ) -> Result<(StatusCode, Json<RunRow>), ApiError> {
     let who = item.who.clone();
     let outcome = async {
-        app.unlocked(&asker, who.as_deref()).await?;
-        let name = asker.name(who.as_deref());
+        app.unlocked(&caller, who.as_deref()).await?;
+        let name = caller.name(who.as_deref());
         Ok(app.conductor.enqueue(item.submission, name, item.auto_resume).await?)
     }
     .await;
     let run = outcome.as_ref().ok().map(|r: &RunRow| r.uid);
-    let row = app.logged(&asker, "queue", (run, who.as_deref(), None), outcome).await?;
+    let context = ActionContext { run, who: who.as_deref(), why: None };
+    let row = app.logged(&caller, "queue", context, outcome).await?;
     Ok((StatusCode::CREATED, Json(row)))
 }
 
-/// Takes a run out of the queue.
-#[utoipa::path(delete, path = "/api/v1/queue/{run}", tag = "queue", params(ByWhom,
+/// Removes a run from the queue.
+#[utoipa::path(delete, operation_id = "remove_run",
+    path = "/api/v1/queue/{run}", tag = "queue", params(WhoParams,
     ("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = RunRow), (status = 409, body = ProblemBody)))]
+    responses((status = 200, body = RunRow),
+        (status = 409, body = ProblemBody,
+            description = "the run is not queued, or another person holds the operator lock")))]
 pub async fn remove(
     State(app): State<App>,
-    Extension(asker): Extension<Asker>,
+    Extension(caller): Extension<Caller>,
     Path(run): Path<String>,
-    Params(by): Params<ByWhom>,
+    Params(by): Params<WhoParams>,
 ) -> Result<Json<RunRow>, ApiError> {
     let run = find(&app, &run).await?.uid;
     let outcome = async {
-        app.unlocked(&asker, by.who.as_deref()).await?;
+        app.unlocked(&caller, by.who.as_deref()).await?;
         Ok(app.store.remove(run).await?)
     }
     .await;
-    let about = (Some(run), by.who.as_deref(), None);
-    Ok(Json(app.logged(&asker, "remove", about, outcome).await?))
+    let context = ActionContext { run: Some(run), who: by.who.as_deref(), why: None };
+    Ok(Json(app.logged(&caller, "remove", context, outcome).await?))
 }
 
 /// Moves a run in the queue.
-#[utoipa::path(post, path = "/api/v1/queue/{run}/move", tag = "queue", request_body = Shift,
+#[utoipa::path(post, operation_id = "move_run",
+    path = "/api/v1/queue/{run}/move", tag = "queue", request_body = MoveRequest,
     params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = Queue), (status = 409, body = ProblemBody)))]
+    responses((status = 200, body = Queue),
+        (status = 409, body = ProblemBody,
+            description = "the run is not queued, or another person holds the operator lock")))]
 pub async fn shift(
     State(app): State<App>,
-    Extension(asker): Extension<Asker>,
+    Extension(caller): Extension<Caller>,
     Path(run): Path<String>,
-    Body(shift): Body<Shift>,
+    Body(shift): Body<MoveRequest>,
 ) -> Result<Json<Queue>, ApiError> {
     let run = find(&app, &run).await?.uid;
     let outcome = async {
-        app.unlocked(&asker, shift.who.as_deref()).await?;
+        app.unlocked(&caller, shift.who.as_deref()).await?;
         Ok(app.store.move_item(run, shift.position).await?)
     }
     .await;
-    let about = (Some(run), shift.who.as_deref(), None);
-    let runs = app.logged(&asker, "move", about, outcome).await?;
+    let context = ActionContext { run: Some(run), who: shift.who.as_deref(), why: None };
+    let runs = app.logged(&caller, "move", context, outcome).await?;
     Ok(Json(Queue { runs }))
 }
 
-/// What a submission would be on this rig; nothing is queued.
-#[utoipa::path(post, path = "/api/v1/preflight", tag = "queue", request_body = Submission,
-    responses((status = 200, body = Preflight), (status = 422, body = ProblemBody)))]
+/// Returns the preflight of a submission on this rig, without queuing it.
+#[utoipa::path(post, operation_id = "preflight_submission",
+    path = "/api/v1/preflight", tag = "queue", request_body = Submission,
+    responses((status = 200, body = Preflight),
+        (status = 422, body = ProblemBody, description = "a file of the submission is invalid")))]
 pub async fn preflight(
     State(app): State<App>,
     Body(submission): Body<Submission>,

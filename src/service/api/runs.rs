@@ -1,4 +1,4 @@
-//! Runs: reading, arming, and every action on them.
+//! Runs: queries, arming, and all actions on them.
 //! Uses: `conductor`, `campaign::shown::command`, `store`. Never: motion.
 
 use axum::extract::{Path, State};
@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::auth::Asker;
+use super::audit::ActionContext;
+use super::auth::Caller;
 use super::problem::{ApiError, Body, Params, ProblemBody};
 use crate::campaign::STOPS;
 use crate::campaign::shown::command::Request;
@@ -18,73 +19,74 @@ use crate::journal::Journal;
 use crate::schedule::preflight::Preflight;
 use crate::store::{Role, RunPage, RunRow, SettingCount, SkipRow};
 
-/// Rows of a page, unless asked otherwise, and at most.
+/// Default number of runs per page.
 const PAGE: u32 = 50;
+/// Largest number of runs per page.
 const LONGEST_PAGE: u32 = 500;
 
-/// Which page.
+/// Selection of a page.
 #[derive(Debug, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 pub struct PageParams {
-    /// Up to so many, at most 500.
+    /// Largest number of runs in a page, 1 to 500, default 50.
     pub limit: Option<u32>,
-    /// `next` of the page before.
+    /// `next` of the previous page.
     pub cursor: Option<i64>,
 }
 
-/// What came of a run.
+/// Results of a run.
 #[derive(Debug, Clone, Serialize, Deserialize, ToSchema)]
 pub struct Summary {
     /// The run.
     pub run: RunRow,
-    /// Trials stored.
+    /// Number of stored trials.
     pub trials_stored: u64,
-    /// Planned trials of configurations that were given up and are not stored.
+    /// Number of planned trials of skipped configurations that are not stored.
     pub trials_skipped: u64,
-    /// Failed attempts.
+    /// Number of failed attempts.
     pub retries: u64,
-    /// Stored trials with 0 to 6 contacts.
+    /// Number of stored trials with 0, 1, .. 6 contacts.
     pub contact_counts: [u64; 7],
-    /// Stored trials of each setting.
+    /// Number of stored trials of each setting.
     pub settings: Vec<SettingCount>,
-    /// Configurations given up, and why.
+    /// Skipped configurations with reasons.
     pub skips: Vec<SkipRow>,
-    /// From its start to its end, wall s; absent before its end.
+    /// Wall time from start to end, s; absent before the end.
     pub duration_s: Option<f64>,
 }
 
-/// An action on a run.
+/// Request for an action on a run.
 #[derive(Debug, Clone, Deserialize, ToSchema)]
-pub struct Act {
-    /// What to do.
+pub struct ActionRequest {
+    /// The action.
     pub action: Action,
     /// For `pause`: `checkpoint` (after the trial, the default) or `now`.
     pub when: Option<When>,
-    /// For `start`: the code that arming gave.
+    /// For `start`: the code that arming returned.
     pub code: Option<String>,
-    /// Who asks, for the log of actions.
+    /// Name of the person, for the log of actions.
     pub who: Option<String>,
-    /// Why, for the log of actions.
+    /// Reason, for the log of actions.
     pub why: Option<String>,
 }
 
-/// What can be done with a run.
+/// Action on a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Action {
-    /// Start an armed run, or go on with an interrupted one.
+    /// Start an armed run, or resume an interrupted one.
     Start,
-    /// Pause it.
+    /// Pause the run.
     Pause,
-    /// Go on after a pause.
+    /// Resume a paused run.
     Resume,
-    /// Finish the trial, raise, end.
+    /// Finish the trial, raise the tips, end the run.
     Stop,
-    /// Raise now, end.
+    /// Raise the tips now, end the run.
     Abort,
-    /// What the run waits for has been done.
+    /// Confirm the work that the run waits for: a tip change or a placement.
     Confirm,
-    /// The last manual trial was bad.
+    /// Repeat the last manual trial.
     Repeat,
 }
 
@@ -101,7 +103,8 @@ impl Action {
         }
     }
 
-    /// The operator lock blocks starting and editing, never stopping; so do roles.
+    /// True if the action needs the role `operator` and respects the operator lock. Stopping never
+    /// does.
     fn needs_lock(self) -> bool {
         match self {
             Action::Start | Action::Resume | Action::Confirm | Action::Repeat => true,
@@ -110,36 +113,39 @@ impl Action {
     }
 }
 
-/// When to pause.
+/// Time at which a pause takes effect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum When {
     /// After the current trial.
     Checkpoint,
-    /// Now.
+    /// Immediately; the run resumes at the current trial.
     Now,
 }
 
-/// Who asks, and why.
+/// Name and reason for the log of actions.
 #[derive(Debug, Clone, Default, Deserialize, ToSchema)]
-pub struct Asked {
-    /// For the log of actions.
+pub struct Attribution {
+    /// Name of the person.
     pub who: Option<String>,
-    /// For the log of actions.
+    /// Reason.
     pub why: Option<String>,
 }
 
-/// An action that was taken up.
+/// Response to an accepted action.
 #[derive(Debug, Serialize, ToSchema)]
-pub struct TakenUp {
-    /// The run.
+pub struct ActionAccepted {
+    /// uid of the run.
     pub run: RunUid,
-    /// For `start`: whether it is under way or waits for the one before it.
+    /// For `start`: whether the run has started or waits for another run.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub started: Option<Started>,
 }
 
-/// A run by its uid or its scan_id.
+/// Finds a run by its uid or scan_id.
+///
+/// # Errors
+/// 422 if `run` is neither, 404 if there is no such run; errors of the store.
 pub async fn find(app: &App, run: &str) -> Result<RunRow, ApiError> {
     let found = if let Ok(scan_id) = run.parse::<i64>() {
         app.store.run_by_scan_id(scan_id).await?
@@ -148,12 +154,14 @@ pub async fn find(app: &App, run: &str) -> Result<RunRow, ApiError> {
     } else {
         return Err(ApiError::value("run", run, "must be a uid or a scan_id"));
     };
-    found.ok_or_else(|| ApiError::not_found(format!("there is no run {run}")))
+    found.ok_or_else(|| ApiError::not_found(format!("no run {run}")))
 }
 
-/// Runs, the newest first.
-#[utoipa::path(get, path = "/api/v1/runs", tag = "runs", params(PageParams),
-    responses((status = 200, body = RunPage)))]
+/// Returns a page of runs, newest first.
+#[utoipa::path(get, operation_id = "list_runs",
+    path = "/api/v1/runs", tag = "runs", params(PageParams),
+    responses((status = 200, body = RunPage),
+        (status = 422, body = ProblemBody, description = "the limit is invalid")))]
 pub async fn list(
     State(app): State<App>,
     Params(page): Params<PageParams>,
@@ -165,10 +173,11 @@ pub async fn list(
     Ok(Json(app.store.runs(limit, page.cursor).await?))
 }
 
-/// One run.
-#[utoipa::path(get, path = "/api/v1/runs/{run}", tag = "runs",
+/// Returns a run.
+#[utoipa::path(get, operation_id = "run", path = "/api/v1/runs/{run}", tag = "runs",
     params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = RunRow), (status = 404, body = ProblemBody)))]
+    responses((status = 200, body = RunRow),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
 pub async fn one(
     State(app): State<App>,
     Path(run): Path<String>,
@@ -176,10 +185,11 @@ pub async fn one(
     Ok(Json(find(&app, &run).await?))
 }
 
-/// What came of a run.
-#[utoipa::path(get, path = "/api/v1/runs/{run}/summary", tag = "runs",
+/// Returns the results of a run.
+#[utoipa::path(get, operation_id = "run_summary", path = "/api/v1/runs/{run}/summary", tag = "runs",
     params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = Summary), (status = 404, body = ProblemBody)))]
+    responses((status = 200, body = Summary),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
 pub async fn summary(
     State(app): State<App>,
     Path(run): Path<String>,
@@ -223,10 +233,12 @@ pub async fn summary(
     }))
 }
 
-/// The preflight of a stored run on this rig.
-#[utoipa::path(get, path = "/api/v1/runs/{run}/preflight", tag = "runs",
+/// Returns the preflight of a stored run on this rig.
+#[utoipa::path(get, operation_id = "run_preflight",
+    path = "/api/v1/runs/{run}/preflight", tag = "runs",
     params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = Preflight), (status = 404, body = ProblemBody)))]
+    responses((status = 200, body = Preflight),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
 pub async fn preflight(
     State(app): State<App>,
     Path(run): Path<String>,
@@ -235,62 +247,76 @@ pub async fn preflight(
     Ok(Json(app.conductor.preflight_of(&run).await?))
 }
 
-/// The first of the two steps of starting: answers with the preflight and a code.
-#[utoipa::path(post, path = "/api/v1/runs/{run}/arm", tag = "runs", request_body = Asked,
+/// Arms a run: checks it and returns the preflight and a code.
+///
+/// This is the first of two steps; the action `start` with the code is the second.
+#[utoipa::path(post, operation_id = "arm_run",
+    path = "/api/v1/runs/{run}/arm", tag = "runs", request_body = Attribution,
     params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = Armed), (status = 409, body = ProblemBody),
-        (status = 422, body = ProblemBody)))]
+    responses((status = 200, body = Armed),
+        (status = 409, body = ProblemBody,
+            description = "the state of rig or run does not allow arming, or another person holds the lock"),
+        (status = 422, body = ProblemBody, description = "the preflight has problems")))]
 pub async fn arm(
     State(app): State<App>,
-    Extension(asker): Extension<Asker>,
+    Extension(caller): Extension<Caller>,
     Path(run): Path<String>,
-    Body(asked): Body<Asked>,
+    Body(stated): Body<Attribution>,
 ) -> Result<Json<Armed>, ApiError> {
     let run = find(&app, &run).await?;
     let outcome = async {
-        app.unlocked(&asker, asked.who.as_deref()).await?;
+        app.unlocked(&caller, stated.who.as_deref()).await?;
         Ok(app.conductor.arm(&run).await?)
     }
     .await;
-    let about = (Some(run.uid), asked.who.as_deref(), asked.why.as_deref());
-    Ok(Json(app.logged(&asker, "arm", about, outcome).await?))
+    let (who, why) = (stated.who.as_deref(), stated.why.as_deref());
+    let context = ActionContext { run: Some(run.uid), who, why };
+    Ok(Json(app.logged(&caller, "arm", context, outcome).await?))
 }
 
-/// An action on a run. The answer says that it was taken up; the status says what was reached.
-#[utoipa::path(post, path = "/api/v1/runs/{run}/actions", tag = "runs", request_body = Act,
+/// Requests an action on a run; the response confirms the request, the status shows its effect.
+#[utoipa::path(post, operation_id = "run_action",
+    path = "/api/v1/runs/{run}/actions", tag = "runs", request_body = ActionRequest,
     description = STOPS,
     params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 202, body = TakenUp), (status = 409, body = ProblemBody)))]
+    responses((status = 202, body = ActionAccepted),
+        (status = 409, body = ProblemBody,
+            description = "the state of the run does not allow the action, or another person holds the lock")))]
 pub async fn act(
     State(app): State<App>,
-    Extension(asker): Extension<Asker>,
+    Extension(caller): Extension<Caller>,
     Path(run): Path<String>,
-    Body(act): Body<Act>,
-) -> Result<(StatusCode, Json<TakenUp>), ApiError> {
+    Body(act): Body<ActionRequest>,
+) -> Result<(StatusCode, Json<ActionAccepted>), ApiError> {
     let run = find(&app, &run).await?;
-    let outcome = take_up(&app, &asker, &run, &act).await;
-    let about = (Some(run.uid), act.who.as_deref(), act.why.as_deref());
-    let started = app.logged(&asker, act.action.name(), about, outcome).await?;
-    Ok((StatusCode::ACCEPTED, Json(TakenUp { run: run.uid, started })))
+    let outcome = request_action(&app, &caller, &run, &act).await;
+    let (who, why) = (act.who.as_deref(), act.why.as_deref());
+    let context = ActionContext { run: Some(run.uid), who, why };
+    let started = app.logged(&caller, act.action.name(), context, outcome).await?;
+    Ok((StatusCode::ACCEPTED, Json(ActionAccepted { run: run.uid, started })))
 }
 
-async fn take_up(
+async fn request_action(
     app: &App,
-    asker: &Asker,
+    caller: &Caller,
     run: &RunRow,
-    act: &Act,
+    act: &ActionRequest,
 ) -> Result<Option<Started>, ApiError> {
     if act.action.needs_lock() {
-        asker.require(Role::Operator)?;
-        app.unlocked(asker, act.who.as_deref()).await?;
+        caller.require(Role::Operator)?;
+        app.unlocked(caller, act.who.as_deref()).await?;
     }
     if act.action == Action::Start {
         let code = act.code.as_deref().unwrap_or_default();
         return Ok(Some(app.conductor.start(run, code).await?));
     }
     if app.campaign.status().run.is_none_or(|r| r.uid != run.uid) {
-        let words =
-            format!("{} is not possible: run {} is {}", act.action.name(), run.scan_id, run.state);
+        let words = format!(
+            "action {}: run {} is {}, not active",
+            act.action.name(),
+            run.scan_id,
+            run.state
+        );
         return Err(ApiError::new(StatusCode::CONFLICT, words));
     }
     let request = match act.action {
@@ -299,7 +325,7 @@ async fn take_up(
         Action::Resume | Action::Start => Request::Resume,
         Action::Stop => Request::Stop,
         Action::Abort => Request::Abort,
-        Action::Confirm => Request::Confirm { who: asker.name(act.who.as_deref()) },
+        Action::Confirm => Request::Confirm { who: caller.name(act.who.as_deref()) },
         Action::Repeat => Request::Repeat { why: act.why.clone().unwrap_or_default() },
     };
     app.campaign.ask(request).await?;

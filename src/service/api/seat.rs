@@ -1,4 +1,4 @@
-//! Seats of connections: what each is doing, which one makes room, which has waited too long.
+//! Seats: one entry per connection, with its state, which decides which connection is closed next.
 //! Uses: tokio's clock and wake-ups. Never: sockets, requests, a wait.
 
 use std::sync::{Arc, Weak};
@@ -9,18 +9,20 @@ use tokio::sync::Notify;
 use tokio::sync::futures::Notified;
 use tokio::time::Instant;
 
-/// Connections at once. A page holds about six, a script one; the rest is room for streams.
+/// Largest number of ordinary connections. A page holds about six, a script one; the rest is for
+/// streams.
 const CONNECTIONS: usize = 512;
-/// Connections beyond these, while all of them are busy, that reach only the stop and /health.
+/// Number of further connections, while all ordinary ones are busy, for the e-stop and /health
+/// only.
 const RESERVED: usize = 32;
-/// Connections at once with those that were told to go and have not gone yet.
-const WITH_LEAVING: usize = 2 * CONNECTIONS;
-/// Longest time for the head of a request: from the connection's begin, or from its first byte.
+/// Largest number of connections including those that are being closed.
+const WITH_CLOSING: usize = 2 * CONNECTIONS;
+/// Longest time for the head of a request, from the start of the connection or from its first byte.
 const HEAD: Duration = Duration::from_secs(5);
-/// Longest time from the end of an answer to the next request.
+/// Longest time from the end of a response to the next request.
 const IDLE: Duration = Duration::from_secs(60);
 
-/// The seats that are taken.
+/// All taken seats.
 #[derive(Default)]
 pub struct Seats {
     taken: Vec<Weak<Seat>>,
@@ -28,47 +30,47 @@ pub struct Seats {
 }
 
 impl Seats {
-    /// Whether one more can be taken in, if need be in the place of one that waits.
+    /// True if another connection can be accepted, possibly after closing an idle one.
     pub fn have_room(&mut self) -> bool {
         self.taken.retain(|seat| seat.strong_count() > 0);
         let most = CONNECTIONS + RESERVED;
-        let one_waits = || self.all().any(|seat| seat.waits_since().is_some());
+        let one_is_idle = || self.all().any(|seat| seat.idle_since().is_some());
         self.taken.len() < most
-            || self.taken.len() < WITH_LEAVING && (self.staying().count() < most || one_waits())
+            || self.taken.len() < WITH_CLOSING && (self.open().count() < most || one_is_idle())
     }
 
-    /// Wakes when a request or a connection has ended.
+    /// Completes when a request or a connection has ended.
     pub fn one_is_freed(&self) -> Notified<'_> {
         self.freed.notified()
     }
 
-    /// A seat for a connection that has come: a reserved one if all others are busy.
+    /// Takes a seat for a new connection: a reserved one if all ordinary ones are busy.
     pub fn take(&mut self) -> Arc<Seat> {
-        let staying = |reserved| self.staying().filter(|s| s.reserved == reserved).count();
-        let reserved = staying(false) >= CONNECTIONS && !self.dismiss_one(|s| !s.reserved);
-        if reserved && staying(true) >= RESERVED {
-            self.dismiss_one(|s| s.reserved);
+        let open = |reserved| self.open().filter(|s| s.reserved == reserved).count();
+        let reserved = open(false) >= CONNECTIONS && !self.close_idlest(|s| !s.reserved);
+        if reserved && open(true) >= RESERVED {
+            self.close_idlest(|s| s.reserved);
         }
         let seat = Arc::new(Seat {
             reserved,
-            doing: Mutex::new(Doing::waits(HEAD)),
-            dismissed: Notify::new(),
+            state: Mutex::new(State::idle(HEAD)),
+            closed: Notify::new(),
             freed: self.freed.clone(),
         });
         self.taken.push(Arc::downgrade(&seat));
         seat
     }
 
-    /// Tells the connection to go that has waited longest without a request. False if none waits.
+    /// Closes the connection that has been idle for longest; false if none is idle.
     pub fn make_room(&self) -> bool {
-        self.dismiss_one(|_| true)
+        self.close_idlest(|_| true)
     }
 
-    /// Tells those to go that have waited too long.
+    /// Closes the connections whose idle time has expired.
     pub fn sweep(&self, now: Instant) {
         for seat in self.all() {
-            if matches!(*seat.doing(), Doing::Waits { until, .. } if until < now) {
-                seat.dismiss();
+            if matches!(*seat.state(), State::Idle { until, .. } if until < now) {
+                seat.close();
             }
         }
     }
@@ -77,102 +79,103 @@ impl Seats {
         self.taken.iter().filter_map(Weak::upgrade)
     }
 
-    /// Those that were not told to go.
-    fn staying(&self) -> impl Iterator<Item = Arc<Seat>> {
-        self.all().filter(|seat| !seat.is_leaving())
+    /// Seats of connections that are not being closed.
+    fn open(&self) -> impl Iterator<Item = Arc<Seat>> {
+        self.all().filter(|seat| !seat.is_closing())
     }
 
-    fn dismiss_one(&self, of: impl Fn(&Seat) -> bool) -> bool {
-        let waiting = self.all().filter(|seat| of(seat));
-        let waiting = waiting.filter_map(|seat| Some((seat.waits_since()?, seat)));
-        let longest = waiting.min_by_key(|(since, _)| *since);
-        longest.is_some_and(|(_, seat)| seat.dismiss())
+    /// Closes the connection that has been idle for longest, of those for which `of` is true.
+    fn close_idlest(&self, of: impl Fn(&Seat) -> bool) -> bool {
+        let idle = self.all().filter(|seat| of(seat));
+        let idle = idle.filter_map(|seat| Some((seat.idle_since()?, seat)));
+        let longest = idle.min_by_key(|(since, _)| *since);
+        longest.is_some_and(|(_, seat)| seat.close())
     }
 }
 
-/// What a connection is doing.
-enum Doing {
-    /// No request is under way: since when, and how long it may be so.
-    Waits { since: Instant, until: Instant },
-    /// A request is under way.
-    Asks,
-    /// It has become a WebSocket, and stays until it ends by itself.
-    Stays,
-    /// It was told to go.
-    Leaves,
+/// State of a connection.
+enum State {
+    /// No request is in progress since `since`; the connection is closed at `until`.
+    Idle { since: Instant, until: Instant },
+    /// A request is in progress.
+    Busy,
+    /// The connection has become a WebSocket; it is not closed from here.
+    Upgraded,
+    /// The connection is being closed.
+    Closing,
 }
 
-impl Doing {
-    fn waits(at_most: Duration) -> Self {
+impl State {
+    fn idle(at_most: Duration) -> Self {
         let since = Instant::now();
-        Self::Waits { since, until: since + at_most }
+        Self::Idle { since, until: since + at_most }
     }
 }
 
-/// The seat of one connection. It is free when the connection and all that is sent over it are gone.
+/// The seat of one connection; free after the connection and the bodies sent over it are dropped.
 pub struct Seat {
     reserved: bool,
-    doing: Mutex<Doing>,
-    dismissed: Notify,
+    state: Mutex<State>,
+    closed: Notify,
     freed: Arc<Notify>,
 }
 
 impl Seat {
-    /// Whether only the stop and /health are reached from here.
+    /// True if the connection may only be used for the e-stop and /health.
     pub fn reserved(&self) -> bool {
         self.reserved
     }
 
-    /// Whether it was told to go, and no request has come since.
-    pub fn is_leaving(&self) -> bool {
-        matches!(*self.doing(), Doing::Leaves)
+    /// True if the connection is being closed, and no request has arrived since.
+    pub fn is_closing(&self) -> bool {
+        matches!(*self.state(), State::Closing)
     }
 
-    /// Waits until it is told to go.
-    pub fn dismissed(&self) -> Notified<'_> {
-        self.dismissed.notified()
+    /// Completes when the connection must be closed.
+    pub fn closed(&self) -> Notified<'_> {
+        self.closed.notified()
     }
 
-    /// It has become a WebSocket.
-    pub fn keep(&self) {
-        *self.doing() = Doing::Stays;
+    /// Records that the connection has become a WebSocket.
+    pub fn upgrade(&self) {
+        *self.state() = State::Upgraded;
     }
 
-    /// Bytes have come: a head that begins must end soon.
-    pub fn bytes_came(&self) {
-        if let Doing::Waits { until, .. } = &mut *self.doing() {
+    /// Records received bytes: the head of a request that begins must be complete within `HEAD`.
+    pub fn bytes_received(&self) {
+        if let State::Idle { until, .. } = &mut *self.state() {
             *until = (*until).min(Instant::now() + HEAD);
         }
     }
 
-    /// Bytes go: the rest of an answer, whose client is there.
-    pub fn bytes_go(&self) {
-        let mut doing = self.doing();
-        if matches!(*doing, Doing::Waits { .. }) {
-            *doing = Doing::waits(IDLE);
+    /// Records sent bytes: while the rest of a response is sent, the idle time starts again.
+    pub fn bytes_sent(&self) {
+        let mut state = self.state();
+        if matches!(*state, State::Idle { .. }) {
+            *state = State::idle(IDLE);
         }
     }
 
-    fn waits_since(&self) -> Option<Instant> {
-        match *self.doing() {
-            Doing::Waits { since, .. } => Some(since),
-            Doing::Asks | Doing::Stays | Doing::Leaves => None,
+    fn idle_since(&self) -> Option<Instant> {
+        match *self.state() {
+            State::Idle { since, .. } => Some(since),
+            State::Busy | State::Upgraded | State::Closing => None,
         }
     }
 
-    /// Tells it to go, if it waits.
-    fn dismiss(&self) -> bool {
-        let mut doing = self.doing();
-        let waits = matches!(*doing, Doing::Waits { .. });
-        if waits {
-            *doing = Doing::Leaves;
-            self.dismissed.notify_one();
+    /// Closes the connection if it is idle; returns whether it was.
+    fn close(&self) -> bool {
+        let mut state = self.state();
+        let idle = matches!(*state, State::Idle { .. });
+        if idle {
+            *state = State::Closing;
+            self.closed.notify_one();
         }
-        waits
+        idle
     }
 
-    fn doing(&self) -> MutexGuard<'_, Doing> {
-        self.doing.lock()
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock()
     }
 }
 
@@ -182,22 +185,22 @@ impl Drop for Seat {
     }
 }
 
-/// A request under way; dropped when its answer has been sent or given up.
-pub struct Asking(Arc<Seat>);
+/// A request in progress; dropped when its response has been sent or dropped.
+pub struct InFlight(Arc<Seat>);
 
-impl Asking {
-    /// A request has come.
+impl InFlight {
+    /// Records that a request has arrived.
     pub fn begin(seat: Arc<Seat>) -> Self {
-        *seat.doing() = Doing::Asks;
+        *seat.state() = State::Busy;
         Self(seat)
     }
 }
 
-impl Drop for Asking {
+impl Drop for InFlight {
     fn drop(&mut self) {
-        let mut doing = self.0.doing();
-        if matches!(*doing, Doing::Asks) {
-            *doing = Doing::waits(IDLE);
+        let mut state = self.0.state();
+        if matches!(*state, State::Busy) {
+            *state = State::idle(IDLE);
             self.0.freed.notify_one();
         }
     }
@@ -212,54 +215,54 @@ mod tests {
     }
 
     #[test]
-    fn the_one_that_waited_longest_makes_room() {
+    fn the_connection_that_is_idle_for_longest_is_closed() {
         let mut seats = Seats::default();
-        let mut sitting: Vec<_> = (0..CONNECTIONS).map(|_| seats.take()).collect();
-        let busy = Asking::begin(sitting[0].clone());
-        sitting.push(seats.take());
-        assert!(seats.have_room() && reserved(&sitting) == 0);
-        let leaving: Vec<bool> = sitting.iter().map(|seat| seat.is_leaving()).collect();
-        assert_eq!(leaving.iter().filter(|leaves| **leaves).count(), 1);
-        assert!(!leaving[0] && !leaving[CONNECTIONS], "neither a busy one nor the newest");
+        let mut taken: Vec<_> = (0..CONNECTIONS).map(|_| seats.take()).collect();
+        let busy = InFlight::begin(taken[0].clone());
+        taken.push(seats.take());
+        assert!(seats.have_room() && reserved(&taken) == 0);
+        let closing: Vec<bool> = taken.iter().map(|seat| seat.is_closing()).collect();
+        assert_eq!(closing.iter().filter(|closes| **closes).count(), 1);
+        assert!(!closing[0] && !closing[CONNECTIONS], "neither a busy one nor the newest");
         drop(busy);
     }
 
     #[test]
-    fn busy_ones_leave_the_reserved_seats_to_the_stop() {
+    fn reserved_seats_stay_available_while_all_connections_are_busy() {
         let mut seats = Seats::default();
-        let sitting: Vec<_> = (0..CONNECTIONS).map(|_| seats.take()).collect();
-        let busy: Vec<_> = sitting.iter().cloned().map(Asking::begin).collect();
-        // Those that come and wait push each other out, and none gets an ordinary seat.
+        let ordinary: Vec<_> = (0..CONNECTIONS).map(|_| seats.take()).collect();
+        let busy: Vec<_> = ordinary.iter().cloned().map(InFlight::begin).collect();
+        // Idle newcomers replace each other, and none gets an ordinary seat.
         let late: Vec<_> = (0..3 * RESERVED).map(|_| seats.take()).collect();
         assert_eq!(reserved(&late), late.len());
-        assert_eq!(late.iter().filter(|seat| !seat.is_leaving()).count(), RESERVED);
+        assert_eq!(late.iter().filter(|seat| !seat.is_closing()).count(), RESERVED);
         assert!(seats.have_room());
-        let asking: Vec<_> = late[2 * RESERVED..].iter().cloned().map(Asking::begin).collect();
+        let stops: Vec<_> = late[2 * RESERVED..].iter().cloned().map(InFlight::begin).collect();
         drop(late);
-        assert!(!seats.have_room(), "nobody waits");
-        drop(asking);
+        assert!(!seats.have_room(), "no connection is idle");
+        drop(stops);
         drop(busy);
         assert!(seats.have_room() && !seats.take().reserved());
     }
 
     #[test]
-    fn heads_and_idle_connections_have_their_time_and_streams_all_of_it() {
+    fn heads_and_idle_connections_have_a_time_limit_and_streams_have_none() {
         let mut seats = Seats::default();
         let [silent, slow, idle, stream, socket] = std::array::from_fn(|_| seats.take());
-        let _streaming = Asking::begin(stream.clone());
-        Asking::begin(socket.clone()).0.keep();
-        drop(Asking::begin(idle.clone()));
-        drop(Asking::begin(slow.clone()));
-        slow.bytes_came();
+        let _streaming = InFlight::begin(stream.clone());
+        InFlight::begin(socket.clone()).0.upgrade();
+        drop(InFlight::begin(idle.clone()));
+        drop(InFlight::begin(slow.clone()));
+        slow.bytes_received();
         let start = Instant::now();
-        let gone_after = |time: Duration| {
+        let closed_after = |time: Duration| {
             seats.sweep(start + time);
-            [&silent, &slow, &idle, &stream, &socket].map(|seat| seat.is_leaving())
+            [&silent, &slow, &idle, &stream, &socket].map(|seat| seat.is_closing())
         };
-        assert_eq!(gone_after(HEAD / 2), [false; 5]);
+        assert_eq!(closed_after(HEAD / 2), [false; 5]);
         let late = Duration::from_millis(1);
-        assert_eq!(gone_after(HEAD + late), [true, true, false, false, false]);
-        assert_eq!(gone_after(IDLE + late), [true, true, true, false, false]);
-        assert_eq!(gone_after(10 * IDLE), [true, true, true, false, false]);
+        assert_eq!(closed_after(HEAD + late), [true, true, false, false, false]);
+        assert_eq!(closed_after(IDLE + late), [true, true, true, false, false]);
+        assert_eq!(closed_after(10 * IDLE), [true, true, true, false, false]);
     }
 }

@@ -1,4 +1,4 @@
-//! Files on their way out: ranges, entity tags, sha256; and rows in whatever format is asked for.
+//! Responses with files (ranges, entity tags, sha256) and with rows in the requested format.
 //! Uses: tower-http's file service, `dataset::format`. Never: a file that can still change.
 
 use std::io::Write;
@@ -20,39 +20,51 @@ use crate::dataset::error::DatasetError;
 use crate::dataset::export::ExportFile;
 use crate::dataset::format::{Format, Stream};
 
-/// The media type of a format's answers.
+/// Media type of a format, as a header value.
 fn media_type(format: Format) -> HeaderValue {
     HeaderValue::from_static(format.media_type())
 }
 
-/// Sends a file, or the part of it that is asked for. Its entity tag is its sha256, so that what was
-/// fetched in pieces belongs together. `immutable` where the address can never mean another file.
+/// Name and lifetime of a downloaded file.
+#[derive(Debug, Clone, Copy)]
+pub struct Download<'a> {
+    /// File name shown to the client.
+    pub name: &'a str,
+    /// True if the address always returns the same file.
+    pub immutable: bool,
+}
+
+/// Returns a file, or the requested part of it. The entity tag is the sha256 of the file, so that
+/// parts of different files are never combined.
+///
+/// # Errors
+/// 500 if the file cannot be read.
 pub async fn file(
     mut request: Request,
     export_file: &ExportFile,
     format: Format,
-    (name, immutable): (&str, bool),
+    Download { name, immutable }: Download<'_>,
 ) -> Result<Response, ApiError> {
     let tag = format!("\"{}\"", export_file.sha256);
     let unchanged = text(request.headers(), &header::IF_NONE_MATCH).is_some_and(|tags| {
         tags == "*" || tags.split(',').any(|known| known.trim().trim_start_matches("W/") == tag)
     });
     if text(request.headers(), &header::IF_RANGE).is_some_and(|wanted| wanted != tag) {
-        // The rest of another file would not fit: the whole of this one is sent instead.
+        // The client has parts of another file: the whole file is sent.
         request.headers_mut().remove(header::RANGE);
     }
-    // Other units than bytes are to be ignored (RFC 9110, 14.2).
+    // Units other than bytes must be ignored (RFC 9110, 14.2).
     if text(request.headers(), &header::RANGE).is_some_and(|range| !range.starts_with("bytes=")) {
         request.headers_mut().remove(header::RANGE);
     }
-    // The tag decides, not the time of the file.
+    // Only the tag is compared, not the time of the file.
     for name in [header::IF_RANGE, header::IF_NONE_MATCH, header::IF_MODIFIED_SINCE] {
         request.headers_mut().remove(name);
     }
     let mut response = if unchanged {
         StatusCode::NOT_MODIFIED.into_response()
     } else {
-        let mime = format.media_type().parse().map_err(|_| internal("a media type"))?;
+        let mime = format.media_type().parse().map_err(|_| internal("invalid media type"))?;
         let sent = ServeFile::new_with_mime(&export_file.path, &mime).try_call(request).await;
         sent.map_err(|error| internal(&error.to_string()))?.map(Body::new)
     };
@@ -77,13 +89,13 @@ fn text<'h>(headers: &'h HeaderMap, name: &HeaderName) -> Option<&'h str> {
     headers.get(name)?.to_str().ok()
 }
 
-/// The digest as RFC 9530 writes it; `None` where the text is not hexadecimal.
+/// Digest in the form of RFC 9530; `None` if the text is not hexadecimal.
 fn digest(sha256: &str) -> Option<String> {
     let bytes = hex::decode(sha256).ok()?;
     Some(format!("sha-256=:{}:", base64::engine::general_purpose::STANDARD.encode(bytes)))
 }
 
-/// The format that an `Accept` header names, where it names one.
+/// Returns the format that an `Accept` header names; `None` if it names none.
 pub fn accepted(headers: &HeaderMap) -> Option<Format> {
     let accept = headers.get(header::ACCEPT)?.to_str().ok()?;
     let types: Vec<&str> =
@@ -93,12 +105,12 @@ pub fn accepted(headers: &HeaderMap) -> Option<Format> {
         .find(|format| types.iter().any(|name| format.media_type().split(';').next() == Some(name)))
 }
 
-/// What a stream of rows has written and nobody has taken yet.
+/// Output buffer of a stream of rows, emptied piece by piece. Clones share it.
 #[derive(Debug, Clone, Default)]
 pub struct Piece(Arc<Mutex<Vec<u8>>>);
 
 impl Piece {
-    /// Takes what has been written so far.
+    /// Removes and returns the buffered bytes.
     pub fn take(&self) -> Vec<u8> {
         std::mem::take(&mut self.0.lock())
     }
@@ -115,7 +127,10 @@ impl Write for Piece {
     }
 }
 
-/// Some batches as an answer in a format that streams; `next` is the cursor of the page after it.
+/// Returns batches as a response in a row format; `next` is the cursor of the next page.
+///
+/// # Errors
+/// An error of the format if a batch cannot be encoded, or for NPZ.
 pub fn batches(
     format: Format,
     schema: &SchemaRef,
@@ -132,13 +147,16 @@ pub fn batches(
     Ok(with_headers(format, next, Body::from(out()?)))
 }
 
-/// Lines of JSON as values of an answer.
+/// Splits JSON lines into raw values.
+///
+/// # Errors
+/// `DatasetError::Json` if a line is not valid JSON.
 pub fn values(lines: &[u8]) -> Result<Vec<Box<RawValue>>, DatasetError> {
     let lines = lines.split(|&byte| byte == b'\n').filter(|line| !line.is_empty());
     lines.map(serde_json::from_slice).collect::<Result<_, _>>().map_err(DatasetError::Json)
 }
 
-/// An answer in a format, with the cursor of the page after it.
+/// Returns a response with the media type of a format and the cursor of the next page.
 pub fn with_headers(format: Format, next: Option<String>, body: Body) -> Response {
     let mut response = body.into_response();
     response.headers_mut().insert(header::CONTENT_TYPE, media_type(format));

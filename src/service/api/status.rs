@@ -1,4 +1,4 @@
-//! `GET /api/v1/status`: where rig, run and service stand.
+//! `GET /api/v1/status`: snapshot of rig, run and service.
 //! Uses: `campaign::shown::status`, `store`. Never: a wait for the rig.
 
 use axum::Json;
@@ -12,41 +12,41 @@ use super::problem::ApiError;
 use crate::campaign::shown::status::Status;
 use crate::store::LockRow;
 
-/// Everything that a first look needs.
+/// Status of rig, run and service.
 #[derive(Debug, Clone, Serialize, ToSchema)]
 pub struct ServiceStatus {
-    /// Rig and run.
+    /// Status of rig and run.
     #[serde(flatten)]
     pub campaign: Status,
-    /// The service.
-    pub service: About,
-    /// The operator lock, while it is held.
+    /// Version and process of the service.
+    pub service: ServiceInfo,
+    /// The operator lock; absent if it is free.
     pub lock: Option<LockRow>,
-    /// Runs that wait in the queue.
+    /// Number of runs in the queue.
     pub queue_length: usize,
 }
 
-/// The service itself.
+/// Version and process of the service.
 #[derive(Debug, Clone, Serialize, ToSchema)]
-pub struct About {
+pub struct ServiceInfo {
     /// Version of the program.
     pub version: &'static str,
-    /// Commit of the program, where it is known.
+    /// Commit of the program; absent if it is unknown.
     pub git_commit: Option<&'static str>,
-    /// The database file.
+    /// Path of the database file.
     pub database: String,
-    /// Since when it runs.
+    /// Time of the start of the service.
     #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
-    /// Its process.
+    /// Process id.
     pub pid: u32,
 }
 
-/// Where rig, run and service stand.
+/// Returns the status of rig, run and service.
 #[utoipa::path(get, path = "/api/v1/status", tag = "status",
     responses((status = 200, body = ServiceStatus)))]
 pub async fn status(State(app): State<App>) -> Result<Json<ServiceStatus>, ApiError> {
-    let service = About {
+    let service = ServiceInfo {
         version: env!("CARGO_PKG_VERSION"),
         git_commit: crate::commit::known(),
         database: app.store.path().display().to_string(),

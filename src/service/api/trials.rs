@@ -1,4 +1,4 @@
-//! Trials, their frames, and the other records of a run.
+//! Trials, their frames, and the bench records of a run.
 //! Uses: `store`. Never: a write.
 
 use arrow_schema::SchemaRef;
@@ -17,7 +17,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::params::TrialParams;
 use super::problem::{ApiError, ProblemBody};
-use super::query::{TrialsWanted, trial_query};
+use super::query::{TrialsRequest, trial_query};
 use super::runs::find;
 use super::send;
 use crate::dataset::batch::{self, Row};
@@ -30,9 +30,9 @@ use crate::problem::Problem;
 use crate::store::table::{Column, Of};
 use crate::store::{Order, TrialQuery, TrialRow};
 
-/// Trials of a piece of a page.
-const ROWS_AT_ONCE: usize = 500;
-/// Pieces that are read at a time.
+/// Number of trials per piece of a page.
+const PIECE_ROWS: usize = 500;
+/// Number of pieces that are read concurrently.
 const READS: usize = 3;
 
 /// A page of trials.
@@ -40,32 +40,34 @@ const READS: usize = 3;
 pub struct TrialPage {
     /// The trials.
     pub trials: Vec<TrialRow>,
-    /// Hand this in as `cursor` for the page that follows; absent on the last.
+    /// Value of `cursor` for the next page; null on the last page.
     pub next: Option<i64>,
 }
 
 /// A raw frame of a trial.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct FrameOut {
-    /// Counter of the device.
+    /// Frame counter of the device.
     pub sequence: u32,
     /// Device time of the first sample, microseconds.
     pub device_time_us: u64,
-    /// Scale of the counts, V.
+    /// Scale of the counts, V per count.
     pub volts_per_count: f32,
-    /// Raw counts, injection-major.
+    /// Raw counts, one per channel, injection-major.
     pub counts: Vec<i16>,
-    /// The same in volts.
+    /// Voltages, V, one per channel, injection-major.
     pub voltages_v: Vec<f32>,
 }
 
 type Pairs = Query<Vec<(String, String)>>;
 
-/// Trials of a run, in the order in which they were stored. A page in another format than JSON has the
-/// cursor of the next one in the header `x-next-cursor`.
-#[utoipa::path(get, path = "/api/v1/runs/{run}/trials", tag = "trials",
+/// Returns a page of the trials of a run, in the order of storing.
+///
+/// In a format other than JSON the cursor of the next page is in the header `x-next-cursor`.
+#[utoipa::path(get, operation_id = "run_trials", path = "/api/v1/runs/{run}/trials", tag = "trials",
     params(("run" = String, Path, description = "uid or scan_id"), TrialParams),
-    responses((status = 200, body = TrialPage), (status = 400, body = ProblemBody)))]
+    responses((status = 200, body = TrialPage),
+        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid")))]
 pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,
@@ -76,9 +78,13 @@ pub async fn of_run(
     page(&app, Some(run), &pairs, &headers).await
 }
 
-/// Trials of all runs, in the order in which they were stored.
-#[utoipa::path(get, path = "/api/v1/trials", tag = "trials", params(TrialParams),
-    responses((status = 200, body = TrialPage), (status = 400, body = ProblemBody)))]
+/// Returns a page of the trials of all runs, in the order of storing.
+///
+/// In a format other than JSON the cursor of the next page is in the header `x-next-cursor`.
+#[utoipa::path(get, operation_id = "list_trials",
+    path = "/api/v1/trials", tag = "trials", params(TrialParams),
+    responses((status = 200, body = TrialPage),
+        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid")))]
 pub async fn all(
     State(app): State<App>,
     Query(pairs): Pairs,
@@ -93,7 +99,7 @@ async fn page(
     pairs: &[(String, String)],
     headers: &HeaderMap,
 ) -> Result<Response, ApiError> {
-    let TrialsWanted { query, wanted, format } =
+    let TrialsRequest { query, wanted, format } =
         trial_query(run, pairs).map_err(ApiError::bad_query)?;
     if let Some(format) = format.or_else(|| send::accepted(headers)) {
         let Table { pieces, next } = table(app, query, &wanted, format).await?;
@@ -102,7 +108,7 @@ async fn page(
     json_page(app, query, &wanted).await
 }
 
-/// The same as JSON: whole trials, or those of their columns that are wanted.
+/// A page as JSON: complete trials, or the requested columns.
 async fn json_page(app: &App, query: TrialQuery, wanted: &Wanted) -> Result<Response, ApiError> {
     if wanted.columns.is_empty() && wanted.slice.is_none() {
         let trials = app.store.trials(&query).await?;
@@ -110,7 +116,8 @@ async fn json_page(app: &App, query: TrialQuery, wanted: &Wanted) -> Result<Resp
         let next = trials.last().filter(|_| full).map(|t| t.trial_id.0);
         return Ok(Json(TrialPage { trials, next }).into_response());
     }
-    let Checked { ids, next, selection, with_voltages, .. } = checked(app, &query, wanted).await?;
+    let CheckedPage { ids, next, selection, with_voltages, .. } =
+        checked(app, &query, wanted).await?;
     let mut trials = match with_voltages {
         true => app.store.trials_with_voltages(&ids).await?,
         false => app.store.trials_of(&ids).await?,
@@ -118,25 +125,25 @@ async fn json_page(app: &App, query: TrialQuery, wanted: &Wanted) -> Result<Resp
     if query.order == Order::NewestFirst {
         trials.reverse();
     }
-    let chosen = |trial| Chosen { trial, selection: &selection };
-    let page = ChosenPage { trials: trials.iter().map(chosen).collect(), next };
+    let chosen = |trial| SelectedTrial { trial, selection: &selection };
+    let page = SelectedPage { trials: trials.iter().map(chosen).collect(), next };
     Ok(Json(page).into_response())
 }
 
-/// A page of some columns.
+/// A page of selected columns.
 #[derive(Serialize)]
-struct ChosenPage<'a> {
-    trials: Vec<Chosen<'a>>,
+struct SelectedPage<'a> {
+    trials: Vec<SelectedTrial<'a>>,
     next: Option<i64>,
 }
 
-/// The wanted columns of a trial, as JSON.
-struct Chosen<'a> {
+/// The selected columns of a trial, serialised as JSON.
+struct SelectedTrial<'a> {
     trial: &'a TrialRow,
     selection: &'a Selection,
 }
 
-impl Serialize for Chosen<'_> {
+impl Serialize for SelectedTrial<'_> {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         let fields = self.selection.schema().fields();
         let mut row = to.serialize_map(Some(fields.len()))?;
@@ -163,10 +170,11 @@ impl Serialize for Chosen<'_> {
     }
 }
 
-/// A page in the columns of the trials table, in pieces as they are read and written, so that a
-/// page of frames takes no more memory than some of its rows; and the cursor of the next.
+/// A page in a row format, encoded in pieces while it is sent, so that only a few pieces are in
+/// memory.
 struct Table {
     pieces: ReceiverStream<std::io::Result<Vec<u8>>>,
+    /// Cursor of the next page.
     next: Option<String>,
 }
 
@@ -177,10 +185,10 @@ async fn table(
     format: Format,
 ) -> Result<Table, ApiError> {
     if format == Format::Npz {
-        let limit = "pages come as json, ndjson, csv, parquet or arrow";
+        let limit = "must be json, ndjson, csv, parquet or arrow for pages";
         return Err(ApiError::bad_query(vec![Problem::new("query", "format", "npz", limit)]));
     }
-    let Checked { ids, next, table, selection, with_voltages } =
+    let CheckedPage { ids, next, table, selection, with_voltages } =
         checked(app, &query, wanted).await?;
     let next = next.map(|next| next.to_string());
     let piece = send::Piece::default();
@@ -190,7 +198,7 @@ async fn table(
     let store = app.store.clone();
     tokio::spawn(async move {
         let mut work = async || -> Result<(), DatasetError> {
-            let chunks: Vec<Vec<TrialId>> = ids.chunks(ROWS_AT_ONCE).map(<[_]>::to_vec).collect();
+            let chunks: Vec<Vec<TrialId>> = ids.chunks(PIECE_ROWS).map(<[_]>::to_vec).collect();
             let frames = with_voltages;
             let reads = chunks.into_iter().map(|chunk| {
                 let store = store.clone();
@@ -212,7 +220,7 @@ async fn table(
                 let batch = selection.apply(&batch::of_trials(&table, &rows)?, None)?;
                 stream.push(&batch)?;
                 if sender.send(Ok(piece.take())).await.is_err() {
-                    // Who asked has gone.
+                    // The client has disconnected.
                     return Ok(());
                 }
             }
@@ -223,14 +231,14 @@ async fn table(
             Err(error) => Err(error),
         };
         let last = ended.map_err(|error| std::io::Error::other(error.to_string()));
-        // Who asked may have gone.
+        // The client may have disconnected.
         let _ = sender.send(last).await;
     });
     Ok(Table { pieces: ReceiverStream::new(pieces), next })
 }
 
-/// A page whose columns were checked before its trials are read.
-struct Checked {
+/// The ids of a page, with its checked columns.
+struct CheckedPage {
     ids: Vec<TrialId>,
     next: Option<i64>,
     table: SchemaRef,
@@ -238,7 +246,7 @@ struct Checked {
     with_voltages: bool,
 }
 
-async fn checked(app: &App, query: &TrialQuery, wanted: &Wanted) -> Result<Checked, ApiError> {
+async fn checked(app: &App, query: &TrialQuery, wanted: &Wanted) -> Result<CheckedPage, ApiError> {
     let ids = app.store.trial_ids(query).await?;
     let next = ids.last().filter(|_| ids.len() == query.limit as usize).map(|id| id.0);
     let frames = |name: &String| Column::find(name).is_some_and(Column::is_frame);
@@ -249,14 +257,15 @@ async fn checked(app: &App, query: &TrialQuery, wanted: &Wanted) -> Result<Check
     };
     if lengths.len() > 1 {
         let words = format!(
-            "these trials have frames of {lengths:?} voltages, which make no table: name a run"
+            "the trials of this page have frames of {lengths:?} voltages, a table must have one \
+             length: select a run"
         );
         return Err(ApiError::new(StatusCode::CONFLICT, words));
     }
     let channels = lengths.first().map_or(schema::CHANNELS, |&length| length as i32);
     let table = trials_schema(channels, with_voltages);
     let selection = Selection::new(wanted, &table, None).map_err(ApiError::bad_query)?;
-    Ok(Checked { ids, next, table, selection, with_voltages })
+    Ok(CheckedPage { ids, next, table, selection, with_voltages })
 }
 
 /// The columns of stored trials; frames only where they are requested.
@@ -267,29 +276,40 @@ fn trials_schema(channels: i32, with_voltages: bool) -> SchemaRef {
     SchemaRef::new(arrow_schema::Schema::new(fields.cloned().collect::<Vec<_>>()))
 }
 
-/// One trial, with its mean voltages.
-#[utoipa::path(get, path = "/api/v1/trials/{trial}", tag = "trials",
-    params(("trial" = i64, Path, description = "its id")),
-    responses((status = 200, body = TrialRow), (status = 404, body = ProblemBody)))]
+/// Returns a trial with its mean voltages.
+#[utoipa::path(get, operation_id = "trial", path = "/api/v1/trials/{trial}", tag = "trials",
+    params(("trial" = i64, Path, description = "id of the trial")),
+    responses((status = 200, body = TrialRow),
+        (status = 404, body = ProblemBody, description = "no trial has this id")))]
 pub async fn one(
     State(app): State<App>,
     Path(trial): Path<i64>,
 ) -> Result<Json<TrialRow>, ApiError> {
     let found = app.store.trial_by_id(TrialId(trial)).await?;
-    Ok(Json(found.ok_or_else(|| ApiError::not_found(format!("there is no trial {trial}")))?))
+    Ok(Json(found.ok_or_else(|| ApiError::not_found(format!("no trial {trial}")))?))
 }
 
-/// The raw frames of a trial.
-#[utoipa::path(get, path = "/api/v1/trials/{trial}/frames", tag = "trials",
-    params(("trial" = i64, Path, description = "its id")),
-    responses((status = 200, body = Vec<FrameOut>), (status = 404, body = ProblemBody)))]
+/// Returns the raw frames of a trial.
+///
+/// Imported trials have none.
+#[utoipa::path(get, operation_id = "trial_frames",
+    path = "/api/v1/trials/{trial}/frames", tag = "trials",
+    params(("trial" = i64, Path, description = "id of the trial")),
+    responses((status = 200, body = Vec<FrameOut>),
+        (status = 404, body = ProblemBody, description = "no trial has this id, or it has no raw frames")))]
 pub async fn frames(
     State(app): State<App>,
     Path(trial): Path<i64>,
 ) -> Result<Json<Vec<FrameOut>>, ApiError> {
     let frames = app.store.frames(TrialId(trial)).await?;
     if frames.is_empty() {
-        return Err(ApiError::not_found(format!("there is no trial {trial}")));
+        let words = match app.store.trial_by_id(TrialId(trial)).await? {
+            Some(_) => {
+                format!("trial {trial} has no raw frames: only its mean voltages are stored")
+            }
+            None => format!("no trial {trial}"),
+        };
+        return Err(ApiError::not_found(words));
     }
     let out = frames.into_iter().map(|f| FrameOut {
         sequence: f.sequence,
@@ -301,11 +321,13 @@ pub async fn frames(
     Ok(Json(out.collect()))
 }
 
-/// The other records of a run: `attempts`, `tares`, `touch-offs` or `references`.
+/// Returns the bench records of a run: attempts, tares, touch-offs or references.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/records/{kind}", tag = "trials",
     params(("run" = String, Path, description = "uid or scan_id"),
         ("kind" = String, Path, description = "attempts, tares, touch-offs or references")),
-    responses((status = 200, body = Vec<Object>), (status = 404, body = ProblemBody)))]
+    responses((status = 200, body = Vec<Object>),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
+        (status = 422, body = ProblemBody, description = "the kind is unknown")))]
 pub async fn bench_records(
     State(app): State<App>,
     Path((run, kind)): Path<(String, String)>,

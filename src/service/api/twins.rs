@@ -1,5 +1,5 @@
-//! Simulated twins: where the pool stands, and how far each run's twins are.
-//! Uses: `simulate::twins`, `store`. Never: a computation.
+//! Simulated twins: status of the pool, and progress for each run.
+//! Uses: `twins`, `store`. Never: a computation.
 
 use axum::Json;
 use axum::extract::{Path, State};
@@ -13,27 +13,27 @@ use crate::ids::RunUid;
 use crate::store::TwinCount;
 use crate::twins::PoolStatus;
 
-/// Runs that are counted, newest first: counting one of 33,000 trials takes some 20 ms.
+/// Number of runs that are counted, newest first: counting 33,000 trials takes about 20 ms.
 const RUNS: usize = 10;
 
-/// The twins of a service.
+/// Status of the simulated twins.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Twins {
-    /// The pool that makes them.
+    /// Status of the pool that simulates twins.
     pub pool: PoolStatus,
-    /// The newest runs with trials.
+    /// The newest 10 runs with trials, newest first.
     pub runs: Vec<RunTwins>,
 }
 
-/// The twins of a run.
+/// Number of twins of a run.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct RunTwins {
-    /// The run.
+    /// uid of the run.
     pub run: RunUid,
-    /// How far they are.
+    /// Number of trials, twins and failures.
     #[serde(flatten)]
     pub count: TwinCount,
-    /// Trials that wait for theirs.
+    /// Number of trials without twin and without failure.
     pub pending: u64,
 }
 
@@ -44,8 +44,8 @@ impl RunTwins {
     }
 }
 
-/// Where the simulated twins stand.
-#[utoipa::path(get, path = "/api/v1/twins", tag = "simulation",
+/// Returns the status of the simulated twins.
+#[utoipa::path(get, operation_id = "twins", path = "/api/v1/twins", tag = "simulation",
     responses((status = 200, body = Twins)))]
 pub async fn all(State(app): State<App>) -> Result<Json<Twins>, ApiError> {
     let mut runs = Vec::new();
@@ -55,10 +55,12 @@ pub async fn all(State(app): State<App>) -> Result<Json<Twins>, ApiError> {
     Ok(Json(Twins { pool: app.twins.status(), runs }))
 }
 
-/// How far the twins of one run are.
-#[utoipa::path(get, path = "/api/v1/runs/{run}/twins", tag = "simulation",
+/// Returns the number of twins of a run.
+#[utoipa::path(get, operation_id = "run_twins",
+    path = "/api/v1/runs/{run}/twins", tag = "simulation",
     params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = RunTwins), (status = 404, body = ProblemBody)))]
+    responses((status = 200, body = RunTwins),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
 pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,

@@ -1,5 +1,5 @@
-//! Requests carried out on other threads than the door's, and their answers on the way back to it.
-//! Uses: the router, a runtime. Never: more than a few pieces of an answer ahead of its client.
+//! Handles requests on other threads than the door's, and returns their responses to it.
+//! Uses: the router, a runtime. Never: more than a few pieces of a response ahead of its client.
 
 use std::io;
 
@@ -14,17 +14,20 @@ use tokio::task::JoinSet;
 use tokio_stream::wrappers::ReceiverStream;
 use tower_service::Service;
 
-/// Pieces of an answer that may wait for the door.
+/// Largest number of pieces of a response that wait for the door.
 const PIECES_AHEAD: usize = 2;
 
-/// The task that makes an answer; it ends when this is dropped.
+/// The task that produces a response; it is aborted when this value is dropped.
 pub struct Work {
     _task: JoinSet<()>,
 }
 
-/// Carries a request out on a runtime. A body that is made piece by piece is made there, too, as
-/// its client takes it. Fails when the handler panicked, or the runtime has ended.
-pub async fn carry_out(
+/// Handles a request on a runtime. A streamed body is also produced there, at the pace of its
+/// client.
+///
+/// # Errors
+/// If the handler panics, or the runtime has ended.
+pub async fn handle(
     runtime: &Handle,
     mut router: Router,
     request: Request<Incoming>,
@@ -34,14 +37,14 @@ pub async fn carry_out(
     let work = async move {
         let Ok(response) = router.call(request).await;
         if response.body().size_hint().exact().is_some() {
-            // It is all there. The asker may have gone.
+            // The body is complete. The caller may have been dropped.
             let _ = answer.send(response);
             return;
         }
         let (head, body) = response.into_parts();
         let (pieces, taken) = mpsc::channel(PIECES_AHEAD);
-        let body_there = Body::from_stream(ReceiverStream::new(taken));
-        if answer.send(Response::from_parts(head, body_there)).is_err() {
+        let streamed = Body::from_stream(ReceiverStream::new(taken));
+        if answer.send(Response::from_parts(head, streamed)).is_err() {
             return;
         }
         let mut body = body.into_data_stream();
@@ -52,6 +55,7 @@ pub async fn carry_out(
         }
     };
     task.spawn_on(work, runtime);
-    let response = answered.await.map_err(|_| io::Error::other("a request was given up"))?;
+    let response =
+        answered.await.map_err(|_| io::Error::other("a request ended without a response"))?;
     Ok((response, Work { _task: task }))
 }

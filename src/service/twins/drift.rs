@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn a_change_of_level_is_said_once() {
+    fn a_change_of_level_is_reported_once() {
         let mut watch = DriftWatch::new(LIMITS, 2);
         let levels: Vec<Option<Level>> = (0..40)
             .map(|n| {
@@ -209,14 +209,14 @@ mod tests {
                 watch.push(pairing(n, fvu, 0.0)).map(|fit| fit.level)
             })
             .collect();
-        let said: Vec<(usize, Level)> =
+        let changes: Vec<(usize, Level)> =
             levels.iter().enumerate().filter_map(|(n, level)| Some((n, (*level)?))).collect();
         // The median of ten passes a limit when more than half of them have.
-        assert_eq!(said, [(15, Level::Warn), (24, Level::Ok)]);
+        assert_eq!(changes, [(15, Level::Warn), (24, Level::Ok)]);
     }
 
     #[test]
-    fn a_suspended_window_is_forgotten() {
+    fn the_window_is_cleared_after_a_suspension() {
         let mut watch = DriftWatch::new(LIMITS, 2);
         let suspended = (0..30).filter(|n| {
             watch.push(pairing(*n, 0.9, 0.0)).is_some_and(|fit| fit.level == Level::Suspend)
@@ -226,14 +226,14 @@ mod tests {
     }
 
     #[test]
-    fn a_bad_pair_is_named_and_light_trials_say_nothing() {
+    fn a_bad_pair_is_named_and_light_trials_are_ignored() {
         let mut watch = DriftWatch::new(LIMITS, 2);
         for n in 0..20 {
             let light = Pairing { max_force_n: 9.0, ..pairing(n, 5.0, 9.0) };
             assert_eq!(watch.push(light), None);
         }
-        let said: Vec<_> = (0..5).filter_map(|n| watch.push(pairing(n, 0.1, 3.0))).collect();
-        let [fit] = &said[..] else { panic!("said once: {said:?}") };
+        let changes: Vec<_> = (0..5).filter_map(|n| watch.push(pairing(n, 0.1, 3.0))).collect();
+        let [fit] = &changes[..] else { panic!("one change: {changes:?}") };
         assert_eq!((fit.level, fit.pairs_over_limit), (Level::Warn, 1));
         assert_eq!(fit.worst_pairs[0].electrodes, [1, 0]);
         assert!(fit.describe(&LIMITS).contains("worst 1 and 0"), "{}", fit.describe(&LIMITS));

@@ -200,8 +200,8 @@ impl ForceMap {
     ///
     /// `map` is row-major, `pixels x pixels`: `map[row * pixels + column]`, row 0 at the least y,
     /// column 0 at the least x; N per pixel. What a contact adds sums to its force. Only pixels
-    /// that its disc overlaps are written. If a part of a disc is outside the square (on the default
-    /// skin only discs above 80 mm), the other part carries the whole force.
+    /// that its disc overlaps are written. If a part of a disc is outside the square (on the
+    /// default skin only discs above 80 mm), the other part carries the whole force.
     ///
     /// # Errors
     /// `ForceMapError::Contact` if the disc of a contact is outside the square, or a value is not

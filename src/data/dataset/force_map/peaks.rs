@@ -13,14 +13,16 @@
 //!    at or above half of its largest pixel (full width at half maximum).
 //!
 //! Pixels that differ by less than one millionth are equal: a disc rendered in f32 is flat to a few
-//! 1e-7. Pixels that are negative or not finite count as 0: they carry no force and connect nothing.
+//! 1e-7. Pixels that are negative or not finite count as 0: they carry no force and connect
+//! nothing.
 
 use std::f64::consts::{PI, SQRT_2};
 
 use super::ForceMap;
 use crate::store::Contact;
 
-/// Radius of the neighbourhood in which a peak is the maximum, and over which its force is summed, mm.
+/// Radius of the neighbourhood in which a peak is the maximum, and over which its force is summed,
+/// mm.
 pub const NEIGHBOURHOOD_MM: f64 = 32.0;
 /// Smallest force of a peak in the paper (V-B2), N: the sensor's deadband.
 pub const THRESHOLD_N: f64 = 5.0;
@@ -107,7 +109,8 @@ struct Marks<'a> {
     mark: u32,
 }
 
-/// A map with a rim of zeros as wide as the neighbourhood, so that no neighbourhood extends beyond it.
+/// A map with a rim of zeros as wide as the neighbourhood, so that no neighbourhood extends beyond
+/// it.
 struct Field {
     values: Vec<f32>,
     pixel_mm: f64,
@@ -184,15 +187,15 @@ impl Field {
         found
     }
 
-    /// True if no pixel of the neighbourhood is larger. The nearest pixels are compared first, because
-    /// nearly every pixel has a larger one close to it.
+    /// True if no pixel of the neighbourhood is larger. The nearest pixels are compared first,
+    /// because nearly every pixel has a larger one close to it.
     fn is_summit(&self, at: usize, circle: &[isize]) -> bool {
         let value = self.values[at];
         circle.iter().all(|step| equal_or_above(value, self.values[at.wrapping_add_signed(*step)]))
     }
 
-    /// Returns the pixels that are connected to `from` by edges over pixels for which `belongs` is true
-    /// (it must be false for 0) and that are not marked yet; marks them.
+    /// Returns the pixels that are connected to `from` by edges over pixels for which `belongs` is
+    /// true (it must be false for 0) and that are not marked yet; marks them.
     fn joined(
         &self,
         from: usize,
@@ -388,8 +391,8 @@ mod tests {
     }
 
     proptest! {
-        /// Wherever discs of any map of Table IV stand, no two peaks share a circle, none is under
-        /// the threshold, and contacts that are far from each other are all found.
+        /// For discs at any positions of any map of Table IV, no two peaks are neighbours, none is
+        /// under the threshold, and contacts that are far from each other are all found.
         #[test]
         fn peaks_keep_their_distance(
             which in 0..crate::dataset::force_map::TABLE_IV.len(),

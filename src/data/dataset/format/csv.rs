@@ -1,8 +1,8 @@
 //! CSV: scalars as text, lists of fixed length as a column per item, other lists as JSON.
 //! Uses: `dataset::format`, arrow, csv. Never: names of time zones (see `zone`).
 //!
-//! A number is the shortest text that parses to the same number of its width. A missing value and an
-//! empty text are both an empty cell. Numbers that are not finite are `NaN`, `inf` or `-inf`.
+//! A number is the shortest text that parses to the same number of its width. A missing value and
+//! an empty text are both an empty cell. Numbers that are not finite are `NaN`, `inf` or `-inf`.
 
 use std::io::Write;
 

@@ -44,8 +44,8 @@ pub enum Format {
     Csv,
     /// A JSON object per line, without missing values.
     Ndjson,
-    /// NumPy arrays, one per column, readable by `numpy.load` without pickle; `npz.rs` lists the array
-    /// type of each column type.
+    /// NumPy arrays, one per column, readable by `numpy.load` without pickle; `npz.rs` lists the
+    /// array type of each column type.
     Npz,
 }
 
@@ -97,7 +97,7 @@ impl fmt::Display for Format {
 
 /// The name is not that of a format.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("format {name}: choose from {}", Format::ALL.map(Format::name).join(", "))]
+#[error("format `{name}`: choose from {}", Format::ALL.map(Format::name).join(", "))]
 pub struct UnknownFormat {
     /// The unknown name.
     pub name: String,
@@ -123,8 +123,9 @@ pub trait Rows {
     /// Number of rows.
     fn count(&self) -> u64;
 
-    /// Returns the rows in batches: all columns, or those with the given indices of the schema, in this
-    /// order. A batch becomes a row group of Parquet; [`rows_per_batch`] is its recommended length.
+    /// Returns the rows in batches: all columns, or those with the given indices of the schema, in
+    /// this order. A batch becomes a row group of Parquet; [`rows_per_batch`] is its recommended
+    /// length.
     ///
     /// # Errors
     /// `RowsError` if the rows cannot be read.
@@ -191,8 +192,8 @@ pub enum FormatError {
 /// which reads the rows several times, with the written share of the bytes, in rows.
 ///
 /// # Errors
-/// `FormatError::Rows` if the rows cannot be read, `Column` if the format cannot hold a column, `Count`
-/// if their number changes; the other variants if encoding or writing fails.
+/// `FormatError::Rows` if the rows cannot be read, `Column` if the format cannot hold a column,
+/// `Count` if their number changes; the other variants if encoding or writing fails.
 pub fn write(
     format: Format,
     rows: &dyn Rows,

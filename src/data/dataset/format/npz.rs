@@ -1,5 +1,5 @@
-//! NPZ: an uncompressed zip file with a NumPy array for each column, readable by `numpy.load` without
-//! pickle.
+//! NPZ: an uncompressed zip file with a NumPy array for each column, readable by `numpy.load`
+//! without pickle.
 //! Uses: `dataset::format`, zip. Never: all rows at once.
 //!
 //! | column | array of N rows |

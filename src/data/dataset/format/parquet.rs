@@ -1,9 +1,9 @@
 //! Parquet: one row group per batch, its columns encoded on two threads.
 //! Uses: `dataset::format`, parquet. Never: files, the meaning of columns.
 //!
-//! The schema determines the settings (`docs/decisions/0007-parquet-encoding.md`): byte stream split
-//! for floating-point numbers, whose upper bytes repeat; deltas for whole numbers; statistics for
-//! scalars, so that readers can skip row groups, and none for lists.
+//! The schema determines the settings (`docs/decisions/0007-parquet-encoding.md`): byte stream
+//! split for floating-point numbers, whose upper bytes repeat; deltas for whole numbers; statistics
+//! for scalars, so that readers can skip row groups, and none for lists.
 
 use std::io::Write;
 use std::{panic, thread};

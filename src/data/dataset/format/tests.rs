@@ -94,7 +94,7 @@ fn flags() -> ListArray {
     flags.finish()
 }
 
-/// Five frames of so many numbers: the second has a gap, the third is missing.
+/// Five frames of `length` numbers: the second has a gap, the third is missing.
 fn frames(length: i32) -> FixedSizeListArray {
     let frame = |row: i32| {
         let gap = |i| row == 1 && i == 1;
@@ -367,7 +367,7 @@ fn refusals_name_what_is_wrong() {
     let refused = Stream::new(Format::Npz, &sample().schema(), &mut out).err().unwrap();
     assert!(matches!(refused, FormatError::NotAStream));
     let refused = "xls".parse::<Format>().unwrap_err().to_string();
-    assert_eq!(refused, "format xls: choose from parquet, arrow, csv, ndjson, npz");
+    assert_eq!(refused, "format `xls`: choose from parquet, arrow, csv, ndjson, npz");
     for format in Format::ALL {
         assert_eq!(format.name().parse(), Ok(format));
         assert_eq!(serde_json::to_value(format).unwrap(), format.name());

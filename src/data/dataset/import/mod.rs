@@ -54,12 +54,12 @@ pub struct Imported {
     pub columns_left_out: Vec<String>,
 }
 
-/// Imports a file as a run. The file is read twice: it is checked completely before the first trial is
-/// stored.
+/// Imports a file as a run. The file is read twice: it is checked completely before the first trial
+/// is stored.
 ///
 /// # Errors
-/// `DatasetError::Problems` if sensor file, columns or values are invalid, or the file has no trials;
-/// `File` or `Parquet` if the file cannot be read; `Store` if the store fails.
+/// `DatasetError::Problems` if sensor file, columns or values are invalid, or the file has no
+/// trials; `File` or `Parquet` if the file cannot be read; `Store` if the store fails.
 pub async fn import(store: &Store, path: &Path, import: Import) -> Result<Imported, DatasetError> {
     let sensor = ImportedSensor::from_toml(&import.sensor_file, &import.sensor)
         .map_err(DatasetError::Problems)?;

@@ -319,8 +319,8 @@ impl Columns {
     }
 }
 
-/// True if a type may be converted to the wanted one: numbers are not read from text, nor lists from
-/// scalars.
+/// True if a type may be converted to the wanted one: numbers are not read from text, nor lists
+/// from scalars.
 fn resembles(found: &DataType, wanted: &DataType) -> bool {
     use DataType::{FixedSizeList, LargeList, List, Null};
     match (found, wanted) {
@@ -337,8 +337,8 @@ fn resembles(found: &DataType, wanted: &DataType) -> bool {
     }
 }
 
-/// First number with a fraction in a column that must hold whole numbers. (pandas stores whole numbers
-/// with gaps as floats.)
+/// First number with a fraction in a column that must hold whole numbers. (pandas stores whole
+/// numbers with gaps as floats.)
 fn fraction(found: &ArrayRef, wanted: &DataType) -> Option<f64> {
     if *wanted != DataType::Int64 || !found.data_type().is_floating() {
         return None;

@@ -1,4 +1,5 @@
-//! The sensor file of imported trials: a complete one of Palpate, or the basic values of another skin.
+//! The sensor file of imported trials: a complete one of Palpate, or the basic values of another
+//! skin.
 //! PURE. Uses: sim-core's sensor file, `syntax`. Never: a value that the file does not state.
 
 use serde::Deserialize;
@@ -28,8 +29,8 @@ pub struct ImportedSensor {
 }
 
 impl ImportedSensor {
-    /// Parses a sensor file: a complete one of Palpate (its trials get simulated twins), or any TOML
-    /// with `name`, `channels`, `width_mm` and `height_mm`. `file` is its name in messages.
+    /// Parses a sensor file: a complete one of Palpate (its trials get simulated twins), or any
+    /// TOML with `name`, `channels`, `width_mm` and `height_mm`. `file` is its name in messages.
     ///
     /// # Errors
     /// The syntax error, or all invalid values.
