@@ -1,7 +1,8 @@
 //! One contract for every driver, kept against the virtual rig, which shares no codec with it:
 //! be looked at without a write, take control, home, move there, stop short, be refused beyond the
 //! limits, weigh, take frames, come back after an alarm and a power loss. Each rig file's own devices
-//! and wires are served: Modbus TCP, or RTU on pseudo-terminals.
+//! and wires are served: Modbus TCP, or RTU on pseudo-terminals. Every test that starts a rig takes its
+//! turn.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -17,19 +18,14 @@ use palpate::rig::link::StopLatch;
 use palpate::rig::registry::{OpenBench, open};
 use palpate::rig::traits::{Axis, AxisStatus};
 use serde_json::{Value, json};
-use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
 use virtual_rig::run::{RigArgs, VirtualRig};
+
+use super::bench::{file, rig_args, tell, turn};
 
 /// Process seconds in a wall second.
 const SPEED: f64 = 20.0;
-/// An accelerated rig needs the machine for itself.
-static TURN: tokio::sync::Mutex<()> = tokio::sync::Mutex::const_new(());
 /// The longest that a motion or a homing of the virtual rig takes, wall time.
 const LIMIT: Duration = Duration::from_secs(20);
-
-fn file(path: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments").join(path)
-}
 
 async fn rig(name: &str, latch: &StopLatch) -> (VirtualRig, RigConfig, OpenBench, Clock) {
     rig_of(name, file(&format!("rigs/{name}.toml")), latch).await
@@ -40,37 +36,13 @@ async fn rig_of(
     rig: PathBuf,
     latch: &StopLatch,
 ) -> (VirtualRig, RigConfig, OpenBench, Clock) {
-    let args = RigArgs {
-        rig,
-        gap: file("gaps/gap-a.toml"),
-        sensor: file("sensors/ert-28.toml"),
-        seed: 1,
-        speed: Some(SPEED),
-        ephemeral: true,
-        out_rig: None,
-        fault: None,
-        control: "127.0.0.1:0".into(),
-        cache: Some(Path::new(env!("CARGO_TARGET_TMPDIR")).join("skin")),
-        ready_file: None,
-        with_parent: false,
-    };
+    let args = RigArgs { rig, seed: 1, ..rig_args("virtual", SPEED) };
     let rig = VirtualRig::switch_on(&args).await.unwrap();
     let config = RigConfig::from_toml(name, &rig.rig_text).unwrap();
     assert_eq!(config.clock_rate, SPEED);
     let clock = Clock::new(config.clock_rate);
     let bench = open(&config, &clock, latch).unwrap();
     (rig, config, bench, clock)
-}
-
-/// Says one command to the rig's control socket.
-async fn say(rig: &VirtualRig, command: Value) -> Value {
-    let mut wire = tokio::net::TcpStream::connect(&rig.ready.control).await.unwrap();
-    wire.write_all(format!("{command}\n").as_bytes()).await.unwrap();
-    let mut line = String::new();
-    BufReader::new(wire).read_line(&mut line).await.unwrap();
-    let answer: Value = serde_json::from_str(&line).unwrap();
-    assert_eq!(answer["ok"], true, "{command}: {answer}");
-    answer
 }
 
 async fn until(axis: &Arc<dyn Axis>, what: &str, done: impl Fn(&AxisStatus) -> bool) -> AxisStatus {
@@ -89,12 +61,12 @@ async fn until(axis: &Arc<dyn Axis>, what: &str, done: impl Fn(&AxisStatus) -> b
 }
 
 async fn keeps_the_contract(name: &str) {
-    let _turn = TURN.lock().await;
+    let _turn = turn().await;
     let latch = StopLatch::new();
     let (rig, config, open, clock) = rig(name, &latch).await;
     let seen = check(&config, &open, &clock, Scope::Look).await;
     assert!(seen.is_sound() && !seen.enabled, "{seen}");
-    let truth = say(&rig, json!({ "cmd": "status" })).await;
+    let truth = tell(&rig, json!({ "cmd": "status" })).await;
     assert_eq!(truth["wires"]["writes"], 0, "a look writes nothing");
     let off = truth["axes"].as_array().unwrap().iter().filter(|a| a["servo"] == false).count();
     let words = |what: &str| seen.unchecked.iter().filter(|w| w.contains(what)).count();
@@ -134,7 +106,7 @@ async fn home(axis: &Arc<dyn Axis>) {
 /// After an alarm and after a loss of power: reset, prepare, home, and it goes where it is told.
 async fn comes_back(rig: &VirtualRig, x: &Arc<dyn Axis>) {
     for kind in ["alarm", "power_loss"] {
-        say(rig, json!({ "cmd": "fault", "kind": kind, "device": "x", "count": 1 })).await;
+        tell(rig, json!({ "cmd": "fault", "kind": kind, "device": "x", "count": 1 })).await;
         if kind == "alarm" {
             let refused = x.prepare().await.unwrap_err();
             assert!(matches!(refused, RigError::NotReady { .. }), "{refused}");
@@ -198,7 +170,7 @@ async fn leadshine_and_waveshare_over_rtu() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_drive_with_a_watchdog_stops_when_the_service_falls_silent() {
-    let _turn = TURN.lock().await;
+    let _turn = turn().await;
     let text = std::fs::read_to_string(file("rigs/oriental-az-rtu.toml")).unwrap();
     let guard = "[axes.z]\nguard = { watchdog_ms = 500, torque_percent = 60 }";
     let guarded = Path::new(env!("CARGO_TARGET_TMPDIR")).join("guarded.toml");
@@ -226,7 +198,7 @@ async fn a_drive_with_a_watchdog_stops_when_the_service_falls_silent() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_check_ends_with_stops_when_the_emergency_stop_is_latched() {
-    let _turn = TURN.lock().await;
+    let _turn = turn().await;
     let latch = StopLatch::new();
     let (rig, config, _open, _clock) = rig("virtual", &latch).await;
     let pressed = async {
@@ -235,7 +207,7 @@ async fn a_check_ends_with_stops_when_the_emergency_stop_is_latched() {
     };
     let (checked, ()) = tokio::join!(run_on(&config, &latch, Scope::Look), pressed);
     assert!(matches!(checked, Err(RigError::Latched { .. })), "{checked:?}");
-    assert_eq!(say(&rig, json!({ "cmd": "status" })).await["stops"], 4);
+    assert_eq!(tell(&rig, json!({ "cmd": "status" })).await["stops"], 4);
     let again = run_on(&config, &latch, Scope::Look).await;
     assert!(matches!(again, Err(RigError::Latched { .. })), "{again:?}");
 }
@@ -279,8 +251,9 @@ fn ends_when_its_parent_goes(mut child: Child) {
     }
 }
 
-#[test]
-fn a_rig_whose_parent_is_gone_ends_while_it_starts_and_while_it_streams() {
+#[tokio::test]
+async fn a_rig_whose_parent_is_gone_ends_while_it_starts_and_while_it_streams() {
+    let _turn = turn().await;
     let data =
         Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("orphan-{}", std::process::id()));
     let starting = child(&data);
