@@ -1,5 +1,5 @@
 //! Imports, datasets and exports in the store; and that the tables made anew lose nothing.
-//! Uses: `store`. Never: files of datasets (see `dataset` and `tests/datasets`).
+//! Uses: `store`. Never: files of datasets (see `dataset` and `tests/it/datasets`).
 
 use serde_json::json;
 use sqlx::Connection;

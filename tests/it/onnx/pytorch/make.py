@@ -1,6 +1,6 @@
 """Writes the files of this folder, which stand for a model that somebody trained in PyTorch.
 
-    python3 tests/onnx/pytorch/make.py FOLDER        (torch 2.15, onnxscript)
+    python3 tests/it/onnx/pytorch/make.py FOLDER        (torch 2.15, onnxscript)
 
 One module, exported by both of PyTorch's exporters with an open batch; frames, and PyTorch's own answers to
 them, raw little-endian f32.

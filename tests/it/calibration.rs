@@ -18,6 +18,8 @@ use virtual_rig::skin::gap::Gap;
 use virtual_rig::skin::mechanics::Mechanics;
 use virtual_rig::skin::{Readout, Skin, TipLoad};
 
+use crate::support::{Folder, PALPATE, sensor};
+
 const SEED: u64 = 3;
 /// Points all over the skin, away from its rim.
 const POINTS: [usize; 12] = [110, 171, 233, 280, 318, 365, 402, 444, 487, 539, 601, 680];
@@ -25,12 +27,8 @@ const POINTS: [usize; 12] = [110, 171, 233, 280, 318, 365, 402, 444, 487, 539, 6
 const GAUGES_FOAM_MPA: f64 = 0.06;
 const GAUGES_FABRIC: f64 = 0.7;
 
-fn sensor() -> Sensor {
-    Sensor::from_toml(include_str!("../experiments/sensors/ert-28.toml")).unwrap()
-}
-
 fn gap() -> Gap {
-    Gap::from_toml(include_str!("../experiments/gaps/gap-a.toml")).unwrap()
+    Gap::from_toml(include_str!("../../experiments/gaps/gap-a.toml")).unwrap()
 }
 
 fn holds(fitted: &Fitted, truth: f64) -> bool {
@@ -45,7 +43,7 @@ fn example(name: &str, said: &str) -> String {
         std::fs::write(&path, said).unwrap();
     }
     let kept = std::fs::read_to_string(&path).unwrap_or_default();
-    assert!(kept == said, "{name} is not what makes it: UPDATE=1 cargo test --test calibration");
+    assert!(kept == said, "{name} is not what makes it: UPDATE=1 cargo test --test it calibration");
     kept
 }
 
@@ -55,7 +53,7 @@ fn compression() -> String {
     let mut text = format!(
         "# SYNTHETIC, not measured: a compression test as the paper's Fig. 5 shows one, made from Eq. 1\n\
          # with the paper's a = 2.2e8 ohm, b = 1.4 /mm, c = 6.5e5 ohm; ln(resistance) scatters by 0.12.\n\
-         # Seed {SEED}; made and checked by tests/calibration.rs.\n\
+         # Seed {SEED}; made and checked by tests/it/calibration.rs.\n\
          displacement_mm,resistance_ohm\n"
     );
     for n in 0..60u32 {
@@ -72,7 +70,7 @@ fn indentation() -> String {
         "# SYNTHETIC, not measured: a tip pressed by the virtual rig (its recipe of forces over travel,\n\
          # gap-a, seed {SEED}), so the foam begins soft and gets stiffer. Displacement counts from each\n\
          # place's first touch, which is found to 0.05 mm; readings scatter by 0.01 mm and 0.05 N.\n\
-         # Made and checked by tests/calibration.rs.\n\
+         # Made and checked by tests/it/calibration.rs.\n\
          x_mm,y_mm,force_n,displacement_mm\n"
     );
     let (sensor, gap) = (sensor(), gap());
@@ -100,7 +98,7 @@ fn indentation_with_gauges() -> String {
          {GAUGES_FABRIC} times\n\
          # the sensor file's; readings scatter by 0.02 mm (seed {SEED}). An empty gauge is the tip's own\n\
          # displacement; the others stand beside the tip, which tells the fabric from the foam.\n\
-         # Made and checked by tests/calibration.rs.\n\
+         # Made and checked by tests/it/calibration.rs.\n\
          point,force_n,displacement_mm,gauge_x_mm,gauge_y_mm\n"
     );
     let mut file = sensor().file;
@@ -267,29 +265,8 @@ fn wrong_indentations_are_named_with_line_field_and_limit() {
 
 // ---------------------------------------------------------------- the command
 
-/// A folder of this test's own.
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new(name: &str) -> Self {
-        let folder = std::env::temp_dir().join(format!("palpate-{name}-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        Self(folder)
-    }
-
-    fn path(&self, name: &str) -> String {
-        self.0.join(name).display().to_string()
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        std::fs::remove_dir_all(&self.0).ok();
-    }
-}
-
 fn palpate(arguments: &[&str]) -> std::process::Output {
-    Command::new(env!("CARGO_BIN_EXE_palpate")).arg("calibrate").args(arguments).output().unwrap()
+    Command::new(PALPATE).arg("calibrate").args(arguments).output().unwrap()
 }
 
 #[test]

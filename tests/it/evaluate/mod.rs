@@ -15,22 +15,7 @@ use palpate::simulate::compare::difference;
 use palpate::store::Contact;
 use serde_json::{Value, json};
 
-/// A Python that has them, if there is one.
-fn python() -> Option<String> {
-    let python = std::env::var("PALPATE_PYTHON").unwrap_or_else(|_| "python3".into());
-    let found = Command::new(&python)
-        .args(["-c", "import numpy, scipy.ndimage, sklearn.metrics"])
-        .stderr(Stdio::null())
-        .status()
-        .is_ok_and(|status| status.success());
-    if found {
-        return Some(python);
-    }
-    let missing = "numpy, scipy or scikit-learn is missing";
-    assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "{missing}");
-    println!("LEFT OUT: {missing} (set PALPATE_PYTHON)");
-    None
-}
+use crate::support;
 
 /// Uniform from `low` to `high`.
 fn uniform(chance: &mut Chance, low: f64, high: f64) -> f64 {
@@ -195,7 +180,7 @@ fn answers() -> Value {
 }
 
 fn checked(python: &str, answers: &Value) -> Output {
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/evaluate/python/metrics.py");
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/evaluate/python/metrics.py");
     let mut child = Command::new(python)
         .env("PYTHONDONTWRITEBYTECODE", "1")
         .arg(script)
@@ -212,7 +197,8 @@ fn checked(python: &str, answers: &Value) -> Output {
 /// The script also changes single answers and sees to it that its own checks then fail.
 #[test]
 fn metrics_are_those_of_scipy_and_scikit_learn() {
-    let Some(python) = python() else { return };
+    let modules = "numpy, scipy.ndimage, sklearn.metrics";
+    let Some(python) = support::python(modules) else { return };
     let found = checked(&python, &answers());
     print!("{}", String::from_utf8_lossy(&found.stdout));
     assert!(found.status.success(), "{}", String::from_utf8_lossy(&found.stderr));

@@ -1,6 +1,6 @@
 """Parquet files as another lab would hand them in, for `palpate dataset import`.
 
-    python tests/datasets/python/import.py OUT_DIR
+    python tests/it/datasets/python/import.py OUT_DIR
 
 A pad of 208 channels and 100 x 100 mm: OUT_DIR/pad.toml. What must be taken lies in OUT_DIR/good,
 what must be refused in OUT_DIR/bad; OUT_DIR/expected.json says of each good file what must come out,

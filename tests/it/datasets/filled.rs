@@ -18,9 +18,9 @@ use palpate::store::{
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
-use sim_core::sensor::Sensor;
 
-const SENSOR: &str = include_str!("../../experiments/sensors/ert-28.toml");
+use crate::support::{SENSOR, VIRTUAL_RIG, sensor};
+
 /// Configurations of the Real-Hex run; each third is one that was drawn before.
 pub const CONFIGURATIONS: u32 = 30;
 const DEPTHS: u32 = 11;
@@ -146,7 +146,7 @@ fn placed(key: TrialKey, points: &[[f64; 2]], chance: &mut ChaCha8Rng) -> TrialR
 /// Fills a folder: run 1 is Real-Hex, run 2 is Real-Random.
 pub async fn fill(data: &Path) {
     let store = store(data).await;
-    let sensor = Sensor::from_toml(SENSOR).unwrap();
+    let sensor = sensor();
     let points: Vec<[f64; 2]> = sensor.points().iter().map(|p| [p.x_mm, p.y_mm]).collect();
     let mut chance = ChaCha8Rng::seed_from_u64(5);
     let hex = store.create_run(new_run(RunKind::RealHex, "made-up-hex")).await.unwrap().uid;
@@ -173,7 +173,7 @@ fn rig() -> String {
     static NEXT: AtomicU32 = AtomicU32::new(0);
     let (process, n) = (std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
     let own = format!("127.{}.{}.{}:", process >> 8 & 0x7F, process & 0xFF, n + 1);
-    include_str!("../../experiments/rigs/virtual.toml").replace("127.0.0.1:", &own)
+    VIRTUAL_RIG.replace("127.0.0.1:", &own)
 }
 
 /// Twins of all trials of a run but the last three.
@@ -214,7 +214,7 @@ impl Filled {
             resume: false,
             twin_workers: 0,
             calibration: None,
-            sensor: Sensor::from_toml(SENSOR).unwrap(),
+            sensor: sensor(),
             sensor_text: SENSOR.into(),
         };
         let service = Service::start(options).await.unwrap();

@@ -3,7 +3,7 @@
 
 use nets::network::{Form, Layer, Network};
 
-use crate::random_nets::{Draw, net};
+use super::random_nets::{Draw, net};
 
 /// A convolution.
 pub fn conv(draw: &mut Draw, inputs: usize, outputs: usize, kernel: usize, bias: bool) -> Layer {

@@ -2,32 +2,23 @@
 //! the test says that it was left out; with `PALPATE_REQUIRE_TOOLS=1` it fails instead.
 
 use std::io::{BufRead, BufReader};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 
 use palpate::clock::Clock;
 use palpate::rig::config::RigConfig;
 use palpate::rig::link::StopLatch;
 use palpate::rig::registry::open;
 
-/// A Python that has pymodbus, if there is one.
-fn python() -> Option<String> {
-    let python = std::env::var("PALPATE_PYTHON").unwrap_or_else(|_| "python3".into());
-    let found = Command::new(&python)
-        .args(["-c", "import pymodbus.server"])
-        .stderr(Stdio::null())
-        .status()
-        .is_ok_and(|status| status.success());
-    found.then_some(python)
-}
+use crate::support::{self, Process, VIRTUAL_RIG};
 
 struct Server {
-    process: Child,
+    _process: Process,
     port: u16,
 }
 
 impl Server {
     fn start(python: &str) -> Self {
-        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/independent/adam_6017.py");
+        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/independent/adam_6017.py");
         let mut process = Command::new(python)
             .args(["-W", "ignore", script])
             .stdin(Stdio::piped())
@@ -36,27 +27,15 @@ impl Server {
             .unwrap();
         let mut line = String::new();
         BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        Self { process, port: line.trim().parse().unwrap() }
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        self.process.kill().ok();
-        self.process.wait().ok();
+        Self { _process: Process(process), port: line.trim().parse().unwrap() }
     }
 }
 
 #[tokio::test]
 async fn the_adam_driver_reads_a_server_of_another_make() {
-    let Some(python) = python() else {
-        assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "pymodbus is missing");
-        println!("LEFT OUT: no Python with pymodbus (set PALPATE_PYTHON)");
-        return;
-    };
+    let Some(python) = support::python("pymodbus.server") else { return };
     let server = Server::start(&python);
-    let text = include_str!("../experiments/rigs/virtual.toml")
-        .replace("127.0.0.1:5021", &format!("127.0.0.1:{}", server.port));
+    let text = VIRTUAL_RIG.replace("127.0.0.1:5021", &format!("127.0.0.1:{}", server.port));
     let config = RigConfig::from_toml("virtual.toml", &text).unwrap();
     let bench = open(&config, &Clock::new(1.0), &StopLatch::new()).unwrap().bench;
     let found = bench.cells.prepare().await.unwrap();

@@ -8,7 +8,7 @@ use palpate::dataset::select::Wanted;
 use rand::SeedableRng;
 use serde_json::{Value, json};
 
-use crate::filled::{self, Filled};
+use super::filled::{self, Filled};
 
 /// Trials of the Real-Hex run by what becomes of them in `real`: forces pass 5 N from depth 3 on.
 const TRIALS: u64 = 330;

@@ -1,6 +1,6 @@
 """Answers of onnxruntime to the same files and frames (onnx, onnxruntime, numpy).
 
-    python3 tests/onnx/compare.py FOLDER
+    python3 tests/it/onnx/compare.py FOLDER
 
 Each NAME.onnx in the folder has frames in NAME.frames and another engine's answers in NAME.answers, raw
 little-endian f32. Checks the file by onnx's own rules, and prints a JSON object: for each name the largest

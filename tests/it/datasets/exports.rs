@@ -3,13 +3,9 @@
 use reqwest::StatusCode;
 use reqwest::header::{ETAG, IF_NONE_MATCH, IF_RANGE, RANGE};
 use serde_json::{Value, json};
-use sha2::{Digest, Sha256};
 
-use crate::filled::Filled;
-
-fn sha256(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
-}
+use super::filled::Filled;
+use crate::support::sha256;
 
 async fn exported(lab: &Filled, request: Value) -> (Value, Vec<u8>) {
     let (status, asked) = lab.post("/api/v1/exports", request).await;

@@ -5,16 +5,16 @@
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
 use std::time::Duration;
 
 use palpate::simulate::model::load_or_build;
 use rand::{RngExt, SeedableRng};
 use serde_json::Value;
-use sha2::{Digest, Sha256};
 use sim_core::forward::{Contact, ForwardModel, Workspace};
-use sim_core::sensor::Sensor;
+
+use crate::support::{self, PALPATE, Process, sensor, sha256};
 
 /// Folder that these tests share: the cache of the unit responses.
 fn data() -> PathBuf {
@@ -24,10 +24,7 @@ fn data() -> PathBuf {
 /// The model, with its cache filled, so that no process solves for itself.
 fn model() -> &'static ForwardModel {
     static MODEL: OnceLock<ForwardModel> = OnceLock::new();
-    MODEL.get_or_init(|| {
-        let sensor = include_str!("../../experiments/sensors/ert-28.toml");
-        load_or_build(&Sensor::from_toml(sensor).unwrap(), &data().join("cache")).unwrap()
-    })
+    MODEL.get_or_init(|| load_or_build(&sensor(), &data().join("cache")).unwrap())
 }
 
 /// An empty folder for one test.
@@ -40,7 +37,7 @@ fn folder(name: &str) -> PathBuf {
 
 /// The command that makes 4,500 trials in shards of 1,500, with more or other options.
 fn command(out: &Path, options: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_palpate"));
+    let mut command = Command::new(PALPATE);
     command.args(["simulate", "random", "--json", "--out"]).arg(out).arg("--data").arg(data());
     let given = |name: &str| options.contains(&name);
     for (name, value) in
@@ -81,10 +78,6 @@ fn files(folder: &Path) -> BTreeMap<String, String> {
         .collect()
 }
 
-fn sha256(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect()
-}
-
 fn manifest(folder: &Path) -> Value {
     serde_json::from_slice(&std::fs::read(folder.join("_manifest.json")).unwrap()).unwrap()
 }
@@ -113,16 +106,6 @@ fn the_number_of_threads_changes_no_byte() {
     made(&other_seed, &["--seed", "2"]);
     let shard = "shard-00000.parquet";
     assert_ne!(files(&one)[shard], files(&other_seed)[shard]);
-}
-
-/// A process that does not outlive the test.
-struct Process(Child);
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        self.0.kill().ok();
-        self.0.wait().ok();
-    }
 }
 
 #[test]
@@ -232,27 +215,12 @@ fn damaged_shards_are_found_and_made_again() {
     assert_eq!(files(&out), whole);
 }
 
-/// A Python that has pandas and pyarrow, if there is one.
-fn python() -> Option<String> {
-    let python = std::env::var("PALPATE_PYTHON").unwrap_or_else(|_| "python3".into());
-    let found = Command::new(&python)
-        .args(["-c", "import pandas, pyarrow"])
-        .stderr(Stdio::null())
-        .status()
-        .is_ok_and(|status| status.success());
-    found.then_some(python)
-}
-
 #[test]
 fn a_notebook_reads_what_was_simulated() {
-    let Some(python) = python() else {
-        assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "pandas is missing");
-        println!("LEFT OUT: no Python with pandas and pyarrow (set PALPATE_PYTHON)");
-        return;
-    };
+    let Some(python) = support::python("pandas, pyarrow") else { return };
     let out = folder("notebook");
     made(&out, &[]);
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/sim_random/read.py");
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/sim_random/read.py");
     let read = Command::new(python)
         .arg(script)
         .arg(&out)

@@ -4,7 +4,8 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
-const PALPATE: &str = env!("CARGO_BIN_EXE_palpate");
+use crate::support::PALPATE;
+
 const ONE: &str = r#"{"contacts":[{"x_mm":265.6698729810778,"y_mm":280,"force_n":20}]}"#;
 const NONE: &str = r#"{"contacts":[]}"#;
 

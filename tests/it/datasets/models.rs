@@ -5,8 +5,9 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use crate::filled::Filled;
-use crate::imports::{PAD, frames, import, lists, parquet};
+use super::filled::Filled;
+use super::imports::{PAD, frames, import, lists, parquet};
+use crate::support::SENSOR;
 
 /// Longest wait for a job.
 const LIMIT: Duration = Duration::from_secs(120);
@@ -242,11 +243,10 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
     let onnx = lab.answer(&format!("/api/v1/models/{id}/onnx")).await.bytes().await.unwrap();
     let facts = "task = \"transfer\"\nlabel = \"virtual\"\nsensor = \"ert-28\"\nchannels = 784\n\
         output_shape = [784]\ncode = \"mine\"\n";
-    let sensor = include_str!("../../experiments/sensors/ert-28.toml");
     let add = async |file: Vec<u8>, facts: String| {
         let form = reqwest::multipart::Form::new()
             .part("file", reqwest::multipart::Part::bytes(file))
-            .text("sensor", sensor)
+            .text("sensor", SENSOR)
             .text("facts", facts)
             .text("name", "mine");
         let answer = lab.http.post(lab.url("/api/v1/models")).multipart(form).send().await.unwrap();

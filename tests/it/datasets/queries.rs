@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use crate::filled::Filled;
+use super::filled::Filled;
 
 #[tokio::test]
 async fn pages_cover_a_dataset_once_also_filtered() {

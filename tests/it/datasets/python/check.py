@@ -1,6 +1,6 @@
 """Datasets of a running service, read as a user reads them, against its database value by value.
 
-    python tests/datasets/python/check.py URL DATABASE_FILE
+    python tests/it/datasets/python/check.py URL DATABASE_FILE
 
 Reads with pandas, polars, DuckDB, pyarrow and numpy; the database with sqlite3 alone. Nothing may be
 writing trials or twins meanwhile. Exits with 1 and a line for each difference.

@@ -10,7 +10,7 @@ use parquet::arrow::ArrowWriter;
 use reqwest::multipart::{Form, Part};
 use serde_json::Value;
 
-use crate::filled::Filled;
+use super::filled::Filled;
 
 pub const PAD: &str = "name = \"pad\"\nchannels = 4\nwidth_mm = 100\nheight_mm = 80\n";
 

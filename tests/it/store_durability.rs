@@ -16,8 +16,12 @@ use palpate::store::{Label, MAX_PAGE, NewRun, RunKind, Store, StoreError, TrialQ
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::support::Folder;
+
 /// Names the database to the process that is killed.
 const CHILD: &str = "PALPATE_STORE_CHILD";
+/// Name of the test that is that process.
+const TEST: &str = "store_durability::child";
 
 const DEPTHS: u32 = 11;
 
@@ -70,25 +74,14 @@ fn place(configuration: u32, depth_index: u32) -> u32 {
     configuration * DEPTHS + depth_index
 }
 
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new(name: &str) -> Self {
-        let name = format!("palpate-durability-{}-{name}", std::process::id());
-        let path = std::env::temp_dir().join(name);
-        std::fs::create_dir_all(&path).unwrap();
-        Self(path)
-    }
-
-    fn file(&self) -> PathBuf {
-        self.0.join("palpate.sqlite")
-    }
+/// A folder for one test or one case.
+fn own_folder(name: &str) -> Folder {
+    Folder::new(&format!("durability-{name}"))
 }
 
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
+/// The database in a folder.
+fn file(folder: &Folder) -> PathBuf {
+    folder.join("palpate.sqlite")
 }
 
 async fn open(path: &Path) -> Store {
@@ -145,7 +138,7 @@ fn start(path: &Path, limit: &str) -> Child {
     let me = std::env::current_exe().unwrap();
     Command::new("sh")
         .arg("-c")
-        .arg(format!("{limit} exec \"$0\" --exact child --nocapture --test-threads=1"))
+        .arg(format!("{limit} exec \"$0\" --exact {TEST} --nocapture --test-threads=1"))
         .arg(me)
         .env(CHILD, path)
         .stdout(Stdio::piped())
@@ -207,11 +200,11 @@ async fn check_whole(store: &Store) -> BTreeMap<u32, i64> {
 async fn kill_9_at_30_instants_loses_doubles_and_invents_nothing() {
     const SEED: u64 = 20_261_120;
     let mut chance = ChaCha8Rng::seed_from_u64(SEED);
-    let folder = Folder::new("kill");
+    let folder = own_folder("kill");
     let mut acknowledged = BTreeMap::new();
     let mut unacknowledged = 0;
     for kill in 1..=30u64 {
-        let mut child = start(&folder.file(), "");
+        let mut child = start(&file(&folder), "");
         // From the creation of the file and its tables to the middle of a run.
         std::thread::sleep(Duration::from_millis(chance.random_range(0..200)));
         child.kill().unwrap();
@@ -221,7 +214,7 @@ async fn kill_9_at_30_instants_loses_doubles_and_invents_nothing() {
         acknowledged.extend(said);
         unacknowledged = acknowledged.len();
     }
-    let store = open_with_run(&folder.file()).await;
+    let store = open_with_run(&file(&folder)).await;
     let stored = check_whole(&store).await;
     for (n, id) in &acknowledged {
         assert_eq!(stored.get(n), Some(id), "place {n} was acknowledged");
@@ -237,18 +230,18 @@ async fn kill_9_at_30_instants_loses_doubles_and_invents_nothing() {
 
 #[tokio::test]
 async fn a_disk_that_refuses_costs_no_acknowledged_trial() {
-    let folder = Folder::new("refusal");
-    open_with_run(&folder.file()).await.close().await;
+    let folder = own_folder("refusal");
+    open_with_run(&file(&folder)).await.close().await;
     let mut acknowledged = BTreeMap::new();
     // Files may grow to 2, 4, .. MiB (blocks of 512 bytes); beyond, writes fail.
     for mib in [2, 4, 6] {
         let limit = format!("trap '' XFSZ; ulimit -f {};", mib * 2048);
-        let mut child = start(&folder.file(), &limit);
+        let mut child = start(&file(&folder), &limit);
         let (said, failed) = listen(&mut child);
         child.wait().unwrap();
         assert!(failed.is_some(), "the limit of {mib} MiB did not hold");
         acknowledged.extend(said);
-        let store = open_with_run(&folder.file()).await;
+        let store = open_with_run(&file(&folder)).await;
         let stored = check_whole(&store).await;
         for (n, id) in &acknowledged {
             assert_eq!(stored.get(n), Some(id), "place {n} was acknowledged");
@@ -262,18 +255,18 @@ async fn a_disk_that_refuses_costs_no_acknowledged_trial() {
 async fn a_torn_log_leaves_a_prefix_and_a_changed_one_is_refused() {
     const SEED: u64 = 7;
     let mut chance = ChaCha8Rng::seed_from_u64(SEED);
-    let folder = Folder::new("torn");
-    let store = open_with_run(&folder.file()).await;
+    let folder = own_folder("torn");
+    let store = open_with_run(&file(&folder)).await;
     for n in 0..60 {
         store.trial(run_uid(), &trial(n)).await.unwrap();
     }
     let log = |path: &Path| PathBuf::from(format!("{}-wal", path.display()));
     // As they lie on the disk at a power cut: the store is still open.
-    let (file, whole) = (std::fs::read(folder.file()).unwrap(), std::fs::read(log(&folder.file())));
-    let whole = whole.unwrap();
+    let [start, whole] =
+        [file(&folder), log(&file(&folder))].map(|path| std::fs::read(path).unwrap());
     let mut shorter = 0;
     for case in 0..20 {
-        let cut = Folder::new(&format!("torn-{case}"));
+        let cut = own_folder(&format!("torn-{case}"));
         let mut torn = whole.clone();
         let at = chance.random_range(0..torn.len());
         match case % 3 {
@@ -281,15 +274,15 @@ async fn a_torn_log_leaves_a_prefix_and_a_changed_one_is_refused() {
             1 => torn[at] ^= 1 << chance.random_range(0..8u32),
             _ => torn[at..].fill(0),
         }
-        std::fs::write(cut.file(), &file).unwrap();
-        std::fs::write(log(&cut.file()), torn).unwrap();
+        std::fs::write(file(&cut), &start).unwrap();
+        std::fs::write(log(&file(&cut)), torn).unwrap();
         if case % 3 == 1 {
             // A crash does not do that: what follows the changed bit was stored.
-            let refused = Store::open(&cut.file(), Clock::new(1.0)).await.err().unwrap();
+            let refused = Store::open(&file(&cut), Clock::new(1.0)).await.err().unwrap();
             assert!(matches!(refused, StoreError::DamagedLog { .. }), "{refused}");
             continue;
         }
-        let again = open_with_run(&cut.file()).await;
+        let again = open_with_run(&file(&cut)).await;
         let kept = check_whole(&again).await.len() as u32;
         shorter += u32::from(kept < 60);
         // It goes on at the right place.

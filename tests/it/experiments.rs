@@ -13,7 +13,8 @@ use palpate::schedule::lint::lint;
 use palpate::schedule::plan::Plan;
 use palpate::schedule::preflight::Preflight;
 use palpate::schedule::reach::Reach;
-use sim_core::sensor::Sensor;
+
+use crate::support::sensor;
 
 /// The longest that `palpate plan experiments/real-hex.toml` may take.
 const PLAN_WITHIN: Duration = Duration::from_secs(2);
@@ -39,10 +40,6 @@ fn files() -> Vec<String> {
 
 fn experiment(name: &str) -> Experiment {
     Experiment::from_toml(name, &read(name)).unwrap()
-}
-
-fn sensor() -> Sensor {
-    Sensor::from_toml(&read("sensors/ert-28.toml")).unwrap()
 }
 
 fn plan(name: &str) -> Plan {

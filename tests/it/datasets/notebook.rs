@@ -3,35 +3,22 @@
 //! `PALPATE_REQUIRE_TOOLS=1` it fails instead.
 
 use std::collections::BTreeMap;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use serde_json::Value;
 
-use crate::filled::{Filled, folder};
-use crate::imports::import;
+use super::filled::{Filled, folder};
+use super::imports::import;
+use crate::support;
 
-/// A Python that has them, if there is one.
-fn python() -> Option<String> {
-    let python = std::env::var("PALPATE_PYTHON").unwrap_or_else(|_| "python3".into());
-    let found = Command::new(&python)
-        .args(["-c", "import pandas, polars, duckdb, pyarrow, numpy"])
-        .stderr(Stdio::null())
-        .status()
-        .is_ok_and(|status| status.success());
-    if found {
-        return Some(python);
-    }
-    let missing = "pandas, polars, duckdb, pyarrow or numpy is missing";
-    assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "{missing}");
-    println!("LEFT OUT: {missing} (set PALPATE_PYTHON)");
-    None
-}
+/// Modules that the scripts import.
+const MODULES: &str = "pandas, polars, duckdb, pyarrow, numpy";
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_tool_reads_what_the_database_holds() {
-    let Some(python) = python() else { return };
+    let Some(python) = support::python(MODULES) else { return };
     let lab = Filled::open("notebook").await;
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/datasets/python/check.py");
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/datasets/python/check.py");
     let (url, database) = (lab.service.url(), lab.data.join("palpate.db"));
     let output = tokio::task::spawn_blocking(move || {
         Command::new(python)
@@ -59,9 +46,9 @@ enum Expected {
 /// the others is refused in words that say why.
 #[tokio::test(flavor = "multi_thread")]
 async fn files_written_from_python_are_taken_or_refused() {
-    let Some(python) = python() else { return };
+    let Some(python) = support::python(MODULES) else { return };
     let files = folder("written-from-python");
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/datasets/python/import.py");
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/datasets/python/import.py");
     let output = Command::new(python)
         .env("PYTHONDONTWRITEBYTECODE", "1")
         .arg(script)

@@ -1,6 +1,5 @@
 //! Nets as ONNX files: the same answers in tract, in onnxruntime and in the trainer, files of another
 //! program, and files that are damaged.
-#![cfg(feature = "train")]
 
 mod kinds;
 mod random_nets;
@@ -8,7 +7,7 @@ mod random_nets;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use nets::device::Compute;
 use nets::network::{Form, Layer, Network};
@@ -19,6 +18,8 @@ use palpate::learn::onnx::{OnnxFile, sealed};
 
 use kinds::{KINDS, conv, kind_index, kinds};
 use random_nets::{CHANNELS, Draw, architectures, net};
+
+use crate::support::{self, Folder};
 
 /// Frames for each net: batches of 64 and of eight, and three alone.
 const FRAMES: usize = 75;
@@ -51,17 +52,6 @@ fn apart(found: &[f32], wanted: &[f32]) -> f32 {
     pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max) / largest
 }
 
-/// A Python that has onnx and onnxruntime, if there is one.
-fn python() -> Option<String> {
-    let python = std::env::var("PALPATE_PYTHON").unwrap_or_else(|_| "python3".into());
-    let found = Command::new(&python)
-        .args(["-c", "import onnx, onnxruntime"])
-        .stderr(Stdio::null())
-        .status()
-        .is_ok_and(|status| status.success());
-    found.then_some(python)
-}
-
 #[derive(serde::Deserialize)]
 struct Compared {
     difference: f64,
@@ -87,12 +77,8 @@ fn tract_and_the_trainer_give_the_same_answers_for_every_layer_and_every_net() {
 
 #[test]
 fn tract_and_onnxruntime_give_the_same_answers_for_every_layer_and_every_net() {
-    let Some(python) = python() else {
-        assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "onnxruntime is missing");
-        println!("LEFT OUT: no Python with onnx and onnxruntime (set PALPATE_PYTHON)");
-        return;
-    };
-    let folder = tempfolder("compare");
+    let Some(python) = support::python("onnx, onnxruntime") else { return };
+    let folder = Folder::new("onnx-compare");
     let mut draw = Draw::new(1);
     let nets = [kinds(&mut draw), architectures(&mut draw)].concat();
     let mut covered = [false; KINDS];
@@ -109,8 +95,8 @@ fn tract_and_onnxruntime_give_the_same_answers_for_every_layer_and_every_net() {
         fs::write(path.with_extension("answers"), to_bytes(&answers)).unwrap();
     }
     assert_eq!(covered, [true; KINDS], "a kind of layer has no net");
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/onnx/compare.py");
-    let output = Command::new(&python).arg(script).arg(&folder).output().unwrap();
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/onnx/compare.py");
+    let output = Command::new(&python).arg(script).arg(&*folder).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let compared: BTreeMap<String, Compared> = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(compared.len(), nets.len());
@@ -127,19 +113,11 @@ fn tract_and_onnxruntime_give_the_same_answers_for_every_layer_and_every_net() {
         assert_eq!(found.metadata["palpate.model"], "mdl-0123456789abcdef");
         assert_eq!(found.metadata["palpate.task"], "test");
     }
-    fs::remove_dir_all(folder).unwrap();
-}
-
-/// A folder of this process's own.
-fn tempfolder(name: &str) -> std::path::PathBuf {
-    let folder = std::env::temp_dir().join(format!("palpate-onnx-{name}-{}", std::process::id()));
-    fs::create_dir_all(&folder).unwrap();
-    folder
 }
 
 #[test]
 fn files_of_pytorch_are_served_as_they_are() {
-    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/onnx/pytorch"));
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/onnx/pytorch"));
     let frames = from_bytes(&fs::read(folder.join("frames.f32")).unwrap());
     for name in ["dynamo", "torchscript"] {
         let file = fs::read(folder.join(name).with_extension("onnx")).unwrap();

@@ -1,22 +1,12 @@
 //! The fit of Eq. 1 and Student's t against scipy. Without Python and scipy the test says that it was
 //! left out; with `PALPATE_REQUIRE_TOOLS=1` it fails instead.
 
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 use palpate::calibrate::{piezo, regression};
 use sim_core::calibration::Fitted;
-use sim_core::sensor::Sensor;
 
-/// A Python that has scipy, if there is one.
-fn python() -> Option<String> {
-    let python = std::env::var("PALPATE_PYTHON").unwrap_or_else(|_| "python3".into());
-    let found = Command::new(&python)
-        .args(["-c", "import scipy.optimize"])
-        .stderr(Stdio::null())
-        .status()
-        .is_ok_and(|status| status.success());
-    found.then_some(python)
-}
+use crate::support::{self, sensor};
 
 #[derive(serde::Deserialize)]
 struct Scipy {
@@ -28,20 +18,16 @@ struct Scipy {
 
 #[test]
 fn scipy_finds_the_same_numbers_and_intervals() {
-    let Some(python) = python() else {
-        assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "scipy is missing");
-        println!("LEFT OUT: no Python with scipy (set PALPATE_PYTHON)");
-        return;
-    };
+    let Some(python) = support::python("scipy.optimize") else { return };
     let root = env!("CARGO_MANIFEST_DIR");
     let table = format!("{root}/examples/calibration/compression.csv");
-    let script = format!("{root}/tests/independent/curve_fit.py");
+    let script = format!("{root}/tests/it/independent/curve_fit.py");
     let output = Command::new(&python).args([&script, &table]).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let scipy: Scipy = serde_json::from_slice(&output.stdout).unwrap();
     let text = std::fs::read_to_string(&table).unwrap();
-    let sensor = Sensor::from_toml(include_str!("../experiments/sensors/ert-28.toml")).unwrap();
-    let ours = piezo::calibrate("compression.csv", &text, &sensor.file.piezo).unwrap().calibration;
+    let paper = sensor().file.piezo;
+    let ours = piezo::calibrate("compression.csv", &text, &paper).unwrap().calibration;
     let c_ohm = ours.c_ohm.expect("the example holds c");
     for (fitted, theirs) in [ours.a_ohm, ours.b_per_mm, c_ohm].iter().zip(scipy.fitted) {
         let Fitted { value, low_95, high_95 } = *fitted;
