@@ -14,6 +14,7 @@ mod independent;
 mod independent_fit;
 #[cfg(feature = "train")]
 mod onnx;
+mod old_data;
 mod rig_transcripts;
 mod sim_random;
 mod simulate;

@@ -2,7 +2,7 @@
 //! never changes, exports that outlive the service, imports, the tools that a notebook uses.
 
 mod exports;
-mod filled;
+pub mod filled;
 mod imports;
 mod names;
 mod models;
