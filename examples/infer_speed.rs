@@ -5,7 +5,7 @@
 //! `write` makes NAME.onnx for every net that Palpate trains. `time` answers BATCH frames again and
 //! again from CALLERS threads and prints one line of JSON: latencies, frames a second, memory.
 
-#[path = "../tests/onnx/random_nets.rs"]
+#[path = "../tests/it/onnx/random_nets.rs"]
 mod random_nets;
 
 use std::path::Path;

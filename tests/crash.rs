@@ -2,7 +2,8 @@
 //! campaign: after going on, every planned trial is stored once (`PALPATE_KILLS` says how often,
 //! default 4). SIGSTOP in a press: the missing samples trip. SIGTERM in a jog: the axis stops. A database
 //! that is locked for a minute, a full disk: trips and e-stops do not wait for them. Processes, sockets
-//! and files as a lab has them.
+//! and files as a lab has them. A separate binary, because the tests measure how soon real processes
+//! stop a rig: no test of another kind may run at the same time.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

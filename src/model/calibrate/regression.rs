@@ -4,7 +4,7 @@
 //! Levenberg-Marquardt on the normal equations, damped by their diagonal (Marquardt 1963), so that
 //! the scale of parameters has no influence. Three unknowns do not justify a matrix library: the
 //! MINPACK port (levenberg-marquardt, on nalgebra) would add eight crates to the build.
-//! `tests/independent_fit.rs` compares it with scipy. Covariance `s2 (J'J)^-1` with
+//! `tests/it/independent_fit.rs` compares it with scipy. Covariance `s2 (J'J)^-1` with
 //! `s2 = |r|2 / (n - p)`, intervals with Student's t: valid for small residuals and independent
 //! errors of equal variance.
 

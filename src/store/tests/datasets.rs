@@ -1,5 +1,5 @@
 //! Imports, datasets and exports in the store; and that tables which a migration rebuilds lose nothing.
-//! Uses: `store`. Never: files of datasets (see `dataset` and `tests/datasets`).
+//! Uses: `store`. Never: files of datasets (see `dataset` and `tests/it/datasets`).
 
 use serde_json::json;
 use sqlx::Connection;

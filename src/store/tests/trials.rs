@@ -1,5 +1,5 @@
 //! Trials: stored and read bit for bit, once per key, labelled by the deadband, discarded, in pages.
-//! Uses: `store`, `campaign`. Never: processes (see `tests/store_durability.rs`).
+//! Uses: `store`, `campaign`. Never: processes (see `tests/it/store_durability.rs`).
 
 use super::{Folder, hex_trial, new_run, now, open, random_trial, time};
 use crate::ids::{RunUid, TrialId, TrialKey};

@@ -1,5 +1,5 @@
 //! The analysis of variance compared with textbook sums; identities; rejected input.
-//! Uses: `anova`. Never: an external tool (`tests/evaluate` has that).
+//! Uses: `anova`. Never: an external tool (`tests/it/evaluate` has that).
 
 use proptest::prelude::*;
 

@@ -1,0 +1,281 @@
+//! A data folder with trials, as campaigns would leave it, and a service on it. Frames are made up:
+//! nothing here is about physics.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
+
+use palpate::api::{ServeOptions, Service};
+use palpate::clock::Clock;
+use palpate::ids::{RunUid, TrialKey};
+use palpate::journal::{ExitStatus, Journal};
+use palpate::record::{
+    ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose, TrialRecord,
+};
+use palpate::store::{
+    Label, NewRun, NewTwinModel, RunKind, Store, TrialQuery, Twin, TwinModelId, TwinOutcome,
+};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde_json::Value;
+
+use crate::support::{SENSOR, VIRTUAL_RIG, sensor};
+
+/// Configurations of the Real-Hex run; each third is one that was drawn before.
+pub const CONFIGURATIONS: u32 = 30;
+const DEPTHS: u32 = 11;
+/// Longest wait for anything.
+const LIMIT: Duration = Duration::from_secs(60);
+
+/// A folder with a Real-Hex run of 330 trials with twins, and a Real-Random run of 12.
+pub struct Filled {
+    pub data: PathBuf,
+    pub service: Service,
+    pub http: reqwest::Client,
+}
+
+/// An empty folder of a test's own.
+pub fn folder(name: &str) -> PathBuf {
+    let data = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("datasets-{name}"));
+    std::fs::remove_dir_all(&data).ok();
+    std::fs::create_dir_all(&data).unwrap();
+    data
+}
+
+pub async fn store(data: &Path) -> Store {
+    Store::open(&data.join("palpate.db"), Clock::new(1.0)).await.unwrap()
+}
+
+fn new_run(kind: RunKind, experiment: &str) -> NewRun {
+    NewRun {
+        uid: RunUid::new(),
+        experiment: experiment.into(),
+        kind,
+        definition: format!("name = \"{experiment}\"\n"),
+        seed: Some(7),
+        rig: Some("name = \"made up\"\n".into()),
+        sensor: SENSOR.into(),
+        calibration_id: None,
+        plan: None,
+        label: Label::Virtual,
+        version: "0.1.0".into(),
+        git_commit: None,
+        deadband_n: 5.0,
+        tip_diameter_mm: Some(20.0),
+        trials_planned: 1,
+        auto_resume: false,
+        submitted_by: "test".into(),
+    }
+}
+
+fn frame(chance: &mut ChaCha8Rng) -> FrameRecord {
+    let counts = (0..784).map(|_| (chance.next_u32() % 20_000) as i16 - 10_000).collect();
+    FrameRecord { sequence: 1, device_time_us: 2, volts_per_count: 12.0 / 32_768.0, counts }
+}
+
+fn trial(key: TrialKey, chance: &mut ChaCha8Rng) -> TrialRecord {
+    let at: jiff::Timestamp = "2026-11-20T18:00:00.123Z".parse().unwrap();
+    let started_at =
+        at + Duration::from_secs(u64::from(key.configuration * DEPTHS + key.depth_index));
+    TrialRecord {
+        key,
+        attempt: 1,
+        tips: 0,
+        depth_mm: None,
+        target: None,
+        reached: None,
+        arms: Vec::new(),
+        placed: Vec::new(),
+        placed_by: None,
+        frames: vec![frame(chance)],
+        quality: FrameQuality {
+            saturated_channels: Some(0),
+            stuck_channels: Some(key.depth_index),
+            missing_channels: Some(0),
+            injection_sum_v: Some(1e-3),
+            dropped_packets: Some(0),
+        },
+        flags: Vec::new(),
+        settle_ms: 1800.5,
+        overshoot_n: Some(0.25),
+        started_at,
+        measured_at: started_at + Duration::from_millis(800),
+    }
+}
+
+/// Presses with two tips on two points, harder with each depth: the first depths make no contact.
+fn press(key: TrialKey, points: &[[f64; 2]], chance: &mut ChaCha8Rng) -> TrialRecord {
+    let draw = key.configuration - key.configuration % 3 / 2;
+    let place = |n: u32| points[(draw * 37 + n * 101) as usize % points.len()];
+    let z_mm = 0.5 * f64::from(key.depth_index);
+    let pose = |z_mm| Pose { x_mm: place(0)[0], y_mm: place(0)[1], z_mm, radius_mm: 34.641 };
+    let arms = (0..2_u32).map(|n| {
+        let [x_mm, y_mm] = place(n);
+        let force_n = 1.7 * f64::from(key.depth_index) + 0.3 * f64::from(n) - 0.1;
+        ArmReading { arm: n as u8 + 1, x_mm, y_mm, force_n, cell_v: 1.0, tare_v: 0.5 }
+    });
+    let flags = if key.configuration == 4 && key.depth_index > 5 {
+        vec![Flag::Unsettled, Flag::DepthMissed]
+    } else {
+        Vec::new()
+    };
+    TrialRecord {
+        tips: 2,
+        depth_mm: Some(z_mm),
+        target: Some(pose(z_mm)),
+        reached: Some(pose(z_mm + 0.004)),
+        arms: arms.collect(),
+        flags,
+        ..trial(key, chance)
+    }
+}
+
+fn placed(key: TrialKey, points: &[[f64; 2]], chance: &mut ChaCha8Rng) -> TrialRecord {
+    let weights = 2 + key.configuration % 3;
+    let contact = |n: u32| {
+        let [x_mm, y_mm] = points[(key.configuration * 53 + n * 17) as usize % points.len()];
+        PlacedContact { x_mm, y_mm, force_n: 4.905 }
+    };
+    TrialRecord {
+        tips: weights as u8,
+        placed: (0..weights).map(contact).collect(),
+        placed_by: Some("Ada".into()),
+        ..trial(key, chance)
+    }
+}
+
+/// Fills a folder: run 1 is Real-Hex, run 2 is Real-Random.
+pub async fn fill(data: &Path) {
+    let store = store(data).await;
+    let sensor = sensor();
+    let points: Vec<[f64; 2]> = sensor.points().iter().map(|p| [p.x_mm, p.y_mm]).collect();
+    let mut chance = ChaCha8Rng::seed_from_u64(5);
+    let hex = store.create_run(new_run(RunKind::RealHex, "made-up-hex")).await.unwrap().uid;
+    for configuration in 0..CONFIGURATIONS {
+        for depth_index in 0..DEPTHS {
+            let key = TrialKey { configuration, depth_index };
+            store.trial(hex, &press(key, &points, &mut chance)).await.unwrap();
+        }
+    }
+    twins(&store, hex, "sim-0000000000000001", &mut chance).await;
+    store.end_run(hex, ExitStatus::Success, "made up", jiff::Timestamp::now()).await.unwrap();
+    let random =
+        store.create_run(new_run(RunKind::RealRandom, "made-up-random")).await.unwrap().uid;
+    for configuration in 0..12 {
+        let key = TrialKey { configuration, depth_index: 0 };
+        store.trial(random, &placed(key, &points, &mut chance)).await.unwrap();
+    }
+    store.end_run(random, ExitStatus::Success, "made up", jiff::Timestamp::now()).await.unwrap();
+    store.close().await;
+}
+
+/// A rig that nobody else has the lock of.
+fn rig() -> String {
+    static NEXT: AtomicU32 = AtomicU32::new(0);
+    let (process, n) = (std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
+    let own = format!("127.{}.{}.{}:", process >> 8 & 0x7F, process & 0xFF, n + 1);
+    VIRTUAL_RIG.replace("127.0.0.1:", &own)
+}
+
+/// Twins of all trials of a run but the last three.
+pub async fn twins(store: &Store, run: RunUid, model: &str, chance: &mut ChaCha8Rng) {
+    let new = NewTwinModel {
+        hash: model.into(),
+        sensor_sha256: "s".into(),
+        calibration_id: Some("cal-1".into()),
+        version: "0.1.0".into(),
+        git_commit: Some("c".into()),
+    };
+    let model: TwinModelId = store.twin_model(new).await.unwrap();
+    let query = TrialQuery { run: Some(run), limit: 10_000, ..TrialQuery::default() };
+    let trials = store.trials(&query).await.unwrap();
+    let twins = trials[..trials.len() - 3].iter().map(|trial| {
+        let voltages_v = (0..784).map(|_| chance.random_range(-1.0..1.0)).collect();
+        let outcome = TwinOutcome::Frame { voltages_v, rmse_v: 0.125, fvu: Some(0.5) };
+        Twin { trial: trial.trial_id, outcome }
+    });
+    store.insert_twins(model, twins.collect()).await.unwrap();
+}
+
+impl Filled {
+    /// A filled folder of this test's own, and a service on it.
+    pub async fn open(name: &str) -> Self {
+        let data = folder(name);
+        fill(&data).await;
+        Self::serve(data).await
+    }
+
+    /// A service on a folder.
+    pub async fn serve(data: PathBuf) -> Self {
+        let options = ServeOptions {
+            bind: "127.0.0.1:0".parse().unwrap(),
+            data: data.clone(),
+            rig_file: "rig.toml".into(),
+            rig_text: rig(),
+            resume: false,
+            twin_workers: 0,
+            calibration: None,
+            sensor: sensor(),
+            sensor_text: SENSOR.into(),
+        };
+        let service = Service::start(options).await.unwrap();
+        Self { data, service, http: reqwest::Client::new() }
+    }
+
+    pub fn url(&self, path: &str) -> String {
+        format!("{}{path}", self.service.url())
+    }
+
+    pub async fn answer(&self, path: &str) -> reqwest::Response {
+        self.http.get(self.url(path)).send().await.unwrap()
+    }
+
+    /// A GET that must succeed.
+    pub async fn get(&self, path: &str) -> Value {
+        let answer = self.answer(path).await;
+        let status = answer.status();
+        let text = answer.text().await.unwrap();
+        assert!(status.is_success(), "{path}: {status} {text}");
+        serde_json::from_str(&text).unwrap()
+    }
+
+    /// A GET that must not: its status and the problem's words.
+    pub async fn refused(&self, path: &str) -> (u16, String) {
+        let answer = self.answer(path).await;
+        let status = answer.status().as_u16();
+        let body: Value = answer.json().await.unwrap();
+        (status, body["detail"].as_str().unwrap_or_default().to_owned())
+    }
+
+    /// A POST: its status and its body.
+    pub async fn post(&self, path: &str, body: Value) -> (u16, Value) {
+        let answer = self.http.post(self.url(path)).json(&body).send().await.unwrap();
+        let status = answer.status().as_u16();
+        (status, answer.json().await.unwrap_or(Value::Null))
+    }
+
+    /// Waits until an export is over.
+    pub async fn over(&self, export: &str) -> Value {
+        let start = Instant::now();
+        loop {
+            let row = self.get(&format!("/api/v1/exports/{export}")).await;
+            if row["state"] == "done" || row["state"] == "failed" {
+                return row;
+            }
+            assert!(start.elapsed() < LIMIT, "{row:#}");
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    }
+
+    /// The service ends; the folder stays.
+    pub async fn end(self) -> PathBuf {
+        self.service.shutdown().await;
+        self.data
+    }
+
+    /// Everything goes.
+    pub async fn close(self) {
+        let data = self.end().await;
+        std::fs::remove_dir_all(data).ok();
+    }
+}

@@ -1,0 +1,167 @@
+//! Trials measured elsewhere, from a file to datasets.
+
+use std::sync::Arc;
+
+use arrow_array::{ArrayRef, Float32Array, Int64Array, ListArray, RecordBatch, StructArray};
+use arrow_array::{FixedSizeListArray, Float64Array};
+use arrow_buffer::OffsetBuffer;
+use arrow_schema::{DataType, Field, Fields};
+use parquet::arrow::ArrowWriter;
+use reqwest::multipart::{Form, Part};
+use serde_json::Value;
+
+use super::filled::Filled;
+
+pub const PAD: &str = "name = \"pad\"\nchannels = 4\nwidth_mm = 100\nheight_mm = 80\n";
+
+pub fn frames(channels: i32, values: Vec<Option<f32>>) -> ArrayRef {
+    let item = Arc::new(Field::new("item", DataType::Float32, true));
+    let values = Arc::new(Float32Array::from(values));
+    Arc::new(FixedSizeListArray::try_new(item, channels, values, None).unwrap())
+}
+
+/// Contacts (x, y, force) of three trials: one complete, one without force, none at all.
+fn contacts(x_mm: f64) -> ArrayRef {
+    let contacts = [(x_mm, 20.0, Some(2.5)), (30.0, 40.0, None)];
+    lists(&contacts, [1, 1, 0])
+}
+
+/// x and y in mm, and the force in N where it is known.
+pub type Touch = (f64, f64, Option<f64>);
+
+/// Contacts of trials that have so many each.
+pub fn lists(contacts: &[Touch], lengths: impl IntoIterator<Item = usize>) -> ArrayRef {
+    let field = |name, kind| Field::new(name, kind, true);
+    let fields = Fields::from(vec![
+        field("x_mm", DataType::Float64),
+        field("y_mm", DataType::Float64),
+        field("force_n", DataType::Float64),
+    ]);
+    let column = |of: fn(&Touch) -> Option<f64>| -> ArrayRef {
+        Arc::new(contacts.iter().map(of).collect::<Float64Array>())
+    };
+    let columns = vec![column(|c| Some(c.0)), column(|c| Some(c.1)), column(|c| c.2)];
+    let values = StructArray::try_new(fields.clone(), columns, None).unwrap();
+    let item = Arc::new(Field::new("item", DataType::Struct(fields), true));
+    let ends = OffsetBuffer::from_lengths(lengths);
+    Arc::new(ListArray::try_new(item, ends, Arc::new(values), None).unwrap())
+}
+
+pub fn parquet(columns: Vec<(&str, ArrayRef)>) -> Vec<u8> {
+    let batch = RecordBatch::try_from_iter(columns).unwrap();
+    let mut writer = ArrowWriter::try_new(Vec::new(), batch.schema(), None).unwrap();
+    writer.write(&batch).unwrap();
+    writer.into_inner().unwrap()
+}
+
+/// Hands a file in: the status and the body.
+pub async fn import(lab: &Filled, file: Vec<u8>, sensor: &str) -> (u16, Value) {
+    let form = Form::new()
+        .part("file", Part::bytes(file).file_name("pad.parquet"))
+        .part("sensor", Part::text(sensor.to_owned()).file_name("pad.toml"))
+        .text("name", "pad-study")
+        .text("label", "measured");
+    let answer = lab.http.post(lab.url("/api/v1/imports")).multipart(form).send().await.unwrap();
+    (answer.status().as_u16(), answer.json().await.unwrap())
+}
+
+fn good() -> Vec<(&'static str, ArrayRef)> {
+    let volts: Vec<Option<f32>> =
+        (0..12).map(|n| if n == 5 { None } else { Some(n as f32 / 8.0) }).collect();
+    vec![
+        ("voltages_v", frames(4, volts)),
+        ("contacts", contacts(12.5)),
+        ("weather", Arc::new(Int64Array::from(vec![1, 2, 3]))),
+    ]
+}
+
+#[tokio::test]
+async fn another_skins_trials_are_a_run_like_any_other() {
+    let lab = Filled::open("import").await;
+    let (status, made) = import(&lab, parquet(good()), PAD).await;
+    assert_eq!(status, 201, "{made}");
+    assert_eq!((&made["trials"], &made["columns_left_out"][0]), (&3.into(), &"weather".into()));
+    assert_eq!(
+        (&made["run"]["kind"], &made["run"]["label"]),
+        (&"imported".into(), &"measured".into())
+    );
+    let run = made["run"]["scan_id"].as_i64().unwrap();
+    let page = lab.get(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
+    let trials = page["trials"].as_array().unwrap();
+    assert_eq!(trials.len(), 3);
+    assert_eq!(trials[0]["contacts"][0]["force_n"], 2.5);
+    assert!(trials[1]["contacts"][0].get("force_n").is_none());
+    assert_eq!(trials[1]["missing_channels"], 1);
+    assert_eq!(trials[2]["contact_count"], 0);
+    let imported = trials[0]["trial_id"].as_i64().unwrap();
+    let (status, words) = lab.refused(&format!("/api/v1/trials/{imported}/frames")).await;
+    assert_eq!(status, 404);
+    assert!(words.contains("no raw frames"), "{words}");
+    // Without a force there is no map, not a map of zeros.
+    let path = format!("/api/v1/datasets/run-{run}/rows?map=10x10&columns=trial_id,voltages_v");
+    let rows = lab.get(&path).await["rows"].clone();
+    assert_eq!(rows[0]["voltages_v"].as_array().unwrap().len(), 4);
+    assert!(rows[0]["force_map_n"].is_array() && rows[1].get("force_map_n").is_none());
+    // It joins datasets only when it is named, and never those of another label unasked.
+    assert_eq!(lab.get("/api/v1/datasets/real").await["report"]["channels"], 784);
+    let both = serde_json::json!({ "definition": { "name": "both", "task": "real",
+        "runs": ["1", run.to_string()] } });
+    let (status, body) = lab.post("/api/v1/datasets", both).await;
+    assert_eq!(status, 409);
+    assert!(body["detail"].as_str().unwrap().contains("run 1 is virtual"), "{body}");
+    let own = serde_json::json!({ "definition": { "name": "pad", "task": "real",
+        "runs": ["pad-study"] } });
+    let (status, own) = lab.post("/api/v1/datasets", own).await;
+    assert_eq!((status, &own["rows"]), (200, &2.into()), "{own}");
+    lab.close().await;
+}
+
+#[tokio::test]
+async fn what_cannot_be_used_is_named_and_nothing_is_stored() {
+    let lab = Filled::open("import-bad").await;
+    let before = lab.get("/api/v1/runs").await["runs"].as_array().unwrap().len();
+    let wrong_length =
+        parquet(vec![("voltages_v", frames(3, vec![Some(1.0); 9])), ("contacts", contacts(12.5))]);
+    let outside = parquet(vec![good().remove(0), ("contacts", contacts(120.0))]);
+    let infinite = parquet(vec![
+        ("voltages_v", frames(4, vec![Some(f32::INFINITY); 12])),
+        ("contacts", contacts(12.5)),
+    ]);
+    let numbers = Arc::new(Int64Array::from(vec![1, 2, 3])) as ArrayRef;
+    let words = parquet(vec![("voltages_v", numbers), ("contacts", contacts(12.5))]);
+    let halves = Arc::new(Float64Array::from(vec![0.0, 0.5, 1.0])) as ArrayRef;
+    let mut half = good();
+    half.push(("configuration", halves));
+    let twice = {
+        let zeros = Arc::new(Int64Array::from(vec![0, 0, 0])) as ArrayRef;
+        let mut columns = good();
+        columns.push(("configuration", zeros));
+        parquet(columns)
+    };
+    for (file, sensor, wanted) in [
+        (wrong_length, PAD, "row 0, voltages_v = 3 values: must have the 4 values of sensor pad"),
+        (outside, PAD, "row 0, contacts[0].x_mm = 120: must be from 0 to 100"),
+        (infinite, PAD, "row 0, voltages_v = infinite"),
+        (words, PAD, "must be a column of lists of numbers"),
+        (parquet(half), PAD, "configuration = 0.5: must be a column of whole numbers"),
+        (parquet(vec![good().remove(0)]), PAD, "contacts = absent"),
+        (twice, PAD, "must occur once"),
+        (parquet(vec![("weather", frames(4, vec![Some(1.0); 4]))]), PAD, "voltages_v = absent"),
+        (b"PAR2 or so".to_vec(), PAD, "must be a Parquet file"),
+        (parquet(good()), "name = \"pad\"\n", "channels"),
+        (
+            parquet(good()),
+            "channels = 4\nname = \"p\"\nwidth_mm = 0\nheight_mm = 1\n",
+            "width_mm = 0",
+        ),
+    ] {
+        let (status, body) = import(&lab, file, sensor).await;
+        let detail = body["detail"].as_str().unwrap_or_default();
+        assert_eq!(status, 400, "{wanted}: {body}");
+        assert!(detail.contains(wanted), "{wanted}: {detail}");
+    }
+    assert_eq!(lab.get("/api/v1/runs").await["runs"].as_array().unwrap().len(), before);
+    let uploads = std::fs::read_dir(lab.data.join("uploads")).unwrap().count();
+    assert_eq!(uploads, 0, "uploads are removed");
+    lab.close().await;
+}

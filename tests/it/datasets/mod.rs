@@ -1,0 +1,10 @@
+//! Datasets of a service on real files and sockets, and models made of them: what names give, what
+//! never changes, exports that outlive the service, imports, the tools that a notebook uses.
+
+mod exports;
+pub mod filled;
+mod imports;
+mod names;
+mod models;
+mod notebook;
+mod queries;

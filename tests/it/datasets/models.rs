@@ -1,0 +1,334 @@
+//! Models of a service: trained on its datasets, scored, promoted, asked; refused where they do not
+//! fit. The nets are as small as they can be: how good they are is no matter here.
+
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+
+use super::filled::Filled;
+use super::imports::{PAD, frames, import, lists, parquet};
+use crate::support::SENSOR;
+
+/// Longest wait for a job.
+const LIMIT: Duration = Duration::from_secs(120);
+
+fn transfer_net(name: &str, epochs: u32) -> String {
+    format!(
+        "name = \"{name}\"\ndataset = \"r2s-transfer\"\n[training]\nseed = 1\nepochs = {epochs}\n\
+         batch = 32\n[training.net]\nkind = \"transfer-net\"\nform = \"residual\"\nhidden = 1\n\
+         width = 8\n"
+    )
+}
+
+const RECON_NET: &str = "name = \"maps\"\ndataset = \"real\"\nmap = \"20x60\"\n[training]\nseed = 1\n\
+    epochs = 1\nbatch = 32\n[training.net]\nkind = \"end-to-end\"\nside = 32\nchannels = [4, 2]\n\
+    input = \"unit\"\n";
+
+impl Filled {
+    /// Waits until a job is over.
+    async fn job(&self, job: &Value) -> Value {
+        let (start, id) = (Instant::now(), job["id"].as_str().unwrap());
+        loop {
+            let row = self.get(&format!("/api/v1/jobs/{id}")).await;
+            if !["waiting", "running"].contains(&row["state"].as_str().unwrap()) {
+                return row;
+            }
+            assert!(start.elapsed() < LIMIT, "{row:#}");
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    }
+
+    /// The id of the model that a recipe gives.
+    async fn trained(&self, recipe: &str) -> String {
+        let (status, job) = self.post("/api/v1/trainings", json!({ "recipe": recipe })).await;
+        assert_eq!(status, 202, "{job}");
+        let done = self.job(&job).await;
+        assert_eq!(done["state"], "done", "{done}");
+        done["result"]["model"].as_str().unwrap().to_owned()
+    }
+
+    async fn scored(&self, request: Value) -> Value {
+        let (status, job) = self.post("/api/v1/evaluations", request).await;
+        assert_eq!(status, 202, "{job}");
+        let done = self.job(&job).await;
+        assert_eq!(done["state"], "done", "{done}");
+        done["result"].clone()
+    }
+
+    async fn a_frame(&self) -> Value {
+        let page = self.get("/api/v1/datasets/real/rows?columns=voltages_v&limit=1").await;
+        page["rows"][0]["voltages_v"].clone()
+    }
+}
+
+#[tokio::test]
+async fn nets_are_trained_scored_promoted_and_asked() {
+    let lab = Filled::open("models").await;
+    let transfer = lab.trained(&transfer_net("small-transfer", 2)).await;
+    let maps = lab.trained(RECON_NET).await;
+    let model = lab.get("/api/v1/models/small-transfer").await;
+    assert_eq!((&model["id"], &model["task"]), (&json!(transfer), &json!("transfer")));
+    let manifest = &model["manifest"];
+    assert_eq!(manifest["label"], "virtual");
+    assert_eq!(
+        (&manifest["calibration"], &manifest["simulation"]),
+        (&json!("cal-1"), &json!("sim-0000000000000001"))
+    );
+    assert!(manifest["datasets"][0].as_str().unwrap().starts_with("ds-"));
+    assert!(manifest["trained_on"]["max_force_n"].as_f64().unwrap() > 5.0);
+    let losses =
+        lab.answer(&format!("/api/v1/models/{transfer}/losses")).await.text().await.unwrap();
+    assert_eq!(losses.lines().count(), 2, "{losses}");
+    let left = lab.get(&format!("/api/v1/models/{transfer}/residuals")).await;
+    assert_eq!(left["sd_v"].as_array().unwrap().len(), 784);
+
+    let voltages = json!({ "scored": "voltages", "dataset": "r2s-transfer", "part": "test",
+        "transfer": transfer });
+    let report = lab.scored(voltages).await;
+    assert_eq!(report["voltages"]["all"]["trials"], report["rows"]);
+    let contacts = json!({ "scored": "paper", "dataset": "real", "part": "test", "map": maps });
+    let report = lab.scored(contacts).await;
+    assert_eq!(report["contacts"]["all"]["trials"], report["rows"]);
+    // The true contacts of this run lie far apart: a perfect map finds nearly all of them.
+    assert!(report["perfect"]["all"]["exact_rate"]["mean"].as_f64().unwrap() > 0.8, "{report:#}");
+    let shown = json!({ "scored": "paper", "dataset": "real", "map": maps, "limit": 2,
+        "examples": 2 });
+    let shown = lab.scored(shown).await;
+    let examples = shown["examples"].as_array().unwrap();
+    assert_eq!(examples.len(), 2);
+    assert_eq!(examples[1]["reading"]["force_map_n"].as_array().unwrap().len(), 32 * 32);
+    assert!(examples[1]["truth"][0]["force_n"].as_f64().unwrap() > 0.0, "{}", examples[1]["truth"]);
+    // Neither a few that are shown nor rows that were learned from tell how good a model is.
+    let learned = json!({ "scored": "paper", "dataset": "real", "part": "train", "map": maps });
+    lab.scored(learned).await;
+    assert_eq!(lab.get("/api/v1/models/maps").await["scores"], json!([report]));
+
+    let frame = lab.a_frame().await;
+    let wish = json!({ "method": "paper", "frames": [frame, frame], "map": true });
+    let (status, refused) = lab.post("/api/v1/infer", wish.clone()).await;
+    assert_eq!(status, 409, "{refused}");
+    let (status, _) = lab.post("/api/v1/serving", json!({ "what": "maps" })).await;
+    assert_eq!(status, 200);
+    let (status, answers) = lab.post("/api/v1/infer", wish).await;
+    assert_eq!(status, 200, "{answers}");
+    assert_eq!(answers.as_array().unwrap().len(), 2);
+    assert_eq!((&answers[0]["model"], &answers[0]["method"]), (&json!(maps), &json!("paper")));
+    assert_eq!(answers[0]["force_map_n"].as_array().unwrap().len(), 32 * 32);
+    assert_eq!(answers[0]["force_map_n"], answers[1]["force_map_n"]);
+
+    let bytes: Vec<u8> = frame
+        .as_array()
+        .unwrap()
+        .iter()
+        .flat_map(|v| (v.as_f64().unwrap() as f32).to_le_bytes())
+        .collect();
+    let raw = lab
+        .http
+        .post(lab.url("/api/v1/infer?method=paper&map=true"))
+        .header("content-type", "application/octet-stream")
+        .body(bytes);
+    let raw: Value = raw.send().await.unwrap().json().await.unwrap();
+    assert_eq!(raw[0]["force_map_n"], answers[0]["force_map_n"]);
+
+    let data = lab.end().await;
+    let lab = Filled::serve(data).await;
+    let serving = lab.get("/api/v1/serving").await;
+    assert_eq!(serving["serves"][1], json!({ "slot": "map", "what": maps }));
+    let (status, back) = lab.post("/api/v1/serving/roll-back", json!({ "slot": "map" })).await;
+    assert_eq!((status, &back["what"]), (200, &Value::Null));
+    let (status, _) = lab.post("/api/v1/serving/roll-back", json!({ "slot": "points" })).await;
+    assert_eq!(status, 409);
+    lab.close().await;
+}
+
+#[tokio::test]
+async fn a_training_goes_on_after_a_restart_and_stops_when_it_is_told() {
+    let lab = Filled::open("training-restart").await;
+    let undisturbed = lab.trained(&transfer_net("same", 300)).await;
+    let whole = lab.answer(&format!("/api/v1/models/{undisturbed}/losses")).await.text().await;
+    let epochs = |text: &str| -> Vec<u64> {
+        let lines = text.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+        lines.map(|line| line["epoch"].as_u64().unwrap()).collect()
+    };
+    assert_eq!(epochs(&whole.unwrap()), (1..=300).collect::<Vec<_>>());
+    // The same recipe again, the service ended in the middle.
+    let recipe = json!({ "recipe": transfer_net("same", 300) });
+    let (_, job) = lab.post("/api/v1/trainings", recipe).await;
+    let id = job["id"].as_str().unwrap().to_owned();
+    let start = Instant::now();
+    while lab.get(&format!("/api/v1/jobs/{id}")).await["progress"]["epoch"].as_u64() < Some(20) {
+        assert!(start.elapsed() < LIMIT);
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    let data = lab.end().await;
+    let lab = Filled::serve(data).await;
+    let done = lab.job(&job).await;
+    assert_eq!(done["result"]["model"], json!(undisturbed), "{done}");
+
+    let (_, endless) = lab
+        .post("/api/v1/trainings", json!({ "recipe": transfer_net("endless", 1_000_000) }))
+        .await;
+    let path = format!("/api/v1/jobs/{}", endless["id"].as_str().unwrap());
+    while lab.get(&path).await["state"] != "running" {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    lab.post(&format!("{path}/stop"), Value::Null).await;
+    assert_eq!(lab.job(&endless).await["state"], "stopped");
+    assert_eq!(lab.get("/api/v1/models").await.as_array().unwrap().len(), 1);
+    lab.close().await;
+}
+
+#[tokio::test]
+async fn what_cannot_be_is_named_and_changes_nothing() {
+    let lab = Filled::open("models-refused").await;
+    let ask =
+        async |recipe: String| lab.post("/api/v1/trainings", json!({ "recipe": recipe })).await;
+    let net = transfer_net("a", 1);
+    for (recipe, words) in [
+        (net.replace("epochs = 1", "epochs = 0"), "epochs"),
+        (net.replace("batch", "bacth"), "bacth"),
+        (net.replace("name = \"a\"", "name = \"a b\""), "name = a b"),
+        (net.replace("[training]", "map = \"4x20\"\n[training]"), "map = 4x20"),
+        ("nonsense".into(), "recipe"),
+    ] {
+        let (status, body) = ask(recipe).await;
+        assert_eq!(status, 422, "{body}");
+        assert!(body["detail"].as_str().unwrap().contains(words), "{words}: {body}");
+    }
+    for (recipe, words) in [
+        (net.replace("r2s-transfer", "none-such"), "no dataset none-such"),
+        (net.replace("r2s-transfer", "real-unseen"), "sim_voltages_v"),
+        (net.replace("dataset", "where = [\"tips__gt=9\"]\ndataset"), "no rows in part train"),
+    ] {
+        let (status, job) = ask(recipe).await;
+        assert_eq!(status, 202);
+        let failed = lab.job(&job).await;
+        assert_eq!(failed["state"], "failed");
+        assert!(failed["error"].as_str().unwrap().contains(words), "{words}: {failed}");
+    }
+    let (status, body) = lab
+        .post(
+            "/api/v1/evaluations",
+            json!({ "scored": "paper", "dataset": "real", "part": "some" }),
+        )
+        .await;
+    assert_eq!(status, 422);
+    assert!(body["detail"].as_str().unwrap().contains("part = some"), "{body}");
+
+    let frame = vec![0.0; 784];
+    for (frames, words) in [
+        (json!([vec![0.0; 783]]), "frames[0] = 783"),
+        (json!([]), "frames = 0"),
+        (json!([frame, vec![1e39; 784]]), "frames"),
+    ] {
+        let (status, body) =
+            lab.post("/api/v1/infer", json!({ "method": "fast", "frames": frames })).await;
+        assert_eq!(status, 422, "{body}");
+        assert!(body["detail"].as_str().unwrap().contains(words), "{words}: {body}");
+    }
+    let nan: Vec<u8> = [f32::NAN; 784].iter().flat_map(|v| v.to_le_bytes()).collect();
+    for (bytes, words) in [(nan.clone(), "frames[0][0] = NaN"), (nan[..13].to_vec(), "body = 13")] {
+        let request = lab
+            .http
+            .post(lab.url("/api/v1/infer?method=fast"))
+            .header("content-type", "application/octet-stream")
+            .body(bytes);
+        let answer = request.send().await.unwrap();
+        assert_eq!(answer.status(), 422);
+        let body: Value = answer.json().await.unwrap();
+        assert!(body["detail"].as_str().unwrap().contains(words), "{words}: {body}");
+    }
+
+    let id = lab.trained(&net).await;
+    let onnx = lab.answer(&format!("/api/v1/models/{id}/onnx")).await.bytes().await.unwrap();
+    let facts = "task = \"transfer\"\nlabel = \"virtual\"\nsensor = \"ert-28\"\nchannels = 784\n\
+        output_shape = [784]\ncode = \"mine\"\n";
+    let add = async |file: Vec<u8>, facts: String| {
+        let form = reqwest::multipart::Form::new()
+            .part("file", reqwest::multipart::Part::bytes(file))
+            .text("sensor", SENSOR)
+            .text("facts", facts)
+            .text("name", "mine");
+        let answer = lab.http.post(lab.url("/api/v1/models")).multipart(form).send().await.unwrap();
+        (answer.status().as_u16(), answer.json::<Value>().await.unwrap())
+    };
+    for (file, facts, words) in [
+        (onnx[..onnx.len() / 2].to_vec(), facts.to_owned(), "ONNX"),
+        (onnx.to_vec(), facts.replace("784", "783"), "channels"),
+        (onnx.to_vec(), facts.replace("ert-28", "other"), "sensor = other"),
+        (onnx.to_vec(), facts.replace("code", "cdoe"), "cdoe"),
+    ] {
+        let (status, body) = add(file, facts).await;
+        assert_eq!(status, 422, "{body}");
+        assert!(body["detail"].as_str().unwrap().contains(words), "{words}: {body}");
+    }
+    assert_eq!(lab.get("/api/v1/models").await.as_array().unwrap().len(), 1);
+
+    let wish = json!({ "method": "fast", "model": id, "frames": [frame] });
+    let (status, body) = lab.post("/api/v1/infer", wish).await;
+    assert_eq!(status, 409, "{body}");
+    assert!(body["detail"].as_str().unwrap().contains("has no use for it"), "{body}");
+    let file = parquet(vec![
+        ("voltages_v", frames(4, vec![Some(0.1); 4])),
+        ("contacts", lists(&[(10.0, 20.0, Some(3.0))], [1])),
+    ]);
+    let (_, made) = import(&lab, file, PAD).await;
+    let pad = format!("run-{}", made["run"]["scan_id"]);
+    for request in [
+        json!({ "scored": "tikhonov", "dataset": pad }),
+        json!({ "scored": "exact", "dataset": pad }),
+    ] {
+        let (_, job) = lab.post("/api/v1/evaluations", request).await;
+        let failed = lab.job(&job).await;
+        assert_eq!(failed["state"], "failed", "{failed}");
+        let words = "is for sensor ert-28 with 784 channels, this is pad with 4";
+        assert!(failed["error"].as_str().unwrap().contains(words), "{failed}");
+    }
+    let (status, added) = add(onnx.to_vec(), facts.to_owned()).await;
+    assert_eq!(status, 201, "{added}");
+    let (status, _) = lab.post("/api/v1/serving", json!({ "what": "mine" })).await;
+    assert_eq!(status, 200);
+    lab.close().await;
+}
+
+/// Each place of a pad shows on a channel of its own.
+#[tokio::test]
+async fn touches_without_forces_are_learned_and_scored_and_no_force_is_made_up() {
+    let lab = Filled::open("models-patterns").await;
+    let (trials, channels) = (120, 16);
+    let place = |trial: usize| trial % channels;
+    let volts = (0..trials).flat_map(|trial| {
+        (0..channels).map(move |channel| Some(if channel == place(trial) { 0.2 } else { 0.0 }))
+    });
+    let touches = (0..trials)
+        .map(place)
+        .map(|place| (40.0 + 80.0 * (place % 4) as f64, 40.0 + 80.0 * (place / 4) as f64, None));
+    let file = parquet(vec![
+        ("voltages_v", frames(channels as i32, volts.collect())),
+        ("contacts", lists(&touches.collect::<Vec<_>>(), vec![1; trials])),
+    ]);
+    let sensor = "name = \"mat\"\nchannels = 16\nwidth_mm = 320\nheight_mm = 320\n";
+    let (status, made) = import(&lab, file, sensor).await;
+    assert_eq!(status, 201, "{made}");
+    let own = json!({ "definition": { "name": "mat", "task": "real", "runs": ["pad-study"],
+        "split": { "ratio": [3, 1, 1], "seed": 1, "by": "trial" } } });
+    let (status, own) = lab.post("/api/v1/datasets", own).await;
+    assert_eq!((status, &own["rows"]), (200, &json!(trials)), "{own}");
+
+    let recipe = RECON_NET
+        .replace("\"real\"", "\"mat\"")
+        .replace("epochs = 1", "epochs = 60")
+        .replace("batch = 32", "batch = 8")
+        .replace("[4, 2]", "[16, 8]");
+    let net = lab.trained(&recipe).await;
+    let model = lab.get(&format!("/api/v1/models/{net}")).await;
+    assert_eq!(model["manifest"]["trained_on"]["forces_unknown"], true);
+    let report = lab
+        .scored(json!({ "scored": "paper", "dataset": "mat", "part": "test", "map": net }))
+        .await;
+    let all = &report["contacts"]["all"];
+    assert!(all["exact_rate"]["mean"].as_f64().unwrap() > 0.5, "{all:#}");
+    assert!(all["closest_mm"]["mean"].as_f64().unwrap() < 40.0, "{all:#}");
+    assert!(all.get("force_percent").is_none_or(Value::is_null), "{all:#}");
+    lab.close().await;
+}

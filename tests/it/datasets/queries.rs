@@ -1,0 +1,157 @@
+//! Pages, columns, slices and maps; and what a query gets wrong.
+
+use serde_json::Value;
+
+use super::filled::Filled;
+
+#[tokio::test]
+async fn pages_cover_a_dataset_once_also_filtered() {
+    let lab = Filled::open("pages").await;
+    for filter in ["", "&configuration__gte=7&max_force_n__lt=12.5&split=train"] {
+        let mut seen = Vec::new();
+        let mut path = format!("/api/v1/datasets/run-1/rows?limit=17&columns=trial_id{filter}");
+        if !filter.is_empty() {
+            path = path.replace("run-1", "real");
+        }
+        let first = path.clone();
+        loop {
+            let page = lab.get(&path).await;
+            let rows = page["rows"].as_array().unwrap();
+            assert!(rows.len() <= 17);
+            seen.extend(rows.iter().map(|row| row["trial_id"].as_i64().unwrap()));
+            let Some(next) = page["next"].as_str() else { break };
+            path = format!("{first}&cursor={next}");
+        }
+        let all = lab.get(&first.replace("limit=17", "limit=10000")).await;
+        let all: Vec<i64> = all["rows"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|r| r["trial_id"].as_i64().unwrap())
+            .collect();
+        assert_eq!(seen, all);
+        assert!(!all.is_empty() && all.windows(2).all(|pair| pair[0] < pair[1]));
+    }
+    lab.close().await;
+}
+
+#[tokio::test]
+async fn rows_come_in_the_order_of_a_column() {
+    let lab = Filled::open("sorted").await;
+    let path = "/api/v1/datasets/run-1/rows?columns=trial_id,max_force_n,voltages_v&tips=2";
+    let all = lab.get(&format!("{path}&limit=10000")).await["rows"].as_array().unwrap().clone();
+    let mut wanted = all.clone();
+    let force = |row: &Value| row["max_force_n"].as_f64().unwrap();
+    wanted.sort_by(|a, b| force(b).total_cmp(&force(a)));
+    let (mut found, mut cursor) = (Vec::new(), String::new());
+    loop {
+        let page = lab.get(&format!("{path}&sort=-max_force_n&limit=37{cursor}")).await;
+        found.extend(page["rows"].as_array().unwrap().clone());
+        let Some(next) = page["next"].as_str() else { break };
+        cursor = format!("&cursor={next}");
+    }
+    assert_eq!(found.len(), all.len());
+    assert!(found == wanted, "frames belong to their rows");
+    let (status, words) = lab.refused(&format!("{path}&sort=voltages_v")).await;
+    assert_eq!(status, 400);
+    assert!(words.contains("max_force_n"), "{words}");
+    lab.close().await;
+}
+
+#[tokio::test]
+async fn frames_are_cut_and_maps_sum_to_the_forces() {
+    let lab = Filled::open("maps").await;
+    let whole = lab.get("/api/v1/datasets/real/rows?limit=3&columns=voltages_v").await;
+    let cut = lab.get("/api/v1/datasets/real/rows?limit=3&columns=voltages_v&slice=28:56").await;
+    let maps = lab.get("/api/v1/datasets/real/rows?limit=3&columns=contacts&map=10x10").await;
+    for row in 0..3 {
+        let whole = whole["rows"][row]["voltages_v"].as_array().unwrap();
+        assert_eq!(whole.len(), 784);
+        assert_eq!(cut["rows"][row]["voltages_v"].as_array().unwrap(), &whole[28..56]);
+        let map = maps["rows"][row]["force_map_n"].as_array().unwrap();
+        assert_eq!(map.len(), 64 * 64);
+        let sum = |values: &[Value]| values.iter().map(|v| v.as_f64().unwrap()).sum::<f64>();
+        let contacts = maps["rows"][row]["contacts"].as_array().unwrap();
+        let forces: Vec<Value> = contacts.iter().map(|c| c["force_n"].clone()).collect();
+        assert!((sum(map) / sum(&forces) - 1.0).abs() < 1e-6, "{} {}", sum(map), sum(&forces));
+    }
+    lab.close().await;
+}
+
+#[tokio::test]
+async fn stored_trials_come_in_every_format() {
+    let lab = Filled::open("formats").await;
+    let path = "/api/v1/trials?contact_count=2&max_force_n__gt=10&limit=40";
+    let json = lab.get(path).await;
+    let ids: Vec<i64> = json["trials"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|t| t["trial_id"].as_i64().unwrap())
+        .collect();
+    assert_eq!(ids.len(), 40);
+    let lines = lab.answer(&format!("{path}&format=ndjson&columns=trial_id,contacts")).await;
+    assert_eq!(lines.headers()["x-next-cursor"], json["next"].to_string().as_str());
+    let text = lines.text().await.unwrap();
+    let rows: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(rows.iter().map(|r| r["trial_id"].as_i64().unwrap()).collect::<Vec<_>>(), ids);
+    assert_eq!(rows[0].as_object().unwrap().len(), 2);
+    for (format, starts) in
+        [("parquet", &b"PAR1"[..]), ("arrow", b"\xff\xff\xff\xff"), ("csv", b"trial_id,run,")]
+    {
+        let answer = lab.answer(&format!("{path}&voltages=true&format={format}")).await;
+        assert!(answer.status().is_success());
+        let bytes = answer.bytes().await.unwrap();
+        assert!(bytes.starts_with(starts), "{format}");
+    }
+    let backwards = lab.get(&format!("{path}&sort=-trial_id&columns=trial_id")).await;
+    let backwards = backwards["trials"][0]["trial_id"].as_i64().unwrap();
+    assert!(backwards > ids[0]);
+    lab.close().await;
+}
+
+#[tokio::test]
+async fn bad_queries_are_400_with_the_column_and_the_choices() {
+    let lab = Filled::open("bad-queries").await;
+    for path in [
+        "/api/v1/trials",
+        "/api/v1/runs/1/trials",
+        "/api/v1/datasets/real/rows",
+        "/api/v1/data/real.csv",
+    ] {
+        for (query, wanted) in [
+            ("colour=red", &["colour", "contact_count"][..]),
+            ("columns=trial_id,colour", &["colour", "voltages_v"]),
+            ("tips__gt=many", &["tips__gt", "many"]),
+            ("tips__near=3", &["gte"]),
+            ("voltages_v__gt=1", &["voltages_v", "max_force_n"]),
+            ("limit=1000000", &["limit", "10000", "export"]),
+            ("format=xlsx", &["xlsx", "parquet"]),
+        ] {
+            if path.contains("/data/") && (query.contains("limit") || query.contains("format")) {
+                // A file has no pages.
+                assert_eq!(lab.refused(&format!("{path}?{query}")).await.0, 400);
+                continue;
+            }
+            let (status, words) = lab.refused(&format!("{path}?{query}")).await;
+            assert_eq!(status, 400, "{path}?{query}: {words}");
+            for word in wanted {
+                assert!(words.contains(word), "{path}?{query}: {words}");
+            }
+        }
+    }
+    for (query, word) in [
+        ("map=3x20", "divide 640"),
+        ("map=4x0", "diameter"),
+        ("map=wide", "4x20"),
+        ("slice=0:785&columns=voltages_v", "0:784"),
+        ("slice=9:3&columns=voltages_v", "FIRST:END"),
+        ("columns=sim_voltages_v", "must be a column"),
+        ("format=npz", "npz"),
+    ] {
+        let (status, words) = lab.refused(&format!("/api/v1/datasets/real/rows?{query}")).await;
+        assert_eq!(status, 400, "{query}: {words}");
+        assert!(words.contains(word), "{query}: {words}");
+    }
+    lab.close().await;
+}

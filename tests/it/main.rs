@@ -1,0 +1,22 @@
+//! Tests of the whole crate that may run next to each other: real files, sockets and processes, but no
+//! time limit that a busy machine exceeds. They are one binary, because each binary links every
+//! dependency again.
+//!
+//! Separate binaries: `architecture` links nothing; `system` and `crash` measure how soon a rig stops.
+//! A test here has its own folders (`support::Folder`) and port 0, changes neither the environment nor
+//! the current folder, and counts nothing of the process.
+
+mod calibration;
+mod datasets;
+mod evaluate;
+mod experiments;
+mod independent;
+mod independent_fit;
+#[cfg(feature = "train")]
+mod onnx;
+mod old_data;
+mod rig_transcripts;
+mod sim_random;
+mod simulate;
+mod store_durability;
+mod support;
