@@ -2,7 +2,10 @@
 
 use std::collections::BTreeSet;
 
+use palpate::digest::sha256_hex;
 use serde_json::{Value, json};
+use sqlx::sqlite::SqliteConnectOptions;
+use sqlx::{ConnectOptions, Connection};
 
 use super::bench::{Lab, rig_args};
 
@@ -157,6 +160,57 @@ async fn a_service_that_was_ended_in_the_middle_goes_on_by_itself() {
     assert_eq!(summary["retries"], 0, "what was under way is not a failure");
     assert!(kinds(&lab.events().await).contains(&"went_on"));
     lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_that_this_version_would_plan_differently_does_not_resume() {
+    let (lab, run) = started("plan").await;
+    lab.stored(3).await;
+    let kept = lab.get(&format!("/api/v1/runs/{run}/plan")).await;
+    assert_eq!(kept["steps"][0]["step"], "tip-change", "{kept:#}");
+    plan_of_another_version(&lab, &run).await;
+    let lab = lab.restart().await;
+    let stays = |row: &Value| row["state"] == "interrupted";
+    let row = lab.eventually("the refusal", &format!("/api/v1/runs/{run}"), stays).await;
+    let stored = lab.keys(&run).await;
+    let (status, refused) = lab.post(&format!("/api/v1/runs/{run}/arm"), json!({})).await;
+    let detail = refused["detail"].as_str().unwrap();
+    assert_eq!(status, 409, "{refused:#}");
+    let scan_id = &row["scan_id"];
+    assert!(detail.starts_with(&format!("run {scan_id} was planned by version")), "{detail}");
+    assert!(detail.contains("policy.max_skipped: stored 11, now 10."), "{detail}");
+    assert!(kinds(&lab.events().await).contains(&"not_gone_on"));
+    assert_eq!(lab.keys(&run).await, stored);
+    lab.close().await;
+}
+
+/// Replaces the plan of a run, as if an earlier version had planned one skip more.
+async fn plan_of_another_version(lab: &Lab, run: &str) {
+    let file = SqliteConnectOptions::new().filename(lab.data.join("palpate.db"));
+    let mut database = file.connect().await.unwrap();
+    let plan: String = sqlx::query_scalar(
+        "SELECT p.plan FROM plans p JOIN runs r ON r.plan_sha256 = p.sha256 WHERE r.uid = ?1",
+    )
+    .bind(run)
+    .fetch_one(&mut database)
+    .await
+    .unwrap();
+    let other = plan.replace("\"max_skipped\":10", "\"max_skipped\":11");
+    assert_ne!(plan, other);
+    let sha256 = sha256_hex(&other);
+    sqlx::query("INSERT INTO plans VALUES (?1, ?2)")
+        .bind(&sha256)
+        .bind(other)
+        .execute(&mut database)
+        .await
+        .unwrap();
+    sqlx::query("UPDATE runs SET plan_sha256 = ?2 WHERE uid = ?1")
+        .bind(run)
+        .bind(sha256)
+        .execute(&mut database)
+        .await
+        .unwrap();
+    database.close().await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -228,6 +228,7 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(runs::one))
         .routes(routes!(runs::summary))
         .routes(routes!(runs::preflight))
+        .routes(routes!(runs::plan))
         .routes(routes!(runs::arm))
         .routes(routes!(runs::act))
         .routes(routes!(trials::of_run))

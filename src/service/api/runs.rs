@@ -2,7 +2,8 @@
 //! Uses: `conductor`, `campaign::shown::command`, `store`. Never: motion.
 
 use axum::extract::{Path, State};
-use axum::http::StatusCode;
+use axum::http::{StatusCode, header};
+use axum::response::IntoResponse;
 use axum::{Extension, Json};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
@@ -245,6 +246,22 @@ pub async fn preflight(
 ) -> Result<Json<Preflight>, ApiError> {
     let run = find(&app, &run).await?;
     Ok(Json(app.conductor.preflight_of(&run).await?))
+}
+
+/// Returns the plan that a run was queued with: every step with every position, depth and wait.
+#[utoipa::path(get, operation_id = "run_plan", path = "/api/v1/runs/{run}/plan", tag = "runs",
+    params(("run" = String, Path, description = "uid or scan_id")),
+    responses((status = 200, body = Object, description = "the plan; its sha256 is `plan_sha256` of the run"),
+        (status = 404, body = ProblemBody,
+            description = "no run has this uid or scan_id, or no plan was kept for it")))]
+pub async fn plan(
+    State(app): State<App>,
+    Path(run): Path<String>,
+) -> Result<impl IntoResponse, ApiError> {
+    let run = find(&app, &run).await?;
+    let none = || ApiError::not_found(format!("run {} has no plan", run.scan_id));
+    let plan = app.store.plan_of(run.uid).await?.ok_or_else(none)?;
+    Ok(([(header::CONTENT_TYPE, "application/json")], plan))
 }
 
 /// Arms a run: checks it and returns the preflight and a code.
