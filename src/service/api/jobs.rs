@@ -13,8 +13,9 @@ use super::App;
 use super::auth::Asker;
 use super::problem::{ApiError, Body, ProblemBody};
 use crate::evaluate::request::EvaluationRequest;
+use crate::ids::TaskId;
 use crate::jobs::Progress;
-use crate::store::{JobKind, JobRow, JobState};
+use crate::store::{TaskKind, TaskRow, TaskState};
 
 /// Jobs that are listed.
 const LISTED: u32 = 500;
@@ -31,14 +32,15 @@ pub struct TrainingRequest {
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct JobOut {
     /// Its id.
-    pub id: String,
+    #[schema(value_type = String)]
+    pub id: TaskId,
     /// What is computed.
-    pub kind: JobKind,
+    pub kind: TaskKind,
     /// What was asked for.
     #[schema(value_type = Object)]
     pub request: Value,
     /// How far it is.
-    pub state: JobState,
+    pub state: TaskState,
     /// How far it is in itself, while it runs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub progress: Option<Progress>,
@@ -63,9 +65,9 @@ pub struct JobOut {
     pub finished_at: Option<jiff::Timestamp>,
 }
 
-fn out(app: &App, row: JobRow) -> JobOut {
+fn out(app: &App, row: TaskRow) -> JobOut {
     JobOut {
-        progress: app.jobs.progress(&row.id),
+        progress: app.jobs.progress(row.id),
         id: row.id,
         kind: row.kind,
         request: row.request,
@@ -110,8 +112,9 @@ pub async fn evaluate(
 #[utoipa::path(get, path = "/api/v1/jobs", tag = "jobs",
     responses((status = 200, body = Vec<JobOut>)))]
 pub async fn list(State(app): State<App>) -> Result<Json<Vec<JobOut>>, ApiError> {
-    let rows = app.store.jobs(LISTED).await?;
-    let brief = |row: JobRow| out(&app, JobRow { result: row.result.map(without_examples), ..row });
+    let rows = app.store.tasks(TaskKind::JOBS, LISTED).await?;
+    let brief =
+        |row: TaskRow| out(&app, TaskRow { result: row.result.map(without_examples), ..row });
     Ok(Json(rows.into_iter().map(brief).collect()))
 }
 
@@ -142,7 +145,7 @@ pub async fn one(
         (status = 404, body = ProblemBody)))]
 pub async fn losses(State(app): State<App>, Path(job): Path<String>) -> Result<Response, ApiError> {
     let row = find(&app, &job).await?;
-    Ok(ndjson(app.jobs.losses(&row.id)))
+    Ok(ndjson(app.jobs.losses(row.id)))
 }
 
 /// Ends a job. One that has ended stays as it is.
@@ -155,8 +158,8 @@ pub async fn stop(
     Path(job): Path<String>,
 ) -> Result<(StatusCode, Json<JobOut>), ApiError> {
     let row = find(&app, &job).await?;
-    let stopped = app.jobs.stop(&row.id).await.map_err(ApiError::from);
-    app.logged(&asker, "stop a job", (None, None, Some(&row.id)), stopped).await?;
+    let stopped = app.jobs.stop(row.id).await.map_err(ApiError::from);
+    app.logged(&asker, "stop a job", (None, None, Some(&job)), stopped).await?;
     Ok((StatusCode::ACCEPTED, Json(out(&app, find(&app, &job).await?))))
 }
 
@@ -166,7 +169,10 @@ pub fn ndjson(text: String) -> Response {
     ([(header::CONTENT_TYPE, kind)], text).into_response()
 }
 
-async fn find(app: &App, job: &str) -> Result<JobRow, ApiError> {
-    let row = app.store.job(job).await?;
+async fn find(app: &App, job: &str) -> Result<TaskRow, ApiError> {
+    let row = match job.parse() {
+        Ok(id @ TaskId::Job(_)) => app.store.task(id).await?,
+        _ => None,
+    };
     row.ok_or_else(|| ApiError::not_found(format!("there is no job {job}")))
 }

@@ -8,7 +8,7 @@ use crate::core::columns::sha256_hex;
 use crate::core::store::{MIGRATIONS, PAGE_BYTES};
 
 /// Merged migrations by the sha256 of their files. A line is added, never changed.
-const MERGED: [(&str, &str); 6] = [
+const MERGED: [(&str, &str); 7] = [
     ("0001_create_tables.sql", "7f8fd10f7d423db439b80b2fc3526c5c772af618a790e2bc19d1263564d2e0b2"),
     ("0002_add_twins.sql", "eed1edaa483255f687011f624f45d12abbe31acf9cf482d0f447693f4464f9b0"),
     (
@@ -27,6 +27,7 @@ const MERGED: [(&str, &str); 6] = [
         "0006_guard_what_is_stored.sql",
         "ff19b9924c48e373c9af54ddeb9b2db6687ee9b58c4dd03ea4df199e8afee0c0",
     ),
+    ("0008_one_queue.sql", "123a95f3eb9ad85beacff2d3386e0756535026678beb60d98ef3ef67ccb8e26e"),
 ];
 
 #[test]
