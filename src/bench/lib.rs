@@ -1,8 +1,6 @@
 //! From experiment files to plans, and from plans to measured trials on one bench.
 //! Uses: `words`. Never: SQL, HTTP.
 
-#[cfg(test)]
-use palpate_words::digest;
 use palpate_words::{chance, clock, ids, journal, problem, record, state, syntax};
 
 pub mod schedule;

@@ -17,7 +17,7 @@ use super::progress::LogLines;
 use super::{At, embed};
 use crate::api::{JobOut, ModelOut};
 use crate::jobs::Progress;
-use crate::store::JobState;
+use crate::store::TaskState;
 
 /// Interval of polling a job's progress.
 const LOOK: Duration = Duration::from_millis(250);
@@ -219,22 +219,22 @@ pub async fn follow(client: &Client, asked: JobOut) -> Result<JobOut, CliError> 
                 total => format!("{} of {total}, {}", progress.done, words(progress)),
             });
         }
-        if now.state == JobState::Waiting {
+        if now.state == TaskState::Waiting {
             bar.set_message("waits in the queue");
             lines.say(|| format!("{} waits in the queue", now.id));
         }
         match now.state {
-            JobState::Done => {
+            TaskState::Done => {
                 bar.finish_and_clear();
                 return Ok(now);
             }
-            JobState::Failed | JobState::Stopped => {
+            TaskState::Failed | TaskState::Stopped => {
                 bar.abandon();
-                let operation = now.id.clone();
+                let operation = now.id.to_string();
                 let detail = now.error.unwrap_or_else(|| "it was stopped".into());
                 return Err(CliError::Refused { operation, status: 409, detail });
             }
-            JobState::Waiting | JobState::Running => tokio::time::sleep(LOOK).await,
+            TaskState::Waiting | TaskState::Running => tokio::time::sleep(LOOK).await,
         }
         now = client.get(&format!("/api/v1/jobs/{}", now.id)).await?;
     }
@@ -345,8 +345,7 @@ fn shown(job: &JobOut, as_json: bool) {
             .unwrap_or_default(),
         None => format!("{} on {}", job.request["scored"], job.request["dataset"]).replace('"', ""),
     };
-    let state = serde_json::to_value(job.state).unwrap_or_default();
-    let state = state.as_str().unwrap_or_default();
+    let state = job.state.to_string();
     let more = job.error.clone().or_else(|| {
         let progress = job.progress.as_ref()?;
         Some(format!("{} {} of {}", progress.phase, progress.done, progress.total))

@@ -8,7 +8,7 @@
 //! ```
 //! Four folders, each of which imports only the ones before it: `core` (the file and its writer),
 //! `table` (the table of trials), `bench` (records of the bench), `lab` (what is computed from trials,
-//! and imports). `tests/architecture` checks this order. Each folder adds methods to [`Store`].
+//! tasks, and imports). `tests/architecture` checks this order. Each folder adds methods to [`Store`].
 //!
 //! A trial is one transaction. Its key is unique in the file, so that no trial is lost or stored twice.
 //! Reads never wait for the writer, and the writer never waits for reads. Measured values carry
@@ -37,10 +37,10 @@ pub use bench::attempts::SkipRow;
 pub use bench::counts::SettingCount;
 pub use bench::run_row::{NewRun, RunPage, RunRow};
 pub use lab::datasets::{DatasetRow, RunExtent};
-pub use lab::exports::{ExportEnd, ExportRow, ExportState};
 pub use lab::imports::{IMPORTED_CONTACTS_MAX, IMPORTED_MODEL, ImportedTrial};
-pub use lab::jobs::{JobEnd, JobKind, JobRow, JobState};
 pub use lab::models::{ModelRow, NewPromotion, PromotionRow};
+pub use lab::task_queue::TaskQueue;
+pub use lab::tasks::{TaskEnd, TaskKind, TaskRow, TaskState};
 pub use lab::twins::{Fit, NewTwinModel, Twin, TwinCount, TwinModelId, TwinOutcome};
 pub use table::condition::{Comparison, Condition, Operand};
 pub use table::query::{MAX_PAGE, Order, TrialQuery};

@@ -47,6 +47,73 @@ impl std::str::FromStr for RunUid {
     }
 }
 
+/// Id of a queued task: `ex-` (an export) or `job-` (a training or an evaluation), and a UUIDv7, so
+/// that the ids of one queue sort by time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(into = "String", try_from = "String")]
+pub enum TaskId {
+    /// Id of an export.
+    Export(Uuid),
+    /// Id of a job.
+    Job(Uuid),
+}
+
+impl TaskId {
+    const EXPORT: &str = "ex-";
+    const JOB: &str = "job-";
+
+    /// Creates the id of a new export.
+    pub fn new_export() -> Self {
+        Self::Export(Uuid::now_v7())
+    }
+
+    /// Creates the id of a new job.
+    pub fn new_job() -> Self {
+        Self::Job(Uuid::now_v7())
+    }
+}
+
+impl std::fmt::Display for TaskId {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let (prefix, uuid) = match self {
+            Self::Export(uuid) => (Self::EXPORT, uuid),
+            Self::Job(uuid) => (Self::JOB, uuid),
+        };
+        write!(f, "{prefix}{}", uuid.hyphenated())
+    }
+}
+
+/// The text is not the id of a task.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is not the id of a task: ex- or job-, and a UUID")]
+pub struct NotATaskId(String);
+
+impl std::str::FromStr for TaskId {
+    type Err = NotATaskId;
+    fn from_str(s: &str) -> Result<Self, Self::Err> {
+        let id = if let Some(uuid) = s.strip_prefix(Self::EXPORT) {
+            Uuid::parse_str(uuid).map(Self::Export)
+        } else {
+            Uuid::parse_str(s.strip_prefix(Self::JOB).unwrap_or_default()).map(Self::Job)
+        };
+        // One text per id: no upper case, no braces.
+        id.ok().filter(|id| id.to_string() == s).ok_or_else(|| NotATaskId(s.into()))
+    }
+}
+
+impl From<TaskId> for String {
+    fn from(id: TaskId) -> Self {
+        id.to_string()
+    }
+}
+
+impl TryFrom<String> for TaskId {
+    type Error = NotATaskId;
+    fn try_from(text: String) -> Result<Self, Self::Error> {
+        text.parse()
+    }
+}
+
 /// Id of a stored trial.
 #[derive(
     Debug,
@@ -83,4 +150,33 @@ pub struct TrialKey {
     pub configuration: u32,
     /// Index of the depth in the configuration.
     pub depth_index: u32,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::TaskId;
+
+    #[test]
+    fn the_id_of_a_task_has_one_text() {
+        for id in [TaskId::new_export(), TaskId::new_job()] {
+            assert_eq!(id.to_string().parse(), Ok(id));
+            let json = serde_json::to_string(&id).unwrap();
+            assert_eq!(json, format!("\"{id}\""));
+            assert_eq!(serde_json::from_str::<TaskId>(&json).unwrap(), id);
+            assert!(id.to_string().to_uppercase().parse::<TaskId>().is_err());
+        }
+        let uuid = "0190a0a0-0000-7000-8000-00000000000a";
+        assert!(format!("ex-{uuid}").parse::<TaskId>().is_ok());
+        for text in [
+            uuid.to_owned(),
+            format!("ex-{}", uuid.to_uppercase()),
+            format!("job-{{{uuid}}}"),
+            format!("ds-{uuid}"),
+            "ex-1".to_owned(),
+            "job-".to_owned(),
+            String::new(),
+        ] {
+            assert!(text.parse::<TaskId>().is_err(), "{text}");
+        }
+    }
 }

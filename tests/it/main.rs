@@ -10,6 +10,7 @@ mod calibration;
 mod datasets;
 mod evaluate;
 mod experiments;
+mod golden_plans;
 mod independent;
 mod independent_fit;
 #[cfg(feature = "train")]

@@ -13,7 +13,7 @@ use palpate::journal::Journal;
 use palpate::rig::config::RigConfig;
 use palpate::schedule::experiment::Experiment;
 use palpate::schedule::plan::{Plan, Step};
-use palpate::store::{RunRow, Soundness, Store, TrialQuery, TrialRow};
+use palpate::store::{RunRow, Soundness, Store, TaskKind, TrialQuery, TrialRow};
 use serde_json::{Value, json};
 use sim_core::sensor::Sensor;
 
@@ -171,7 +171,7 @@ async fn datasets_models_and_jobs_of_an_earlier_version_have_the_values_that_wer
             "created_at": m.created_at })
     });
     assert_holds(&models.collect(), &recorded["models"], "models");
-    let jobs = store.jobs(100).await.unwrap();
+    let jobs = store.tasks(TaskKind::JOBS, 100).await.unwrap();
     let jobs = jobs.iter().map(|j| {
         json!({ "id": j.id, "kind": j.kind, "state": j.state, "dataset": j.dataset,
             "result": j.result, "asked_by": j.asked_by, "created_at": j.created_at,

@@ -167,11 +167,11 @@ impl Lab for ServiceLab {
 
     async fn score(&self, request: &EvaluationRequest) -> Result<EvaluationReport, CliError> {
         let asked: JobOut = self.client.post("/api/v1/evaluations", request).await?;
-        let id = asked.id.clone();
+        let id = asked.id;
         let done = follow(&self.client, asked).await?;
         let report = serde_json::from_value(done.result.unwrap_or_default());
         report.map_err(|error| CliError::Refused {
-            operation: id,
+            operation: id.to_string(),
             status: 500,
             detail: format!("its report cannot be read: {error}"),
         })

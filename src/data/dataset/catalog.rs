@@ -2,21 +2,16 @@
 //! Uses: `store`, `dataset::{build, export}`. Never: HTTP; two builds or two exports at once.
 //!
 //! A name stands for the current result of its definition, an id for a dataset that never changes.
-//! Exports are rows of the store, so that they continue after a restart.
+//! Exports are tasks of the store, so that they continue after a restart.
 
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
-
-use parking_lot::Mutex;
-use tokio::sync::watch;
 
 use super::background::background;
 use super::build::{self, Progress, build, data_file};
 use super::definition::Definition;
 use super::error::{DatasetError, Product};
-use super::export::{self, ExportFile, ExportRequest};
+use super::export::{self, ExportFile, ExportRequest, ExportResult};
 use super::file::sweep;
 use super::format::{Format, Rows};
 use super::inputs::Inputs;
@@ -24,9 +19,10 @@ use super::read::{DatasetRows, SKIN};
 use super::schema;
 use super::select::{Selection, Wanted};
 use crate::clock::Clock;
+use crate::ids::TaskId;
 use crate::problem::Problem;
 use crate::state::StoredState;
-use crate::store::{DatasetRow, ExportEnd, ExportRow, RunRow, Store};
+use crate::store::{DatasetRow, RunRow, Store, TaskEnd, TaskKind, TaskQueue, TaskRow};
 
 /// Free space that is reserved for runs, bytes.
 const KEPT_FREE_BYTES: u64 = 2 << 30;
@@ -34,8 +30,6 @@ const KEPT_FREE_BYTES: u64 = 2 << 30;
 const EXPORTS_BYTES: u64 = 20 << 30;
 /// Largest number of waiting exports.
 const WAITING_MAX: u32 = 100;
-/// Interval of polling the store if no export waits.
-const IDLE: Duration = Duration::from_millis(500);
 
 /// Progress of an export.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -58,8 +52,7 @@ struct Inner {
     clock: Clock,
     building: tokio::sync::Mutex<()>,
     writing: tokio::sync::Mutex<()>,
-    progress: Mutex<HashMap<String, Arc<Progress>>>,
-    changed: watch::Sender<u64>,
+    queue: TaskQueue<Progress>,
 }
 
 impl Catalog {
@@ -69,13 +62,12 @@ impl Catalog {
     /// `DatasetError::File` if an unfinished file cannot be removed.
     pub fn open(store: Store, data: &Path, clock: Clock) -> Result<Self, DatasetError> {
         let inner = Inner {
+            queue: TaskQueue::new(store.clone(), TaskKind::EXPORTS),
             store,
             data: data.to_owned(),
             clock,
             building: tokio::sync::Mutex::default(),
             writing: tokio::sync::Mutex::default(),
-            progress: Mutex::default(),
-            changed: watch::Sender::new(0),
         };
         let catalog = Self { inner: Arc::new(inner) };
         for folder in [catalog.datasets(), catalog.exports(), catalog.uploads()] {
@@ -327,11 +319,10 @@ impl Catalog {
         &self,
         request: &ExportRequest,
         asked_by: &str,
-    ) -> Result<ExportRow, DatasetError> {
-        let waiting = self.inner.store.open_exports(WAITING_MAX).await?.len();
-        if waiting >= WAITING_MAX as usize {
+    ) -> Result<TaskRow, DatasetError> {
+        if self.inner.queue.is_full(WAITING_MAX).await? {
             let limit = format!("must be under {WAITING_MAX}: wait until one ends");
-            return Err(DatasetError::value("waiting exports", waiting, &limit));
+            return Err(DatasetError::value("waiting exports", WAITING_MAX, &limit));
         }
         let wanted = request.wanted();
         if request.dataset.starts_with("ds-") {
@@ -344,80 +335,60 @@ impl Catalog {
             let columns = schema::of_dataset(&definition, schema::CHANNELS);
             Selection::new(&wanted, &columns, Some(SKIN)).map_err(DatasetError::Problems)?;
         }
-        let id = format!("ex-{}", uuid::Uuid::now_v7());
-        let text = serde_json::to_value(request).map_err(DatasetError::Json)?;
-        let row = self.inner.store.create_export(id, text, asked_by).await?;
-        self.inner.changed.send_modify(|changes| *changes += 1);
-        Ok(row)
+        let request = serde_json::to_value(request).map_err(DatasetError::Json)?;
+        Ok(self.inner.queue.add(TaskKind::Export, request, asked_by).await?)
     }
 
     /// Progress of the export with this id.
-    pub fn export_progress(&self, export: &str) -> ExportProgress {
+    pub fn export_progress(&self, export: TaskId) -> ExportProgress {
         use std::sync::atomic::Ordering::Relaxed;
-        let progress = self.progress().get(export).cloned().unwrap_or_default();
+        let progress = self.inner.queue.running(export).unwrap_or_default();
         let (rows_done, rows_total) = (progress.done.load(Relaxed), progress.total.load(Relaxed));
         ExportProgress { rows_done, rows_total }
     }
 
     /// The file of a completed export; `None` before its completion, and after its removal.
-    pub fn export_file(&self, export: &ExportRow) -> Option<ExportFile> {
-        let (file, sha256) = (export.file.as_ref()?, export.sha256.clone()?);
-        let path = [self.exports(), self.datasets()].map(|folder| folder.join(file));
+    pub fn export_file(&self, export: &TaskRow) -> Option<ExportFile> {
+        let ExportResult { file, sha256, .. } = ExportResult::of(export)?;
+        let path = [self.exports(), self.datasets()].map(|folder| folder.join(&file));
         let path = path.into_iter().find(|path| path.is_file())?;
         Some(ExportFile { path, sha256 })
     }
 
     /// Writes the requested exports, oldest first, until the future is dropped.
     pub async fn work(self) {
-        let mut changed = self.inner.changed.subscribe();
-        loop {
-            match self.inner.store.open_exports(1).await {
-                Ok(open) if !open.is_empty() => {
-                    for export in open {
-                        self.write_export(export).await;
-                    }
-                    continue;
-                }
-                Ok(_) => {}
-                Err(error) => tracing::warn!(%error, "the waiting exports could not be read"),
-            }
-            // A missed notification is found at the next poll.
-            let _ = tokio::time::timeout(IDLE, changed.changed()).await;
-        }
+        let write = |export: TaskRow, progress| {
+            let catalog = self.clone();
+            async move { catalog.write_export(&export, progress).await }
+        };
+        self.inner.queue.work(write).await;
     }
 
-    async fn write_export(&self, export: ExportRow) {
-        let progress = Arc::new(Progress::default());
-        self.progress().insert(export.id.clone(), progress.clone());
-        let end = match self.write_requested(&export, progress).await {
-            Ok(written) => match tokio::fs::metadata(&written.path).await {
-                Ok(metadata) => ExportEnd::Done {
-                    file: written.path.file_name().unwrap_or_default().to_string_lossy().into(),
-                    bytes: metadata.len(),
-                    sha256: written.sha256,
-                },
-                Err(error) => {
-                    ExportEnd::Failed(format!("reading {}: {error}", written.path.display()))
-                }
-            },
-            Err(error) => ExportEnd::Failed(error.to_string()),
+    async fn write_export(&self, export: &TaskRow, progress: Arc<Progress>) -> TaskEnd {
+        let written = match self.write_requested(export, progress).await {
+            Ok(written) => written,
+            Err(error) => return TaskEnd::Failed(error.to_string()),
         };
-        if let Err(error) = self.inner.store.end_export(&export.id, end).await {
-            tracing::error!(%error, export = export.id, "the end of an export was not stored");
-            tokio::time::sleep(IDLE).await;
+        let bytes = match tokio::fs::metadata(&written.path).await {
+            Ok(metadata) => metadata.len(),
+            Err(error) => {
+                return TaskEnd::Failed(format!("reading {}: {error}", written.path.display()));
+            }
+        };
+        let file = written.path.file_name().unwrap_or_default().to_string_lossy().into();
+        match serde_json::to_value(ExportResult { file, bytes, sha256: written.sha256 }) {
+            Ok(result) => TaskEnd::Done(result),
+            Err(error) => TaskEnd::Failed(DatasetError::Json(error).to_string()),
         }
-        self.progress().remove(&export.id);
     }
 
     async fn write_requested(
         &self,
-        export: &ExportRow,
+        export: &TaskRow,
         progress: Arc<Progress>,
     ) -> Result<ExportFile, DatasetError> {
         let request: ExportRequest =
             serde_json::from_value(export.request.clone()).map_err(DatasetError::Json)?;
-        let store = &self.inner.store;
-        store.begin_export(&export.id, None).await?;
         // After a restart: the dataset that the export began with, not the current one of its name.
         let row = match &export.dataset {
             Some(id) => self.of_id(id).await?,
@@ -427,12 +398,8 @@ impl Catalog {
                 self.make_watched(&definition, progress.clone()).await?
             }
         };
-        store.begin_export(&export.id, Some(&row.id)).await?;
+        self.inner.store.begin_task(export.id, Some(&row.id)).await?;
         self.file(&row, request.format, &request.wanted(), progress).await
-    }
-
-    fn progress(&self) -> parking_lot::MutexGuard<'_, HashMap<String, Arc<Progress>>> {
-        self.inner.progress.lock()
     }
 }
 

@@ -1,6 +1,5 @@
-//! An export: selected rows of a dataset in a format, as a file whose name is a hash of the
-//! request.
-//! Uses: `dataset::{read, format, file}`. Never: HTTP, the store; two files for equal requests.
+//! An export: selected rows of a dataset in a format, as a file whose name is a hash of the request.
+//! Uses: `dataset::{read, format, file}`. Never: HTTP, a read of the store; two files for equal requests.
 //!
 //! A dataset never changes, and a format produces the same bytes for the same rows. An interrupted
 //! export is therefore written again as the same file.
@@ -18,6 +17,7 @@ use super::file::{Finished, NewFile};
 use super::format::{self, Format, Rows};
 use super::read::DatasetRows;
 use super::select::Wanted;
+use crate::store::TaskRow;
 
 /// Version of the bytes that the formats produce; part of the file name.
 const FORMAT_VERSION: u32 = 1;
@@ -76,6 +76,24 @@ pub struct ExportFile {
     pub path: PathBuf,
     /// sha256 of its bytes, in hexadecimal digits.
     pub sha256: String,
+}
+
+/// Result of an export, as it is stored.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ExportResult {
+    /// Name of the file; equal exports share it.
+    pub file: String,
+    /// Length of the file, bytes.
+    pub bytes: u64,
+    /// sha256 of the file, in hexadecimal digits.
+    pub sha256: String,
+}
+
+impl ExportResult {
+    /// Result of a stored export; `None` unless it is done.
+    pub fn of(export: &TaskRow) -> Option<Self> {
+        Self::deserialize(export.result.as_ref()?).ok()
+    }
 }
 
 /// Writes rows to the file `name` in `folder`. The bytes depend only on rows and format. Blocks for

@@ -13,9 +13,10 @@ use super::App;
 use super::auth::Caller;
 use super::problem::{ApiError, Body, ProblemBody};
 use super::send::{self, Download};
-use crate::dataset::export::ExportRequest;
+use crate::dataset::export::{ExportRequest, ExportResult};
 use crate::dataset::format::Format;
-use crate::store::{ExportRow, ExportState};
+use crate::ids::TaskId;
+use crate::store::{TaskKind, TaskRow, TaskState};
 
 /// Largest number of exports in a list.
 const LISTED: u32 = 200;
@@ -24,12 +25,13 @@ const LISTED: u32 = 200;
 #[derive(Debug, Serialize, ToSchema)]
 pub struct ExportOut {
     /// Id of the export, `ex-..`.
-    pub id: String,
+    #[schema(value_type = String)]
+    pub id: TaskId,
     /// The request.
     #[schema(value_type = ExportRequest)]
     pub request: Value,
     /// State of the export.
-    pub state: ExportState,
+    pub state: TaskState,
     /// Number of rows written; 0 unless the export is running.
     pub rows_done: u64,
     /// Number of rows to write; 0 until they are counted, and unless the export is running.
@@ -54,9 +56,10 @@ pub struct ExportOut {
     pub url: Option<String>,
 }
 
-fn out(app: &App, row: ExportRow) -> ExportOut {
-    let done = app.datasets.export_progress(&row.id);
+fn out(app: &App, row: TaskRow) -> ExportOut {
+    let done = app.datasets.export_progress(row.id);
     let url = app.datasets.export_file(&row).map(|_| format!("/api/v1/exports/{}/file", row.id));
+    let result = ExportResult::of(&row);
     ExportOut {
         url,
         rows_done: done.rows_done,
@@ -65,8 +68,8 @@ fn out(app: &App, row: ExportRow) -> ExportOut {
         request: row.request,
         state: row.state,
         dataset: row.dataset,
-        bytes: row.bytes,
-        sha256: row.sha256,
+        bytes: result.as_ref().map(|result| result.bytes),
+        sha256: result.map(|result| result.sha256),
         error: row.error,
         asked_by: row.asked_by,
         created_at: row.created_at,
@@ -96,7 +99,7 @@ pub async fn request(
 #[utoipa::path(get, operation_id = "list_exports", path = "/api/v1/exports", tag = "datasets",
     responses((status = 200, body = Vec<ExportOut>)))]
 pub async fn list(State(app): State<App>) -> Result<Json<Vec<ExportOut>>, ApiError> {
-    let rows = app.store.exports(LISTED).await?;
+    let rows = app.store.tasks(TaskKind::EXPORTS, LISTED).await?;
     Ok(Json(rows.into_iter().map(|row| out(&app, row)).collect()))
 }
 
@@ -130,8 +133,8 @@ pub async fn file(
 ) -> Result<Response, ApiError> {
     let row = find(&app, &export).await?;
     match row.state {
-        ExportState::Done => {}
-        ExportState::Failed => {
+        TaskState::Done => {}
+        TaskState::Failed => {
             let why = row.error.unwrap_or_default();
             return Err(ApiError::new(
                 StatusCode::CONFLICT,
@@ -154,7 +157,10 @@ pub async fn file(
     send::file(request, &export_file, format, download).await
 }
 
-async fn find(app: &App, export: &str) -> Result<ExportRow, ApiError> {
-    let row = app.store.export(export).await?;
+async fn find(app: &App, export: &str) -> Result<TaskRow, ApiError> {
+    let row = match export.parse() {
+        Ok(id @ TaskId::Export(_)) => app.store.task(id).await?,
+        _ => None,
+    };
     row.ok_or_else(|| ApiError::not_found(format!("no export {export}")))
 }

@@ -14,8 +14,9 @@ use super::audit::ActionContext;
 use super::auth::Caller;
 use super::problem::{ApiError, Body, ProblemBody};
 use crate::evaluate::request::EvaluationRequest;
+use crate::ids::TaskId;
 use crate::jobs::Progress;
-use crate::store::{JobKind, JobRow, JobState};
+use crate::store::{TaskKind, TaskRow, TaskState};
 
 /// Largest number of jobs in a list.
 const LISTED: u32 = 500;
@@ -32,14 +33,15 @@ pub struct TrainingRequest {
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct JobOut {
     /// Id of the job, `job-..`.
-    pub id: String,
+    #[schema(value_type = String)]
+    pub id: TaskId,
     /// Kind of computation.
-    pub kind: JobKind,
+    pub kind: TaskKind,
     /// The request: `{"recipe": text}` or an EvaluationRequest.
     #[schema(value_type = Object)]
     pub request: Value,
     /// State of the job.
-    pub state: JobState,
+    pub state: TaskState,
     /// Progress; absent unless the job is running.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub progress: Option<Progress>,
@@ -64,9 +66,9 @@ pub struct JobOut {
     pub finished_at: Option<jiff::Timestamp>,
 }
 
-fn out(app: &App, row: JobRow) -> JobOut {
+fn out(app: &App, row: TaskRow) -> JobOut {
     JobOut {
-        progress: app.jobs.progress(&row.id),
+        progress: app.jobs.progress(row.id),
         id: row.id,
         kind: row.kind,
         request: row.request,
@@ -115,8 +117,9 @@ pub async fn evaluate(
 #[utoipa::path(get, operation_id = "list_jobs", path = "/api/v1/jobs", tag = "jobs",
     responses((status = 200, body = Vec<JobOut>)))]
 pub async fn list(State(app): State<App>) -> Result<Json<Vec<JobOut>>, ApiError> {
-    let rows = app.store.jobs(LISTED).await?;
-    let brief = |row: JobRow| out(&app, JobRow { result: row.result.map(without_examples), ..row });
+    let rows = app.store.tasks(TaskKind::JOBS, LISTED).await?;
+    let brief =
+        |row: TaskRow| out(&app, TaskRow { result: row.result.map(without_examples), ..row });
     Ok(Json(rows.into_iter().map(brief).collect()))
 }
 
@@ -149,7 +152,7 @@ pub async fn one(
         (status = 404, body = ProblemBody, description = "no job has this id")))]
 pub async fn losses(State(app): State<App>, Path(job): Path<String>) -> Result<Response, ApiError> {
     let row = find(&app, &job).await?;
-    Ok(ndjson(app.jobs.losses(&row.id)))
+    Ok(ndjson(app.jobs.losses(row.id)))
 }
 
 /// Stops a job.
@@ -165,8 +168,8 @@ pub async fn stop(
     Path(job): Path<String>,
 ) -> Result<(StatusCode, Json<JobOut>), ApiError> {
     let row = find(&app, &job).await?;
-    let stopped = app.jobs.stop(&row.id).await.map_err(ApiError::from);
-    let context = ActionContext { why: Some(&row.id), ..ActionContext::default() };
+    let stopped = app.jobs.stop(row.id).await.map_err(ApiError::from);
+    let context = ActionContext { why: Some(&job), ..ActionContext::default() };
     app.logged(&caller, "stop a job", context, stopped).await?;
     Ok((StatusCode::ACCEPTED, Json(out(&app, find(&app, &job).await?))))
 }
@@ -177,7 +180,10 @@ pub fn ndjson(text: String) -> Response {
     ([(header::CONTENT_TYPE, kind)], text).into_response()
 }
 
-async fn find(app: &App, job: &str) -> Result<JobRow, ApiError> {
-    let row = app.store.job(job).await?;
+async fn find(app: &App, job: &str) -> Result<TaskRow, ApiError> {
+    let row = match job.parse() {
+        Ok(id @ TaskId::Job(_)) => app.store.task(id).await?,
+        _ => None,
+    };
     row.ok_or_else(|| ApiError::not_found(format!("no job {job}")))
 }

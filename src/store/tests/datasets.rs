@@ -10,8 +10,7 @@ use crate::ids::{RunUid, TrialKey};
 use crate::journal::Journal;
 use crate::state::StoredState;
 use crate::{
-    Contact, DatasetRow, ExportEnd, ExportState, ImportedTrial, Label, NewRun, NewTwinModel,
-    RunKind, Store, TrialQuery,
+    Contact, DatasetRow, ImportedTrial, Label, NewRun, NewTwinModel, RunKind, Store, TrialQuery,
 };
 
 fn imported() -> NewRun {
@@ -114,33 +113,6 @@ async fn a_dataset_is_stored_once_and_found_by_its_inputs() {
     assert_eq!(store.dataset_of_inputs("three").await.unwrap(), None);
     assert_eq!(store.newest_dataset("real").await.unwrap(), Some(row.clone()));
     assert_eq!(store.datasets().await.unwrap(), [row]);
-}
-
-#[tokio::test]
-async fn an_export_waits_runs_and_ends() {
-    let folder = Folder::new();
-    let store = open(&folder.file()).await;
-    let request = json!({ "dataset": "real", "format": "csv" });
-    for id in ["ex-1", "ex-2"] {
-        let row = store.create_export(id.into(), request.clone(), "ada").await.unwrap();
-        assert_eq!((row.state, row.asked_by.as_str()), (ExportState::Waiting, "ada"));
-    }
-    store.begin_export("ex-1", None).await.unwrap();
-    let open_now = store.open_exports(10).await.unwrap();
-    assert_eq!(open_now.iter().map(|e| e.id.as_str()).collect::<Vec<_>>(), ["ex-1", "ex-2"]);
-    let done = ExportEnd::Done { file: "f.csv".into(), bytes: 7, sha256: "cd".into() };
-    store.end_export("ex-1", done).await.unwrap();
-    store.end_export("ex-2", ExportEnd::Failed("no rows".into())).await.unwrap();
-    assert!(store.open_exports(10).await.unwrap().is_empty());
-    let row = store.export("ex-1").await.unwrap().unwrap();
-    assert_eq!(
-        (row.state, row.bytes, row.sha256.as_deref()),
-        (ExportState::Done, Some(7), Some("cd"))
-    );
-    // An export that has ended is not changed.
-    store.begin_export("ex-2", None).await.unwrap();
-    let failed = store.export("ex-2").await.unwrap().unwrap();
-    assert_eq!((failed.state, failed.error.as_deref()), (ExportState::Failed, Some("no rows")));
 }
 
 /// A file of the previous version, with a discarded trial, keeps everything.

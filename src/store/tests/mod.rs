@@ -6,6 +6,8 @@ mod datasets;
 mod people;
 mod runs;
 mod schema;
+mod task_queue;
+mod tasks;
 mod trials;
 mod twins;
 

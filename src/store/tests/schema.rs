@@ -8,7 +8,7 @@ use crate::core::store::{MIGRATIONS, PAGE_BYTES};
 use crate::digest::sha256_hex;
 
 /// Merged migrations by the sha256 of their files. A line is added, never changed.
-const MERGED: [(&str, &str); 7] = [
+const MERGED: [(&str, &str); 8] = [
     ("0001_create_tables.sql", "7f8fd10f7d423db439b80b2fc3526c5c772af618a790e2bc19d1263564d2e0b2"),
     ("0002_add_twins.sql", "eed1edaa483255f687011f624f45d12abbe31acf9cf482d0f447693f4464f9b0"),
     (
@@ -28,6 +28,7 @@ const MERGED: [(&str, &str); 7] = [
         "ff19b9924c48e373c9af54ddeb9b2db6687ee9b58c4dd03ea4df199e8afee0c0",
     ),
     ("0007_keep_plans.sql", "437b31fb3fd81a2ef31a66b2cf9dd588cacb285983a51ea8f77bea27699af3d2"),
+    ("0008_one_queue.sql", "123a95f3eb9ad85beacff2d3386e0756535026678beb60d98ef3ef67ccb8e26e"),
 ];
 
 #[test]

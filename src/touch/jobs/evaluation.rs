@@ -34,7 +34,7 @@ use crate::learn::error::LearnError;
 use crate::learn::examples::{MEASURED, SIMULATED};
 use crate::learn::task::Reads;
 use crate::simulate::compare::difference;
-use crate::store::{Contact, DatasetRow, JobRow};
+use crate::store::{Contact, DatasetRow, TaskRow};
 
 /// Number of frames that a Transfer-Net reads at a time.
 const FRAMES_AT_ONCE: usize = 8;
@@ -77,7 +77,7 @@ impl Reader {
 /// Runs an evaluation; `None` if it was stopped.
 pub(super) async fn run(
     jobs: &Jobs,
-    job: &JobRow,
+    job: &TaskRow,
     watch: &Arc<Watch>,
 ) -> Result<Option<Value>, JobError> {
     let request: EvaluationRequest =
@@ -88,7 +88,7 @@ pub(super) async fn run(
     watch.phase("making the dataset", 0);
     let name = job.dataset.as_ref().unwrap_or(&request.dataset);
     let dataset = jobs.inner.datasets.resolve(name).await?;
-    jobs.inner.store.begin_job(&job.id, Some(&dataset.id)).await?;
+    jobs.inner.store.begin_task(job.id, Some(&dataset.id)).await?;
     let file = data_file(&jobs.inner.datasets.datasets(), &dataset.id);
     watch.phase("gathering frames", dataset.rows);
     let scratch = jobs.inner.data.join("cache");

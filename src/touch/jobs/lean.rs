@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::error::JobError;
 use super::{Jobs, Watch};
-use crate::store::JobRow;
+use crate::store::TaskRow;
 
 /// Rejects every recipe.
 ///
@@ -23,7 +23,7 @@ pub fn check(_recipe: &str) -> Result<(), JobError> {
 /// `JobError::Lean`, always.
 pub async fn run(
     _jobs: &Jobs,
-    _job: &JobRow,
+    _job: &TaskRow,
     _watch: &Arc<Watch>,
 ) -> Result<Option<Value>, JobError> {
     Err(JobError::Lean)

@@ -2,23 +2,21 @@
 //! Uses: `learn`, `infer`, `evaluate`, `dataset::catalog`, `store`. Never: motion, HTTP, two at
 //! once.
 //!
-//! A job is a row of the store: it resumes after a restart, a training from its last checkpoint. It
+//! A job is a task of the store: it resumes after a restart, a training from its last checkpoint. It
 //! runs on a thread of low priority, so that it does not slow acquisition.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
 
-use parking_lot::Mutex;
 use serde_json::{Value, json};
-use tokio::sync::watch;
 
 use crate::clock::Clock;
 use crate::dataset::catalog::Catalog;
 use crate::evaluate::request::EvaluationRequest;
+use crate::ids::TaskId;
 use crate::infer::registry::Registry;
 use crate::infer::serving::Serving;
-use crate::store::{JobEnd, JobKind, JobRow, Store};
+use crate::store::{Store, TaskEnd, TaskKind, TaskQueue, TaskRow};
 use starts::{STARTS_MAX, Starts};
 
 mod error;
@@ -39,8 +37,6 @@ pub use watch_job::{Progress, Watch};
 const WAITING_MAX: u32 = 1000;
 /// Name of the file with a training's losses.
 const LOSSES: &str = "losses.ndjson";
-/// Interval at which the worker checks for jobs if it is not notified.
-const IDLE: Duration = Duration::from_millis(500);
 
 /// The jobs of a service. Clones share them.
 #[derive(Clone)]
@@ -55,8 +51,7 @@ struct Inner {
     serving: Serving,
     data: PathBuf,
     clock: Clock,
-    running: Mutex<Option<(String, Arc<Watch>)>>,
-    changed: watch::Sender<u64>,
+    queue: TaskQueue<Watch>,
 }
 
 impl Jobs {
@@ -68,9 +63,9 @@ impl Jobs {
         serving: Serving,
         data: &Path,
     ) -> Self {
-        let (running, changed) = (Mutex::default(), watch::Sender::new(0));
+        let queue = TaskQueue::new(store.clone(), TaskKind::JOBS);
         let (data, clock) = (data.to_owned(), Clock::new(1.0));
-        let inner = Inner { store, datasets, models, serving, data, clock, running, changed };
+        let inner = Inner { store, datasets, models, serving, data, clock, queue };
         Self { inner: Arc::new(inner) }
     }
 
@@ -78,9 +73,9 @@ impl Jobs {
     ///
     /// # Errors
     /// `JobError` if the recipe is invalid, the queue is full, or the store fails.
-    pub async fn train(&self, recipe: &str, asked_by: &str) -> Result<JobRow, JobError> {
+    pub async fn train(&self, recipe: &str, asked_by: &str) -> Result<TaskRow, JobError> {
         training::check(recipe)?;
-        self.ask(JobKind::Training, json!({ "recipe": recipe }), asked_by).await
+        self.ask(TaskKind::Training, json!({ "recipe": recipe }), asked_by).await
     }
 
     /// Stores a request for an evaluation, after a check of its values.
@@ -91,103 +86,68 @@ impl Jobs {
         &self,
         request: &EvaluationRequest,
         asked_by: &str,
-    ) -> Result<JobRow, JobError> {
+    ) -> Result<TaskRow, JobError> {
         request.check()?;
         let request = serde_json::to_value(request).map_err(JobError::Json)?;
-        self.ask(JobKind::Evaluation, request, asked_by).await
+        self.ask(TaskKind::Evaluation, request, asked_by).await
     }
 
-    async fn ask(&self, kind: JobKind, request: Value, who: &str) -> Result<JobRow, JobError> {
-        let waiting = self.inner.store.open_jobs(WAITING_MAX).await?.len();
-        if waiting >= WAITING_MAX as usize {
+    async fn ask(&self, kind: TaskKind, request: Value, who: &str) -> Result<TaskRow, JobError> {
+        if self.inner.queue.is_full(WAITING_MAX).await? {
             return Err(JobError::Full(WAITING_MAX));
         }
-        let id = format!("job-{}", uuid::Uuid::now_v7());
-        let row = self.inner.store.create_job(id, kind, request, who).await?;
-        self.inner.changed.send_modify(|changes| *changes += 1);
-        Ok(row)
+        Ok(self.inner.queue.add(kind, request, who).await?)
     }
 
     /// Ends a job, waiting or running. An ended one does not change.
     ///
     /// # Errors
     /// `JobError::Store` if the store fails.
-    pub async fn stop(&self, id: &str) -> Result<(), JobError> {
-        if let Some(watch) = self.watch(id) {
-            watch.stop();
-        } else {
-            self.inner.store.end_job(id, JobEnd::Stopped).await?;
-        }
-        Ok(())
+    pub async fn stop(&self, id: TaskId) -> Result<(), JobError> {
+        Ok(self.inner.queue.stop(id, Watch::stop).await?)
     }
 
     /// Progress of a running job.
-    pub fn progress(&self, id: &str) -> Option<Progress> {
-        self.watch(id).map(|watch| watch.progress())
+    pub fn progress(&self, id: TaskId) -> Option<Progress> {
+        self.inner.queue.running(id).map(|watch| watch.progress())
     }
 
     /// The losses of a training so far: one JSON object per line. Empty for other jobs.
-    pub fn losses(&self, id: &str) -> String {
+    pub fn losses(&self, id: TaskId) -> String {
         std::fs::read_to_string(self.folder(id).join(LOSSES)).unwrap_or_default()
     }
 
     /// Folder of a job's files while it runs.
-    fn folder(&self, id: &str) -> PathBuf {
-        self.inner.data.join("jobs").join(id)
-    }
-
-    fn watch(&self, id: &str) -> Option<Arc<Watch>> {
-        let running = self.inner.running.lock();
-        running.as_ref().filter(|(of, _)| of == id).map(|(_, watch)| watch.clone())
+    fn folder(&self, id: TaskId) -> PathBuf {
+        self.inner.data.join("jobs").join(id.to_string())
     }
 
     /// Runs jobs, oldest first, until the future is dropped.
     pub async fn work(self) {
-        let mut changed = self.inner.changed.subscribe();
-        loop {
-            match self.inner.store.open_jobs(1).await {
-                Ok(open) if !open.is_empty() => {
-                    for job in open {
-                        self.carry_out(job).await;
-                    }
-                    continue;
-                }
-                Ok(_) => {}
-                Err(error) => tracing::warn!(%error, "the queue of jobs could not be read"),
-            }
-            // A missed change is found at the next check.
-            let _ = tokio::time::timeout(IDLE, changed.changed()).await;
-        }
+        let run = |job: TaskRow, watch| {
+            let jobs = self.clone();
+            async move { jobs.carry_out(&job, watch).await }
+        };
+        self.inner.queue.work(run).await;
     }
 
-    async fn carry_out(&self, job: JobRow) {
-        let watch = Arc::new(Watch::default());
-        let starts = Starts::of(&self.folder(&job.id));
+    async fn carry_out(&self, job: &TaskRow, watch: Arc<Watch>) -> TaskEnd {
+        let starts = Starts::of(&self.folder(job.id));
         let in_vain = !starts.begin();
         // When the service ends, this is dropped, and the working thread writes a checkpoint.
         let _leaves = Leaves(watch.clone(), starts);
-        self.set_running(Some((job.id.clone(), watch.clone())));
-        let outcome = match self.inner.store.begin_job(&job.id, None).await {
-            Ok(()) if in_vain => Err(JobError::InVain(STARTS_MAX)),
-            Ok(()) if job.kind == JobKind::Training => training::run(self, &job, &watch).await,
-            Ok(()) => evaluation::run(self, &job, &watch).await,
-            Err(error) => Err(error.into()),
+        let outcome = if in_vain {
+            Err(JobError::InVain(STARTS_MAX))
+        } else if job.kind == TaskKind::Training {
+            training::run(self, job, &watch).await
+        } else {
+            evaluation::run(self, job, &watch).await
         };
-        let end = match outcome {
-            Ok(Some(result)) => JobEnd::Done(result),
-            Ok(None) => JobEnd::Stopped,
-            Err(error) => JobEnd::Failed(error.to_string()),
-        };
-        tracing::info!(job = job.id, ?end, "a job has ended");
-        if let Err(error) = self.inner.store.end_job(&job.id, end).await {
-            tracing::error!(%error, job = job.id, "the end of a job was not stored");
-            tokio::time::sleep(IDLE).await;
+        match outcome {
+            Ok(Some(result)) => TaskEnd::Done(result),
+            Ok(None) => TaskEnd::Stopped,
+            Err(error) => TaskEnd::Failed(error.to_string()),
         }
-        self.set_running(None);
-    }
-
-    fn set_running(&self, job: Option<(String, Arc<Watch>)>) {
-        *self.inner.running.lock() = job;
     }
 }
 

@@ -22,7 +22,7 @@ use crate::learn::examples::{Examples, MEASURED};
 use crate::learn::model_file::{ModelFacts, model_of};
 use crate::learn::recipe::Recipe;
 use crate::learn::train::{self, Given, Learned};
-use crate::store::{DatasetRow, JobRow, Label};
+use crate::store::{DatasetRow, Label, TaskRow};
 
 /// Name of the file with a training's last checkpoint.
 const CHECKPOINT: &str = "checkpoint.bin";
@@ -47,23 +47,27 @@ pub fn check(recipe: &str) -> Result<(), JobError> {
 ///
 /// # Errors
 /// `JobError` if the dataset, the training or the storage of the model fails.
-pub async fn run(jobs: &Jobs, job: &JobRow, watch: &Arc<Watch>) -> Result<Option<Value>, JobError> {
+pub async fn run(
+    jobs: &Jobs,
+    job: &TaskRow,
+    watch: &Arc<Watch>,
+) -> Result<Option<Value>, JobError> {
     let outcome = train_and_keep(jobs, job, watch).await;
     if outcome.is_err() {
         // A failed job does not start again; its losses remain for diagnosis.
-        std::fs::remove_file(jobs.folder(&job.id).join(CHECKPOINT)).ok();
+        std::fs::remove_file(jobs.folder(job.id).join(CHECKPOINT)).ok();
     }
     outcome
 }
 
 async fn train_and_keep(
     jobs: &Jobs,
-    job: &JobRow,
+    job: &TaskRow,
     watch: &Arc<Watch>,
 ) -> Result<Option<Value>, JobError> {
     let text = job.request["recipe"].as_str().unwrap_or_default();
     let mut recipe = Recipe::from_toml("recipe", text)?;
-    let folder = jobs.folder(&job.id);
+    let folder = jobs.folder(job.id);
     let noise_sd_v = match &recipe.noise_of {
         Some(name) => {
             // After a restart: the model of the first start, not the current one of that name.
@@ -91,7 +95,7 @@ async fn train_and_keep(
             // After a restart: the dataset of the first start, not the current one of that name.
             let name = job.dataset.as_ref().unwrap_or(name);
             let dataset = jobs.inner.datasets.resolve(name).await?;
-            jobs.inner.store.begin_job(&job.id, Some(&dataset.id)).await?;
+            jobs.inner.store.begin_task(job.id, Some(&dataset.id)).await?;
             let file = data_file(&jobs.inner.datasets.datasets(), &dataset.id);
             background(move || work.on_dataset(&dataset, &file)).await??
         }

@@ -1,6 +1,5 @@
 //! Properties of every plan, and of the predictions from it.
 
-mod golden;
 mod plans;
 mod predictions;
 

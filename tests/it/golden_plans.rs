@@ -1,16 +1,15 @@
 //! The plans of the carried experiments do not change: a run that was planned by an earlier version
 //! must find the same steps, or its resume is refused.
 //!
-//! `UPDATE=1 cargo test --workspace --lib golden` writes the digests of today's plans. A changed line
+//! `UPDATE=1 cargo test --test it golden` writes the digests of today's plans. A changed line
 //! means that no run planned before can resume: state it in the commit.
 
 use std::path::Path;
 
+use palpate::digest::sha256_hex;
+use palpate::schedule::experiment::Experiment;
+use palpate::schedule::plan::Plan;
 use sim_core::sensor::Sensor;
-
-use crate::digest::sha256_hex;
-use crate::schedule::experiment::Experiment;
-use crate::schedule::plan::Plan;
 
 #[test]
 fn the_plans_of_the_carried_experiments_are_the_golden_ones() {

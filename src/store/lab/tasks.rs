@@ -1,0 +1,310 @@
+//! Tasks (exports, trainings, evaluations): their requests, states and results.
+//! Uses: `core::writer`. Never: the meaning of a request or of a result.
+
+use std::fmt;
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use sqlx::sqlite::SqliteRow;
+use utoipa::ToSchema;
+
+use crate::core::columns::Columns;
+use crate::core::{During, Store, StoreError};
+use crate::ids::TaskId;
+
+/// Kind of a task.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum TaskKind {
+    /// Writing of a dataset in a requested format.
+    Export,
+    /// Training of a net.
+    Training,
+    /// Evaluation of methods or nets on a dataset.
+    Evaluation,
+}
+
+impl TaskKind {
+    /// The kinds of jobs.
+    pub const JOBS: &'static [Self] = &[Self::Training, Self::Evaluation];
+    /// The kinds of exports.
+    pub const EXPORTS: &'static [Self] = &[Self::Export];
+
+    fn new_id(self) -> TaskId {
+        match self {
+            Self::Export => TaskId::new_export(),
+            Self::Training | Self::Evaluation => TaskId::new_job(),
+        }
+    }
+}
+
+/// The kind as it is stored and shown: its serde name.
+impl fmt::Display for TaskKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
+    }
+}
+
+/// State of a task.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum TaskState {
+    /// It waits for earlier tasks of its queue.
+    Waiting,
+    /// It runs; after a restart it resumes.
+    Running,
+    /// It completed with a result.
+    Done,
+    /// A person stopped it.
+    Stopped,
+    /// It failed.
+    Failed,
+}
+
+/// The state as it is stored and shown: its serde name.
+impl fmt::Display for TaskState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.serialize(f)
+    }
+}
+
+/// A stored task.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TaskRow {
+    /// Id of the task.
+    pub id: TaskId,
+    /// Kind of the task.
+    pub kind: TaskKind,
+    /// The request, as JSON.
+    pub request: Value,
+    /// State of the task.
+    pub state: TaskState,
+    /// Id of the dataset; absent until it is known.
+    pub dataset: Option<String>,
+    /// The result, as JSON; absent unless it is done.
+    pub result: Option<Value>,
+    /// Cause of the failure; absent unless it failed.
+    pub error: Option<String>,
+    /// Person or key that requested it.
+    pub asked_by: String,
+    /// Wall time of the request.
+    pub created_at: Timestamp,
+    /// Wall time at which it first started; absent before.
+    pub started_at: Option<Timestamp>,
+    /// Wall time at which it ended; absent before.
+    pub finished_at: Option<Timestamp>,
+}
+
+impl TaskRow {
+    fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
+        let c = Columns::of(row, operation);
+        let id: &str = c.get("id")?;
+        let result: Option<&str> = c.get("result")?;
+        Ok(Self {
+            id: id.parse().map_err(|_| c.unreadable("id", id))?,
+            kind: c.word("kind")?,
+            request: c.json("request")?,
+            state: c.word("state")?,
+            dataset: c.get("dataset")?,
+            result: result.map(|_| c.json("result")).transpose()?,
+            error: c.get("error")?,
+            asked_by: c.get("asked_by")?,
+            created_at: c.time("created_at")?,
+            started_at: c.time_or_none("started_at")?,
+            finished_at: c.time_or_none("finished_at")?,
+        })
+    }
+}
+
+/// End of a task.
+#[derive(Debug, Clone, PartialEq)]
+pub enum TaskEnd {
+    /// It completed with this result, as JSON.
+    Done(Value),
+    /// A person stopped it.
+    Stopped,
+    /// It failed; the text is the cause.
+    Failed(String),
+}
+
+impl TaskEnd {
+    /// State of a task with this end.
+    pub fn state(&self) -> TaskState {
+        match self {
+            Self::Done(_) => TaskState::Done,
+            Self::Stopped => TaskState::Stopped,
+            Self::Failed(_) => TaskState::Failed,
+        }
+    }
+}
+
+/// Kinds as a JSON array, the parameter of a statement.
+fn names(kinds: &[TaskKind]) -> String {
+    kinds.iter().map(ToString::to_string).collect::<Value>().to_string()
+}
+
+impl Store {
+    /// Stores a request for a task under a new id, in the state `waiting`.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn create_task(
+        &self,
+        kind: TaskKind,
+        request: Value,
+        asked_by: &str,
+    ) -> Result<TaskRow, StoreError> {
+        const OPERATION: &str = "storing a task";
+        let (asked_by, now) = (asked_by.to_owned(), self.now_text());
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                let row = sqlx::query(
+                    "INSERT INTO tasks (id, kind, request, state, asked_by, created_at)
+                     VALUES (?1, ?2, ?3, ?4, ?5, ?6) RETURNING *",
+                )
+                .bind(kind.new_id().to_string())
+                .bind(kind.to_string())
+                .bind(request.to_string())
+                .bind(TaskState::Waiting.to_string())
+                .bind(asked_by)
+                .bind(now)
+                .fetch_one(connection)
+                .await
+                .during(OPERATION)?;
+                TaskRow::read(&row, OPERATION)
+            })
+            .await
+    }
+
+    /// Marks a task as running, with the id of its dataset if it is known. Returns false, and changes
+    /// nothing, if it has already ended.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn begin_task(&self, id: TaskId, dataset: Option<&str>) -> Result<bool, StoreError> {
+        const OPERATION: &str = "beginning a task";
+        let (dataset, now) = (dataset.map(str::to_owned), self.now_text());
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                let begun = sqlx::query(
+                    "UPDATE tasks SET state = 'running', dataset = coalesce(?2, dataset),
+                         started_at = coalesce(started_at, ?3)
+                     WHERE id = ?1 AND state IN ('waiting', 'running')",
+                )
+                .bind(id.to_string())
+                .bind(dataset)
+                .bind(now)
+                .execute(connection)
+                .await
+                .during(OPERATION)?;
+                Ok(begun.rows_affected() > 0)
+            })
+            .await
+    }
+
+    /// Stores the end of a task. Returns false, and changes nothing, if it has already ended.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn end_task(&self, id: TaskId, end: TaskEnd) -> Result<bool, StoreError> {
+        const OPERATION: &str = "ending a task";
+        let now = self.now_text();
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                let state = end.state();
+                let (result, error) = match end {
+                    TaskEnd::Done(result) => (Some(result.to_string()), None),
+                    TaskEnd::Stopped => (None, None),
+                    TaskEnd::Failed(cause) => (None, Some(cause)),
+                };
+                let ended = sqlx::query(
+                    "UPDATE tasks SET state = ?2, result = ?3, error = ?4, finished_at = ?5
+                     WHERE id = ?1 AND state IN ('waiting', 'running')",
+                )
+                .bind(id.to_string())
+                .bind(state.to_string())
+                .bind(result)
+                .bind(error)
+                .bind(now)
+                .execute(connection)
+                .await
+                .during(OPERATION)?;
+                Ok(ended.rows_affected() > 0)
+            })
+            .await
+    }
+
+    /// Returns a task; `None` if it is not stored.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn task(&self, id: TaskId) -> Result<Option<TaskRow>, StoreError> {
+        const OPERATION: &str = "reading a task";
+        sqlx::query("SELECT * FROM tasks WHERE id = ?1")
+            .bind(id.to_string())
+            .fetch_optional(&self.inner.readers)
+            .await
+            .during(OPERATION)?
+            .map(|row| TaskRow::read(&row, OPERATION))
+            .transpose()
+    }
+
+    /// Returns at most `limit` tasks of these kinds, newest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn tasks(&self, kinds: &[TaskKind], limit: u32) -> Result<Vec<TaskRow>, StoreError> {
+        let sql = "SELECT * FROM tasks WHERE kind IN (SELECT value FROM json_each(?1))
+             ORDER BY id DESC LIMIT ?2";
+        self.read_tasks(sql, kinds, limit).await
+    }
+
+    /// Returns at most `limit` tasks of these kinds that have not ended, oldest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn open_tasks(
+        &self,
+        kinds: &[TaskKind],
+        limit: u32,
+    ) -> Result<Vec<TaskRow>, StoreError> {
+        let sql = "SELECT * FROM tasks WHERE state IN ('waiting', 'running')
+                 AND kind IN (SELECT value FROM json_each(?1))
+             ORDER BY id LIMIT ?2";
+        self.read_tasks(sql, kinds, limit).await
+    }
+
+    async fn read_tasks(
+        &self,
+        sql: &'static str,
+        kinds: &[TaskKind],
+        limit: u32,
+    ) -> Result<Vec<TaskRow>, StoreError> {
+        const OPERATION: &str = "listing tasks";
+        let reading = sqlx::query(sql).bind(names(kinds)).bind(limit);
+        let rows = reading.fetch_all(&self.inner.readers).await.during(OPERATION)?;
+        rows.iter().map(|row| TaskRow::read(row, OPERATION)).collect()
+    }
+
+    /// Returns the completed evaluations that scored this model, newest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn evaluations_of(&self, model: &str) -> Result<Vec<TaskRow>, StoreError> {
+        const OPERATION: &str = "reading a model's evaluations";
+        let rows = sqlx::query(
+            "SELECT * FROM tasks WHERE kind = 'evaluation' AND state = 'done'
+                 AND EXISTS (SELECT 1 FROM json_each(result, '$.models') WHERE value = ?1)
+             ORDER BY id DESC",
+        )
+        .bind(model)
+        .fetch_all(&self.inner.readers)
+        .await
+        .during(OPERATION)?;
+        rows.iter().map(|row| TaskRow::read(row, OPERATION)).collect()
+    }
+}
