@@ -14,8 +14,7 @@ use sim_core::sensor::Sensor;
 #[test]
 fn the_plans_of_the_carried_experiments_are_the_golden_ones() {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let (carried, golden) =
-        (here.join("../../experiments"), here.join("schedule/tests/golden.txt"));
+    let (carried, golden) = (here.join("experiments"), here.join("tests/it/golden_plans.txt"));
     let mut files: Vec<_> = std::fs::read_dir(&carried)
         .unwrap()
         .map(|entry| entry.unwrap().path())

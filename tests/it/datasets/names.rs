@@ -177,7 +177,7 @@ async fn what_cannot_be_made_is_explained() {
         json!({ "definition": definition })
     };
     for (more, status, words) in [
-        (json!({ "runs": ["nobody"] }), 404, "experiment nobody"),
+        (json!({ "runs": ["nobody"] }), 404, "runs = nobody: no run has this"),
         (json!({ "sim_random": ["seed-9"] }), 404, "seed-9"),
         (json!({ "sim_random": ["../../etc"] }), 400, "without . or .."),
         (json!({ "where": ["contacts__gt=3"] }), 400, "cannot be compared"),
