@@ -35,7 +35,7 @@ pub struct ExportOut {
     /// Number of rows to write; 0 until they are counted, and unless the export is running.
     pub rows_total: u64,
     /// Id of the dataset; absent until it is determined.
-    pub dataset: Option<String>,
+    pub dataset: Option<crate::ids::DatasetId>,
     /// Length of the file, bytes; absent until the export is done.
     pub bytes: Option<u64>,
     /// sha256 of the file, in hexadecimal digits; absent until the export is done.

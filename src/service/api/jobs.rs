@@ -44,7 +44,7 @@ pub struct JobOut {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub progress: Option<Progress>,
     /// Id of the dataset; absent until it is determined.
-    pub dataset: Option<String>,
+    pub dataset: Option<crate::ids::DatasetId>,
     /// Result: `{"model": id, "name": ..}` of a training, an EvaluationReport of an evaluation.
     /// Absent until the job is done.
     #[schema(value_type = Option<Object>)]

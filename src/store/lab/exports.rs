@@ -34,7 +34,7 @@ pub struct ExportRow {
     /// State of the export.
     pub state: ExportState,
     /// Id of the dataset; absent until it is known.
-    pub dataset: Option<String>,
+    pub dataset: Option<crate::ids::DatasetId>,
     /// Name of its file; absent until it is complete.
     pub file: Option<String>,
     /// Length of the file, bytes; absent until it is complete.
@@ -58,7 +58,7 @@ impl ExportRow {
             id: c.get("id")?,
             request: c.json("request")?,
             state: c.word("state")?,
-            dataset: c.get("dataset")?,
+            dataset: c.id_or_none("dataset")?,
             file: c.get("file")?,
             bytes: c.whole_or_none("bytes")?,
             sha256: c.get("sha256")?,

@@ -57,7 +57,7 @@ pub struct JobRow {
     /// State of the job.
     pub state: JobState,
     /// Id of the dataset; absent until it is known.
-    pub dataset: Option<String>,
+    pub dataset: Option<crate::ids::DatasetId>,
     /// The result, as JSON; absent unless it is done.
     pub result: Option<Value>,
     /// Cause of the failure; absent unless it failed.
@@ -81,7 +81,7 @@ impl JobRow {
             kind: c.word("kind")?,
             request: c.json("request")?,
             state: c.word("state")?,
-            dataset: c.get("dataset")?,
+            dataset: c.id_or_none("dataset")?,
             result: result.map(|_| c.json("result")).transpose()?,
             error: c.get("error")?,
             asked_by: c.get("asked_by")?,
@@ -246,14 +246,17 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn evaluations_of(&self, model: &str) -> Result<Vec<JobRow>, StoreError> {
+    pub async fn evaluations_of(
+        &self,
+        model: &crate::ids::ModelId,
+    ) -> Result<Vec<JobRow>, StoreError> {
         const OPERATION: &str = "reading a model's evaluations";
         let rows = sqlx::query(
             "SELECT * FROM jobs WHERE kind = 'evaluation' AND state = 'done'
                  AND EXISTS (SELECT 1 FROM json_each(result, '$.models') WHERE value = ?1)
              ORDER BY id DESC",
         )
-        .bind(model)
+        .bind(model.as_str())
         .fetch_all(&self.inner.readers)
         .await
         .during(OPERATION)?;
