@@ -14,6 +14,7 @@ use crate::evaluate::published::{FIG_11, Held, Marginal};
 use crate::evaluate::request::{EvaluationReport, Scored};
 use crate::evaluate::table::{self, COLUMNS};
 use crate::evaluate::touch::Metric;
+use crate::ids::ModelId;
 use crate::lab::{Lab, Noise, StudyError};
 use crate::noise::LEVELS;
 use crate::rows::perfects;
@@ -39,7 +40,7 @@ struct Condition {
     /// Factor on the noise.
     level: f64,
     /// Id of the Recon-Net.
-    model: String,
+    model: ModelId,
     report: EvaluationReport,
 }
 
@@ -72,8 +73,8 @@ pub async fn fig_11<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Error>
                 let training = budget.map_net(RECON_NET, map, Noise::at(level, &transfer));
                 let model = lab.train(&training).await?;
                 let mut request = budget.request(Scored::Paper, "real", Some("test"));
-                request.transfer = Some(transfer.clone());
-                request.map = Some(model.clone());
+                request.transfer = Some(transfer.to_string());
+                request.map = Some(model.to_string());
                 let report = lab.score(&request).await?;
                 conditions.push(Condition { at: [p, d, n], map, level, model, report });
             }
@@ -91,7 +92,11 @@ fn percent(level: f64) -> String {
 }
 
 /// Analyses the conditions and shows them.
-fn sheet(budget: &Budget, transfer: &str, conditions: &[Condition]) -> Result<Sheet, StudyError> {
+fn sheet(
+    budget: &Budget,
+    transfer: &ModelId,
+    conditions: &[Condition],
+) -> Result<Sheet, StudyError> {
     let mut text = String::from(
         "# Fig. 11: the whole pipeline on the held-out part of real, each contact a sample\n",
     );

@@ -5,6 +5,7 @@ use crate::dataset::force_map::ForceMapSpec;
 use crate::evaluate::anova::AnovaError;
 use crate::evaluate::figures::FigureError;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
+use crate::ids::ModelId;
 use crate::infer::answer::Reading;
 use crate::learn::residuals::Residuals;
 use crate::store::Contact;
@@ -16,7 +17,7 @@ pub trait Lab: Sync {
     type Error: From<StudyError> + Send;
 
     /// Returns the unit of a dataset's split, which is never divided: `configuration`, `trial`, or
-    /// `nothing`.
+    /// `nothing`. `dataset`: name or id.
     ///
     /// # Errors
     /// If the dataset does not exist or cannot be made.
@@ -29,7 +30,7 @@ pub trait Lab: Sync {
     fn train(
         &self,
         training: &Training,
-    ) -> impl Future<Output = Result<String, Self::Error>> + Send;
+    ) -> impl Future<Output = Result<ModelId, Self::Error>> + Send;
 
     /// Scores a method on a dataset.
     ///
@@ -46,11 +47,11 @@ pub trait Lab: Sync {
     /// If the model does not exist or has no residuals.
     fn residuals(
         &self,
-        transfer: &str,
+        transfer: &ModelId,
     ) -> impl Future<Output = Result<Residuals, Self::Error>> + Send;
 
     /// Returns the first row of a dataset that meets all conditions, each `COLUMN__gt=VALUE`;
-    /// `None` if there is none with a frame.
+    /// `None` if there is none with a frame. `dataset`: name or id.
     ///
     /// # Errors
     /// If the dataset does not exist or a condition is invalid.
@@ -69,8 +70,8 @@ pub trait Lab: Sync {
     fn reading(
         &self,
         frame_v: &[f32],
-        transfer: &str,
-        map: &str,
+        transfer: &ModelId,
+        map: &ModelId,
     ) -> impl Future<Output = Result<Reading, Self::Error>> + Send;
 }
 
@@ -105,13 +106,13 @@ pub struct Noise {
     /// Factor on the residuals' standard deviation, above 0.
     pub level: f64,
     /// Id of the Transfer-Net.
-    pub of: String,
+    pub of: ModelId,
 }
 
 impl Noise {
     /// Noise of a level, or none at level 0.
-    pub fn at(level: f64, of: &str) -> Option<Self> {
-        (level > 0.0).then(|| Self { level, of: of.to_owned() })
+    pub fn at(level: f64, of: &ModelId) -> Option<Self> {
+        (level > 0.0).then(|| Self { level, of: of.clone() })
     }
 }
 
@@ -172,10 +173,10 @@ pub mod fake {
             Ok("configuration".into())
         }
 
-        async fn train(&self, training: &Training) -> Result<String, StudyError> {
+        async fn train(&self, training: &Training) -> Result<ModelId, StudyError> {
             let mut trained = self.trained.lock().unwrap();
             trained.push(training.clone());
-            Ok(format!("mdl-{}", trained.len()))
+            Ok(ModelId::unchecked(format!("mdl-{}", trained.len())))
         }
 
         async fn score(&self, request: &EvaluationRequest) -> Result<EvaluationReport, StudyError> {
@@ -185,7 +186,7 @@ pub mod fake {
             Ok(serde_json::from_value(report).unwrap())
         }
 
-        async fn residuals(&self, _: &str) -> Result<Residuals, StudyError> {
+        async fn residuals(&self, _: &ModelId) -> Result<Residuals, StudyError> {
             Ok(Residuals { mean_v: vec![0.0; 784], sd_v: vec![0.1; 784], trials: 1 })
         }
 
@@ -193,7 +194,12 @@ pub mod fake {
             Ok(None)
         }
 
-        async fn reading(&self, _: &[f32], _: &str, _: &str) -> Result<Reading, StudyError> {
+        async fn reading(
+            &self,
+            _: &[f32],
+            _: &ModelId,
+            _: &ModelId,
+        ) -> Result<Reading, StudyError> {
             Ok(Reading::default())
         }
     }

@@ -1,7 +1,7 @@
 //! The studies: the tables and figures of the paper, computed again and compared with the published
 //! values. A study asks a [`lab::Lab`] for trained nets and scores, and returns text, numbers and
 //! figures.
-//! Uses: `store`, `data`, `touch`. Never: the command line, HTTP, the terminal, files, a runtime.
+//! Uses: `words`, `store`, `data`, `touch`. Never: the command line, HTTP, the terminal, files, a runtime.
 //!
 //! | module | paper | result |
 //! |---|---|---|
@@ -16,6 +16,7 @@
 use palpate_data::dataset;
 use palpate_store as store;
 use palpate_touch::{evaluate, infer, learn};
+use palpate_words::ids;
 
 pub mod lab;
 pub mod budget;

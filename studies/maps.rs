@@ -26,7 +26,7 @@ pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Erro
     for (number, spec) in (1..).zip(TABLE_IV) {
         let model = lab.train(&budget.map_net(RECON_NET, spec, None)).await?;
         let mut request = budget.request(Scored::Paper, "s2s-recon", Some("test"));
-        request.map = Some(model.clone());
+        request.map = Some(model.to_string());
         let report = lab.score(&request).await?;
         let name = format!("Map {number}, {spec}");
         if let (Some(found), Some(perfect)) = (&report.contacts, &report.perfect) {

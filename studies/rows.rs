@@ -3,6 +3,7 @@
 
 use crate::evaluate::request::EvaluationReport;
 use crate::evaluate::table::{Beside, score_row};
+use crate::ids::{CalibrationId, ModelId};
 
 /// Rows of a method: over all frames, then by the number of contacts. Columns:
 /// `evaluate::table::COLUMNS`, means with 95 % intervals.
@@ -36,7 +37,9 @@ pub fn perfects<'a>(reports: impl Iterator<Item = &'a EvaluationReport>) -> Vec<
 
 /// Models of a report, and the restrictions of its scores, one per line.
 pub fn read_by(report: &EvaluationReport) -> String {
-    let by = report.models.iter().chain(&report.calibration).cloned().collect::<Vec<_>>();
+    let models = report.models.iter().map(ModelId::as_str);
+    let by = models.chain(report.calibration.as_ref().map(CalibrationId::as_str));
+    let by = by.collect::<Vec<_>>();
     let by = if by.is_empty() { "the nominal model".into() } else { by.join(", ") };
     let notes = report.notes.iter().map(|note| format!("Note: {note}.\n"));
     format!("By {by}.\n{}", notes.collect::<String>())

@@ -39,7 +39,7 @@ pub async fn table_iii<L: Lab>(lab: &L, budget: &Budget, dataset: &str) -> Resul
         let training = budget.transfer(&format!("transfer-to-{most}"), dataset, &conditions);
         let model = lab.train(&training).await?;
         let mut request = budget.request(Scored::Voltages, dataset, Some("test"));
-        request.transfer = Some(model.clone());
+        request.transfer = Some(model.to_string());
         let test = lab.score(&request).await?;
         request.part = Some("train".into());
         request.conditions = conditions;

@@ -13,6 +13,7 @@ use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Example, Fra
 use crate::evaluate::score::{Mean, Score};
 use crate::evaluate::table::{Beside, COLUMNS, markdown, published_row, score_row};
 use crate::factorial::{COARSE_MM, DIAMETERS_MM};
+use crate::ids::{CalibrationId, ModelId};
 use crate::lab::{Lab, Noise, StudyError};
 use crate::noise::LEVELS;
 use crate::rows::{by_contacts, perfects, read_by};
@@ -32,7 +33,7 @@ pub struct Unseen {
     /// Id or name of a Point-Net, scored as `fast`; also proposes to `exact`.
     pub points: Option<String>,
     /// Id of a stored calibration, scored as `exact`.
-    pub skin: Option<String>,
+    pub skin: Option<CalibrationId>,
     /// Skips the paper's nets.
     pub ours: bool,
 }
@@ -124,8 +125,8 @@ impl<L: Lab> Study<'_, L> {
                 let training = self.budget.map_net(RECON_NET, map, Noise::at(level, &transfer));
                 let net = self.lab.train(&training).await?;
                 let mut request = self.request(Scored::Paper);
-                request.transfer = Some(transfer.clone());
-                request.map = Some(net);
+                request.transfer = Some(transfer.to_string());
+                request.map = Some(net.to_string());
                 let name = format!("{map}, {:.0} %", 100.0 * level);
                 scores.push((name, self.lab.score(&request).await?));
             }
@@ -139,7 +140,8 @@ impl<L: Lab> Study<'_, L> {
         let training = self.budget.transfer_by(PUBLISHED, stem, R2S, &[up_to(6)]);
         let transfer = self.lab.train(&training).await?;
         let mut request = self.request(Scored::Paper);
-        (request.transfer, request.map) = (Some(transfer), best.models.last().cloned());
+        request.transfer = Some(transfer.to_string());
+        request.map = best.models.last().map(ModelId::to_string);
         self.lab.score(&request).await
     }
 
@@ -148,7 +150,7 @@ impl<L: Lab> Study<'_, L> {
         for map in maps(self.budget.scale) {
             let net = self.lab.train(&self.budget.map_net(END_TO_END, map, None)).await?;
             let mut request = self.request(Scored::Paper);
-            request.map = Some(net);
+            request.map = Some(net.to_string());
             scores.push((map.to_string(), self.lab.score(&request).await?));
         }
         Ok(scores)
@@ -163,8 +165,9 @@ impl<L: Lab> Study<'_, L> {
             let Some((_, report)) = best else { continue };
             let mut request = self.request(Scored::Paper);
             // Reports name the Transfer-Net first, if there is one.
-            request.map = report.models.last().cloned();
-            request.transfer = report.models.first().cloned().filter(|_| report.models.len() > 1);
+            request.map = report.models.last().map(ModelId::to_string);
+            let transfer = report.models.first().filter(|_| report.models.len() > 1);
+            request.transfer = transfer.map(ModelId::to_string);
             requests.push((name, request));
         }
         for (name, scored) in [("one step", Scored::Tikhonov), ("exact", Scored::Exact)] {

@@ -20,6 +20,7 @@ use super::progress::progress_bar;
 use super::{At, embed};
 use crate::dataset::export::ExportRequest;
 use crate::dataset::format::Format;
+use crate::ids::DatasetId;
 
 /// Interval of polling an export's progress.
 const LOOK: Duration = Duration::from_millis(200);
@@ -126,7 +127,7 @@ struct ExportView {
     state: String,
     rows_done: u64,
     rows_total: u64,
-    dataset: Option<String>,
+    dataset: Option<DatasetId>,
     bytes: Option<u64>,
     sha256: Option<String>,
     error: Option<String>,
@@ -258,7 +259,7 @@ async fn export(client: &Client, args: &ExportArgs) -> Result<(), CliError> {
         say_json(&json!({ "file": out, "export": done }));
     } else {
         let rows = counted(done.rows_total, "row", "rows");
-        let of = done.dataset.as_deref().unwrap_or_default();
+        let of = done.dataset.as_ref().map_or("", DatasetId::as_str);
         let length = bytes(done.bytes.unwrap_or_default() as f64);
         let rows = if done.rows_total > 0 { format!("{rows} of ") } else { String::new() };
         say(format_args!(

@@ -14,6 +14,7 @@ use super::output::{say, say_json};
 use super::{At, embed};
 use crate::api::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
 use crate::evaluate::request::EvaluationReport;
+use crate::ids::CalibrationId;
 use crate::infer::slot::Slot;
 
 /// Options of `model`.
@@ -221,7 +222,7 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
         }
         What::AddCalibration(add) => {
             let text = read_input(&add.file)?;
-            let id: String = client.post_text("/api/v1/calibrations", text).await?;
+            let id: CalibrationId = client.post_text("/api/v1/calibrations", text).await?;
             if add.at.json { say_json(&json!({ "calibration": id })) } else { say(id) }
         }
     }

@@ -1,5 +1,5 @@
 //! Ids as types, so that the id of a run cannot be passed as that of a trial.
-//! Uses: uuid. Never: storage.
+//! Uses: uuid. Never: storage, the hash that an id contains.
 
 use serde::{Deserialize, Serialize};
 use uuid::Uuid;
@@ -152,9 +152,146 @@ pub struct TrialKey {
     pub depth_index: u32,
 }
 
+/// Text that is not an id of the needed kind.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{kind} = {text}: must be an id, {start}..")]
+pub struct IdError {
+    /// Thing that the id denotes.
+    kind: &'static str,
+    /// The text.
+    text: String,
+    /// Start of each id of this kind.
+    start: &'static str,
+}
+
+/// Declares ids that are text: each a type, with the thing that it denotes and the start of its
+/// text. JSON, TOML and the database contain the text alone.
+macro_rules! text_ids {
+    ($($(#[$doc:meta])* $name:ident: $kind:literal, $start:literal;)*) => {$(
+        $(#[$doc])*
+        #[derive(
+            Debug,
+            Clone,
+            PartialEq,
+            Eq,
+            PartialOrd,
+            Ord,
+            Hash,
+            Serialize,
+            Deserialize,
+            utoipa::ToSchema,
+        )]
+        #[serde(transparent)]
+        pub struct $name(String);
+
+        impl $name {
+            /// Returns text as an id without a check: for the code that makes the id, and for text
+            /// that is checked when the id is looked up.
+            pub fn unchecked(text: impl Into<String>) -> Self {
+                Self(text.into())
+            }
+
+            /// Text of the id.
+            pub fn as_str(&self) -> &str {
+                &self.0
+            }
+        }
+
+        impl std::fmt::Display for $name {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.pad(&self.0)
+            }
+        }
+
+        impl std::str::FromStr for $name {
+            type Err = IdError;
+            fn from_str(text: &str) -> Result<Self, Self::Err> {
+                let (kind, start) = ($kind, $start);
+                if text.starts_with(start) {
+                    Ok(Self(text.to_owned()))
+                } else {
+                    Err(IdError { kind, text: text.to_owned(), start })
+                }
+            }
+        }
+    )*};
+}
+
+text_ids! {
+    /// Id of a dataset: `ds-` and the first digits of the sha256 of its contents.
+    DatasetId: "dataset", "ds-";
+    /// Id of a trained net: `mdl-` and the first digits of the sha256 of its facts and its file.
+    ModelId: "model", "mdl-";
+    /// Id of a calibration: `cal-` and the first digits of a sha256; sim-core determines it.
+    CalibrationId: "calibration", "cal-";
+}
+
+/// What a promotion puts into a slot. Its text is that of the id.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(from = "String", into = "String")]
+pub enum PromotedId {
+    /// A net.
+    Model(ModelId),
+    /// A calibration: the skin of the exact method.
+    Calibration(CalibrationId),
+}
+
+impl PromotedId {
+    /// Text of the id.
+    pub fn as_str(&self) -> &str {
+        match self {
+            Self::Model(id) => id.as_str(),
+            Self::Calibration(id) => id.as_str(),
+        }
+    }
+}
+
+impl From<String> for PromotedId {
+    fn from(text: String) -> Self {
+        match text.parse() {
+            Ok(id) => Self::Calibration(id),
+            Err(_) => Self::Model(ModelId::unchecked(text)),
+        }
+    }
+}
+
+impl From<PromotedId> for String {
+    fn from(id: PromotedId) -> Self {
+        id.as_str().to_owned()
+    }
+}
+
+impl std::fmt::Display for PromotedId {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::TaskId;
+    use super::*;
+
+    #[test]
+    fn a_text_id_is_its_text_in_json() {
+        let id: DatasetId = "ds-1".parse().unwrap();
+        assert_eq!(serde_json::to_string(&id).unwrap(), "\"ds-1\"");
+        assert_eq!(serde_json::from_str::<DatasetId>("\"ds-1\"").unwrap(), id);
+        assert_eq!(format!("{id:<6}|"), "ds-1  |");
+    }
+
+    #[test]
+    fn text_of_another_kind_is_refused() {
+        let error = "mdl-1".parse::<DatasetId>().unwrap_err().to_string();
+        assert_eq!(error, "dataset = mdl-1: must be an id, ds-..");
+    }
+
+    #[test]
+    fn a_promoted_id_is_a_calibration_by_its_start() {
+        let of = |text: &str| serde_json::from_value::<PromotedId>(text.into()).unwrap();
+        assert_eq!(of("cal-1"), PromotedId::Calibration(CalibrationId::unchecked("cal-1")));
+        assert_eq!(of("mdl-1"), PromotedId::Model(ModelId::unchecked("mdl-1")));
+        assert_eq!(serde_json::to_string(&of("cal-1")).unwrap(), "\"cal-1\"");
+    }
 
     #[test]
     fn the_id_of_a_task_has_one_text() {

@@ -16,6 +16,7 @@ use crate::cli::output::{say, say_json};
 use crate::cli::train::{Changes, follow, recipe_text};
 use crate::cli::{At, embed};
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
+use crate::ids::ModelId;
 use crate::infer::answer::Reading;
 use crate::infer::methods::Method;
 use crate::learn::residuals::Residuals;
@@ -136,7 +137,7 @@ impl Lab for ServiceLab {
         Ok(row["definition"]["split"]["by"].as_str().unwrap_or("nothing").to_owned())
     }
 
-    async fn train(&self, training: &Training) -> Result<String, CliError> {
+    async fn train(&self, training: &Training) -> Result<ModelId, CliError> {
         let Training { recipe, stem, .. } = training;
         let changes = changes(training, stem);
         let text = recipe_text(recipe, &changes)?;
@@ -177,7 +178,7 @@ impl Lab for ServiceLab {
         })
     }
 
-    async fn residuals(&self, transfer: &str) -> Result<Residuals, CliError> {
+    async fn residuals(&self, transfer: &ModelId) -> Result<Residuals, CliError> {
         self.client.get(&format!("/api/v1/models/{transfer}/residuals")).await
     }
 
@@ -205,13 +206,13 @@ impl Lab for ServiceLab {
     async fn reading(
         &self,
         frame_v: &[f32],
-        transfer: &str,
-        map: &str,
+        transfer: &ModelId,
+        map: &ModelId,
     ) -> Result<Reading, CliError> {
         let wish = Wish {
             method: Method::Paper,
-            model: Some(map.into()),
-            transfer: Some(transfer.into()),
+            model: Some(map.to_string()),
+            transfer: Some(transfer.to_string()),
             map: true,
             averaged: 1.0,
         };
@@ -235,7 +236,7 @@ fn changes(training: &Training, name: &str) -> Changes {
         rows: training.rows,
         batch: training.batch,
         noise: training.noise.as_ref().map(|noise| noise.level),
-        noise_of: training.noise.as_ref().map(|noise| noise.of.clone()),
+        noise_of: training.noise.as_ref().map(|noise| noise.of.to_string()),
         all_epochs: true,
     }
 }

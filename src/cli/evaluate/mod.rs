@@ -9,6 +9,7 @@ use clap::{Args, Subcommand};
 use super::error::CliError;
 use super::files::write;
 use crate::evaluate::request::{EvaluationRequest, FramesRead, Scored};
+use crate::ids::CalibrationId;
 use crate::studies::budget::{Budget, R2S};
 use crate::studies::factorial::fig_11;
 use crate::studies::maps::table_iv;
@@ -142,6 +143,8 @@ pub async fn evaluate(args: EvaluateArgs) -> Result<(), CliError> {
             with_lab(args, |lab, budget| async move { fig_11(&lab, &budget).await }).await
         }
         What::Unseen(UnseenArgs { points, skin, ours, dataset, lab }) => {
+            // The service checks the id when it reads the calibration.
+            let skin = skin.map(CalibrationId::unchecked);
             let unseen = Unseen { dataset, points, skin, ours };
             with_lab(lab, |lab, budget| async move { fig_12(&lab, &budget, &unseen).await }).await
         }
@@ -162,7 +165,8 @@ impl MethodArgs {
             transfer: self.with_transfer,
             map: self.map,
             points: self.points,
-            skin: self.skin,
+            // The service checks the id when it reads the calibration.
+            skin: self.skin.map(CalibrationId::unchecked),
             threshold_n: self.threshold_n,
             place_sd_mm: self.place_sd_mm,
             frames: if self.first_frame { FramesRead::First } else { FramesRead::Mean },

@@ -34,6 +34,7 @@ use super::schema::{self, BATCH_ROWS};
 use super::shards::ShardFolder;
 use super::split::{Group, Part, divide, place};
 use super::survey::{Survey, Surveyed, label};
+use crate::ids::DatasetId;
 use crate::store::{DatasetRow, RunRow, Store, TrialQuery};
 
 /// Largest number of pages that wait for the encoder.
@@ -266,12 +267,12 @@ impl Encoder {
     }
 
     /// `ds-` and the start of a sha256 over definition, schema and rows.
-    fn id(&self) -> String {
+    fn id(&self) -> DatasetId {
         let digest = self.rows.get_ref().0.clone().finalize();
-        format!("ds-{}", &hex::encode(digest)[..ID_DIGITS])
+        DatasetId::unchecked(format!("ds-{}", &hex::encode(digest)[..ID_DIGITS]))
     }
 
-    fn finish(self, id: &str) -> Result<super::file::Finished, DatasetError> {
+    fn finish(self, id: &DatasetId) -> Result<super::file::Finished, DatasetError> {
         let file = self.parquet.finish()?;
         let name = format!("{id}.parquet");
         file.finish(&name).map_err(DatasetError::file("writing", Path::new(&name)))
@@ -417,11 +418,11 @@ fn write_card(folder: &Path, row: &DatasetRow) -> Result<(), DatasetError> {
 }
 
 /// Path of the Parquet file of a dataset.
-pub fn data_file(folder: &Path, id: &str) -> PathBuf {
+pub fn data_file(folder: &Path, id: &DatasetId) -> PathBuf {
     folder.join(format!("{id}.parquet"))
 }
 
 /// Path of the card of a dataset.
-pub fn card_file(folder: &Path, id: &str) -> PathBuf {
+pub fn card_file(folder: &Path, id: &DatasetId) -> PathBuf {
     folder.join(format!("{id}.md"))
 }

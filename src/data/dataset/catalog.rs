@@ -19,7 +19,7 @@ use super::read::{DatasetRows, SKIN};
 use super::schema;
 use super::select::{Selection, Wanted};
 use crate::clock::Clock;
-use crate::ids::TaskId;
+use crate::ids::{DatasetId, TaskId};
 use crate::problem::Problem;
 use crate::state::StoredState;
 use crate::store::{DatasetRow, RunRow, Store, TaskEnd, TaskKind, TaskQueue, TaskRow};
@@ -98,18 +98,18 @@ impl Catalog {
     /// is missing, `NotEnded` for the name of a run that has not ended; the errors of
     /// [`Self::make`].
     pub async fn resolve(&self, name: &str) -> Result<DatasetRow, DatasetError> {
-        if name.starts_with("ds-") {
-            return self.of_id(name).await;
+        if let Ok(id) = name.parse() {
+            return self.of_id(&id).await;
         }
         let definition = self.definition(name).await?;
         self.make(&definition).await
     }
 
-    async fn of_id(&self, id: &str) -> Result<DatasetRow, DatasetError> {
+    async fn of_id(&self, id: &DatasetId) -> Result<DatasetRow, DatasetError> {
         match self.inner.store.dataset(id).await? {
             Some(row) if data_file(&self.datasets(), id).is_file() => Ok(row),
             Some(row) => Err(DatasetError::FileMissing(row.id)),
-            None => Err(self.no_dataset(id)),
+            None => Err(self.no_dataset(id.as_str())),
         }
     }
 
@@ -206,7 +206,7 @@ impl Catalog {
             let (store, folder) = (&catalog.inner.store, catalog.datasets());
             let at = catalog.inner.clock.timestamp();
             let row = build(store, &folder, inputs, at, progress).await?;
-            tracing::info!(dataset = row.id, name, rows = row.rows, "a dataset was made");
+            tracing::info!(dataset = row.id.as_str(), name, rows = row.rows, "a dataset was made");
             Ok(row)
         });
         making.await.map_err(|_| DatasetError::Worker)?
@@ -238,7 +238,7 @@ impl Catalog {
     /// # Errors
     /// `DatasetError::Problems` if the selection does not fit the columns; `File` or `Parquet` if
     /// the file cannot be read.
-    pub fn rows(&self, id: &str, wanted: &Wanted) -> Result<DatasetRows, DatasetError> {
+    pub fn rows(&self, id: &DatasetId, wanted: &Wanted) -> Result<DatasetRows, DatasetError> {
         DatasetRows::open(&data_file(&self.datasets(), id), wanted)
     }
 
@@ -246,7 +246,7 @@ impl Catalog {
     ///
     /// # Errors
     /// `DatasetError::File` if the card cannot be read.
-    pub fn card(&self, id: &str) -> Result<String, DatasetError> {
+    pub fn card(&self, id: &DatasetId) -> Result<String, DatasetError> {
         let path = build::card_file(&self.datasets(), id);
         std::fs::read_to_string(&path).map_err(DatasetError::file("reading", &path))
     }
@@ -325,8 +325,8 @@ impl Catalog {
             return Err(DatasetError::value("waiting exports", WAITING_MAX, &limit));
         }
         let wanted = request.wanted();
-        if request.dataset.starts_with("ds-") {
-            self.rows(&self.of_id(&request.dataset).await?.id, &wanted)?;
+        if let Ok(id) = request.dataset.parse() {
+            self.rows(&self.of_id(&id).await?.id, &wanted)?;
         } else {
             // The number of channels, and so the range of a slice, is known after the dataset is
             // made.
@@ -390,9 +390,9 @@ impl Catalog {
         let request: ExportRequest =
             serde_json::from_value(export.request.clone()).map_err(DatasetError::Json)?;
         // After a restart: the dataset that the export began with, not the current one of its name.
-        let row = match &export.dataset {
-            Some(id) => self.of_id(id).await?,
-            None if request.dataset.starts_with("ds-") => self.of_id(&request.dataset).await?,
+        let id = export.dataset.clone().or_else(|| request.dataset.parse().ok());
+        let row = match id {
+            Some(id) => self.of_id(&id).await?,
             None => {
                 let definition = self.definition(&request.dataset).await?;
                 self.make_watched(&definition, progress.clone()).await?

@@ -6,6 +6,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use crate::ids::DatasetId;
 use crate::problem::{Checks, Problem};
 use crate::store::{Condition, Label, RunKind};
 use crate::syntax::syntax_problem;
@@ -201,7 +202,7 @@ impl Definition {
         let word = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
         let named = (1..=60).contains(&self.name.len()) && self.name.chars().all(word);
         let limit = "must be 1 to 60 characters of a-z, 0-9 and -, and must not start with ds-";
-        checks.require(named && !self.name.starts_with("ds-"), "name", &self.name, limit);
+        checks.require(named && self.name.parse::<DatasetId>().is_err(), "name", &self.name, limit);
         if let Some(deadband_n) = self.deadband_n {
             checks.within("deadband_n", deadband_n, 0.0, 1000.0);
         }

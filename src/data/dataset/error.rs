@@ -10,6 +10,7 @@ use parquet::errors::ParquetError;
 
 use super::format::FormatError;
 use super::shards::ShardsError;
+use crate::ids::DatasetId;
 use crate::problem::Problem;
 use crate::store::StoreError;
 
@@ -85,7 +86,7 @@ pub enum DatasetError {
     },
     /// The file of a stored dataset is missing. Holds the id.
     #[error("dataset {0}: its file is missing; make the dataset again by its name")]
-    FileMissing(String),
+    FileMissing(DatasetId),
     /// Shards cannot be read.
     #[error(transparent)]
     Shards(#[from] ShardsError),

@@ -17,6 +17,7 @@ use super::file::{Finished, NewFile};
 use super::format::{self, Format, Rows};
 use super::read::DatasetRows;
 use super::select::Wanted;
+use crate::ids::DatasetId;
 use crate::store::TaskRow;
 
 /// Version of the bytes that the formats produce; part of the file name.
@@ -63,7 +64,11 @@ impl ExportRequest {
 ///
 /// # Errors
 /// `DatasetError::Json` if the request cannot be written as JSON.
-pub fn file_name(dataset: &str, format: Format, wanted: &Wanted) -> Result<String, DatasetError> {
+pub fn file_name(
+    dataset: &DatasetId,
+    format: Format,
+    wanted: &Wanted,
+) -> Result<String, DatasetError> {
     let text = serde_json::to_string(&(FORMAT_VERSION, dataset, format.name(), wanted));
     let digest = Sha256::digest(text.map_err(DatasetError::Json)?);
     Ok(format!("{}.{}", &hex::encode(digest)[..NAME_DIGITS], format.extension()))

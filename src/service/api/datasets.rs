@@ -17,13 +17,14 @@ use super::send::{self, Download};
 use crate::dataset::definition::Definition;
 use crate::dataset::error::DatasetError;
 use crate::dataset::format::{Format, Rows, UnknownFormat};
+use crate::ids::DatasetId;
 use crate::store::DatasetRow;
 
 /// A dataset.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct DatasetOut {
     /// `ds-` and the start of a sha256 over its definition, its rows and its columns.
-    pub id: String,
+    pub id: DatasetId,
     /// Name of the definition.
     pub name: String,
     /// The definition.
@@ -90,7 +91,7 @@ pub struct DatasetRequest {
 #[derive(Debug, Serialize, ToSchema)]
 pub struct RowsPage {
     /// Id of the dataset.
-    pub dataset: String,
+    pub dataset: DatasetId,
     /// The rows; a null value is absent.
     #[schema(value_type = Vec<Object>)]
     pub rows: Vec<Box<serde_json::value::RawValue>>,
@@ -271,6 +272,6 @@ pub async fn data(
     let row = app.datasets.resolve(name).await?;
     let export_file = app.datasets.file(&row, format, &wanted, std::sync::Arc::default()).await?;
     let shown = format!("{}.{}", row.id, format.extension());
-    let download = Download { name: &shown, immutable: name == row.id };
+    let download = Download { name: &shown, immutable: name == row.id.as_str() };
     send::file(request, &export_file, format, download).await
 }

@@ -15,7 +15,7 @@ use super::problem::{ApiError, Body, ProblemBody};
 use super::send::{self, Download};
 use crate::dataset::export::{ExportRequest, ExportResult};
 use crate::dataset::format::Format;
-use crate::ids::TaskId;
+use crate::ids::{DatasetId, TaskId};
 use crate::store::{TaskKind, TaskRow, TaskState};
 
 /// Largest number of exports in a list.
@@ -37,7 +37,7 @@ pub struct ExportOut {
     /// Number of rows to write; 0 until they are counted, and unless the export is running.
     pub rows_total: u64,
     /// Id of the dataset; absent until it is determined.
-    pub dataset: Option<String>,
+    pub dataset: Option<DatasetId>,
     /// Length of the file, bytes; absent until the export is done.
     pub bytes: Option<u64>,
     /// sha256 of the file, in hexadecimal digits; absent until the export is done.

@@ -14,7 +14,7 @@ use super::audit::ActionContext;
 use super::auth::Caller;
 use super::problem::{ApiError, Body, ProblemBody};
 use crate::evaluate::request::EvaluationRequest;
-use crate::ids::TaskId;
+use crate::ids::{DatasetId, TaskId};
 use crate::jobs::Progress;
 use crate::store::{TaskKind, TaskRow, TaskState};
 
@@ -46,7 +46,7 @@ pub struct JobOut {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub progress: Option<Progress>,
     /// Id of the dataset; absent until it is determined.
-    pub dataset: Option<String>,
+    pub dataset: Option<DatasetId>,
     /// Result: `{"model": id, "name": ..}` of a training, an EvaluationReport of an evaluation.
     /// Absent until the job is done.
     #[schema(value_type = Option<Object>)]

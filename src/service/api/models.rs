@@ -15,6 +15,7 @@ use super::audit::ActionContext;
 use super::auth::Caller;
 use super::jobs::ndjson;
 use super::problem::{ApiError, Body, ProblemBody};
+use crate::ids::{CalibrationId, ModelId, PromotedId};
 use crate::infer::registry::{NewModel, facts};
 use crate::infer::slot::Slot;
 use crate::learn::model_file::{ModelFacts, manifest_for_foreign};
@@ -30,7 +31,7 @@ pub const MODEL_MAX_BYTES: usize = 256 << 20;
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct ModelOut {
     /// Id of the model, `mdl-..`.
-    pub id: String,
+    pub id: ModelId,
     /// Name of the model.
     pub name: String,
     /// Task: `transfer`, `recon`, `end-to-end` or `points`.
@@ -82,6 +83,7 @@ pub struct ServesOut {
     /// The slot.
     pub slot: Slot,
     /// Id of the serving model or calibration; null if the slot is empty.
+    // Text: the reply to a promotion repeats the request, which may be a name.
     pub what: Option<String>,
 }
 
@@ -100,7 +102,8 @@ pub struct PromotionOut {
     /// The slot.
     pub slot: String,
     /// Id of the promoted model or calibration; null if the slot was emptied.
-    pub what: Option<String>,
+    #[schema(value_type = Option<String>)]
+    pub what: Option<PromotedId>,
     /// Name of the person or key.
     pub who: String,
     /// Reason; null if none was entered.
@@ -255,7 +258,7 @@ pub async fn add_calibration(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
     text: String,
-) -> Result<(StatusCode, Json<String>), ApiError> {
+) -> Result<(StatusCode, Json<CalibrationId>), ApiError> {
     let outcome = app.serving.keep_calibration(&text).await.map_err(ApiError::from);
     let id = app.logged(&caller, "add a calibration", ActionContext::default(), outcome).await?;
     Ok((StatusCode::CREATED, Json(id)))
@@ -266,7 +269,10 @@ pub async fn add_calibration(
     responses((status = 200, body = ServingOut)))]
 pub async fn serving(State(app): State<App>) -> Result<Json<ServingOut>, ApiError> {
     let serves = app.serving.promoted().await?;
-    let serves = serves.into_iter().map(|(slot, what)| ServesOut { slot, what }).collect();
+    let serves = serves
+        .into_iter()
+        .map(|(slot, what)| ServesOut { slot, what: what.map(Into::into) })
+        .collect();
     let history = app.serving.history().await?.into_iter().map(|row| PromotionOut {
         slot: row.slot,
         what: row.what,
@@ -315,7 +321,7 @@ pub async fn roll_back(
     let outcome = app.serving.roll_back(slot, &caller.name(who), why).await.map_err(ApiError::from);
     let context = ActionContext { run: None, who, why };
     let what = app.logged(&caller, "roll back", context, outcome).await?;
-    Ok(Json(ServesOut { slot, what }))
+    Ok(Json(ServesOut { slot, what: what.map(Into::into) }))
 }
 
 /// True if a report is a score of a model of this task: by a method that uses the task, on rows
@@ -335,10 +341,11 @@ fn is_score(task: &str, report: &Value) -> bool {
 async fn out(app: &App, row: ModelRow) -> Result<ModelOut, ApiError> {
     let manifest: toml::Table = toml::from_str(&row.manifest).unwrap_or_default();
     let serves = app.serving.promoted().await?;
+    let promoted = Some(PromotedId::Model(row.id.clone()));
     let reports = app.store.evaluations_of(&row.id).await?.into_iter().filter_map(|job| job.result);
     let scores = reports.filter(|report| is_score(&row.task, report));
     Ok(ModelOut {
-        serves: serves.iter().any(|(_, what)| what.as_ref() == Some(&row.id)),
+        serves: serves.iter().any(|(_, what)| *what == promoted),
         manifest: serde_json::to_value(manifest.get("model")).unwrap_or_default(),
         scores: scores.collect(),
         id: row.id,

@@ -16,7 +16,7 @@ use utoipa::ToSchema;
 
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::command::{Handle, Refusal, Request};
-use crate::ids::RunUid;
+use crate::ids::{CalibrationId, RunUid};
 use crate::problem::Problem;
 use crate::rig::config::RigConfig;
 use crate::schedule::preflight::Preflight;
@@ -194,9 +194,12 @@ impl Conductor {
         Ok(self.inner.store.enqueue(new).await?)
     }
 
-    fn calibration_of(&self, sensor_name: &str) -> Option<String> {
+    fn calibration_of(&self, sensor_name: &str) -> Option<CalibrationId> {
         let calibration = self.inner.calibration.as_ref();
-        calibration.filter(|c| c.sensor == sensor_name).and_then(|c| c.id().ok())
+        calibration
+            .filter(|c| c.sensor == sensor_name)
+            .and_then(|c| c.id().ok())
+            .map(CalibrationId::unchecked)
     }
 
     /// Returns the preflight of a stored run on this rig.

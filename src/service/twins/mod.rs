@@ -23,7 +23,7 @@ use utoipa::ToSchema;
 use self::drift::{DriftWatch, Level, Pairing, RollingFit};
 use crate::campaign::shown::command::{Handle, Request};
 use crate::dataset::pressed::contacts;
-use crate::ids::{RunUid, TrialId};
+use crate::ids::{CalibrationId, RunUid, TrialId};
 use crate::rig::config::RigConfig;
 use crate::schedule::experiment::Experiment;
 use crate::simulate::compare::difference;
@@ -253,7 +253,7 @@ impl TwinPool {
         let new = NewTwinModel {
             hash: model.model_hash().to_owned(),
             sensor_sha256: row.sensor_sha256.clone(),
-            calibration_id: model.sensor().calibration().map(Into::into),
+            calibration_id: model.sensor().calibration().map(CalibrationId::unchecked),
             version: env!("CARGO_PKG_VERSION").into(),
             git_commit: crate::commit::known().map(Into::into),
         };

@@ -11,7 +11,7 @@ use crate::core::columns::Columns;
 use crate::core::facts::{Label, RunKind};
 use crate::core::{During, StoreError};
 use crate::digest::sha256_hex;
-use crate::ids::RunUid;
+use crate::ids::{CalibrationId, RunUid};
 use crate::journal::ExitStatus;
 use crate::state::{PausedWhy, StoredState};
 
@@ -33,7 +33,7 @@ pub struct NewRun {
     /// Text of the sensor file.
     pub sensor: String,
     /// Id of the serving calibration; absent without one.
-    pub calibration_id: Option<String>,
+    pub calibration_id: Option<CalibrationId>,
     /// Origin of the data: measured, virtual or simulated.
     pub label: Label,
     /// Version of the program.
@@ -80,7 +80,7 @@ pub struct RunRow {
     /// sha256 of the sensor file.
     pub sensor_sha256: String,
     /// Id of the calibration that served when it was submitted; absent without one.
-    pub calibration_id: Option<String>,
+    pub calibration_id: Option<CalibrationId>,
     /// Origin of the data: measured, virtual or simulated.
     pub label: Label,
     /// Version of the program.
@@ -150,7 +150,7 @@ impl RunRow {
             rig_sha256: c.get("rig_sha256")?,
             sensor: c.get("sensor")?,
             sensor_sha256: c.get("sensor_sha256")?,
-            calibration_id: c.get("calibration_id")?,
+            calibration_id: c.id_or_none("calibration_id")?,
             label: c.word("label")?,
             version: c.get("version")?,
             git_commit: c.get("git_commit")?,
@@ -220,7 +220,7 @@ pub(crate) async fn insert(
     .bind(new.rig.as_deref().map(sha256_hex))
     .bind(&new.sensor)
     .bind(sha256_hex(&new.sensor))
-    .bind(&new.calibration_id)
+    .bind(new.calibration_id.as_ref().map(CalibrationId::as_str))
     .bind(new.label.as_str())
     .bind(&new.version)
     .bind(&new.git_commit)

@@ -119,6 +119,22 @@ impl<'r> Columns<'r> {
         self.get::<Option<&str>>(column)?.map(|_| self.word(column)).transpose()
     }
 
+    /// Returns an id that is stored as its text.
+    pub(crate) fn id<T: serde::de::DeserializeOwned>(
+        &self,
+        column: &'static str,
+    ) -> Result<T, StoreError> {
+        self.word(column)
+    }
+
+    /// Returns an id that is stored as its text; `None` for NULL.
+    pub(crate) fn id_or_none<T: serde::de::DeserializeOwned>(
+        &self,
+        column: &'static str,
+    ) -> Result<Option<T>, StoreError> {
+        self.word_or_none(column)
+    }
+
     /// Returns the counts of a frame, injection-major.
     pub(crate) fn counts(&self, column: &'static str) -> Result<Vec<i16>, StoreError> {
         let bytes: &[u8] = self.get(column)?;

@@ -7,13 +7,13 @@ use sqlx::sqlite::SqliteRow;
 
 use crate::core::columns::{Columns, time_text};
 use crate::core::{During, Store, StoreError};
-use crate::ids::RunUid;
+use crate::ids::{DatasetId, RunUid};
 
 /// A stored dataset. Its trials are in a Parquet file that is named by its id.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DatasetRow {
     /// Id: `ds-` and the first digits of the sha256 of its contents.
-    pub id: String,
+    pub id: DatasetId,
     /// Name of its definition.
     pub name: String,
     /// Its definition, as JSON.
@@ -36,7 +36,7 @@ impl DatasetRow {
     fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
         let c = Columns::of(row, operation);
         Ok(Self {
-            id: c.get("id")?,
+            id: c.id("id")?,
             name: c.get("name")?,
             definition: c.json("definition")?,
             rows: c.whole("rows")?,
@@ -119,7 +119,7 @@ impl Store {
                          lineage, created_at)
                      VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9) ON CONFLICT (id) DO NOTHING",
                 )
-                .bind(&new.id)
+                .bind(new.id.as_str())
                 .bind(&new.name)
                 .bind(new.definition.to_string())
                 .bind(new.rows.cast_signed())
@@ -136,12 +136,12 @@ impl Store {
                      ON CONFLICT (inputs) DO UPDATE SET dataset = ?2",
                 )
                 .bind(inputs)
-                .bind(&new.id)
+                .bind(new.id.as_str())
                 .execute(&mut *connection)
                 .await
                 .during(OPERATION)?;
                 let row = sqlx::query("SELECT * FROM datasets WHERE id = ?1")
-                    .bind(&new.id)
+                    .bind(new.id.as_str())
                     .fetch_one(connection)
                     .await
                     .during(OPERATION)?;
@@ -154,8 +154,8 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn dataset(&self, id: &str) -> Result<Option<DatasetRow>, StoreError> {
-        self.one_dataset("SELECT * FROM datasets WHERE id = ?1", id).await
+    pub async fn dataset(&self, id: &DatasetId) -> Result<Option<DatasetRow>, StoreError> {
+        self.one_dataset("SELECT * FROM datasets WHERE id = ?1", id.as_str()).await
     }
 
     /// Returns the dataset that was made from inputs in this state; `None` if none was.

@@ -6,12 +6,13 @@ use sqlx::sqlite::SqliteRow;
 
 use crate::core::columns::{Columns, time_text};
 use crate::core::{During, Store, StoreError};
+use crate::ids::{ModelId, PromotedId};
 
 /// A stored model. Its files are in a folder that is named by its id.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelRow {
     /// Id: `mdl-` and the first digits of the sha256 of its contents.
-    pub id: String,
+    pub id: ModelId,
     /// Name of its recipe, or of its file if it was imported.
     pub name: String,
     /// Task of the net.
@@ -26,7 +27,7 @@ impl ModelRow {
     fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
         let c = Columns::of(row, operation);
         Ok(Self {
-            id: c.get("id")?,
+            id: c.id("id")?,
             name: c.get("name")?,
             task: c.get("task")?,
             manifest: c.get("manifest")?,
@@ -40,8 +41,8 @@ impl ModelRow {
 pub struct PromotionRow {
     /// Name of the slot: `transfer`, `map`, `points` or `skin`.
     pub slot: String,
-    /// Id of a model or a calibration; if absent, nothing serves in the slot.
-    pub what: Option<String>,
+    /// What it put into the slot; if absent, nothing serves in the slot.
+    pub what: Option<PromotedId>,
     /// Person or key that promoted it.
     pub who: String,
     /// Reason that the person entered; absent without one.
@@ -57,8 +58,8 @@ pub struct PromotionRow {
 pub struct NewPromotion<'a> {
     /// Name of the slot: `transfer`, `map`, `points` or `skin`.
     pub slot: &'a str,
-    /// Id of a model or a calibration; if absent, nothing serves in the slot.
-    pub what: Option<&'a str>,
+    /// What it puts into the slot; if absent, nothing serves in the slot.
+    pub what: Option<&'a PromotedId>,
     /// Whether it restores an earlier promotion.
     pub rolled_back: bool,
     /// Person or key that promotes it.
@@ -72,7 +73,7 @@ impl PromotionRow {
         let c = Columns::of(row, operation);
         Ok(Self {
             slot: c.get("slot")?,
-            what: c.get("what")?,
+            what: c.id_or_none("what")?,
             who: c.get("who")?,
             why: c.get("why")?,
             at: c.time("at")?,
@@ -95,7 +96,7 @@ impl Store {
                     "INSERT INTO models (id, name, task, manifest, created_at)
                      VALUES (?1, ?2, ?3, ?4, ?5) ON CONFLICT (id) DO NOTHING",
                 )
-                .bind(&new.id)
+                .bind(new.id.as_str())
                 .bind(&new.name)
                 .bind(&new.task)
                 .bind(&new.manifest)
@@ -145,7 +146,7 @@ impl Store {
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn promote(&self, new: NewPromotion<'_>) -> Result<(), StoreError> {
         const OPERATION: &str = "storing a promotion";
-        let (slot, what) = (new.slot.to_owned(), new.what.map(str::to_owned));
+        let (slot, what) = (new.slot.to_owned(), new.what.map(ToString::to_string));
         let (who, why) = (new.who.to_owned(), new.why.map(str::to_owned));
         let (rolled_back, now) = (new.rolled_back, self.now_text());
         self.inner

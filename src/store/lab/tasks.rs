@@ -11,7 +11,7 @@ use utoipa::ToSchema;
 
 use crate::core::columns::Columns;
 use crate::core::{During, Store, StoreError};
-use crate::ids::TaskId;
+use crate::ids::{DatasetId, ModelId, TaskId};
 
 /// Kind of a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -81,7 +81,7 @@ pub struct TaskRow {
     /// State of the task.
     pub state: TaskState,
     /// Id of the dataset; absent until it is known.
-    pub dataset: Option<String>,
+    pub dataset: Option<DatasetId>,
     /// The result, as JSON; absent unless it is done.
     pub result: Option<Value>,
     /// Cause of the failure; absent unless it failed.
@@ -106,7 +106,7 @@ impl TaskRow {
             kind: c.word("kind")?,
             request: c.json("request")?,
             state: c.word("state")?,
-            dataset: c.get("dataset")?,
+            dataset: c.id_or_none("dataset")?,
             result: result.map(|_| c.json("result")).transpose()?,
             error: c.get("error")?,
             asked_by: c.get("asked_by")?,
@@ -183,9 +183,13 @@ impl Store {
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
-    pub async fn begin_task(&self, id: TaskId, dataset: Option<&str>) -> Result<bool, StoreError> {
+    pub async fn begin_task(
+        &self,
+        id: TaskId,
+        dataset: Option<&DatasetId>,
+    ) -> Result<bool, StoreError> {
         const OPERATION: &str = "beginning a task";
-        let (dataset, now) = (dataset.map(str::to_owned), self.now_text());
+        let (dataset, now) = (dataset.cloned(), self.now_text());
         self.inner
             .writer
             .run(OPERATION, async move |connection| {
@@ -195,7 +199,7 @@ impl Store {
                      WHERE id = ?1 AND state IN ('waiting', 'running')",
                 )
                 .bind(id.to_string())
-                .bind(dataset)
+                .bind(dataset.as_ref().map(DatasetId::as_str))
                 .bind(now)
                 .execute(connection)
                 .await
@@ -294,14 +298,14 @@ impl Store {
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn evaluations_of(&self, model: &str) -> Result<Vec<TaskRow>, StoreError> {
+    pub async fn evaluations_of(&self, model: &ModelId) -> Result<Vec<TaskRow>, StoreError> {
         const OPERATION: &str = "reading a model's evaluations";
         let rows = sqlx::query(
             "SELECT * FROM tasks WHERE kind = 'evaluation' AND state = 'done'
                  AND EXISTS (SELECT 1 FROM json_each(result, '$.models') WHERE value = ?1)
              ORDER BY id DESC",
         )
-        .bind(model)
+        .bind(model.as_str())
         .fetch_all(&self.inner.readers)
         .await
         .during(OPERATION)?;

@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 
 use crate::core::columns::{Columns, volts_blob};
 use crate::core::{During, Store, StoreError};
-use crate::ids::{RunUid, TrialId};
+use crate::ids::{CalibrationId, RunUid, TrialId};
 use crate::table::assemble::assemble;
 use crate::table::checksum;
 use crate::table::query::SELECT_WITH_VOLTAGES;
@@ -32,7 +32,7 @@ pub struct NewTwinModel {
     /// sha256 of the text of the sensor file.
     pub sensor_sha256: String,
     /// Id of its calibration; absent for the nominal model.
-    pub calibration_id: Option<String>,
+    pub calibration_id: Option<CalibrationId>,
     /// Version of the program.
     pub version: String,
     /// Commit of the program; absent if unknown.
@@ -125,7 +125,7 @@ impl Store {
                 )
                 .bind(new.hash)
                 .bind(new.sensor_sha256)
-                .bind(new.calibration_id)
+                .bind(new.calibration_id.as_ref().map(CalibrationId::as_str))
                 .bind(new.version)
                 .bind(new.git_commit)
                 .bind(now)
@@ -153,7 +153,7 @@ impl Store {
             Ok(NewTwinModel {
                 hash: c.get("hash")?,
                 sensor_sha256: c.get("sensor_sha256")?,
-                calibration_id: c.get("calibration_id")?,
+                calibration_id: c.id_or_none("calibration_id")?,
                 version: c.get("version")?,
                 git_commit: c.get("git_commit")?,
             })

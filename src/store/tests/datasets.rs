@@ -6,7 +6,7 @@ use sqlx::Connection;
 use sqlx::sqlite::SqliteConnectOptions;
 
 use super::{Folder, new_run, open, random_trial, time};
-use crate::ids::{RunUid, TrialKey};
+use crate::ids::{DatasetId, RunUid, TrialKey};
 use crate::journal::Journal;
 use crate::state::StoredState;
 use crate::{
@@ -93,7 +93,7 @@ async fn a_dataset_is_stored_once_and_found_by_its_inputs() {
     let folder = Folder::new();
     let store = open(&folder.file()).await;
     let row = DatasetRow {
-        id: "ds-1".into(),
+        id: DatasetId::unchecked("ds-1"),
         name: "real".into(),
         definition: json!({ "name": "real" }),
         rows: 3,

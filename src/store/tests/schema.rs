@@ -107,12 +107,16 @@ async fn it_opens_again_and_refuses_to_be_used_when_closed() {
 async fn damage_is_found() {
     let folder = Folder::new();
     let store = open(&folder.file()).await;
+    let root: i64 = sqlx::query_scalar("SELECT rootpage FROM sqlite_schema WHERE name = 'events'")
+        .fetch_one(&store.inner.readers)
+        .await
+        .unwrap();
     store.close().await;
     let mut bytes = std::fs::read(folder.file()).unwrap();
     let page = PAGE_BYTES as usize;
-    // The type byte and the cell count of the last page's b-tree header.
-    let last = bytes.len() - page;
-    bytes[last..last + 8].fill(0xA5);
+    // The type byte and the cell count of the b-tree header of a table's page.
+    let at = (root as usize - 1) * page;
+    bytes[at..at + 8].fill(0xA5);
     std::fs::write(folder.file(), bytes).unwrap();
     let again = open(&folder.file()).await;
     assert!(again.integrity_check().await.is_err());

@@ -97,8 +97,8 @@ async fn the_evaluations_of_a_model_are_found() {
     store.end_task(evaluation, TaskEnd::Done(result.clone())).await.unwrap();
     let training = created(&store, TaskKind::Training).await.id;
     store.end_task(training, TaskEnd::Done(result)).await.unwrap();
-    assert_eq!(ids(&store.evaluations_of("mdl-2").await.unwrap()), [evaluation]);
-    assert_eq!(store.evaluations_of("mdl-3").await.unwrap(), []);
+    assert_eq!(ids(&store.evaluations_of(&"mdl-2".parse().unwrap()).await.unwrap()), [evaluation]);
+    assert_eq!(store.evaluations_of(&"mdl-3".parse().unwrap()).await.unwrap(), []);
 }
 
 /// States and kinds are stored under the names that the statements and the table contain.
@@ -170,7 +170,7 @@ async fn exports_and_jobs_become_tasks() {
         kind: TaskKind::Export,
         request: json!({ "format": "csv" }),
         state: TaskState::Done,
-        dataset: Some("ds-1".into()),
+        dataset: Some("ds-1".parse().unwrap()),
         result: Some(json!({ "file": "f.csv", "bytes": 7, "sha256": "cd" })),
         error: None,
         asked_by: "ada".into(),

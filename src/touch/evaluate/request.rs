@@ -9,6 +9,7 @@ use utoipa::ToSchema;
 use super::anova::Moments;
 use super::score::Scores;
 use super::voltages::VoltageScores;
+use crate::ids::{CalibrationId, DatasetId, ModelId};
 use crate::infer::answer::Reading;
 use crate::problem::{Checks, Problem};
 use crate::store::Contact;
@@ -85,7 +86,7 @@ pub struct EvaluationRequest {
     /// Id of the calibration of the exact model; if absent, the serving one, or the sensor file's
     /// values.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub skin: Option<String>,
+    pub skin: Option<CalibrationId>,
     /// Frame of a trial that is read: the mean, or the first.
     #[serde(default)]
     pub frames: FramesRead,
@@ -146,7 +147,7 @@ pub struct EvaluationReport {
     /// Method or values that were scored.
     pub scored: Scored,
     /// Id of the dataset.
-    pub dataset: String,
+    pub dataset: DatasetId,
     /// Part of the dataset; all rows if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub part: Option<String>,
@@ -163,10 +164,10 @@ pub struct EvaluationReport {
     /// frame was read.
     pub label: String,
     /// Ids of the models of the method.
-    pub models: Vec<String>,
+    pub models: Vec<ModelId>,
     /// Id of the calibration of the exact model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub calibration: Option<String>,
+    pub calibration: Option<CalibrationId>,
     /// Number of rows that were scored.
     pub rows: u64,
     /// Least force of a peak, N.

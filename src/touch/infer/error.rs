@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::plan::PlanError;
 use crate::dataset::force_map::ForceMapError;
+use crate::ids::{CalibrationId, ModelId};
 use crate::learn::model_file::ModelError;
 use crate::problem::Problem;
 use crate::simulate::model::ModelUnavailable;
@@ -22,7 +23,7 @@ pub enum InferError {
     NoModel(String),
     /// No calibration has this id.
     #[error("no calibration {0}: add it with `palpate model add-calibration FILE`")]
-    NoSkin(String),
+    NoSkin(CalibrationId),
     /// No model is promoted to a slot that the method needs.
     #[error("method = {method}: no {needs} is promoted: run `palpate model promote ID`")]
     NotServed {
@@ -35,7 +36,7 @@ pub enum InferError {
     #[error("model {id} is of task {task}: {wanted}")]
     OtherTask {
         /// Id of the model.
-        id: String,
+        id: ModelId,
         /// Task of the model.
         task: &'static str,
         /// The task that is needed.
@@ -44,7 +45,7 @@ pub enum InferError {
     /// The model is for another sensor.
     #[error("model {id} is for sensor {sensor} with {channels} channels, this is {here}")]
     OtherSensor {
-        /// Id of the model.
+        /// Id of the model, or text for the exact model of a skin.
         id: String,
         /// Name of its sensor.
         sensor: String,

@@ -18,6 +18,7 @@ use super::plan::Plan;
 use crate::clock::Clock;
 use crate::dataset::file::{NewFile, sweep};
 use crate::dataset::import::sensor::ImportedSensor;
+use crate::ids::ModelId;
 use crate::learn::model_file::{Manifest, SensorFacts};
 use crate::learn::residuals::Residuals;
 use crate::problem::Problem;
@@ -150,7 +151,7 @@ impl Registry {
         let writing = tokio::task::spawn_blocking(move || write(&folder, &new));
         writing.await.map_err(|_| InferError::Worker)??;
         self.inner.store.insert_model(row.clone()).await?;
-        self.find(&row.id).await
+        self.find(row.id.as_str()).await
     }
 
     /// Returns the model with an id, or the newest one with a name.
@@ -201,17 +202,17 @@ impl Registry {
 
     /// The losses of a model's training, one JSON object per line; `None` if it was not trained
     /// here.
-    pub fn losses(&self, id: &str) -> Option<String> {
+    pub fn losses(&self, id: &ModelId) -> Option<String> {
         fs::read_to_string(self.folder(id).join(LOSSES)).ok()
     }
 
     /// Path of a model's ONNX file.
-    pub fn onnx(&self, id: &str) -> PathBuf {
+    pub fn onnx(&self, id: &ModelId) -> PathBuf {
         self.folder(id).join(ONNX)
     }
 
-    fn folder(&self, id: &str) -> PathBuf {
-        self.inner.folder.join(id)
+    fn folder(&self, id: &ModelId) -> PathBuf {
+        self.inner.folder.join(id.as_str())
     }
 
     fn loaded<T>(&self, with: impl FnOnce(&mut Vec<Arc<Model>>) -> T) -> T {

@@ -20,6 +20,7 @@ use super::methods::exact::skins::Skins;
 use super::pipeline::Pipeline;
 use super::registry::{Model, Registry};
 use super::slot::Slot;
+use crate::ids::{CalibrationId, PromotedId};
 use crate::store::{NewPromotion, PromotionRow, Store};
 
 /// The current pipeline, and its changes. Clones share it.
@@ -64,7 +65,7 @@ impl Serving {
     /// `InferError` if there is no such calibration or its model cannot be built.
     pub async fn simulation(
         &self,
-        skin: Option<&str>,
+        skin: Option<&CalibrationId>,
     ) -> Result<(String, ForwardModel), InferError> {
         Ok((self.inner.sensor_text.clone(), self.model(skin).await?))
     }
@@ -73,10 +74,13 @@ impl Serving {
     ///
     /// # Errors
     /// `InferError::Store` if the store fails.
-    pub async fn promoted_skin(&self) -> Result<Option<String>, InferError> {
+    pub async fn promoted_skin(&self) -> Result<Option<CalibrationId>, InferError> {
         let promoted = self.promoted().await?;
         let skin = promoted.into_iter().find(|(slot, _)| *slot == Slot::Skin);
-        Ok(skin.and_then(|(_, what)| what))
+        Ok(skin.and_then(|(_, what)| match what? {
+            PromotedId::Calibration(id) => Some(id),
+            PromotedId::Model(_) => None,
+        }))
     }
 
     /// Sensor of this rig.
@@ -118,6 +122,7 @@ impl Serving {
                     Ok(next) => *self.inner.current.write() = next,
                     Err(error) => {
                         let slot = slot.name();
+                        let what = what.as_str();
                         tracing::error!(%error, slot, what, "a promotion was not restored");
                     }
                 }
@@ -130,7 +135,7 @@ impl Serving {
     ///
     /// # Errors
     /// `InferError::Store` if the store fails.
-    pub async fn promoted(&self) -> Result<Vec<(Slot, Option<String>)>, InferError> {
+    pub async fn promoted(&self) -> Result<Vec<(Slot, Option<PromotedId>)>, InferError> {
         let rows = self.inner.store.promotions().await?;
         let newest = |slot: Slot| rows.iter().find(|row| row.slot == slot.name());
         Ok(Slot::ALL.map(|slot| (slot, newest(slot).and_then(|row| row.what.clone()))).to_vec())
@@ -155,11 +160,12 @@ impl Serving {
         why: Option<&str>,
     ) -> Result<Slot, InferError> {
         let _one_at_a_time = self.inner.changing.lock().await;
-        let (slot, what) = if id_or_name.starts_with("cal-") {
-            (Slot::Skin, id_or_name.to_owned())
+        let (slot, what) = if let Ok(id) = id_or_name.parse() {
+            (Slot::Skin, PromotedId::Calibration(id))
         } else {
             let model = self.inner.models.load(id_or_name).await?;
-            (Slot::of(model.manifest.model.task), model.manifest.id.clone())
+            let id = model.manifest.id.clone();
+            (Slot::of(model.manifest.model.task), PromotedId::Model(id))
         };
         // It serves once the promotion is stored, not before.
         let next = self.with(slot, Some(&what)).await?;
@@ -179,33 +185,34 @@ impl Serving {
         slot: Slot,
         who: &str,
         why: Option<&str>,
-    ) -> Result<Option<String>, InferError> {
+    ) -> Result<Option<PromotedId>, InferError> {
         let _one_at_a_time = self.inner.changing.lock().await;
         let rows = self.inner.store.promotions().await?;
         let of_slot = rows.into_iter().filter(|row| row.slot == slot.name());
         let served: Vec<_> = of_slot.map(|row| (row.what, row.rolled_back)).collect();
         let earlier = earlier(&served).ok_or(InferError::NoEarlier(slot.name()))?;
-        let next = self.with(slot, earlier.as_deref()).await?;
-        let new = NewPromotion {
-            slot: slot.name(),
-            what: earlier.as_deref(),
-            rolled_back: true,
-            who,
-            why,
-        };
+        let next = self.with(slot, earlier.as_ref()).await?;
+        let new =
+            NewPromotion { slot: slot.name(), what: earlier.as_ref(), rolled_back: true, who, why };
         self.inner.store.promote(new).await?;
         *self.inner.current.write() = next;
         Ok(earlier)
     }
 
     /// What serves with a model or a skin in a slot, or with the slot empty.
-    async fn with(&self, slot: Slot, what: Option<&str>) -> Result<Arc<Pipeline>, InferError> {
+    async fn with(
+        &self,
+        slot: Slot,
+        what: Option<&PromotedId>,
+    ) -> Result<Arc<Pipeline>, InferError> {
         let current = self.current().as_ref().clone();
-        let next = match (slot, what) {
-            (slot, None) => current.without(slot),
-            (Slot::Skin, Some(id)) => current.with_skin(Some(self.skin(Some(id)).await?)),
-            (_, Some(id)) => {
-                let model = self.inner.models.load(id).await?;
+        let next = match what {
+            None => current.without(slot),
+            Some(PromotedId::Calibration(id)) => {
+                current.with_skin(Some(self.skin(Some(id)).await?))
+            }
+            Some(PromotedId::Model(id)) => {
+                let model = self.inner.models.load(id.as_str()).await?;
                 self.fits(&model)?;
                 current.with(model)?
             }
@@ -224,7 +231,7 @@ impl Serving {
             return Ok(());
         }
         Err(InferError::OtherSensor {
-            id: model.manifest.id.clone(),
+            id: model.manifest.id.to_string(),
             sensor: facts.sensor.clone(),
             channels: facts.channels,
             here: format!("{} with {channels}", sensor.file.name),
@@ -236,7 +243,10 @@ impl Serving {
     ///
     /// # Errors
     /// `InferError` if there is no such calibration or the skin cannot be prepared.
-    pub async fn skin(&self, calibration: Option<&str>) -> Result<Arc<ExactSkin>, InferError> {
+    pub async fn skin(
+        &self,
+        calibration: Option<&CalibrationId>,
+    ) -> Result<Arc<ExactSkin>, InferError> {
         if let Some(serves) = self.current().skin()
             && serves.calibration() == calibration
         {
@@ -249,7 +259,10 @@ impl Serving {
     ///
     /// # Errors
     /// `InferError` if there is no such calibration or the model cannot be built.
-    pub async fn model(&self, calibration: Option<&str>) -> Result<ForwardModel, InferError> {
+    pub async fn model(
+        &self,
+        calibration: Option<&CalibrationId>,
+    ) -> Result<ForwardModel, InferError> {
         self.inner.skins.model(calibration).await
     }
 
@@ -258,15 +271,15 @@ impl Serving {
     /// # Errors
     /// `InferError::Calibration` if it is invalid or of another sensor; `File` if it cannot be
     /// written.
-    pub async fn keep_calibration(&self, text: &str) -> Result<String, InferError> {
+    pub async fn keep_calibration(&self, text: &str) -> Result<CalibrationId, InferError> {
         self.inner.skins.keep(text)
     }
 }
 
 /// The earlier promotion to restore, from the promotions of a slot, newest first, each with whether
 /// it was a roll-back. A second roll-back goes one promotion further back.
-fn earlier(served: &[(Option<String>, bool)]) -> Option<Option<String>> {
-    let mut stack: Vec<&Option<String>> = Vec::new();
+fn earlier(served: &[(Option<PromotedId>, bool)]) -> Option<Option<PromotedId>> {
+    let mut stack: Vec<&Option<PromotedId>> = Vec::new();
     for (what, rolled_back) in served.iter().rev() {
         if *rolled_back {
             stack.pop();
@@ -285,17 +298,18 @@ mod tests {
     #[test]
     fn going_back_twice_does_not_come_back_and_promoting_again_is_no_going_back() {
         // "-a": rolled back to a.
-        let of = |ids: &[&str]| -> Vec<(Option<String>, bool)> {
-            let one = |id: &&str| (Some(id.trim_start_matches('-').into()), id.starts_with('-'));
+        let id = |text: &str| PromotedId::from(text.to_owned());
+        let of = |ids: &[&str]| -> Vec<(Option<PromotedId>, bool)> {
+            let one = |text: &&str| (Some(id(text.trim_start_matches('-'))), text.starts_with('-'));
             ids.iter().rev().map(one).collect()
         };
         assert_eq!(earlier(&of(&[])), None);
         assert_eq!(earlier(&of(&["a"])), Some(None));
-        assert_eq!(earlier(&of(&["a", "b"])), Some(Some("a".into())));
-        assert_eq!(earlier(&of(&["a", "b", "c", "-b"])), Some(Some("a".into())));
+        assert_eq!(earlier(&of(&["a", "b"])), Some(Some(id("a"))));
+        assert_eq!(earlier(&of(&["a", "b", "c", "-b"])), Some(Some(id("a"))));
         assert_eq!(earlier(&of(&["a", "b", "-a"])), Some(None));
-        assert_eq!(earlier(&of(&["a", "b", "a"])), Some(Some("b".into())));
-        assert_eq!(earlier(&of(&["a", "b", "a", "-b"])), Some(Some("a".into())));
+        assert_eq!(earlier(&of(&["a", "b", "a"])), Some(Some(id("b"))));
+        assert_eq!(earlier(&of(&["a", "b", "a", "-b"])), Some(Some(id("a"))));
         assert_eq!(earlier(&of(&["a", "a"])), Some(None));
     }
 }

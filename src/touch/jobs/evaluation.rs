@@ -22,6 +22,7 @@ use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Example, Fra
 use crate::evaluate::score::Scores;
 use crate::evaluate::touch::{Metric, Touch};
 use crate::evaluate::voltages::VoltageScores;
+use crate::ids::{CalibrationId, DatasetId};
 use crate::infer::answer::FoundContact;
 use crate::infer::error::InferError;
 use crate::infer::methods::ReadyMethod;
@@ -86,7 +87,7 @@ pub(super) async fn run(
     watch.phase("preparing the method", 0);
     let reader = reader(jobs, &request).await?;
     watch.phase("making the dataset", 0);
-    let name = job.dataset.as_ref().unwrap_or(&request.dataset);
+    let name = job.dataset.as_ref().map_or(request.dataset.as_str(), DatasetId::as_str);
     let dataset = jobs.inner.datasets.resolve(name).await?;
     jobs.inner.store.begin_task(job.id, Some(&dataset.id)).await?;
     let file = data_file(&jobs.inner.datasets.datasets(), &dataset.id);
@@ -145,11 +146,11 @@ async fn reader(jobs: &Jobs, request: &EvaluationRequest) -> Result<Reader, JobE
             let calibration = skin(jobs, request).await?;
             // The preparation of a skin takes most of a minute: it is reused.
             jobs.inner.serving.once_restored(None).await;
-            let skin = jobs.inner.serving.skin(calibration.as_deref()).await?;
+            let skin = jobs.inner.serving.skin(calibration.as_ref()).await?;
             Box::new(ExactPipeline { skin, points })
         }
         Scored::Tikhonov | Scored::Noser => {
-            let model = jobs.inner.serving.model(skin(jobs, request).await?.as_deref()).await?;
+            let model = jobs.inner.serving.model(skin(jobs, request).await?.as_ref()).await?;
             let kind = match request.scored {
                 Scored::Noser => Regularisation::Noser,
                 _ => Regularisation::Tikhonov,
@@ -182,7 +183,7 @@ async fn held_out(
 }
 
 /// Id of the calibration of the exact model: the named one, or else the serving one.
-async fn skin(jobs: &Jobs, request: &EvaluationRequest) -> Result<Option<String>, JobError> {
+async fn skin(jobs: &Jobs, request: &EvaluationRequest) -> Result<Option<CalibrationId>, JobError> {
     match &request.skin {
         Some(skin) => Ok(Some(skin.clone())),
         None => Ok(jobs.inner.serving.promoted_skin().await?),
@@ -223,7 +224,7 @@ impl Scoring {
         let here = &self.gathered.sensor;
         let nets = self.reader.nets().into_iter().map(|net| {
             let facts = &net.manifest.model;
-            (net.manifest.id.clone(), facts.sensor.clone(), facts.channels)
+            (net.manifest.id.to_string(), facts.sensor.clone(), facts.channels)
         });
         let skin = self.reader.method().and_then(|method| method.skin());
         let of_rig =
@@ -258,7 +259,7 @@ impl Scoring {
     fn blank(&self) -> EvaluationReport {
         let models = self.reader.nets().iter().map(|net| net.manifest.id.clone()).collect();
         let skin = self.reader.method().and_then(|method| method.skin());
-        let calibration = skin.and_then(|skin| skin.calibration.map(str::to_owned));
+        let calibration = skin.and_then(|skin| skin.calibration.cloned());
         let label = self.dataset.lineage["runs"][0]["label"].as_str();
         EvaluationReport {
             scored: self.request.scored,

@@ -16,6 +16,7 @@ use super::{Jobs, LOSSES, Watch};
 use crate::clock::Clock;
 use crate::dataset::background::background;
 use crate::dataset::build::data_file;
+use crate::ids::{CalibrationId, DatasetId, ModelId};
 use crate::infer::registry::{self, NewModel};
 use crate::learn::error::LearnError;
 use crate::learn::examples::{Examples, MEASURED};
@@ -72,12 +73,12 @@ async fn train_and_keep(
         Some(name) => {
             // After a restart: the model of the first start, not the current one of that name.
             let id = match begun_with(&folder, NOISE) {
-                Some(id) => id,
+                Some(text) => ModelId::unchecked(text),
                 None => jobs.inner.models.find(name).await?.id,
             };
-            begin_with(&folder, NOISE, &id)?;
-            recipe.noise_of = Some(id.clone());
-            Some(jobs.inner.models.residuals(&id).await?.sd_v)
+            begin_with(&folder, NOISE, id.as_str())?;
+            recipe.noise_of = Some(id.to_string());
+            Some(jobs.inner.models.residuals(id.as_str()).await?.sd_v)
         }
         None => None,
     };
@@ -93,7 +94,7 @@ async fn train_and_keep(
         Some(name) => {
             watch.phase("making the dataset", 0);
             // After a restart: the dataset of the first start, not the current one of that name.
-            let name = job.dataset.as_ref().unwrap_or(name);
+            let name = job.dataset.as_ref().map_or(name.as_str(), DatasetId::as_str);
             let dataset = jobs.inner.datasets.resolve(name).await?;
             jobs.inner.store.begin_task(job.id, Some(&dataset.id)).await?;
             let file = data_file(&jobs.inner.datasets.datasets(), &dataset.id);
@@ -102,11 +103,13 @@ async fn train_and_keep(
         None => {
             let serving = &jobs.inner.serving;
             let skin = match begun_with(&folder, SKIN) {
-                Some(skin) => Some(skin).filter(|skin| !skin.is_empty()),
+                Some(text) if text.is_empty() => None,
+                Some(text) => Some(CalibrationId::unchecked(text)),
                 None => serving.promoted_skin().await?,
             };
-            begin_with(&folder, SKIN, skin.as_deref().unwrap_or_default())?;
-            let (sensor, model) = serving.simulation(skin.as_deref()).await?;
+            let text = skin.as_ref().map_or("", CalibrationId::as_str);
+            begin_with(&folder, SKIN, text)?;
+            let (sensor, model) = serving.simulation(skin.as_ref()).await?;
             background(move || work.on_stream(sensor, &model)).await??
         }
     };
@@ -150,9 +153,8 @@ impl Work {
         let conditions = &self.recipe.conditions;
         let examples = Examples::gather(file, conditions, columns, &self.scratch)?;
         let given = Given {
-            data: std::iter::once(&dataset.id)
-                .chain(conditions)
-                .cloned()
+            data: std::iter::once(dataset.id.as_str())
+                .chain(conditions.iter().map(String::as_str))
                 .collect::<Vec<_>>()
                 .join(" "),
             examples: &examples,
@@ -181,7 +183,7 @@ impl Work {
         let lineage = Lineage {
             label: Label::Simulated,
             dataset: None,
-            calibration: model.sensor().calibration().map(Into::into),
+            calibration: model.sensor().calibration().map(CalibrationId::unchecked),
             simulation: Some(model.model_hash().into()),
         };
         self.new_model(learned, lineage, sensor)
@@ -311,8 +313,8 @@ fn write_whole(folder: &Path, name: &str, bytes: &[u8]) -> std::io::Result<()> {
 /// Lineage that a model inherits from its dataset.
 struct Lineage {
     label: Label,
-    dataset: Option<String>,
-    calibration: Option<String>,
+    dataset: Option<DatasetId>,
+    calibration: Option<CalibrationId>,
     simulation: Option<String>,
 }
 
@@ -327,7 +329,7 @@ impl Lineage {
         Self {
             label: label.unwrap_or(Label::Simulated),
             dataset: Some(dataset.id.clone()),
-            calibration: text(&model["calibration"]),
+            calibration: text(&model["calibration"]).map(CalibrationId::unchecked),
             simulation: text(&model["model"]),
         }
     }

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::task::{Answers, NetTask};
 use crate::dataset::force_map::ForceMapSpec;
+use crate::ids::ModelId;
 use crate::problem::{Checks, Problem};
 use crate::syntax::syntax_problem;
 
@@ -61,7 +62,7 @@ impl Recipe {
         let mut checks = Checks::of(file);
         let word = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
         let named = (1..=NAME_MAX).contains(&self.name.len()) && self.name.chars().all(word);
-        let own = !self.name.starts_with("mdl-");
+        let own = self.name.parse::<ModelId>().is_err();
         checks.require(named && own, "name", &self.name, "must be letters, digits, - _ . only");
         let map = self.map.map_or("none".into(), |map| map.to_string());
         let limit = "must be set for nets with force maps as answers, and only for these";

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use palpate::api::{ServeOptions, Service};
 use palpate::clock::Clock;
-use palpate::ids::{RunUid, TrialKey};
+use palpate::ids::{CalibrationId, RunUid, TrialKey};
 use palpate::journal::{ExitStatus, Journal};
 use palpate::record::{
     ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose, TrialRecord,
@@ -182,7 +182,7 @@ pub async fn twins(store: &Store, run: RunUid, model: &str, chance: &mut ChaCha8
     let new = NewTwinModel {
         hash: model.into(),
         sensor_sha256: "s".into(),
-        calibration_id: Some("cal-1".into()),
+        calibration_id: Some(CalibrationId::unchecked("cal-1")),
         version: "0.1.0".into(),
         git_commit: Some("c".into()),
     };

@@ -12,6 +12,7 @@ use std::process::Command;
 use nets::device::Compute;
 use nets::network::{Form, Layer, Network};
 use nets::train::answer;
+use palpate::ids::ModelId;
 use palpate::infer::plan::{Plan, PlanError};
 use palpate::learn::onnx::write::{Description, to_onnx};
 use palpate::learn::onnx::{OnnxFile, sealed};
@@ -33,7 +34,7 @@ fn file_of(network: &Network) -> Vec<u8> {
         version: "1",
         properties: &[("palpate.task".into(), "test".into())],
     };
-    sealed(to_onnx(network, &says).unwrap(), "mdl-0123456789abcdef")
+    sealed(to_onnx(network, &says).unwrap(), &ModelId::unchecked("mdl-0123456789abcdef"))
 }
 
 fn to_bytes(values: &[f32]) -> Vec<u8> {

@@ -9,6 +9,7 @@ use sim_core::batch::Kernel;
 use sim_core::forward::ForwardModel;
 
 use super::draw::{DRAW_VERSION, Draws};
+use crate::ids::CalibrationId;
 use crate::problem::{Checks, Problem};
 
 /// Name of the experiment.
@@ -50,7 +51,7 @@ pub struct Definition {
     pub model: String,
     /// Id of the calibration, if any.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub calibration: Option<String>,
+    pub calibration: Option<CalibrationId>,
     /// Kernel that solved the frames.
     pub kernel: String,
     /// Version of this program.
@@ -103,7 +104,7 @@ impl Definition {
             row_group_trials: ROW_GROUP_TRIALS,
             sensor: model.sensor().file.name.clone(),
             model: model.model_hash().into(),
-            calibration: model.sensor().calibration().map(str::to_owned),
+            calibration: model.sensor().calibration().map(CalibrationId::unchecked),
             kernel: kernel.name().into(),
             palpate: env!("CARGO_PKG_VERSION").into(),
             libraries: BYTE_MAKERS

@@ -16,6 +16,7 @@ use super::maps::MAP_1;
 use super::registry::Model;
 use super::slot::Slot;
 use crate::dataset::force_map::ForceMapSpec;
+use crate::ids::CalibrationId;
 use crate::learn::task::Reads;
 
 /// Method from frames to contacts.
@@ -73,7 +74,7 @@ pub struct UsedSkin<'a> {
     /// Id of the model in messages.
     pub id: &'a str,
     /// Id of its calibration, if any.
-    pub calibration: Option<&'a str>,
+    pub calibration: Option<&'a CalibrationId>,
     /// Id of the run that it was calibrated to, if known.
     pub run: Option<&'a str>,
 }

@@ -18,6 +18,7 @@ use super::onnx::{
 };
 use super::task::NetTask;
 use crate::dataset::force_map::ForceMapSpec;
+use crate::ids::{CalibrationId, DatasetId, ModelId};
 use crate::problem::{Checks, Problem};
 use crate::store::Label;
 use crate::syntax::syntax_problem;
@@ -123,10 +124,10 @@ pub struct ModelFacts {
     pub force_map: Option<ForceMapSpec>,
     /// Ids of the datasets used in training.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub datasets: Vec<String>,
+    pub datasets: Vec<DatasetId>,
     /// Id of the calibration of its simulations.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub calibration: Option<String>,
+    pub calibration: Option<CalibrationId>,
     /// Hash of the model of its simulations.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub simulation: Option<String>,
@@ -145,7 +146,7 @@ pub struct ModelFacts {
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
     /// `mdl-` and the start of a sha256 over `model` and the ONNX file.
-    pub id: String,
+    pub id: ModelId,
     /// Facts of the model.
     pub model: ModelFacts,
     /// Scores, as stated by the author of the manifest. The service's own scores are the results of
@@ -183,9 +184,9 @@ pub enum ModelError {
     )]
     Changed {
         /// Id computed from both.
-        made: String,
+        made: ModelId,
         /// Id in the manifest.
-        stated: String,
+        stated: ModelId,
     },
     /// The net cannot be written as ONNX.
     #[cfg(feature = "train")]
@@ -225,7 +226,9 @@ impl ModelFacts {
         checks.require(fits, "model.output_shape", format!("{:?}", self.output_shape), &limit);
         checks.require(!self.code.is_empty(), "model.code", "\"\"", "must state what trained it");
         for id in &self.datasets {
-            checks.require(id.starts_with("ds-"), "model.datasets", id, "must be ids, ds-..");
+            // Read from a file, so that the start of its text is not known.
+            let is_id = id.as_str().parse::<DatasetId>().is_ok();
+            checks.require(is_id, "model.datasets", id, "must be ids, ds-..");
         }
         for (key, most) in [
             ("model.trained_on.max_force_n", self.trained_on.max_force_n),
@@ -239,12 +242,12 @@ impl ModelFacts {
 
     /// The model's id: `mdl-` and the start of a sha256 over these facts and a file without its
     /// seal.
-    fn id(&self, file: &[u8]) -> String {
+    fn id(&self, file: &[u8]) -> ModelId {
         let mut hash = Sha256::new();
         hash.update(serde_json::to_vec(self).expect("strings, numbers and lists are JSON"));
         hash.update(file);
         let digits = hex::encode(hash.finalize());
-        format!("mdl-{}", &digits[..ID_DIGITS])
+        ModelId::unchecked(format!("mdl-{}", &digits[..ID_DIGITS]))
     }
 
     /// Checks the shapes of an ONNX file's input and output, as far as it states them.
@@ -269,15 +272,16 @@ impl ModelFacts {
 
     #[cfg(feature = "train")]
     fn properties(&self) -> Vec<(String, String)> {
+        let datasets: Vec<&str> = self.datasets.iter().map(DatasetId::as_str).collect();
         let mut said = vec![
             ("task", self.task.as_str().to_owned()),
             ("label", self.label.as_str().to_owned()),
             ("sensor", self.sensor.clone()),
             ("code", self.code.clone()),
-            ("datasets", self.datasets.join(" ")),
+            ("datasets", datasets.join(" ")),
         ];
         said.extend(self.force_map.map(|map| ("force_map", map.to_string())));
-        said.extend(self.calibration.clone().map(|id| ("calibration", id)));
+        said.extend(self.calibration.as_ref().map(|id| ("calibration", id.to_string())));
         said.extend(self.simulation.clone().map(|hash| ("simulation", hash)));
         said.into_iter().map(|(key, value)| (format!("palpate.{key}"), value)).collect()
     }

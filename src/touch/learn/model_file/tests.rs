@@ -16,8 +16,8 @@ fn facts() -> ModelFacts {
         channels: 4,
         output_shape: vec![8, 8],
         force_map: Some("80x160".parse().unwrap()),
-        datasets: vec!["ds-0123456789abcdef".into()],
-        calibration: Some("cal-1".into()),
+        datasets: vec![DatasetId::unchecked("ds-0123456789abcdef")],
+        calibration: Some(CalibrationId::unchecked("cal-1")),
         simulation: None,
         code: "palpate 0.1.0".into(),
         recipe: Some("net = \"recon\"\nepochs = 3\n".into()),
@@ -50,14 +50,14 @@ fn a_manifest_survives_its_file() {
     let onnx = OnnxFile::read(&file).unwrap();
     let said: Vec<_> =
         onnx.model().metadata_props.iter().map(|p| (p.key.as_str(), p.value.as_str())).collect();
-    assert!(said.contains(&("palpate.model", &*manifest.id)), "{said:?}");
+    assert!(said.contains(&("palpate.model", manifest.id.as_str())), "{said:?}");
     assert!(said.contains(&("palpate.force_map", "80x160")), "{said:?}");
 }
 
 #[test]
 fn an_id_covers_facts_and_weights_and_not_scores() {
     let (manifest, file) = model_of(&network(), facts(), &sensor()).unwrap();
-    assert_eq!(manifest.id.len(), "mdl-".len() + ID_DIGITS);
+    assert_eq!(manifest.id.as_str().len(), "mdl-".len() + ID_DIGITS);
     assert_eq!(model_of(&network(), facts(), &sensor()).unwrap().1, file);
     let other = ModelFacts { code: "palpate 0.1.1".into(), ..facts() };
     assert_ne!(model_of(&network(), other, &sensor()).unwrap().0.id, manifest.id);
@@ -81,7 +81,7 @@ fn wrong_values_and_unknown_keys_are_named() {
         channels: 5,
         output_shape: vec![9, 8],
         code: String::new(),
-        datasets: vec!["mine".into()],
+        datasets: vec![DatasetId::unchecked("mine")],
         trained_on: TrainedRange { max_force_n: Some(-1.0), ..TrainedRange::default() },
         ..facts()
     };

@@ -23,6 +23,8 @@ use tract_onnx::pb::{
     GraphProto, ModelProto, NodeProto, StringStringEntryProto, TensorProto, ValueInfoProto,
 };
 
+use crate::ids::ModelId;
+
 /// Largest file, bytes; ten times the largest net of the paper.
 pub const FILE_BYTES_MAX: usize = 512 << 20;
 /// Largest number of operations in a graph.
@@ -163,18 +165,18 @@ impl OnnxFile {
 
 /// Returns a file with its model's id appended. Protobuf allows a repeated field to continue at the
 /// end, so the id can be a hash of the file's own bytes and follow them: see [`unsealed`].
-pub fn sealed(mut file: Vec<u8>, model: &str) -> Vec<u8> {
+pub fn sealed(mut file: Vec<u8>, model: &ModelId) -> Vec<u8> {
     file.extend(seal(model));
     file
 }
 
 /// Returns the bytes that the id is a hash of: a file without its seal; any other file whole.
-pub fn unsealed<'a>(file: &'a [u8], model: &str) -> &'a [u8] {
+pub fn unsealed<'a>(file: &'a [u8], model: &ModelId) -> &'a [u8] {
     file.strip_suffix(seal(model).as_slice()).unwrap_or(file)
 }
 
-fn seal(model: &str) -> Vec<u8> {
-    let entry = StringStringEntryProto { key: ID_PROPERTY.into(), value: model.into() };
+fn seal(model: &ModelId) -> Vec<u8> {
+    let entry = StringStringEntryProto { key: ID_PROPERTY.into(), value: model.to_string() };
     ModelProto { metadata_props: vec![entry], ..ModelProto::default() }.encode_to_vec()
 }
 

@@ -6,6 +6,7 @@ use tract_onnx::pb::{AttributeProto, FunctionProto, GraphProto, ModelProto};
 
 use super::write::{Description, WriteError, to_onnx};
 use super::{OnnxError, OnnxFile, sealed, unsealed};
+use crate::ids::ModelId;
 use nets::network::{Form, Layer, Network};
 
 fn says() -> Description<'static> {
@@ -57,9 +58,9 @@ fn a_file_tells_its_ports_operators_and_producer() {
 #[test]
 fn a_seal_is_read_by_any_reader_and_taken_off_again() {
     let plain = file();
-    let with = sealed(plain.clone(), "mdl-1");
-    assert_eq!(unsealed(&with, "mdl-1"), plain);
-    assert_eq!(unsealed(&with, "mdl-2"), with);
+    let with = sealed(plain.clone(), &ModelId::unchecked("mdl-1"));
+    assert_eq!(unsealed(&with, &ModelId::unchecked("mdl-1")), plain);
+    assert_eq!(unsealed(&with, &ModelId::unchecked("mdl-2")), with);
     let model = OnnxFile::read(&with).unwrap().model().clone();
     let said = &model.metadata_props[0];
     assert_eq!((said.key.as_str(), said.value.as_str()), ("palpate.model", "mdl-1"));

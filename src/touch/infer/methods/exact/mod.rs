@@ -17,6 +17,7 @@ use sim_core::inverse::skin::{MeasuredTrial, noise_v};
 
 use super::fast::{PROPOSED, PointPipeline};
 use super::{ReadyMethod, UsedSkin};
+use crate::ids::CalibrationId;
 use crate::infer::answer::{FoundContact, Reading};
 use crate::infer::error::InferError;
 use crate::infer::registry::Model;
@@ -59,7 +60,7 @@ pub struct KnownTrial {
 /// A skin for fits of contacts. Its preparation takes most of a minute.
 pub struct ExactSkin {
     /// Id of its calibration; `None` for the nominal skin.
-    calibration: Option<String>,
+    calibration: Option<CalibrationId>,
     /// The run that it was calibrated to, if any.
     run: Option<String>,
     /// Hash of its model.
@@ -139,7 +140,7 @@ impl ExactSkin {
     /// `InferError::Fitter` if the tables of the fit cannot be computed.
     pub fn with(model: &ForwardModel, errors: SkinErrors) -> Result<Self, InferError> {
         Ok(Self {
-            calibration: model.sensor().calibration().map(Into::into),
+            calibration: model.sensor().calibration().map(CalibrationId::unchecked),
             run: model.sensor().skin().map(|skin| skin.evidence.run.clone()),
             simulation: model.model_hash().into(),
             size_mm: [model.sensor().file.width_mm, model.sensor().file.height_mm],
@@ -240,13 +241,13 @@ impl ExactSkin {
     }
 
     /// Id of its calibration, if any.
-    pub fn calibration(&self) -> Option<&str> {
-        self.calibration.as_deref()
+    pub fn calibration(&self) -> Option<&CalibrationId> {
+        self.calibration.as_ref()
     }
 
     /// Id of the model in answers: the calibration's, or else the hash of the model.
     pub fn id(&self) -> &str {
-        self.calibration.as_deref().unwrap_or(&self.simulation)
+        self.calibration.as_ref().map_or(self.simulation.as_str(), CalibrationId::as_str)
     }
 
     /// Number of voltages in a frame.

@@ -14,6 +14,7 @@ use super::{ExactSkin, KnownTrial, SkinErrors};
 use crate::calibrate::skin;
 use crate::dataset::file::NewFile;
 use crate::dataset::pressed::{contacts, force_noise_n};
+use crate::ids::CalibrationId;
 use crate::infer::error::InferError;
 use crate::problem::Problem;
 use crate::simulate::model::load_or_build;
@@ -50,7 +51,10 @@ impl Skins {
     ///
     /// # Errors
     /// `InferError` if there is no such calibration, or the model or its errors cannot be computed.
-    pub async fn ready(&self, calibration: Option<&str>) -> Result<ExactSkin, InferError> {
+    pub async fn ready(
+        &self,
+        calibration: Option<&CalibrationId>,
+    ) -> Result<ExactSkin, InferError> {
         let model = self.model(calibration).await?;
         let known = self.known_trials(model.sensor()).await?;
         let cache = self.data.join("cache");
@@ -123,7 +127,10 @@ impl Skins {
     ///
     /// # Errors
     /// `InferError` if there is no such calibration, or the model cannot be built.
-    pub async fn model(&self, calibration: Option<&str>) -> Result<ForwardModel, InferError> {
+    pub async fn model(
+        &self,
+        calibration: Option<&CalibrationId>,
+    ) -> Result<ForwardModel, InferError> {
         let path = calibration.map(|id| self.path_of(id)).transpose()?;
         let (sensor, cache) = (self.sensor.clone(), self.data.join("cache"));
         let building = tokio::task::spawn_blocking(move || {
@@ -145,10 +152,10 @@ impl Skins {
     /// # Errors
     /// `InferError::Calibration` if it is invalid or of another sensor; `File` if it cannot be
     /// written.
-    pub fn keep(&self, text: &str) -> Result<String, InferError> {
+    pub fn keep(&self, text: &str) -> Result<CalibrationId, InferError> {
         let calibration = Calibration::from_toml(text)?;
         calibration.apply(&self.sensor)?;
-        let id = calibration.id()?;
+        let id = CalibrationId::unchecked(calibration.id()?);
         let folder = self.calibrations();
         let failed = InferError::file("writing", &folder);
         let mut file = crate::dataset::file::NewFile::create(&folder).map_err(&failed)?;
@@ -158,13 +165,14 @@ impl Skins {
     }
 
     /// Path of the file of a calibration; an id cannot address other files.
-    fn path_of(&self, id: &str) -> Result<PathBuf, InferError> {
+    fn path_of(&self, id: &CalibrationId) -> Result<PathBuf, InferError> {
         let digits = id
+            .as_str()
             .strip_prefix("cal-")
             .filter(|digits| !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_hexdigit()));
         let path = self.calibrations().join(format!("{id}.toml"));
         let is_here = digits.is_some() && path.is_file();
-        is_here.then_some(path).ok_or_else(|| InferError::NoSkin(id.to_owned()))
+        is_here.then_some(path).ok_or_else(|| InferError::NoSkin(id.clone()))
     }
 
     fn calibrations(&self) -> PathBuf {

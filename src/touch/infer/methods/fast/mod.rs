@@ -8,6 +8,7 @@
 use std::sync::Arc;
 
 use super::ReadyMethod;
+use crate::ids::ModelId;
 use crate::infer::answer::{FoundContact, Reading};
 use crate::infer::error::InferError;
 use crate::infer::registry::Model;
@@ -53,7 +54,7 @@ impl PointPipeline {
     }
 
     /// Id of the model.
-    pub fn model(&self) -> &str {
+    pub fn model(&self) -> &ModelId {
         &self.model.manifest.id
     }
 

@@ -11,6 +11,7 @@ use sim_core::inverse::linear::{OneStep, Penalty, PointSlopes, Regularisation};
 
 use super::{ReadyMethod, UsedSkin};
 use crate::dataset::force_map::ForceMap;
+use crate::ids::CalibrationId;
 use crate::infer::answer::Reading;
 use crate::infer::error::InferError;
 use crate::infer::maps::{MAP_1, contacts};
@@ -28,7 +29,7 @@ pub struct OneStepPipeline {
     draws: ForceMap,
     threshold_n: f64,
     /// Id of the calibration of the model.
-    calibration: Option<String>,
+    calibration: Option<CalibrationId>,
     size_mm: [f64; 2],
 }
 
@@ -55,7 +56,7 @@ impl OneStepPipeline {
             offset_v: offsets.unwrap_or_else(|| vec![0.0; channels]),
             draws: ForceMap::new(MAP_1, sensor.file.width_mm, sensor.file.height_mm)?,
             threshold_n,
-            calibration: sensor.calibration().map(str::to_owned),
+            calibration: sensor.calibration().map(CalibrationId::unchecked),
             size_mm: [sensor.file.width_mm, sensor.file.height_mm],
         })
     }
@@ -85,7 +86,7 @@ impl ReadyMethod for OneStepPipeline {
     }
 
     fn skin(&self) -> Option<UsedSkin<'_>> {
-        let calibration = self.calibration.as_deref();
+        let calibration = self.calibration.as_ref();
         Some(UsedSkin { id: "of one step", calibration, run: None })
     }
 
