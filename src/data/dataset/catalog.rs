@@ -361,7 +361,7 @@ impl Catalog {
             let catalog = self.clone();
             async move { catalog.write_export(&export, progress).await }
         };
-        self.inner.queue.work(write).await;
+        self.inner.queue.work(write, |_, _| ()).await;
     }
 
     async fn write_export(&self, export: &TaskRow, progress: Arc<Progress>) -> TaskEnd {

@@ -83,8 +83,8 @@ pub struct ServesOut {
     /// The slot.
     pub slot: Slot,
     /// Id of the serving model or calibration; null if the slot is empty.
-    // Text: the reply to a promotion repeats the request, which may be a name.
-    pub what: Option<String>,
+    #[schema(value_type = Option<String>)]
+    pub what: Option<PromotedId>,
 }
 
 /// Serving models and calibrations, with the history of promotions.
@@ -251,7 +251,7 @@ async fn store(
 
 /// Adds a calibration of this rig's sensor (text of its file), so that it can be promoted.
 #[utoipa::path(post, path = "/api/v1/calibrations", tag = "models", request_body = String,
-    responses((status = 201, body = String),
+    responses((status = 201, body = CalibrationId),
         (status = 422, body = ProblemBody,
             description = "the calibration is invalid or for another sensor")))]
 pub async fn add_calibration(
@@ -269,10 +269,7 @@ pub async fn add_calibration(
     responses((status = 200, body = ServingOut)))]
 pub async fn serving(State(app): State<App>) -> Result<Json<ServingOut>, ApiError> {
     let serves = app.serving.promoted().await?;
-    let serves = serves
-        .into_iter()
-        .map(|(slot, what)| ServesOut { slot, what: what.map(Into::into) })
-        .collect();
+    let serves = serves.into_iter().map(|(slot, what)| ServesOut { slot, what }).collect();
     let history = app.serving.history().await?.into_iter().map(|row| PromotionOut {
         slot: row.slot,
         what: row.what,
@@ -302,8 +299,8 @@ pub async fn promote(
     let promoted = app.serving.promote(&request.what, &caller.name(who), why).await;
     let outcome = promoted.map_err(ApiError::from);
     let context = ActionContext { run: None, who, why };
-    let slot = app.logged(&caller, "promote", context, outcome).await?;
-    Ok(Json(ServesOut { slot, what: Some(request.what) }))
+    let (slot, what) = app.logged(&caller, "promote", context, outcome).await?;
+    Ok(Json(ServesOut { slot, what: Some(what) }))
 }
 
 /// Restores the previous model or calibration of a slot.
@@ -321,7 +318,7 @@ pub async fn roll_back(
     let outcome = app.serving.roll_back(slot, &caller.name(who), why).await.map_err(ApiError::from);
     let context = ActionContext { run: None, who, why };
     let what = app.logged(&caller, "roll back", context, outcome).await?;
-    Ok(Json(ServesOut { slot, what: what.map(Into::into) }))
+    Ok(Json(ServesOut { slot, what }))
 }
 
 /// True if a report is a score of a model of this task: by a method that uses the task, on rows

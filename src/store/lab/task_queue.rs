@@ -4,9 +4,11 @@
 //! Each queue serves some kinds of tasks, so that an export does not wait for a training. The caller
 //! passes what one task does: the queue neither knows datasets nor nets.
 
+use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
 
+use futures::FutureExt;
 use parking_lot::Mutex;
 use serde_json::Value;
 use tokio::sync::Notify;
@@ -83,15 +85,20 @@ impl<W: Default> TaskQueue<W> {
     }
 
     /// Runs the tasks, oldest first, until the future is dropped. `run` does what one task requests:
-    /// long computations on a thread of low priority. Only one worker may serve a queue.
-    pub async fn work<F>(&self, run: impl Fn(TaskRow, Arc<W>) -> F)
-    where
+    /// long computations on a thread of low priority. If it panics, the task fails. `ended` is called
+    /// once the end of a task is stored: only then may files go from which it could resume. Only one
+    /// worker may serve a queue.
+    pub async fn work<F>(
+        &self,
+        run: impl Fn(TaskRow, Arc<W>) -> F,
+        ended: impl Fn(TaskId, &TaskEnd),
+    ) where
         F: Future<Output = TaskEnd>,
     {
         loop {
             match self.store.open_tasks(self.kinds, 1).await.map(|open| open.into_iter().next()) {
                 Ok(Some(task)) => {
-                    self.carry_out(task, &run).await;
+                    self.carry_out(task, &run, &ended).await;
                     continue;
                 }
                 Ok(None) => {}
@@ -104,8 +111,12 @@ impl<W: Default> TaskQueue<W> {
         }
     }
 
-    async fn carry_out<F>(&self, task: TaskRow, run: &impl Fn(TaskRow, Arc<W>) -> F)
-    where
+    async fn carry_out<F>(
+        &self,
+        task: TaskRow,
+        run: &impl Fn(TaskRow, Arc<W>) -> F,
+        ended: &impl Fn(TaskId, &TaskEnd),
+    ) where
         F: Future<Output = TaskEnd>,
     {
         let (id, shared) = (task.id, Arc::new(W::default()));
@@ -113,8 +124,11 @@ impl<W: Default> TaskQueue<W> {
         *self.running.lock() = Some((id, shared.clone()));
         match self.store.begin_task(id, None).await {
             Ok(true) => {
-                let end = run(task, shared).await;
-                self.end(id, end).await;
+                let outcome = AssertUnwindSafe(run(task, shared)).catch_unwind().await;
+                let end = outcome
+                    .unwrap_or_else(|_| TaskEnd::Failed("the program failed: see its log".into()));
+                self.end(id, &end).await;
+                ended(id, &end);
             }
             // It was stopped after it was read.
             Ok(false) => {}
@@ -127,7 +141,7 @@ impl<W: Default> TaskQueue<W> {
     }
 
     /// Stores the end of a task; tries until it is stored, since the task would otherwise run again.
-    async fn end(&self, id: TaskId, end: TaskEnd) {
+    async fn end(&self, id: TaskId, end: &TaskEnd) {
         let mut pause = IDLE;
         loop {
             match self.store.end_task(id, end.clone()).await {

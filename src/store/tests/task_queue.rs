@@ -61,7 +61,7 @@ fn worker(queue: &Queue, endless: bool) -> (JoinHandle<()>, Ran) {
                 }
             }
         };
-        queue.work(run).await;
+        queue.work(run, |_, _| ()).await;
     };
     (tokio::spawn(working), ran)
 }
@@ -244,4 +244,31 @@ async fn a_waiting_and_a_running_task_can_be_stopped() {
     jobs.stop(asked[1], Shared::stop).await.unwrap();
     assert_eq!(store.task(asked[1]).await.unwrap().unwrap(), stopped);
     working.abort();
+}
+
+#[tokio::test]
+async fn a_task_that_panics_fails_and_the_next_one_runs() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let queue = queue(&store, TaskKind::JOBS);
+    let (first, second) =
+        (added(&queue, TaskKind::Training).await, added(&queue, TaskKind::Evaluation).await);
+    let (working, stored) = (queue.clone(), Arc::new(Mutex::new(Vec::new())));
+    let ended = stored.clone();
+    let worker = tokio::spawn(async move {
+        let run = |task: TaskRow, _| async move {
+            assert!(task.kind != TaskKind::Training, "on purpose");
+            TaskEnd::Done(json!({}))
+        };
+        working.work(run, |id, end: &TaskEnd| ended.lock().push((id, end.state()))).await;
+    });
+    let failed = in_state(&store, first, TaskState::Failed).await;
+    assert_eq!(failed.error.as_deref(), Some("the program failed: see its log"));
+    in_state(&store, second, TaskState::Done).await;
+    while stored.lock().len() < 2 {
+        tokio::task::yield_now().await;
+    }
+    let both = [(first, TaskState::Failed), (second, TaskState::Done)];
+    assert_eq!(*stored.lock(), both, "each end is announced once it is stored");
+    worker.abort();
 }

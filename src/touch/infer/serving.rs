@@ -149,7 +149,8 @@ impl Serving {
         Ok(self.inner.store.promotions().await?)
     }
 
-    /// Loads a model or calibration, warms it, and makes it the serving one of its slot.
+    /// Loads a model or calibration, warms it, and makes it the serving one of its slot. Returns the slot
+    /// and the id.
     ///
     /// # Errors
     /// `InferError` if it does not exist, does not fit the sensor, or cannot be stored.
@@ -158,7 +159,7 @@ impl Serving {
         id_or_name: &str,
         who: &str,
         why: Option<&str>,
-    ) -> Result<Slot, InferError> {
+    ) -> Result<(Slot, PromotedId), InferError> {
         let _one_at_a_time = self.inner.changing.lock().await;
         let (slot, what) = if let Ok(id) = id_or_name.parse() {
             (Slot::Skin, PromotedId::Calibration(id))
@@ -173,7 +174,7 @@ impl Serving {
             NewPromotion { slot: slot.name(), what: Some(&what), rolled_back: false, who, why };
         self.inner.store.promote(new).await?;
         *self.inner.current.write() = next;
-        Ok(slot)
+        Ok((slot, what))
     }
 
     /// Restores the previous promotion of a slot, which may be empty.

@@ -37,6 +37,8 @@ pub use watch_job::{Progress, Watch};
 const WAITING_MAX: u32 = 1000;
 /// Name of the file with a training's losses.
 const LOSSES: &str = "losses.ndjson";
+/// Name of the file with a training's last checkpoint.
+const CHECKPOINT: &str = "checkpoint.bin";
 
 /// The jobs of a service. Clones share them.
 #[derive(Clone)]
@@ -117,7 +119,7 @@ impl Jobs {
         std::fs::read_to_string(self.folder(id).join(LOSSES)).unwrap_or_default()
     }
 
-    /// Folder of a job's files while it runs.
+    /// Folder of a job's files until its end is stored.
     fn folder(&self, id: TaskId) -> PathBuf {
         self.inner.data.join("jobs").join(id.to_string())
     }
@@ -128,7 +130,15 @@ impl Jobs {
             let jobs = self.clone();
             async move { jobs.carry_out(&job, watch).await }
         };
-        self.inner.queue.work(run).await;
+        let ended = |id, end: &TaskEnd| {
+            let folder = self.folder(id);
+            match end {
+                // The losses of a failed training remain for diagnosis.
+                TaskEnd::Failed(_) => std::fs::remove_file(folder.join(CHECKPOINT)).ok(),
+                TaskEnd::Done(_) | TaskEnd::Stopped => std::fs::remove_dir_all(folder).ok(),
+            };
+        };
+        self.inner.queue.work(run, ended).await;
     }
 
     async fn carry_out(&self, job: &TaskRow, watch: Arc<Watch>) -> TaskEnd {

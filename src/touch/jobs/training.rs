@@ -12,7 +12,7 @@ use sim_core::forward::ForwardModel;
 
 use super::error::JobError;
 use super::starts::Starts;
-use super::{Jobs, LOSSES, Watch};
+use super::{CHECKPOINT, Jobs, LOSSES, Watch};
 use crate::clock::Clock;
 use crate::dataset::background::background;
 use crate::dataset::build::data_file;
@@ -25,8 +25,6 @@ use crate::learn::recipe::Recipe;
 use crate::learn::train::{self, Given, Learned};
 use crate::store::{DatasetRow, Label, TaskRow};
 
-/// Name of the file with a training's last checkpoint.
-const CHECKPOINT: &str = "checkpoint.bin";
 /// Name of the file with the id of the calibration whose simulations the training uses; empty for
 /// the nominal skin.
 const SKIN: &str = "skin";
@@ -49,19 +47,6 @@ pub fn check(recipe: &str) -> Result<(), JobError> {
 /// # Errors
 /// `JobError` if the dataset, the training or the storage of the model fails.
 pub async fn run(
-    jobs: &Jobs,
-    job: &TaskRow,
-    watch: &Arc<Watch>,
-) -> Result<Option<Value>, JobError> {
-    let outcome = train_and_keep(jobs, job, watch).await;
-    if outcome.is_err() {
-        // A failed job does not start again; its losses remain for diagnosis.
-        std::fs::remove_file(jobs.folder(job.id).join(CHECKPOINT)).ok();
-    }
-    outcome
-}
-
-async fn train_and_keep(
     jobs: &Jobs,
     job: &TaskRow,
     watch: &Arc<Watch>,
@@ -113,13 +98,9 @@ async fn train_and_keep(
             background(move || work.on_stream(sensor, &model)).await??
         }
     };
-    let Some(new) = made else {
-        std::fs::remove_dir_all(&folder).ok();
-        return Ok(None);
-    };
+    let Some(new) = made else { return Ok(None) };
     watch.phase("storing the model", 0);
     let model = jobs.inner.models.add(new).await?;
-    std::fs::remove_dir_all(&folder).ok();
     Ok(Some(json!({ "model": model.id, "name": model.name })))
 }
 
