@@ -14,7 +14,7 @@ use super::output::{say, say_json};
 use super::{At, embed};
 use crate::api::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
 use crate::evaluate::request::EvaluationReport;
-use crate::ids::CalibrationId;
+use crate::ids::{CalibrationId, PromotedId};
 use crate::infer::slot::Slot;
 
 /// Options of `model`.
@@ -233,7 +233,11 @@ fn tell(serves: &ServesOut, as_json: bool) {
     if as_json {
         return say_json(serves);
     }
-    say(format_args!("{:<9} {}", serves.slot.name(), serves.what.as_deref().unwrap_or("nothing")));
+    say(format_args!(
+        "{:<9} {}",
+        serves.slot.name(),
+        serves.what.as_ref().map_or("nothing", PromotedId::as_str)
+    ));
 }
 
 /// A model and its last score, on one line.
