@@ -6,6 +6,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use sim_core::sensor::Sensor;
 use sim_core::skin::SkinField;
+use sim_core::stats::sorted;
 
 use super::CalibrateError;
 use super::skin::CalibratedSkin;
@@ -117,12 +118,8 @@ fn map(
 
 /// Share of the held-out trials below each FVU, before and after.
 fn distributions(area: &Area<'_>, fitted: &CalibratedSkin) -> Result<(), CalibrateError> {
-    let sorted = |fvus: &[f64]| -> Vec<f64> {
-        let mut sorted: Vec<f64> = fvus.iter().copied().filter(|v| *v > 0.0).collect();
-        sorted.sort_by(f64::total_cmp);
-        sorted
-    };
-    let (before, after) = (sorted(&fitted.before), sorted(&fitted.after));
+    let above_0 = |fvus: &[f64]| sorted(fvus.iter().copied().filter(|v| *v > 0.0));
+    let (before, after) = (above_0(&fitted.before), above_0(&fitted.after));
     let ends =
         |of: fn(f64, f64) -> f64, start: f64| before.iter().chain(&after).copied().fold(start, of);
     let (low, high) = (ends(f64::min, 0.1), ends(f64::max, 1.0));

@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 use sim_core::sensor::Sensor;
+use sim_core::stats::{sorted, upper_quantile};
 
 use super::gap::{Gap, GapError};
 use super::mechanics::Mechanics;
@@ -113,11 +114,9 @@ fn forces_at_full_depth_fill_the_papers_range() {
     let sensor = sensor();
     let mechanics = Mechanics::new(&gap_a().mechanics, 1);
     let all = stands(&sensor, 5);
-    let mut f: Vec<f64> =
-        some(&all, 600).flat_map(|stand| forces(&mechanics, stand, 5.0)).collect();
-    f.sort_by(f64::total_cmp);
+    let f = sorted(some(&all, 600).flat_map(|stand| forces(&mechanics, stand, 5.0)));
     let mean = f.iter().sum::<f64>() / f.len() as f64;
-    let p95 = f[f.len() * 95 / 100];
+    let p95 = upper_quantile(&f, 0.95).unwrap();
     assert!((mean - 34.0).abs() < 2.0 && (p95 - 49.8).abs() < 3.0, "mean {mean}, p95 {p95}");
 }
 
@@ -238,9 +237,8 @@ fn fits(skin: &Skin, gap: &Gap, per_setting: usize) -> Vec<Fit> {
 
 /// Median FVU of the trials that satisfy this.
 fn median_fvu(fits: &[Fit], of: impl Fn(&Fit) -> bool) -> f64 {
-    let mut fvus: Vec<f64> = fits.iter().filter(|f| of(f)).map(|f| f.fvu).collect();
-    fvus.sort_by(f64::total_cmp);
-    fvus[fvus.len() / 2]
+    let fvus = sorted(fits.iter().filter(|f| of(f)).map(|f| f.fvu));
+    upper_quantile(&fvus, 0.5).unwrap()
 }
 
 /// Medians by contacts 1 to 6, and by the largest force from 5, 8, 12, 20 and 30 N on.
