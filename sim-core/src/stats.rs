@@ -1,4 +1,4 @@
-//! Quantiles of samples.
+//! Quantiles of samples, and the fraction of variance unexplained of a frame.
 //! Uses: nothing. Never: weights, missing values (callers remove them).
 //!
 //! There are two quantiles. [`quantile`] interpolates and is that of every reported number.
@@ -49,6 +49,23 @@ pub fn upper_quantile(sorted: &[f64], share: f64) -> Option<f64> {
 /// even number of values. `None` without values.
 pub fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     quantile(&sorted(values), 0.5)
+}
+
+/// Fraction of variance unexplained of one frame (paper, Eq. 2): the sum of squared differences over
+/// that of the measured voltages around their mean. `None` if the measured frame is constant or empty.
+///
+/// `measured_v`, `modelled_v`: voltages of the same channels, V.
+pub fn fvu(measured_v: &[f32], modelled_v: impl IntoIterator<Item = f64>) -> Option<f64> {
+    let mean = measured_v.iter().map(|&v| f64::from(v)).sum::<f64>() / measured_v.len() as f64;
+    let around_mean = || std::iter::repeat(mean);
+    let variance = squared_error(measured_v, around_mean());
+    (variance > 0.0).then(|| squared_error(measured_v, modelled_v) / variance)
+}
+
+/// Sum of squared differences of a measured and a modelled frame, V^2; shapes as for [`fvu`].
+pub fn squared_error(measured_v: &[f32], modelled_v: impl IntoIterator<Item = f64>) -> f64 {
+    let pairs = measured_v.iter().zip(modelled_v);
+    pairs.map(|(&measured, modelled)| (f64::from(measured) - modelled).powi(2)).sum()
 }
 
 fn check(sorted: &[f64], share: f64) {
@@ -112,5 +129,21 @@ mod tests {
     #[should_panic(expected = "a share is 0 to 1")]
     fn a_percentage_is_no_share() {
         quantile(&[1.0, 2.0], 50.0);
+    }
+
+    #[test]
+    fn a_perfect_model_leaves_nothing_and_the_mean_explains_nothing() {
+        let measured = [1.0, 2.0, 3.0, 6.0];
+        assert_eq!(fvu(&measured, [1.0, 2.0, 3.0, 6.0]), Some(0.0));
+        assert_eq!(fvu(&measured, [3.0; 4]), Some(1.0));
+        // Calculated manually: (0.25 + 0 + 1 + 0.25) / (4 + 1 + 0 + 9).
+        assert_eq!(fvu(&measured, [1.5, 2.0, 2.0, 6.5]), Some(1.5 / 14.0));
+    }
+
+    #[test]
+    fn a_constant_frame_has_no_variance_to_explain() {
+        assert_eq!(fvu(&[2.0; 3], [1.0; 3]), None);
+        assert_eq!(fvu(&[], []), None);
+        assert_eq!(squared_error(&[2.0; 3], [1.0; 3]), 3.0);
     }
 }

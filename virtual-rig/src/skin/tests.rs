@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 use sim_core::sensor::Sensor;
-use sim_core::stats::{sorted, upper_quantile};
+use sim_core::stats::{fvu, sorted, upper_quantile};
 
 use super::gap::{Gap, GapError};
 use super::mechanics::Mechanics;
@@ -183,13 +183,6 @@ fn touch_offs_find_the_nominal_surface_on_average() {
     assert!(mean.abs() < 0.1, "touch-offs find the surface at z = {mean} mm");
 }
 
-/// Fraction of variance unexplained, paper Eq. 2.
-fn fvu(real: &[f64], sim: &[f64]) -> f64 {
-    let mean = real.iter().sum::<f64>() / real.len() as f64;
-    let error: f64 = real.iter().zip(sim).map(|(r, s)| (r - s).powi(2)).sum();
-    error / real.iter().map(|r| (r - mean).powi(2)).sum::<f64>()
-}
-
 /// A noisy frame of the gap against the nominal model.
 struct Fit {
     fvu: f64,
@@ -224,9 +217,9 @@ fn fits(skin: &Skin, gap: &Gap, per_setting: usize) -> Vec<Fit> {
                 .collect();
             let mut frame = vec![0f32; 784];
             readout.frame(&skin.solve(&loads), 3.0 * out.len() as f64, &mut frame);
-            let real: Vec<f64> = frame.iter().map(|&v| f64::from(v)).collect();
+            let modelled_v = nominal.voltages(&contacts, &mut work).unwrap();
             out.push(Fit {
-                fvu: fvu(&real, nominal.voltages(&contacts, &mut work).unwrap()),
+                fvu: fvu(&frame, modelled_v.iter().copied()).unwrap(),
                 contacts: f.iter().filter(|&&f| f >= 5.0).count(),
                 max_force_n: f.iter().copied().fold(0.0, f64::max),
             });

@@ -24,7 +24,7 @@ use crate::mesh::Mesh;
 use crate::responses::UnitResponses;
 use crate::sensor::Sensor;
 use crate::skin::{FieldPrior, FvuSummary, SkinElectrodes, SkinFields, rounded};
-use crate::stats::{quantile, sorted, upper_quantile};
+use crate::stats::{fvu, quantile, sorted, upper_quantile};
 
 use parameters::Parameters;
 use sweep::{Misfits, Sweep};
@@ -435,22 +435,17 @@ pub fn noise_v(trials: &[MeasuredTrial]) -> Option<f64> {
     Some(median.max(LEAST_NOISE_V))
 }
 
-/// Fraction of variance unexplained of one frame (Eq. 2).
-pub fn fvu(measured_v: &[f32], modelled_v: &[f64]) -> f64 {
-    let mean = measured_v.iter().map(|&v| f64::from(v)).sum::<f64>() / measured_v.len() as f64;
-    let error: f64 =
-        measured_v.iter().zip(modelled_v).map(|(&v, m)| (f64::from(v) - m).powi(2)).sum();
-    error / measured_v.iter().map(|&v| (f64::from(v) - mean).powi(2)).sum::<f64>()
-}
-
-/// FVU of a model on each trial.
+/// FVU of a model on each trial; infinite for a constant frame, of which a model explains nothing.
 ///
 /// # Errors
 /// `ContactError` if the model rejects a contact.
 pub fn fvus(model: &ForwardModel, trials: &[MeasuredTrial]) -> Result<Vec<f64>, ContactError> {
     let mut work = Workspace::default();
-    let of = |t: &MeasuredTrial| Ok(fvu(&t.frame_v, model.voltages(&t.contacts, &mut work)?));
-    trials.iter().map(of).collect()
+    let mut of = |t: &MeasuredTrial| {
+        let modelled_v = model.voltages(&t.contacts, &mut work)?;
+        Ok(fvu(&t.frame_v, modelled_v.iter().copied()).unwrap_or(f64::INFINITY))
+    };
+    trials.iter().map(&mut of).collect()
 }
 
 /// Median and mean; `None` of an empty list.
