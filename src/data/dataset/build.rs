@@ -19,7 +19,6 @@ use arrow_schema::SchemaRef;
 use futures::StreamExt;
 use jiff::Timestamp;
 use serde_json::{Value, json};
-use sha2::Digest;
 use tokio::sync::mpsc;
 
 use super::background::background;
@@ -27,13 +26,14 @@ use super::batch::{self, Row};
 use super::card;
 use super::definition::{Definition, SplitBy};
 use super::error::DatasetError;
-use super::file::{Hashing, NewFile};
+use super::file::NewFile;
 use super::format::{Format, Stream};
 use super::inputs::Inputs;
 use super::schema::{self, BATCH_ROWS};
 use super::shards::ShardFolder;
 use super::split::{Group, Part, divide, place};
 use super::survey::{Survey, Surveyed, label};
+use crate::digest::Hashing;
 use crate::store::{DatasetRow, RunRow, Store, TrialQuery};
 
 /// Largest number of pages that wait for the encoder.
@@ -252,7 +252,7 @@ impl Encoder {
             NewFile::create(folder).map_err(DatasetError::file("creating a file in", folder))?;
         let described = Arc::new(schema.as_ref().clone().with_metadata(footer));
         let mut hash = Hashing::default();
-        hash.0.update(serde_json::to_string(definition).map_err(DatasetError::Json)?);
+        hash.update(serde_json::to_string(definition).map_err(DatasetError::Json)?);
         Ok(Self {
             parquet: Stream::new(Format::Parquet, &described, file)?,
             // Without the footer: the same rows have the same id on every machine.
@@ -267,8 +267,7 @@ impl Encoder {
 
     /// `ds-` and the start of a sha256 over definition, schema and rows.
     fn id(&self) -> String {
-        let digest = self.rows.get_ref().0.clone().finalize();
-        format!("ds-{}", &hex::encode(digest)[..ID_DIGITS])
+        format!("ds-{}", &self.rows.get_ref().clone().finish()[..ID_DIGITS])
     }
 
     fn finish(self, id: &str) -> Result<super::file::Finished, DatasetError> {

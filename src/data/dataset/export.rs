@@ -9,7 +9,6 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 use utoipa::ToSchema;
 
 use super::build::Progress;
@@ -18,6 +17,7 @@ use super::file::{Finished, NewFile};
 use super::format::{self, Format, Rows};
 use super::read::DatasetRows;
 use super::select::Wanted;
+use crate::digest::sha256_hex;
 
 /// Version of the bytes that the formats produce; part of the file name.
 const FORMAT_VERSION: u32 = 1;
@@ -65,8 +65,8 @@ impl ExportRequest {
 /// `DatasetError::Json` if the request cannot be written as JSON.
 pub fn file_name(dataset: &str, format: Format, wanted: &Wanted) -> Result<String, DatasetError> {
     let text = serde_json::to_string(&(FORMAT_VERSION, dataset, format.name(), wanted));
-    let digest = Sha256::digest(text.map_err(DatasetError::Json)?);
-    Ok(format!("{}.{}", &hex::encode(digest)[..NAME_DIGITS], format.extension()))
+    let digest = sha256_hex(text.map_err(DatasetError::Json)?);
+    Ok(format!("{}.{}", &digest[..NAME_DIGITS], format.extension()))
 }
 
 /// A completed file of a dataset or an export.

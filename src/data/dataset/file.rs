@@ -1,11 +1,11 @@
 //! Files that get their final name only after they are complete and durable.
-//! Uses: std's files, sha2. Never: other bytes under a name that is in use.
+//! Uses: std's files. Never: other bytes under a name that is in use.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use sha2::{Digest, Sha256};
+use crate::digest::Hashing;
 
 /// Prefix of temporary names.
 const PARTIAL: &str = "_partial-";
@@ -16,7 +16,7 @@ pub struct NewFile {
     folder: PathBuf,
     partial: PathBuf,
     file: File,
-    sha256: Sha256,
+    sha256: Hashing,
     bytes: u64,
     finished: bool,
 }
@@ -39,7 +39,7 @@ impl NewFile {
         fs::create_dir_all(folder)?;
         let partial = folder.join(format!("{PARTIAL}{}", uuid::Uuid::now_v7()));
         let file = File::create_new(&partial)?;
-        let (folder, sha256) = (folder.to_owned(), Sha256::new());
+        let (folder, sha256) = (folder.to_owned(), Hashing::default());
         Ok(Self { folder, partial, file, sha256, bytes: 0, finished: false })
     }
 
@@ -57,8 +57,7 @@ impl NewFile {
         fs::rename(&self.partial, self.folder.join(name))?;
         self.finished = true;
         File::open(&self.folder)?.sync_all()?;
-        let digest = std::mem::take(&mut self.sha256).finalize();
-        Ok(Finished { bytes: self.bytes, sha256: hex::encode(digest) })
+        Ok(Finished { bytes: self.bytes, sha256: std::mem::take(&mut self.sha256).finish() })
     }
 }
 
@@ -100,19 +99,4 @@ pub fn sweep(folder: &Path) -> io::Result<()> {
         }
     }
     Ok(())
-}
-
-/// A sink that hashes the bytes written to it.
-#[derive(Debug, Default)]
-pub struct Hashing(pub Sha256);
-
-impl Write for Hashing {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.update(bytes);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
 }

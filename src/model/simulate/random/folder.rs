@@ -12,10 +12,9 @@ use std::fs::{self, File, TryLockError};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
-use sha2::{Digest, Sha256};
-
 use super::error::RandomError;
 use super::manifest::{Definition, Manifest, Shard, ShardRow, first_difference};
+use crate::digest::Hashing;
 
 /// Name of the manifest.
 pub const MANIFEST: &str = "_manifest.json";
@@ -156,7 +155,7 @@ impl Folder {
             first: shard.first,
             trials: shard.trials,
             bytes,
-            sha256: hex::encode(sha256.finalize()),
+            sha256: sha256.finish(),
             commit: crate::commit::known().map(str::to_owned),
         })
     }
@@ -188,14 +187,14 @@ fn text(name: &OsStr) -> String {
 #[derive(Debug)]
 pub struct Hashed<W> {
     inner: W,
-    sha256: Sha256,
+    sha256: Hashing,
     bytes: u64,
 }
 
 impl<W> Hashed<W> {
     /// Starts hashing.
     pub fn new(inner: W) -> Self {
-        Self { inner, sha256: Sha256::new(), bytes: 0 }
+        Self { inner, sha256: Hashing::default(), bytes: 0 }
     }
 }
 
@@ -213,10 +212,10 @@ impl<W: Write> Write for Hashed<W> {
 }
 
 fn sha256(mut file: File) -> io::Result<String> {
-    let (mut hash, mut block) = (Sha256::new(), vec![0; BLOCK]);
+    let (mut hash, mut block) = (Hashing::default(), vec![0; BLOCK]);
     loop {
         match file.read(&mut block)? {
-            0 => return Ok(hex::encode(hash.finalize())),
+            0 => return Ok(hash.finish()),
             read => hash.update(&block[..read]),
         }
     }

@@ -4,7 +4,6 @@
 
 use std::path::{Path, PathBuf};
 
-use sha2::{Digest, Sha256};
 use sim_core::calibrated::CalibratedSensor;
 use sim_core::calibration::Calibration;
 use sim_core::forward::ForwardModel;
@@ -14,6 +13,7 @@ use super::{ExactSkin, KnownTrial, SkinErrors};
 use crate::calibrate::skin;
 use crate::dataset::file::NewFile;
 use crate::dataset::pressed::{contacts, force_noise_n};
+use crate::digest::Hashing;
 use crate::infer::error::InferError;
 use crate::problem::Problem;
 use crate::simulate::model::load_or_build;
@@ -199,7 +199,7 @@ fn ready(
 
 /// Hash (sha256) of everything on which a skin's errors depend.
 fn key(model: &ForwardModel, known: &[KnownTrial]) -> String {
-    let mut digest = Sha256::new();
+    let mut digest = Hashing::default();
     let calibration = model.sensor().calibration().unwrap_or_default();
     for words in [ERRORS_VERSION, env!("CARGO_PKG_VERSION"), model.model_hash(), calibration] {
         digest.update(words);
@@ -214,7 +214,7 @@ fn key(model: &ForwardModel, known: &[KnownTrial]) -> String {
         }
         trial.frame_v.iter().for_each(|v| digest.update(v.to_le_bytes()));
     }
-    hex::encode(digest.finalize())
+    digest.finish()
 }
 
 #[cfg(test)]
