@@ -26,7 +26,6 @@ use super::batch::{self, Row};
 use super::card;
 use super::definition::{Definition, SplitBy};
 use super::error::DatasetError;
-use super::file::NewFile;
 use super::format::{Format, Stream};
 use super::inputs::Inputs;
 use super::schema::{self, BATCH_ROWS};
@@ -34,6 +33,7 @@ use super::shards::ShardFolder;
 use super::split::{Group, Part, divide, place};
 use super::survey::{Survey, Surveyed, label};
 use crate::digest::Hashing;
+use crate::new_file::{self, Finished, NewFile};
 use crate::store::{DatasetRow, RunRow, Store, TrialQuery};
 
 /// Largest number of pages that wait for the encoder.
@@ -270,7 +270,7 @@ impl Encoder {
         format!("ds-{}", &self.rows.get_ref().clone().finish()[..ID_DIGITS])
     }
 
-    fn finish(self, id: &str) -> Result<super::file::Finished, DatasetError> {
+    fn finish(self, id: &str) -> Result<Finished, DatasetError> {
         let file = self.parquet.finish()?;
         let name = format!("{id}.parquet");
         file.finish(&name).map_err(DatasetError::file("writing", Path::new(&name)))
@@ -405,14 +405,8 @@ fn report(
 /// Writes the card next to the file.
 fn write_card(folder: &Path, row: &DatasetRow) -> Result<(), DatasetError> {
     let name = format!("{}.md", row.id);
-    let write = || {
-        use std::io::Write;
-        let mut file = NewFile::create(folder)?;
-        file.write_all(card::text(row).as_bytes())?;
-        file.finish(&name)
-    };
-    write().map_err(DatasetError::file("writing", &folder.join(&name)))?;
-    Ok(())
+    let failed = DatasetError::file("writing", &folder.join(&name));
+    new_file::write(folder, &name, card::text(row)).map(|_| ()).map_err(failed)
 }
 
 /// Path of the Parquet file of a dataset.

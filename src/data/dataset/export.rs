@@ -1,6 +1,6 @@
 //! An export: selected rows of a dataset in a format, as a file whose name is a hash of the
 //! request.
-//! Uses: `dataset::{read, format, file}`. Never: HTTP, the store; two files for equal requests.
+//! Uses: `dataset::{read, format}`, `new_file`. Never: HTTP, the store; two files for equal requests.
 //!
 //! A dataset never changes, and a format produces the same bytes for the same rows. An interrupted
 //! export is therefore written again as the same file.
@@ -13,11 +13,11 @@ use utoipa::ToSchema;
 
 use super::build::Progress;
 use super::error::DatasetError;
-use super::file::{Finished, NewFile};
 use super::format::{self, Format, Rows};
 use super::read::DatasetRows;
 use super::select::Wanted;
 use crate::digest::sha256_hex;
+use crate::new_file::{Finished, NewFile};
 
 /// Version of the bytes that the formats produce; part of the file name.
 const FORMAT_VERSION: u32 = 1;

@@ -86,6 +86,22 @@ async fn an_export_outlives_the_service_and_gives_the_same_bytes() {
 }
 
 #[tokio::test]
+async fn a_truncated_sha256_of_an_export_is_not_used() {
+    let lab = Filled::open("truncated").await;
+    let request = json!({ "dataset": "real", "format": "csv" });
+    exported(&lab, request.clone()).await;
+    let entries = std::fs::read_dir(lab.data.join("exports")).unwrap();
+    let mut digests = entries.map(|entry| entry.unwrap().path());
+    let digest = digests.find(|path| path.extension().is_some_and(|e| e == "sha256")).unwrap();
+    // As a power failure could leave it before the file was synced.
+    let whole = std::fs::read_to_string(&digest).unwrap();
+    std::fs::write(&digest, &whole[..20]).unwrap();
+    exported(&lab, request).await;
+    assert_eq!(std::fs::read_to_string(&digest).unwrap(), whole);
+    lab.close().await;
+}
+
+#[tokio::test]
 async fn wishes_that_cannot_be_met_are_refused_or_fail_with_their_reason() {
     let lab = Filled::open("wishes").await;
     let ask = async |request: Value| lab.post("/api/v1/exports", request).await;

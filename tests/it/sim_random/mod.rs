@@ -156,7 +156,7 @@ fn ctrl_c_ends_after_the_shard_and_the_same_command_goes_on() {
     let stored = last["trials_stored"].as_u64().unwrap();
     assert!((500..20_000).contains(&stored), "{stored}");
     assert_eq!(assert_manifest_is_true(&out) as u64 * 250, stored);
-    assert!(files(&out).keys().all(|name| !name.ends_with(".partial")));
+    assert!(files(&out).keys().all(|name| !name.starts_with("_partial-")));
 }
 
 #[test]

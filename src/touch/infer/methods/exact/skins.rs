@@ -11,10 +11,10 @@ use sim_core::sensor::Sensor;
 
 use super::{ExactSkin, KnownTrial, SkinErrors};
 use crate::calibrate::skin;
-use crate::dataset::file::NewFile;
 use crate::dataset::pressed::{contacts, force_noise_n};
 use crate::digest::Hashing;
 use crate::infer::error::InferError;
+use crate::new_file;
 use crate::problem::Problem;
 use crate::simulate::model::load_or_build;
 use crate::state::StoredState;
@@ -151,9 +151,7 @@ impl Skins {
         let id = calibration.id()?;
         let folder = self.calibrations();
         let failed = InferError::file("writing", &folder);
-        let mut file = crate::dataset::file::NewFile::create(&folder).map_err(&failed)?;
-        std::io::Write::write_all(&mut file, text.as_bytes()).map_err(&failed)?;
-        file.finish(&format!("{id}.toml")).map_err(&failed)?;
+        new_file::write(&folder, &format!("{id}.toml"), text).map_err(failed)?;
         Ok(id)
     }
 
@@ -187,9 +185,7 @@ fn ready(
     }
     let skin = ExactSkin::new(model, known)?;
     let keep = || -> std::io::Result<()> {
-        let mut file = NewFile::create(cache)?;
-        serde_json::to_writer(&mut file, skin.errors())?;
-        file.finish(&name).map(|_| ())
+        new_file::write(cache, &name, serde_json::to_vec(skin.errors())?).map(|_| ())
     };
     if let Err(error) = keep() {
         tracing::warn!(%error, path = %path.display(), "the errors of a skin were not cached");
