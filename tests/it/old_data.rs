@@ -94,7 +94,7 @@ fn assert_holds(found: &Value, wanted: &Value, at: &str) {
 }
 
 fn volts_sha256(volts: &[f32]) -> String {
-    sha256_hex(&volts.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<_>>())
+    sha256_hex(volts.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<_>>())
 }
 
 /// A trial under the names of the recorded values.

@@ -74,7 +74,7 @@ fn files(folder: &Path) -> BTreeMap<String, String> {
         .map(|entry| {
             let entry = entry.unwrap();
             let name = entry.file_name().into_string().unwrap();
-            (name, sha256_hex(&std::fs::read(entry.path()).unwrap()))
+            (name, sha256_hex(std::fs::read(entry.path()).unwrap()))
         })
         .collect()
 }
