@@ -5,7 +5,7 @@
 //! Data flows one way: `sensor -> mesh -> (element, material, order, boundary, assemble, solve) ->
 //! responses -> fields, piezo, tip -> network -> forward -> jacobian, batch`. `deformation`,
 //! `spice` and `calculix` are for comparison, `surface` and `calibration` tie the model to
-//! measurements; `inverse` estimates loads and skins from measurements.
+//! measurements; `inverse` estimates loads and skins from measurements. `stats` has the quantiles.
 
 pub mod sensor;
 pub mod mesh;
@@ -32,4 +32,5 @@ pub mod inverse;
 pub mod calibration;
 pub mod spice;
 pub mod calculix;
+pub mod stats;
 mod digest;

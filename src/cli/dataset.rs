@@ -10,7 +10,6 @@ use futures::StreamExt;
 use reqwest::Method;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use sha2::{Digest, Sha256};
 
 use super::client::Client;
 use super::error::CliError;
@@ -20,6 +19,7 @@ use super::progress::progress_bar;
 use super::{At, embed};
 use crate::dataset::export::ExportRequest;
 use crate::dataset::format::Format;
+use crate::digest::Hashing;
 use crate::ids::DatasetId;
 
 /// Interval of polling an export's progress.
@@ -303,7 +303,7 @@ async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), Cli
     let partial = out.with_extension("partial");
     let mut file = std::fs::File::create(&partial).map_err(failed)?;
     let url = done.url.clone().unwrap_or_else(|| format!("/api/v1/exports/{}/file", done.id));
-    let (mut hash, mut have, mut tries) = (Sha256::new(), 0_u64, 0);
+    let (mut hash, mut have, mut tries) = (Hashing::default(), 0_u64, 0);
     let wanted = done.bytes.unwrap_or_default();
     let bar = progress_bar("bytes");
     bar.set_length(wanted);
@@ -330,7 +330,7 @@ async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), Cli
         }
     }
     bar.finish_and_clear();
-    let found = hex::encode(hash.finalize());
+    let found = hash.finish();
     if Some(&found) != done.sha256.as_ref() {
         let detail = format!("the downloaded file has the sha256 {found}");
         return Err(CliError::Refused { operation: format!("GET {url}"), status: 500, detail });

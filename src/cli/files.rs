@@ -3,11 +3,11 @@
 
 use std::path::{Path, PathBuf};
 
-use sha2::{Digest, Sha256};
 use sim_core::calibration::{Calibration, CalibrationError};
 use sim_core::sensor::{Sensor, SensorError, SensorFile};
 
 use super::error::CliError;
+use crate::digest::sha256_hex;
 use crate::problem::Problem;
 use crate::rig::config::RigConfig;
 use crate::rig::reach::{bench, reach};
@@ -82,12 +82,12 @@ impl ExperimentFiles {
 
     /// sha256 of the definition's text, as runs store it.
     pub fn definition_sha256(&self) -> String {
-        hex(&self.definition)
+        sha256_hex(&self.definition)
     }
 
     /// sha256 of the sensor file's text, as runs store it.
     pub fn sensor_sha256(&self) -> String {
-        hex(&self.sensor_text)
+        sha256_hex(&self.sensor_text)
     }
 }
 
@@ -210,10 +210,6 @@ pub fn calibration_problem(path: &Path, error: CalibrationError) -> CliError {
         other => Problem::whole(&file, other.to_string()),
     };
     CliError::Problems(vec![problem])
-}
-
-fn hex(text: &str) -> String {
-    hex::encode(Sha256::digest(text.as_bytes()))
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! The model fitted to a skin, and its simulations.
 //! Uses: `words`, sim-core. Never: the rig, the database, HTTP.
 
-use palpate_words::{chance, commit, ids, problem};
+use palpate_words::{chance, commit, digest, ids, new_file, problem};
 
 pub mod calibrate;
 pub mod simulate;

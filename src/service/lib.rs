@@ -6,7 +6,9 @@ use palpate_data::dataset;
 use palpate_model::simulate;
 use palpate_store as store;
 use palpate_touch::{evaluate, infer, jobs, learn};
-use palpate_words::{clock, commit, ids, journal, problem, record, state, syntax};
+use palpate_words::{
+    clock, commit, digest, ids, journal, new_file, problem, record, state, syntax,
+};
 
 pub mod conductor;
 pub mod twins;

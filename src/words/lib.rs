@@ -1,5 +1,5 @@
-//! The shared types: time, random numbers, keys, records of a run, rejected values.
-//! Uses: no other chapter. Never: devices, files, the database, HTTP.
+//! The shared types: time, random numbers, keys, records of a run, rejected values, new files.
+//! Uses: no other chapter. Never: devices, the database, HTTP; files, except in `new_file`.
 
 pub mod chance;
 pub mod clock;
@@ -7,6 +7,7 @@ pub mod commit;
 pub mod digest;
 pub mod ids;
 pub mod journal;
+pub mod new_file;
 pub mod problem;
 pub mod record;
 pub mod state;

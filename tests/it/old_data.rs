@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use jiff::Timestamp;
 use palpate::campaign::run::resume;
 use palpate::clock::Clock;
+use palpate::digest::sha256_hex;
 use palpate::infer::plan::Plan as Net;
 use palpate::journal::Journal;
 use palpate::rig::config::RigConfig;
@@ -18,7 +19,7 @@ use serde_json::{Value, json};
 use sim_core::sensor::Sensor;
 
 use crate::datasets::filled::Filled;
-use crate::support::{Folder, sha256};
+use crate::support::Folder;
 
 /// Runs of the folder, by their order: the last was queued when the service was killed.
 const WHOLE: usize = 0;
@@ -93,7 +94,7 @@ fn assert_holds(found: &Value, wanted: &Value, at: &str) {
 }
 
 fn volts_sha256(volts: &[f32]) -> String {
-    sha256(&volts.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<_>>())
+    sha256_hex(volts.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<_>>())
 }
 
 /// A trial under the names of the recorded values.
@@ -103,7 +104,7 @@ async fn trial(store: &Store, row: &TrialRow) -> Value {
     let frames = frames.iter().map(|frame| {
         let counts: Vec<u8> = frame.counts.iter().flat_map(|c| c.to_le_bytes()).collect();
         json!({ "sequence": frame.sequence, "device_time_us": frame.device_time_us,
-            "volts_per_count": frame.volts_per_count, "counts_sha256": sha256(&counts) })
+            "volts_per_count": frame.volts_per_count, "counts_sha256": sha256_hex(&counts) })
     });
     found["frames"] = frames.collect();
     found["voltages_sha256"] = json!(row.voltages_v.as_deref().map(volts_sha256));
@@ -250,7 +251,7 @@ async fn a_service_offers_the_killed_run_and_serves_what_was_made() {
     let found = lab.get(&format!("/api/v1/datasets/{id}")).await;
     assert_holds(&found, dataset, "dataset");
     let file = lab.answer(&format!("/api/v1/data/{id}.parquet")).await.bytes().await.unwrap();
-    assert_eq!(dataset["sha256"], sha256(&file).as_str());
+    assert_eq!(dataset["sha256"], sha256_hex(&file).as_str());
     let columns = "trial_id,voltages_v,sim_voltages_v";
     let page = lab.get(&format!("/api/v1/datasets/{id}/rows?limit=100&columns={columns}")).await;
     let rows = page["rows"].as_array().unwrap();

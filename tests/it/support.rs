@@ -5,7 +5,6 @@ use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-use sha2::{Digest, Sha256};
 use sim_core::sensor::Sensor;
 
 /// The program.
@@ -20,11 +19,6 @@ pub const VIRTUAL_RIG: &str = include_str!("../../experiments/rigs/virtual.toml"
 /// The sensor of 28 electrodes.
 pub fn sensor() -> Sensor {
     Sensor::from_toml(SENSOR).unwrap()
-}
-
-/// The SHA-256 of bytes, in hexadecimal digits.
-pub fn sha256(bytes: &[u8]) -> String {
-    hex::encode(Sha256::digest(bytes))
 }
 
 /// A folder in the system's temporary folder, removed at the end of its test. The name contains the

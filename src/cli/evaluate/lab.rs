@@ -6,7 +6,6 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
-use sha2::{Digest, Sha256};
 
 use super::write_all;
 use crate::api::{FrameAnswer, InferRequest, JobOut, ModelOut, Wish};
@@ -15,6 +14,7 @@ use crate::cli::error::CliError;
 use crate::cli::output::{say, say_json};
 use crate::cli::train::{Changes, follow, recipe_text};
 use crate::cli::{At, embed};
+use crate::digest::sha256_hex;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
 use crate::ids::ModelId;
 use crate::infer::answer::Reading;
@@ -148,7 +148,7 @@ impl Lab for ServiceLab {
             None => String::new(),
         };
         // The name contains recipe and data: an equal request finds the model.
-        let digest = hex::encode(Sha256::digest(format!("{text}{dataset}")));
+        let digest = sha256_hex(format!("{text}{dataset}"));
         let name = format!("{stem}-{}", &digest[..8]);
         let models: Vec<ModelOut> = self.client.get("/api/v1/models").await?;
         if let Some(model) = models.into_iter().find(|model| model.name == name) {

@@ -19,7 +19,6 @@ use arrow_schema::SchemaRef;
 use futures::StreamExt;
 use jiff::Timestamp;
 use serde_json::{Value, json};
-use sha2::Digest;
 use tokio::sync::mpsc;
 
 use super::background::background;
@@ -27,14 +26,15 @@ use super::batch::{self, Row};
 use super::card;
 use super::definition::{Definition, SplitBy};
 use super::error::DatasetError;
-use super::file::{Hashing, NewFile};
 use super::format::{Format, Stream};
 use super::inputs::Inputs;
 use super::schema::{self, BATCH_ROWS};
 use super::shards::ShardFolder;
 use super::split::{Group, Part, divide, place};
 use super::survey::{Survey, Surveyed, label};
+use crate::digest::Hashing;
 use crate::ids::DatasetId;
+use crate::new_file::{self, Finished, NewFile};
 use crate::store::{DatasetRow, RunRow, Store, TrialQuery};
 
 /// Largest number of pages that wait for the encoder.
@@ -253,7 +253,7 @@ impl Encoder {
             NewFile::create(folder).map_err(DatasetError::file("creating a file in", folder))?;
         let described = Arc::new(schema.as_ref().clone().with_metadata(footer));
         let mut hash = Hashing::default();
-        hash.0.update(serde_json::to_string(definition).map_err(DatasetError::Json)?);
+        hash.update(serde_json::to_string(definition).map_err(DatasetError::Json)?);
         Ok(Self {
             parquet: Stream::new(Format::Parquet, &described, file)?,
             // Without the footer: the same rows have the same id on every machine.
@@ -268,11 +268,11 @@ impl Encoder {
 
     /// `ds-` and the start of a sha256 over definition, schema and rows.
     fn id(&self) -> DatasetId {
-        let digest = self.rows.get_ref().0.clone().finalize();
-        DatasetId::unchecked(format!("ds-{}", &hex::encode(digest)[..ID_DIGITS]))
+        let digits = self.rows.get_ref().clone().finish();
+        DatasetId::unchecked(format!("ds-{}", &digits[..ID_DIGITS]))
     }
 
-    fn finish(self, id: &DatasetId) -> Result<super::file::Finished, DatasetError> {
+    fn finish(self, id: &DatasetId) -> Result<Finished, DatasetError> {
         let file = self.parquet.finish()?;
         let name = format!("{id}.parquet");
         file.finish(&name).map_err(DatasetError::file("writing", Path::new(&name)))
@@ -407,14 +407,8 @@ fn report(
 /// Writes the card next to the file.
 fn write_card(folder: &Path, row: &DatasetRow) -> Result<(), DatasetError> {
     let name = format!("{}.md", row.id);
-    let write = || {
-        use std::io::Write;
-        let mut file = NewFile::create(folder)?;
-        file.write_all(card::text(row).as_bytes())?;
-        file.finish(&name)
-    };
-    write().map_err(DatasetError::file("writing", &folder.join(&name)))?;
-    Ok(())
+    let failed = DatasetError::file("writing", &folder.join(&name));
+    new_file::write(folder, &name, card::text(row)).map(|_| ()).map_err(failed)
 }
 
 /// Path of the Parquet file of a dataset.

@@ -12,7 +12,6 @@ use super::build::{self, Progress, build, data_file};
 use super::definition::Definition;
 use super::error::{DatasetError, Product};
 use super::export::{self, ExportFile, ExportRequest, ExportResult};
-use super::file::sweep;
 use super::format::{Format, Rows};
 use super::inputs::Inputs;
 use super::read::{DatasetRows, SKIN};
@@ -20,6 +19,7 @@ use super::schema;
 use super::select::{Selection, Wanted};
 use crate::clock::Clock;
 use crate::ids::{DatasetId, TaskId};
+use crate::new_file::{self, sweep};
 use crate::problem::Problem;
 use crate::state::StoredState;
 use crate::store::{DatasetRow, RunRow, Store, TaskEnd, TaskKind, TaskQueue, TaskRow};
@@ -28,6 +28,8 @@ use crate::store::{DatasetRow, RunRow, Store, TaskEnd, TaskKind, TaskQueue, Task
 const KEPT_FREE_BYTES: u64 = 2 << 30;
 /// Largest total size of the export files, bytes; the oldest are removed first.
 const EXPORTS_BYTES: u64 = 20 << 30;
+/// Number of hexadecimal digits of a sha256.
+const SHA256_DIGITS: usize = 64;
 /// Largest number of waiting exports.
 const WAITING_MAX: u32 = 100;
 
@@ -284,10 +286,13 @@ impl Catalog {
         let name = export::file_name(&row.id, format, wanted)?;
         let path = self.exports().join(&name);
         // The sha256 is stored in a file next to the export, and written after it.
-        let digest = path.with_extension(format!("{}.sha256", format.extension()));
+        let digest_name = format!("{name}.sha256");
+        let digest = self.exports().join(&digest_name);
         let existing = || {
             let sha256 = std::fs::read_to_string(&digest).ok().filter(|_| path.is_file())?;
-            Some(ExportFile { path: path.clone(), sha256 })
+            // Earlier versions did not sync this file: it may be truncated.
+            let whole = sha256.len() == SHA256_DIGITS;
+            whole.then(|| ExportFile { path: path.clone(), sha256 })
         };
         if let Some(file) = existing() {
             return Ok(file);
@@ -302,11 +307,14 @@ impl Catalog {
         let folder = self.exports();
         trim(&folder, EXPORTS_BYTES)
             .map_err(DatasetError::file("removing old exports in", &folder))?;
-        let writing = background(move || export::write(&rows, format, &folder, &name, &progress));
-        let finished = writing.await??;
-        std::fs::write(&digest, &finished.sha256)
-            .map_err(DatasetError::file("writing", &digest))?;
-        Ok(ExportFile { path, sha256: finished.sha256 })
+        let failed = DatasetError::file("writing", &digest);
+        let writing = background(move || {
+            let finished = export::write(&rows, format, &folder, &name, &progress)?;
+            new_file::write(&folder, &digest_name, &finished.sha256).map_err(failed)?;
+            Ok::<_, DatasetError>(finished.sha256)
+        });
+        let sha256 = writing.await??;
+        Ok(ExportFile { path, sha256 })
     }
 
     /// Stores a request for an export. The request is checked against the dataset if it exists,

@@ -1,5 +1,5 @@
 //! An export: selected rows of a dataset in a format, as a file whose name is a hash of the request.
-//! Uses: `dataset::{read, format, file}`. Never: HTTP, a read of the store; two files for equal requests.
+//! Uses: `dataset::{read, format}`, `new_file`. Never: HTTP, a read of the store; two files for equal requests.
 //!
 //! A dataset never changes, and a format produces the same bytes for the same rows. An interrupted
 //! export is therefore written again as the same file.
@@ -8,16 +8,16 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 use utoipa::ToSchema;
 
 use super::build::Progress;
 use super::error::DatasetError;
-use super::file::{Finished, NewFile};
 use super::format::{self, Format, Rows};
 use super::read::DatasetRows;
 use super::select::Wanted;
+use crate::digest::sha256_hex;
 use crate::ids::DatasetId;
+use crate::new_file::{Finished, NewFile};
 use crate::store::TaskRow;
 
 /// Version of the bytes that the formats produce; part of the file name.
@@ -70,8 +70,8 @@ pub fn file_name(
     wanted: &Wanted,
 ) -> Result<String, DatasetError> {
     let text = serde_json::to_string(&(FORMAT_VERSION, dataset, format.name(), wanted));
-    let digest = Sha256::digest(text.map_err(DatasetError::Json)?);
-    Ok(format!("{}.{}", &hex::encode(digest)[..NAME_DIGITS], format.extension()))
+    let digest = sha256_hex(text.map_err(DatasetError::Json)?);
+    Ok(format!("{}.{}", &digest[..NAME_DIGITS], format.extension()))
 }
 
 /// A completed file of a dataset or an export.

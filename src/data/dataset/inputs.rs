@@ -4,12 +4,12 @@
 use std::path::Path;
 
 use serde_json::json;
-use sha2::{Digest, Sha256};
 
 use super::definition::{Definition, Task};
 use super::error::DatasetError;
 use super::schema;
 use super::shards::{self, ShardFolder};
+use crate::digest::sha256_hex;
 use crate::state::StoredState;
 use crate::store::{Label, RunExtent, RunRow, Store};
 
@@ -49,15 +49,13 @@ impl Inputs {
         }
         check_labels(definition, &runs)?;
         let folders = shards::find(data, &definition.sim_random)?;
-        let mut hash = Sha256::new();
         let text = json!({
             "version": BUILD_VERSION,
             "definition": definition,
             "runs": runs.iter().map(|(run, extent)| json!([run.uid, extent])).collect::<Vec<_>>(),
             "shards": folders.iter().map(|f| json!([f.name, f.manifest])).collect::<Vec<_>>(),
         });
-        hash.update(text.to_string());
-        let key = hex::encode(hash.finalize());
+        let key = sha256_hex(text.to_string());
         Ok(Self { definition: definition.clone(), runs, folders, key })
     }
 

@@ -17,7 +17,6 @@ pub mod force_map;
 pub mod batch;
 pub mod survey;
 pub mod shards;
-pub mod file;
 pub mod background;
 pub mod format;
 pub mod select;

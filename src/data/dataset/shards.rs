@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use arrow_array::RecordBatch;
 use bytes::Bytes;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
-use sha2::{Digest, Sha256};
 
 use super::schema::BATCH_ROWS;
+use crate::digest::sha256_hex;
 use crate::simulate::random::folder::MANIFEST;
 use crate::simulate::random::manifest::{Manifest, ShardRow};
 
@@ -82,7 +82,7 @@ impl ShardFolder {
         let path = self.path.join(&shard.file);
         let read = |source| ShardsError::Read { path: path.clone(), source };
         let bytes = Bytes::from(fs::read(&path).map_err(read)?);
-        if hex::encode(Sha256::digest(&bytes)) != shard.sha256 {
+        if sha256_hex(&bytes) != shard.sha256 {
             return Err(ShardsError::Damaged { path });
         }
         let parquet = |why: String| ShardsError::Parquet { path: path.clone(), why };

@@ -23,7 +23,8 @@ use sim_core::surface::SurfaceSinking;
 
 use super::regression::{self, Prediction, Regression, RegressionError};
 use super::table::{self, Column, Row};
-use super::{CalibrateError, accuracy, sha256};
+use super::{CalibrateError, accuracy};
+use crate::digest::sha256_hex;
 use crate::problem::Problem;
 
 const MOST_MM: f64 = 1e4;
@@ -165,7 +166,7 @@ fn finish<const P: usize>(
     let alike = || CalibrateError::undetermined(file, "all displacements are the same");
     let layers = &sensor.file.layers;
     let calibration = FoamCalibration {
-        data_sha256: sha256(text),
+        data_sha256: sha256_hex(text),
         rows: rows.len(),
         mesh: mesh_id(sensor)?,
         force_n: rows.iter().map(|row| row.force_n).fold(0.0, f64::max),

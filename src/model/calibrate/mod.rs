@@ -6,7 +6,6 @@
 //! `text -> table -> (piezo | foam, by regression) -> Calibration`, `frames -> accuracy`, `plot`;
 //! `trials -> skin -> Calibration`, `skin_plot`.
 
-use sha2::{Digest, Sha256};
 use sim_core::calibration::Accuracy;
 use sim_core::responses::ResponsesError;
 use sim_core::sensor::SensorError;
@@ -18,6 +17,7 @@ pub mod regression;
 pub mod piezo;
 pub mod foam;
 pub mod frames;
+pub mod page;
 pub mod plot;
 pub mod skin;
 pub mod skin_plot;
@@ -72,11 +72,6 @@ pub fn accuracy(measured: &[f64], modelled: &[f64]) -> Option<Accuracy> {
         nrmse_by_range: rmse / (high - low),
         values: measured.len(),
     })
-}
-
-/// sha256 of a file's text, by which calibrations name their data.
-fn sha256(text: &str) -> String {
-    hex::encode(Sha256::digest(text.as_bytes()))
 }
 
 #[cfg(test)]

@@ -12,9 +12,10 @@ use sim_core::calibration::{Fitted, PiezoCalibration};
 use sim_core::piezo::LEAST_COMPRESSION_MM;
 use sim_core::sensor::Piezo;
 
+use super::CalibrateError;
 use super::regression::{self, Prediction, Regression, RegressionError};
 use super::table::{self, Column};
-use super::{CalibrateError, sha256};
+use crate::digest::sha256_hex;
 
 const COLUMNS: [Column; 2] = [
     Column::number(
@@ -108,7 +109,7 @@ pub fn calibrate(file: &str, text: &str, sensor: &Piezo) -> Result<PiezoFit, Cal
     }
     let compressions = rows.iter().map(|r| r.displacement_mm);
     let calibration = PiezoCalibration {
-        data_sha256: sha256(text),
+        data_sha256: sha256_hex(text),
         rows: rows.len(),
         compression_mm: [
             compressions.clone().fold(f64::MAX, f64::min),

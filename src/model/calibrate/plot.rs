@@ -1,11 +1,13 @@
 //! Figures of a calibration: data, fit and bands, as SVG text.
-//! PURE. Uses: plotters (SVG). Never: files, fitting.
+//! PURE. Uses: plotters, `page`. Never: files, fitting.
 
-use plotters::coord::Shift;
+use std::error::Error;
+
 use plotters::prelude::*;
 
 use super::CalibrateError;
 use super::foam::{FittedRow, FoamFit};
+use super::page::{Area, page};
 use super::piezo::PiezoFit;
 
 const SIZE: (u32, u32) = (720, 480);
@@ -22,35 +24,15 @@ const SERIES: [RGBColor; 5] = [
     RGBColor(120, 120, 120),
 ];
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-
-fn failed(error: impl std::fmt::Display) -> CalibrateError {
-    CalibrateError::Plot(error.to_string())
-}
-
-/// Draws on a white page.
-fn svg(
-    draw: impl FnOnce(&Area<'_>) -> Result<(), CalibrateError>,
-) -> Result<String, CalibrateError> {
-    let mut text = String::new();
-    {
-        let area = SVGBackend::with_string(&mut text, SIZE).into_drawing_area();
-        area.fill(&WHITE).map_err(failed)?;
-        draw(&area)?;
-        area.present().map_err(failed)?;
-    }
-    Ok(text)
-}
-
 /// Draws Eq. 1 over a compression test: as Fig. 5, resistance on a logarithmic axis.
 ///
 /// # Errors
 /// `CalibrateError::Plot` if the plotting backend fails.
 pub fn piezo(fit: &PiezoFit) -> Result<String, CalibrateError> {
-    svg(|area| draw_piezo(area, fit))
+    page(SIZE, |area| draw_piezo(area, fit)).map_err(CalibrateError::Plot)
 }
 
-fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Result<(), CalibrateError> {
+fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Result<(), Box<dyn Error>> {
     let [least, most] = fit.calibration.compression_mm;
     let at = |n: u32| least + (most - least) * f64::from(n) / f64::from(STEPS);
     let bands: Vec<_> = (0..=STEPS).map(|n| (at(n), fit.band(at(n)))).collect();
@@ -68,8 +50,7 @@ fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Result<(), CalibrateError> {
         .margin(14)
         .x_label_area_size(44)
         .y_label_area_size(74)
-        .build_cartesian_2d(0.0..most * 1.03, (low / 1.5..high * 1.5).log_scale())
-        .map_err(failed)?;
+        .build_cartesian_2d(0.0..most * 1.03, (low / 1.5..high * 1.5).log_scale())?;
     chart
         .configure_mesh()
         .x_desc("compression, mm")
@@ -77,8 +58,7 @@ fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Result<(), CalibrateError> {
         .y_label_formatter(&|v| format!("1e{:.0}", v.log10()))
         .light_line_style(INK.mix(0.06))
         .bold_line_style(INK.mix(0.14))
-        .draw()
-        .map_err(failed)?;
+        .draw()?;
     let ring = |ends: &dyn Fn(usize) -> [f64; 2]| -> Vec<(f64, f64)> {
         let upper = bands.iter().enumerate().map(|(n, (x, _))| (*x, ends(n)[1]));
         let lower = bands.iter().enumerate().rev().map(|(n, (x, _))| (*x, ends(n)[0]));
@@ -90,21 +70,18 @@ fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Result<(), CalibrateError> {
     ] {
         let style = FIT.mix(opacity).filled();
         chart
-            .draw_series(std::iter::once(Polygon::new(ring, style)))
-            .map_err(failed)?
+            .draw_series(std::iter::once(Polygon::new(ring, style)))?
             .label(name)
             .legend(move |(x, y)| Rectangle::new([(x, y - 5), (x + 18, y + 5)], style));
     }
     let curve = bands.iter().map(|(x, band)| (*x, band.middle_ohm));
     chart
-        .draw_series(LineSeries::new(curve, FIT.stroke_width(2)))
-        .map_err(failed)?
+        .draw_series(LineSeries::new(curve, FIT.stroke_width(2)))?
         .label("Eq. 1")
         .legend(|(x, y)| PathElement::new([(x, y), (x + 18, y)], FIT.stroke_width(2)));
     let dots = fit.rows.iter().map(|r| dot(r.displacement_mm, r.resistance_ohm, INK));
     chart
-        .draw_series(dots)
-        .map_err(failed)?
+        .draw_series(dots)?
         .label("measured")
         .legend(|(x, y)| Circle::new((x + 9, y), 3, INK.mix(0.7).filled()));
     chart
@@ -112,8 +89,8 @@ fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Result<(), CalibrateError> {
         .position(SeriesLabelPosition::UpperRight)
         .background_style(WHITE.mix(0.85))
         .border_style(INK.mix(0.3))
-        .draw()
-        .map_err(failed)
+        .draw()?;
+    Ok(())
 }
 
 fn dot(x: f64, y: f64, colour: RGBColor) -> Circle<(f64, f64), i32> {
@@ -125,10 +102,10 @@ fn dot(x: f64, y: f64, colour: RGBColor) -> Circle<(f64, f64), i32> {
 /// # Errors
 /// `CalibrateError::Plot` if the plotting backend fails.
 pub fn foam(fit: &FoamFit) -> Result<String, CalibrateError> {
-    svg(|area| draw_foam(area, fit))
+    page(SIZE, |area| draw_foam(area, fit)).map_err(CalibrateError::Plot)
 }
 
-fn draw_foam(area: &Area<'_>, fit: &FoamFit) -> Result<(), CalibrateError> {
+fn draw_foam(area: &Area<'_>, fit: &FoamFit) -> Result<(), Box<dyn Error>> {
     let measured = fit.rows.iter().map(|r| r.measured.displacement_mm);
     let fitted = fit.rows.iter().map(|r| r.fitted_mm);
     let (low, high) = measured.chain(fitted).fold((0f64, 0f64), |(l, h), v| (l.min(v), h.max(v)));
@@ -144,16 +121,14 @@ fn draw_foam(area: &Area<'_>, fit: &FoamFit) -> Result<(), CalibrateError> {
         .margin(14)
         .x_label_area_size(44)
         .y_label_area_size(60)
-        .build_cartesian_2d(0.0..most_n * 1.05, low * 1.1..high * 1.1)
-        .map_err(failed)?;
+        .build_cartesian_2d(0.0..most_n * 1.05, low * 1.1..high * 1.1)?;
     chart
         .configure_mesh()
         .x_desc("force on the tip, N")
         .y_desc("displacement, mm")
         .light_line_style(INK.mix(0.06))
         .bold_line_style(INK.mix(0.14))
-        .draw()
-        .map_err(failed)?;
+        .draw()?;
     for (n, (name, rows)) in series(fit).into_iter().enumerate() {
         let colour = SERIES[n.min(SERIES.len() - 1)];
         // The model is a line through the origin, and its uncertainty a wedge.
@@ -171,25 +146,24 @@ fn draw_foam(area: &Area<'_>, fit: &FoamFit) -> Result<(), CalibrateError> {
         let inside = edge(1.0).chain(edge(-1.0).collect::<Vec<_>>().into_iter().rev());
         let inside = inside.map(|(x, y)| (x, y.clamp(low * 1.1, high * 1.1)));
         let band = Polygon::new(inside.collect::<Vec<_>>(), colour.mix(0.1).filled());
-        chart.draw_series(std::iter::once(band)).map_err(failed)?;
+        chart.draw_series(std::iter::once(band))?;
         chart
             .draw_series(LineSeries::new(
                 [(0.0, 0.0), (most_n, slope * most_n)],
                 colour.stroke_width(2),
-            ))
-            .map_err(failed)?
+            ))?
             .label(name)
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
         let dots = rows.iter().map(|r| dot(r.measured.force_n, r.measured.displacement_mm, colour));
-        chart.draw_series(dots).map_err(failed)?;
+        chart.draw_series(dots)?;
     }
     chart
         .configure_series_labels()
         .position(SeriesLabelPosition::UpperLeft)
         .background_style(WHITE.mix(0.85))
         .border_style(INK.mix(0.3))
-        .draw()
-        .map_err(failed)
+        .draw()?;
+    Ok(())
 }
 
 /// Rows of the tip, then those of gauges by distance (to a millimetre), each with its name.

@@ -14,6 +14,8 @@ use sim_core::responses::UnitResponses;
 use sim_core::sensor::Sensor;
 use sim_core::skin::{SkinCalibration, SkinEvidence, rounded};
 
+use crate::digest::Hashing;
+
 /// One configuration of this many is held out.
 pub const HELD_OUT_IN: u64 = 5;
 /// Largest number of untouched skins, in addition to the fitted trials: the offsets are their mean,
@@ -205,7 +207,7 @@ pub fn calibrate(
 
 /// sha256 over contacts and frames, in order.
 fn data_sha256<'a>(trials: impl Iterator<Item = &'a MeasuredTrial>) -> String {
-    let mut digest = Sha256::new();
+    let mut digest = Hashing::default();
     for trial in trials {
         digest.update((trial.contacts.len() as u64).to_le_bytes());
         for contact in &trial.contacts {
@@ -215,7 +217,7 @@ fn data_sha256<'a>(trials: impl Iterator<Item = &'a MeasuredTrial>) -> String {
         }
         trial.frame_v.iter().for_each(|v| digest.update(v.to_le_bytes()));
     }
-    hex::encode(digest.finalize())
+    digest.finish()
 }
 
 #[cfg(test)]

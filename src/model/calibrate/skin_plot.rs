@@ -1,13 +1,16 @@
 //! Figure of a calibrated skin: fields over the skin, fitted and nominal positions of the
 //! electrodes, and FVU of held-out trials before and after; SVG text.
-//! PURE. Uses: plotters (SVG), `calibrate::skin`. Never: files, fitting.
+//! PURE. Uses: plotters, `page`, `calibrate::skin`. Never: files, fitting.
 
-use plotters::coord::Shift;
+use std::error::Error;
+
 use plotters::prelude::*;
 use sim_core::sensor::Sensor;
 use sim_core::skin::SkinField;
+use sim_core::stats::sorted;
 
 use super::CalibrateError;
+use super::page::{Area, page};
 use super::skin::CalibratedSkin;
 
 const SIZE: (u32, u32) = (1320, 900);
@@ -23,47 +26,37 @@ const PATCHES: usize = 54;
 const TITLE: (&str, i32) = ("sans-serif", 17);
 const SMALL: (&str, i32) = ("sans-serif", 13);
 
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-
-fn failed(error: impl std::fmt::Display) -> CalibrateError {
-    CalibrateError::Plot(error.to_string())
-}
-
 /// Draws six panels: ln a, ln compliance, ln sheet conductance, ln b, ln c, and the held-out
 /// trials.
 ///
 /// # Errors
 /// `CalibrateError::Plot` if the plotting backend fails.
 pub fn skin(sensor: &Sensor, fitted: &CalibratedSkin) -> Result<String, CalibrateError> {
-    let mut text = String::new();
-    {
-        let page = SVGBackend::with_string(&mut text, SIZE).into_drawing_area();
-        page.fill(&WHITE).map_err(failed)?;
-        let evidence = &fitted.skin.evidence;
-        let title = format!(
-            "Skin fitted to {} trials of run {} ({}): held-out FVU {:.3} -> {:.3} (median)",
-            evidence.trials,
-            evidence.run,
-            evidence.label,
-            evidence.before.median,
-            evidence.after.median
-        );
-        let page = page.titled(&title, ("sans-serif", 20)).map_err(failed)?;
-        let panels = page.split_evenly((2, 3));
-        let fields = &fitted.skin.fields;
-        for (panel, (name, field)) in panels.iter().zip([
-            ("ln a", &fields.ln_a),
-            ("ln compliance", &fields.ln_compliance),
-            ("ln sheet conductance", &fields.ln_sheet_conductance),
-            ("ln b", &fields.ln_b),
-            ("ln c", &fields.ln_c),
-        ]) {
-            map(panel, sensor, fitted, name, field)?;
-        }
-        distributions(&panels[5], fitted)?;
-        page.present().map_err(failed)?;
+    page(SIZE, |area| draw(area, sensor, fitted)).map_err(CalibrateError::Plot)
+}
+
+fn draw(area: &Area<'_>, sensor: &Sensor, fitted: &CalibratedSkin) -> Result<(), Box<dyn Error>> {
+    let evidence = &fitted.skin.evidence;
+    let title = format!(
+        "Skin fitted to {} trials of run {} ({}): held-out FVU {:.3} -> {:.3} (median)",
+        evidence.trials,
+        evidence.run,
+        evidence.label,
+        evidence.before.median,
+        evidence.after.median
+    );
+    let panels = area.titled(&title, ("sans-serif", 20))?.split_evenly((2, 3));
+    let fields = &fitted.skin.fields;
+    for (panel, (name, field)) in panels.iter().zip([
+        ("ln a", &fields.ln_a),
+        ("ln compliance", &fields.ln_compliance),
+        ("ln sheet conductance", &fields.ln_sheet_conductance),
+        ("ln b", &fields.ln_b),
+        ("ln c", &fields.ln_c),
+    ]) {
+        map(panel, sensor, fitted, name, field)?;
     }
-    Ok(text)
+    distributions(&panels[5], fitted)
 }
 
 /// One field; each electrode is a ring at its nominal position and a line to a dot at the fitted
@@ -74,7 +67,7 @@ fn map(
     fitted: &CalibratedSkin,
     name: &str,
     field: &SkinField,
-) -> Result<(), CalibrateError> {
+) -> Result<(), Box<dyn Error>> {
     let (width, height) = (sensor.file.width_mm, sensor.file.height_mm);
     let end = field.values.iter().fold(0.01, |end: f64, v| end.max(v.abs()));
     let title = format!("{name}: white 0, full colour -{end:.2} and +{end:.2}");
@@ -83,8 +76,7 @@ fn map(
         .margin(12)
         .x_label_area_size(34)
         .y_label_area_size(42)
-        .build_cartesian_2d(0.0..width, 0.0..height)
-        .map_err(failed)?;
+        .build_cartesian_2d(0.0..width, 0.0..height)?;
     chart
         .configure_mesh()
         .disable_mesh()
@@ -93,8 +85,7 @@ fn map(
         .x_label_formatter(&|v| format!("{v:.0}"))
         .y_label_formatter(&|v| format!("{v:.0}"))
         .label_style(SMALL)
-        .draw()
-        .map_err(failed)?;
+        .draw()?;
     let side = [width / PATCHES as f64, height / PATCHES as f64];
     let patches = (0..PATCHES * PATCHES).map(|i| {
         let low = [side[0] * (i % PATCHES) as f64, side[1] * (i / PATCHES) as f64];
@@ -102,27 +93,23 @@ fn map(
         let corners = [(low[0], low[1]), (low[0] + side[0], low[1] + side[1])];
         Rectangle::new(corners, colour(value / end).filled())
     });
-    chart.draw_series(patches).map_err(failed)?;
+    chart.draw_series(patches)?;
     let electrodes = &fitted.skin.electrodes;
     let found = electrodes.x_mm.iter().zip(&electrodes.y_mm).map(|(&x, &y)| (x, y));
     for (&[x, y], (at_x, at_y)) in sensor.electrodes_mm().iter().zip(found) {
         let ring = Circle::new((x, y), 5, INK.mix(0.6).stroke_width(1));
-        chart.draw_series([ring]).map_err(failed)?;
+        chart.draw_series([ring])?;
         let moved = PathElement::new([(x, y), (at_x, at_y)], INK.stroke_width(1));
-        chart.draw_series([moved]).map_err(failed)?;
-        chart.draw_series([Circle::new((at_x, at_y), 3, INK.filled())]).map_err(failed)?;
+        chart.draw_series([moved])?;
+        chart.draw_series([Circle::new((at_x, at_y), 3, INK.filled())])?;
     }
     Ok(())
 }
 
 /// Share of the held-out trials below each FVU, before and after.
-fn distributions(area: &Area<'_>, fitted: &CalibratedSkin) -> Result<(), CalibrateError> {
-    let sorted = |fvus: &[f64]| -> Vec<f64> {
-        let mut sorted: Vec<f64> = fvus.iter().copied().filter(|v| *v > 0.0).collect();
-        sorted.sort_by(f64::total_cmp);
-        sorted
-    };
-    let (before, after) = (sorted(&fitted.before), sorted(&fitted.after));
+fn distributions(area: &Area<'_>, fitted: &CalibratedSkin) -> Result<(), Box<dyn Error>> {
+    let above_0 = |fvus: &[f64]| sorted(fvus.iter().copied().filter(|v| *v > 0.0));
+    let (before, after) = (above_0(&fitted.before), above_0(&fitted.after));
     let ends =
         |of: fn(f64, f64) -> f64, start: f64| before.iter().chain(&after).copied().fold(start, of);
     let (low, high) = (ends(f64::min, 0.1), ends(f64::max, 1.0));
@@ -131,8 +118,7 @@ fn distributions(area: &Area<'_>, fitted: &CalibratedSkin) -> Result<(), Calibra
         .margin(12)
         .x_label_area_size(34)
         .y_label_area_size(48)
-        .build_cartesian_2d((low..high).log_scale(), 0.0..100.0)
-        .map_err(failed)?;
+        .build_cartesian_2d((low..high).log_scale(), 0.0..100.0)?;
     chart
         .configure_mesh()
         .x_desc("FVU")
@@ -142,14 +128,12 @@ fn distributions(area: &Area<'_>, fitted: &CalibratedSkin) -> Result<(), Calibra
         .light_line_style(TRANSPARENT)
         .bold_line_style(INK.mix(0.12))
         .label_style(SMALL)
-        .draw()
-        .map_err(failed)?;
+        .draw()?;
     for (name, fvus, colour) in [("before", &before, BEFORE), ("after", &after, AFTER)] {
         let share = |n: usize| 100.0 * (n + 1) as f64 / fvus.len() as f64;
         let line = fvus.iter().enumerate().map(|(n, &fvu)| (fvu, share(n)));
         chart
-            .draw_series(LineSeries::new(line, colour.stroke_width(2)))
-            .map_err(failed)?
+            .draw_series(LineSeries::new(line, colour.stroke_width(2)))?
             .label(name)
             .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], colour.stroke_width(3)));
     }
@@ -159,8 +143,7 @@ fn distributions(area: &Area<'_>, fitted: &CalibratedSkin) -> Result<(), Calibra
         .background_style(WHITE.mix(0.9))
         .border_style(INK.mix(0.3))
         .label_font(TITLE)
-        .draw()
-        .map_err(failed)?;
+        .draw()?;
     Ok(())
 }
 

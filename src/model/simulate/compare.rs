@@ -1,5 +1,7 @@
 //! Difference of a simulated frame from the measured one: RMSE and FVU of the paper's Eq. 2.
-//! PURE. Uses: nothing. Never: thresholds (`drift` and `evaluate` have them).
+//! PURE. Uses: sim-core's `stats`. Never: thresholds (`drift` and `evaluate` have them).
+
+use sim_core::stats::{fvu, squared_error};
 
 /// Difference of two frames.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -15,16 +17,10 @@ pub struct Difference {
 pub fn difference(measured_v: &[f32], simulated_v: &[f32]) -> Difference {
     assert_eq!(measured_v.len(), simulated_v.len(), "frames of one sensor have one length");
     let count = measured_v.len().max(1) as f64;
-    let mean = measured_v.iter().map(|v| f64::from(*v)).sum::<f64>() / count;
-    let (mut unexplained, mut variance) = (0.0, 0.0);
-    for (measured, simulated) in measured_v.iter().zip(simulated_v) {
-        let measured = f64::from(*measured);
-        unexplained += (measured - f64::from(*simulated)).powi(2);
-        variance += (measured - mean).powi(2);
-    }
+    let modelled_v = || simulated_v.iter().copied().map(f64::from);
     Difference {
-        rmse_v: (unexplained / count).sqrt(),
-        fvu: (variance > 0.0).then(|| unexplained / variance),
+        rmse_v: (squared_error(measured_v, modelled_v()) / count).sqrt(),
+        fvu: fvu(measured_v, modelled_v()),
     }
 }
 

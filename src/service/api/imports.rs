@@ -14,8 +14,8 @@ use super::App;
 use super::audit::ActionContext;
 use super::auth::Caller;
 use super::problem::{ApiError, ProblemBody};
-use crate::dataset::file::NewFile;
 use crate::dataset::import::{Import, import};
+use crate::new_file::NewFile;
 use crate::problem::Problem;
 use crate::store::{Label, RunRow};
 

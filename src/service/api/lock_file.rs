@@ -5,8 +5,7 @@ use std::fs::File;
 use std::io::{Read, Seek, Write};
 use std::path::{Path, PathBuf};
 
-use sha2::{Digest, Sha256};
-
+use crate::digest::sha256_hex;
 use crate::rig::config::{LineConfig, RigConfig};
 
 /// A lock that is held until this value is dropped.
@@ -65,9 +64,8 @@ impl LockFile {
             })
             .collect();
         wires.sort_unstable();
-        let digest = Sha256::digest(wires.join("\n"));
-        let name = hex::encode(&digest[..6]);
-        let path = std::env::temp_dir().join(format!("palpate-rig-{name}.lock"));
+        let digest = sha256_hex(wires.join("\n"));
+        let path = std::env::temp_dir().join(format!("palpate-rig-{}.lock", &digest[..12]));
         Self::take(&path, &format!("the rig {}", rig.name))
     }
 

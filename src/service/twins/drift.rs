@@ -4,6 +4,7 @@
 use std::collections::VecDeque;
 
 use serde::Serialize;
+use sim_core::stats::median;
 use utoipa::ToSchema;
 
 use crate::schedule::experiment::TwinLimits;
@@ -128,12 +129,7 @@ impl DriftWatch {
 
     /// The fit over the current window.
     pub fn fit(&self) -> RollingFit {
-        let mut fvu: Vec<f64> = self.window.iter().map(|p| p.fvu).collect();
-        fvu.sort_by(f64::total_cmp);
-        let median_fvu = match fvu.len() {
-            0 => 0.0,
-            n => 0.5 * (fvu[(n - 1) / 2] + fvu[n / 2]),
-        };
+        let median_fvu = median(self.window.iter().map(|p| p.fvu)).unwrap_or(0.0);
         let mut pairs = self.pairs();
         pairs.sort_by(|a, b| b.fvu.total_cmp(&a.fvu));
         let over = pairs.iter().filter(|p| p.fvu > self.limits.pair_warn_fvu).count();

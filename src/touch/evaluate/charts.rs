@@ -1,11 +1,12 @@
 //! Scores as pictures: lines, bars, heat maps, force maps. SVG text from numbers.
-//! PURE. Uses: plotters, `evaluate::figures` (page, colours), `dataset::force_map`. Never: files.
+//! PURE. Uses: plotters, `evaluate::figures` (page, legend, colours), `dataset::force_map`. Never:
+//! files.
 
 use plotters::coord::combinators::WithKeyPoints;
 use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
 
-use super::figures::{COLOURS, FigureError, SMALL, TEXT, page, whole};
+use super::figures::{COLOURS, FigureError, SMALL, TEXT, dash, legend, page, whole};
 use crate::dataset::force_map::{ForceMap, ForceMapSpec, SIDE_MM};
 use crate::store::Contact;
 
@@ -316,24 +317,14 @@ pub fn residuals(mean_v: &[f32], sd_v: &[f32]) -> Result<String, FigureError> {
             let ends = [(x, millivolts(mean - sd)), (x, millivolts(mean + sd))];
             PathElement::new(ends, COLOURS[1].mix(0.5))
         });
-        chart
-            .draw_series(spread)?
-            .label("standard deviation")
-            .legend(|(x, y)| PathElement::new([(x, y), (x + 22, y)], COLOURS[1].stroke_width(3)));
+        chart.draw_series(spread)?.label("standard deviation").legend(dash(COLOURS[1]));
         let means =
             mean_v.iter().enumerate().map(|(at, mean)| (at as f64 + 0.5, millivolts(*mean)));
         chart
             .draw_series(LineSeries::new(means, COLOURS[5].stroke_width(1)))?
             .label("mean")
-            .legend(|(x, y)| PathElement::new([(x, y), (x + 22, y)], COLOURS[5].stroke_width(3)));
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
-            .background_style(WHITE.mix(0.9))
-            .border_style(BLACK.mix(0.3))
-            .label_font(SMALL)
-            .draw()?;
-        Ok(())
+            .legend(dash(COLOURS[5]));
+        legend(&mut chart, SeriesLabelPosition::UpperRight)
     })
 }
 

@@ -1,9 +1,12 @@
 //! The paper's Fig. 7 as pictures: SVG text from numbers.
-//! PURE. Uses: plotters, `evaluate::simulation`. Never: files, a number that is not in the report.
+//! PURE. Uses: plotters, `calibrate::page`, `evaluate::simulation`. Never: files, a number that is
+//! not in the report.
 
-use plotters::coord::Shift;
+use plotters::coord::CoordTranslate;
 use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
+
+use crate::calibrate::{self, page::Area};
 
 use super::simulation::{BoxPlot, FORCE_END_N, ForceBin, PointFit, SimulationReport};
 
@@ -71,26 +74,33 @@ const FEWEST: u64 = 5;
 /// FVU at the upper end of the map's colour scale.
 const MAP_END: f64 = 1.0;
 
-pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-
 /// Draws on a white page and returns its SVG text.
 pub(super) fn page(
     figure: &'static str,
     size: (u32, u32),
     draw: impl FnOnce(&Area<'_>) -> Result<(), Box<dyn std::error::Error>>,
 ) -> Result<String, FigureError> {
-    let mut svg = String::new();
-    {
-        let area = SVGBackend::with_string(&mut svg, size).into_drawing_area();
-        let drawn = area
-            .fill(&WHITE)
-            .map_err(Into::into)
-            .and_then(|()| draw(&area))
-            .and_then(|()| area.present().map_err(Into::into));
-        drawn
-            .map_err(|e: Box<dyn std::error::Error>| FigureError { figure, why: e.to_string() })?;
-    }
-    Ok(svg)
+    calibrate::page::page(size, draw).map_err(|why| FigureError { figure, why })
+}
+
+/// Line next to a name in a legend.
+pub(super) fn dash(colour: RGBColor) -> impl Fn((i32, i32)) -> PathElement<(i32, i32)> {
+    move |(x, y)| PathElement::new([(x, y), (x + 22, y)], colour.stroke_width(3))
+}
+
+/// Draws the legend of the named series.
+pub(super) fn legend<'a, 'b: 'a, C: CoordTranslate>(
+    chart: &mut ChartContext<'a, SVGBackend<'b>, C>,
+    position: SeriesLabelPosition,
+) -> Result<(), Box<dyn std::error::Error>> {
+    chart
+        .configure_series_labels()
+        .position(position)
+        .background_style(WHITE.mix(0.9))
+        .border_style(BLACK.mix(0.3))
+        .label_font(SMALL)
+        .draw()?;
+    Ok(())
 }
 
 /// Draws means by the largest force of a trial, one line per number of contacts (Fig. 7B, 7E).
@@ -132,22 +142,14 @@ pub fn by_force(report: &SimulationReport, quantity: Quantity) -> Result<String,
                     1 => "1 contact".to_owned(),
                     n => format!("{n} contacts"),
                 })
-                .legend(move |(x, y)| {
-                    PathElement::new([(x, y), (x + 22, y)], colour.stroke_width(3))
-                });
+                .legend(dash(colour));
             chart.draw_series(line.iter().map(|p| Circle::new(*p, 3, colour.filled())))?;
         }
-        chart
-            .configure_series_labels()
-            .position(match quantity {
-                Quantity::Rmse => SeriesLabelPosition::UpperLeft,
-                Quantity::Fvu => SeriesLabelPosition::UpperRight,
-            })
-            .background_style(WHITE.mix(0.9))
-            .border_style(BLACK.mix(0.3))
-            .label_font(SMALL)
-            .draw()?;
-        Ok(())
+        let position = match quantity {
+            Quantity::Rmse => SeriesLabelPosition::UpperLeft,
+            Quantity::Fvu => SeriesLabelPosition::UpperRight,
+        };
+        legend(&mut chart, position)
     })
 }
 
@@ -319,17 +321,8 @@ pub fn frames(measured_v: &[f32], simulated_v: &[f32]) -> Result<String, FigureE
             chart
                 .draw_series(LineSeries::new(line.clone(), colour.mix(0.8).stroke_width(1)))?
                 .label(*name)
-                .legend(move |(x, y)| {
-                    PathElement::new([(x, y), (x + 22, y)], colour.stroke_width(3))
-                });
+                .legend(dash(colour));
         }
-        chart
-            .configure_series_labels()
-            .position(SeriesLabelPosition::UpperRight)
-            .background_style(WHITE.mix(0.9))
-            .border_style(BLACK.mix(0.3))
-            .label_font(SMALL)
-            .draw()?;
-        Ok(())
+        legend(&mut chart, SeriesLabelPosition::UpperRight)
     })
 }

@@ -6,7 +6,6 @@
 //! `score` (many) -> `table`, with `perfect` and `published` for comparison; `anova` analyses
 //! factors.
 
-pub mod quantile;
 pub mod figures;
 pub mod held_out;
 pub mod simulation;

@@ -1,5 +1,5 @@
 //! The score of many frames: means, standard deviations and 95 % intervals.
-//! PURE. Uses: `touch`, `Chance`. Never: a value for a metric without measurements (it is absent).
+//! PURE. Uses: `touch`, `Chance`, sim-core's quantiles. Never: a value for a metric without measurements (it is absent).
 //!
 //! The mean of a metric is over contacts or pairs of all frames together, as the paper counts them,
 //! or over frames. Its 95 % interval is a percentile bootstrap over frames, since the contacts of a
@@ -9,11 +9,11 @@
 //! at bounded cost.
 
 use serde::{Deserialize, Serialize};
+use sim_core::stats::{median, quantile};
 use utoipa::ToSchema;
 
 use crate::chance::Chance;
 
-use super::quantile::{median, quantile};
 use super::touch::{Metric, Touch};
 
 /// Rounds of the bootstrap: the ends of an interval are then accurate to about 3 % of its width.

@@ -1,12 +1,11 @@
 //! The fit of simulated twins to measured trials: the numbers of the paper's Fig. 7B to 7F.
-//! PURE. Uses: `store::Fit`. Never: frames (the fit of each trial is stored with its twin).
+//! PURE. Uses: `store::Fit`, sim-core's quantiles. Never: frames (the fit of each trial is stored with its twin).
 
 use serde::{Deserialize, Serialize};
+use sim_core::stats::{median, quantile, sorted};
 use utoipa::ToSchema;
 
 use crate::store::Fit;
-
-use super::quantile::{median, quantile};
 
 /// Width of a bin of forces, N.
 pub const FORCE_BIN_N: f64 = 1.0;
@@ -181,8 +180,7 @@ fn boxes(touched: &[&Fit], contacts: u8) -> Option<ContactBoxes> {
 impl BoxPlot {
     /// Computes the box plot of values; `None` without values.
     pub fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
-        let mut sorted: Vec<f64> = values.collect();
-        sorted.sort_by(f64::total_cmp);
+        let sorted = sorted(values);
         let (q1, q3) = (quantile(&sorted, 0.25)?, quantile(&sorted, 0.75)?);
         let reach = 1.5 * (q3 - q1);
         let inside = || sorted.iter().copied().filter(|v| *v >= q1 - reach && *v <= q3 + reach);

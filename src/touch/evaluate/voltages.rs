@@ -1,10 +1,9 @@
 //! Agreement of voltages with simulated ones, by the number of contacts (paper, Table III).
-//! PURE. Uses: `simulate::compare` (RMSE, FVU), `evaluate::quantile`. Never: nets.
+//! PURE. Uses: `simulate::compare` (RMSE, FVU), sim-core's quantiles. Never: nets.
 
 use serde::{Deserialize, Serialize};
+use sim_core::stats::{quantile, sorted};
 use utoipa::ToSchema;
-
-use super::quantile::quantile;
 
 /// Trials with a given number of contacts.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -53,8 +52,7 @@ impl VoltageScores {
 fn score(contacts: Option<u32>, fits: &[VoltageFit]) -> Option<VoltageScore> {
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     let rmse: Vec<f64> = fits.iter().map(|fit| fit.1).collect();
-    let mut fvu: Vec<f64> = fits.iter().filter_map(|fit| fit.2).collect();
-    fvu.sort_by(f64::total_cmp);
+    let fvu = sorted(fits.iter().filter_map(|fit| fit.2));
     Some(VoltageScore {
         contacts,
         trials: fits.len() as u64,

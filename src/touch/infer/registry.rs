@@ -6,7 +6,6 @@
 //! atomically, before its row; it never changes.
 
 use std::fs;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -16,11 +15,11 @@ use sim_core::sensor::Sensor;
 use super::error::InferError;
 use super::plan::Plan;
 use crate::clock::Clock;
-use crate::dataset::file::{NewFile, sweep};
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::ids::ModelId;
 use crate::learn::model_file::{Manifest, SensorFacts};
 use crate::learn::residuals::Residuals;
+use crate::new_file::{self, sweep};
 use crate::problem::Problem;
 use crate::store::{ModelRow, Store};
 
@@ -236,9 +235,7 @@ fn write(folder: &Path, new: &NewModel) -> Result<(), InferError> {
     for (name, bytes) in files {
         let Some(bytes) = bytes else { continue };
         let failed = InferError::file("writing", &folder.join(name));
-        let mut file = NewFile::create(folder).map_err(&failed)?;
-        file.write_all(bytes).map_err(&failed)?;
-        file.finish(name).map_err(&failed)?;
+        new_file::write(folder, name, bytes).map_err(failed)?;
     }
     Ok(())
 }

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use serde_json::Value;
 use sim_core::inverse::linear::Regularisation;
+use sim_core::stats::{quantile, sorted};
 
 use super::error::JobError;
 use super::gathered::{Gathered, first_frames};
@@ -17,7 +18,6 @@ use crate::dataset::build::data_file;
 use crate::dataset::force_map::ForceMap;
 use crate::evaluate::held_out::{Made, is_held_out};
 use crate::evaluate::perfect::perfect;
-use crate::evaluate::quantile::quantile;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Example, FramesRead, Scored};
 use crate::evaluate::score::Scores;
 use crate::evaluate::touch::{Metric, Touch};
@@ -353,7 +353,7 @@ impl Scoring {
                 return Ok(false);
             }
         }
-        latencies.sort_by(f64::total_cmp);
+        let latencies = sorted(latencies);
         report.latency_ms =
             quantile(&latencies, 0.5).zip(quantile(&latencies, 0.99)).map(Into::into);
         report.contacts = Some(Scores::of(&touches, self.request.seed));

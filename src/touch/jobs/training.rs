@@ -23,6 +23,7 @@ use crate::learn::examples::{Examples, MEASURED};
 use crate::learn::model_file::{ModelFacts, model_of};
 use crate::learn::recipe::Recipe;
 use crate::learn::train::{self, Given, Learned};
+use crate::new_file;
 use crate::store::{DatasetRow, Label, TaskRow};
 
 /// Name of the file with the id of the calibration whose simulations the training uses; empty for
@@ -286,9 +287,7 @@ impl JobObserver<'_> {
 }
 
 fn write_whole(folder: &Path, name: &str, bytes: &[u8]) -> std::io::Result<()> {
-    let mut file = crate::dataset::file::NewFile::create(folder)?;
-    std::io::Write::write_all(&mut file, bytes)?;
-    file.finish(name).map(|_| ())
+    new_file::write(folder, name, bytes).map(|_| ())
 }
 
 /// Lineage that a model inherits from its dataset.

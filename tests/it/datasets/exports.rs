@@ -1,11 +1,11 @@
 //! Exports: progress, pieces, restarts, and files that are what their tags say.
 
+use palpate::digest::sha256_hex;
 use reqwest::StatusCode;
 use reqwest::header::{ETAG, IF_NONE_MATCH, IF_RANGE, RANGE};
 use serde_json::{Value, json};
 
 use super::filled::Filled;
-use crate::support::sha256;
 
 async fn exported(lab: &Filled, request: Value) -> (Value, Vec<u8>) {
     let (status, asked) = lab.post("/api/v1/exports", request).await;
@@ -13,7 +13,7 @@ async fn exported(lab: &Filled, request: Value) -> (Value, Vec<u8>) {
     let row = lab.over(asked["id"].as_str().unwrap()).await;
     assert_eq!(row["state"], "done", "{row}");
     let file = lab.answer(row["url"].as_str().unwrap()).await.bytes().await.unwrap().to_vec();
-    assert_eq!(row["sha256"], sha256(&file).as_str());
+    assert_eq!(row["sha256"], sha256_hex(&file).as_str());
     assert_eq!(row["bytes"], file.len());
     (row, file)
 }
@@ -26,7 +26,7 @@ async fn files_come_in_pieces_that_belong_together() {
     let part = lab.http.get(&url).header(RANGE, "bytes=100-299").send().await.unwrap();
     assert_eq!(part.status(), StatusCode::PARTIAL_CONTENT);
     let tag = part.headers()[ETAG].clone();
-    assert_eq!(tag, format!("\"{}\"", sha256(&whole)).as_str());
+    assert_eq!(tag, format!("\"{}\"", sha256_hex(&whole)).as_str());
     assert_eq!(part.bytes().await.unwrap(), &whole[100..300]);
     let same = lab.http.get(&url).header(RANGE, "bytes=300-").header(IF_RANGE, tag.clone());
     assert_eq!(same.send().await.unwrap().bytes().await.unwrap(), &whole[300..]);
@@ -82,6 +82,22 @@ async fn an_export_outlives_the_service_and_gives_the_same_bytes() {
         .filter(|e| e.as_ref().unwrap().file_name().to_string_lossy().starts_with("_partial"))
         .collect();
     assert!(left.is_empty(), "{left:?}");
+    lab.close().await;
+}
+
+#[tokio::test]
+async fn a_truncated_sha256_of_an_export_is_not_used() {
+    let lab = Filled::open("truncated").await;
+    let request = json!({ "dataset": "real", "format": "csv" });
+    exported(&lab, request.clone()).await;
+    let entries = std::fs::read_dir(lab.data.join("exports")).unwrap();
+    let mut digests = entries.map(|entry| entry.unwrap().path());
+    let digest = digests.find(|path| path.extension().is_some_and(|e| e == "sha256")).unwrap();
+    // As a power failure could leave it before the file was synced.
+    let whole = std::fs::read_to_string(&digest).unwrap();
+    std::fs::write(&digest, &whole[..20]).unwrap();
+    exported(&lab, request).await;
+    assert_eq!(std::fs::read_to_string(&digest).unwrap(), whole);
     lab.close().await;
 }
 

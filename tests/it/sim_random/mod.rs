@@ -9,12 +9,13 @@ use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
 use std::time::Duration;
 
+use palpate::digest::sha256_hex;
 use palpate::simulate::model::load_or_build;
 use rand::{RngExt, SeedableRng};
 use serde_json::Value;
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 
-use crate::support::{self, PALPATE, Process, sensor, sha256};
+use crate::support::{self, PALPATE, Process, sensor};
 
 /// Folder that these tests share: the cache of the unit responses.
 fn data() -> PathBuf {
@@ -73,7 +74,7 @@ fn files(folder: &Path) -> BTreeMap<String, String> {
         .map(|entry| {
             let entry = entry.unwrap();
             let name = entry.file_name().into_string().unwrap();
-            (name, sha256(&std::fs::read(entry.path()).unwrap()))
+            (name, sha256_hex(std::fs::read(entry.path()).unwrap()))
         })
         .collect()
 }
@@ -89,7 +90,7 @@ fn assert_manifest_is_true(folder: &Path) -> usize {
     for row in rows {
         let bytes = std::fs::read(folder.join(row["file"].as_str().unwrap())).unwrap();
         assert_eq!(row["bytes"], bytes.len());
-        assert_eq!(row["sha256"], sha256(&bytes));
+        assert_eq!(row["sha256"], sha256_hex(&bytes));
     }
     rows.len()
 }
@@ -155,7 +156,7 @@ fn ctrl_c_ends_after_the_shard_and_the_same_command_goes_on() {
     let stored = last["trials_stored"].as_u64().unwrap();
     assert!((500..20_000).contains(&stored), "{stored}");
     assert_eq!(assert_manifest_is_true(&out) as u64 * 250, stored);
-    assert!(files(&out).keys().all(|name| !name.ends_with(".partial")));
+    assert!(files(&out).keys().all(|name| !name.starts_with("_partial-")));
 }
 
 #[test]

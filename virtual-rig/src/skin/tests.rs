@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 use sim_core::sensor::Sensor;
+use sim_core::stats::{fvu, sorted, upper_quantile};
 
 use super::gap::{Gap, GapError};
 use super::mechanics::Mechanics;
@@ -113,11 +114,9 @@ fn forces_at_full_depth_fill_the_papers_range() {
     let sensor = sensor();
     let mechanics = Mechanics::new(&gap_a().mechanics, 1);
     let all = stands(&sensor, 5);
-    let mut f: Vec<f64> =
-        some(&all, 600).flat_map(|stand| forces(&mechanics, stand, 5.0)).collect();
-    f.sort_by(f64::total_cmp);
+    let f = sorted(some(&all, 600).flat_map(|stand| forces(&mechanics, stand, 5.0)));
     let mean = f.iter().sum::<f64>() / f.len() as f64;
-    let p95 = f[f.len() * 95 / 100];
+    let p95 = upper_quantile(&f, 0.95).unwrap();
     assert!((mean - 34.0).abs() < 2.0 && (p95 - 49.8).abs() < 3.0, "mean {mean}, p95 {p95}");
 }
 
@@ -184,13 +183,6 @@ fn touch_offs_find_the_nominal_surface_on_average() {
     assert!(mean.abs() < 0.1, "touch-offs find the surface at z = {mean} mm");
 }
 
-/// Fraction of variance unexplained, paper Eq. 2.
-fn fvu(real: &[f64], sim: &[f64]) -> f64 {
-    let mean = real.iter().sum::<f64>() / real.len() as f64;
-    let error: f64 = real.iter().zip(sim).map(|(r, s)| (r - s).powi(2)).sum();
-    error / real.iter().map(|r| (r - mean).powi(2)).sum::<f64>()
-}
-
 /// A noisy frame of the gap against the nominal model.
 struct Fit {
     fvu: f64,
@@ -225,9 +217,9 @@ fn fits(skin: &Skin, gap: &Gap, per_setting: usize) -> Vec<Fit> {
                 .collect();
             let mut frame = vec![0f32; 784];
             readout.frame(&skin.solve(&loads), 3.0 * out.len() as f64, &mut frame);
-            let real: Vec<f64> = frame.iter().map(|&v| f64::from(v)).collect();
+            let modelled_v = nominal.voltages(&contacts, &mut work).unwrap();
             out.push(Fit {
-                fvu: fvu(&real, nominal.voltages(&contacts, &mut work).unwrap()),
+                fvu: fvu(&frame, modelled_v.iter().copied()).unwrap(),
                 contacts: f.iter().filter(|&&f| f >= 5.0).count(),
                 max_force_n: f.iter().copied().fold(0.0, f64::max),
             });
@@ -238,9 +230,8 @@ fn fits(skin: &Skin, gap: &Gap, per_setting: usize) -> Vec<Fit> {
 
 /// Median FVU of the trials that satisfy this.
 fn median_fvu(fits: &[Fit], of: impl Fn(&Fit) -> bool) -> f64 {
-    let mut fvus: Vec<f64> = fits.iter().filter(|f| of(f)).map(|f| f.fvu).collect();
-    fvus.sort_by(f64::total_cmp);
-    fvus[fvus.len() / 2]
+    let fvus = sorted(fits.iter().filter(|f| of(f)).map(|f| f.fvu));
+    upper_quantile(&fvus, 0.5).unwrap()
 }
 
 /// Medians by contacts 1 to 6, and by the largest force from 5, 8, 12, 20 and 30 N on.

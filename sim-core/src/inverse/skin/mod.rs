@@ -1,6 +1,6 @@
 //! The skin that explains measured trials: fields, electrodes, resistances and offsets, fitted by
 //! Gauss-Newton steps with the adjoint Jacobian.
-//! Uses: `forward`, `jacobian`, `skin`, faer. Never: files, a clock, chance.
+//! Uses: `forward`, `jacobian`, `skin`, `stats`, faer. Never: files, a clock, chance.
 //!
 //! `cost = sum over trials of rho(r^2 / variance) + prior`. rho is Huber's function of the root of
 //! a trial's misfit: the pull of a bad frame does not exceed that of one at the edge. Trials are
@@ -24,6 +24,7 @@ use crate::mesh::Mesh;
 use crate::responses::UnitResponses;
 use crate::sensor::Sensor;
 use crate::skin::{FieldPrior, FvuSummary, SkinElectrodes, SkinFields, rounded};
+use crate::stats::{fvu, quantile, sorted, upper_quantile};
 
 use parameters::Parameters;
 use sweep::{Misfits, Sweep};
@@ -429,38 +430,29 @@ pub fn noise_v(trials: &[MeasuredTrial]) -> Option<f64> {
         let rings = trial.frame_v.chunks_exact(electrodes.max(1));
         sums.extend(rings.map(|r| ring(r) / (electrodes as f64).sqrt()));
     }
-    sums.sort_by(f64::total_cmp);
     // The median of |x| of a normal x, over its standard deviation.
-    let median = sums.get(sums.len() / 2)? / 0.6745;
+    let median = upper_quantile(&sorted(sums), 0.5)? / 0.6745;
     Some(median.max(LEAST_NOISE_V))
 }
 
-/// Fraction of variance unexplained of one frame (Eq. 2).
-pub fn fvu(measured_v: &[f32], modelled_v: &[f64]) -> f64 {
-    let mean = measured_v.iter().map(|&v| f64::from(v)).sum::<f64>() / measured_v.len() as f64;
-    let error: f64 =
-        measured_v.iter().zip(modelled_v).map(|(&v, m)| (f64::from(v) - m).powi(2)).sum();
-    error / measured_v.iter().map(|&v| (f64::from(v) - mean).powi(2)).sum::<f64>()
-}
-
-/// FVU of a model on each trial.
+/// FVU of a model on each trial; infinite for a constant frame, of which a model explains nothing.
 ///
 /// # Errors
 /// `ContactError` if the model rejects a contact.
 pub fn fvus(model: &ForwardModel, trials: &[MeasuredTrial]) -> Result<Vec<f64>, ContactError> {
     let mut work = Workspace::default();
-    let of = |t: &MeasuredTrial| Ok(fvu(&t.frame_v, model.voltages(&t.contacts, &mut work)?));
-    trials.iter().map(of).collect()
+    let mut of = |t: &MeasuredTrial| {
+        let modelled_v = model.voltages(&t.contacts, &mut work)?;
+        Ok(fvu(&t.frame_v, modelled_v.iter().copied()).unwrap_or(f64::INFINITY))
+    };
+    trials.iter().map(&mut of).collect()
 }
 
 /// Median and mean; `None` of an empty list.
 pub fn summary(fvus: &[f64]) -> Option<FvuSummary> {
-    let mut sorted = fvus.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let count = sorted.len();
-    let middle = [sorted.get(count.checked_sub(1)? / 2)?, sorted.get(count / 2)?];
+    let sorted = sorted(fvus.iter().copied());
     Some(FvuSummary {
-        median: rounded((middle[0] + middle[1]) / 2.0),
-        mean: rounded(sorted.iter().sum::<f64>() / count as f64),
+        median: rounded(quantile(&sorted, 0.5)?),
+        mean: rounded(sorted.iter().sum::<f64>() / sorted.len() as f64),
     })
 }

@@ -11,6 +11,7 @@ use super::frame::{FrameMisfit, FrameTerms, FrameWork, Pass, WhiteColumns};
 use super::parameters::{CircuitChanges, LAW_PIECES, LAW_STEP_MM, Parameters};
 use super::{MeasuredTrial, PLACING, SkinFitError, SkinFitOptions, SkinProgress};
 use crate::forward::ForwardModel;
+use crate::stats::{sorted, upper_quantile};
 
 /// Number of trials whose terms are in memory at a time (about 1 MB each).
 const BLOCK: usize = 64;
@@ -74,9 +75,8 @@ impl Misfits {
 
     /// Misfit above which a trial is doubted.
     pub fn edge(&self) -> f64 {
-        let mut sorted = self.misfits.clone();
-        sorted.sort_by(f64::total_cmp);
-        EDGE * EDGE * sorted[sorted.len() / 2]
+        let middle = upper_quantile(&sorted(self.misfits.iter().copied()), 0.5);
+        EDGE * EDGE * middle.expect("there are trials")
     }
 
     /// Sum of rho over trials.

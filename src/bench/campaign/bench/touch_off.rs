@@ -8,6 +8,7 @@
 //! touch at least once: this verifies each cell before any measurement depends on it.
 
 use jiff::Timestamp;
+use sim_core::stats::median;
 
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::stage::{AxisName, Stage};
@@ -166,17 +167,11 @@ fn conclude(
     touches: Vec<(f64, f64, u8, f64)>,
     at: Timestamp,
 ) -> Result<TouchOffRecord, Halt> {
-    let median = |heights: Vec<f64>| {
-        let mut sorted = heights;
-        sorted.sort_by(f64::total_cmp);
-        let n = sorted.len();
-        (n > 0).then(|| (sorted[(n - 1) / 2] + sorted[n / 2]) / 2.0)
-    };
-    let surface_z_mm = median(touches.iter().map(|t| t.3).collect())
+    let surface_z_mm = median(touches.iter().map(|t| t.3))
         .ok_or_else(|| Halt::trip(TripKind::Position, "no tip touched the surface"))?;
     let tip_offset_mm = (1..=tips)
         .filter_map(|arm| {
-            let own = touches.iter().filter(|t| t.2 == arm).map(|t| t.3).collect();
+            let own = touches.iter().filter(|t| t.2 == arm).map(|t| t.3);
             median(own).map(|z| (arm, z - surface_z_mm))
         })
         .collect();

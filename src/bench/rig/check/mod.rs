@@ -9,6 +9,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::future::join_all;
+use sim_core::stats::{sorted, upper_quantile};
 
 pub use self::report::{AxisFound, CellsFound, CheckReport, LineFound, StreamFound};
 use crate::clock::Clock;
@@ -185,7 +186,8 @@ async fn check_axis(
         let name = axis.name();
         problems.push(format!("{name}: position {position:.3} {unit}, outside [{min}, {max}]"));
     }
-    found.status_us = median(&mut times_us);
+    let times_us = sorted(times_us);
+    found.status_us = upper_quantile(&times_us, 0.5);
     found.status_us_max = times_us.last().copied();
     found
 }
@@ -227,7 +229,7 @@ async fn check_cells(
         }
         clock.sleep(config.cells.update_ms * 1e-3).await;
     }
-    found.read_us = median(&mut times_us);
+    found.read_us = upper_quantile(&sorted(times_us), 0.5);
     if samples.is_empty() {
         return found;
     }
@@ -269,12 +271,6 @@ fn judge_cells(cells: &CellsConfig, samples: &[CellVolts], problems: &mut Vec<St
 
 fn micros(duration: Duration) -> f64 {
     duration.as_secs_f64() * 1e6
-}
-
-/// Sorts the values and returns their median.
-fn median(values: &mut [f64]) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 fn mean_and_sd(values: impl Iterator<Item = f64> + Clone) -> (f64, f64) {

@@ -9,12 +9,11 @@ use std::path::Path;
 
 use arrow_array::RecordBatchReader;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
-use sha2::{Digest, Sha256};
 use tokio::sync::mpsc;
 
 use super::background::background;
 use super::error::DatasetError;
-use super::file::Hashing;
+use crate::digest::{Hashing, sha256_hex};
 use crate::ids::RunUid;
 use crate::problem::Problem;
 use crate::store::{
@@ -94,7 +93,7 @@ fn check(path: &Path, file: &str, sensor: &ImportedSensor) -> Result<Checked, Da
         trials: 0,
         simulated: false,
         columns_left_out: Vec::new(),
-        sha256: hex::encode(hashing.0.finalize()),
+        sha256: hashing.finish(),
     };
     let batches = batches(path, file)?;
     let mut reader = Reader::new(file, sensor);
@@ -154,9 +153,9 @@ fn new_run(import: &Import, sensor: &ImportedSensor, checked: &Checked) -> NewRu
 
 /// Stores a model that stands for the origin of the file's simulated frames, and returns its id.
 async fn model(store: &Store, sha256: &str, run: &RunRow) -> Result<TwinModelId, DatasetError> {
-    let digest = Sha256::digest(format!("{IMPORTED_MODEL} {sha256}"));
+    let digest = sha256_hex(format!("{IMPORTED_MODEL} {sha256}"));
     let new = NewTwinModel {
-        hash: format!("sim-{}", &hex::encode(digest)[..16]),
+        hash: format!("sim-{}", &digest[..16]),
         sensor_sha256: run.sensor_sha256.clone(),
         calibration_id: None,
         version: IMPORTED_MODEL.into(),

@@ -1,25 +1,24 @@
 //! The folder of shards: locked by one process, shards made durable one by one, the manifest
 //! replaced as a whole.
-//! Uses: std's files. Never: rows, the model.
+//! Uses: std's files, `new_file`. Never: rows, the model.
 //!
-//! A shard is written under a temporary name, synced, renamed, the folder synced, and only then
-//! entered in the manifest, which is replaced in the same way. At any instant every row of the
-//! manifest therefore refers to a complete file. All names other than those of shards start with
-//! `_`, which readers of Parquet folders skip.
+//! A shard is a new file (`new_file`), and only when it is durable entered in the manifest, which is
+//! replaced in the same way. At any instant every row of the manifest therefore refers to a complete
+//! file. All names other than those of shards start with `_`, which readers of Parquet folders skip.
 
 use std::ffi::OsStr;
 use std::fs::{self, File, TryLockError};
-use std::io::{self, Read, Write};
+use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
-
-use sha2::{Digest, Sha256};
 
 use super::error::RandomError;
 use super::manifest::{Definition, Manifest, Shard, ShardRow, first_difference};
+use crate::digest::Hashing;
+use crate::new_file::{self, NewFile};
 
 /// Name of the manifest.
 pub const MANIFEST: &str = "_manifest.json";
-/// Suffix of a temporary file's name.
+/// Suffix of a temporary file's name in earlier versions.
 const PARTIAL: &str = ".partial";
 /// Number of bytes read at a time.
 const BLOCK: usize = 1 << 20;
@@ -37,8 +36,8 @@ pub enum Look {
 #[derive(Debug)]
 pub struct Folder {
     path: PathBuf,
-    /// Open while the folder is locked; owner of the lock, and handle for syncing.
-    handle: File,
+    /// Owner of the lock: the folder is locked while it is open.
+    _lock: File,
 }
 
 impl Folder {
@@ -48,15 +47,16 @@ impl Folder {
     /// `RandomError::Busy` if another process holds it; `File` if it cannot be created or cleaned.
     pub fn take(path: &Path) -> Result<Self, RandomError> {
         fs::create_dir_all(path).map_err(RandomError::file("creating the folder", path))?;
-        let handle = File::open(path).map_err(RandomError::file("opening the folder", path))?;
-        match handle.try_lock() {
+        let lock = File::open(path).map_err(RandomError::file("opening the folder", path))?;
+        match lock.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Err(RandomError::Busy { folder: path.into() }),
             Err(TryLockError::Error(source)) => {
                 return Err(RandomError::file("locking the folder", path)(source));
             }
         }
-        let folder = Self { path: path.into(), handle };
+        let folder = Self { path: path.into(), _lock: lock };
+        new_file::sweep(path).map_err(RandomError::file("removing incomplete files in", path))?;
         for name in folder.names()? {
             if name.starts_with('_') && name.ends_with(PARTIAL) {
                 let stray = folder.path.join(name);
@@ -110,10 +110,8 @@ impl Folder {
         let mut text = serde_json::to_vec_pretty(manifest)
             .map_err(|source| RandomError::Manifest { path: path.clone(), source })?;
         text.push(b'\n');
-        let partial = self.partial(MANIFEST);
-        let mut file = File::create(&partial).map_err(RandomError::file("creating", &partial))?;
-        file.write_all(&text).map_err(RandomError::file("writing", &partial))?;
-        self.settle(&file, MANIFEST)
+        let written = new_file::write(&self.path, MANIFEST, text).map(|_| ());
+        written.map_err(RandomError::file("writing", path))
     }
 
     /// Whether a shard's file matches its row, checked as deeply as `look`.
@@ -138,39 +136,26 @@ impl Folder {
     ///
     /// # Errors
     /// `RandomError::File` if it cannot be created.
-    pub fn begin(&self, shard: &Shard) -> Result<Hashed<File>, RandomError> {
-        let path = self.partial(&shard.file_name());
-        Ok(Hashed::new(File::create(&path).map_err(RandomError::file("creating", path))?))
+    pub fn begin(&self) -> Result<NewFile, RandomError> {
+        NewFile::create(&self.path).map_err(RandomError::file("creating a file in", &self.path))
     }
 
     /// Makes a shard's finished file durable under its final name; returns its row in the manifest.
     ///
     /// # Errors
     /// `RandomError::File` if it cannot be synced or renamed.
-    pub fn finish(&self, shard: &Shard, out: Hashed<File>) -> Result<ShardRow, RandomError> {
+    pub fn finish(&self, shard: &Shard, out: NewFile) -> Result<ShardRow, RandomError> {
         let file = shard.file_name();
-        let Hashed { inner, sha256, bytes } = out;
-        self.settle(&inner, &file)?;
+        let failed = RandomError::file("writing", self.path.join(&file));
+        let finished = out.finish(&file).map_err(failed)?;
         Ok(ShardRow {
             file,
             first: shard.first,
             trials: shard.trials,
-            bytes,
-            sha256: hex::encode(sha256.finalize()),
+            bytes: finished.bytes,
+            sha256: finished.sha256,
             commit: crate::commit::known().map(str::to_owned),
         })
-    }
-
-    /// Syncs a file, renames it to its final name, syncs the folder.
-    fn settle(&self, file: &File, name: &str) -> Result<(), RandomError> {
-        let (partial, path) = (self.partial(name), self.path.join(name));
-        file.sync_all().map_err(RandomError::file("syncing", &partial))?;
-        fs::rename(&partial, &path).map_err(RandomError::file("renaming to", path))?;
-        self.handle.sync_all().map_err(RandomError::file("syncing the folder", &self.path))
-    }
-
-    fn partial(&self, name: &str) -> PathBuf {
-        self.path.join(format!("_{}{PARTIAL}", name.trim_start_matches('_')))
     }
 
     fn names(&self) -> Result<Vec<String>, RandomError> {
@@ -184,46 +169,16 @@ fn text(name: &OsStr) -> String {
     name.to_string_lossy().into_owned()
 }
 
-/// A writer that hashes and counts the bytes written through it.
-#[derive(Debug)]
-pub struct Hashed<W> {
-    inner: W,
-    sha256: Sha256,
-    bytes: u64,
-}
-
-impl<W> Hashed<W> {
-    /// Starts hashing.
-    pub fn new(inner: W) -> Self {
-        Self { inner, sha256: Sha256::new(), bytes: 0 }
-    }
-}
-
-impl<W: Write> Write for Hashed<W> {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let written = self.inner.write(bytes)?;
-        self.sha256.update(&bytes[..written]);
-        self.bytes += written as u64;
-        Ok(written)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.inner.flush()
-    }
-}
-
-fn sha256(mut file: File) -> io::Result<String> {
-    let (mut hash, mut block) = (Sha256::new(), vec![0; BLOCK]);
-    loop {
-        match file.read(&mut block)? {
-            0 => return Ok(hex::encode(hash.finalize())),
-            read => hash.update(&block[..read]),
-        }
-    }
+fn sha256(file: File) -> io::Result<String> {
+    let mut hash = Hashing::default();
+    io::copy(&mut BufReader::with_capacity(BLOCK, file), &mut hash)?;
+    Ok(hash.finish())
 }
 
 #[cfg(test)]
 mod tests {
+    use std::io::Write;
+
     use super::*;
 
     fn empty(name: &str) -> PathBuf {
@@ -241,8 +196,10 @@ mod tests {
         drop(folder);
         let stray = path.join("_shard-00000.parquet.partial");
         fs::write(&stray, "half").unwrap();
+        let half = NewFile::create(&path).unwrap();
         fs::write(path.join("notes.partial"), "mine").unwrap();
         Folder::take(&path).unwrap();
+        assert!(!half.path().exists());
         assert!(!stray.exists() && path.join("notes.partial").exists());
         fs::remove_dir_all(path).unwrap();
     }
@@ -252,7 +209,7 @@ mod tests {
         let path = empty("settled");
         let folder = Folder::take(&path).unwrap();
         let shard = Shard { number: 7, first: 70, trials: 10 };
-        let mut out = folder.begin(&shard).unwrap();
+        let mut out = folder.begin().unwrap();
         out.write_all(b"abc").unwrap();
         let named = path.join("shard-00007.parquet");
         assert!(!named.exists());

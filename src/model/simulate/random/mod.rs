@@ -149,7 +149,7 @@ fn keep<'q>(
     tell: &mut dyn FnMut(Progress<'_>),
 ) -> Result<ShardRow, RandomError> {
     let failed = |source| RandomError::Encode { file: shard.file_name(), source };
-    let mut file = layout.file(folder.begin(shard)?).map_err(failed)?;
+    let mut file = layout.file(folder.begin()?).map_err(failed)?;
     // In this order: when the shard is complete, no queue has been skipped.
     for ((_, trials), queue) in shard.row_groups().zip(made) {
         // A sender is only dropped early if its thread panics; the scope then panics as well.

@@ -8,7 +8,6 @@
 mod tests;
 
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 
 use super::onnx::{OnnxError, OnnxFile, Port, unsealed};
 #[cfg(feature = "train")]
@@ -18,6 +17,7 @@ use super::onnx::{
 };
 use super::task::NetTask;
 use crate::dataset::force_map::ForceMapSpec;
+use crate::digest::Hashing;
 use crate::ids::{CalibrationId, DatasetId, ModelId};
 use crate::problem::{Checks, Problem};
 use crate::store::Label;
@@ -243,10 +243,10 @@ impl ModelFacts {
     /// The model's id: `mdl-` and the start of a sha256 over these facts and a file without its
     /// seal.
     fn id(&self, file: &[u8]) -> ModelId {
-        let mut hash = Sha256::new();
+        let mut hash = Hashing::default();
         hash.update(serde_json::to_vec(self).expect("strings, numbers and lists are JSON"));
         hash.update(file);
-        let digits = hex::encode(hash.finalize());
+        let digits = hash.finish();
         ModelId::unchecked(format!("mdl-{}", &digits[..ID_DIGITS]))
     }
 

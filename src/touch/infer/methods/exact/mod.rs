@@ -14,6 +14,7 @@ use sim_core::inverse::contacts::{
     FramePair, Observation, Origin, Proposal, Steady, SteadySettings,
 };
 use sim_core::inverse::skin::{MeasuredTrial, noise_v};
+use sim_core::stats::{sorted, upper_quantile};
 
 use super::fast::{PROPOSED, PointPipeline};
 use super::{ReadyMethod, UsedSkin};
@@ -419,7 +420,5 @@ fn nearest<'a>(fit: &'a Fit, truth: &Contact) -> Option<&'a FittedContact> {
 /// The factor that makes the 90 % quantile of these that of a normal; at least 1.
 fn stretched(mut in_sd: Vec<f64>) -> f64 {
     in_sd.retain(|z| z.is_finite());
-    in_sd.sort_by(f64::total_cmp);
-    let at = (TOLD_BY * in_sd.len() as f64) as usize;
-    in_sd.get(at).map_or(1.0, |edge| (edge / TOLD_BY_SD).max(1.0))
+    upper_quantile(&sorted(in_sd), TOLD_BY).map_or(1.0, |edge| (edge / TOLD_BY_SD).max(1.0))
 }

@@ -4,7 +4,6 @@
 
 use std::path::{Path, PathBuf};
 
-use sha2::{Digest, Sha256};
 use sim_core::calibrated::CalibratedSensor;
 use sim_core::calibration::Calibration;
 use sim_core::forward::ForwardModel;
@@ -12,10 +11,11 @@ use sim_core::sensor::Sensor;
 
 use super::{ExactSkin, KnownTrial, SkinErrors};
 use crate::calibrate::skin;
-use crate::dataset::file::NewFile;
 use crate::dataset::pressed::{contacts, force_noise_n};
+use crate::digest::Hashing;
 use crate::ids::CalibrationId;
 use crate::infer::error::InferError;
+use crate::new_file;
 use crate::problem::Problem;
 use crate::simulate::model::load_or_build;
 use crate::state::StoredState;
@@ -158,9 +158,7 @@ impl Skins {
         let id = CalibrationId::unchecked(calibration.id()?);
         let folder = self.calibrations();
         let failed = InferError::file("writing", &folder);
-        let mut file = crate::dataset::file::NewFile::create(&folder).map_err(&failed)?;
-        std::io::Write::write_all(&mut file, text.as_bytes()).map_err(&failed)?;
-        file.finish(&format!("{id}.toml")).map_err(&failed)?;
+        new_file::write(&folder, &format!("{id}.toml"), text).map_err(failed)?;
         Ok(id)
     }
 
@@ -195,9 +193,7 @@ fn ready(
     }
     let skin = ExactSkin::new(model, known)?;
     let keep = || -> std::io::Result<()> {
-        let mut file = NewFile::create(cache)?;
-        serde_json::to_writer(&mut file, skin.errors())?;
-        file.finish(&name).map(|_| ())
+        new_file::write(cache, &name, serde_json::to_vec(skin.errors())?).map(|_| ())
     };
     if let Err(error) = keep() {
         tracing::warn!(%error, path = %path.display(), "the errors of a skin were not cached");
@@ -207,7 +203,7 @@ fn ready(
 
 /// Hash (sha256) of everything on which a skin's errors depend.
 fn key(model: &ForwardModel, known: &[KnownTrial]) -> String {
-    let mut digest = Sha256::new();
+    let mut digest = Hashing::default();
     let calibration = model.sensor().calibration().unwrap_or_default();
     for words in [ERRORS_VERSION, env!("CARGO_PKG_VERSION"), model.model_hash(), calibration] {
         digest.update(words);
@@ -222,7 +218,7 @@ fn key(model: &ForwardModel, known: &[KnownTrial]) -> String {
         }
         trial.frame_v.iter().for_each(|v| digest.update(v.to_le_bytes()));
     }
-    hex::encode(digest.finalize())
+    digest.finish()
 }
 
 #[cfg(test)]

@@ -1,0 +1,171 @@
+//! New files: written under a temporary name, made durable, and only then renamed to their final name.
+//! Uses: std's files, `digest`. Never: an incomplete file under its final name.
+//!
+//! [`NewFile::finish`] syncs the file (its bytes and length are on the disk), renames it (atomically: the
+//! name refers to the earlier file or to the new one, never to a part), and syncs the folder (the name is on
+//! the disk). After it has returned, a power failure loses nothing. A power failure before leaves the earlier
+//! state or the whole new file, and possibly a file under a temporary name, which [`sweep`] removes. Order
+//! between files follows: a file that is written after another has finished is never there without it.
+//!
+//! Not covered: the entry of the folder in its parent if [`NewFile::create`] had to create the folder, and
+//! disks that report a sync before they have done it.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use crate::digest::Hashing;
+
+/// Prefix of temporary names.
+const PARTIAL: &str = "_partial-";
+
+/// An unfinished file with the hash and number of its bytes; removed if it is dropped unfinished.
+#[derive(Debug)]
+pub struct NewFile {
+    folder: PathBuf,
+    partial: PathBuf,
+    file: File,
+    sha256: Hashing,
+    bytes: u64,
+    finished: bool,
+}
+
+/// A complete and durable file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Finished {
+    /// Length, bytes.
+    pub bytes: u64,
+    /// sha256 of its bytes, in hexadecimal digits.
+    pub sha256: String,
+}
+
+impl NewFile {
+    /// Creates a file under a temporary name in `folder`, which is created if needed.
+    ///
+    /// # Errors
+    /// If folder or file cannot be created.
+    pub fn create(folder: &Path) -> io::Result<Self> {
+        fs::create_dir_all(folder)?;
+        let partial = folder.join(format!("{PARTIAL}{}", uuid::Uuid::now_v7()));
+        let file = File::create_new(&partial)?;
+        let (folder, sha256) = (folder.to_owned(), Hashing::default());
+        Ok(Self { folder, partial, file, sha256, bytes: 0, finished: false })
+    }
+
+    /// Path under the temporary name.
+    pub fn path(&self) -> &Path {
+        &self.partial
+    }
+
+    /// Makes the file durable under `name`. An existing file of this name is replaced.
+    ///
+    /// # Errors
+    /// If syncing or renaming fails; a file that could not be renamed is removed.
+    pub fn finish(mut self, name: &str) -> io::Result<Finished> {
+        self.file.sync_all()?;
+        fs::rename(&self.partial, self.folder.join(name))?;
+        self.finished = true;
+        File::open(&self.folder)?.sync_all()?;
+        Ok(Finished { bytes: self.bytes, sha256: std::mem::take(&mut self.sha256).finish() })
+    }
+}
+
+impl Write for NewFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.file.write(bytes)?;
+        self.sha256.update(&bytes[..written]);
+        self.bytes += written as u64;
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Drop for NewFile {
+    fn drop(&mut self) {
+        if !self.finished {
+            // A file that cannot be removed now is removed at the next start.
+            fs::remove_file(&self.partial).ok();
+        }
+    }
+}
+
+/// Writes a durable file with these bytes, named `name`, in `folder`, which is created if needed. An
+/// existing file of this name is replaced.
+///
+/// # Errors
+/// If the file cannot be created, written, synced or renamed.
+pub fn write(folder: &Path, name: &str, bytes: impl AsRef<[u8]>) -> io::Result<Finished> {
+    let mut file = NewFile::create(folder)?;
+    file.write_all(bytes.as_ref())?;
+    file.finish(name)
+}
+
+/// Removes the unfinished files in a folder; a missing folder is no error. No other process or thread may
+/// be writing a [`NewFile`] there.
+///
+/// # Errors
+/// If the folder cannot be read or a file cannot be removed.
+pub fn sweep(folder: &Path) -> io::Result<()> {
+    let entries = match fs::read_dir(folder) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        entries => entries?,
+    };
+    for entry in entries {
+        let entry = entry?;
+        if entry.file_name().to_string_lossy().starts_with(PARTIAL) {
+            fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn empty(name: &str) -> PathBuf {
+        let name = format!("palpate-new-file-{name}-{}", std::process::id());
+        let path = std::env::temp_dir().join(name);
+        fs::remove_dir_all(&path).ok();
+        path
+    }
+
+    fn names(folder: &Path) -> Vec<String> {
+        let entries = fs::read_dir(folder).unwrap();
+        entries.map(|e| e.unwrap().file_name().to_string_lossy().into_owned()).collect()
+    }
+
+    #[test]
+    fn a_file_shows_under_its_name_only_when_whole() {
+        let folder = empty("whole");
+        let mut file = NewFile::create(&folder).unwrap();
+        file.write_all(b"ab").unwrap();
+        file.write_all(b"c").unwrap();
+        assert!(!folder.join("a.txt").exists());
+        let finished = file.finish("a.txt").unwrap();
+        assert_eq!((finished.bytes, finished.sha256), (3, crate::digest::sha256_hex("abc")));
+        assert_eq!(names(&folder), ["a.txt"]);
+        write(&folder, "a.txt", "d").unwrap();
+        assert_eq!(fs::read(folder.join("a.txt")).unwrap(), b"d");
+        assert_eq!(names(&folder), ["a.txt"]);
+        fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn an_unfinished_file_is_removed_at_once_or_at_the_next_start() {
+        let folder = empty("unfinished");
+        let dropped = NewFile::create(&folder).unwrap();
+        let killed = NewFile::create(&folder).unwrap();
+        fs::write(folder.join("notes"), "kept").unwrap();
+        drop(dropped);
+        std::mem::forget(killed);
+        assert_eq!(names(&folder).len(), 2);
+        sweep(&folder).unwrap();
+        assert_eq!(names(&folder), ["notes"]);
+        fs::remove_dir_all(&folder).unwrap();
+        sweep(&folder).unwrap();
+    }
+}
