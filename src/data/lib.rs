@@ -3,6 +3,6 @@
 
 use palpate_model::simulate;
 use palpate_store as store;
-use palpate_words::{clock, commit, ids, problem, record, state, syntax};
+use palpate_words::{clock, commit, ids, journal, problem, record, state, syntax};
 
 pub mod dataset;

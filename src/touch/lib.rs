@@ -6,7 +6,7 @@ use palpate_model::{calibrate, simulate};
 use palpate_store as store;
 #[cfg(feature = "train")]
 use palpate_words::commit;
-use palpate_words::{chance, clock, ids, problem, state, syntax};
+use palpate_words::{chance, clock, ids, journal, problem, state, syntax};
 
 pub mod learn;
 pub mod infer;

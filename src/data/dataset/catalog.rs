@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use parking_lot::Mutex;
 use tokio::sync::watch;
+use tracing::{Instrument, error_span};
 
 use super::background::background;
 use super::build::{self, Progress, build, data_file};
@@ -24,6 +25,7 @@ use super::read::{DatasetRows, SKIN};
 use super::schema;
 use super::select::{Selection, Wanted};
 use crate::clock::Clock;
+use crate::journal::error_chain;
 use crate::problem::Problem;
 use crate::state::StoredState;
 use crate::store::{DatasetRow, ExportEnd, ExportRow, RunRow, Store};
@@ -199,7 +201,8 @@ impl Catalog {
         }
         // A separate task: it continues without the caller, and the next request finds the result.
         let (catalog, definition) = (self.clone(), definition.clone());
-        let making = tokio::spawn(async move {
+        let span = error_span!("dataset", dataset = definition.name);
+        let making = async move {
             let _one_at_a_time = catalog.inner.building.lock().await;
             let (row, inputs) = catalog.existing(&definition).await?;
             if let Some(row) = row {
@@ -214,10 +217,10 @@ impl Catalog {
             let (store, folder) = (&catalog.inner.store, catalog.datasets());
             let at = catalog.inner.clock.timestamp();
             let row = build(store, &folder, inputs, at, progress).await?;
-            tracing::info!(dataset = row.id, name, rows = row.rows, "a dataset was made");
+            tracing::info!(id = row.id, rows = row.rows, "a dataset was made");
             Ok(row)
-        });
-        making.await.map_err(|_| DatasetError::Worker)?
+        };
+        tokio::spawn(making.instrument(span)).await.map_err(|_| DatasetError::Worker)?
     }
 
     /// The dataset of the current inputs of a definition, if it exists, and these inputs.
@@ -272,9 +275,8 @@ impl Catalog {
         progress: Arc<Progress>,
     ) -> Result<ExportFile, DatasetError> {
         let (catalog, row, wanted) = (self.clone(), row.clone(), wanted.clone());
-        let writing =
-            tokio::spawn(async move { catalog.write(&row, format, &wanted, progress).await });
-        writing.await.map_err(|_| DatasetError::Worker)?
+        let writing = async move { catalog.write(&row, format, &wanted, progress).await };
+        tokio::spawn(writing.in_current_span()).await.map_err(|_| DatasetError::Worker)?
     }
 
     async fn write(
@@ -374,12 +376,16 @@ impl Catalog {
             match self.inner.store.open_exports(1).await {
                 Ok(open) if !open.is_empty() => {
                     for export in open {
-                        self.write_export(export).await;
+                        let span = error_span!("export", id = export.id);
+                        self.write_export(export).instrument(span).await;
                     }
                     continue;
                 }
                 Ok(_) => {}
-                Err(error) => tracing::warn!(%error, "the waiting exports could not be read"),
+                Err(error) => {
+                    let error = error.with_causes();
+                    tracing::warn!(error, "the waiting exports could not be read");
+                }
             }
             // A missed notification is found at the next poll.
             let _ = tokio::time::timeout(IDLE, changed.changed()).await;
@@ -400,10 +406,16 @@ impl Catalog {
                     ExportEnd::Failed(format!("reading {}: {error}", written.path.display()))
                 }
             },
-            Err(error) => ExportEnd::Failed(error.to_string()),
+            Err(error) => {
+                tracing::warn!(error = error_chain(&error), "an export has failed");
+                ExportEnd::Failed(error.to_string())
+            }
         };
+        if let ExportEnd::Done { file, bytes, .. } = &end {
+            tracing::info!(file, bytes, "an export is complete");
+        }
         if let Err(error) = self.inner.store.end_export(&export.id, end).await {
-            tracing::error!(%error, export = export.id, "the end of an export was not stored");
+            tracing::error!(error = error.with_causes(), "the end of an export was not stored");
             tokio::time::sleep(IDLE).await;
         }
         self.progress().remove(&export.id);

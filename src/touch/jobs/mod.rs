@@ -12,12 +12,14 @@ use std::time::Duration;
 use parking_lot::Mutex;
 use serde_json::{Value, json};
 use tokio::sync::watch;
+use tracing::{Instrument, error_span};
 
 use crate::clock::Clock;
 use crate::dataset::catalog::Catalog;
 use crate::evaluate::request::EvaluationRequest;
 use crate::infer::registry::Registry;
 use crate::infer::serving::Serving;
+use crate::journal::error_chain;
 use crate::store::{JobEnd, JobKind, JobRow, Store};
 use starts::{STARTS_MAX, Starts};
 
@@ -148,12 +150,20 @@ impl Jobs {
             match self.inner.store.open_jobs(1).await {
                 Ok(open) if !open.is_empty() => {
                     for job in open {
-                        self.carry_out(job).await;
+                        let kind = match job.kind {
+                            JobKind::Training => "training",
+                            JobKind::Evaluation => "evaluation",
+                        };
+                        let span = error_span!("job", id = job.id, kind);
+                        self.carry_out(job).instrument(span).await;
                     }
                     continue;
                 }
                 Ok(_) => {}
-                Err(error) => tracing::warn!(%error, "the queue of jobs could not be read"),
+                Err(error) => {
+                    let error = error.with_causes();
+                    tracing::warn!(error, "the queue of jobs could not be read");
+                }
             }
             // A missed change is found at the next check.
             let _ = tokio::time::timeout(IDLE, changed.changed()).await;
@@ -167,6 +177,7 @@ impl Jobs {
         // When the service ends, this is dropped, and the working thread writes a checkpoint.
         let _leaves = Leaves(watch.clone(), starts);
         self.set_running(Some((job.id.clone(), watch.clone())));
+        tracing::info!("a job begins");
         let outcome = match self.inner.store.begin_job(&job.id, None).await {
             Ok(()) if in_vain => Err(JobError::InVain(STARTS_MAX)),
             Ok(()) if job.kind == JobKind::Training => training::run(self, &job, &watch).await,
@@ -174,13 +185,21 @@ impl Jobs {
             Err(error) => Err(error.into()),
         };
         let end = match outcome {
-            Ok(Some(result)) => JobEnd::Done(result),
-            Ok(None) => JobEnd::Stopped,
-            Err(error) => JobEnd::Failed(error.to_string()),
+            Ok(Some(result)) => {
+                tracing::info!("a job is complete");
+                JobEnd::Done(result)
+            }
+            Ok(None) => {
+                tracing::info!("a job was stopped");
+                JobEnd::Stopped
+            }
+            Err(error) => {
+                tracing::warn!(error = error_chain(&error), "a job has failed");
+                JobEnd::Failed(error.to_string())
+            }
         };
-        tracing::info!(job = job.id, ?end, "a job has ended");
         if let Err(error) = self.inner.store.end_job(&job.id, end).await {
-            tracing::error!(%error, job = job.id, "the end of a job was not stored");
+            tracing::error!(error = error.with_causes(), "the end of a job was not stored");
             tokio::time::sleep(IDLE).await;
         }
         self.set_running(None);
