@@ -8,14 +8,13 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
 use palpate::cli;
-use tracing_subscriber::EnvFilter;
 use virtual_rig::{OperatorArgs, RigArgs, operator_main, rig_main};
 
 /// Touches a robot skin overnight, learns from it, and tells where and how hard it is touched.
 ///
 /// Start with `palpate run experiments/quickstart.toml`: without a rig it starts a virtual one.
 #[derive(Debug, Parser)]
-#[command(name = "palpate", version, propagate_version = true)]
+#[command(name = "palpate", version, propagate_version = true, after_help = cli::log::HELP)]
 struct CommandLine {
     #[command(subcommand)]
     command: Command,
@@ -79,7 +78,8 @@ struct VirtualRigArgs {
 fn main() -> ExitCode {
     palpate::commit::set(option_env!("PALPATE_COMMIT"));
     let command = CommandLine::parse().command;
-    log();
+    // The log is written out when this value is dropped, at the end.
+    let _log = cli::log::start();
     match command {
         Command::Service(command) => cli::main(command),
         Command::VirtualOperator(args) => ended(operator_main(args)),
@@ -123,14 +123,6 @@ fn ended(outcome: Result<(), impl Display>) -> ExitCode {
             ExitCode::FAILURE
         }
     }
-}
-
-/// The log is on standard error; PALPATE_LOG says how much of it (`warn`, `palpate=debug`).
-fn log() {
-    let filter = EnvFilter::try_from_env("PALPATE_LOG").unwrap_or_else(|_| EnvFilter::new("warn"));
-    // A log that cannot be written, on a full disk, must not end the thread that logs.
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
-    log.log_internal_errors(false).init();
 }
 
 #[cfg(test)]

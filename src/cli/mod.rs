@@ -24,6 +24,7 @@ mod evaluate;
 mod files;
 mod follow;
 mod infer;
+pub mod log;
 mod model;
 mod output;
 mod plan;

@@ -3,6 +3,8 @@
 
 use palpate_model::simulate;
 use palpate_store as store;
-use palpate_words::{clock, commit, digest, ids, new_file, problem, record, state, syntax};
+use palpate_words::{
+    clock, commit, digest, ids, journal, new_file, problem, record, state, syntax,
+};
 
 pub mod dataset;

@@ -16,6 +16,7 @@ mod independent_fit;
 #[cfg(feature = "train")]
 mod onnx;
 mod old_data;
+mod requests;
 mod rig_transcripts;
 mod sim_random;
 mod simulate;

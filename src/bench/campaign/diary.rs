@@ -1,6 +1,8 @@
 //! The diary: records of what happened, written after it happened. A note never blocks; one task
-//! writes the notes in order and repeats a failed write until the store accepts it.
-//! Uses: `campaign::{journal, record}`, tokio. Never: motion, a note dropped without a count.
+//! writes the notes in order and repeats a failed write until the store accepts it. The same task
+//! logs them, in the spans in which they were made: what moves never waits for the log.
+//! Uses: `campaign::{journal, record}`, tokio, tracing. Never: motion, a note dropped without a
+//! count.
 //!
 //! Nothing that moves waits for the store, with one exception: a trial must be durable before the
 //! stage continues (`docs/safety.md`). Trials go through the same queue, so that all earlier notes
@@ -16,11 +18,12 @@ use futures::FutureExt;
 use jiff::Timestamp;
 use serde_json::json;
 use tokio::sync::{mpsc, oneshot};
+use tracing::{Instrument, Span};
 
 use crate::ids::{RunUid, TrialKey};
-use crate::journal::{ExitStatus, Journal, JournalError, Mounting};
+use crate::journal::{ExitStatus, Journal, JournalError, Mounting, error_chain};
 use crate::record::{AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord};
-use crate::state::StateChange;
+use crate::state::{PausedWhy, StateChange, StoredState};
 
 /// Notes that may wait for the store. A rig at rest creates a few per hour.
 const CAPACITY: usize = 4096;
@@ -66,12 +69,14 @@ enum Entry {
     Flush(Answer),
 }
 
+/// An entry, with the span in which it was made.
+type Made = (Entry, Span);
 type Answer = oneshot::Sender<Result<(), JournalError>>;
 
 /// Accepts notes. All clones share one queue.
 #[derive(Debug, Clone)]
 pub struct Diary {
-    entries: mpsc::Sender<Entry>,
+    entries: mpsc::Sender<Made>,
     missing: Arc<AtomicU64>,
 }
 
@@ -101,7 +106,8 @@ impl Diary {
     /// Records something at the present time. Never waits: notes beyond the capacity are counted,
     /// and the count is stored in their place.
     pub fn note(&self, note: Note) {
-        if let Err(error) = self.entries.try_send(Entry::Note(note, Timestamp::now())) {
+        let entry = Entry::Note(note, Timestamp::now());
+        if let Err(error) = self.entries.try_send((entry, Span::current())) {
             self.missing.fetch_add(1, Ordering::Relaxed);
             tracing::error!(%error, "a note was lost");
         }
@@ -127,16 +133,16 @@ impl Diary {
     async fn ask(&self, entry: impl FnOnce(Answer) -> Entry) -> Result<(), JournalError> {
         let gone = || JournalError::of("the diary", "its queue is full or its task has ended");
         let (answer, answered) = oneshot::channel();
-        self.entries.try_send(entry(answer)).map_err(|_| gone())?;
+        self.entries.try_send((entry(answer), Span::current())).map_err(|_| gone())?;
         answered.await.map_err(|_| gone())?
     }
 }
 
 struct Writer {
     journal: Arc<dyn Journal>,
-    inbox: mpsc::Receiver<Entry>,
+    inbox: mpsc::Receiver<Made>,
     /// Entries taken from the inbox while an earlier note could not be written.
-    behind: VecDeque<Entry>,
+    behind: VecDeque<Made>,
     missing: Arc<AtomicU64>,
 }
 
@@ -144,17 +150,22 @@ impl Writer {
     async fn write_all(mut self) {
         loop {
             let next = match self.behind.pop_front() {
-                Some(entry) => Some(entry),
+                Some(made) => Some(made),
                 None => self.inbox.recv().await,
             };
-            let Some(entry) = next else { return };
+            let Some((entry, span)) = next else { return };
             match entry {
-                Entry::Note(note, at) => self.write_note(&note, at).await,
+                Entry::Note(note, at) => self.write_note(&note, at).instrument(span).await,
                 Entry::Trial(run, trial, answer) => {
-                    let journal = self.journal.clone();
-                    let stored = guarded(async move { journal.trial(run, &trial).await }).await;
+                    let (journal, attempt) = (self.journal.clone(), trial.attempt);
+                    let storing = async move { journal.trial(run, &trial).await };
+                    let stored = guarded(storing).instrument(span.clone()).await;
+                    let is_stored = stored.is_ok();
                     // The caller may have stopped waiting because of a stop.
                     let _ = answer.send(stored.map(|_| ()));
+                    if is_stored {
+                        span.in_scope(|| tracing::debug!(attempt, "the trial is stored"));
+                    }
                 }
                 Entry::Flush(answer) => {
                     let _ = answer.send(Ok(()));
@@ -165,7 +176,9 @@ impl Writer {
 
     /// Writes a note, repeatedly until it succeeds; a note that the store refuses is logged.
     async fn write_note(&mut self, note: &Note, at: Timestamp) {
+        log(note);
         let mut pause = RETRY[0];
+        let mut waits = false;
         loop {
             let missing = self.missing.swap(0, Ordering::Relaxed);
             let written = match missing {
@@ -182,12 +195,20 @@ impl Writer {
                     Err(error)
                 }
             };
-            let Err(error) = written else { return };
+            let Err(error) = written else {
+                if waits {
+                    tracing::info!("the note that waited for the store is stored");
+                }
+                return;
+            };
+            let words = error_chain(&error);
             if error.refused {
-                tracing::error!(%error, ?note, "the store refuses this note");
+                tracing::error!(error = words, ?note, "the store refuses this note");
                 return;
             }
-            tracing::warn!(%error, cause = ?error.source, "a note waits for the store");
+            if !std::mem::replace(&mut waits, true) {
+                tracing::warn!(error = words, "a note waits for the store");
+            }
             self.tell_who_waits(&error);
             tokio::time::sleep(pause).await;
             pause = (2 * pause).min(RETRY[1]);
@@ -198,18 +219,59 @@ impl Writer {
     /// stay in the queue.
     fn tell_who_waits(&mut self, error: &JournalError) {
         while self.behind.len() < CAPACITY
-            && let Ok(entry) = self.inbox.try_recv()
+            && let Ok(made) = self.inbox.try_recv()
         {
-            self.behind.push_back(entry);
+            self.behind.push_back(made);
         }
-        for entry in std::mem::take(&mut self.behind) {
+        for (entry, span) in std::mem::take(&mut self.behind) {
             match entry {
-                Entry::Note(..) => self.behind.push_back(entry),
+                Entry::Note(..) => self.behind.push_back((entry, span)),
                 Entry::Trial(_, _, answer) | Entry::Flush(answer) => {
                     let _ = answer.send(Err(error.again()));
                 }
             }
         }
+    }
+}
+
+/// Logs a note in the present span: what a person must know as a warning, the life of a run as
+/// information, everything else for debugging. Causes are those of the note; they are logged here
+/// only.
+fn log(note: &Note) {
+    match note {
+        Note::RunState(_, StateChange { state, requested, why }) => {
+            let state = state.as_str();
+            let requested = requested.map(StoredState::as_str);
+            let why = why.map(PausedWhy::as_str);
+            tracing::info!(state, requested, why, "the state of the run has changed");
+        }
+        Note::EndRun(_, ExitStatus::Fail, reason) => tracing::warn!(reason, "the run has failed"),
+        Note::EndRun(_, status, reason) => {
+            tracing::info!(status = status.as_str(), reason, "the run has ended");
+        }
+        Note::Attempt(_, AttemptRecord { key, attempt, reason, .. }) => {
+            let (configuration, depth_index) = (key.configuration, key.depth_index);
+            tracing::info!(configuration, depth_index, attempt, reason, "an attempt has failed");
+        }
+        Note::Skip(_, configuration, reason) => {
+            tracing::warn!(configuration, reason, "a configuration was given up");
+        }
+        Note::Discard(_, key, reason) => {
+            let (configuration, depth_index) = (key.configuration, key.depth_index);
+            tracing::info!(configuration, depth_index, reason, "a trial was withdrawn");
+        }
+        Note::Event { kind, data, .. } => match kind.as_str() {
+            "trip" => {
+                let (cause, detail) = (data["kind"].as_str(), data["detail"].as_str());
+                tracing::warn!(cause, detail, "the rig has tripped");
+            }
+            "wanted" => tracing::warn!(wanted = data["words"].as_str(), "the run needs a person"),
+            "suspended" | "store" => {
+                tracing::warn!(why = data["why"].as_str(), "the run is suspended");
+            }
+            kind => tracing::debug!(kind, "an event was recorded"),
+        },
+        Note::Tare(..) | Note::Reference(..) | Note::TouchOff(..) | Note::Mounted(_) => {}
     }
 }
 

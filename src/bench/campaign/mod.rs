@@ -5,7 +5,7 @@
 //! ```text
 //! run: states, plan, engine -> trial: press, settle, measure -> bench: devices under guard
 //!         \________________________ safe_end ____________________/
-//! diary: records of what happened       shown: status and requests
+//! diary: records of what happened       shown: status and requests       spans: of the log
 //! ```
 
 /// The four stops: effect on the axes, data kept, how the run resumes, who may stop. One table for
@@ -17,6 +17,7 @@ pub mod diary;
 pub mod run;
 pub mod safe_end;
 pub mod shown;
+pub mod spans;
 pub mod trial;
 
 #[cfg(test)]

@@ -2,13 +2,14 @@
 //! Uses: std's threads, rustix. Never: a thread that is used again (its priority stays low).
 
 use tokio::sync::oneshot;
+use tracing::Span;
 
 use super::error::DatasetError;
 
 /// Nice value of the thread: a thread at 0 gets about ten times as much processor time.
 const NICE: i32 = 10;
 
-/// Runs `work` on a new thread with low priority and returns its result.
+/// Runs `work` on a new thread with low priority, in the present span, and returns its result.
 ///
 /// # Errors
 /// `DatasetError::Worker` if the thread does not start, or if `work` panics.
@@ -16,7 +17,9 @@ pub async fn background<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, DatasetError> {
     let (done, finished) = oneshot::channel();
+    let span = Span::current();
     let thread = std::thread::Builder::new().name("background".into()).spawn(move || {
+        let _inside = span.entered();
         // On Linux this applies to the calling thread only. Without it the work only competes more.
         if let Err(error) = rustix::process::nice(NICE) {
             tracing::debug!(%error, "background work runs with normal priority");

@@ -7,6 +7,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use tracing::{Instrument, error_span};
+
 use super::background::background;
 use super::build::{self, Progress, build, data_file};
 use super::definition::Definition;
@@ -19,6 +21,7 @@ use super::schema;
 use super::select::{Selection, Wanted};
 use crate::clock::Clock;
 use crate::ids::{DatasetId, TaskId};
+use crate::journal::error_chain;
 use crate::new_file::{self, sweep};
 use crate::problem::Problem;
 use crate::state::StoredState;
@@ -193,7 +196,8 @@ impl Catalog {
         }
         // A separate task: it continues without the caller, and the next request finds the result.
         let (catalog, definition) = (self.clone(), definition.clone());
-        let making = tokio::spawn(async move {
+        let span = error_span!("dataset", dataset = definition.name);
+        let making = async move {
             let _one_at_a_time = catalog.inner.building.lock().await;
             let (row, inputs) = catalog.existing(&definition).await?;
             if let Some(row) = row {
@@ -208,10 +212,10 @@ impl Catalog {
             let (store, folder) = (&catalog.inner.store, catalog.datasets());
             let at = catalog.inner.clock.timestamp();
             let row = build(store, &folder, inputs, at, progress).await?;
-            tracing::info!(dataset = row.id.as_str(), name, rows = row.rows, "a dataset was made");
+            tracing::info!(id = %row.id, rows = row.rows, "a dataset was made");
             Ok(row)
-        });
-        making.await.map_err(|_| DatasetError::Worker)?
+        };
+        tokio::spawn(making.instrument(span)).await.map_err(|_| DatasetError::Worker)?
     }
 
     /// The dataset of the current inputs of a definition, if it exists, and these inputs.
@@ -266,9 +270,8 @@ impl Catalog {
         progress: Arc<Progress>,
     ) -> Result<ExportFile, DatasetError> {
         let (catalog, row, wanted) = (self.clone(), row.clone(), wanted.clone());
-        let writing =
-            tokio::spawn(async move { catalog.write(&row, format, &wanted, progress).await });
-        writing.await.map_err(|_| DatasetError::Worker)?
+        let writing = async move { catalog.write(&row, format, &wanted, progress).await };
+        tokio::spawn(writing.in_current_span()).await.map_err(|_| DatasetError::Worker)?
     }
 
     async fn write(
@@ -375,7 +378,10 @@ impl Catalog {
     async fn write_export(&self, export: &TaskRow, progress: Arc<Progress>) -> TaskEnd {
         let written = match self.write_requested(export, progress).await {
             Ok(written) => written,
-            Err(error) => return TaskEnd::Failed(error.to_string()),
+            Err(error) => {
+                tracing::warn!(error = error_chain(&error), "an export has failed");
+                return TaskEnd::Failed(error.to_string());
+            }
         };
         let bytes = match tokio::fs::metadata(&written.path).await {
             Ok(metadata) => metadata.len(),

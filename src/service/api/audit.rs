@@ -4,6 +4,7 @@
 use std::time::Duration;
 
 use jiff::Timestamp;
+use tracing::Instrument;
 
 use super::App;
 use super::auth::Caller;
@@ -50,7 +51,8 @@ impl App {
             detail: outcome.as_ref().err().map(|e| e.detail().into()),
         };
         if let Err(error) = self.store.log_action(new.clone()).await {
-            tracing::error!(%error, ?new, "an action is not logged yet");
+            let error = error.with_causes();
+            tracing::error!(error, ?new, "an action is not logged yet");
             self.log_later(new);
         }
         outcome
@@ -64,19 +66,21 @@ impl App {
             return;
         };
         let store = self.store.clone();
-        self.facts.threads.spawn(async move {
+        let again = async move {
             let _place = place;
             loop {
                 tokio::time::sleep(LOG_AGAIN).await;
                 match store.log_action(action.clone()).await {
                     Ok(()) | Err(StoreError::Closed { .. }) => break,
                     Err(error @ (StoreError::NoSuchRun(_) | StoreError::Unreadable { .. })) => {
-                        tracing::error!(%error, ?action, "an action cannot be logged");
+                        let error = error.with_causes();
+                        tracing::error!(error, ?action, "an action cannot be logged");
                         break;
                     }
                     Err(_) => {}
                 }
             }
-        });
+        };
+        self.facts.threads.spawn(again.in_current_span());
     }
 }

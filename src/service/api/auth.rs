@@ -70,8 +70,8 @@ pub async fn admit(
 ) -> Result<Response, ApiError> {
     let caller = identify(&app, request.headers(), request.uri().query())?;
     let path = request.uri().path();
-    let reads = matches!(*request.method(), Method::GET | Method::HEAD) || is_reading(path);
-    if !reads && !may_stop(path) {
+    tracing::Span::current().record("caller", caller.name(None));
+    if !only_reads(request.method(), path) && !may_stop(path) {
         caller.require(Role::Operator)?;
     }
     if let Some(key) = &caller.key {
@@ -107,9 +107,11 @@ fn may_stop(path: &str) -> bool {
     path.starts_with("/api/v1/runs/") && path.ends_with("/actions")
 }
 
-/// True for POST requests that only read: an export reads rows, an inference stores nothing.
-fn is_reading(path: &str) -> bool {
-    matches!(path, "/api/v1/exports" | "/api/v1/infer")
+/// True for requests that only read. Two of them are POST requests: an export reads rows, an
+/// inference stores nothing.
+pub fn only_reads(method: &Method, path: &str) -> bool {
+    matches!(*method, Method::GET | Method::HEAD)
+        || matches!(path, "/api/v1/exports" | "/api/v1/infer")
 }
 
 fn unauthorized(words: &str) -> ApiError {

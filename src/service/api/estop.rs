@@ -1,16 +1,17 @@
 //! The e-stop by HTTP: latch first, then read name and reason from the body, then log.
-//! Uses: `auth` (the keys in memory), `campaign::shown::command`. Never, before the latch: the
-//! body, a lock, a queue, the store, a log, any other wait.
+//! Uses: `auth` (the keys in memory), `campaign::shown::command`, `trace` (after the latch). Never,
+//! before the latch: the body, a lock, a queue, the store, a log, a span, any other wait.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use axum::Json;
 use axum::body::Body;
-use axum::extract::{Request, State};
-use axum::http::header;
-use axum::response::IntoResponse;
+use axum::extract::{MatchedPath, Request, State};
+use axum::http::{HeaderMap, header};
+use axum::response::{IntoResponse, Response};
 use futures::StreamExt;
 use serde::Serialize;
+use tracing::Instrument;
 use utoipa::ToSchema;
 
 use super::App;
@@ -18,6 +19,7 @@ use super::audit::ActionContext;
 use super::auth::{self, Caller};
 use super::problem::{ApiError, ProblemBody};
 use super::runs::Attribution;
+use super::trace::RequestId;
 
 /// Part of the body that is read, bytes.
 const BODY_MAX_BYTES: usize = 4096;
@@ -43,17 +45,50 @@ pub struct Latched {
 #[utoipa::path(post, path = "/api/v1/estop", tag = "rig", request_body = Option<Attribution>,
     responses((status = 200, body = Latched),
         (status = 401, body = ProblemBody, description = "the key is missing, unknown or revoked")))]
-pub async fn estop(
-    State(app): State<App>,
-    request: Request,
-) -> Result<impl IntoResponse, ApiError> {
-    let caller = auth::identify(&app, request.headers(), request.uri().query())?;
+pub async fn estop(State(app): State<App>, request: Request) -> Response {
+    let began = Instant::now();
+    let latched = latch(&app, request.headers(), request.uri().query());
+    let latched_after = began.elapsed();
+    // The stop is latched. From here on nothing can delay it.
+    let id = RequestId::of(request.headers());
+    let mut response = match latched {
+        Ok(caller) => {
+            let (threads, id) = (app.facts.threads.clone(), id.clone());
+            // The span is made there, too: the door's thread never waits for the log.
+            threads.spawn(async move {
+                let span = id.span(request.method(), request.extensions().get::<MatchedPath>());
+                span.record("caller", caller.name(None));
+                span.in_scope(|| {
+                    let latched_ms = latched_after.as_secs_f64() * 1e3;
+                    tracing::warn!(latched_ms, "the e-stop was requested and is latched");
+                });
+                log(app, caller, request.into_body()).instrument(span).await;
+            });
+            // A body that arrives later must not delay the response, nor be read as another request.
+            ([(header::CONNECTION, "close")], Json(Latched { latched: true })).into_response()
+        }
+        Err(refused) => {
+            let (detail, stated) = (refused.detail().to_owned(), id.clone());
+            app.facts.threads.spawn(async move {
+                let request = stated.text();
+                tracing::warn!(request, detail, "an e-stop was refused: nothing is latched");
+            });
+            refused.into_response()
+        }
+    };
+    id.stamp(&mut response);
+    response
+}
+
+/// Latches the e-stop for a caller with a valid key. Neither waits nor writes.
+///
+/// # Errors
+/// As [`auth::identify`]; nothing is latched then.
+fn latch(app: &App, headers: &HeaderMap, query: Option<&str>) -> Result<Caller, ApiError> {
+    let caller = auth::identify(app, headers, query)?;
     let name = cut(&caller.name(None), WHO_MAX_CHARS);
     app.campaign.estop(&format!("emergency stop ({name})"));
-    let threads = app.facts.threads.clone();
-    threads.spawn(log(app, caller, request.into_body()));
-    // A body that arrives later must not delay the response, nor be read as another request.
-    Ok(([(header::CONNECTION, "close")], Json(Latched { latched: true })))
+    Ok(caller)
 }
 
 /// Logs who stopped, and the reason, if the body states it.

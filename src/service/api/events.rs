@@ -101,7 +101,8 @@ fn follow(
             let events = match app.store.events_since(since, PAGE, run).await {
                 Ok(events) => events,
                 Err(error) => {
-                    tracing::warn!(%error, "an event stream was ended: the store failed");
+                    let error = error.with_causes();
+                    tracing::warn!(error, "an event stream was ended: the store failed");
                     return None;
                 }
             };

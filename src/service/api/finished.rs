@@ -3,8 +3,12 @@
 
 use std::time::Duration;
 
+use tracing::Instrument;
+
 use super::App;
+use crate::campaign::spans::run_span;
 use crate::dataset::definition::Definition;
+use crate::journal::error_chain;
 use crate::state::StoredState;
 use crate::store::RunKind;
 
@@ -24,7 +28,7 @@ pub async fn keep(app: App) {
         let runs = match app.store.runs(CHECKED_RUNS, None).await {
             Ok(page) => page.runs,
             Err(error) => {
-                tracing::warn!(%error, "the runs could not be read");
+                tracing::warn!(error = error.with_causes(), "the runs could not be read");
                 continue;
             }
         };
@@ -38,9 +42,14 @@ pub async fn keep(app: App) {
             if twins_wait || !done.insert(run.uid) {
                 continue;
             }
-            if let Err(error) = app.datasets.make(&Definition::of_run(run.scan_id)).await {
-                tracing::info!(run = run.scan_id, %error, "the dataset of an ended run was not made");
-            }
+            let making = async {
+                let made = app.datasets.make(&Definition::of_run(run.scan_id)).await;
+                if let Err(error) = made {
+                    let error = error_chain(&error);
+                    tracing::info!(error, "the dataset of an ended run was not made");
+                }
+            };
+            making.instrument(run_span(run.uid, run.scan_id)).await;
         }
     }
 }

@@ -13,6 +13,7 @@ use axum::{Json, extract::Query};
 use serde::{Deserialize, Serialize};
 use tokio::sync::Semaphore;
 use tokio::time::timeout;
+use tracing::Instrument;
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
@@ -272,8 +273,9 @@ pub async fn live(
         let words = format!("{LIVE_CLIENTS} live clients are connected, the largest number");
         ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words)
     })?;
+    let span = tracing::Span::current();
     Ok(upgrade.on_upgrade(async move |socket| {
-        follow(app, socket, method, options.map).await;
+        follow(app, socket, method, options.map).instrument(span).await;
         drop(turn);
     }))
 }

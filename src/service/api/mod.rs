@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::DefaultBodyLimit;
-use axum::middleware::from_fn_with_state;
+use axum::middleware::{from_fn, from_fn_with_state};
 use axum::routing::{get, post};
 use jiff::Timestamp;
 use sim_core::calibration::Calibration;
@@ -62,6 +62,7 @@ mod runs;
 mod seat;
 mod send;
 mod status;
+mod trace;
 mod trials;
 mod twins;
 mod work;
@@ -289,17 +290,19 @@ fn uploads() -> OpenApiRouter<App> {
     imports.merge(models).merge(frames)
 }
 
-/// Routes without the check of role and key: the e-stop, which checks the key itself, and health.
+/// Routes without the check of role and key.
 fn open_routes() -> OpenApiRouter<App> {
-    OpenApiRouter::new()
-        .routes(routes!(estop::estop))
-        .routes(routes!(health::live))
-        .routes(routes!(health::ready))
+    OpenApiRouter::new().routes(routes!(health::live)).routes(routes!(health::ready))
+}
+
+/// The e-stop, which checks the key itself and has no layer: nothing runs before its handler.
+fn stop_routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new().routes(routes!(estop::estop))
 }
 
 /// Description of all routes.
 fn description() -> utoipa::openapi::OpenApi {
-    routes().merge(open_routes()).to_openapi()
+    routes().merge(stop_routes()).merge(open_routes()).to_openapi()
 }
 
 fn router(app: App) -> axum::Router {
@@ -308,10 +311,11 @@ fn router(app: App) -> axum::Router {
     guarded
         .route_layer(from_fn_with_state(app.clone(), auth::admit))
         .merge(open)
-        .route("/estop", post(estop::estop))
         .route("/", get(page::first))
         .route("/openapi.json", get(page::description))
         .fallback(page::unknown)
+        .layer(from_fn(trace::follow))
+        .merge(stop_routes().route("/estop", post(estop::estop)))
         .with_state(app)
 }
 
@@ -456,7 +460,7 @@ impl Service {
 async fn after_start(app: App, resume: bool) {
     let continue_run = async {
         if let Err(error) = app.conductor.go_on(resume).await {
-            tracing::warn!(%error, "no run was resumed");
+            tracing::warn!(error = crate::journal::error_chain(&error), "no run was resumed");
         }
     };
     let examine = async {

@@ -14,6 +14,7 @@ use crate::dataset::error::DatasetError;
 use crate::dataset::shards::ShardsError;
 use crate::infer::error::InferError;
 use crate::jobs::JobError;
+use crate::journal::error_chain;
 use crate::problem::Problem;
 use crate::store::StoreError;
 
@@ -138,7 +139,7 @@ impl From<DatasetError> for ApiError {
             _ => StatusCode::INTERNAL_SERVER_ERROR,
         };
         if status == StatusCode::INTERNAL_SERVER_ERROR {
-            tracing::error!(%error, "an operation on datasets failed");
+            tracing::error!(error = error_chain(&error), "an operation on datasets failed");
         }
         Self::new(status, error.to_string())
     }
@@ -166,7 +167,7 @@ impl From<InferError> for ApiError {
             _ => StatusCode::INTERNAL_SERVER_ERROR,
         };
         if status == StatusCode::INTERNAL_SERVER_ERROR {
-            tracing::error!(%error, "an inference failed");
+            tracing::error!(error = error_chain(&error), "an inference failed");
         }
         Self::new(status, error.to_string())
     }
@@ -181,7 +182,10 @@ impl From<JobError> for ApiError {
             JobError::Dataset(error) => error.into(),
             JobError::Full(_) => Self::new(StatusCode::TOO_MANY_REQUESTS, error.to_string()),
             JobError::Lean => Self::new(StatusCode::NOT_IMPLEMENTED, error.to_string()),
-            _ => Self::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()),
+            _ => {
+                tracing::error!(error = error_chain(&error), "an operation on jobs failed");
+                Self::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string())
+            }
         }
     }
 }

@@ -155,7 +155,10 @@ pub async fn find(app: &App, run: &str) -> Result<RunRow, ApiError> {
     } else {
         return Err(ApiError::value("run", run, "must be a uid or a scan_id"));
     };
-    found.ok_or_else(|| ApiError::not_found(format!("no run {run}")))
+    let row = found.ok_or_else(|| ApiError::not_found(format!("no run {run}")))?;
+    let request = tracing::Span::current();
+    request.record("run", tracing::field::display(row.uid)).record("scan_id", row.scan_id);
+    Ok(row)
 }
 
 /// Returns a page of runs, newest first.

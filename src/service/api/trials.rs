@@ -12,6 +12,7 @@ use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 use serde_json::{Value, json};
 use tokio_stream::wrappers::ReceiverStream;
+use tracing::Instrument;
 use utoipa::ToSchema;
 
 use super::App;
@@ -26,6 +27,7 @@ use crate::dataset::format::{Format, Stream};
 use crate::dataset::schema;
 use crate::dataset::select::{Selection, Wanted};
 use crate::ids::{RunUid, TrialId};
+use crate::journal::error_chain;
 use crate::problem::Problem;
 use crate::store::table::{Column, Of};
 use crate::store::{Order, TrialQuery, TrialRow};
@@ -196,7 +198,7 @@ async fn table(
         Stream::new(format, selection.schema(), piece.clone()).map_err(DatasetError::from)?;
     let (sender, pieces) = tokio::sync::mpsc::channel(2);
     let store = app.store.clone();
-    tokio::spawn(async move {
+    let sending = async move {
         let mut work = async || -> Result<(), DatasetError> {
             let chunks: Vec<Vec<TrialId>> = ids.chunks(PIECE_ROWS).map(<[_]>::to_vec).collect();
             let frames = with_voltages;
@@ -230,10 +232,14 @@ async fn table(
             Ok(()) => stream.finish().map(|piece| piece.take()).map_err(DatasetError::from),
             Err(error) => Err(error),
         };
-        let last = ended.map_err(|error| std::io::Error::other(error.to_string()));
+        let last = ended.map_err(|error| {
+            tracing::error!(error = error_chain(&error), "a page of trials is incomplete");
+            std::io::Error::other(error.to_string())
+        });
         // The client may have disconnected.
         let _ = sender.send(last).await;
-    });
+    };
+    tokio::spawn(sending.in_current_span());
     Ok(Table { pieces: ReceiverStream::new(pieces), next })
 }
 

@@ -13,6 +13,7 @@ use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinSet;
 use tokio_stream::wrappers::ReceiverStream;
 use tower_service::Service;
+use tracing::{Instrument, Span};
 
 /// Largest number of pieces of a response that wait for the door.
 const PIECES_AHEAD: usize = 2;
@@ -41,18 +42,22 @@ pub async fn handle(
             let _ = answer.send(response);
             return;
         }
-        let (head, body) = response.into_parts();
+        let (mut head, body) = response.into_parts();
+        let span = head.extensions.remove::<Span>().unwrap_or_else(Span::none);
         let (pieces, taken) = mpsc::channel(PIECES_AHEAD);
         let streamed = Body::from_stream(ReceiverStream::new(taken));
         if answer.send(Response::from_parts(head, streamed)).is_err() {
             return;
         }
         let mut body = body.into_data_stream();
-        while let Some(piece) = body.next().await {
-            if pieces.send(piece).await.is_err() {
-                return;
+        let streaming = async {
+            while let Some(piece) = body.next().await {
+                if pieces.send(piece).await.is_err() {
+                    return;
+                }
             }
-        }
+        };
+        streaming.instrument(span).await;
     };
     task.spawn_on(work, runtime);
     let response =

@@ -12,11 +12,14 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 use sim_core::calibration::Calibration;
 use tokio::sync::Notify;
+use tracing::Instrument;
 use utoipa::ToSchema;
 
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::command::{Handle, Refusal, Request};
+use crate::campaign::spans::run_span;
 use crate::ids::{CalibrationId, RunUid};
+use crate::journal::error_chain;
 use crate::problem::Problem;
 use crate::rig::config::RigConfig;
 use crate::schedule::preflight::Preflight;
@@ -272,12 +275,15 @@ impl Conductor {
     }
 
     async fn begin(&self, run: &RunRow) -> Result<(), ConductorError> {
-        self.require_sound_store()?;
-        let job = self.prepare_stored(run).await?.job(run);
-        self.inner.campaign.ask(Request::Start(Arc::new(job))).await?;
-        self.armings().remove(&run.uid);
-        self.waiting().remove(&run.uid);
-        Ok(())
+        let beginning = async {
+            self.require_sound_store()?;
+            let job = self.prepare_stored(run).await?.job(run);
+            self.inner.campaign.ask(Request::Start(Arc::new(job))).await?;
+            self.armings().remove(&run.uid);
+            self.waiting().remove(&run.uid);
+            Ok(())
+        };
+        beginning.instrument(run_span(run.uid, run.scan_id)).await
     }
 
     /// Follows the campaign: a run that was started while another was active begins when the rig is
@@ -294,7 +300,7 @@ impl Conductor {
                 now.run.is_none() && now.rig.state == RigState::Homed
             };
             if free && let Err(error) = self.begin_next().await {
-                tracing::warn!(%error, "the next run did not start");
+                tracing::warn!(error = error_chain(&error), "the next run did not start");
             }
         }
     }
@@ -325,6 +331,8 @@ impl Conductor {
     }
 
     async fn drop_waiting(&self, run: &RunRow, why: &str) -> Result<(), ConductorError> {
+        run_span(run.uid, run.scan_id)
+            .in_scope(|| tracing::warn!(why, "a waiting run does not begin"));
         self.waiting().remove(&run.uid);
         self.inner.store.clear_waiting(run.uid).await?;
         self.say(run, "not_begun", json!({ "why": why })).await;
@@ -350,7 +358,9 @@ impl Conductor {
             self.drop_waiting(run, why).await?;
         }
         let outcome = match driven.as_ref().or(waiting.first()) {
-            Some(first) => self.go_on_with(first).await,
+            Some(first) => {
+                self.go_on_with(first).instrument(run_span(first.uid, first.scan_id)).await
+            }
             None => return Ok(()),
         };
         if driven.is_some() && !matches!(outcome, Ok(true)) {
@@ -376,6 +386,7 @@ impl Conductor {
                 Err(refusal) => Err(refusal.into()),
             };
             let Err(error) = outcome else {
+                tracing::info!(attempt, "the run is driven again");
                 self.say(run, "went_on", json!({ "attempt": attempt })).await;
                 return Ok(true);
             };
@@ -391,6 +402,7 @@ impl Conductor {
             if tripped || for_good {
                 return Err(error);
             }
+            tracing::warn!(attempt, error = error_chain(&error), "the run is not driven again yet");
             tokio::time::sleep(pause).await;
             pause *= 2;
         }
@@ -399,7 +411,8 @@ impl Conductor {
 
     async fn say(&self, run: &RunRow, kind: &str, data: serde_json::Value) {
         if let Err(error) = self.inner.store.append_event(Some(run.uid), kind, data).await {
-            tracing::error!(%error, kind, "an event was not stored");
+            let error = error.with_causes();
+            tracing::error!(error, kind, "an event was not stored");
         }
     }
 

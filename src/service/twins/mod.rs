@@ -18,12 +18,15 @@ use serde_json::json;
 use sim_core::calibration::Calibration;
 use sim_core::forward::{ForwardModel, Workspace};
 use sim_core::sensor::Sensor;
+use tracing::{Instrument, Span};
 use utoipa::ToSchema;
 
 use self::drift::{DriftWatch, Level, Pairing, RollingFit};
 use crate::campaign::shown::command::{Handle, Request};
+use crate::campaign::spans::{run_span, trial_span};
 use crate::dataset::pressed::contacts;
-use crate::ids::{CalibrationId, RunUid, TrialId};
+use crate::ids::{CalibrationId, RunUid, TrialId, TrialKey};
+use crate::journal::error_chain;
 use crate::rig::config::RigConfig;
 use crate::schedule::experiment::Experiment;
 use crate::simulate::compare::difference;
@@ -159,7 +162,7 @@ impl TwinPool {
                 Ok(true) => {}
                 Ok(false) => tokio::time::sleep(IDLE).await,
                 Err(error) => {
-                    tracing::warn!(%error, "twins could not be made");
+                    tracing::warn!(error = error_chain(&error), "twins could not be made");
                     self.show(|status| status.last_error = Some(error.to_string()));
                     tokio::time::sleep(BACK_OFF).await;
                 }
@@ -204,16 +207,20 @@ impl TwinPool {
                 }
                 continue;
             };
-            let began = Instant::now();
-            let trials = Arc::new(trials);
-            let twins = compute(&recipe, &trials, self.inner.workers).await?;
-            store.insert_twins(recipe.id, twins.clone()).await?;
-            progress.passed.insert(run, last);
-            self.count_made(twins.len(), began.elapsed());
-            if Some(run) == active {
-                self.watch(run, &recipe, &trials, &twins, progress).await?;
-            }
-            return Ok(true);
+            let span = run_span(run, trials[0].scan_id);
+            let making = async {
+                let began = Instant::now();
+                let trials = Arc::new(trials);
+                let twins = compute(&recipe, &trials, self.inner.workers).await?;
+                store.insert_twins(recipe.id, twins.clone()).await?;
+                progress.passed.insert(run, last);
+                self.count_made(twins.len(), began.elapsed());
+                if Some(run) == active {
+                    self.watch(run, &recipe, &trials, &twins, progress).await?;
+                }
+                Ok(true)
+            };
+            return making.instrument(span).await;
         }
         Ok(false)
     }
@@ -285,7 +292,9 @@ impl TwinPool {
             (row.sensor.clone(), self.inner.cache_dir.clone(), row.scan_id);
         let unusable = move |why: String| PoolError::File { run: scan_id, file: "sensor", why };
         let calibration = self.inner.calibration.clone();
+        let span = run_span(row.uid, scan_id);
         let built = tokio::task::spawn_blocking(move || {
+            let _inside = span.entered();
             let sensor = Sensor::from_toml(&text).map_err(|e| e.to_string())?;
             let sensor = match calibration.filter(|c| c.sensor == sensor.file.name) {
                 Some(calibration) => calibration.apply(&sensor).map_err(|e| e.to_string())?,
@@ -321,7 +330,7 @@ impl TwinPool {
             let words = fit.describe(watch.limits());
             let data = json!({ "level": fit.level, "fit": fit, "words": words });
             if let Err(error) = self.inner.store.append_event(Some(run), "twins", data).await {
-                tracing::error!(%error, "an event was not stored");
+                tracing::error!(error = error.with_causes(), "an event was not stored");
             }
             if fit.level == Level::Suspend
                 && let Err(refusal) = self.inner.campaign.ask(Request::Suspend(words)).await
@@ -362,7 +371,9 @@ async fn compute(
         .step_by(share)
         .map(|first| {
             let (recipe, trials) = (recipe.clone(), trials.clone());
+            let span = Span::current();
             tokio::task::spawn_blocking(move || {
+                let _inside = span.entered();
                 let mut work = Workspace::default();
                 let end = (first + share).min(trials.len());
                 trials[first..end].iter().map(|t| twin(&recipe, t, &mut work)).collect::<Vec<_>>()
@@ -378,11 +389,20 @@ async fn compute(
 
 /// Simulates the twin of a trial from its measured contacts and forces.
 fn twin(recipe: &Recipe, trial: &TrialRow, work: &mut Workspace) -> Twin {
+    let outcome = simulated(recipe, trial, work);
+    if let TwinOutcome::Failure(why) = &outcome {
+        let (configuration, depth_index) = (trial.configuration, trial.depth_index);
+        trial_span(TrialKey { configuration, depth_index })
+            .in_scope(|| tracing::debug!(why, "a trial has no twin"));
+    }
+    Twin { trial: trial.trial_id, outcome }
+}
+
+fn simulated(recipe: &Recipe, trial: &TrialRow, work: &mut Workspace) -> TwinOutcome {
     let Some(contacts) = contacts(trial, recipe.kind, recipe.force_noise_n) else {
-        let why = "a contact has no position or no force".into();
-        return Twin { trial: trial.trial_id, outcome: TwinOutcome::Failure(why) };
+        return TwinOutcome::Failure("a contact has no position or no force".into());
     };
-    let outcome = match (recipe.model.voltages(&contacts, work), &trial.voltages_v) {
+    match (recipe.model.voltages(&contacts, work), &trial.voltages_v) {
         (Err(error), _) => TwinOutcome::Failure(error.to_string()),
         (Ok(_), None) => TwinOutcome::Failure("the trial has no voltages".into()),
         (Ok(frame), Some(measured)) if frame.len() != measured.len() => TwinOutcome::Failure(
@@ -393,8 +413,7 @@ fn twin(recipe: &Recipe, trial: &TrialRow, work: &mut Workspace) -> Twin {
             let apart = difference(measured, &voltages_v);
             TwinOutcome::Frame { rmse_v: apart.rmse_v, fvu: apart.fvu, voltages_v }
         }
-    };
-    Twin { trial: trial.trial_id, outcome }
+    }
 }
 
 fn pairing(trial: &TrialRow, twin: &Twin) -> Option<Pairing> {

@@ -13,6 +13,7 @@ use jiff::Timestamp;
 use parking_lot::{RwLock, RwLockReadGuard, RwLockWriteGuard};
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
+use tracing::Instrument;
 use utoipa::ToSchema;
 
 use super::columns::{Columns, time_text};
@@ -167,11 +168,13 @@ impl KeyRing {
             return;
         }
         let (store, id) = (self.store.clone(), key.id);
-        tokio::spawn(async move {
+        let noting = async move {
             if let Err(error) = store.note_key_use(id, now).await {
-                tracing::warn!(%error, key = id, "the use of a key was not stored");
+                let error = error.with_causes();
+                tracing::warn!(error, key = id, "the use of a key was not stored");
             }
-        });
+        };
+        tokio::spawn(noting.in_current_span());
     }
 
     /// Creates a key from 32 random bytes. Returns its row and its text, which is not stored.

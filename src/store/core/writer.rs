@@ -13,6 +13,7 @@ use sqlx::migrate::Migrator;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{ConnectOptions, Connection};
 use tokio::sync::{mpsc, oneshot};
+use tracing::{Instrument, Span};
 
 use super::error::{During, StoreError};
 
@@ -187,11 +188,13 @@ impl Writer {
         F: AsyncFnOnce(&mut Hand) -> Result<T, StoreError> + Send + 'static,
     {
         let (answer, answered) = oneshot::channel();
+        let span = Span::current();
         let job: Job = Box::new(move |hand| {
-            Box::pin(async move {
+            let answering = async move {
                 // Sending fails if the caller no longer waits.
                 let _ = answer.send(work(hand).await);
-            })
+            };
+            Box::pin(answering.instrument(span))
         });
         let closed = || StoreError::Closed { operation };
         let done = async {
@@ -226,7 +229,7 @@ impl Hand {
         if let Err(error) = &result
             && error.outcome_unknown()
         {
-            tracing::error!(%error, cause = ?std::error::Error::source(error), "a write failed");
+            tracing::error!(error = error.with_causes(), operation, "a write failed");
             self.close().await;
         }
         result
@@ -287,7 +290,8 @@ impl Hand {
                 Err(error)
             }
             Err(second) => {
-                tracing::error!(operation, error = %second, "reading the outcome failed, too");
+                let second = second.with_causes();
+                tracing::error!(operation, error = second, "reading the outcome failed, too");
                 self.close().await;
                 Err(error)
             }

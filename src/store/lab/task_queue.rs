@@ -12,6 +12,7 @@ use futures::FutureExt;
 use parking_lot::Mutex;
 use serde_json::Value;
 use tokio::sync::Notify;
+use tracing::{Instrument, error_span};
 
 use super::tasks::{TaskEnd, TaskKind, TaskRow};
 use crate::core::{Store, StoreError};
@@ -98,7 +99,8 @@ impl<W: Default> TaskQueue<W> {
         loop {
             match self.store.open_tasks(self.kinds, 1).await.map(|open| open.into_iter().next()) {
                 Ok(Some(task)) => {
-                    self.carry_out(task, &run, &ended).await;
+                    let span = error_span!("task", id = %task.id, kind = %task.kind);
+                    self.carry_out(task, &run, &ended).instrument(span).await;
                     continue;
                 }
                 Ok(None) => {}
@@ -133,7 +135,7 @@ impl<W: Default> TaskQueue<W> {
             // It was stopped after it was read.
             Ok(false) => {}
             Err(error) => {
-                tracing::warn!(%error, task = %id, "a task could not begin, and is tried again");
+                tracing::warn!(%error, "a task could not begin, and is tried again");
                 tokio::time::sleep(IDLE).await;
             }
         }
@@ -146,10 +148,10 @@ impl<W: Default> TaskQueue<W> {
         loop {
             match self.store.end_task(id, end.clone()).await {
                 // An earlier attempt may have been stored although it failed, or the task was stopped.
-                Ok(false) => tracing::info!(task = %id, "the end of a task was already stored"),
-                Ok(true) => tracing::info!(task = %id, state = %end.state(), "a task has ended"),
+                Ok(false) => tracing::info!("the end of a task was already stored"),
+                Ok(true) => tracing::info!(state = %end.state(), "a task has ended"),
                 Err(error) => {
-                    tracing::error!(%error, task = %id, "the end of a task could not be stored");
+                    tracing::error!(%error, "the end of a task could not be stored");
                     tokio::time::sleep(pause).await;
                     pause = (2 * pause).min(PAUSE_MAX);
                     continue;

@@ -16,6 +16,7 @@ use crate::evaluate::request::EvaluationRequest;
 use crate::ids::TaskId;
 use crate::infer::registry::Registry;
 use crate::infer::serving::Serving;
+use crate::journal::error_chain;
 use crate::store::{Store, TaskEnd, TaskKind, TaskQueue, TaskRow};
 use starts::{STARTS_MAX, Starts};
 
@@ -156,7 +157,10 @@ impl Jobs {
         match outcome {
             Ok(Some(result)) => TaskEnd::Done(result),
             Ok(None) => TaskEnd::Stopped,
-            Err(error) => TaskEnd::Failed(error.to_string()),
+            Err(error) => {
+                tracing::warn!(error = error_chain(&error), "a job has failed");
+                TaskEnd::Failed(error.to_string())
+            }
         }
     }
 }

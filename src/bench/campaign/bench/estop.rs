@@ -132,6 +132,7 @@ impl StopSwitch {
     }
 
     async fn stop_until_acknowledged(&self, axis: &dyn Axis) {
+        let mut logged = None;
         while let Some(press) = self.pressed() {
             let outcome = axis.stop().await;
             let stop = AxisStop {
@@ -144,7 +145,14 @@ impl StopSwitch {
             }
             match outcome {
                 Ok(()) => return,
-                Err(error) => tracing::error!(axis = axis.name(), %error, "stop not acknowledged"),
+                // The stop is sent every 50 ms: a cause is logged once.
+                Err(error) => {
+                    let words = error.to_string();
+                    if logged.as_ref() != Some(&words) {
+                        tracing::error!(axis = axis.name(), error = words, "stop not acknowledged");
+                    }
+                    logged = Some(words);
+                }
             }
             tokio::time::sleep(AGAIN).await;
         }

@@ -262,7 +262,7 @@ impl Control {
     }
 
     fn take_up_while_moving(&mut self, envelope: Envelope) -> Option<RunAction> {
-        let Envelope { request, answer } = envelope;
+        let Envelope { request, answer, asked_in: _ } = envelope;
         let idle = self.run == RunState::Idle;
         let outcome = match self.run_request(&request) {
             // Homing or jogging outside a run also ends when the service ends.

@@ -1,5 +1,5 @@
 //! Requests that people and programs may make to a campaign, and the handle for making them.
-//! Uses: tokio channels. Never: HTTP, storage, wires.
+//! Uses: tokio channels, tracing. Never: HTTP, storage, wires.
 //!
 //! Requests go through one bounded queue and are answered when they are accepted, not when they are
 //! complete: the status reports what has been reached. The e-stop is not a request: it bypasses
@@ -9,6 +9,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::sync::{mpsc, oneshot, watch};
+use tracing::Span;
 
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::run::job::Job;
@@ -96,6 +97,8 @@ pub struct Envelope {
     pub request: Request,
     /// Channel for the answer: accepted or refused.
     pub answer: oneshot::Sender<Result<(), Refusal>>,
+    /// Span in which it was made, for the log.
+    pub asked_in: Span,
 }
 
 /// Access of the rest of the service to the campaign.
@@ -135,7 +138,8 @@ impl Handle {
     /// answer in time.
     pub async fn ask(&self, request: Request) -> Result<(), Refusal> {
         let (answer, answered) = oneshot::channel();
-        let sent = self.requests.try_send(Envelope { request, answer });
+        let asked_in = Span::current();
+        let sent = self.requests.try_send(Envelope { request, answer, asked_in });
         sent.map_err(|_| Refusal::Gone)?;
         match tokio::time::timeout(TAKE_UP, answered).await {
             Ok(Ok(answer)) => answer,

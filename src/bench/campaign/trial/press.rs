@@ -5,6 +5,7 @@
 //! Paper II-B and IV-A: quasi-static, normal force only, loading direction only.
 
 use serde_json::json;
+use tracing::Instrument;
 
 use crate::campaign::bench::evidence::{self, Held, SilentArms};
 use crate::campaign::bench::interlock::TripKind;
@@ -14,6 +15,7 @@ use crate::campaign::diary::Note;
 use crate::campaign::run::control::{Control, STORE_LIMIT};
 use crate::campaign::run::halt::Halt;
 use crate::campaign::shown::status::Phase;
+use crate::campaign::spans::trial_span;
 use crate::campaign::trial::measure::{self, Taken};
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::JournalError;
@@ -54,7 +56,9 @@ impl Pressing<'_> {
         for &depth_index in pending {
             let key = TrialKey { configuration: c.index, depth_index };
             control.show_run(|run| run.trial = Some(key));
-            before = Some(self.trial(stage, control, c, key, before.as_ref()).await?);
+            let trial = self.trial(stage, control, c, key, before.as_ref());
+            let held = trial.instrument(trial_span(key)).await?;
+            before = Some(held);
             stored += 1;
             control.checkpoint()?;
         }

@@ -28,7 +28,7 @@ const TARE_SAMPLES: u32 = 4;
 impl Engine {
     /// Accepts a request that concerns only the rig.
     pub(super) async fn rig_request(&mut self, envelope: Envelope) {
-        let Envelope { request, answer } = envelope;
+        let Envelope { request, answer, asked_in: _ } = envelope;
         if let Err(refusal) = self.allowed(&request) {
             let _ = answer.send(Err(refusal));
             return;

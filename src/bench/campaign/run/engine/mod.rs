@@ -12,8 +12,10 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::FutureExt;
+use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
+use tracing::{Instrument, Span};
 
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::interlock::{Trip, TripKind};
@@ -27,6 +29,7 @@ use crate::campaign::run::run_state::{PausedWhy, RunState};
 use crate::campaign::safe_end::{self, Height};
 use crate::campaign::shown::command::{Envelope, Handle, Refusal, Request, channel};
 use crate::campaign::shown::show;
+use crate::campaign::spans::run_span;
 use crate::journal::{ExitStatus, Journal, Mounting, error_chain};
 use crate::rig::config::RigConfig;
 use crate::rig::registry::OpenBench;
@@ -65,7 +68,7 @@ pub fn spawn(
             Engine::new(config, control).serve().await;
             // Every clone of the diary is dropped: its task ends when all is written.
             if tokio::time::timeout(STORE_PATIENCE, writing).await.is_err() {
-                tracing::error!("the diary could not be written completely");
+                tracing::error!("the diary was not written completely: its last notes are lost");
             }
         });
     })?;
@@ -96,6 +99,8 @@ struct Engine {
     mounting: Option<(Mounting, bool)>,
     /// Parts of the last safe end that are not complete.
     owed: Owed,
+    /// Span of the driven run, for the log; none outside a run.
+    driven: Span,
 }
 
 /// Parts of a safe end that are still to be done.
@@ -135,6 +140,7 @@ impl Engine {
             prepared_setting: None,
             mounting: None,
             owed: Owed::Nothing,
+            driven: Span::none(),
         }
     }
 
@@ -145,10 +151,14 @@ impl Engine {
         loop {
             match AssertUnwindSafe(self.take_requests()).catch_unwind().await {
                 Ok(()) => break,
-                Err(panic) => self.after_panic(&panic_words(panic.as_ref())).await,
+                Err(panic) => {
+                    let driven = std::mem::replace(&mut self.driven, Span::none());
+                    self.after_panic(&panic_words(panic.as_ref())).instrument(driven).await;
+                }
             }
         }
-        self.make_safe(None, Height::Clear).await;
+        let driven = self.driven.clone();
+        self.make_safe(None, Height::Clear).instrument(driven).await;
     }
 
     async fn take_requests(&mut self) {
@@ -158,22 +168,40 @@ impl Engine {
             tokio::select! {
                 envelope = self.control.inbox.requests.recv() => match envelope {
                     None => return,
-                    Some(Envelope { request: Request::Shutdown, answer }) => {
+                    Some(Envelope { request: Request::Shutdown, answer, .. }) => {
                         let _ = answer.send(Ok(()));
                         return;
                     }
-                    Some(Envelope { request: Request::Start(job), answer }) => {
-                        let armed = self.arm(&job).await;
-                        let go = armed.is_ok();
-                        let _ = answer.send(armed);
-                        if go {
-                            self.run(&job).await;
+                    Some(Envelope { request: Request::Start(job), answer, asked_in }) => {
+                        asked_in.in_scope(|| {
+                            let (run, scan_id) = (job.run, job.scan_id);
+                            tracing::info!(%run, scan_id, "the start of a run is requested");
+                        });
+                        // A night does not belong to the request that started it.
+                        let span = run_span(job.run, job.scan_id);
+                        self.driven = span.clone();
+                        self.start(&job, answer).instrument(span).await;
+                        // A run that this thread leaves open keeps its span for the last safe end.
+                        if !self.control.leaving() {
+                            self.driven = Span::none();
                         }
                     }
-                    Some(envelope) => self.rig_request(envelope).await,
+                    Some(envelope) => {
+                        let asked_in = envelope.asked_in.clone();
+                        self.rig_request(envelope).instrument(asked_in).await;
+                    }
                 },
                 _ = tick.tick() => self.look().await,
             }
+        }
+    }
+
+    async fn start(&mut self, job: &Job, answer: oneshot::Sender<Result<(), Refusal>>) {
+        let armed = self.arm(job).await;
+        let go = armed.is_ok();
+        let _ = answer.send(armed);
+        if go {
+            self.run(job).await;
         }
     }
 

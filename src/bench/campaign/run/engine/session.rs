@@ -4,6 +4,7 @@
 
 use serde_json::json;
 use tokio::time::Instant;
+use tracing::Instrument;
 
 use super::{Attempts, Engine, Next, no_wires, trip_of};
 use crate::campaign::bench::evidence::SilentArms;
@@ -20,10 +21,11 @@ use crate::campaign::safe_end::{Height, raise_as_planned};
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::shown::show;
 use crate::campaign::shown::status::{Phase, Wanted};
+use crate::campaign::spans::{configuration_span, trial_span};
 use crate::campaign::trial::manual;
 use crate::campaign::trial::press::Pressing;
 use crate::ids::TrialKey;
-use crate::journal::{ExitStatus, Progress};
+use crate::journal::{ExitStatus, Progress, error_chain};
 use crate::schedule::plan::{Kind, Step};
 
 impl Engine {
@@ -73,7 +75,8 @@ impl Engine {
         }
         // A client that waits for the end then finds it stored, if the store answers.
         if let Err(error) = self.control.flush().await {
-            tracing::error!(%error, "the end of the run is not stored yet");
+            let error = error_chain(&error);
+            tracing::error!(error, "the end of the run is not stored yet");
         }
         self.control.forget_run();
         self.control.show(|status| status.run = None);
@@ -216,9 +219,13 @@ impl Engine {
             }
             Step::Configuration(c) => {
                 let pending = resume::pending_depths(c, job.plan.depths_mm.len(), progress);
-                let stored = pressing.configuration(stage, control, c, &pending).await?;
-                control.phase(Phase::Raise);
-                raise_as_planned(control, stage).await?;
+                let pressed = async {
+                    let stored = pressing.configuration(stage, control, c, &pending).await?;
+                    control.phase(Phase::Raise);
+                    raise_as_planned(control, stage).await?;
+                    Ok::<u32, Halt>(stored)
+                };
+                let stored = pressed.instrument(configuration_span(c.index, c.tips)).await?;
                 progress.stored.extend(
                     pending
                         .iter()
@@ -230,8 +237,9 @@ impl Engine {
                 Some((index, who)) if index == placement.index => {
                     let (skin, clock) = (stage.bench.skin.clone(), stage.clock.clone());
                     let about = (job.run, who, &job.plan.measure);
-                    manual::measure(&skin, &clock, control, about, placement).await?;
                     let key = TrialKey { configuration: placement.index, depth_index: 0 };
+                    let trial = manual::measure(&skin, &clock, control, about, placement);
+                    trial.instrument(trial_span(key)).await?;
                     progress.stored.insert(key);
                     Ok(1)
                 }

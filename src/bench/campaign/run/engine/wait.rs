@@ -168,7 +168,7 @@ impl Engine {
     async fn waiting_request(&mut self, job: &Job, envelope: Envelope) -> Option<Waited> {
         let why = self.control.run().why();
         let needs_person = matches!(why, Some(PausedWhy::TipChange | PausedWhy::ManualTrial));
-        let Envelope { request, answer } = envelope;
+        let Envelope { request, answer, asked_in } = envelope;
         match request {
             Request::Resume if !needs_person => {
                 let resumed = match job.plan.kind {
@@ -248,7 +248,7 @@ impl Engine {
             | Request::Tare
             | Request::Mounted { .. }
             | Request::Reset => {
-                self.rig_request(Envelope { request, answer }).await;
+                self.rig_request(Envelope { request, answer, asked_in }).await;
                 None
             }
         }

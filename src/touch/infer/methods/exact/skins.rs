@@ -8,6 +8,7 @@ use sim_core::calibrated::CalibratedSensor;
 use sim_core::calibration::Calibration;
 use sim_core::forward::ForwardModel;
 use sim_core::sensor::Sensor;
+use tracing::Span;
 
 use super::{ExactSkin, KnownTrial, SkinErrors};
 use crate::calibrate::skin;
@@ -58,7 +59,8 @@ impl Skins {
         let model = self.model(calibration).await?;
         let known = self.known_trials(model.sensor()).await?;
         let cache = self.data.join("cache");
-        let building = move || ready(&model, &known, &cache);
+        let span = Span::current();
+        let building = move || span.in_scope(|| ready(&model, &known, &cache));
         tokio::task::spawn_blocking(building).await.map_err(|_| InferError::Worker)?
     }
 
@@ -133,7 +135,9 @@ impl Skins {
     ) -> Result<ForwardModel, InferError> {
         let path = calibration.map(|id| self.path_of(id)).transpose()?;
         let (sensor, cache) = (self.sensor.clone(), self.data.join("cache"));
+        let span = Span::current();
         let building = tokio::task::spawn_blocking(move || {
+            let _inside = span.entered();
             let sensor = match path {
                 Some(path) => {
                     let text = std::fs::read_to_string(&path);

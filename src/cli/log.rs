@@ -1,0 +1,264 @@
+//! The log of a process: its level, its format, and a writer for which nothing waits.
+//! Uses: tracing-subscriber, standard error. Never: a wait of the thread that logs, also if standard
+//! error is a pipe that nothing reads: the campaign logs, too.
+
+use std::io::{self, IsTerminal, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::time::{Duration, Instant};
+
+use tracing::Dispatch;
+use tracing_subscriber::EnvFilter;
+use tracing_subscriber::fmt::MakeWriter;
+
+/// Help on the variables of the environment.
+pub const HELP: &str = "\
+Log, on standard error:
+  PALPATE_LOG         Level [default: warn]: error, warn, info, debug or trace; also with levels of
+                      parts: info,palpate_bench=debug
+  PALPATE_LOG_FORMAT  text or json [default: text]; json: one object per line, with its spans";
+
+/// Level without `PALPATE_LOG`.
+const LEVEL: &str = "warn";
+/// Lines that may wait for standard error; further ones are counted and lost.
+const WAITING_LINES: usize = 8192;
+/// Longest wait for standard error at the end of the process.
+const FAREWELL: Duration = Duration::from_secs(1);
+
+/// Format of the lines.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Format {
+    Text,
+    Json,
+}
+
+/// The log of this process. Its lines are written when it is dropped, if standard error takes them.
+#[derive(Debug)]
+pub struct Log {
+    lines: SyncSender<Item>,
+    written: Receiver<()>,
+}
+
+#[derive(Debug)]
+enum Item {
+    Line(Vec<u8>),
+    End,
+}
+
+/// Starts the log as the environment asks for it. Returns nothing if its thread cannot be started:
+/// the process then has no log.
+pub fn start() -> Option<Log> {
+    let wanted = std::env::var("PALPATE_LOG").ok().filter(|level| !level.is_empty());
+    let filter = EnvFilter::try_new(wanted.as_deref().unwrap_or(LEVEL));
+    let named = std::env::var("PALPATE_LOG_FORMAT").unwrap_or_default();
+    let format = match named.as_str() {
+        "json" => Format::Json,
+        _ => Format::Text,
+    };
+    let (lines, inbox) = sync_channel(WAITING_LINES);
+    let (done, written) = sync_channel(1);
+    let lost = Arc::<AtomicU64>::default();
+    let queue = Queue { lines: lines.clone(), lost: lost.clone() };
+    let writing = move || {
+        write_all(&inbox, &lost);
+        let _ = done.send(());
+    };
+    std::thread::Builder::new().name("log".into()).spawn(writing).ok()?;
+    let colours = io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+    let invalid_level = filter.as_ref().err().map(ToString::to_string);
+    let filter = filter.unwrap_or_else(|_| EnvFilter::new(LEVEL));
+    let log = dispatch(format, filter, colours, move || queue.clone());
+    // A log that was set before stays.
+    let _ = tracing::dispatcher::set_global_default(log);
+    if let Some(error) = invalid_level {
+        tracing::warn!(error, "PALPATE_LOG is invalid: the level is {LEVEL}");
+    }
+    if !matches!(named.as_str(), "" | "text" | "json") {
+        tracing::warn!(named, "PALPATE_LOG_FORMAT must be text or json: the format is text");
+    }
+    Some(Log { lines, written })
+}
+
+impl Drop for Log {
+    fn drop(&mut self) {
+        let deadline = Instant::now() + FAREWELL;
+        while let Err(TrySendError::Full(_)) = self.lines.try_send(Item::End) {
+            if Instant::now() > deadline {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        let _ = self.written.recv_timeout(FAREWELL);
+    }
+}
+
+/// Writes lines to standard error until the end; reports lost ones.
+fn write_all(inbox: &Receiver<Item>, lost: &AtomicU64) {
+    while let Ok(Item::Line(line)) = inbox.recv() {
+        // A log that cannot be written, on a full disk, must not end the process.
+        let _ = io::stderr().write_all(&line);
+        let missing = lost.swap(0, Ordering::Relaxed);
+        if missing > 0 {
+            tracing::warn!(lines = missing, "lines of the log were lost: its reader is too slow");
+        }
+    }
+}
+
+/// Puts lines into the queue of the writing thread.
+#[derive(Debug, Clone)]
+struct Queue {
+    lines: SyncSender<Item>,
+    lost: Arc<AtomicU64>,
+}
+
+impl Write for Queue {
+    /// Takes a whole line, as the subscriber writes it.
+    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
+        if self.lines.try_send(Item::Line(line.to_vec())).is_err() {
+            self.lost.fetch_add(1, Ordering::Relaxed);
+        }
+        Ok(line.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// A log with a writer. Text: one line per event, with the fields of its spans at its end. JSON: one
+/// object per line, with its spans in `spans`, the outermost first.
+fn dispatch<W>(format: Format, filter: EnvFilter, colours: bool, writer: W) -> Dispatch
+where
+    W: for<'w> MakeWriter<'w> + Send + Sync + 'static,
+{
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(writer);
+    let log = log.log_internal_errors(false);
+    match format {
+        Format::Text => Dispatch::new(log.compact().with_ansi(colours).finish()),
+        Format::Json => {
+            Dispatch::new(log.json().flatten_event(true).with_current_span(false).finish())
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::campaign::spans::{configuration_span, run_span, trial_span};
+    use crate::dataset::background::background;
+    use crate::ids::TrialKey;
+    use serde_json::{Value, json};
+    use std::sync::Mutex;
+    use tracing::Instrument;
+
+    #[derive(Debug, Clone, Default)]
+    struct Kept(Arc<Mutex<Vec<u8>>>);
+
+    impl Write for Kept {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.lock().unwrap().extend_from_slice(bytes);
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    const RUN: &str = "01890a5d-ac96-774b-bcce-b302099a8057";
+
+    fn span_of_run() -> tracing::Span {
+        run_span(RUN.parse().unwrap(), 12)
+    }
+
+    /// What is logged at a level by a piece of work in the spans of a run and a trial.
+    fn logged(format: Format, level: &str) -> String {
+        let kept = Kept::default();
+        let (writer, filter) = (kept.clone(), EnvFilter::new(level));
+        let log = dispatch(format, filter, false, move || writer.clone());
+        let key = TrialKey { configuration: 4, depth_index: 2 };
+        let work = async {
+            tracing::debug!("the tips press");
+            tokio::task::yield_now().await;
+            tracing::warn!(force_n = 2.5, "too much force");
+        };
+        let of_run = async {
+            tracing::info!("before the trial");
+            work.instrument(trial_span(key)).instrument(configuration_span(4, 3)).await;
+            tracing::error!("after the trial");
+        };
+        tracing::dispatcher::with_default(&log, || {
+            let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+            runtime.block_on(of_run.instrument(span_of_run()));
+        });
+        String::from_utf8(kept.0.lock().unwrap().clone()).unwrap()
+    }
+
+    fn lines(text: &str) -> Vec<Value> {
+        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    }
+
+    #[test]
+    fn a_line_of_json_names_the_run_and_the_trial_in_which_it_was_logged() {
+        let logged = lines(&logged(Format::Json, "debug"));
+        assert_eq!(logged.len(), 4);
+        let run = json!({ "name": "run", "run": RUN, "scan_id": 12 });
+        let configuration = json!({ "name": "configuration", "index": 4, "tips": 3 });
+        let trial = json!({ "name": "trial", "configuration": 4, "depth_index": 2 });
+        assert_eq!(logged[0]["spans"], json!([run]));
+        assert_eq!(logged[1]["spans"], json!([run, configuration, trial]));
+        assert_eq!(logged[2]["spans"], logged[1]["spans"]);
+        assert_eq!(logged[3]["spans"], logged[0]["spans"]);
+        assert_eq!(logged[2]["message"], "too much force");
+        assert_eq!(logged[2]["level"], "WARN");
+        assert_eq!(logged[2]["force_n"], 2.5);
+        assert!(logged.iter().all(|line| line["timestamp"].is_string()));
+    }
+
+    #[test]
+    fn a_warning_names_its_run_at_the_default_level() {
+        let logged = lines(&logged(Format::Json, LEVEL));
+        assert_eq!(logged.len(), 2);
+        for line in &logged {
+            assert_eq!(line["spans"][0]["run"], RUN);
+        }
+    }
+
+    #[test]
+    fn a_line_of_text_has_the_fields_of_its_spans() {
+        let text = logged(Format::Text, LEVEL);
+        let line = text.lines().find(|line| line.contains("too much force")).unwrap();
+        for field in [&*format!("run={RUN}"), "scan_id=12", "configuration=4", "depth_index=2"] {
+            assert!(line.contains(field), "{line}");
+        }
+    }
+
+    /// The log of a test belongs to its thread: another thread is asked for its span only.
+    #[test]
+    fn a_thread_for_long_work_continues_the_span_in_which_it_was_started() {
+        let log = dispatch(Format::Json, EnvFilter::new(LEVEL), false, io::sink);
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        let inside = tracing::dispatcher::with_default(&log, || {
+            let span = span_of_run();
+            let there = log.clone();
+            let ask =
+                move || tracing::dispatcher::with_default(&there, tracing::Span::current).id();
+            let asked = background(ask).instrument(span.clone());
+            (runtime.block_on(asked).unwrap(), span.id())
+        });
+        assert!(inside.0.is_some());
+        assert_eq!(inside.0, inside.1);
+    }
+
+    #[test]
+    fn lines_for_which_nothing_reads_are_counted_and_do_not_wait() {
+        let (lines, inbox) = sync_channel(2);
+        let mut queue = Queue { lines, lost: Arc::default() };
+        for _ in 0..5 {
+            queue.write_all(b"line\n").unwrap();
+        }
+        assert_eq!(queue.lost.load(Ordering::Relaxed), 3);
+        assert_eq!(inbox.try_iter().count(), 2);
+    }
+}
