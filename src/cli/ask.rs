@@ -8,12 +8,14 @@ use clap::Args;
 use serde_json::{Value, json};
 use tokio::time::Instant;
 
+use super::client::Client;
 use super::error::CliError;
 use super::output::{counted, duration, say, say_json};
 use super::view::{RunView, StatusView};
 use super::{At, embed};
 use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::safe_end::{SafeEnd, Tips};
+use crate::ids::RunUid;
 
 /// Longest wait for the axes' acknowledgement of an emergency stop.
 const ACKNOWLEDGED: Duration = Duration::from_secs(2);
@@ -42,6 +44,16 @@ pub struct PauseArgs {
     pub act: ActArgs,
 }
 
+/// Options of `abort`.
+#[derive(Debug, Clone, Args)]
+pub struct AbortArgs {
+    /// Number or uid of the run; without it the active one.
+    pub run: Option<String>,
+    /// Options of every request.
+    #[command(flatten)]
+    pub act: ActArgs,
+}
+
 /// Runs `palpate status`.
 ///
 /// # Errors
@@ -63,17 +75,27 @@ pub async fn status(at: &At) -> Result<(), CliError> {
 /// # Errors
 /// `CliError::Idle` without an active run; other variants if the server cannot be reached or
 /// refuses.
-pub async fn act(args: &ActArgs, action: &str, mut more: Value) -> Result<(), CliError> {
+pub async fn act(args: &ActArgs, action: &str, more: Value) -> Result<(), CliError> {
     let client = embed::server(&args.at).await?;
     let run = client.status().await?.run.ok_or(CliError::Idle)?;
+    request(&client, (run.uid, run.scan_id), args, action, more).await
+}
+
+async fn request(
+    client: &Client,
+    (uid, scan_id): (RunUid, i64),
+    args: &ActArgs,
+    action: &str,
+    mut more: Value,
+) -> Result<(), CliError> {
     if let Some(why) = &args.why {
         more["why"] = why.clone().into();
     }
-    client.act(run.uid, action, more).await?;
+    client.act(uid, action, more).await?;
     if args.at.json {
-        say_json(&json!({ "run": run.uid, "action": action, "taken_up": true }));
+        say_json(&json!({ "run": uid, "action": action, "taken_up": true }));
     } else {
-        say(format_args!("run {}: {action} accepted", run.scan_id));
+        say(format_args!("run {scan_id}: {action} accepted"));
     }
     Ok(())
 }
@@ -87,6 +109,17 @@ pub async fn pause(args: &PauseArgs) -> Result<(), CliError> {
     act(&args.act, "pause", json!({ "when": when })).await
 }
 
+/// Runs `palpate abort`.
+///
+/// # Errors
+/// As [`act`]; also if the server has no such run.
+pub async fn abort(args: &AbortArgs) -> Result<(), CliError> {
+    let Some(run) = &args.run else { return act(&args.act, "abort", json!({})).await };
+    let client = embed::server(&args.act.at).await?;
+    let run = client.run(run).await?;
+    request(&client, (run.uid, run.scan_id), &args.act, "abort", json!({})).await
+}
+
 /// Runs `palpate estop`: one request, then the axes' acknowledgement as far as it is known.
 ///
 /// # Errors
@@ -94,7 +127,7 @@ pub async fn pause(args: &PauseArgs) -> Result<(), CliError> {
 pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
     // The server is not probed first: the stop must be the first request.
     let url = args.at.url().unwrap_or_else(|| super::DEFAULT_URL.into());
-    let client = super::client::Client::new(&url)?;
+    let client = Client::new(&url)?;
     let body = json!({ "why": args.why, "who": client.who() });
     let answer: Value = client.post("/api/v1/estop", &body).await?;
     let asked = Instant::now();
@@ -176,7 +209,7 @@ fn stopping_words(d: &StoppingDistance) -> String {
     };
     format!(
         "stopping {:.1} ms, {:.2} mm at {:.2} mm/s; +{:.1} N of {:.1} N margin on a tip, +{:.1} N of \
-         {:.1} N on {}; {measured} in {}",
+         {:.1} N on {} (+{:.0} N per tip on the stiffest skin allowed); {measured} in {}",
         d.sample_to_stop_ms,
         d.travel_mm,
         d.speed_mm_s,
@@ -185,6 +218,7 @@ fn stopping_words(d: &StoppingDistance) -> String {
         d.added_sum_n,
         d.margin_sum_n,
         counted(d.tips.into(), "tip", "tips"),
+        d.added_steepest_n,
         counted(d.stops, "stop", "stops"),
     )
 }

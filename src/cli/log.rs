@@ -71,6 +71,8 @@ pub fn start() -> Option<Log> {
     let log = dispatch(format, filter, colours, move || queue.clone());
     // A log that was set before stays.
     let _ = tracing::dispatcher::set_global_default(log);
+    // The default hook writes to standard error itself, before the safe end: a full pipe would stop it.
+    std::panic::set_hook(Box::new(|panic| tracing::error!(%panic, "a thread panicked")));
     if let Some(error) = invalid_level {
         tracing::warn!(error, "PALPATE_LOG is invalid: the level is {LEVEL}");
     }
@@ -185,7 +187,8 @@ mod tests {
         };
         let of_run = async {
             tracing::info!("before the trial");
-            work.instrument(trial_span(key)).instrument(configuration_span(4, 3)).await;
+            let of_configuration = async { work.instrument(trial_span(key)).await };
+            of_configuration.instrument(configuration_span(4, 3)).await;
             tracing::error!("after the trial");
         };
         tracing::dispatcher::with_default(&log, || {

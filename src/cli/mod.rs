@@ -122,9 +122,9 @@ pub enum Command {
     Resume(ask::ActArgs),
     /// End the active run after its trial, as a success.
     Stop(ask::ActArgs),
-    /// Raise the tips now and end the active run.
+    /// Raise the tips now and end the active run, or end an interrupted one.
     #[command(after_help = STOPS)]
-    Abort(ask::ActArgs),
+    Abort(ask::AbortArgs),
     /// Confirm that the requested work is done.
     Confirm(ask::ActArgs),
     /// Repeat the last manual trial, which was faulty.
@@ -195,7 +195,7 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
         Command::Pause(args) => ask::pause(&args).await?,
         Command::Resume(args) => ask::act(&args, "resume", none()).await?,
         Command::Stop(args) => ask::act(&args, "stop", none()).await?,
-        Command::Abort(args) => ask::act(&args, "abort", none()).await?,
+        Command::Abort(args) => ask::abort(&args).await?,
         Command::Confirm(args) => ask::act(&args, "confirm", none()).await?,
         Command::Repeat(args) => ask::act(&args, "repeat", none()).await?,
         Command::Estop(args) => ask::estop(&args).await?,

@@ -181,6 +181,14 @@ async fn a_run_that_this_version_would_plan_differently_does_not_resume() {
     assert!(detail.contains("policy.max_skipped: stored 11, now 10."), "{detail}");
     assert!(kinds(&lab.events().await).contains(&"not_gone_on"));
     assert_eq!(lab.keys(&run).await, stored);
+    // Nothing was switched on for it, and it can be ended.
+    assert_eq!(lab.get("/api/v1/status").await["rig"]["state"], "disconnected");
+    let (status, answer) = lab.act(&run, json!({ "action": "abort" })).await;
+    assert_eq!(status, 202, "{answer:#}");
+    let ended = lab.get(&format!("/api/v1/runs/{run}")).await;
+    assert_eq!((&ended["state"], &ended["exit_status"]), (&json!("ended"), &json!("abort")));
+    let (status, _) = lab.act(&run, json!({ "action": "abort" })).await;
+    assert_eq!(status, 409, "it has ended");
     lab.close().await;
 }
 

@@ -151,7 +151,7 @@ impl Writer {
         loop {
             let next = match self.behind.pop_front() {
                 Some(made) => Some(made),
-                None => self.inbox.recv().await,
+                None => self.inbox.recv().await.inspect(log_made),
             };
             let Some((entry, span)) = next else { return };
             match entry {
@@ -176,7 +176,6 @@ impl Writer {
 
     /// Writes a note, repeatedly until it succeeds; a note that the store refuses is logged.
     async fn write_note(&mut self, note: &Note, at: Timestamp) {
-        log(note);
         let mut pause = RETRY[0];
         let mut waits = false;
         loop {
@@ -221,6 +220,7 @@ impl Writer {
         while self.behind.len() < CAPACITY
             && let Ok(made) = self.inbox.try_recv()
         {
+            log_made(&made);
             self.behind.push_back(made);
         }
         for (entry, span) in std::mem::take(&mut self.behind) {
@@ -231,6 +231,13 @@ impl Writer {
                 }
             }
         }
+    }
+}
+
+/// Logs a note when it is taken from the inbox, so that its line does not wait for the store.
+fn log_made((entry, span): &Made) {
+    if let Entry::Note(note, _) = entry {
+        span.in_scope(|| log(note));
     }
 }
 

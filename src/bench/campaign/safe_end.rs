@@ -128,8 +128,10 @@ pub async fn make_safe(
         travelled_mm,
         took_ms: began.elapsed().as_secs_f64() * 1e3,
     };
-    // Only these trips are caused by a sample: the delay of the others is that of their own cause.
-    if trip.is_some_and(|t| matches!(t.kind, TripKind::Force | TripKind::Cell)) {
+    // Only these trips are caused by a sample of a moving z: the delay of the others is that of their
+    // own cause.
+    let by_sample = trip.is_some_and(|t| matches!(t.kind, TripKind::Force | TripKind::Cell));
+    if by_sample && sampled.is_some_and(|s| s.z_mm.is_some()) {
         stage.stopping.note_stop(sample_to_stop);
         stage.stopping.note_travel(travelled_mm);
     }
@@ -156,7 +158,10 @@ async fn raise(control: &Control, stage: &Stage, height: Height) -> (Tips, Optio
             return (Tips::HeldByEstop, None);
         }
         match stage.raise_once(height, &control.estop).await {
-            Ok(Raised::Up { deepest_mm }) => return (Tips::Raised, Some(deepest_mm)),
+            // After a failed attempt the deepest position may have passed unread.
+            Ok(Raised::Up { deepest_mm }) => {
+                return (Tips::Raised, (attempt == 0).then_some(deepest_mm));
+            }
             Ok(Raised::NotHomed) => return (Tips::NotHomed, None),
             Err(error) => last = error,
         }

@@ -17,7 +17,8 @@ pub struct RigLimits {
     /// Allowed increase of the force between a sample and the stop that follows it, N. The approach
     /// speed is derived from it.
     pub force_margin_n: f64,
-    /// Allowed increase of the sum of forces in the same time, N; absent: six times `force_margin_n`.
+    /// Allowed increase of the sum of forces in the same time, N; absent: six times `force_margin_n`, at
+    /// most `force_sum_n`.
     #[serde(default)]
     pub force_sum_margin_n: Option<f64>,
     /// Stiffness of one tip on the skin, N/mm, from which the approach speed is derived.
@@ -44,7 +45,8 @@ pub struct RigLimits {
 impl RigLimits {
     /// Allowed increase of the sum of forces between a sample and the stop that follows it, N.
     pub fn sum_margin_n(&self) -> f64 {
-        self.force_sum_margin_n.unwrap_or(ARMS as f64 * self.force_margin_n)
+        let six_n = ARMS as f64 * self.force_margin_n;
+        self.force_sum_margin_n.unwrap_or(six_n.min(self.force_sum_n))
     }
 
     /// Travel of z that keeps the increase of each force and of their sum within its margin, mm, if
@@ -59,7 +61,7 @@ impl RigLimits {
         c.within("limits.force_n", self.force_n, 1.0, 0.8 * full_scale_n);
         c.within("limits.force_sum_n", self.force_sum_n, 1.0, 5000.0);
         c.within("limits.force_margin_n", self.force_margin_n, 0.1, self.force_n);
-        c.within("limits.force_sum_margin_n", self.sum_margin_n(), 0.1, 5000.0);
+        c.within("limits.force_sum_margin_n", self.sum_margin_n(), 0.1, self.force_sum_n);
         c.within("limits.stiffness_n_per_mm", self.stiffness_n_per_mm, 0.1, 1000.0);
         c.within("limits.tare_drift_n", self.tare_drift_n, 0.01, 50.0);
         c.within("limits.skin_touch_v", self.skin_touch_v, 1e-6, 10.0);

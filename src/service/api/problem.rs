@@ -117,6 +117,9 @@ impl From<ConductorError> for ApiError {
             ConductorError::Forbidden(words) => Self::new(StatusCode::CONFLICT, words),
             ConductorError::Refused(refusal) => refusal.into(),
             ConductorError::Store(error) => error.into(),
+            ConductorError::NotEnded(error) => {
+                Self::new(StatusCode::INTERNAL_SERVER_ERROR, error_chain(&error))
+            }
         }
     }
 }

@@ -18,6 +18,7 @@ use crate::conductor::{Armed, Started};
 use crate::ids::RunUid;
 use crate::journal::Journal;
 use crate::schedule::preflight::Preflight;
+use crate::state::StoredState;
 use crate::store::{Role, RunPage, RunRow, SettingCount, SkipRow};
 
 /// Default number of runs per page.
@@ -83,7 +84,7 @@ pub enum Action {
     Resume,
     /// Finish the trial, raise the tips, end the run.
     Stop,
-    /// Raise the tips now, end the run.
+    /// Raise the tips now, end the run. An interrupted run ends without motion.
     Abort,
     /// Confirm the work that the run waits for: a tip change or a placement.
     Confirm,
@@ -330,7 +331,12 @@ async fn request_action(
         let code = act.code.as_deref().unwrap_or_default();
         return Ok(Some(app.conductor.start(run, code).await?));
     }
-    if app.campaign.status().run.is_none_or(|r| r.uid != run.uid) {
+    let active = app.campaign.status().run.is_some_and(|r| r.uid == run.uid);
+    if !active && act.action == Action::Abort && run.state == StoredState::Interrupted {
+        app.conductor.abort_interrupted(run).await?;
+        return Ok(None);
+    }
+    if !active {
         let words = format!(
             "action {}: run {} is {}, not active",
             act.action.name(),

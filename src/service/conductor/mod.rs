@@ -19,7 +19,7 @@ use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::command::{Handle, Refusal, Request};
 use crate::campaign::spans::run_span;
 use crate::ids::{CalibrationId, RunUid};
-use crate::journal::error_chain;
+use crate::journal::{ExitStatus, Journal, JournalError, error_chain};
 use crate::problem::Problem;
 use crate::rig::config::RigConfig;
 use crate::schedule::preflight::Preflight;
@@ -118,8 +118,8 @@ pub enum ConductorError {
     /// This version plans the files of a stored run differently.
     #[error(
         "run {run} was planned by version {version}, and this version plans it differently: \
-         {difference}. The trials of one run come from one plan: resume it with that version, or \
-         abort it and queue its files again"
+         {difference}. The trials of one run come from one plan: abort it (palpate abort {run}), and \
+         queue its files again (palpate run --new)"
     )]
     PlanDiffers {
         /// Number of the run.
@@ -138,6 +138,9 @@ pub enum ConductorError {
     /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// The end of a run could not be stored.
+    #[error(transparent)]
+    NotEnded(#[from] JournalError),
 }
 
 impl Conductor {
@@ -189,7 +192,7 @@ impl Conductor {
             git_commit: crate::commit::known().map(Into::into),
             deadband_n: experiment.measure.deadband_n,
             tip_diameter_mm: Some(prepared.tip_diameter_mm),
-            plan: Some(prepared.plan.text()),
+            plan: Some(prepared.plan_text.clone()),
             trials_planned: prepared.preflight.trials,
             auto_resume: auto_resume.unwrap_or(experiment.policy.auto_resume),
             submitted_by: who,
@@ -245,6 +248,23 @@ impl Conductor {
         }
         self.begin(run).await?;
         Ok(Started::Running)
+    }
+
+    /// Ends an interrupted run as aborted. Its trials stay; nothing moves.
+    ///
+    /// # Errors
+    /// `ConductorError::Forbidden` if the run is not interrupted, `Store` if its end is not stored.
+    pub async fn abort_interrupted(&self, run: &RunRow) -> Result<(), ConductorError> {
+        if run.state != StoredState::Interrupted {
+            let words =
+                format!("run {} is {}: neither active nor interrupted", run.scan_id, run.state);
+            return Err(ConductorError::Forbidden(words));
+        }
+        self.armings().remove(&run.uid);
+        self.waiting().remove(&run.uid);
+        let reason = "aborted while it was interrupted";
+        let ended = self.inner.store.end_run(run.uid, ExitStatus::Abort, reason, Timestamp::now());
+        Ok(ended.await?)
     }
 
     fn check_code(&self, run: RunUid, code: &str) -> Result<(), ConductorError> {
@@ -379,6 +399,13 @@ impl Conductor {
 
     /// Drives a run again; returns `false` if the rig could not be reached.
     async fn go_on_with(&self, run: &RunRow) -> Result<bool, ConductorError> {
+        // Before the wires are opened: nothing moves for a run that is refused.
+        self.require_sound_store()?;
+        if let Err(error) = self.prepare_stored(run).await {
+            let data = json!({ "attempt": 0, "why": error.to_string() });
+            self.say(run, "not_gone_on", data).await;
+            return Err(error);
+        }
         let mut pause = RESTART_PAUSE;
         for attempt in 1..=RESTART_TRIES {
             let outcome = match self.bring_up().await {
@@ -454,7 +481,7 @@ impl Conductor {
         let prepared = self.prepare(Submission::of(run)).await?.sound()?;
         match self.inner.store.plan_of(run.uid).await? {
             Some(stored) => prepared.matches(run, &stored)?,
-            None => self.inner.store.keep_plan(run.uid, prepared.plan.text()).await?,
+            None => self.inner.store.keep_plan(run.uid, prepared.plan_text.clone()).await?,
         }
         Ok(prepared)
     }

@@ -45,6 +45,8 @@ pub struct Prepared {
     pub experiment: Experiment,
     /// Plan of the run.
     pub plan: Plan,
+    /// The plan as it is stored.
+    pub plan_text: String,
     /// Preflight on this rig, for the person who arms the run.
     pub preflight: Preflight,
     /// Name of the sensor.
@@ -76,7 +78,17 @@ impl Prepared {
         let clock_rate = rig.config.clock_rate;
         let tip_diameter_mm = sensor.file.tip_diameter_mm;
         let sensor_name = sensor.file.name;
-        Ok(Self { experiment, plan, preflight, sensor_name, tip_diameter_mm, label, clock_rate })
+        let plan_text = plan.text();
+        Ok(Self {
+            experiment,
+            plan,
+            plan_text,
+            preflight,
+            sensor_name,
+            tip_diameter_mm,
+            label,
+            clock_rate,
+        })
     }
 
     /// Returns the run, unless the preflight found problems.
@@ -104,7 +116,7 @@ impl Prepared {
     /// # Errors
     /// `ConductorError::PlanDiffers` with the differing places.
     pub fn matches(&self, run: &RunRow, stored: &str) -> Result<(), ConductorError> {
-        let difference = kept::difference(stored, &self.plan)
+        let difference = kept::difference(stored, &self.plan_text)
             .unwrap_or_else(|error| Some(format!("the stored plan cannot be read: {error}")));
         match difference {
             None => Ok(()),

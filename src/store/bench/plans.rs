@@ -58,18 +58,22 @@ impl Store {
     }
 }
 
-/// Stores a plan unless an equal one is stored. Returns its sha256.
+/// Stores a plan unless an equal one is stored; mends a stored one that was damaged. Returns its
+/// sha256.
 pub(super) async fn keep(
     connection: &mut SqliteConnection,
     plan: &str,
     operation: &'static str,
 ) -> Result<String, StoreError> {
     let sha256 = sha256_hex(plan);
-    sqlx::query("INSERT INTO plans (sha256, plan) VALUES (?1, ?2) ON CONFLICT DO NOTHING")
-        .bind(&sha256)
-        .bind(plan)
-        .execute(connection)
-        .await
-        .during(operation)?;
+    sqlx::query(
+        "INSERT INTO plans (sha256, plan) VALUES (?1, ?2)
+         ON CONFLICT (sha256) DO UPDATE SET plan = excluded.plan WHERE plan <> excluded.plan",
+    )
+    .bind(&sha256)
+    .bind(plan)
+    .execute(connection)
+    .await
+    .during(operation)?;
     Ok(sha256)
 }
