@@ -285,7 +285,7 @@ async fn follow(client: &Client, asked: ExportView) -> Result<ExportView, CliErr
                 now.rows_total = rows;
                 return Ok(now);
             }
-            "failed" => {
+            "failed" | "stopped" => {
                 bar.abandon();
                 let operation = format!("export {}", now.id);
                 let detail = now.error.unwrap_or_default();

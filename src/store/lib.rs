@@ -3,7 +3,7 @@
 //! Never: HTTP, the rig, a write from a connection other than the writer's.
 //!
 //! ```text
-//! campaign, api --jobs--> writer thread, one connection, WAL, synchronous=FULL --> palpate.sqlite
+//! campaign, api --jobs--> writer thread, one connection, WAL, synchronous=FULL --> palpate.db
 //!                                                     read-only connections <-----/
 //! ```
 //! Four folders, each of which imports only the ones before it: `core` (the file and its writer),

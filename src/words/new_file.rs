@@ -45,7 +45,12 @@ impl NewFile {
     /// # Errors
     /// If folder or file cannot be created.
     pub fn create(folder: &Path) -> io::Result<Self> {
-        fs::create_dir_all(folder)?;
+        if !folder.is_dir() {
+            fs::create_dir_all(folder)?;
+            if let Some(parent) = folder.parent().filter(|parent| !parent.as_os_str().is_empty()) {
+                File::open(parent)?.sync_all()?;
+            }
+        }
         let partial = folder.join(format!("{PARTIAL}{}", uuid::Uuid::now_v7()));
         let file = File::create_new(&partial)?;
         let (folder, sha256) = (folder.to_owned(), Hashing::default());

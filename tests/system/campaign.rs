@@ -177,7 +177,7 @@ async fn a_run_that_this_version_would_plan_differently_does_not_resume() {
     let detail = refused["detail"].as_str().unwrap();
     assert_eq!(status, 409, "{refused:#}");
     let scan_id = &row["scan_id"];
-    assert!(detail.starts_with(&format!("run {scan_id} was planned by version")), "{detail}");
+    assert!(detail.starts_with(&format!("run {scan_id} was queued by version")), "{detail}");
     assert!(detail.contains("policy.max_skipped: stored 11, now 10."), "{detail}");
     assert!(kinds(&lab.events().await).contains(&"not_gone_on"));
     assert_eq!(lab.keys(&run).await, stored);

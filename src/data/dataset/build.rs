@@ -1,5 +1,5 @@
 //! Makes a dataset: surveys its runs, then reads, encodes, hashes and stores the selected rows.
-//! Uses: `store`, `dataset::{survey, shards, batch, format, file}`. Never: HTTP; all rows at once.
+//! Uses: `store`, `dataset::{survey, shards, batch, format}`, `new_file`. Never: HTTP; all rows at once.
 //!
 //! ```text
 //! runs -> survey (no frames) -> selected ids, parts -> pages of 1000 with frames ---+
@@ -97,6 +97,11 @@ pub async fn build(
 
     let report = report(definition, &columns, channels, &surveyed, &tally);
     let id = encoder.id();
+    // Equal rows of other inputs: the file with its sha256 stays as it is.
+    let existing = store.dataset(&id).await?;
+    if let Some(row) = existing.filter(|row| data_file(folder, &row.id).is_file()) {
+        return Ok(store.insert_dataset(row, &inputs.key).await?);
+    }
     let finished = encoder.finish(&id)?;
     let row = DatasetRow {
         name: definition.name.clone(),

@@ -294,7 +294,8 @@ impl Catalog {
         let existing = || {
             let sha256 = std::fs::read_to_string(&digest).ok().filter(|_| path.is_file())?;
             // Earlier versions did not sync this file: it may be truncated.
-            let whole = sha256.len() == SHA256_DIGITS;
+            let hex = sha256.bytes().all(|b| b.is_ascii_hexdigit());
+            let whole = hex && sha256.len() == SHA256_DIGITS;
             whole.then(|| ExportFile { path: path.clone(), sha256 })
         };
         if let Some(file) = existing() {

@@ -72,6 +72,8 @@ struct Inner {
     waiting: Mutex<BTreeSet<RunUid>>,
     /// Notified when a run is added to `waiting`.
     look: Notify,
+    /// Held while a run begins, or ends without having been driven.
+    beginning: tokio::sync::Mutex<()>,
 }
 
 /// The first of the two steps of starting a run.
@@ -117,7 +119,7 @@ pub enum ConductorError {
     NoRun(String),
     /// This version plans the files of a stored run differently.
     #[error(
-        "run {run} was planned by version {version}, and this version plans it differently: \
+        "run {run} was queued by version {version}, and this version plans it differently: \
          {difference}. The trials of one run come from one plan: abort it (palpate abort {run}), and \
          queue its files again (palpate run --new)"
     )]
@@ -152,7 +154,8 @@ impl Conductor {
         calibration: Option<Calibration>,
     ) -> Self {
         let (armings, waiting, look) = (Mutex::default(), Mutex::default(), Notify::new());
-        let inner = Inner { store, campaign, rig, calibration, armings, waiting, look };
+        let beginning = tokio::sync::Mutex::default();
+        let inner = Inner { store, campaign, rig, calibration, armings, waiting, look, beginning };
         Self { inner: Arc::new(inner) }
     }
 
@@ -255,9 +258,11 @@ impl Conductor {
     /// # Errors
     /// `ConductorError::Forbidden` if the run is not interrupted, `Store` if its end is not stored.
     pub async fn abort_interrupted(&self, run: &RunRow) -> Result<(), ConductorError> {
-        if run.state != StoredState::Interrupted {
-            let words =
-                format!("run {} is {}: neither active nor interrupted", run.scan_id, run.state);
+        let _one_at_a_time = self.inner.beginning.lock().await;
+        let now = self.present(run).await?;
+        let active = self.inner.campaign.status().run.is_some_and(|r| r.uid == run.uid);
+        if active || now.state != StoredState::Interrupted {
+            let words = format!("run {} is {}, not interrupted", now.scan_id, now.state);
             return Err(ConductorError::Forbidden(words));
         }
         self.armings().remove(&run.uid);
@@ -265,6 +270,12 @@ impl Conductor {
         let reason = "aborted while it was interrupted";
         let ended = self.inner.store.end_run(run.uid, ExitStatus::Abort, reason, Timestamp::now());
         Ok(ended.await?)
+    }
+
+    /// The row of a run as it is stored now.
+    async fn present(&self, run: &RunRow) -> Result<RunRow, ConductorError> {
+        let now = self.inner.store.run(run.uid).await?;
+        now.ok_or_else(|| ConductorError::NoRun(run.uid.to_string()))
     }
 
     fn check_code(&self, run: RunUid, code: &str) -> Result<(), ConductorError> {
@@ -296,7 +307,14 @@ impl Conductor {
 
     async fn begin(&self, run: &RunRow) -> Result<(), ConductorError> {
         let beginning = async {
+            let _one_at_a_time = self.inner.beginning.lock().await;
             self.require_sound_store()?;
+            // It may have been aborted while the rig was homed.
+            let state = self.present(run).await?.state;
+            if matches!(state, StoredState::Ended | StoredState::Removed) {
+                let words = format!("run {} is {state}: it cannot be driven", run.scan_id);
+                return Err(ConductorError::Forbidden(words));
+            }
             let job = self.prepare_stored(run).await?.job(run);
             self.inner.campaign.ask(Request::Start(Arc::new(job))).await?;
             self.armings().remove(&run.uid);

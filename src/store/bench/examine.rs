@@ -5,6 +5,7 @@
 use std::collections::HashMap;
 use std::time::Duration;
 
+use futures::TryStreamExt;
 use sqlx::ConnectOptions;
 use sqlx::sqlite::SqliteConnection;
 
@@ -129,12 +130,13 @@ async fn changed_texts(connection: &mut SqliteConnection) -> Result<Vec<String>,
             }
         }
     }
-    let plans: Vec<(String, String)> = sqlx::query_as("SELECT sha256, plan FROM plans")
-        .fetch_all(connection)
-        .await
-        .during(OPERATION)?;
-    for (sha256, _) in plans.iter().filter(|(sha256, plan)| sha256_hex(plan) != *sha256) {
-        findings.push(format!("the plan {sha256} was changed after it was stored"));
+    // One by one: a plan has megabytes.
+    let mut plans = sqlx::query_as("SELECT sha256, plan FROM plans").fetch(connection);
+    while let Some((sha256, plan)) = plans.try_next().await.during(OPERATION)? {
+        let (sha256, plan): (String, String) = (sha256, plan);
+        if sha256_hex(plan) != sha256 {
+            findings.push(format!("the plan {sha256} was changed after it was stored"));
+        }
     }
     Ok(findings)
 }

@@ -1,5 +1,5 @@
 //! API keys: created from random bytes of the caller, stored as hashes, revocable.
-//! Uses: sha2, `core::writer`. Never: the text of a key in a table, a log or a `Debug`; a read of the
+//! Uses: `digest`, `core::writer`. Never: the text of a key in a table, a log or a `Debug`; a read of the
 //! store per request.
 //!
 //! A key is found by its sha256, so that the time of a comparison reveals nothing about a guess. A key

@@ -99,8 +99,9 @@ impl Store {
         })
     }
 
-    /// Stores a dataset whose file exists, under the state of its inputs. A stored dataset is not
-    /// changed. Returns the stored dataset.
+    /// Stores a dataset whose file exists, under the state of its inputs. If it is stored already, its
+    /// file was written again: length, sha256 and lineage are those of the new file. Returns the stored
+    /// dataset.
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
@@ -117,7 +118,9 @@ impl Store {
                 sqlx::query(
                     "INSERT INTO datasets (id, name, definition, rows, bytes, sha256, report,
                          lineage, created_at)
-                     VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9) ON CONFLICT (id) DO NOTHING",
+                     VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)
+                     ON CONFLICT (id) DO UPDATE SET bytes = excluded.bytes,
+                         sha256 = excluded.sha256, lineage = excluded.lineage",
                 )
                 .bind(new.id.as_str())
                 .bind(&new.name)

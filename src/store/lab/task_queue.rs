@@ -1,5 +1,7 @@
 //! A queue of tasks: stored when requested, run one at a time, oldest first, continued after a restart.
-//! Uses: `lab::tasks`. Never: the meaning of a request; a second run of a task that has run to its end.
+//! Uses: `lab::tasks`. Never: the meaning of a request.
+//!
+//! A task that has run to its end runs again only if the process ends before its end is stored.
 //!
 //! Each queue serves some kinds of tasks, so that an export does not wait for a training. The caller
 //! passes what one task does: the queue neither knows datasets nor nets.
@@ -105,7 +107,8 @@ impl<W: Default> TaskQueue<W> {
                 }
                 Ok(None) => {}
                 Err(error) => {
-                    tracing::warn!(%error, kinds = ?self.kinds, "the open tasks could not be read");
+                    let error = error.with_causes();
+                    tracing::warn!(error, kinds = ?self.kinds, "the open tasks could not be read");
                 }
             }
             // The timeout repeats a failed read.
@@ -124,20 +127,25 @@ impl<W: Default> TaskQueue<W> {
         let (id, shared) = (task.id, Arc::new(W::default()));
         // Before the task begins, so that no stop is missed.
         *self.running.lock() = Some((id, shared.clone()));
-        match self.store.begin_task(id, None).await {
-            Ok(true) => {
-                let outcome = AssertUnwindSafe(run(task, shared)).catch_unwind().await;
-                let end = outcome
-                    .unwrap_or_else(|_| TaskEnd::Failed("the program failed: see its log".into()));
-                self.end(id, &end).await;
-                ended(id, &end);
+        let begun = loop {
+            match self.store.begin_task(id, None).await {
+                Ok(begun) => break begun,
+                // The shared state stays: a stop that was requested meanwhile holds.
+                Err(error) => {
+                    let error = error.with_causes();
+                    tracing::warn!(error, "a task could not begin, and is tried again");
+                    tokio::time::sleep(IDLE).await;
+                }
             }
-            // It was stopped after it was read.
-            Ok(false) => {}
-            Err(error) => {
-                tracing::warn!(%error, "a task could not begin, and is tried again");
-                tokio::time::sleep(IDLE).await;
-            }
+        };
+        // Otherwise it was stopped after it was read.
+        if begun {
+            tracing::info!("a task begins");
+            let outcome = AssertUnwindSafe(run(task, shared)).catch_unwind().await;
+            let end = outcome
+                .unwrap_or_else(|_| TaskEnd::Failed("the program failed: see its log".into()));
+            self.end(id, &end).await;
+            ended(id, &end);
         }
         *self.running.lock() = None;
     }
@@ -151,7 +159,8 @@ impl<W: Default> TaskQueue<W> {
                 Ok(false) => tracing::info!("the end of a task was already stored"),
                 Ok(true) => tracing::info!(state = %end.state(), "a task has ended"),
                 Err(error) => {
-                    tracing::error!(%error, "the end of a task could not be stored");
+                    let error = error.with_causes();
+                    tracing::error!(error, "the end of a task could not be stored");
                     tokio::time::sleep(pause).await;
                     pause = (2 * pause).min(PAUSE_MAX);
                     continue;

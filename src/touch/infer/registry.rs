@@ -2,8 +2,8 @@
 //! Uses: `store`, `learn::model_file`, `infer::plan`. Never: HTTP, which of them serve (`serving`).
 //!
 //! A model is a folder `DATA/models/mdl-..` with `model.onnx`, `manifest.toml`, `sensor.toml`, and
-//! for those trained here `losses.ndjson` and `residuals.json`. The complete folder appears
-//! atomically, before its row; it never changes.
+//! for those trained here `losses.ndjson` and `residuals.json`. The folder is complete before its row
+//! is stored; it never changes.
 
 use std::fs;
 use std::path::{Path, PathBuf};

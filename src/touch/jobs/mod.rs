@@ -17,7 +17,7 @@ use crate::ids::TaskId;
 use crate::infer::registry::Registry;
 use crate::infer::serving::Serving;
 use crate::journal::error_chain;
-use crate::store::{Store, TaskEnd, TaskKind, TaskQueue, TaskRow};
+use crate::store::{Store, TaskEnd, TaskKind, TaskQueue, TaskRow, TaskState};
 use starts::{STARTS_MAX, Starts};
 
 mod error;
@@ -131,6 +131,7 @@ impl Jobs {
             let jobs = self.clone();
             async move { jobs.carry_out(&job, watch).await }
         };
+        self.sweep().await;
         let ended = |id, end: &TaskEnd| {
             let folder = self.folder(id);
             match end {
@@ -140,6 +141,18 @@ impl Jobs {
             };
         };
         self.inner.queue.work(run, ended).await;
+    }
+
+    /// Removes the folders of jobs whose end was stored before they could be removed.
+    async fn sweep(&self) {
+        let Ok(folders) = std::fs::read_dir(self.inner.data.join("jobs")) else { return };
+        for folder in folders.flatten() {
+            let Ok(id) = folder.file_name().to_string_lossy().parse() else { continue };
+            let job = self.inner.store.task(id).await.ok().flatten();
+            if job.is_some_and(|job| matches!(job.state, TaskState::Done | TaskState::Stopped)) {
+                std::fs::remove_dir_all(folder.path()).ok();
+            }
+        }
     }
 
     async fn carry_out(&self, job: &TaskRow, watch: Arc<Watch>) -> TaskEnd {
