@@ -1,6 +1,7 @@
 """How long a stop takes, measured where it counts: at the rig's wires (standard library only).
 
     python3 tests/figures/stops.py URL CONTROL estop COUNT [--key KEY] [--load] [--pid PID] [--lock DB]
+    python3 tests/figures/stops.py URL CONTROL compare COUNT --pid PID --lock DB [--key KEY]
     python3 tests/figures/stops.py URL CONTROL trips COUNT
     python3 tests/figures/stops.py URL CONTROL drifts COUNT [--load] [--pid PID] [--lock DB]
 
@@ -8,6 +9,7 @@
 virtual rig (its control socket at CONTROL tells), x moving at each. With --load 200 reads a second go on;
 with --pid the service's process may write no file any more (a full disk: RLIMIT_FSIZE, `prlimit`); with
 --lock somebody else holds the database's write lock.
+`compare`: as `estop`, with the store idle, refusing writes and locked in turn.
 `trips`: a force limit that each press exceeds; from the sample to z's acknowledged stop, as the service
 measures it, and the largest force that the rig truly saw.
 `drifts`: a cell drifts over its limit while a load is held, with the store in the given state.
@@ -17,6 +19,7 @@ import json
 import pathlib
 import socket
 import sqlite3
+import statistics
 import subprocess
 import sys
 import threading
@@ -73,29 +76,46 @@ def homed(url: str) -> None:
 
 
 def estop(url: str, control: str, count: int, key: str, load: bool, pid: str, lock: str) -> None:
-    took = []
-    for n in range(count):
-        homed(url)
-        act(url, "jog", axis="x", to_mm=[30.0, 540.0][n % 2])
-        while not tell(control, {"cmd": "status"})["axes"][0]["moving"]:
-            pass
-        again = disturb(url, load, pid, lock)
-        before, sent = tell(control, {"cmd": "status"})["stops"], time.time()
-        call(url, "/api/v1/estop", {"why": "figures"}, key)
-        while True:
-            truth = tell(control, {"cmd": "status"})
-            fresh = [r for r in truth["stop_receipts"] if r["unix_s"] >= sent]
-            if {r["axis"] for r in fresh} >= {"x", "y", "z", "radial"}:
-                break
-        first = {}
-        for receipt in fresh:
-            first.setdefault(receipt["axis"], receipt["unix_s"])
-        took.append((max(first.values()) - sent) * 1e3)
-        again()
-        until(url, lambda s: s["rig"]["state"] == "tripped")
-        assert truth["stops"] > before
+    took = [one_estop(url, control, n, key, load, pid, lock) for n in range(count)]
     latency.spread("request to the last axis's stop at the wire", took, "ms")
     histogram(took)
+
+
+def compare(url: str, control: str, count: int, key: str, pid: str, lock: str) -> None:
+    """The states of the store in turn, so that other work of the computer falls on all of them alike."""
+    states = {"idle": ("", ""), "full disk": (pid, ""), "locked database": ("", lock)}
+    took = {name: [] for name in states}
+    for n in range(count):
+        for i, (name, (full, locked)) in enumerate(states.items()):
+            took[name].append(one_estop(url, control, n * len(states) + i, key, False, full, locked))
+    for name, values in took.items():
+        latency.spread(f"{name}: request to the last axis's stop at the wire", values, "ms")
+    idle = statistics.median(took["idle"])
+    for name, values in took.items():
+        print(f"{name}: median {statistics.median(values) - idle:+.2f} ms against idle")
+
+
+def one_estop(url: str, control: str, n: int, key: str, load: bool, pid: str, lock: str) -> float:
+    """Time from a request to the last axis's stop at the wire, ms."""
+    homed(url)
+    act(url, "jog", axis="x", to_mm=[30.0, 540.0][n % 2])
+    while not tell(control, {"cmd": "status"})["axes"][0]["moving"]:
+        pass
+    again = disturb(url, load, pid, lock)
+    before, sent = tell(control, {"cmd": "status"})["stops"], time.time()
+    call(url, "/api/v1/estop", {"why": "figures"}, key)
+    while True:
+        truth = tell(control, {"cmd": "status"})
+        fresh = [r for r in truth["stop_receipts"] if r["unix_s"] >= sent]
+        if {r["axis"] for r in fresh} >= {"x", "y", "z", "radial"}:
+            break
+    first = {}
+    for receipt in fresh:
+        first.setdefault(receipt["axis"], receipt["unix_s"])
+    again()
+    until(url, lambda s: s["rig"]["state"] == "tripped")
+    assert truth["stops"] > before
+    return (max(first.values()) - sent) * 1e3
 
 
 def disturb(url: str, load: bool, pid: str, lock: str):
@@ -190,6 +210,8 @@ def main() -> None:
     option = lambda name: more[more.index(name) + 1] if name in more else ""
     if what == "estop":
         estop(url, control, int(count), option("--key"), "--load" in more, option("--pid"), option("--lock"))
+    elif what == "compare":
+        compare(url, control, int(count), option("--key"), option("--pid"), option("--lock"))
     elif what == "drifts":
         drifts(url, control, int(count), "--load" in more, option("--pid"), option("--lock"))
     else:
