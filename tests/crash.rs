@@ -162,7 +162,7 @@ impl Site {
         self.post(&format!("/api/v1/runs/{run}/actions"), start).await;
     }
 
-    /// A run that waited for a person when the service was killed is not gone on with unasked: that
+    /// A run that waited for a person when the service was killed does not resume automatically: that
     /// person starts it. Returns the run's state.
     async fn look_after(&self, run: &str) -> String {
         let row = self.answer(&format!("/api/v1/runs/{run}")).await;

@@ -10,7 +10,7 @@ use super::error::CliError;
 use super::files::read_input;
 use super::output::{say, say_json};
 use super::{At, embed};
-use crate::api::{FrameAnswer, InferRequest, LiveAnswer, Wish};
+use crate::api::{FrameAnswer, InferOptions, InferRequest, LiveAnswer};
 use crate::infer::answer::FoundContact;
 use crate::infer::methods::Method;
 use crate::problem::Problem;
@@ -73,7 +73,7 @@ pub async fn infer(args: InferArgs) -> Result<(), CliError> {
     let at = args.at.clone();
     embed::with_server(&at, move |client| async move {
         for frames in frames.chunks(FRAMES_AT_ONCE) {
-            let wish = Wish {
+            let wish = InferOptions {
                 method: args.method,
                 model: args.model.clone(),
                 transfer: args.transfer.clone(),

@@ -8,7 +8,7 @@ use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 
 use super::write_all;
-use crate::api::{FrameAnswer, InferRequest, JobOut, ModelOut, Wish};
+use crate::api::{FrameAnswer, InferOptions, InferRequest, JobOut, ModelOut};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::output::{say, say_json};
@@ -209,7 +209,7 @@ impl Lab for ServiceLab {
         transfer: &ModelId,
         map: &ModelId,
     ) -> Result<Reading, CliError> {
-        let wish = Wish {
+        let wish = InferOptions {
             method: Method::Paper,
             model: Some(map.to_string()),
             transfer: Some(transfer.to_string()),

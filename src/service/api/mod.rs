@@ -67,7 +67,7 @@ mod trials;
 mod twins;
 mod work;
 
-pub use infer::{FrameAnswer, InferOptions as Wish, InferRequest, LiveAnswer, Turns};
+pub use infer::{FrameAnswer, InferOptions, InferRequest, LiveAnswer, Turns};
 pub use jobs::JobOut;
 pub use lock_file::{LockFile, LockFileError};
 pub use models::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};

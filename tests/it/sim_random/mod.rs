@@ -1,5 +1,5 @@
-//! Sim-Random as a person makes it: real processes, killed and gone on with, and read by the tools
-//! that a notebook uses. Without Python, pandas and pyarrow that test says that it was left out;
+//! Sim-Random as a person makes it: real processes, killed and resumed, and read by the tools that a
+//! notebook uses. Without Python, pandas and pyarrow that test reports that it was skipped;
 //! with `PALPATE_REQUIRE_TOOLS=1` it fails instead.
 
 use std::collections::BTreeMap;
@@ -130,7 +130,7 @@ fn killed_at_random_instants_it_goes_on_to_the_same_bytes() {
             done.push(assert_manifest_is_true(&killed));
         }
     }
-    println!("killed 12 times, with so many of 40 shards done: {done:?}");
+    println!("killed 12 times; shards done of 40 at each: {done:?}");
     assert!(done.windows(2).all(|d| d[0] <= d[1]), "a shard was lost");
     assert!(done.iter().any(|&shards| (1..40).contains(&shards)), "never killed half way");
     made(&killed, &small);

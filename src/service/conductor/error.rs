@@ -1,0 +1,47 @@
+//! Why a request to the conductor was refused or failed.
+//! Uses: `problem`, `campaign` (its refusals), `journal`, `store`. Never: HTTP.
+
+use crate::campaign::shown::command::Refusal;
+use crate::journal::JournalError;
+use crate::problem::Problem;
+use crate::store::StoreError;
+
+/// Why a request was refused or failed.
+#[derive(Debug, thiserror::Error)]
+pub enum ConductorError {
+    /// The files cannot be used on this rig.
+    #[error("{}", problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))]
+    Problems {
+        /// Every problem found.
+        problems: Vec<Problem>,
+    },
+    /// There is no run with this id.
+    #[error("there is no run {0}")]
+    NoRun(String),
+    /// This version plans the files of a stored run differently.
+    #[error(
+        "run {run} was queued by version {version}, and this version plans it differently: \
+         {difference}. The trials of one run come from one plan: abort it (palpate abort {run}), and \
+         queue its files again (palpate run --new)"
+    )]
+    PlanDiffers {
+        /// Number of the run.
+        run: i64,
+        /// Version that planned it.
+        version: String,
+        /// Differing places with both values.
+        difference: String,
+    },
+    /// The state of the run or the store forbids it.
+    #[error("{0}")]
+    Forbidden(String),
+    /// The campaign refused the request.
+    #[error(transparent)]
+    Refused(#[from] Refusal),
+    /// The store failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The end of a run could not be stored.
+    #[error(transparent)]
+    NotEnded(#[from] JournalError),
+}

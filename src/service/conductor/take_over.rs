@@ -1,0 +1,135 @@
+//! After a start of the service: drives what the earlier process drove, as `restart` decides.
+//! Uses: `conductor::restart`, `campaign` (its handle), `store`. Never: motion, HTTP.
+
+use std::time::Duration;
+
+use serde_json::json;
+use tracing::Instrument;
+
+use super::restart::TakenOver;
+use super::{Conductor, ConductorError};
+use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::shown::command::{Refusal, Request};
+use crate::campaign::spans::run_span;
+use crate::journal::error_chain;
+use crate::store::RunRow;
+
+/// Longest wait for homing, wall.
+const HOMING: Duration = Duration::from_secs(300);
+/// Interval of polling the rig's state.
+const LOOK: Duration = Duration::from_millis(50);
+/// Number of attempts to reach the rig after a restart, and the pause before the second; it
+/// doubles.
+const RESTART_TRIES: u32 = 8;
+const RESTART_PAUSE: Duration = Duration::from_secs(1);
+
+impl Conductor {
+    /// Called after a start of the service: resumes the run that was driven when the process ended,
+    /// and then the runs that were started behind it, if their arming and `resume` allow it. Marks
+    /// other open runs as interrupted; a waiting run that is dropped must be started again. Reports
+    /// in events what it does and what it cannot do.
+    ///
+    /// Until the run is driven again it keeps its state: if this process ends early, the next one
+    /// finds the same case.
+    ///
+    /// # Errors
+    /// `ConductorError` if the store fails, or the run cannot resume.
+    pub async fn go_on(&self, resume: bool) -> Result<(), ConductorError> {
+        let store = &self.inner.store;
+        let (open, waiting) = (store.open_runs().await?, store.waiting_runs().await?);
+        let TakenOver { driven, waiting, dropped } = TakenOver::of(open, waiting, resume);
+        store.interrupt_open_runs(driven.as_ref().map(|run| run.uid)).await?;
+        for (run, why) in &dropped {
+            self.drop_waiting(run, why).await?;
+        }
+        let outcome = match driven.as_ref().or(waiting.first()) {
+            Some(first) => {
+                self.go_on_with(first).instrument(run_span(first.uid, first.scan_id)).await
+            }
+            None => return Ok(()),
+        };
+        if driven.is_some() && !matches!(outcome, Ok(true)) {
+            store.interrupt_open_runs(None).await?;
+        }
+        let begun = usize::from(driven.is_none() && matches!(outcome, Ok(true)));
+        if self.inner.campaign.status().rig.state == RigState::Tripped {
+            for run in &waiting[begun..] {
+                self.drop_waiting(run, "the rig tripped during the start").await?;
+            }
+        } else {
+            self.let_wait(waiting[begun..].iter().map(|run| run.uid));
+        }
+        outcome.map(|_| ())
+    }
+
+    /// Drives a run again; returns `false` if the rig could not be reached.
+    async fn go_on_with(&self, run: &RunRow) -> Result<bool, ConductorError> {
+        // Before the wires are opened: nothing moves for a run that is refused.
+        self.require_sound_store()?;
+        if let Err(error) = self.prepare_stored(run).await {
+            let data = json!({ "attempt": 0, "why": error.to_string() });
+            self.say(run, "not_gone_on", data).await;
+            return Err(error);
+        }
+        let mut pause = RESTART_PAUSE;
+        for attempt in 1..=RESTART_TRIES {
+            let outcome = match self.bring_up().await {
+                Ok(()) => self.begin(run).await,
+                Err(refusal) => Err(refusal.into()),
+            };
+            let Err(error) = outcome else {
+                tracing::info!(attempt, "the run is driven again");
+                self.say(run, "went_on", json!({ "attempt": attempt })).await;
+                return Ok(true);
+            };
+            let why = error.to_string();
+            self.say(run, "not_gone_on", json!({ "attempt": attempt, "why": why })).await;
+            let tripped = self.inner.campaign.status().rig.state == RigState::Tripped;
+            let for_good = matches!(
+                error,
+                ConductorError::Problems { .. }
+                    | ConductorError::PlanDiffers { .. }
+                    | ConductorError::Forbidden(_)
+            );
+            if tripped || for_good {
+                return Err(error);
+            }
+            tracing::warn!(attempt, error = error_chain(&error), "the run is not driven again yet");
+            tokio::time::sleep(pause).await;
+            pause *= 2;
+        }
+        Ok(false)
+    }
+
+    /// Opens the wires and homes the rig, as needed. After a crash the first motion is z up, as in
+    /// every homing.
+    async fn bring_up(&self) -> Result<(), Refusal> {
+        let campaign = &self.inner.campaign;
+        if campaign.status().rig.state == RigState::Disconnected {
+            campaign.ask(Request::Connect).await?;
+        }
+        if campaign.status().rig.state == RigState::Disarmed {
+            campaign.ask(Request::Home).await?;
+        }
+        let homed = async {
+            loop {
+                let rig = campaign.status().rig;
+                match rig.state {
+                    RigState::Homed => return Ok(()),
+                    RigState::Tripped => {
+                        let why = rig.trip.map_or_else(String::new, |t| t.detail);
+                        return Err(Refusal::State(format!("the rig tripped: {why}")));
+                    }
+                    RigState::Disconnected | RigState::Disarmed | RigState::Armed => {
+                        tokio::time::sleep(LOOK).await;
+                    }
+                }
+            }
+        };
+        let late = || {
+            let limit_s = HOMING.as_secs();
+            Err(Refusal::State(format!("the rig was not homed within {limit_s} s: check its axes")))
+        };
+        tokio::time::timeout(HOMING, homed).await.unwrap_or_else(|_| late())
+    }
+}
