@@ -167,14 +167,15 @@ async fn attend(
     let mut ends = false;
     loop {
         tokio::select! {
+            // In this order: a request that has arrived is answered before the connection closes.
+            biased;
             outcome = connection.as_mut() => {
                 if let Err(error) = outcome {
                     tracing::trace!(%error, "a connection failed");
                 }
                 return;
             }
-            // A request may have arrived in the meantime: it is served.
-            () = seat.closed() => if seat.is_closing() { return },
+            () = seat.closed() => if seat.ends_now() { return },
             () = ended(&mut ending), if !ends => {
                 ends = true;
                 connection.as_mut().graceful_shutdown();
@@ -189,12 +190,13 @@ async fn answer(
     request: Request<Incoming>,
 ) -> io::Result<Response<Sent>> {
     let request_guard = InFlight::begin(seat.clone());
+    let only_for_stops = seat.only_for_stops();
     let Handlers { mut router, threads } = handlers;
     let path = request.uri().path();
     let mut response = if is_stop(path) {
         let Ok(response) = router.call(request).await;
         response.map(|body| Sent::new(body, request_guard, None))
-    } else if seat.reserved() && !path.starts_with("/health/") {
+    } else if only_for_stops && !path.starts_with("/health/") {
         let words = "all connections are in use: only the e-stop and /health are available; retry";
         let response = ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words).into_response();
         response.map(|body| Sent::new(body, request_guard, None))
@@ -202,7 +204,7 @@ async fn answer(
         let (response, work) = work::handle(&threads, router, request).await?;
         response.map(|body| Sent::new(body, request_guard, Some(work)))
     };
-    if seat.reserved() {
+    if only_for_stops {
         response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
     }
     if response.status() == StatusCode::SWITCHING_PROTOCOLS {

@@ -101,8 +101,9 @@ enum State {
     Busy,
     /// The connection has become a WebSocket; it is not closed from here.
     Upgraded,
-    /// The connection is being closed.
-    Closing,
+    /// The connection is being closed, after the response to a request that still arrived if
+    /// `answering`. It counts as closed, so it cannot become an ordinary busy one again.
+    Closing { answering: bool },
 }
 
 impl State {
@@ -121,17 +122,18 @@ pub struct Seat {
 }
 
 impl Seat {
-    /// True if the connection may only be used for the e-stop and /health.
-    pub fn reserved(&self) -> bool {
-        self.reserved
+    /// True if the connection may only be used for the e-stop and /health: its seat is reserved,
+    /// or it is being closed in favour of another one.
+    pub fn only_for_stops(&self) -> bool {
+        self.reserved || self.is_closing()
     }
 
-    /// True if the connection is being closed, and no request has arrived since.
-    pub fn is_closing(&self) -> bool {
-        matches!(*self.state(), State::Closing)
+    /// True if the connection is being closed and no request has arrived since.
+    pub fn ends_now(&self) -> bool {
+        matches!(*self.state(), State::Closing { answering: false })
     }
 
-    /// Completes when the connection must be closed.
+    /// Completes when the connection must be closed, see `ends_now`.
     pub fn closed(&self) -> Notified<'_> {
         self.closed.notified()
     }
@@ -159,8 +161,12 @@ impl Seat {
     fn idle_since(&self) -> Option<Instant> {
         match *self.state() {
             State::Idle { since, .. } => Some(since),
-            State::Busy | State::Upgraded | State::Closing => None,
+            State::Busy | State::Upgraded | State::Closing { .. } => None,
         }
+    }
+
+    fn is_closing(&self) -> bool {
+        matches!(*self.state(), State::Closing { .. })
     }
 
     /// Closes the connection if it is idle; returns whether it was.
@@ -168,7 +174,7 @@ impl Seat {
         let mut state = self.state();
         let idle = matches!(*state, State::Idle { .. });
         if idle {
-            *state = State::Closing;
+            *state = State::Closing { answering: false };
             self.closed.notify_one();
         }
         idle
@@ -191,7 +197,13 @@ pub struct InFlight(Arc<Seat>);
 impl InFlight {
     /// Records that a request has arrived.
     pub fn begin(seat: Arc<Seat>) -> Self {
-        *seat.state() = State::Busy;
+        {
+            let mut state = seat.state();
+            *state = match *state {
+                State::Closing { .. } => State::Closing { answering: true },
+                State::Idle { .. } | State::Busy | State::Upgraded => State::Busy,
+            };
+        }
         Self(seat)
     }
 }
@@ -211,7 +223,7 @@ mod tests {
     use super::*;
 
     fn reserved(seats: &[Arc<Seat>]) -> usize {
-        seats.iter().filter(|seat| seat.reserved()).count()
+        seats.iter().filter(|seat| seat.reserved).count()
     }
 
     #[test]
@@ -242,7 +254,23 @@ mod tests {
         assert!(!seats.have_room(), "no connection is idle");
         drop(stops);
         drop(busy);
-        assert!(seats.have_room() && !seats.take().reserved());
+        assert!(seats.have_room() && !seats.take().reserved);
+    }
+
+    #[test]
+    fn a_request_on_a_connection_that_is_being_closed_takes_no_ordinary_seat() {
+        let mut seats = Seats::default();
+        let old: Vec<_> = (0..CONNECTIONS).map(|_| seats.take()).collect();
+        let new: Vec<_> = (0..CONNECTIONS).map(|_| seats.take()).collect();
+        assert!(old.iter().all(|seat| seat.ends_now() && seat.only_for_stops()));
+        // Their requests had arrived already: they are answered, as on a reserved seat.
+        let late: Vec<_> = old.iter().cloned().map(InFlight::begin).collect();
+        assert!(old.iter().all(|seat| !seat.ends_now() && seat.only_for_stops()));
+        let busy: Vec<_> = new.iter().cloned().map(InFlight::begin).collect();
+        assert!(new.iter().all(|seat| !seat.only_for_stops()));
+        drop((late, old));
+        assert!(seats.have_room() && seats.take().reserved);
+        drop(busy);
     }
 
     #[test]
