@@ -14,7 +14,7 @@ use super::output::{counted, duration, say, say_json};
 use super::view::{RunView, StatusView};
 use super::{At, embed};
 use crate::campaign::bench::stopping::StoppingDistance;
-use crate::campaign::safe_end::{SafeEnd, Tips};
+use crate::campaign::shown::safe_end::{SafeEnd, Tips};
 use crate::ids::RunUid;
 
 /// Longest wait for the axes' acknowledgement of an emergency stop.

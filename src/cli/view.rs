@@ -8,7 +8,7 @@ use crate::campaign::bench::estop::AxisStop;
 use crate::campaign::bench::interlock::Trip;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stopping::StoppingDistance;
-use crate::campaign::safe_end::SafeEnd;
+use crate::campaign::shown::safe_end::SafeEnd;
 use crate::campaign::shown::status::{Eta, Phase};
 use crate::ids::{RunUid, TrialKey};
 use crate::record::Pose;

@@ -5,8 +5,8 @@
 //!
 //! A noisy input that is converted again rarely returns the same value many times in succession.
 //! Reading it more often than it is converted is no evidence, and neither is time in which it was
-//! not read. A repeat therefore counts when a whole update period has passed *and* the input was
-//! read.
+//! not read. A repeat therefore counts only if a whole update period lies between the request and the
+//! reply that was counted before: the two are different conversions.
 
 use super::config::ARMS;
 
@@ -21,10 +21,10 @@ pub struct Repeats {
 #[derive(Debug, Clone, Copy)]
 struct Held {
     raw: u16,
-    /// Arrival of its first reading, process s.
-    since_s: f64,
-    /// Number of further readings with this value.
-    again: u32,
+    /// Arrival of the reading that was counted last, process s.
+    counted_s: f64,
+    /// Number of repeats.
+    repeats: u32,
 }
 
 impl Repeats {
@@ -34,20 +34,21 @@ impl Repeats {
     }
 
     /// Adds a reading of the raw values, with the process times of request and reply, s. Returns
-    /// for each input the number of update periods over which its value has repeated; 0 after a
-    /// change.
+    /// for each input the number of further conversions with its value; 0 after a change.
     pub fn observe(&mut self, raw: [u16; ARMS], asked_s: f64, arrived_s: f64) -> [u32; ARMS] {
         std::array::from_fn(|arm| {
             let held = match self.inputs[arm] {
-                Some(held) if held.raw == raw[arm] => {
-                    Held { again: held.again.saturating_add(1), ..held }
+                // From a reply to this request: a late reply is no evidence of time.
+                Some(held) if held.raw == raw[arm] && asked_s - held.counted_s < self.update_s => {
+                    held
                 }
-                Some(_) | None => Held { raw: raw[arm], since_s: arrived_s, again: 0 },
+                Some(held) if held.raw == raw[arm] => {
+                    Held { counted_s: arrived_s, repeats: held.repeats.saturating_add(1), ..held }
+                }
+                Some(_) | None => Held { raw: raw[arm], counted_s: arrived_s, repeats: 0 },
             };
             self.inputs[arm] = Some(held);
-            // From the first reply to this request: a late reply is no evidence of time.
-            let periods = ((asked_s - held.since_s) / self.update_s).max(0.0) as u32;
-            periods.min(held.again)
+            held.repeats
         })
     }
 }
@@ -80,7 +81,11 @@ mod tests {
         let mut repeats = Repeats::new(100.0);
         read(&mut repeats, 7, 0.0);
         assert_eq!(read(&mut repeats, 7, 10.0), 1);
-        assert_eq!(read(&mut repeats, 7, 10.01), 2, "read thrice in a hundred periods");
+        for n in 1..10 {
+            let at_s = 10.0 + 0.01 * f64::from(n);
+            assert_eq!(read(&mut repeats, 7, at_s), 1, "read often in one update period");
+        }
+        assert_eq!(read(&mut repeats, 7, 10.11), 2);
     }
 
     #[test]

@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use palpate::campaign::bench::interlock::TripKind;
 use palpate::campaign::bench::rig_state::RigState;
-use palpate::campaign::safe_end::Tips;
 use palpate::campaign::shown::command::Request;
+use palpate::campaign::shown::safe_end::Tips;
 use palpate::campaign::shown::status::{Phase, Status};
 use serde_json::json;
 
@@ -47,10 +47,11 @@ async fn over_force_raises_and_the_force_stays_within_limit_and_margin() {
     let end = status.rig.safe_end.unwrap();
     let ms = end.sample_to_stop_ms.unwrap();
     assert!(ms < 1000.0 * 0.1, "{ms} ms from the sample to z's stop");
-    // Measured next to computed; the status repeats it from the next step of the run on.
+    // Measured next to computed.
     let shown = harness.handle.status().rig.stopping.unwrap();
     let travelled_mm = end.travelled_mm.expect("z moved when the limit was exceeded");
     assert!(travelled_mm <= shown.travel_mm, "{travelled_mm} mm of {shown:?}");
+    assert!(shown.measured_mm.unwrap() >= travelled_mm && shown.measured_ms.unwrap() >= ms);
     harness.close().await;
 }
 
@@ -118,6 +119,27 @@ async fn a_module_that_repeats_itself_under_load_trips_and_its_last_word_is_not_
     harness.diary_tells("stale").await;
     // The trial whose frames were under way may still have been measured before.
     assert!(harness.journal.taken().trials.len() <= before + 1);
+    harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_motor_that_does_not_turn_trips_in_the_time_of_its_motion() {
+    let harness = Harness::homed().await;
+    harness.run(2, "").await;
+    harness.stored(2).await;
+    // It reports no alarm: only the time shows that it does not arrive.
+    harness.fault("stuck_axis", "x", json!({ "for_s": 600.0 })).await;
+    let before = harness.journal.taken().trials.len();
+    let status = harness.tripped().await;
+    cause(&status, TripKind::Position, "did not arrive in time: x at ");
+    harness.is_safe().await;
+    harness.diary_tells("position").await;
+    // The trials of this configuration need no motion of x.
+    let configurations = |trials: &[palpate::record::TrialRecord]| {
+        trials.iter().map(|t| t.key.configuration).collect::<BTreeSet<_>>()
+    };
+    let after = harness.journal.taken().trials.clone();
+    assert_eq!(configurations(&after), configurations(&after[..before]));
     harness.close().await;
 }
 

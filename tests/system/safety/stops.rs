@@ -4,8 +4,8 @@ use std::time::{Duration, Instant};
 
 use palpate::campaign::bench::interlock::TripKind;
 use palpate::campaign::bench::rig_state::RigState;
-use palpate::campaign::safe_end::Tips;
 use palpate::campaign::shown::command::Request;
+use palpate::campaign::shown::safe_end::Tips;
 use palpate::campaign::shown::status::Status;
 use serde_json::{Value, json};
 

@@ -7,7 +7,8 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::rig::config::{ARMS, CellsConfig};
+use crate::record::Pose;
+use crate::rig::config::{ARMS, CellsConfig, RigConfig};
 use crate::rig::traits::CellVolts;
 
 /// Force on an arm without a tip that contradicts the number of tips entered, N.
@@ -157,7 +158,10 @@ fn check_alive(cells: &CellsConfig, reading: &CellVolts, tips: usize) -> Result<
     let Some(first) = (0..tips).find(still) else { return Ok(()) };
     let live: Vec<usize> = (0..ARMS).filter(|&i| cells.is_live(reading.volts[i])).collect();
     let (updates, ms) = (reading.repeats[first], cells.update_ms);
-    let (kind, who) = if live.iter().all(still) {
+    // The inputs of a module that hangs did not all change at its last conversion: one of them
+    // reaches the limit first.
+    let nearly_still = |i: &usize| reading.repeats[*i] > cells.repeats_max() / 2;
+    let (kind, who) = if live.iter().all(nearly_still) {
         (TripKind::Stale, "cells: the module repeats itself".into())
     } else {
         (TripKind::Cell, format!("cell {} does not change", first + 1))
@@ -188,14 +192,38 @@ pub fn check_position(
     Ok(())
 }
 
+/// Compares a measured pose with its target. Returns the first axis that is off by more than 2
+/// tolerances, as text. For z at least 0.5 mm are allowed: smaller deviations are stored with a
+/// flag.
+pub fn off_target(rig: &RigConfig, pose: &Pose, target: &Pose) -> Option<String> {
+    /// Deviation of z above which the trial is refused instead of flagged, mm.
+    const Z_OFF_MM: f64 = 0.5;
+    let axes = &rig.axes;
+    let radius_mm = 2.0 * axes.radial.tolerance_deg * rig.slot.mm_per_deg.abs();
+    [
+        ("x", pose.x_mm, target.x_mm, 2.0 * axes.x.tolerance_mm),
+        ("y", pose.y_mm, target.y_mm, 2.0 * axes.y.tolerance_mm),
+        ("z", pose.z_mm, target.z_mm, Z_OFF_MM.max(2.0 * axes.z.tolerance_mm)),
+        ("radius", pose.radius_mm, target.radius_mm, radius_mm),
+    ]
+    .into_iter()
+    .find(|(_, at, to, allowed)| (at - to).abs() > *allowed)
+    .map(|(name, at, to, allowed)| {
+        format!("{name} measured at {at:.3} mm, commanded {to:.3} mm, allowed {allowed} mm")
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rig::config::RigConfig;
+
+    fn rig() -> RigConfig {
+        let text = include_str!("../../../../experiments/rigs/virtual.toml");
+        RigConfig::from_toml("virtual.toml", text).expect("the virtual rig file is sound")
+    }
 
     fn cells() -> CellsConfig {
-        let text = include_str!("../../../../experiments/rigs/virtual.toml");
-        RigConfig::from_toml("virtual.toml", text).expect("the virtual rig file is sound").cells
+        rig().cells
     }
 
     const LIMITS: ForceLimits = ForceLimits { each_n: 50.0, sum_n: 120.0, below_n: 3.0 };
@@ -247,7 +275,8 @@ mod tests {
         assert_eq!(repeats([8, 0, 8, 8, 8, 8]), Ok(()));
         let cell = repeats([9, 0, 0, 0, 0, 0]).unwrap_err();
         assert_eq!((cell.kind, &cell.detail[..22]), (TripKind::Cell, "cell 1 does not change"));
-        assert_eq!(repeats([9; ARMS]).unwrap_err().kind, TripKind::Stale);
+        assert_eq!(repeats([9, 4, 5, 5, 5, 5]).unwrap_err().kind, TripKind::Cell);
+        assert_eq!(repeats([7, 9, 6, 8, 7, 5]).unwrap_err().kind, TripKind::Stale);
         assert_eq!(repeats([0, 0, 99, 99, 99, 99]), Ok(()), "arms without a tip");
     }
 
@@ -257,5 +286,36 @@ mod tests {
         assert_eq!(live([0.5; ARMS], 1), Ok(6));
         assert_eq!(live([0.5, 0.51, 0.0, 0.0, 0.0, 0.0], 2), Ok(2));
         assert!(live([0.5, 0.0, 0.5, 0.0, 0.0, 0.0], 2).unwrap_err().contains("arm 2 (0.000 V)"));
+    }
+
+    #[test]
+    fn an_axis_outside_its_travel_by_more_than_its_tolerance_trips() {
+        let check = |at| check_position("x", at, [0.0, 600.0], 0.05);
+        for inside in [-0.04, 0.0, 300.0, 600.04] {
+            assert_eq!(check(inside), Ok(()));
+        }
+        for outside in [-0.06, 600.06] {
+            assert_eq!(check(outside).unwrap_err().kind, TripKind::Position);
+        }
+        let detail = check(601.5).unwrap_err().detail;
+        assert_eq!(detail, "x measured at 601.500, outside its travel [0, 600]");
+    }
+
+    #[test]
+    fn every_axis_is_compared_with_its_target_before_a_trial_is_stored() {
+        let rig = rig();
+        let target = Pose { x_mm: 100.0, y_mm: 200.0, z_mm: 60.0, radius_mm: 80.0 };
+        assert_eq!(off_target(&rig, &target, &target), None);
+        let (mut x, mut y, mut z, mut radius) = (target, target, target, target);
+        x.x_mm += 2.1 * rig.axes.x.tolerance_mm;
+        y.y_mm -= 2.1 * rig.axes.y.tolerance_mm;
+        radius.radius_mm += 2.1 * rig.axes.radial.tolerance_deg * rig.slot.mm_per_deg.abs();
+        z.z_mm += 0.4;
+        assert_eq!(off_target(&rig, &z, &target), None, "stored with a flag");
+        z.z_mm += 0.2;
+        for (name, pose) in [("x", x), ("y", y), ("z", z), ("radius", radius)] {
+            let words = off_target(&rig, &pose, &target).expect(name);
+            assert!(words.starts_with(&format!("{name} measured at ")), "{words}");
+        }
     }
 }

@@ -188,35 +188,16 @@ impl Stage {
     /// target, all are read again: Modbus TCP has no checksum, and a flipped bit does not recur.
     ///
     /// # Errors
-    /// Trips if an axis is still off its target. For z the tolerance is `Z_OFF_MM`: smaller
-    /// deviations are stored with a flag.
+    /// Trips if an axis is still off its target, see [`interlock::off_target`].
     pub async fn reached(&self, target: &Pose) -> Result<Pose, Halt> {
         let mut pose = self.pose().await?;
-        if self.off_target(&pose, target).is_some() {
+        if interlock::off_target(&self.config, &pose, target).is_some() {
             pose = self.pose().await?;
         }
-        match self.off_target(&pose, target) {
+        match interlock::off_target(&self.config, &pose, target) {
             Some(words) => Err(Halt::trip(TripKind::Position, words)),
             None => Ok(pose),
         }
-    }
-
-    fn off_target(&self, pose: &Pose, target: &Pose) -> Option<String> {
-        /// Deviation of z above which the trial is refused instead of flagged, mm.
-        const Z_OFF_MM: f64 = 0.5;
-        let axes = &self.config.axes;
-        let radius_mm = 2.0 * axes.radial.tolerance_deg * self.config.slot.mm_per_deg.abs();
-        [
-            ("x", pose.x_mm, target.x_mm, 2.0 * axes.x.tolerance_mm),
-            ("y", pose.y_mm, target.y_mm, 2.0 * axes.y.tolerance_mm),
-            ("z", pose.z_mm, target.z_mm, Z_OFF_MM.max(2.0 * axes.z.tolerance_mm)),
-            ("radius", pose.radius_mm, target.radius_mm, radius_mm),
-        ]
-        .into_iter()
-        .find(|(_, at, to, allowed)| (at - to).abs() > *allowed)
-        .map(|(name, at, to, allowed)| {
-            format!("{name} measured at {at:.3} mm, commanded {to:.3} mm, allowed {allowed} mm")
-        })
     }
 
     /// Reads the cells while z is at rest, and checks every limit.

@@ -134,7 +134,7 @@ impl Stopping {
                 limits.stiffness_n_per_mm
             ));
         }
-        Ok(StoppingDistance {
+        let mut distance = StoppingDistance {
             speed_mm_s: speed,
             blind_ms: blind_s * 1e3,
             sample_to_stop_ms: (self.slowest_poll_s.max(POLL_S) / rig.clock_rate + LATE_WALL_S)
@@ -146,10 +146,19 @@ impl Stopping {
             added_sum_n: travel_mm * limits.stiffness_n_per_mm * f64::from(tips),
             margin_sum_n: limits.sum_margin_n(),
             added_steepest_n: travel_mm * limits.corridor_n_per_mm[1],
-            stops: self.stops,
-            measured_ms: self.longest.map(|d| d.as_secs_f64() * 1e3),
-            measured_mm: self.farthest_mm,
-        })
+            stops: 0,
+            measured_ms: None,
+            measured_mm: None,
+        };
+        self.show_measured(&mut distance);
+        Ok(distance)
+    }
+
+    /// Replaces the measured values of a computed stopping distance with the present ones.
+    pub fn show_measured(&self, distance: &mut StoppingDistance) {
+        distance.stops = self.stops;
+        distance.measured_ms = self.longest.map(|d| d.as_secs_f64() * 1e3);
+        distance.measured_mm = self.farthest_mm;
     }
 }
 

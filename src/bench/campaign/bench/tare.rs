@@ -6,7 +6,7 @@ use crate::campaign::bench::interlock::{FOREIGN_N, TripKind};
 use crate::campaign::bench::stage::Stage;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
-use crate::rig::config::ARMS;
+use crate::rig::config::{ARMS, RigConfig};
 
 /// Limit of the spread of a cell's readings in the air, as a multiple of its noise.
 const NOISE_MULTIPLE: f64 = 10.0;
@@ -47,7 +47,6 @@ pub async fn tare(
     samples: u32,
     first: bool,
 ) -> Result<Vec<(u8, f64)>, Halt> {
-    let tips = usize::from(stage.tips);
     let mut readings: Vec<[f64; ARMS]> = Vec::with_capacity(samples as usize);
     for _ in 0..samples {
         // A module returns the same sample twice if it is read faster than it converts.
@@ -55,16 +54,34 @@ pub async fn tare(
         control.attend()?;
         readings.push(stage.bench.cells.read().await?.volts);
     }
-    let cells = &stage.config.cells;
+    let last = LastTare { zeros_v: &stage.tare_v, first };
+    stage.tare_v = zeros(&stage.config, stage.tips, &last, &readings)?;
+    Ok((1..=stage.tips).map(|arm| (arm, stage.tare_v[usize::from(arm) - 1])).collect())
+}
+
+/// Zeros of the cells before a tare.
+struct LastTare<'a> {
+    /// Zeros of arms 1 to 6, V.
+    zeros_v: &'a [f64; ARMS],
+    /// No tare has been made: `zeros_v` is not a limit.
+    first: bool,
+}
+
+/// Zeros of arms 1 to 6, V, from readings in the air.
+fn zeros(
+    config: &RigConfig,
+    tips: u8,
+    last: &LastTare<'_>,
+    readings: &[[f64; ARMS]],
+) -> Result<[f64; ARMS], Halt> {
+    let cells = &config.cells;
     let n = readings.len() as f64;
-    let mut zeros = stage.tare_v;
+    let mut zeros = *last.zeros_v;
     for i in 0..ARMS {
         let arm = i + 1;
         let mean = readings.iter().map(|r| r[i]).sum::<f64>() / n;
-        let spread = readings.iter().map(|r| (r[i] - mean).abs()).fold(0.0, f64::max);
-        let spread_n = spread * cells.newtons_per_volt();
         let live = cells.is_live(mean);
-        if i >= tips {
+        if arm > usize::from(tips) {
             let load_n = (mean - cells.zero_v()) * cells.newtons_per_volt();
             if live && load_n.abs() > FOREIGN_N {
                 let detail = format!(
@@ -82,15 +99,17 @@ pub async fn tare(
             let detail = format!("cell {arm} reads {mean:.3} V in the air: disconnected");
             return Err(Halt::trip(TripKind::Cell, detail));
         }
+        let spread = readings.iter().map(|r| (r[i] - mean).abs()).fold(0.0, f64::max);
+        let spread_n = spread * cells.newtons_per_volt();
         if spread_n > NOISE_MULTIPLE * cells.force_noise_n {
             let limit = NOISE_MULTIPLE * cells.force_noise_n;
             return Err(Halt::Failed(format!(
                 "cell {arm} varies by {spread_n:.2} N in the air, limit {limit:.2} N"
             )));
         }
-        let moved_n = ((mean - stage.tare_v[i]) * cells.newtons_per_volt()).abs();
-        let limit = stage.config.limits.tare_drift_n;
-        if !first && moved_n > limit {
+        let moved_n = ((mean - last.zeros_v[i]) * cells.newtons_per_volt()).abs();
+        let limit = config.limits.tare_drift_n;
+        if !last.first && moved_n > limit {
             let detail = format!(
                 "zero of cell {arm} moved by {moved_n:.2} N since the last tare, limit {limit} N"
             );
@@ -98,6 +117,63 @@ pub async fn tare(
         }
         zeros[i] = mean;
     }
-    stage.tare_v = zeros;
-    Ok((0..tips).map(|i| (i as u8 + 1, zeros[i])).collect())
+    Ok(zeros)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LAST: [f64; ARMS] = [0.5; ARMS];
+
+    fn rig() -> RigConfig {
+        let text = include_str!("../../../../experiments/rigs/virtual.toml");
+        RigConfig::from_toml("virtual.toml", text).expect("the virtual rig file is sound")
+    }
+
+    /// Zeros of two tips, from readings of `forces_n` relative to the last zeros, arms 1 to 6.
+    fn tared(first: bool, forces_n: &[[f64; ARMS]]) -> Result<[f64; ARMS], Halt> {
+        let config = rig();
+        let volts = |f: &[f64; ARMS]| f.map(|n| 0.5 + n / config.cells.newtons_per_volt());
+        let readings: Vec<_> = forces_n.iter().map(volts).collect();
+        zeros(&config, 2, &LastTare { zeros_v: &LAST, first }, &readings)
+    }
+
+    fn words(refused: Result<[f64; ARMS], Halt>) -> String {
+        match refused.unwrap_err() {
+            Halt::Trip(trip) if trip.kind == TripKind::Cell => trip.detail,
+            Halt::Failed(words) => format!("failed: {words}"),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn a_zero_that_moved_too_far_since_the_last_tare_trips() {
+        let limit_n = rig().limits.tare_drift_n;
+        let below = [0.0, 0.9 * limit_n, 0.0, 0.0, 0.0, 0.0];
+        let zeros = tared(false, &[below]).unwrap();
+        assert!(zeros[0] == LAST[0] && zeros[1] > LAST[1]);
+        let beyond = [0.0, -1.1 * limit_n, 0.0, 0.0, 0.0, 0.0];
+        let detail = words(tared(false, &[beyond]));
+        assert!(detail.starts_with("zero of cell 2 moved by"), "{detail}");
+        assert!(tared(true, &[beyond]).is_ok(), "the first tare has no predecessor");
+    }
+
+    #[test]
+    fn a_cell_that_is_not_quiet_fails_the_attempt_and_does_not_trip() {
+        let limit_n = NOISE_MULTIPLE * rig().cells.force_noise_n;
+        let swings = |n: f64| [[n, 0.0, 0.0, 0.0, 0.0, 0.0], [-n, 0.0, 0.0, 0.0, 0.0, 0.0]];
+        assert!(tared(false, &swings(0.9 * limit_n)).is_ok());
+        let why = words(tared(false, &swings(1.1 * limit_n)));
+        assert!(why.starts_with("failed: cell 1 varies by"), "{why}");
+    }
+
+    #[test]
+    fn a_load_on_an_arm_without_a_tip_trips_and_an_unplugged_cell_there_does_not() {
+        let at = |n| [0.0, 0.0, 0.0, n, 0.0, 0.0];
+        let detail = words(tared(false, &[at(1.1 * FOREIGN_N)]));
+        assert!(detail.contains("no tip is entered for arm 4"), "{detail}");
+        let unplugged = -0.5 * rig().cells.newtons_per_volt();
+        assert_eq!(tared(false, &[at(unplugged)]).unwrap()[3], LAST[3]);
+    }
 }

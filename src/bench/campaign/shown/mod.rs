@@ -3,6 +3,7 @@
 //!
 //! PURE: `status`.
 
+pub mod safe_end;
 pub mod status;
 pub mod show;
 pub mod command;

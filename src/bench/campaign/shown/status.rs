@@ -9,7 +9,7 @@ use crate::campaign::bench::interlock::Trip;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::run::run_state::PausedWhy;
-use crate::campaign::safe_end::SafeEnd;
+use crate::campaign::shown::safe_end::SafeEnd;
 use crate::ids::{RunUid, TrialKey};
 use crate::record::{PlacedContact, Pose, TouchOffRecord};
 use crate::state::StoredState;
