@@ -108,7 +108,7 @@ pub async fn lock(args: LockArgs) -> Result<(), CliError> {
 /// `CliError` if the service cannot be reached or started, or refuses the request.
 pub async fn key(args: KeyArgs) -> Result<(), CliError> {
     let (json, command) = (args.at.json, args.command.unwrap_or(KeyCommand::List));
-    embed::with_server(&args.at, move |client| async move {
+    embed::with_admin(&args.at, move |client| async move {
         match command {
             KeyCommand::Create { name, role } => create(&client, &name, role, json).await,
             KeyCommand::List => list(&client, json).await,

@@ -48,6 +48,7 @@ pub async fn server(at: &At) -> Result<Client, CliError> {
 pub fn options(data: PathBuf, rig: &RigFiles) -> Result<ServeOptions, CliError> {
     let (sensor, sensor_text) = read_sensor_text(None)?;
     Ok(ServeOptions {
+        local_admin: false,
         bind: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)),
         data,
         rig_file: rig.file.clone(),
@@ -58,6 +59,25 @@ pub fn options(data: PathBuf, rig: &RigFiles) -> Result<ServeOptions, CliError> 
         sensor,
         sensor_text,
     })
+}
+
+/// Runs `work` with a running server, or with one started for it, whose client may make keys: who
+/// may open the data folder may do so.
+///
+/// # Errors
+/// As [`with_server`].
+pub async fn with_admin<T, F>(at: &At, work: impl FnOnce(Client) -> F) -> Result<T, CliError>
+where
+    F: Future<Output = Result<T, CliError>> + Send + 'static,
+    T: Send + 'static,
+{
+    match find(at).await? {
+        Some(client) => work(client).await,
+        None => {
+            let options = options(at.data(), &RigFiles::read(None)?)?;
+            host(ServeOptions { local_admin: true, ..options }, work).await
+        }
+    }
 }
 
 /// Runs `work` with a running server, or with one started for it.

@@ -26,6 +26,9 @@ pub struct ServeArgs {
     /// Rig file [default: the virtual rig].
     #[arg(long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
+    /// Let callers on this machine make and revoke keys without having one.
+    #[arg(long)]
+    pub local_admin: bool,
     /// Do not resume interrupted runs automatically.
     #[arg(long)]
     pub no_resume: bool,
@@ -50,6 +53,7 @@ pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
     let (sensor, sensor_text) = read_sensor_text(args.sensor.as_deref())?;
     let options = ServeOptions {
         bind: args.bind,
+        local_admin: args.local_admin,
         data: data_or_default(args.data),
         rig_file: rig.file,
         rig_text: rig.text,

@@ -17,6 +17,7 @@ mod independent_fit;
 mod onnx;
 mod old_data;
 mod requests;
+mod rights;
 mod rig_transcripts;
 mod sim_random;
 mod simulate;

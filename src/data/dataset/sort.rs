@@ -50,7 +50,7 @@ impl Sort {
         let options = SortOptions { descending: self.descending, nulls_first: false };
         let by_row = SortColumn { values: std::sync::Arc::new(rows.clone()), options: None };
         let columns = [SortColumn { values: keys, options: Some(options) }, by_row];
-        let end = (from + limit).min(rows.len());
+        let end = from.saturating_add(limit).min(rows.len());
         let order = lexsort_to_indices(&columns, Some(end))?;
         let page = order.values().get(from..end).unwrap_or_default();
         Ok(page.iter().map(|&at| rows.value(at as usize)).collect())

@@ -1,65 +1,154 @@
 //! The log of actions: who requested what, and the outcome.
 //! Uses: `store`. Never: an action that waits because its entry cannot be stored.
 
+use std::sync::Arc;
 use std::time::Duration;
 
+use axum::extract::FromRequestParts;
+use axum::http::StatusCode;
+use axum::http::request::Parts;
+use axum::response::Response;
 use jiff::Timestamp;
+use parking_lot::Mutex;
 use tracing::Instrument;
 
 use super::App;
 use super::auth::Caller;
-use super::problem::ApiError;
+use super::limits::{DETAIL_MAX_CHARS, WHO_MAX_CHARS, WHY_MAX_CHARS};
+use super::problem::{ApiError, Refused};
 use crate::ids::RunUid;
-use crate::store::{NewAction, StoreError};
+use crate::store::{NewAction, Role, StoreError};
 
-/// Largest number of entries that wait for a failing store.
-pub(super) const LOGGED_LATER_MAX: usize = 1000;
 /// Interval of storing such an entry again.
 const LOG_AGAIN: Duration = Duration::from_secs(1);
 
-/// What an entry of the log refers to.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct ActionContext<'a> {
-    /// The run that the action affects.
-    pub run: Option<RunUid>,
-    /// Name that the caller entered.
-    pub who: Option<&'a str>,
-    /// Reason that the caller entered, or the name of the object that the action affects.
-    pub why: Option<&'a str>,
+/// The action that a request asks for, as the log of actions will show it. Its route sets the name
+/// and the caller; the handler adds what it learns. Clones share it.
+#[derive(Debug, Clone)]
+pub(super) struct Act {
+    caller: Caller,
+    entry: Arc<Mutex<Entry>>,
+}
+
+/// Outcome of an action.
+#[derive(Debug)]
+pub(super) struct Outcome {
+    /// Whether the action was accepted.
+    pub accepted: bool,
+    /// Why it was not.
+    pub refused: Option<String>,
+}
+
+impl Outcome {
+    /// Reads the outcome from a response.
+    pub fn of(response: &Response) -> Self {
+        let refused = response.extensions().get::<Refused>().map(|refused| refused.0.clone());
+        Self { accepted: response.status().is_success(), refused }
+    }
+}
+
+#[derive(Debug)]
+struct Entry {
+    action: &'static str,
+    run: Option<RunUid>,
+    who: Option<String>,
+    why: Option<String>,
+}
+
+impl Act {
+    /// An action of a caller.
+    pub fn new(caller: Caller, action: &'static str) -> Self {
+        let entry = Entry { action, run: None, who: None, why: None };
+        Self { caller, entry: Arc::new(Mutex::new(entry)) }
+    }
+
+    /// Sets the name and the reason that the caller entered; longer ones are cut.
+    pub fn stated(&self, who: Option<&str>, why: Option<&str>) {
+        let mut entry = self.entry.lock();
+        entry.who = who.map(|who| cut(who, WHO_MAX_CHARS));
+        entry.why = why.map(|why| cut(why, WHY_MAX_CHARS));
+    }
+
+    /// Sets the object of the action, which is shown as its reason if the caller entered none.
+    pub fn about(&self, object: &str) {
+        self.entry.lock().why.get_or_insert_with(|| cut(object, WHY_MAX_CHARS));
+    }
+
+    /// Sets the run that the action affects.
+    pub fn on(&self, run: RunUid) {
+        self.entry.lock().run = Some(run);
+    }
+
+    /// Replaces the name of the action: one route may serve several.
+    pub fn named(&self, action: &'static str) {
+        self.entry.lock().action = action;
+    }
+
+    /// Returns the caller with the entered name, as the log shows it.
+    pub fn name(&self) -> String {
+        self.caller.name(self.entry.lock().who.as_deref())
+    }
+
+    /// Returns the caller.
+    pub fn caller(&self) -> &Caller {
+        &self.caller
+    }
+
+    /// Checks that the caller has at least this role.
+    ///
+    /// # Errors
+    /// 403 if the role is lower.
+    pub fn require(&self, role: Role) -> Result<(), ApiError> {
+        self.caller.require(role)
+    }
+
+    /// Logs the action with its outcome.
+    pub async fn log(&self, app: &App, outcome: Outcome) {
+        let new = {
+            let entry = self.entry.lock();
+            NewAction {
+                at: Timestamp::now(),
+                run: entry.run,
+                action: entry.action.into(),
+                who: self.caller.name(entry.who.as_deref()),
+                why: entry.why.clone(),
+                accepted: outcome.accepted,
+                detail: outcome.refused.map(|why| cut(&why, DETAIL_MAX_CHARS)),
+            }
+        };
+        app.log_action(new).await;
+    }
+}
+
+impl<S: Sync> FromRequestParts<S> for Act {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, ApiError> {
+        let none = || {
+            let words = "this operation is not in the table of actions";
+            ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, words)
+        };
+        parts.extensions.get::<Self>().cloned().ok_or_else(none)
+    }
+}
+
+/// Returns the first characters of a text.
+pub(super) fn cut(text: &str, max_chars: usize) -> String {
+    text.chars().take(max_chars).collect()
 }
 
 impl App {
-    /// Logs an action with its outcome, and returns the outcome.
-    ///
-    /// # Errors
-    /// The error of `outcome`; a failure of the log is only reported.
-    pub(super) async fn logged<T>(
-        &self,
-        caller: &Caller,
-        action: &str,
-        context: ActionContext<'_>,
-        outcome: Result<T, ApiError>,
-    ) -> Result<T, ApiError> {
-        let ActionContext { run, who, why } = context;
-        let new = NewAction {
-            at: Timestamp::now(),
-            run,
-            action: action.into(),
-            who: caller.name(who),
-            why: why.map(Into::into),
-            accepted: outcome.is_ok(),
-            detail: outcome.as_ref().err().map(|e| e.detail().into()),
-        };
+    /// Stores an entry of the log. A failure is reported, and the entry is stored later.
+    pub(super) async fn log_action(&self, new: NewAction) {
         if let Err(error) = self.store.log_action(new.clone()).await {
             let error = error.with_causes();
             tracing::error!(error, ?new, "an action is not logged yet");
             self.log_later(new);
         }
-        outcome
     }
 
     /// Stores an entry again until it is logged or the store rejects it permanently; for at most
-    /// `LOGGED_LATER_MAX` entries at a time.
+    /// `limits::LOGGED_LATER_MAX` entries at a time.
     fn log_later(&self, action: NewAction) {
         let Ok(place) = self.facts.logged_later.clone().try_acquire_owned() else {
             tracing::error!(?action, "an action was not logged: too many entries wait");

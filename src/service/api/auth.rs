@@ -2,16 +2,18 @@
 //! web page from moving the rig.
 //! Uses: `store` (the keys in memory). Never: the text of a key in a log; a wait for the store.
 
+use std::collections::HashMap;
 use std::net::IpAddr;
+use std::time::Instant;
 
-use axum::extract::{Request, State};
-use axum::http::{HeaderMap, Method, StatusCode, header};
-use axum::middleware::Next;
-use axum::response::Response;
+use axum::http::{HeaderMap, StatusCode, header};
+use jiff::Timestamp;
+use parking_lot::Mutex;
 
 use super::App;
+use super::limits::{TICKET, TICKETS};
 use super::problem::ApiError;
-use crate::store::{KEYLESS, KEYLESS_SUFFIX, Key, Role};
+use crate::store::{KEYLESS, KEYLESS_SUFFIX, Key, LockRow, Role};
 
 /// The sender of a request.
 #[derive(Debug, Clone)]
@@ -24,25 +26,33 @@ pub struct Caller {
 
 impl Caller {
     /// Returns the name for the log: that of the key, with the claimed name in parentheses; without
-    /// a key the claimed name.
+    /// a key the claimed name with a suffix, so that a claim never equals the name of a key.
     pub fn name(&self, claimed: Option<&str>) -> String {
         let key = self.key.as_ref().map(|key| key.name.as_str());
         match (key, claimed) {
             (Some(key), Some(who)) if who != key => format!("{key} ({who})"),
             (Some(key), _) => key.into(),
-            (None, Some(who)) if !who.is_empty() => who.into(),
+            (None, Some(who)) if !who.is_empty() => format!("{who}{KEYLESS_SUFFIX}"),
             (None, _) => KEYLESS.into(),
         }
     }
 
-    /// Returns the identity for the operator lock: the name of the key, or without a key the
-    /// claimed name with a suffix, so that a claim never equals the name of a key.
-    pub fn identity(&self, claimed: Option<&str>) -> String {
-        match (&self.key, claimed) {
-            (Some(key), _) => key.name.clone(),
-            (None, Some(who)) if !who.is_empty() => format!("{who}{KEYLESS_SUFFIX}"),
-            (None, _) => KEYLESS.into(),
-        }
+    /// Returns the holder of an operator lock that the caller takes: the name of the key, or without
+    /// a key the claimed name with a suffix.
+    pub fn holder(&self, claimed: Option<&str>) -> String {
+        self.name(claimed.filter(|_| self.key.is_none()))
+    }
+
+    /// Whether the caller proves by its key to be the holder of a lock.
+    pub fn holds(&self, lock: &LockRow) -> bool {
+        self.key.as_ref().is_some_and(|key| key.name == lock.holder)
+    }
+
+    /// Whether the caller may release a lock: its holder, an admin, and for a lock that was taken
+    /// without a key everybody without one.
+    pub fn may_release(&self, lock: &LockRow) -> bool {
+        let keyless = lock.holder == KEYLESS || lock.holder.ends_with(KEYLESS_SUFFIX);
+        self.holds(lock) || self.role == Role::Admin || (self.key.is_none() && keyless)
     }
 
     /// Checks that the caller has at least this role.
@@ -58,29 +68,6 @@ impl Caller {
     }
 }
 
-/// Admits a request with a valid key, or on loopback with the local host and origin. Requests that
-/// change something need the role `operator`. Uses only the request and the keys in memory.
-///
-/// # Errors
-/// 401 or 403 as in [`identify`]; 403 if the role is too low.
-pub async fn admit(
-    State(app): State<App>,
-    mut request: Request,
-    next: Next,
-) -> Result<Response, ApiError> {
-    let caller = identify(&app, request.headers(), request.uri().query())?;
-    let path = request.uri().path();
-    tracing::Span::current().record("caller", caller.name(None));
-    if !only_reads(request.method(), path) && !may_stop(path) {
-        caller.require(Role::Operator)?;
-    }
-    if let Some(key) = &caller.key {
-        app.keys.note_use(key);
-    }
-    request.extensions_mut().insert(caller);
-    Ok(next.run(request).await)
-}
-
 /// Determines the caller from the head of a request. Neither waits nor writes.
 ///
 /// # Errors
@@ -90,46 +77,100 @@ pub fn identify(app: &App, headers: &HeaderMap, query: Option<&str>) -> Result<C
     if app.loopback() {
         own_host(headers)?;
     }
-    match secret(headers, query)? {
+    if let Some(ticket) = ticket(query) {
+        let caller = app.facts.tickets.take(ticket);
+        return caller.ok_or_else(|| unauthorized("this ticket is unknown, used or too old"));
+    }
+    match secret(headers)? {
         Some(secret) => {
             let key = app.keys.find(&secret);
             let key = key.ok_or_else(|| unauthorized("this key is unknown or revoked"))?;
             Ok(Caller { role: key.role, key: Some(key) })
         }
-        None if app.loopback() => Ok(Caller { key: None, role: Role::Admin }),
+        None if app.loopback() => {
+            let role = if app.facts.local_admin { Role::Admin } else { Role::Operator };
+            Ok(Caller { key: None, role })
+        }
         None => Err(unauthorized("no key: send the header Authorization: Bearer KEY")),
     }
-}
-
-/// True for the actions on runs: any valid key may stop a run, and the handler checks the role for
-/// other actions. The e-stop has a separate route without this check.
-fn may_stop(path: &str) -> bool {
-    path.starts_with("/api/v1/runs/") && path.ends_with("/actions")
-}
-
-/// True for requests that only read. Two of them are POST requests: an export reads rows, an
-/// inference stores nothing.
-pub fn only_reads(method: &Method, path: &str) -> bool {
-    matches!(*method, Method::GET | Method::HEAD)
-        || matches!(path, "/api/v1/exports" | "/api/v1/infer")
 }
 
 fn unauthorized(words: &str) -> ApiError {
     ApiError::new(StatusCode::UNAUTHORIZED, words)
 }
 
-/// Returns the text of the key: a bearer token, or `key=` in the query, because a browser's
-/// WebSocket sends no headers. An invalid header is an error: treated as "no key" it would count as
-/// local.
-fn secret(headers: &HeaderMap, query: Option<&str>) -> Result<Option<String>, ApiError> {
-    let Some(value) = headers.get(header::AUTHORIZATION) else {
-        let key = query.and_then(|q| q.split('&').find_map(|pair| pair.strip_prefix("key=")));
-        return Ok(key.map(|key| key.trim().to_owned()));
-    };
+/// Returns the text of the key, a bearer token. An invalid header is an error: treated as "no key" it
+/// would count as local.
+fn secret(headers: &HeaderMap) -> Result<Option<String>, ApiError> {
+    let Some(value) = headers.get(header::AUTHORIZATION) else { return Ok(None) };
     let credentials = value.to_str().ok().and_then(|value| value.split_once(' '));
     match credentials {
         Some((scheme, key)) if scheme.eq_ignore_ascii_case("bearer") => Ok(Some(key.trim().into())),
         Some(_) | None => Err(unauthorized("header Authorization: must be Bearer KEY")),
+    }
+}
+
+/// Returns the ticket of a query string: a browser's WebSocket sends no header with a key.
+fn ticket(query: Option<&str>) -> Option<&str> {
+    query?.split('&').find_map(|pair| pair.strip_prefix("ticket="))
+}
+
+/// Checks that a browser did not send the request for a page of another origin.
+///
+/// # Errors
+/// 403 if it did.
+pub fn same_origin(headers: &HeaderMap) -> Result<(), ApiError> {
+    let site = headers.get("sec-fetch-site").map(|value| value.to_str().unwrap_or_default());
+    match site {
+        None | Some("same-origin" | "none") => Ok(()),
+        Some(site) => {
+            let words = format!("Sec-Fetch-Site = {site}: must be same-origin or none");
+            Err(ApiError::new(StatusCode::FORBIDDEN, words))
+        }
+    }
+}
+
+/// Number of requests with a wrong key since the start, and the time of the last one.
+#[derive(Debug, Default)]
+pub struct WrongKeys(Mutex<(u64, Option<Timestamp>)>);
+
+impl WrongKeys {
+    /// Counts a request. The first one, and every hundredth, is logged.
+    pub fn note(&self) {
+        let mut noted = self.0.lock();
+        *noted = (noted.0 + 1, Some(Timestamp::now()));
+        if noted.0 % 100 == 1 {
+            tracing::warn!(count = noted.0, "a request had no valid key");
+        }
+    }
+
+    /// Returns number and time.
+    pub fn count(&self) -> (u64, Option<Timestamp>) {
+        *self.0.lock()
+    }
+}
+
+/// Tickets for WebSockets: each stands for its caller, once and for a short time.
+#[derive(Debug, Default)]
+pub struct Tickets(Mutex<HashMap<String, (Caller, Instant)>>);
+
+impl Tickets {
+    /// Creates a ticket from random bytes; `None` if `TICKETS` wait to be used.
+    pub fn create(&self, caller: Caller, random: [u8; 32]) -> Option<String> {
+        let mut waiting = self.0.lock();
+        let now = Instant::now();
+        waiting.retain(|_, (_, until)| *until > now);
+        if waiting.len() >= TICKETS {
+            return None;
+        }
+        let ticket = hex::encode(random);
+        waiting.insert(ticket.clone(), (caller, now + TICKET));
+        Some(ticket)
+    }
+
+    fn take(&self, ticket: &str) -> Option<Caller> {
+        let (caller, until) = self.0.lock().remove(ticket)?;
+        (until > Instant::now()).then_some(caller)
     }
 }
 
@@ -179,7 +220,7 @@ mod tests {
         let of = |value: &str| {
             let mut headers = HeaderMap::new();
             headers.insert(header::AUTHORIZATION, value.parse().unwrap());
-            secret(&headers, Some("a=b&key=query"))
+            secret(&headers)
         };
         for value in ["Bearer k", "bearer k", "BEARER  k "] {
             assert_eq!(of(value).unwrap().as_deref(), Some("k"), "{value}");
@@ -187,9 +228,39 @@ mod tests {
         for value in ["", "Basic k", "Bearer", "k"] {
             assert!(of(value).is_err(), "{value}");
         }
-        let without = secret(&HeaderMap::new(), Some("a=b&key=query")).unwrap();
-        assert_eq!(without.as_deref(), Some("query"));
-        assert_eq!(secret(&HeaderMap::new(), None).unwrap(), None);
+        assert_eq!(secret(&HeaderMap::new()).unwrap(), None);
+        assert_eq!(ticket(Some("a=b&ticket=t")), Some("t"));
+        assert_eq!(ticket(Some("a=b&key=k")), None, "no address holds a key");
+    }
+
+    #[test]
+    fn a_ticket_stands_for_its_caller_once_and_is_soon_too_old() {
+        let tickets = Tickets::default();
+        let caller = || Caller { key: None, role: Role::Viewer };
+        let ticket = tickets.create(caller(), [7; 32]).unwrap();
+        assert_eq!(tickets.take(&ticket).unwrap().role, Role::Viewer);
+        assert!(tickets.take(&ticket).is_none() && tickets.take("").is_none());
+        let old = tickets.create(caller(), [8; 32]).unwrap();
+        tickets.0.lock().get_mut(&old).unwrap().1 = Instant::now();
+        assert!(tickets.take(&old).is_none());
+        for n in 0..TICKETS as u64 {
+            let mut random = [0; 32];
+            random[..8].copy_from_slice(&n.to_le_bytes());
+            assert!(tickets.create(caller(), random).is_some());
+        }
+        assert!(tickets.create(caller(), [9; 32]).is_none());
+    }
+
+    #[test]
+    fn requests_for_pages_of_other_origins_are_refused() {
+        let of = |site: &'static str| {
+            let mut headers = HeaderMap::new();
+            headers.insert("sec-fetch-site", site.parse().unwrap());
+            same_origin(&headers).is_ok()
+        };
+        assert_eq!(["same-origin", "none"].map(of), [true; 2]);
+        assert_eq!(["cross-site", "same-site", ""].map(of), [false; 3]);
+        assert!(same_origin(&HeaderMap::new()).is_ok(), "not a browser");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //! Uses: `dataset::catalog`. Never: SQL, a row that is not in a dataset's file.
 
 use axum::Json;
-use axum::extract::{Path, Query, Request, State};
+use axum::extract::{Query, Request, State};
 use axum::http::{HeaderMap, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
@@ -10,8 +10,9 @@ use serde_json::Value;
 use utoipa::ToSchema;
 
 use super::App;
+use super::audit::Act;
 use super::params::{FileParams, RowsParams};
-use super::problem::{ApiError, Body, ProblemBody};
+use super::problem::{ApiError, Body, Path, ProblemBody};
 use super::query::{file_query, rows_query};
 use super::send::{self, Download};
 use crate::dataset::definition::Definition;
@@ -124,6 +125,7 @@ pub async fn list(State(app): State<App>) -> Result<Json<Datasets>, ApiError> {
             description = "the body is invalid, or has not exactly one of name, definition and toml")))]
 pub async fn make(
     State(app): State<App>,
+    act: Act,
     Body(new): Body<DatasetRequest>,
 ) -> Result<Json<DatasetOut>, ApiError> {
     let file = new.file.as_deref().unwrap_or("definition");
@@ -140,6 +142,7 @@ pub async fn make(
             return Err(ApiError::problems(vec![problem]));
         }
     };
+    act.about(row.id.as_str());
     Ok(Json(row.into()))
 }
 
@@ -219,6 +222,7 @@ pub async fn rows(
     let catalog = app.datasets.clone();
     let reading = tokio::task::spawn_blocking(move || {
         let rows = catalog.rows(&row.id, &requested.wanted)?;
+        send::check_numbers(&rows.schema(), requested.limit)?;
         let limit = requested.limit as usize;
         let (batches, next) = match &requested.sort {
             Some(sort) => rows.sorted_page(sort, requested.from, limit)?,

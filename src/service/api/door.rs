@@ -162,7 +162,7 @@ async fn attend(
     let _ = stream.set_nodelay(true);
     let answering = seat.clone();
     let service = service_fn(move |request| answer(handlers.clone(), answering.clone(), request));
-    let io = TokioIo::new(Line { stream, seat: seat.clone() });
+    let io = TokioIo::new(Line::new(stream, seat.clone()));
     let mut connection = pin!(http1::Builder::new().serve_connection(io, service).with_upgrades());
     let mut ends = false;
     loop {
@@ -195,14 +195,14 @@ async fn answer(
     let path = request.uri().path();
     let mut response = if is_stop(path) {
         let Ok(response) = router.call(request).await;
-        response.map(|body| Sent::new(body, request_guard, None))
+        response.map(|body| Sent::new(body, (request_guard, None)))
     } else if only_for_stops && !path.starts_with("/health/") {
         let words = "all connections are in use: only the e-stop and /health are available; retry";
         let response = ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words).into_response();
-        response.map(|body| Sent::new(body, request_guard, None))
+        response.map(|body| Sent::new(body, (request_guard, None)))
     } else {
         let (response, work) = work::handle(&threads, router, request).await?;
-        response.map(|body| Sent::new(body, request_guard, Some(work)))
+        response.map(|body| Sent::new(body, (request_guard, Some(work))))
     };
     if only_for_stops {
         response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));

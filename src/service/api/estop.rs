@@ -15,8 +15,9 @@ use tracing::Instrument;
 use utoipa::ToSchema;
 
 use super::App;
-use super::audit::ActionContext;
+use super::audit::{Act, Outcome, cut};
 use super::auth::{self, Caller};
+use super::limits::WHO_MAX_CHARS;
 use super::problem::{ApiError, ProblemBody};
 use super::runs::Attribution;
 use super::trace::RequestId;
@@ -25,10 +26,6 @@ use super::trace::RequestId;
 const BODY_MAX_BYTES: usize = 4096;
 /// Longest time for receiving the body.
 const BODY_WAIT: Duration = Duration::from_secs(1);
-/// Largest length of a stored name, characters; longer names are cut.
-const WHO_MAX_CHARS: usize = 100;
-/// Largest length of a stored reason, characters; longer reasons are cut.
-const WHY_MAX_CHARS: usize = 500;
 
 /// Response of the e-stop.
 #[derive(Debug, Serialize, ToSchema)]
@@ -97,11 +94,9 @@ async fn log(app: App, caller: Caller, body: Body) {
         app.keys.note_use(key);
     }
     let stated: Attribution = serde_json::from_slice(&beginning(body).await).unwrap_or_default();
-    let who = stated.who.map(|who| cut(&who, WHO_MAX_CHARS));
-    let why = stated.why.map(|why| cut(&why, WHY_MAX_CHARS));
-    let context = ActionContext { run: None, who: who.as_deref(), why: why.as_deref() };
-    // A failure of the log is reported there; the stop is in effect.
-    let _ = app.logged(&caller, "estop", context, Ok(())).await;
+    let act = Act::new(caller, "estop");
+    act.stated(stated.who.as_deref(), stated.why.as_deref());
+    act.log(&app, Outcome { accepted: true, refused: None }).await;
 }
 
 /// Returns the first bytes of a body that arrive in time. Further bytes are received and dropped,
@@ -118,8 +113,4 @@ async fn beginning(body: Body) -> Vec<u8> {
     // After the deadline the received part counts as the body.
     let _ = tokio::time::timeout(BODY_WAIT, take).await;
     kept
-}
-
-fn cut(text: &str, max_chars: usize) -> String {
-    text.chars().take(max_chars).collect()
 }

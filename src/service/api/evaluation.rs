@@ -2,11 +2,11 @@
 //! Uses: `evaluate`, `store`. Never: a computation that a motion waits for.
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::StatusCode;
 
 use super::App;
-use super::problem::{ApiError, ProblemBody};
+use super::problem::{ApiError, Path, ProblemBody};
 use super::runs::find;
 use crate::evaluate::simulation::{SimulationReport, report};
 

@@ -53,7 +53,7 @@ pub struct EventPage {
 #[utoipa::path(get, path = "/api/v1/events", tag = "events", params(EventParams),
     responses((status = 200, body = EventPage),
         (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
-        (status = 422, body = ProblemBody, description = "a parameter is invalid")))]
+        (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
 pub async fn events(
     State(app): State<App>,
     Params(params): Params<EventParams>,
@@ -77,7 +77,7 @@ pub async fn events(
     let since = resolved(&app, params.since.unwrap_or(0)).await?;
     let limit = params.limit.unwrap_or(PAGE);
     if !(1..=1000).contains(&limit) {
-        return Err(ApiError::value("limit", limit, "must be from 1 to 1000"));
+        return Err(ApiError::query("limit", limit, "must be from 1 to 1000"));
     }
     let events = app.store.events_since(since, limit, run).await?;
     let next = events.last().map_or(since, |e| e.seq);

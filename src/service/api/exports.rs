@@ -1,17 +1,17 @@
 //! Exports: requests, progress and files.
 //! Uses: `dataset::catalog`. Never: the rows themselves.
 
-use axum::extract::{Path, Request, State};
+use axum::Json;
+use axum::extract::{Request, State};
 use axum::http::StatusCode;
 use axum::response::Response;
-use axum::{Extension, Json};
 use serde::Serialize;
 use serde_json::Value;
 use utoipa::ToSchema;
 
 use super::App;
-use super::auth::Caller;
-use super::problem::{ApiError, Body, ProblemBody};
+use super::audit::Act;
+use super::problem::{ApiError, Body, Path, ProblemBody};
 use super::send::{self, Download};
 use crate::dataset::export::{ExportRequest, ExportResult};
 use crate::dataset::format::Format;
@@ -88,10 +88,11 @@ fn out(app: &App, row: TaskRow) -> ExportOut {
         (status = 404, body = ProblemBody, description = "no dataset has this id or name")))]
 pub async fn request(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
+    act: Act,
     Body(request): Body<ExportRequest>,
 ) -> Result<(StatusCode, Json<ExportOut>), ApiError> {
-    let row = app.datasets.request_export(&request, &caller.name(None)).await?;
+    let row = app.datasets.request_export(&request, &act.name()).await?;
+    act.about(&row.id.to_string());
     Ok((StatusCode::ACCEPTED, Json(out(&app, row))))
 }
 

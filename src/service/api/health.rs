@@ -114,6 +114,13 @@ pub async fn metrics(State(app): State<App>) -> impl IntoResponse {
         "Requests without a reply in time.",
         &wires(|w| w.timeouts),
     );
+    let (wrong_keys, _) = app.facts.wrong_keys.count();
+    metric(
+        "wrong_keys_total",
+        "counter",
+        "Requests without a valid key.",
+        &plain(wrong_keys as f64),
+    );
     if let Some(run) = &status.run {
         let uid = format!("{{run=\"{}\"}}", run.uid);
         let of_run = |v: u64| [(uid.clone(), v as f64)];

@@ -3,26 +3,21 @@
 
 use std::io::Write;
 
-use axum::extract::multipart::MultipartError;
-use axum::extract::{Multipart, State};
+use axum::Json;
+use axum::extract::State;
 use axum::http::StatusCode;
-use axum::{Extension, Json};
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::App;
-use super::audit::ActionContext;
-use super::auth::Caller;
+use super::audit::{Act, cut};
+use super::form::Form;
+use super::limits::WHO_MAX_CHARS;
 use super::problem::{ApiError, ProblemBody};
 use crate::dataset::import::{Import, import};
 use crate::new_file::NewFile;
 use crate::problem::Problem;
 use crate::store::{Label, RunRow};
-
-/// Largest size of an upload, bytes.
-pub const FILE_MAX_BYTES: usize = 16 << 30;
-/// Largest size of a sensor file, bytes.
-const TEXT_MAX_BYTES: usize = 1 << 20;
 
 /// Result of an import.
 #[derive(Debug, Serialize, ToSchema)]
@@ -68,39 +63,32 @@ struct Parts {
     request_body(content = ImportForm, content_type = "multipart/form-data"),
     responses((status = 201, body = ImportOut),
         (status = 400, body = ProblemBody,
-            description = "a part of the form, the sensor file or a value of the file is invalid")))]
+            description = "a part of the form, the sensor file or a value of the file is invalid"),
+        (status = 507, body = ProblemBody, description = "the disk has no room for the trials")))]
 pub async fn add(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
-    form: Multipart,
+    act: Act,
+    form: Form,
 ) -> Result<(StatusCode, Json<ImportOut>), ApiError> {
-    let mut who = None;
-    let outcome = async {
-        let parts = receive(&app, form).await?;
-        who = parts.who.clone();
-        app.unlocked(&caller, parts.who.as_deref()).await?;
-        let missing = |part: &str| {
-            ApiError::bad_query(vec![Problem::new("form", part, "absent", "must be given")])
-        };
-        let (file, upload) = parts.file.ok_or_else(|| missing("file"))?;
-        let (sensor_file, sensor) = parts.sensor.ok_or_else(|| missing("sensor"))?;
-        let request = Import {
-            name: parts.name.ok_or_else(|| missing("name"))?,
-            label: parts.label.ok_or_else(|| missing("label"))?,
-            file,
-            sensor_file,
-            sensor,
-            submitted_by: caller.name(parts.who.as_deref()),
-        };
-        Ok(import(&app.store, upload.path(), request).await?)
-    }
-    .await;
-    let run = outcome.as_ref().ok().map(|done| done.run.uid);
-    let context = ActionContext { run, who: who.as_deref(), why: None };
-    let done = app.logged(&caller, "import", context, outcome).await?;
-    let dataset = format!("run-{}", done.run.scan_id);
+    let parts = receive(&app, form).await?;
+    act.stated(parts.who.as_deref(), None);
+    let missing = |part: &str| {
+        ApiError::bad_query(vec![Problem::new("form", part, "absent", "must be given")])
+    };
+    let (file, upload) = parts.file.ok_or_else(|| missing("file"))?;
+    let (sensor_file, sensor) = parts.sensor.ok_or_else(|| missing("sensor"))?;
+    let request = Import {
+        name: parts.name.ok_or_else(|| missing("name"))?,
+        label: parts.label.ok_or_else(|| missing("label"))?,
+        file,
+        sensor_file,
+        sensor,
+        submitted_by: act.name(),
+    };
+    let done = import(&app.store, upload.path(), request).await?;
+    act.on(done.run.uid);
     let out = ImportOut {
-        dataset,
+        dataset: format!("run-{}", done.run.scan_id),
         run: done.run,
         trials: done.trials,
         columns_left_out: done.columns_left_out,
@@ -109,32 +97,35 @@ pub async fn add(
 }
 
 /// Receives the parts. The file is written to the disk as it arrives, and removed with the value.
-async fn receive(app: &App, mut form: Multipart) -> Result<Parts, ApiError> {
+async fn receive(app: &App, mut form: Form) -> Result<Parts, ApiError> {
     let mut parts = Parts::default();
-    while let Some(mut field) = form.next_field().await.map_err(|error| refused(&error))? {
-        let part = field.name().unwrap_or_default().to_owned();
-        let file = field.file_name().unwrap_or(&part).to_owned();
-        if part == "file" {
+    while let Some(mut part) = form.next().await? {
+        let file = cut(&part.file_name(), WHO_MAX_CHARS);
+        if part.name == "file" {
             let folder = app.datasets.uploads();
             let failed = |error: std::io::Error| {
-                ApiError::new(
-                    StatusCode::INTERNAL_SERVER_ERROR,
-                    format!("writing an upload in {}: {error}", folder.display()),
-                )
+                let words = format!("writing an upload in {}: {error}", folder.display());
+                let status = match error.kind() {
+                    std::io::ErrorKind::StorageFull => StatusCode::INSUFFICIENT_STORAGE,
+                    _ => StatusCode::INTERNAL_SERVER_ERROR,
+                };
+                ApiError::new(status, words)
             };
             let mut upload = NewFile::create(&folder).map_err(failed)?;
-            while let Some(piece) = field.chunk().await.map_err(|error| refused(&error))? {
+            while let Some(piece) = part.chunk().await? {
                 upload.write_all(&piece).map_err(failed)?;
             }
             parts.file = Some((file, upload));
             continue;
         }
-        let text = field.text().await.map_err(|error| refused(&error))?;
-        let wrong =
-            |limit: &str| ApiError::bad_query(vec![Problem::new("form", &part, &text, limit)]);
-        match part.as_str() {
-            "sensor" if text.len() <= TEXT_MAX_BYTES => parts.sensor = Some((file, text)),
-            "sensor" => return Err(wrong("must be at most 1 MiB of TOML")),
+        let name = cut(&part.name, WHO_MAX_CHARS);
+        let text = part.text().await?;
+        let wrong = |limit: &str| {
+            let shown = cut(&text, WHO_MAX_CHARS);
+            ApiError::bad_query(vec![Problem::new("form", &name, shown, limit)])
+        };
+        match name.as_str() {
+            "sensor" => parts.sensor = Some((file, text)),
             "name" if (1..=100).contains(&text.trim().len()) => {
                 parts.name = Some(text.trim().into());
             }
@@ -148,8 +139,4 @@ async fn receive(app: &App, mut form: Multipart) -> Result<Parts, ApiError> {
         }
     }
     Ok(parts)
-}
-
-fn refused(error: &MultipartError) -> ApiError {
-    ApiError::new(error.status(), error.body_text())
 }

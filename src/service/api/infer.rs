@@ -5,11 +5,11 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
+use axum::extract::ws::{Message, WebSocket};
 use axum::extract::{FromRequest, Request, State};
 use axum::http::{StatusCode, header};
 use axum::response::Response;
-use axum::{Json, extract::Query};
+use axum::{Extension, Json, extract::Query};
 use serde::{Deserialize, Serialize};
 use tokio::sync::Semaphore;
 use tokio::time::timeout;
@@ -17,7 +17,9 @@ use tracing::Instrument;
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::problem::{ApiError, Params, ProblemBody};
+use super::auth::Caller;
+use super::limits::{FRAME_CLIENTS, LIVE_CLIENTS, MESSAGE_MAX_BYTES, PREFLIGHTS, TURN};
+use super::problem::{ApiError, Params, ProblemBody, Upgrade};
 use crate::clock::Clock;
 use crate::dataset::background::background;
 use crate::infer::answer::Reading;
@@ -27,8 +29,6 @@ use crate::infer::methods::exact::Tracked;
 use crate::infer::pipeline::Pipeline;
 use crate::infer::slot::Slot;
 
-/// Largest size of a body with frames, bytes.
-pub const FRAMES_MAX_BYTES: usize = 64 << 20;
 /// Largest number of frames per request.
 const FRAMES_MAX: usize = 2_000;
 /// Largest number of frames per request for `exact`: a fit takes about 0.1 s.
@@ -39,10 +39,6 @@ const MAPS_MAX: usize = 100;
 const NET_REQUESTS: usize = 4;
 /// Number of requests that `exact` answers concurrently; further ones wait.
 const FIT_REQUESTS: usize = 2;
-/// Largest number of live clients.
-const LIVE_CLIENTS: usize = 8;
-/// Longest wait for a turn.
-const TURN: Duration = Duration::from_secs(10);
 /// Longest time for sending a message; a slower client is disconnected.
 const SEND: Duration = Duration::from_secs(5);
 
@@ -256,8 +252,9 @@ pub struct LiveAnswer {
         (status = 503, body = ProblemBody, description = "too many live clients are connected")))]
 pub async fn live(
     State(app): State<App>,
+    Extension(caller): Extension<Caller>,
     Params(options): Params<LiveParams>,
-    upgrade: WebSocketUpgrade,
+    Upgrade(upgrade): Upgrade,
 ) -> Result<Response, ApiError> {
     let serving = app.serving.once_restored(options.method).await;
     let method = match options.method {
@@ -274,8 +271,11 @@ pub async fn live(
         ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words)
     })?;
     let span = tracing::Span::current();
-    Ok(upgrade.on_upgrade(async move |socket| {
-        follow(app, socket, method, options.map).instrument(span).await;
+    Ok(upgrade.max_message_size(MESSAGE_MAX_BYTES).on_upgrade(async move |socket| {
+        tokio::select! {
+            () = follow(&app, socket, method, options.map).instrument(span) => {}
+            () = app.until_revoked(&caller) => {}
+        }
         drop(turn);
     }))
 }
@@ -286,12 +286,22 @@ pub struct Turns {
     answers: Arc<Semaphore>,
     fits: Arc<Semaphore>,
     live: Arc<Semaphore>,
+    /// Clients of live frames.
+    pub(super) frames: Arc<Semaphore>,
+    /// Preflights of submissions.
+    pub(super) preflights: Arc<Semaphore>,
 }
 
 impl Default for Turns {
     fn default() -> Self {
         let of = |count| Arc::new(Semaphore::new(count));
-        Self { answers: of(NET_REQUESTS), fits: of(FIT_REQUESTS), live: of(LIVE_CLIENTS) }
+        Self {
+            answers: of(NET_REQUESTS),
+            fits: of(FIT_REQUESTS),
+            live: of(LIVE_CLIENTS),
+            frames: of(FRAME_CLIENTS),
+            preflights: of(PREFLIGHTS),
+        }
     }
 }
 
@@ -299,7 +309,7 @@ fn best(pipeline: &Pipeline) -> Option<Method> {
     Method::ALL.into_iter().rev().find(|method| pipeline.ready(*method).is_ok())
 }
 
-async fn follow(app: App, mut socket: WebSocket, method: Method, map: bool) {
+async fn follow(app: &App, mut socket: WebSocket, method: Method, map: bool) {
     let mut frames = app.campaign.watch_frames();
     let mut ending = app.facts.ending.clone();
     let clock = Clock::new(1.0);

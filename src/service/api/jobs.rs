@@ -1,18 +1,17 @@
 //! Trainings and evaluations: requests, progress, results, stop.
 //! Uses: `jobs`. Never: the computation itself.
 
-use axum::extract::{Path, State};
+use axum::Json;
+use axum::extract::State;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use axum::{Extension, Json};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
 
 use super::App;
-use super::audit::ActionContext;
-use super::auth::Caller;
-use super::problem::{ApiError, Body, ProblemBody};
+use super::audit::Act;
+use super::problem::{ApiError, Body, Path, ProblemBody};
 use crate::evaluate::request::EvaluationRequest;
 use crate::ids::{DatasetId, TaskId};
 use crate::jobs::Progress;
@@ -91,12 +90,11 @@ fn out(app: &App, row: TaskRow) -> JobOut {
         (status = 422, body = ProblemBody, description = "the recipe is invalid")))]
 pub async fn train(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
+    act: Act,
     Body(request): Body<TrainingRequest>,
 ) -> Result<(StatusCode, Json<JobOut>), ApiError> {
-    let requested = app.jobs.train(&request.recipe, &caller.name(None)).await;
-    let outcome = requested.map_err(ApiError::from);
-    let row = app.logged(&caller, "train", ActionContext::default(), outcome).await?;
+    let row = app.jobs.train(&request.recipe, &act.name()).await?;
+    act.about(&row.id.to_string());
     Ok((StatusCode::ACCEPTED, Json(out(&app, row))))
 }
 
@@ -106,10 +104,11 @@ pub async fn train(
         (status = 422, body = ProblemBody, description = "a value of the request is invalid")))]
 pub async fn evaluate(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
+    act: Act,
     Body(request): Body<EvaluationRequest>,
 ) -> Result<(StatusCode, Json<JobOut>), ApiError> {
-    let row = app.jobs.evaluate(&request, &caller.name(None)).await?;
+    let row = app.jobs.evaluate(&request, &act.name()).await?;
+    act.about(&row.id.to_string());
     Ok((StatusCode::ACCEPTED, Json(out(&app, row))))
 }
 
@@ -164,13 +163,12 @@ pub async fn losses(State(app): State<App>, Path(job): Path<String>) -> Result<R
         (status = 404, body = ProblemBody, description = "no job has this id")))]
 pub async fn stop(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
+    act: Act,
     Path(job): Path<String>,
 ) -> Result<(StatusCode, Json<JobOut>), ApiError> {
+    act.about(&job);
     let row = find(&app, &job).await?;
-    let stopped = app.jobs.stop(row.id).await.map_err(ApiError::from);
-    let context = ActionContext { why: Some(&job), ..ActionContext::default() };
-    app.logged(&caller, "stop a job", context, stopped).await?;
+    app.jobs.stop(row.id).await?;
     Ok((StatusCode::ACCEPTED, Json(out(&app, find(&app, &job).await?))))
 }
 

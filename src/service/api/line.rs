@@ -6,36 +6,40 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 
-use axum::body::{Body, Bytes, HttpBody};
+use axum::body::{Body, HttpBody};
 use hyper::body::{Frame, SizeHint};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
+use tokio::time::{Sleep, sleep};
 
+use super::limits::SEND_STALL;
 use super::seat::{InFlight, Seat};
 use super::work::Work;
 
-/// The body of a response; its request is in progress until the body has been sent or dropped.
-pub struct Sent {
-    body: Body,
-    _in_flight: InFlight,
-    _work: Option<Work>,
+/// The body of a response, with values that are kept until it has been sent or dropped.
+pub struct Held<B, K> {
+    body: B,
+    _kept: K,
 }
 
-impl Sent {
-    /// Combines a body with its request and with the task that produces it.
-    pub fn new(body: Body, in_flight: InFlight, work: Option<Work>) -> Self {
-        Self { body, _in_flight: in_flight, _work: work }
+/// The body of a response; its request is in progress until the body has been sent or dropped.
+pub type Sent = Held<Body, (InFlight, Option<Work>)>;
+
+impl<B, K> Held<B, K> {
+    /// Combines a body with the values to keep.
+    pub fn new(body: B, kept: K) -> Self {
+        Self { body, _kept: kept }
     }
 }
 
-impl HttpBody for Sent {
-    type Data = Bytes;
-    type Error = axum::Error;
+impl<B: HttpBody + Unpin, K: Unpin> HttpBody for Held<B, K> {
+    type Data = B::Data;
+    type Error = B::Error;
 
     fn poll_frame(
         self: Pin<&mut Self>,
         context: &mut Context<'_>,
-    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+    ) -> Poll<Option<Result<Frame<B::Data>, B::Error>>> {
         Pin::new(&mut self.get_mut().body).poll_frame(context)
     }
 
@@ -48,13 +52,37 @@ impl HttpBody for Sent {
     }
 }
 
-/// A socket that reports transfers to its seat. It keeps the seat, also after an upgrade to a
-/// WebSocket.
+/// A socket that reports transfers to its seat, and fails if its client takes no byte for
+/// `SEND_STALL`. It keeps the seat, also after an upgrade to a WebSocket.
 pub struct Line {
-    /// The socket.
-    pub stream: TcpStream,
-    /// Seat of the connection.
-    pub seat: Arc<Seat>,
+    stream: TcpStream,
+    seat: Arc<Seat>,
+    /// Time-out of a write that the client does not take.
+    stalled: Option<Pin<Box<Sleep>>>,
+}
+
+impl Line {
+    /// Combines a socket with the seat of its connection.
+    pub fn new(stream: TcpStream, seat: Arc<Seat>) -> Self {
+        Self { stream, seat, stalled: None }
+    }
+
+    /// Returns the outcome of a write, or an error if writes have been pending for too long.
+    fn limited(
+        &mut self,
+        written: Poll<io::Result<usize>>,
+        context: &mut Context<'_>,
+    ) -> Poll<io::Result<usize>> {
+        if written.is_ready() {
+            self.stalled = None;
+            return written;
+        }
+        let stalled = self.stalled.get_or_insert_with(|| Box::pin(sleep(SEND_STALL)));
+        match stalled.as_mut().poll(context) {
+            Poll::Ready(()) => Poll::Ready(Err(io::ErrorKind::TimedOut.into())),
+            Poll::Pending => Poll::Pending,
+        }
+    }
 }
 
 impl AsyncRead for Line {
@@ -63,7 +91,7 @@ impl AsyncRead for Line {
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        let Self { stream, seat } = self.get_mut();
+        let Self { stream, seat, .. } = self.get_mut();
         let before = buffer.filled().len();
         let polled = Pin::new(stream).poll_read(context, buffer);
         if buffer.filled().len() > before {
@@ -79,9 +107,10 @@ impl AsyncWrite for Line {
         context: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
-        let Self { stream, seat } = self.get_mut();
-        seat.bytes_sent();
-        Pin::new(stream).poll_write(context, bytes)
+        let line = self.get_mut();
+        line.seat.bytes_sent();
+        let written = Pin::new(&mut line.stream).poll_write(context, bytes);
+        line.limited(written, context)
     }
 
     fn poll_write_vectored(
@@ -89,9 +118,10 @@ impl AsyncWrite for Line {
         context: &mut Context<'_>,
         pieces: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        let Self { stream, seat } = self.get_mut();
-        seat.bytes_sent();
-        Pin::new(stream).poll_write_vectored(context, pieces)
+        let line = self.get_mut();
+        line.seat.bytes_sent();
+        let written = Pin::new(&mut line.stream).poll_write_vectored(context, pieces);
+        line.limited(written, context)
     }
 
     fn is_write_vectored(&self) -> bool {

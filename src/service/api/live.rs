@@ -3,14 +3,19 @@
 
 use std::time::Duration;
 
+use axum::Extension;
 use axum::extract::State;
-use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
+use axum::extract::ws::{Message, WebSocket};
+use axum::http::StatusCode;
 use axum::response::Response;
 use serde::Serialize;
 use tokio::time::timeout;
 use utoipa::ToSchema;
 
 use super::App;
+use super::auth::Caller;
+use super::limits::{FRAME_CLIENTS, MESSAGE_MAX_BYTES};
+use super::problem::{ApiError, ProblemBody, Upgrade};
 use crate::rig::traits::Frame;
 
 /// Shortest time between two frames to one client: about 30 per second.
@@ -33,12 +38,27 @@ pub struct LiveFrame {
 
 /// Streams live frames as JSON messages over a WebSocket.
 #[utoipa::path(get, operation_id = "live_frames", path = "/api/v1/frames/live", tag = "frames",
-    responses((status = 101, description = "WebSocket whose messages are LiveFrame", body = LiveFrame)))]
-pub async fn frames(State(app): State<App>, upgrade: WebSocketUpgrade) -> Response {
-    upgrade.on_upgrade(move |socket| send(app, socket))
+    responses((status = 101, description = "WebSocket whose messages are LiveFrame", body = LiveFrame),
+        (status = 503, body = ProblemBody, description = "too many clients are connected")))]
+pub async fn frames(
+    State(app): State<App>,
+    Extension(caller): Extension<Caller>,
+    Upgrade(upgrade): Upgrade,
+) -> Result<Response, ApiError> {
+    let place = app.turns.frames.clone().try_acquire_owned().map_err(|_| {
+        let words = format!("{FRAME_CLIENTS} clients of live frames are connected, the limit");
+        ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words)
+    })?;
+    Ok(upgrade.max_message_size(MESSAGE_MAX_BYTES).on_upgrade(async move |socket| {
+        tokio::select! {
+            () = send(&app, socket) => {}
+            () = app.until_revoked(&caller) => {}
+        }
+        drop(place);
+    }))
 }
 
-async fn send(app: App, mut socket: WebSocket) {
+async fn send(app: &App, mut socket: WebSocket) {
     let mut frames = app.campaign.watch_frames();
     let mut ending = app.facts.ending.clone();
     loop {

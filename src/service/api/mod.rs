@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::extract::DefaultBodyLimit;
+use axum::http::Method;
 use axum::middleware::{from_fn, from_fn_with_state};
 use axum::routing::{get, post};
 use jiff::Timestamp;
@@ -18,7 +18,6 @@ use tokio::sync::{Semaphore, watch};
 use tokio::task::JoinHandle;
 use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
-use utoipa_axum::routes;
 
 use crate::campaign::run::engine;
 use crate::campaign::shown::command::{Handle, Request};
@@ -37,16 +36,20 @@ use crate::twins::TwinPool;
 mod audit;
 mod auth;
 mod datasets;
+mod describe;
 mod door;
 mod estop;
 mod evaluation;
 mod events;
 mod exports;
 mod finished;
+mod form;
+mod guard;
 mod health;
 mod imports;
 mod infer;
 mod jobs;
+mod limits;
 mod line;
 mod live;
 mod lock_file;
@@ -58,6 +61,7 @@ mod problem;
 mod query;
 mod queue;
 mod rig;
+mod routes;
 mod runs;
 mod seat;
 mod send;
@@ -71,10 +75,10 @@ pub use infer::{FrameAnswer, InferOptions, InferRequest, LiveAnswer, Turns};
 pub use jobs::JobOut;
 pub use lock_file::{LockFile, LockFileError};
 pub use models::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
+pub use routes::{Access, Lock, Needs};
 pub use runs::Summary;
 
-use auth::Caller;
-use problem::ApiError;
+use routes::AllNeeds;
 
 /// Number of newest trials whose checksums are verified at the start.
 const EXAMINED_TRIALS: u32 = 2000;
@@ -93,6 +97,8 @@ pub struct ServeOptions {
     pub rig_file: String,
     /// Text of the rig file.
     pub rig_text: String,
+    /// True: callers without a key, on loopback, may also make and revoke keys.
+    pub local_admin: bool,
     /// True: resume an interrupted run automatically, if its policy allows it.
     pub resume: bool,
     /// Number of threads that simulate twins; 0 simulates none.
@@ -185,26 +191,16 @@ struct Facts {
     ending: watch::Receiver<bool>,
     threads: runtime::Handle,
     logged_later: Arc<Semaphore>,
+    needs: AllNeeds,
+    in_progress: guard::InProgress,
+    tickets: auth::Tickets,
+    wrong_keys: auth::WrongKeys,
+    local_admin: bool,
 }
 
 impl App {
     fn loopback(&self) -> bool {
         self.facts.bind.ip().is_loopback()
-    }
-
-    /// Checks that no other person holds the operator lock; `who` is the name that the caller
-    /// entered.
-    async fn unlocked(&self, caller: &Caller, who: Option<&str>) -> Result<(), ApiError> {
-        match self.store.lock().await? {
-            Some(lock) if lock.holder != caller.identity(who) => Err(ApiError::new(
-                axum::http::StatusCode::CONFLICT,
-                format!(
-                    "{} holds the operator lock ({}): ask the holder to release it",
-                    lock.holder, lock.note
-                ),
-            )),
-            _ => Ok(()),
-        }
     }
 }
 
@@ -218,104 +214,44 @@ impl App {
 ))]
 struct Description;
 
-fn routes() -> OpenApiRouter<App> {
-    OpenApiRouter::with_openapi(Description::openapi())
-        .routes(routes!(status::status))
-        .routes(routes!(queue::list, queue::add))
-        .routes(routes!(queue::remove))
-        .routes(routes!(queue::shift))
-        .routes(routes!(queue::preflight))
-        .routes(routes!(runs::list))
-        .routes(routes!(runs::one))
-        .routes(routes!(runs::summary))
-        .routes(routes!(runs::preflight))
-        .routes(routes!(runs::plan))
-        .routes(routes!(runs::arm))
-        .routes(routes!(runs::act))
-        .routes(routes!(trials::of_run))
-        .routes(routes!(trials::all))
-        .routes(routes!(trials::one))
-        .routes(routes!(trials::frames))
-        .routes(routes!(trials::bench_records))
-        .routes(routes!(twins::all))
-        .routes(routes!(twins::of_run))
-        .routes(routes!(evaluation::simulation))
-        .routes(routes!(datasets::list, datasets::make))
-        .routes(routes!(datasets::one))
-        .routes(routes!(datasets::lineage))
-        .routes(routes!(datasets::card))
-        .routes(routes!(datasets::rows))
-        .routes(routes!(datasets::data))
-        .routes(routes!(exports::list, exports::request))
-        .routes(routes!(exports::one))
-        .routes(routes!(exports::file))
-        .routes(routes!(jobs::train))
-        .routes(routes!(jobs::evaluate))
-        .routes(routes!(jobs::list))
-        .routes(routes!(jobs::one))
-        .routes(routes!(jobs::losses))
-        .routes(routes!(jobs::stop))
-        .routes(routes!(models::list))
-        .routes(routes!(models::one))
-        .routes(routes!(models::onnx))
-        .routes(routes!(models::losses))
-        .routes(routes!(models::residuals))
-        .routes(routes!(models::add_calibration))
-        .routes(routes!(models::serving, models::promote))
-        .routes(routes!(models::roll_back))
-        .routes(routes!(infer::live))
-        .routes(routes!(events::events))
-        .routes(routes!(live::frames))
-        .routes(routes!(rig::act))
-        .routes(routes!(rig::check))
-        .routes(routes!(people::lock, people::take_lock, people::clear_lock))
-        .routes(routes!(people::keys, people::create_key))
-        .routes(routes!(people::revoke_key))
-        .routes(routes!(people::actions))
-        .routes(routes!(health::metrics))
-        .merge(uploads())
+/// Operations of the table that `of` selects.
+fn routes_of(of: impl Fn(&Needs) -> bool) -> OpenApiRouter<App> {
+    let all = routes::table().into_iter().filter(|operation| of(&operation.needs));
+    let start = OpenApiRouter::with_openapi(Description::openapi());
+    all.fold(start, |router, operation| router.routes(operation.route))
 }
 
-/// Routes with larger limits of the body.
-fn uploads() -> OpenApiRouter<App> {
-    let imports = OpenApiRouter::new()
-        .routes(routes!(imports::add))
-        .layer(DefaultBodyLimit::max(imports::FILE_MAX_BYTES));
-    let models = OpenApiRouter::new()
-        .routes(routes!(models::add))
-        .layer(DefaultBodyLimit::max(models::MODEL_MAX_BYTES));
-    let frames = OpenApiRouter::new()
-        .routes(routes!(infer::infer))
-        .layer(DefaultBodyLimit::max(infer::FRAMES_MAX_BYTES));
-    imports.merge(models).merge(frames)
+/// Returns method, path and needs of every operation, in the order of their paths.
+pub fn operations() -> Vec<(Method, String, Needs)> {
+    let all = AllNeeds::of(&routes::table());
+    let row =
+        |(method, path, needs): (&Method, &str, &Needs)| (method.clone(), path.into(), *needs);
+    let mut rows: Vec<(Method, String, Needs)> = all.iter().map(row).collect();
+    rows.sort_by(|a, b| (&a.1, a.0.as_str()).cmp(&(&b.1, b.0.as_str())));
+    rows
 }
 
-/// Routes without the check of role and key.
-fn open_routes() -> OpenApiRouter<App> {
-    OpenApiRouter::new().routes(routes!(health::live)).routes(routes!(health::ready))
-}
-
-/// The e-stop, which checks the key itself and has no layer: nothing runs before its handler.
-fn stop_routes() -> OpenApiRouter<App> {
-    OpenApiRouter::new().routes(routes!(estop::estop))
-}
-
-/// Description of all routes.
+/// Description of all operations.
 fn description() -> utoipa::openapi::OpenApi {
-    routes().merge(stop_routes()).merge(open_routes()).to_openapi()
+    let mut description = routes_of(|_| true).to_openapi();
+    describe::complete(&mut description, &AllNeeds::of(&routes::table()));
+    description
 }
 
 fn router(app: App) -> axum::Router {
-    let (guarded, _) = routes().split_for_parts();
-    let (open, _) = open_routes().split_for_parts();
-    guarded
-        .route_layer(from_fn_with_state(app.clone(), auth::admit))
-        .merge(open)
+    let of =
+        |access: fn(Access) -> bool| routes_of(|needs| access(needs.access)).split_for_parts().0;
+    of(|access| matches!(access, Access::From(_)))
+        .route_layer(from_fn_with_state(app.clone(), guard::admit))
+        .merge(of(|access| access == Access::Open))
         .route("/", get(page::first))
         .route("/openapi.json", get(page::description))
         .fallback(page::unknown)
+        .method_not_allowed_fallback(page::wrong_method)
+        .layer(from_fn(guard::harden))
         .layer(from_fn(trace::follow))
-        .merge(stop_routes().route("/estop", post(estop::estop)))
+        // The e-stop has no layer: nothing runs before its handler.
+        .merge(of(|access| access == Access::Stop).route("/estop", post(estop::estop)))
         .with_state(app)
 }
 
@@ -371,7 +307,12 @@ impl Service {
             rig,
             ending: ended,
             threads: runtime::Handle::current(),
-            logged_later: Arc::new(Semaphore::new(audit::LOGGED_LATER_MAX)),
+            logged_later: Arc::new(Semaphore::new(limits::LOGGED_LATER_MAX)),
+            needs: AllNeeds::of(&routes::table()),
+            in_progress: guard::InProgress::default(),
+            tickets: auth::Tickets::default(),
+            wrong_keys: auth::WrongKeys::default(),
+            local_admin: options.local_admin,
         };
         let cache = options.data.join("cache");
         sweep_partial(&cache);

@@ -1,20 +1,20 @@
 //! Models: lists, scores, files, uploads, and promotions.
 //! Uses: `infer::{registry, serving}`, `store`. Never: training, frames.
 
-use axum::extract::multipart::Multipart;
-use axum::extract::{Path, State};
+use axum::Json;
+use axum::extract::State;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use axum::{Extension, Json};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
 
 use super::App;
-use super::audit::ActionContext;
-use super::auth::Caller;
+use super::audit::{Act, cut};
+use super::form::Form;
 use super::jobs::ndjson;
-use super::problem::{ApiError, Body, ProblemBody};
+use super::limits::{MODEL_MAX_BYTES, WHO_MAX_CHARS};
+use super::problem::{ApiError, Body, Path, ProblemBody, Text};
 use crate::ids::{CalibrationId, ModelId, PromotedId};
 use crate::infer::registry::{NewModel, facts};
 use crate::infer::slot::Slot;
@@ -23,9 +23,6 @@ use crate::learn::residuals::Residuals;
 use crate::problem::Problem;
 use crate::store::ModelRow;
 use crate::syntax::syntax_problem;
-
-/// Largest size of an uploaded model, bytes.
-pub const MODEL_MAX_BYTES: usize = 256 << 20;
 
 /// A model.
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
@@ -207,40 +204,58 @@ pub struct ModelForm {
             description = "a part of the form is missing or invalid, or the model does not run")))]
 pub async fn add(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
-    mut form: Multipart,
+    act: Act,
+    form: Form,
 ) -> Result<(StatusCode, Json<ModelOut>), ApiError> {
-    let mut parts = std::collections::HashMap::new();
-    let refused = |error: axum::extract::multipart::MultipartError| {
-        ApiError::new(error.status(), error.body_text())
-    };
-    while let Some(field) = form.next_field().await.map_err(refused)? {
-        let name = field.name().unwrap_or_default().to_owned();
-        parts.insert(name, field.bytes().await.map_err(refused)?);
-    }
-    let outcome = store(&app, &parts).await;
-    let row = app.logged(&caller, "add a model", ActionContext::default(), outcome).await?;
+    let parts = receive(form).await?;
+    let row = store(&app, parts).await?;
+    act.about(row.id.as_str());
     Ok((StatusCode::CREATED, Json(out(&app, row).await?)))
 }
 
+/// Parts of the form of a model.
+#[derive(Default)]
+struct Parts {
+    file: Option<Vec<u8>>,
+    sensor: Option<String>,
+    facts: Option<String>,
+    name: Option<String>,
+}
+
+async fn receive(mut form: Form) -> Result<Parts, ApiError> {
+    let mut parts = Parts::default();
+    while let Some(part) = form.next().await? {
+        match part.name.as_str() {
+            "file" => parts.file = Some(part.bytes(MODEL_MAX_BYTES).await?),
+            "sensor" => parts.sensor = Some(part.text().await?),
+            "facts" => parts.facts = Some(part.text().await?),
+            "name" => {
+                let name = part.text().await?;
+                ApiError::check_length("name", &name, WHO_MAX_CHARS)?;
+                parts.name = Some(name);
+            }
+            other => {
+                let name = cut(other, WHO_MAX_CHARS);
+                let limit = "must be file, sensor, facts or name";
+                return Err(ApiError::value("part", name, limit));
+            }
+        }
+    }
+    Ok(parts)
+}
+
 /// Checks the parts of a form and stores the model.
-async fn store(
-    app: &App,
-    parts: &std::collections::HashMap<String, bytes::Bytes>,
-) -> Result<ModelRow, ApiError> {
-    let part = |name: &str| {
+async fn store(app: &App, parts: Parts) -> Result<ModelRow, ApiError> {
+    fn given<T>(part: Option<T>, name: &str) -> Result<T, ApiError> {
         let problem = || Problem::new("form", name, "absent", "must be given");
-        parts.get(name).ok_or_else(|| ApiError::problems(vec![problem()]))
-    };
-    let text = |name: &str| {
-        let bytes = part(name)?.to_vec();
-        String::from_utf8(bytes).map_err(|_| ApiError::value(name, "bytes", "must be text, UTF-8"))
-    };
-    let (sensor, name, stated) = (text("sensor")?, text("name")?, text("facts")?);
+        part.ok_or_else(|| ApiError::problems(vec![problem()]))
+    }
+    let (sensor, name) = (given(parts.sensor, "sensor")?, given(parts.name, "name")?);
+    let stated = given(parts.facts, "facts")?;
     let (_, sensor_facts) = facts("sensor", &sensor).map_err(ApiError::problems)?;
     let stated: ModelFacts = toml::from_str(&stated)
         .map_err(|error| ApiError::problems(vec![syntax_problem("facts", &stated, &error)]))?;
-    let onnx = part("file")?.to_vec();
+    let onnx = given(parts.file, "file")?;
     let manifest = manifest_for_foreign(&onnx, stated, &sensor_facts)
         .map_err(crate::infer::error::InferError::from)?;
     let new = NewModel { name, manifest, onnx, sensor, losses: None, residuals: None };
@@ -256,11 +271,11 @@ async fn store(
             description = "the calibration is invalid or for another sensor")))]
 pub async fn add_calibration(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
-    text: String,
+    act: Act,
+    Text(text): Text,
 ) -> Result<(StatusCode, Json<CalibrationId>), ApiError> {
-    let outcome = app.serving.keep_calibration(&text).await.map_err(ApiError::from);
-    let id = app.logged(&caller, "add a calibration", ActionContext::default(), outcome).await?;
+    let id = app.serving.keep_calibration(&text).await?;
+    act.about(id.as_str());
     Ok((StatusCode::CREATED, Json(id)))
 }
 
@@ -292,14 +307,13 @@ pub async fn serving(State(app): State<App>) -> Result<Json<ServingOut>, ApiErro
             description = "the model is for another sensor or task")))]
 pub async fn promote(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
+    act: Act,
     Body(request): Body<PromotionRequest>,
 ) -> Result<Json<ServesOut>, ApiError> {
     let (who, why) = (request.who.as_deref(), request.why.as_deref());
-    let promoted = app.serving.promote(&request.what, &caller.name(who), why).await;
-    let outcome = promoted.map_err(ApiError::from);
-    let context = ActionContext { run: None, who, why };
-    let (slot, what) = app.logged(&caller, "promote", context, outcome).await?;
+    act.stated(who, why);
+    act.about(&request.what);
+    let (slot, what) = app.serving.promote(&request.what, &act.name(), why).await?;
     Ok(Json(ServesOut { slot, what: Some(what) }))
 }
 
@@ -311,13 +325,12 @@ pub async fn promote(
         (status = 422, body = ProblemBody, description = "the slot is unknown")))]
 pub async fn roll_back(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
+    act: Act,
     Body(request): Body<RollBackRequest>,
 ) -> Result<Json<ServesOut>, ApiError> {
     let (who, why, slot) = (request.who.as_deref(), request.why.as_deref(), request.slot);
-    let outcome = app.serving.roll_back(slot, &caller.name(who), why).await.map_err(ApiError::from);
-    let context = ActionContext { run: None, who, why };
-    let what = app.logged(&caller, "roll back", context, outcome).await?;
+    act.stated(who, why);
+    let what = app.serving.roll_back(slot, &act.name(), why).await?;
     Ok(Json(ServesOut { slot, what }))
 }
 

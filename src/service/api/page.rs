@@ -2,7 +2,7 @@
 //! Uses: nothing of the rig. Never: data (the page asks the API for it).
 
 use axum::Json;
-use axum::http::{Uri, header};
+use axum::http::{Method, StatusCode, Uri, header};
 use axum::response::{Html, IntoResponse};
 
 use super::problem::ApiError;
@@ -18,6 +18,12 @@ pub async fn first() -> impl IntoResponse {
 /// Returns the API description (`/openapi.json`).
 pub async fn description() -> impl IntoResponse {
     Json(super::description())
+}
+
+/// Returns the error for a method that an address does not have.
+pub async fn wrong_method(method: Method, uri: Uri) -> ApiError {
+    let words = format!("{method} is not a method of {}; see /openapi.json", uri.path());
+    ApiError::new(StatusCode::METHOD_NOT_ALLOWED, words)
 }
 
 /// Returns the error for an unknown address.

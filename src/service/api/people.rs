@@ -1,16 +1,17 @@
 //! The operator lock, the API keys, and the log of actions.
 //! Uses: `store`. Never: the text of a key, except in the response that creates it.
 
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::StatusCode;
 use axum::{Extension, Json};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::audit::ActionContext;
+use super::audit::Act;
 use super::auth::Caller;
-use super::problem::{ApiError, Body, Params, ProblemBody};
+use super::limits::{TICKET, TICKETS, WHO_MAX_CHARS, WHY_MAX_CHARS};
+use super::problem::{ApiError, Body, Params, Path, ProblemBody};
 use super::queue::WhoParams;
 use super::runs::find;
 use crate::store::{ActionRow, KeyRow, LockRow, Role};
@@ -64,45 +65,47 @@ pub async fn lock(State(app): State<App>) -> Result<Json<Option<LockRow>>, ApiEr
 
 /// Takes the operator lock.
 ///
-/// It prevents others from starting and editing, never from stopping.
+/// It prevents others from starting and editing, never from stopping. A lock that is taken without
+/// a key holds for everybody, its holder included, until somebody without a key, or an admin,
+/// releases it: without a key nobody can prove to be the holder.
 #[utoipa::path(put, path = "/api/v1/lock", tag = "people", request_body = LockRequest,
     responses((status = 200, body = LockRow),
         (status = 409, body = ProblemBody, description = "another person holds the operator lock")))]
 pub async fn take_lock(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
+    act: Act,
     Body(new): Body<LockRequest>,
 ) -> Result<Json<LockRow>, ApiError> {
-    let holder = caller.identity(new.holder.as_deref());
-    let outcome = app.store.set_lock(&holder, &new.note).await.map_err(ApiError::from);
-    let (who, why) = (new.holder.as_deref(), Some(new.note.as_str()));
-    let context = ActionContext { run: None, who, why };
-    Ok(Json(app.logged(&caller, "lock", context, outcome).await?))
+    act.stated(new.holder.as_deref(), Some(&new.note));
+    let holder = new.holder.as_deref();
+    ApiError::check_length("holder", holder.unwrap_or_default(), WHO_MAX_CHARS)?;
+    ApiError::check_length("note", &new.note, WHY_MAX_CHARS)?;
+    Ok(Json(app.store.set_lock(&act.caller().holder(holder), &new.note).await?))
 }
 
 /// Releases the operator lock.
 ///
-/// Only the role `admin` may release the lock of another holder.
+/// Only the role `admin` may release the lock of another holder's key.
 #[utoipa::path(delete, path = "/api/v1/lock", tag = "people", params(WhoParams),
     responses((status = 204),
         (status = 403, body = ProblemBody,
             description = "another person holds the lock, and the role is not admin")))]
 pub async fn clear_lock(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
+    act: Act,
     Params(by): Params<WhoParams>,
 ) -> Result<StatusCode, ApiError> {
-    let identity = caller.identity(by.who.as_deref());
-    let outcome = async {
-        if app.store.lock().await?.is_some_and(|l| l.holder != identity) {
-            caller.require(Role::Admin)?;
-        }
-        app.store.clear_lock().await?;
-        Ok(())
+    act.stated(by.who.as_deref(), None);
+    if let Some(lock) = app.store.lock().await?
+        && !act.caller().may_release(&lock)
+    {
+        let words = format!(
+            "{} holds the operator lock ({}): only the holder or an admin may release it",
+            lock.holder, lock.note
+        );
+        return Err(ApiError::new(StatusCode::FORBIDDEN, words));
     }
-    .await;
-    let context = ActionContext { who: by.who.as_deref(), ..ActionContext::default() };
-    app.logged(&caller, "unlock", context, outcome).await?;
+    app.store.clear_lock().await?;
     Ok(StatusCode::NO_CONTENT)
 }
 
@@ -110,11 +113,7 @@ pub async fn clear_lock(
 #[utoipa::path(get, path = "/api/v1/keys", tag = "people",
     responses((status = 200, body = Vec<KeyRow>),
         (status = 403, body = ProblemBody, description = "the role is not admin")))]
-pub async fn keys(
-    State(app): State<App>,
-    Extension(caller): Extension<Caller>,
-) -> Result<Json<Vec<KeyRow>>, ApiError> {
-    caller.require(Role::Admin)?;
+pub async fn keys(State(app): State<App>) -> Result<Json<Vec<KeyRow>>, ApiError> {
     Ok(Json(app.store.keys().await?))
 }
 
@@ -125,17 +124,12 @@ pub async fn keys(
         (status = 422, body = ProblemBody, description = "the name is invalid or in use")))]
 pub async fn create_key(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
+    act: Act,
     Body(new): Body<KeyRequest>,
 ) -> Result<(StatusCode, Json<CreatedKey>), ApiError> {
-    let outcome = async {
-        caller.require(Role::Admin)?;
-        let (key, secret) = app.keys.create(&new.name, new.role, rand::random()).await?;
-        Ok(CreatedKey { key, secret })
-    }
-    .await;
-    let context = ActionContext { why: Some(&new.name), ..ActionContext::default() };
-    Ok((StatusCode::CREATED, Json(app.logged(&caller, "key", context, outcome).await?)))
+    act.about(&new.name);
+    let (key, secret) = app.keys.create(&new.name, new.role, rand::random()).await?;
+    Ok((StatusCode::CREATED, Json(CreatedKey { key, secret })))
 }
 
 /// Revokes an API key.
@@ -145,25 +139,48 @@ pub async fn create_key(
         (status = 404, body = ProblemBody, description = "no valid key has this number")))]
 pub async fn revoke_key(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
+    act: Act,
     Path(id): Path<i64>,
 ) -> Result<StatusCode, ApiError> {
-    let outcome = async {
-        caller.require(Role::Admin)?;
-        if app.keys.revoke(id).await? {
-            Ok(())
-        } else {
-            Err(ApiError::not_found(format!("no valid key {id}")))
-        }
+    act.about(&format!("key {id}"));
+    match app.keys.revoke(id).await? {
+        true => Ok(StatusCode::NO_CONTENT),
+        false => Err(ApiError::not_found(format!("no valid key {id}"))),
     }
-    .await;
-    app.logged(&caller, "revoke_key", ActionContext::default(), outcome).await?;
-    Ok(StatusCode::NO_CONTENT)
+}
+
+/// A ticket for one WebSocket.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Ticket {
+    /// Value of the parameter `ticket` of the WebSocket's address.
+    pub ticket: String,
+    /// Time for which it may be used, s.
+    pub valid_s: u64,
+}
+
+/// Creates a ticket with which one WebSocket may be opened.
+///
+/// A browser's WebSocket sends no header with a key, and no address may hold a key. The ticket has
+/// the rights of its caller; it can be used once.
+#[utoipa::path(post, operation_id = "create_ticket", path = "/api/v1/tickets", tag = "people",
+    responses((status = 201, body = Ticket, description = "the ticket"),
+        (status = 429, body = ProblemBody, description = "too many tickets wait to be used")))]
+pub async fn ticket(
+    State(app): State<App>,
+    Extension(caller): Extension<Caller>,
+) -> Result<(StatusCode, Json<Ticket>), ApiError> {
+    let ticket = app.facts.tickets.create(caller, rand::random()).ok_or_else(|| {
+        let words = format!("{TICKETS} tickets wait to be used: use one, or wait");
+        ApiError::new(StatusCode::TOO_MANY_REQUESTS, words)
+    })?;
+    Ok((StatusCode::CREATED, Json(Ticket { ticket, valid_s: TICKET.as_secs() })))
 }
 
 /// Returns the log of actions, newest first.
 #[utoipa::path(get, path = "/api/v1/actions", tag = "people", params(ActionParams),
-    responses((status = 200, body = Vec<ActionRow>)))]
+    responses((status = 200, body = Vec<ActionRow>),
+        (status = 400, body = ProblemBody, description = "a parameter is invalid"),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
 pub async fn actions(
     State(app): State<App>,
     Params(params): Params<ActionParams>,
@@ -172,6 +189,9 @@ pub async fn actions(
         Some(run) => Some(find(&app, run).await?.uid),
         None => None,
     };
-    let limit = params.limit.unwrap_or(100).clamp(1, 1000);
+    let limit = params.limit.unwrap_or(100);
+    if !(1..=1000).contains(&limit) {
+        return Err(ApiError::query("limit", limit, "must be from 1 to 1000"));
+    }
     Ok(Json(app.store.actions(run, limit, params.cursor).await?))
 }

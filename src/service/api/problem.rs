@@ -2,12 +2,18 @@
 //! Uses: axum, the errors of `conductor`, `store`, `campaign`. Never: logging of secrets.
 
 use axum::Json;
-use axum::extract::rejection::{JsonRejection, QueryRejection};
+use axum::extract::multipart::MultipartRejection;
+use axum::extract::rejection::{JsonRejection, PathRejection, QueryRejection, StringRejection};
+use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
+use axum::extract::{FromRequest, FromRequestParts, Request};
+use axum::http::request::Parts;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use utoipa::ToSchema;
 
+use super::guard::TooSlow;
 use crate::campaign::shown::command::Refusal;
 use crate::conductor::ConductorError;
 use crate::dataset::error::DatasetError;
@@ -36,6 +42,10 @@ pub struct ProblemBody {
     pub errors: Vec<Problem>,
 }
 
+/// Description of an error, an extension of its response, for the log of actions.
+#[derive(Debug, Clone)]
+pub struct Refused(pub String);
+
 /// An error response.
 #[derive(Debug)]
 pub struct ApiError {
@@ -55,10 +65,28 @@ impl ApiError {
         Self::problems(vec![Problem::new("request", key, value, limit)])
     }
 
+    /// One invalid value of a query (400).
+    pub fn query(key: &str, value: impl std::fmt::Display, limit: &str) -> Self {
+        Self::bad_query(vec![Problem::new("query", key, value, limit)])
+    }
+
     /// Invalid values (422).
     pub fn problems(errors: Vec<Problem>) -> Self {
         let detail = errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
         Self { status: StatusCode::UNPROCESSABLE_ENTITY, detail, errors }
+    }
+
+    /// A body that could not be read: 408 if it arrived too slowly.
+    pub fn of_body(
+        status: StatusCode,
+        words: String,
+        cause: &(dyn std::error::Error + 'static),
+    ) -> Self {
+        let mut causes = std::iter::successors(Some(cause), |cause| cause.source());
+        match causes.find(|cause| cause.is::<TooSlow>()) {
+            Some(slow) => Self::new(StatusCode::REQUEST_TIMEOUT, slow.to_string()),
+            None => Self::new(status, words),
+        }
     }
 
     /// Invalid values of a query, a form or a dataset definition (400).
@@ -66,12 +94,31 @@ impl ApiError {
         Self { status: StatusCode::BAD_REQUEST, ..Self::problems(errors) }
     }
 
+    /// Checks the length of a text (422).
+    ///
+    /// # Errors
+    /// 422 if it is longer; the text itself is not repeated.
+    pub fn check_length(key: &str, text: &str, max_chars: usize) -> Result<(), Self> {
+        match text.chars().count() {
+            n if n > max_chars => {
+                let limit = format!("must have at most {max_chars} characters");
+                Err(Self::value(key, format!("{n} characters"), &limit))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// The requested object does not exist (404).
     pub fn not_found(what: impl Into<String>) -> Self {
         Self::new(StatusCode::NOT_FOUND, what)
     }
 
-    /// The description, for the log of actions.
+    /// The HTTP status.
+    pub fn status(&self) -> StatusCode {
+        self.status
+    }
+
+    /// The description, for the log.
     pub fn detail(&self) -> &str {
         &self.detail
     }
@@ -79,6 +126,7 @@ impl ApiError {
 
 impl IntoResponse for ApiError {
     fn into_response(self) -> Response {
+        let refused = Refused(self.detail.clone());
         let body = ProblemBody {
             kind: "about:blank",
             title: self.status.canonical_reason().unwrap_or("error").into(),
@@ -89,6 +137,11 @@ impl IntoResponse for ApiError {
         let mut response = (self.status, Json(body)).into_response();
         let kind = HeaderValue::from_static("application/problem+json");
         response.headers_mut().insert(header::CONTENT_TYPE, kind);
+        if self.status == StatusCode::UNAUTHORIZED {
+            let challenge = HeaderValue::from_static("Bearer");
+            response.headers_mut().insert(header::WWW_AUTHENTICATE, challenge);
+        }
+        response.extensions_mut().insert(refused);
         response
     }
 }
@@ -212,13 +265,64 @@ impl From<StoreError> for ApiError {
 
 impl From<JsonRejection> for ApiError {
     fn from(rejection: JsonRejection) -> Self {
-        Self::new(StatusCode::UNPROCESSABLE_ENTITY, rejection.body_text())
+        Self::of_body(rejection.status(), rejection.body_text(), &rejection)
     }
 }
 
 impl From<QueryRejection> for ApiError {
     fn from(rejection: QueryRejection) -> Self {
-        Self::new(StatusCode::UNPROCESSABLE_ENTITY, rejection.body_text())
+        Self::new(StatusCode::BAD_REQUEST, rejection.body_text())
+    }
+}
+
+impl From<PathRejection> for ApiError {
+    fn from(rejection: PathRejection) -> Self {
+        Self::new(rejection.status(), rejection.body_text())
+    }
+}
+
+impl From<StringRejection> for ApiError {
+    fn from(rejection: StringRejection) -> Self {
+        Self::of_body(rejection.status(), rejection.body_text(), &rejection)
+    }
+}
+
+impl From<MultipartRejection> for ApiError {
+    fn from(rejection: MultipartRejection) -> Self {
+        Self::new(rejection.status(), rejection.body_text())
+    }
+}
+
+impl From<WebSocketUpgradeRejection> for ApiError {
+    fn from(rejection: WebSocketUpgradeRejection) -> Self {
+        Self::new(rejection.status(), rejection.body_text())
+    }
+}
+
+/// Extractor of the upgrade to a WebSocket; a request for none is answered with a problem body.
+pub struct Upgrade(pub WebSocketUpgrade);
+
+impl<S: Send + Sync> FromRequestParts<S> for Upgrade {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
+        Ok(Self(WebSocketUpgrade::from_request_parts(parts, state).await?))
+    }
+}
+
+/// Extractor of a path; an invalid one is answered with a problem body.
+#[derive(axum::extract::FromRequestParts)]
+#[from_request(via(axum::extract::Path), rejection(ApiError))]
+pub struct Path<T>(pub T);
+
+/// Extractor of a body of text; an invalid one is answered with a problem body.
+pub struct Text(pub String);
+
+impl<S: Send + Sync> FromRequest<S> for Text {
+    type Rejection = ApiError;
+
+    async fn from_request(request: Request, state: &S) -> Result<Self, ApiError> {
+        Ok(Self(String::from_request(request, state).await?))
     }
 }
 

@@ -2,6 +2,8 @@
 //! `cursor`.
 //! PURE. Uses: `store`'s table of columns and its conditions. Never: SQL, a name of a column.
 
+use super::audit::cut;
+use super::limits::{CONDITIONS_MAX, VALUES_MAX};
 use crate::dataset::format::Format;
 use crate::dataset::select::Wanted;
 use crate::dataset::sort::Sort;
@@ -11,6 +13,8 @@ use crate::record::Flag;
 use crate::store::table::{self, Column};
 use crate::store::{Condition, MAX_PAGE, Order, TrialQuery};
 
+/// Longest part of an invalid parameter that its refusal repeats, characters.
+const SHOWN_CHARS: usize = 200;
 /// Default number of rows per page.
 const PAGE: u32 = 100;
 
@@ -108,10 +112,15 @@ fn each(
     pairs: &[(String, String)],
     mut apply: impl FnMut(&str, &str) -> Result<bool, String>,
 ) -> Result<(), Vec<Problem>> {
+    if pairs.len() > CONDITIONS_MAX {
+        let limit = format!("must be at most {CONDITIONS_MAX} parameters");
+        return Err(vec![Problem::new("query", "parameters", pairs.len(), limit)]);
+    }
     let mut problems = Vec::new();
     for (key, value) in pairs {
         if let Err(limit) = apply(key, value) {
-            problems.push(Problem::new("query", key, value, limit));
+            let (key, value) = (cut(key, SHOWN_CHARS), cut(value, SHOWN_CHARS));
+            problems.push(Problem::new("query", &key, value, limit));
         }
     }
     if problems.is_empty() { Ok(()) } else { Err(problems) }
@@ -126,7 +135,6 @@ fn common(
     value: &str,
 ) -> Result<bool, String> {
     match key {
-        "key" => {}
         "limit" => match value.parse() {
             Ok(n @ 1..=MAX_PAGE) => *page = n,
             _ => return Err(format!("must be from 1 to {MAX_PAGE}; for more request an export")),
@@ -168,6 +176,9 @@ fn apply(query: &mut TrialQuery, key: &str, value: &str) -> Result<bool, String>
 
 /// A condition, as `where=COLUMN__gt=VALUE` or as `COLUMN__gt=VALUE`, and its text.
 fn condition(key: &str, value: &str) -> Result<(Condition, String), String> {
+    if value.split(',').count() > VALUES_MAX {
+        return Err(format!("must have at most {VALUES_MAX} values"));
+    }
     if key == "where" {
         return Ok((Condition::parse(value)?, value.to_owned()));
     }
@@ -208,6 +219,17 @@ mod tests {
         let columns: Vec<&str> = query.filters.iter().map(|c| c.column().name).collect();
         assert_eq!(columns, ["contact_count", "tips", "label"]);
         assert_eq!((query.limit, query.order), (7, Order::NewestFirst));
+    }
+
+    #[test]
+    fn more_conditions_or_values_than_a_statement_may_have_are_refused() {
+        let limit = |pairs: &[(&str, &str)]| read(pairs).unwrap_err()[0].limit.clone();
+        let many = vec![("tips", "3"); CONDITIONS_MAX + 1];
+        assert_eq!(limit(&many), "must be at most 100 parameters");
+        assert!(read(&many[1..]).is_ok());
+        let values = vec!["3"; VALUES_MAX + 1].join(",");
+        assert_eq!(limit(&[("tips__in", &values)]), "must have at most 1000 values");
+        assert!(read(&[("tips__in", &values[2..])]).is_ok());
     }
 
     #[test]

@@ -1,16 +1,17 @@
 //! The queue of runs, and the preflight of a submission.
 //! Uses: `conductor`, `store`. Never: starting a run (`runs` does).
 
-use axum::extract::{Path, State};
+use axum::Json;
+use axum::extract::State;
 use axum::http::StatusCode;
-use axum::{Extension, Json};
 use serde::{Deserialize, Serialize};
+use tokio::time::timeout;
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::audit::ActionContext;
-use super::auth::Caller;
-use super::problem::{ApiError, Body, Params, ProblemBody};
+use super::audit::Act;
+use super::limits::TURN;
+use super::problem::{ApiError, Body, Params, Path, ProblemBody};
 use super::runs::find;
 use crate::conductor::Submission;
 use crate::schedule::preflight::Preflight;
@@ -66,19 +67,12 @@ pub async fn list(State(app): State<App>) -> Result<Json<Queue>, ApiError> {
         (status = 422, body = ProblemBody, description = "a file of the submission is invalid")))]
 pub async fn add(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
+    act: Act,
     Body(item): Body<QueueRequest>,
 ) -> Result<(StatusCode, Json<RunRow>), ApiError> {
-    let who = item.who.clone();
-    let outcome = async {
-        app.unlocked(&caller, who.as_deref()).await?;
-        let name = caller.name(who.as_deref());
-        Ok(app.conductor.enqueue(item.submission, name, item.auto_resume).await?)
-    }
-    .await;
-    let run = outcome.as_ref().ok().map(|r: &RunRow| r.uid);
-    let context = ActionContext { run, who: who.as_deref(), why: None };
-    let row = app.logged(&caller, "queue", context, outcome).await?;
+    act.stated(item.who.as_deref(), None);
+    let row = app.conductor.enqueue(item.submission, act.name(), item.auto_resume).await?;
+    act.on(row.uid);
     Ok((StatusCode::CREATED, Json(row)))
 }
 
@@ -91,18 +85,14 @@ pub async fn add(
             description = "the run is not queued, or another person holds the operator lock")))]
 pub async fn remove(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
+    act: Act,
     Path(run): Path<String>,
     Params(by): Params<WhoParams>,
 ) -> Result<Json<RunRow>, ApiError> {
+    act.stated(by.who.as_deref(), None);
     let run = find(&app, &run).await?.uid;
-    let outcome = async {
-        app.unlocked(&caller, by.who.as_deref()).await?;
-        Ok(app.store.remove(run).await?)
-    }
-    .await;
-    let context = ActionContext { run: Some(run), who: by.who.as_deref(), why: None };
-    Ok(Json(app.logged(&caller, "remove", context, outcome).await?))
+    act.on(run);
+    Ok(Json(app.store.remove(run).await?))
 }
 
 /// Moves a run in the queue.
@@ -114,19 +104,14 @@ pub async fn remove(
             description = "the run is not queued, or another person holds the operator lock")))]
 pub async fn shift(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
+    act: Act,
     Path(run): Path<String>,
     Body(shift): Body<MoveRequest>,
 ) -> Result<Json<Queue>, ApiError> {
+    act.stated(shift.who.as_deref(), None);
     let run = find(&app, &run).await?.uid;
-    let outcome = async {
-        app.unlocked(&caller, shift.who.as_deref()).await?;
-        Ok(app.store.move_item(run, shift.position).await?)
-    }
-    .await;
-    let context = ActionContext { run: Some(run), who: shift.who.as_deref(), why: None };
-    let runs = app.logged(&caller, "move", context, outcome).await?;
-    Ok(Json(Queue { runs }))
+    act.on(run);
+    Ok(Json(Queue { runs: app.store.move_item(run, shift.position).await? }))
 }
 
 /// Returns the preflight of a submission on this rig, without queuing it.
@@ -138,5 +123,9 @@ pub async fn preflight(
     State(app): State<App>,
     Body(submission): Body<Submission>,
 ) -> Result<Json<Preflight>, ApiError> {
+    let Ok(Ok(_turn)) = timeout(TURN, app.turns.preflights.acquire()).await else {
+        let words = "too many preflights: none could be started within 10 s; retry";
+        return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
+    };
     Ok(Json(app.conductor.preflight(submission).await?))
 }

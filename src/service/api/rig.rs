@@ -1,16 +1,15 @@
 //! Manual actions on the rig: connect, home, jog, tare, reset, check.
 //! Uses: `campaign::shown::command`, `rig::check`. Never: motion except through the campaign.
 
+use axum::Json;
 use axum::extract::State;
 use axum::extract::rejection::JsonRejection;
 use axum::http::StatusCode;
-use axum::{Extension, Json};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::App;
-use super::audit::ActionContext;
-use super::auth::Caller;
+use super::audit::Act;
 use super::problem::{ApiError, Body, ProblemBody};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::command::Request;
@@ -57,6 +56,20 @@ pub enum RigAction {
     Reset,
 }
 
+impl RigAction {
+    fn name(self) -> &'static str {
+        match self {
+            RigAction::Connect => "connect",
+            RigAction::Disconnect => "disconnect",
+            RigAction::Home => "home",
+            RigAction::Jog => "jog",
+            RigAction::Tare => "tare",
+            RigAction::Tips => "tips",
+            RigAction::Reset => "reset",
+        }
+    }
+}
+
 /// Options of a check of the rig.
 #[derive(Debug, Clone, Default, Deserialize, ToSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -80,36 +93,32 @@ pub struct RigCheckRequest {
         (status = 422, body = ProblemBody, description = "a value is missing or invalid")))]
 pub async fn act(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
-    Body(act): Body<RigActionRequest>,
+    act: Act,
+    Body(asked): Body<RigActionRequest>,
 ) -> Result<StatusCode, ApiError> {
-    let (name, request) = match act.action {
-        RigAction::Connect => ("connect", Request::Connect),
-        RigAction::Disconnect => ("disconnect", Request::Disconnect),
-        RigAction::Home => ("home", Request::Home),
-        RigAction::Tare => ("tare", Request::Tare),
-        RigAction::Reset => ("reset", Request::Reset),
+    act.stated(asked.who.as_deref(), asked.why.as_deref());
+    act.named(asked.action.name());
+    let request = match asked.action {
+        RigAction::Connect => Request::Connect,
+        RigAction::Disconnect => Request::Disconnect,
+        RigAction::Home => Request::Home,
+        RigAction::Tare => Request::Tare,
+        RigAction::Reset => Request::Reset,
         RigAction::Tips => {
-            let tips = act.tips.ok_or_else(|| {
+            let tips = asked.tips.ok_or_else(|| {
                 ApiError::value("tips", "absent", "must be the number of mounted tips, 0 to 6")
             })?;
-            ("tips", Request::Mounted { tips, who: caller.name(act.who.as_deref()) })
+            Request::Mounted { tips, who: act.name() }
         }
         RigAction::Jog => {
-            let axis = act.axis.clone().unwrap_or_default();
-            let to_mm = act.to_mm.filter(|v| v.is_finite()).ok_or_else(|| {
+            let axis = asked.axis.unwrap_or_default();
+            let to_mm = asked.to_mm.filter(|v| v.is_finite()).ok_or_else(|| {
                 ApiError::value("to_mm", "absent", "must be a finite number, mm, for a jog")
             })?;
-            ("jog", Request::Jog { axis, to_mm })
+            Request::Jog { axis, to_mm }
         }
     };
-    let outcome = async {
-        app.unlocked(&caller, act.who.as_deref()).await?;
-        Ok(app.campaign.ask(request).await?)
-    }
-    .await;
-    let (who, why) = (act.who.as_deref(), act.why.as_deref());
-    app.logged(&caller, name, ActionContext { run: None, who, why }, outcome).await?;
+    app.campaign.ask(request).await?;
     Ok(StatusCode::ACCEPTED)
 }
 
@@ -126,30 +135,21 @@ pub async fn act(
         (status = 502, body = ProblemBody, description = "a device does not respond as expected")))]
 pub async fn check(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
+    act: Act,
     body: Result<Option<Json<RigCheckRequest>>, JsonRejection>,
 ) -> Result<Json<serde_json::Value>, ApiError> {
     let RigCheckRequest { enable, who, why } =
         body?.map(|Json(request)| request).unwrap_or_default();
-    let outcome = checked(&app, &caller, enable, who.as_deref()).await;
-    let name = if enable { "rig_check_enable" } else { "rig_check" };
-    let context = ActionContext { run: None, who: who.as_deref(), why: why.as_deref() };
-    let report = app.logged(&caller, name, context, outcome).await?;
+    act.stated(who.as_deref(), why.as_deref());
+    act.named(if enable { "rig_check_enable" } else { "rig_check" });
+    let report = checked(&app, enable).await?;
     let report = serde_json::to_value(report)
         .map_err(|e| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, e.to_string()))?;
     Ok(Json(report))
 }
 
-async fn checked(
-    app: &App,
-    caller: &Caller,
-    enable: bool,
-    who: Option<&str>,
-) -> Result<CheckReport, ApiError> {
+async fn checked(app: &App, enable: bool) -> Result<CheckReport, ApiError> {
     let conflict = |words: &str| ApiError::new(StatusCode::CONFLICT, words);
-    if enable {
-        app.unlocked(caller, who).await?;
-    }
     let _alone =
         CHECKING.try_lock().map_err(|_| conflict("another check is active: wait for its end"))?;
     if app.campaign.status().rig.state != RigState::Disconnected {

@@ -1,17 +1,16 @@
 //! Runs: queries, arming, and all actions on them.
 //! Uses: `conductor`, `campaign::shown::command`, `store`. Never: motion.
 
-use axum::extract::{Path, State};
+use axum::Json;
+use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::IntoResponse;
-use axum::{Extension, Json};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::audit::ActionContext;
-use super::auth::Caller;
-use super::problem::{ApiError, Body, Params, ProblemBody};
+use super::audit::Act;
+use super::problem::{ApiError, Body, Params, Path, ProblemBody};
 use crate::campaign::STOPS;
 use crate::campaign::shown::command::Request;
 use crate::conductor::{Armed, Started};
@@ -166,14 +165,14 @@ pub async fn find(app: &App, run: &str) -> Result<RunRow, ApiError> {
 #[utoipa::path(get, operation_id = "list_runs",
     path = "/api/v1/runs", tag = "runs", params(PageParams),
     responses((status = 200, body = RunPage),
-        (status = 422, body = ProblemBody, description = "the limit is invalid")))]
+        (status = 400, body = ProblemBody, description = "the limit is invalid")))]
 pub async fn list(
     State(app): State<App>,
     Params(page): Params<PageParams>,
 ) -> Result<Json<RunPage>, ApiError> {
     let limit = page.limit.unwrap_or(PAGE);
     if !(1..=LONGEST_PAGE).contains(&limit) {
-        return Err(ApiError::value("limit", limit, "must be from 1 to 500"));
+        return Err(ApiError::query("limit", limit, "must be from 1 to 500"));
     }
     Ok(Json(app.store.runs(limit, page.cursor).await?))
 }
@@ -280,19 +279,14 @@ pub async fn plan(
         (status = 422, body = ProblemBody, description = "the preflight has problems")))]
 pub async fn arm(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
+    act: Act,
     Path(run): Path<String>,
     Body(stated): Body<Attribution>,
 ) -> Result<Json<Armed>, ApiError> {
+    act.stated(stated.who.as_deref(), stated.why.as_deref());
     let run = find(&app, &run).await?;
-    let outcome = async {
-        app.unlocked(&caller, stated.who.as_deref()).await?;
-        Ok(app.conductor.arm(&run).await?)
-    }
-    .await;
-    let (who, why) = (stated.who.as_deref(), stated.why.as_deref());
-    let context = ActionContext { run: Some(run.uid), who, why };
-    Ok(Json(app.logged(&caller, "arm", context, outcome).await?))
+    act.on(run.uid);
+    Ok(Json(app.conductor.arm(&run).await?))
 }
 
 /// Requests an action on a run; the response confirms the request, the status shows its effect.
@@ -305,54 +299,54 @@ pub async fn arm(
             description = "the state of the run does not allow the action, or another person holds the lock")))]
 pub async fn act(
     State(app): State<App>,
-    Extension(caller): Extension<Caller>,
+    act: Act,
     Path(run): Path<String>,
-    Body(act): Body<ActionRequest>,
+    Body(asked): Body<ActionRequest>,
 ) -> Result<(StatusCode, Json<ActionAccepted>), ApiError> {
+    act.named(asked.action.name());
+    act.stated(asked.who.as_deref(), asked.why.as_deref());
     let run = find(&app, &run).await?;
-    let outcome = request_action(&app, &caller, &run, &act).await;
-    let (who, why) = (act.who.as_deref(), act.why.as_deref());
-    let context = ActionContext { run: Some(run.uid), who, why };
-    let started = app.logged(&caller, act.action.name(), context, outcome).await?;
+    act.on(run.uid);
+    let started = request_action(&app, &act, &run, asked).await?;
     Ok((StatusCode::ACCEPTED, Json(ActionAccepted { run: run.uid, started })))
 }
 
 async fn request_action(
     app: &App,
-    caller: &Caller,
+    act: &Act,
     run: &RunRow,
-    act: &ActionRequest,
+    asked: ActionRequest,
 ) -> Result<Option<Started>, ApiError> {
-    if act.action.needs_lock() {
-        caller.require(Role::Operator)?;
-        app.unlocked(caller, act.who.as_deref()).await?;
+    if asked.action.needs_lock() {
+        act.require(Role::Operator)?;
+        app.unlocked(act.caller()).await?;
     }
-    if act.action == Action::Start {
-        let code = act.code.as_deref().unwrap_or_default();
+    if asked.action == Action::Start {
+        let code = asked.code.as_deref().unwrap_or_default();
         return Ok(Some(app.conductor.start(run, code).await?));
     }
     let active = app.campaign.status().run.is_some_and(|r| r.uid == run.uid);
-    if !active && act.action == Action::Abort && run.state == StoredState::Interrupted {
+    if !active && asked.action == Action::Abort && run.state == StoredState::Interrupted {
         app.conductor.abort_interrupted(run).await?;
         return Ok(None);
     }
     if !active {
         let words = format!(
             "action {}: run {} is {}, not active",
-            act.action.name(),
+            asked.action.name(),
             run.scan_id,
             run.state
         );
         return Err(ApiError::new(StatusCode::CONFLICT, words));
     }
-    let request = match act.action {
-        Action::Pause if act.when == Some(When::Now) => Request::PauseNow,
+    let request = match asked.action {
+        Action::Pause if asked.when == Some(When::Now) => Request::PauseNow,
         Action::Pause => Request::PauseAtCheckpoint,
         Action::Resume | Action::Start => Request::Resume,
         Action::Stop => Request::Stop,
         Action::Abort => Request::Abort,
-        Action::Confirm => Request::Confirm { who: caller.name(act.who.as_deref()) },
-        Action::Repeat => Request::Repeat { why: act.why.clone().unwrap_or_default() },
+        Action::Confirm => Request::Confirm { who: act.name() },
+        Action::Repeat => Request::Repeat { why: asked.why.unwrap_or_default() },
     };
     app.campaign.ask(request).await?;
     Ok(None)

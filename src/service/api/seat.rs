@@ -9,18 +9,10 @@ use tokio::sync::Notify;
 use tokio::sync::futures::Notified;
 use tokio::time::Instant;
 
-/// Largest number of ordinary connections. A page holds about six, a script one; the rest is for
-/// streams.
-const CONNECTIONS: usize = 512;
-/// Number of further connections, while all ordinary ones are busy, for the e-stop and /health
-/// only.
-const RESERVED: usize = 32;
+use super::limits::{CONNECTIONS, HEAD, IDLE, RESERVED};
+
 /// Largest number of connections including those that are being closed.
 const WITH_CLOSING: usize = 2 * CONNECTIONS;
-/// Longest time for the head of a request, from the start of the connection or from its first byte.
-const HEAD: Duration = Duration::from_secs(5);
-/// Longest time from the end of a response to the next request.
-const IDLE: Duration = Duration::from_secs(60);
 
 /// All taken seats.
 #[derive(Default)]

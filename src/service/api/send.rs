@@ -5,7 +5,7 @@ use std::io::Write;
 use std::sync::Arc;
 
 use arrow_array::RecordBatch;
-use arrow_schema::SchemaRef;
+use arrow_schema::{DataType, FieldRef, Schema, SchemaRef};
 use axum::body::Body;
 use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
@@ -15,6 +15,7 @@ use parking_lot::Mutex;
 use serde_json::value::RawValue;
 use tower_http::services::ServeFile;
 
+use super::limits::PAGE_NUMBERS_MAX;
 use super::problem::ApiError;
 use crate::dataset::error::DatasetError;
 use crate::dataset::export::ExportFile;
@@ -168,4 +169,25 @@ pub fn with_headers(format: Format, next: Option<String>, body: Body) -> Respons
 
 fn internal(words: &str) -> ApiError {
     ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, words)
+}
+
+/// Checks that a page of `rows` rows has at most `PAGE_NUMBERS_MAX` numbers in frames and maps.
+///
+/// # Errors
+/// 400 with the largest number of rows that is possible.
+pub fn check_numbers(table: &Schema, rows: u32) -> Result<(), ApiError> {
+    let length = |field: &FieldRef| match field.data_type() {
+        DataType::FixedSizeList(_, length) => u64::try_from(*length).unwrap_or_default(),
+        _ => 0,
+    };
+    let per_row: u64 = table.fields().iter().map(length).sum();
+    let most = PAGE_NUMBERS_MAX / per_row.max(1);
+    if u64::from(rows) <= most {
+        return Ok(());
+    }
+    let limit = format!(
+        "must be at most {most} with these columns ({per_row} numbers per row, {PAGE_NUMBERS_MAX} per \
+         page); for more request an export"
+    );
+    Err(ApiError::query("limit", rows, &limit))
 }

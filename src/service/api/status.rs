@@ -40,18 +40,26 @@ pub struct ServiceInfo {
     pub started_at: Timestamp,
     /// Process id.
     pub pid: u32,
+    /// Number of requests without a valid key since the start.
+    pub wrong_keys: u64,
+    /// Time of the last one; absent if there was none.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub wrong_key_at: Option<Timestamp>,
 }
 
 /// Returns the status of rig, run and service.
 #[utoipa::path(get, path = "/api/v1/status", tag = "status",
     responses((status = 200, body = ServiceStatus)))]
 pub async fn status(State(app): State<App>) -> Result<Json<ServiceStatus>, ApiError> {
+    let (wrong_keys, wrong_key_at) = app.facts.wrong_keys.count();
     let service = ServiceInfo {
         version: env!("CARGO_PKG_VERSION"),
         git_commit: crate::commit::known(),
         database: app.store.path().display().to_string(),
         started_at: app.facts.started_at,
         pid: std::process::id(),
+        wrong_keys,
+        wrong_key_at,
     };
     let lock = app.store.lock().await?;
     let queue_length = app.store.queue().await?.len();

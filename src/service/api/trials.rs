@@ -4,7 +4,7 @@
 use arrow_schema::SchemaRef;
 use axum::Json;
 use axum::body::Body;
-use axum::extract::{Path, Query, State};
+use axum::extract::{Query, State};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use futures::StreamExt;
@@ -17,7 +17,7 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::params::TrialParams;
-use super::problem::{ApiError, ProblemBody};
+use super::problem::{ApiError, Path, ProblemBody};
 use super::query::{TrialsRequest, trial_query};
 use super::runs::find;
 use super::send;
@@ -271,6 +271,7 @@ async fn checked(app: &App, query: &TrialQuery, wanted: &Wanted) -> Result<Check
     let channels = lengths.first().map_or(schema::CHANNELS, |&length| length as i32);
     let table = trials_schema(channels, with_voltages);
     let selection = Selection::new(wanted, &table, None).map_err(ApiError::bad_query)?;
+    send::check_numbers(selection.schema(), query.limit)?;
     Ok(CheckedPage { ids, next, table, selection, with_voltages })
 }
 

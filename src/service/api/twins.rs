@@ -2,12 +2,12 @@
 //! Uses: `twins`, `store`. Never: a computation.
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::App;
-use super::problem::{ApiError, ProblemBody};
+use super::problem::{ApiError, Path, ProblemBody};
 use super::runs::find;
 use crate::ids::RunUid;
 use crate::store::TwinCount;

@@ -13,6 +13,7 @@ use jiff::Timestamp;
 use parking_lot::{RwLock, RwLockReadGuard, RwLockWriteGuard};
 use serde::{Deserialize, Serialize};
 use sqlx::sqlite::SqliteRow;
+use tokio::sync::watch;
 use tracing::Instrument;
 use utoipa::ToSchema;
 
@@ -127,6 +128,8 @@ impl Key {
 pub struct KeyRing {
     store: Store,
     valid: Arc<RwLock<HashMap<String, Key>>>,
+    /// Changes when a key is revoked.
+    revocations: watch::Sender<()>,
 }
 
 impl KeyRing {
@@ -145,7 +148,8 @@ impl KeyRing {
             Ok((hash, Key::of(&KeyRow::read(row, OPERATION)?)))
         };
         let valid = rows.iter().map(entry).collect::<Result<_, StoreError>>()?;
-        Ok(Self { store, valid: Arc::new(RwLock::new(valid)) })
+        let (revocations, _) = watch::channel(());
+        Ok(Self { store, valid: Arc::new(RwLock::new(valid)), revocations })
     }
 
     /// Whether no key is valid.
@@ -198,8 +202,6 @@ impl KeyRing {
     }
 
     fn check_name(&self, name: &str) -> Result<(), StoreError> {
-        let refused =
-            |limit| StoreError::Refused { operation: "creating a key", field: "name", limit };
         if name.trim().is_empty() || name.chars().count() > NAME_MAX_CHARS {
             return Err(refused("must have 1 to 100 characters"));
         }
@@ -207,9 +209,6 @@ impl KeyRing {
             return Err(refused(
                 "must not be `local` or end in `(local)`: these names mean a caller without a key",
             ));
-        }
-        if self.valid().values().any(|key| key.name == name) {
-            return Err(refused("must not be the name of another valid key"));
         }
         Ok(())
     }
@@ -221,7 +220,22 @@ impl KeyRing {
     /// `Sql`, `Late` or `Closed` if the write fails.
     pub async fn revoke(&self, id: i64) -> Result<bool, StoreError> {
         self.change().retain(|_, key| key.id != id);
+        self.revocations.send_replace(());
         self.store.revoke_key(id).await
+    }
+
+    /// Completes when a key is revoked.
+    pub fn revoked(&self, key: &Key) -> impl Future<Output = ()> + Send + use<> {
+        let (valid, id, mut revocations) =
+            (self.valid.clone(), key.id, self.revocations.subscribe());
+        async move {
+            while valid.read().values().any(|key| key.id == id) {
+                if revocations.changed().await.is_err() {
+                    // The service ends, and its streams with it.
+                    return;
+                }
+            }
+        }
     }
 
     fn valid(&self) -> RwLockReadGuard<'_, HashMap<String, Key>> {
@@ -233,6 +247,14 @@ impl KeyRing {
     }
 }
 
+fn refused(limit: &'static str) -> StoreError {
+    StoreError::Refused { operation: "creating a key", field: "name", limit }
+}
+
+fn taken() -> StoreError {
+    refused("must not be the name of another valid key")
+}
+
 impl Store {
     async fn insert_key(&self, name: &str, role: Role, hash: String) -> Result<KeyRow, StoreError> {
         const OPERATION: &str = "creating a key";
@@ -242,16 +264,17 @@ impl Store {
             .run(OPERATION, async move |connection| {
                 let row = sqlx::query(
                     "INSERT INTO api_keys (name, sha256, role, created_at)
-                     VALUES (?1, ?2, ?3, ?4) RETURNING *",
+                     SELECT ?1, ?2, ?3, ?4 WHERE NOT EXISTS
+                     (SELECT 1 FROM api_keys WHERE name = ?1 AND revoked_at IS NULL) RETURNING *",
                 )
                 .bind(name)
                 .bind(hash)
                 .bind(role.as_str())
                 .bind(now)
-                .fetch_one(connection)
+                .fetch_optional(connection)
                 .await
                 .during(OPERATION)?;
-                KeyRow::read(&row, OPERATION)
+                row.map(|row| KeyRow::read(&row, OPERATION)).transpose()?.ok_or(taken())
             })
             .await
     }

@@ -208,6 +208,7 @@ impl Filled {
     /// A service on a folder.
     pub async fn serve(data: PathBuf) -> Self {
         let options = ServeOptions {
+            local_admin: true,
             bind: "127.0.0.1:0".parse().unwrap(),
             data: data.clone(),
             rig_file: "rig.toml".into(),

@@ -1,0 +1,264 @@
+//! Completes the description of the API by what no handler states: the security of each operation,
+//! the refusals that precede every handler, descriptions of responses, and schemas that generators
+//! of clients accept.
+//! Uses: `routes`, utoipa. Never: a fact that contradicts the table of operations.
+
+use utoipa::openapi::path::Operation;
+use utoipa::openapi::schema::{
+    AdditionalProperties, AllOf, Array, ArrayItems, Components, Object, Schema, SchemaType, Type,
+};
+use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
+use utoipa::openapi::{
+    Content, ContentBuilder, HeaderBuilder, OpenApi, Ref, RefOr, Response, ResponseBuilder,
+};
+
+use super::routes::{Access, AllNeeds, Lock, Needs};
+use crate::store::Role;
+
+/// Media type of problem bodies.
+const PROBLEM: &str = "application/problem+json";
+/// Name of the security scheme.
+const KEY: &str = "key";
+
+/// A refusal that precedes a handler: status, name of the shared response, meaning.
+type Refusal = (&'static str, &'static str, &'static str);
+
+const BAD_REQUEST: Refusal =
+    ("400", "BadRequest", "a parameter or the syntax of the body is invalid");
+const NO_KEY: Refusal = ("401", "NoKey", "the key is missing, unknown or revoked");
+const FORBIDDEN: Refusal =
+    ("403", "Forbidden", "the role is too low, or the request is from a page of another origin");
+const TOO_SLOW: Refusal = ("408", "TooSlow", "the body arrived too slowly");
+const LOCKED: Refusal = ("409", "Locked", "another person holds the operator lock");
+const TOO_LARGE: Refusal = ("413", "TooLarge", "the body is too large");
+const OTHER_TYPE: Refusal = ("415", "OtherType", "the body has another media type");
+const INVALID: Refusal = ("422", "Invalid", "a value of the body is invalid");
+const TOO_MANY: Refusal = ("429", "TooMany", "the caller has too many requests in progress");
+const BUSY: Refusal = ("503", "Busy", "all connections are in use, or the service ends");
+const ALL: [Refusal; 10] = [
+    BAD_REQUEST,
+    NO_KEY,
+    FORBIDDEN,
+    TOO_SLOW,
+    LOCKED,
+    TOO_LARGE,
+    OTHER_TYPE,
+    INVALID,
+    TOO_MANY,
+    BUSY,
+];
+
+/// Completes the description of all operations.
+pub fn complete(description: &mut OpenApi, all: &AllNeeds) {
+    let components = description.components.get_or_insert_default();
+    let bearer = HttpBuilder::new()
+        .scheme(HttpAuthScheme::Bearer)
+        .description(Some(
+            "A key of `palpate key create`. A service that listens on a loopback address also admits \
+             requests without a key, with the role `operator`.",
+        ))
+        .build();
+    components.add_security_scheme(KEY, SecurityScheme::Http(bearer));
+    for (_, name, meaning) in ALL {
+        components.responses.insert(name.into(), RefOr::T(problem(meaning)));
+    }
+    simplify(components);
+    for (path, item) in &mut description.paths.paths {
+        let operations = [
+            (axum::http::Method::GET, &mut item.get),
+            (axum::http::Method::PUT, &mut item.put),
+            (axum::http::Method::POST, &mut item.post),
+            (axum::http::Method::DELETE, &mut item.delete),
+        ];
+        for (method, operation) in operations {
+            if let Some((operation, needs)) = operation.as_mut().zip(all.find(&method, path)) {
+                complete_operation(operation, needs);
+            }
+        }
+    }
+}
+
+fn complete_operation(operation: &mut Operation, needs: &Needs) {
+    let required = SecurityRequirement::new::<_, [&str; 0], &str>(KEY, []);
+    operation.security = match needs.access {
+        Access::Open => Some(vec![]),
+        Access::Stop | Access::From(_) => Some(vec![required, SecurityRequirement::default()]),
+    };
+    let mut refusals = vec![BUSY];
+    if matches!(needs.access, Access::Stop | Access::From(_)) {
+        refusals.push(NO_KEY);
+    }
+    if let Access::From(_) = needs.access {
+        refusals.extend([FORBIDDEN, TOO_MANY]);
+    }
+    if operation.parameters.as_ref().is_some_and(|all| !all.is_empty()) {
+        refusals.push(BAD_REQUEST);
+    }
+    if operation.request_body.is_some() && needs.access != Access::Stop {
+        refusals.extend([BAD_REQUEST, TOO_SLOW, TOO_LARGE, OTHER_TYPE, INVALID]);
+    }
+    if needs.lock != Lock::Ignored {
+        refusals.push(LOCKED);
+    }
+    let responses = &mut operation.responses.responses;
+    for (status, name, _) in refusals {
+        responses.entry(status.into()).or_insert(RefOr::Ref(Ref::from_response_name(name)));
+    }
+    for (status, response) in responses {
+        if let RefOr::T(response) = response {
+            complete_response(status, response);
+        }
+    }
+    let rights = match (needs.access, needs.lock) {
+        (Access::Open, _) => "Needs no key.",
+        (Access::Stop, _) => "Needs a valid key of any role; no lock prevents it.",
+        (Access::From(Role::Viewer), Lock::RefusesSome) => {
+            "Needs the role `viewer` to pause, stop or abort, and `operator` for the other actions, \
+             which the operator lock of another person refuses."
+        }
+        (Access::From(Role::Viewer), _) => "Needs the role `viewer`.",
+        (Access::From(Role::Operator), Lock::Ignored) => "Needs the role `operator`.",
+        (Access::From(Role::Operator), _) => {
+            "Needs the role `operator`; the operator lock of another person refuses it."
+        }
+        (Access::From(Role::Admin), _) => "Needs the role `admin`.",
+    };
+    let text = operation.description.get_or_insert_default();
+    if !text.is_empty() {
+        text.push_str("\n\n");
+    }
+    text.push_str(rights);
+}
+
+fn complete_response(status: &str, response: &mut Response) {
+    let is_error = status >= "400";
+    if response.description.is_empty() {
+        response.description = meaning(status).into();
+    }
+    if is_error && let Some(content) = response.content.shift_remove("application/json") {
+        response.content.insert(PROBLEM.into(), content);
+    }
+    if status == "401" {
+        let header = HeaderBuilder::new().description(Some("Always `Bearer`.")).build();
+        response.headers.insert("WWW-Authenticate".into(), header.into());
+    }
+}
+
+/// Meaning of a status without a description.
+fn meaning(status: &str) -> &'static str {
+    match status {
+        "101" => "the connection becomes a WebSocket",
+        "200" => "the requested object",
+        "201" => "the created object",
+        "202" => "the request is accepted; its effect is shown elsewhere",
+        "204" => "done, without a body",
+        "206" => "the requested part of the file",
+        _ => "see the status",
+    }
+}
+
+fn problem(meaning: &str) -> Response {
+    let body: Content =
+        ContentBuilder::new().schema(Some(Ref::from_schema_name("ProblemBody"))).build();
+    let mut response = ResponseBuilder::new().description(meaning).content(PROBLEM, body).build();
+    if meaning == NO_KEY.2 {
+        complete_response("401", &mut response);
+    }
+    response
+}
+
+/// Rewrites schemas that are valid, but that generators refuse or cannot satisfy: tuples that end in
+/// `items: false`, and flattened structs.
+fn simplify(components: &mut Components) {
+    let names: Vec<String> = components.schemas.keys().cloned().collect();
+    for name in names {
+        let schema = components.schemas[&name].clone();
+        if let RefOr::T(Schema::AllOf(all)) = &schema
+            && let Some(object) = flattened(components, all)
+        {
+            components.schemas.insert(name.clone(), RefOr::T(Schema::Object(object)));
+        }
+        if let Some(schema) = components.schemas.get_mut(&name) {
+            open_tuples(schema);
+        }
+    }
+}
+
+/// The one object that satisfies all of several objects; `None` if one of them is none.
+fn flattened(components: &Components, all: &AllOf) -> Option<Object> {
+    let mut merged = Object::with_type(SchemaType::Type(Type::Object));
+    merged.description = all.description.clone();
+    for part in &all.items {
+        let object = as_object(components, part)?;
+        merged.properties.extend(object.properties);
+        merged.required.extend(object.required);
+        merged.description = merged.description.or(object.description);
+    }
+    Some(merged)
+}
+
+/// A schema as an object: a tagged enum is the object with the properties of all its variants.
+fn as_object(components: &Components, schema: &RefOr<Schema>) -> Option<Object> {
+    match schema {
+        RefOr::Ref(to) => {
+            let name = to.ref_location.rsplit('/').next()?;
+            as_object(components, components.schemas.get(name)?)
+        }
+        RefOr::T(Schema::Object(object)) => Some(object.clone()),
+        RefOr::T(Schema::AllOf(all)) => flattened(components, all),
+        RefOr::T(Schema::OneOf(one)) => {
+            let variants: Option<Vec<Object>> =
+                one.items.iter().map(|variant| as_object(components, variant)).collect();
+            variants?.into_iter().reduce(either)
+        }
+        RefOr::T(_) => None,
+    }
+}
+
+/// An object that each of two variants satisfies.
+fn either(mut one: Object, other: Object) -> Object {
+    one.required.retain(|name| other.required.contains(name));
+    for (name, schema) in other.properties {
+        match (one.properties.get_mut(&name), schema) {
+            (Some(RefOr::T(Schema::Object(tag))), RefOr::T(Schema::Object(more))) => {
+                if let (Some(values), Some(more)) = (&mut tag.enum_values, more.enum_values) {
+                    values.extend(more);
+                }
+            }
+            (Some(_), _) => {}
+            (None, schema) => {
+                one.properties.insert(name, schema);
+            }
+        }
+    }
+    one
+}
+
+/// Removes `items: false` of tuples: their length is stated by `minItems` and `maxItems`.
+fn open_tuples(schema: &mut RefOr<Schema>) {
+    match schema {
+        RefOr::T(Schema::Array(array)) => open_tuple(array),
+        RefOr::T(Schema::Object(object)) => {
+            object.properties.values_mut().for_each(open_tuples);
+            if let Some(more) = &mut object.additional_properties
+                && let AdditionalProperties::RefOr(more) = more.as_mut()
+            {
+                open_tuples(more);
+            }
+        }
+        RefOr::T(Schema::OneOf(one)) => one.items.iter_mut().for_each(open_tuples),
+        RefOr::T(Schema::AllOf(all)) => all.items.iter_mut().for_each(open_tuples),
+        RefOr::T(_) | RefOr::Ref(_) => {}
+    }
+}
+
+fn open_tuple(array: &mut Array) {
+    match &mut array.items {
+        ArrayItems::RefOrSchema(items) => open_tuples(items),
+        ArrayItems::False => {
+            let length = array.prefix_items.len();
+            (array.min_items, array.max_items) = (Some(length), Some(length));
+            array.items = ArrayItems::RefOrSchema(Box::new(Schema::default().into()));
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! Forms with files: their parts one after the other, each with a limit that holds while it arrives.
+//! Uses: axum's multipart. Never: a part in memory beyond its limit.
+
+use axum::extract::multipart::{Field, Multipart, MultipartError};
+use axum::extract::{FromRequest, Request};
+use axum::http::StatusCode;
+use bytes::Bytes;
+
+use super::limits::PART_MAX_BYTES;
+use super::problem::ApiError;
+
+/// Extractor of a form; another body is answered with a problem body.
+pub struct Form(Multipart);
+
+impl<S: Send + Sync> FromRequest<S> for Form {
+    type Rejection = ApiError;
+
+    async fn from_request(request: Request, state: &S) -> Result<Self, ApiError> {
+        Ok(Self(Multipart::from_request(request, state).await?))
+    }
+}
+
+impl Form {
+    /// Returns the next part.
+    ///
+    /// # Errors
+    /// 400 if the form is damaged, 408 if it arrives too slowly, 413 if it is too large.
+    pub async fn next(&mut self) -> Result<Option<Part<'_>>, ApiError> {
+        let field = self.0.next_field().await.map_err(refused)?;
+        Ok(field.map(|field| Part { name: field.name().unwrap_or_default().to_owned(), field }))
+    }
+}
+
+/// A part of a form.
+pub struct Part<'a> {
+    /// Name of the part; empty if it has none.
+    pub name: String,
+    field: Field<'a>,
+}
+
+impl Part<'_> {
+    /// Returns the name of its file, or the name of the part.
+    pub fn file_name(&self) -> String {
+        self.field.file_name().unwrap_or(&self.name).to_owned()
+    }
+
+    /// Returns its next bytes.
+    ///
+    /// # Errors
+    /// As [`Form::next`].
+    pub async fn chunk(&mut self) -> Result<Option<Bytes>, ApiError> {
+        self.field.chunk().await.map_err(refused)
+    }
+
+    /// Returns all of it.
+    ///
+    /// # Errors
+    /// 413 if it is longer than `max_bytes`; otherwise as [`Form::next`].
+    pub async fn bytes(mut self, max_bytes: usize) -> Result<Vec<u8>, ApiError> {
+        let mut all = Vec::new();
+        while let Some(piece) = self.chunk().await? {
+            if all.len() + piece.len() > max_bytes {
+                let words = format!("part {} must have at most {max_bytes} bytes", self.name);
+                return Err(ApiError::new(StatusCode::PAYLOAD_TOO_LARGE, words));
+            }
+            all.extend_from_slice(&piece);
+        }
+        Ok(all)
+    }
+
+    /// Returns all of it as text, of at most `PART_MAX_BYTES`.
+    ///
+    /// # Errors
+    /// 422 if it is not UTF-8; otherwise as [`Part::bytes`].
+    pub async fn text(self) -> Result<String, ApiError> {
+        let name = self.name.clone();
+        let bytes = self.bytes(PART_MAX_BYTES).await?;
+        String::from_utf8(bytes).map_err(|_| ApiError::value(&name, "bytes", "must be text, UTF-8"))
+    }
+}
+
+fn refused(error: MultipartError) -> ApiError {
+    ApiError::of_body(error.status(), error.body_text(), &error)
+}

@@ -1,0 +1,153 @@
+//! All bounds of the API in one table, from which `docs/limits.md` is generated.
+//! Uses: the bounds of `dataset` and `store`. Never: a bound that applies elsewhere without a line here.
+
+use std::time::Duration;
+
+/// Largest number of ordinary connections. A page holds about six, a script one; the rest is for
+/// streams.
+pub const CONNECTIONS: usize = 512;
+/// Number of further connections, while all ordinary ones are busy, for the e-stop and /health
+/// only.
+pub const RESERVED: usize = 32;
+/// Longest time for the head of a request, from the start of the connection or from its first byte.
+pub const HEAD: Duration = Duration::from_secs(5);
+/// Longest time from the end of a response to the next request.
+pub const IDLE: Duration = Duration::from_secs(60);
+/// Longest time without a byte of a request's body.
+pub const BODY_STALL: Duration = Duration::from_secs(10);
+/// Longest time without a byte of a response that the client takes.
+pub const SEND_STALL: Duration = Duration::from_secs(30);
+/// Longest time for a whole body of up to `BODY_MAX_BYTES`.
+pub const BODY_WITHIN: Duration = Duration::from_secs(60);
+/// Longest time for a larger body.
+pub const UPLOAD_WITHIN: Duration = Duration::from_secs(6 * 3600);
+/// Requests in progress of one key, or of all clients without a key; streams count.
+pub const CALLER_REQUESTS: usize = 128;
+/// Preflights of submissions in progress.
+pub const PREFLIGHTS: usize = 2;
+/// Longest wait for a preflight's or an inference's turn.
+pub const TURN: Duration = Duration::from_secs(10);
+/// Clients of the live frames.
+pub const FRAME_CLIENTS: usize = 64;
+/// Clients of the live contacts.
+pub const LIVE_CLIENTS: usize = 8;
+/// Largest message of a WebSocket from a client, bytes.
+pub const MESSAGE_MAX_BYTES: usize = 4096;
+/// Tickets for WebSockets that wait to be used.
+pub const TICKETS: usize = 1024;
+/// Validity of a ticket.
+pub const TICKET: Duration = Duration::from_secs(30);
+/// Delay of the response to a request with a wrong key.
+pub const WRONG_KEY_DELAY: Duration = Duration::from_millis(250);
+/// Largest body of an action, bytes.
+pub const ACTION_BODY_MAX_BYTES: usize = 64 << 10;
+/// Largest body of a submission, a recipe, a definition or a calibration, bytes.
+pub const BODY_MAX_BYTES: usize = 2 << 20;
+/// Largest body with frames, bytes.
+pub const FRAMES_MAX_BYTES: usize = 64 << 20;
+/// Largest form with a model, bytes.
+pub const MODEL_MAX_BYTES: usize = 256 << 20;
+/// Largest import, bytes.
+pub const IMPORT_MAX_BYTES: usize = 16 << 30;
+/// Largest text part of a form, bytes.
+pub const PART_MAX_BYTES: usize = 1 << 20;
+/// Longest name of a person, a lock's holder or a model, characters; in the log of actions longer
+/// ones are cut.
+pub const WHO_MAX_CHARS: usize = 100;
+/// Longest reason or note, characters; in the log of actions longer ones are cut.
+pub const WHY_MAX_CHARS: usize = 500;
+/// Longest message of a refusal in the log of actions, characters; longer ones are cut.
+pub const DETAIL_MAX_CHARS: usize = 2000;
+/// Entries of the log of actions that wait for a failing store.
+pub const LOGGED_LATER_MAX: usize = 1000;
+/// Conditions of a selection of rows.
+pub const CONDITIONS_MAX: usize = 100;
+/// Values of one condition `COLUMN__in`.
+pub const VALUES_MAX: usize = 1000;
+/// Numbers in the frames and maps of one page, as rows x numbers per row.
+pub const PAGE_NUMBERS_MAX: u64 = 20_000_000;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::MAX_PAGE;
+
+    /// A line of the page.
+    struct Bound {
+        of: &'static str,
+        most: String,
+        beyond: &'static str,
+    }
+
+    fn seconds(time: Duration) -> String {
+        match time.as_millis() {
+            ms if ms < 1000 => format!("{ms} ms"),
+            ms if ms < 600_000 => format!("{} s", ms / 1000),
+            ms => format!("{} h", ms / 3_600_000),
+        }
+    }
+
+    fn bytes(n: usize) -> String {
+        match n {
+            n if n >= 1 << 30 => format!("{} GiB", n >> 30),
+            n if n >= 1 << 20 => format!("{} MiB", n >> 20),
+            n => format!("{} KiB", n >> 10),
+        }
+    }
+
+    #[rustfmt::skip]
+    fn table() -> Vec<Bound> {
+        let line = |of, most, beyond| Bound { of, most, beyond };
+        let n = |n: usize| n.to_string();
+        vec![
+            line("connections", n(CONNECTIONS), "the connection that was idle for longest is closed; if all are busy: 503, except for the e-stop and /health"),
+            line("further connections for the e-stop and /health", n(RESERVED), "as above"),
+            line("head of a request, from its first byte", seconds(HEAD), "the connection is closed"),
+            line("connection between two requests", seconds(IDLE), "the connection is closed"),
+            line("body: time without a byte", seconds(BODY_STALL), "408, the connection is closed"),
+            line("body: whole, uploads excluded", seconds(BODY_WITHIN), "408, the connection is closed"),
+            line("body: whole, of an upload", seconds(UPLOAD_WITHIN), "408, the connection is closed"),
+            line("response: time in which the client takes no byte", seconds(SEND_STALL), "the connection is closed"),
+            line("requests in progress of one key, or of all clients without a key; streams count", n(CALLER_REQUESTS), "429 with Retry-After"),
+            line("preflights in progress", n(PREFLIGHTS), "the request waits, then 503"),
+            line("wait for the turn of a preflight or an inference", seconds(TURN), "503"),
+            line("clients of live frames", n(FRAME_CLIENTS), "503"),
+            line("clients of live contacts", n(LIVE_CLIENTS), "503"),
+            line("message of a WebSocket client", bytes(MESSAGE_MAX_BYTES), "the socket is closed"),
+            line("unused tickets for WebSockets", n(TICKETS), "429"),
+            line("validity of a ticket, one use", seconds(TICKET), "401"),
+            line("delay of the response to a wrong key", seconds(WRONG_KEY_DELAY), "the e-stop is not delayed"),
+            line("body of an action", bytes(ACTION_BODY_MAX_BYTES), "413"),
+            line("body of a submission, recipe, definition, calibration, and of any other request", bytes(BODY_MAX_BYTES), "413"),
+            line("body with frames", bytes(FRAMES_MAX_BYTES), "413"),
+            line("form with a model", bytes(MODEL_MAX_BYTES), "413"),
+            line("import", bytes(IMPORT_MAX_BYTES), "413"),
+            line("text part of a form", bytes(PART_MAX_BYTES), "413"),
+            line("name of a person, holder, key or model", format!("{WHO_MAX_CHARS} characters"), "422; in the log of actions: cut"),
+            line("note of the lock, reason of an action", format!("{WHY_MAX_CHARS} characters"), "422; in the log of actions: cut"),
+            line("message of a refusal in the log of actions", format!("{DETAIL_MAX_CHARS} characters"), "cut"),
+            line("rows of a page", MAX_PAGE.to_string(), "400"),
+            line("conditions of a selection", n(CONDITIONS_MAX), "400"),
+            line("values of a condition `COLUMN__in`", n(VALUES_MAX), "400"),
+            line("numbers in the frames and maps of a page", PAGE_NUMBERS_MAX.to_string(), "400"),
+        ]
+    }
+
+    /// The committed page equals the table; `UPDATE=1` writes it.
+    #[test]
+    fn the_page_of_limits_is_what_the_code_says() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/limits.md");
+        let lines =
+            table().into_iter().map(|b| format!("| {} | {} | {} |\n", b.of, b.most, b.beyond));
+        let page = format!(
+            "# Limits of the API\n\nGenerated from `src/service/api/limits.rs`. A refusal is a problem \
+             body that names the limit.\n\n| of | at most | beyond |\n|---|---|---|\n{}",
+            lines.collect::<String>()
+        );
+        if std::env::var_os("UPDATE").is_some() {
+            std::fs::write(path, &page).unwrap();
+        }
+        let committed = std::fs::read_to_string(path).unwrap_or_default();
+        assert!(committed == page, "docs/limits.md is old: UPDATE=1 cargo test page_of_limits");
+    }
+}

@@ -1,0 +1,212 @@
+//! The table of operations: for each what it needs before its handler runs. The router, the checks
+//! of `guard`, `openapi.yaml` and the tests follow from it.
+//! Uses: the handlers. Never: a route that is not in the table, apart from pages.
+
+use std::collections::HashMap;
+
+use axum::http::Method;
+use utoipa_axum::router::UtoipaMethodRouter;
+use utoipa_axum::routes;
+
+use super::limits::{
+    ACTION_BODY_MAX_BYTES, BODY_MAX_BYTES, FRAMES_MAX_BYTES, IMPORT_MAX_BYTES, MODEL_MAX_BYTES,
+};
+use super::{
+    App, datasets, estop, evaluation, events, exports, health, imports, infer, jobs, live, models,
+    people, queue, rig, runs, status, trials, twins,
+};
+use crate::store::Role;
+
+/// What an operation needs before its handler runs.
+#[derive(Debug, Clone, Copy)]
+pub struct Needs {
+    /// Who may ask for it.
+    pub access: Access,
+    /// How the operator lock of another person affects it.
+    pub lock: Lock,
+    /// Its name in the log of actions; `None`: it is not logged.
+    pub action: Option<&'static str>,
+    /// Largest body, bytes.
+    pub body_max_bytes: usize,
+}
+
+/// Who may ask for an operation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Access {
+    /// Everybody, without a key.
+    Open,
+    /// A valid key of any role, checked by the handler before anything else: the e-stop.
+    Stop,
+    /// This role, or a higher one.
+    From(Role),
+}
+
+/// How the operator lock of another person affects an operation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Lock {
+    /// Not at all.
+    Ignored,
+    /// It refuses the operation.
+    Refuses,
+    /// It refuses some actions of the operation; the handler decides.
+    RefusesSome,
+}
+
+/// An operation, or several of one path with the same needs.
+pub struct Operation {
+    /// Needs.
+    pub needs: Needs,
+    /// Description, path and handler.
+    pub route: UtoipaMethodRouter<App>,
+}
+
+const READS: Needs = Needs {
+    access: Access::From(Role::Viewer),
+    lock: Lock::Ignored,
+    action: None,
+    body_max_bytes: BODY_MAX_BYTES,
+};
+
+/// An action that the operator lock of another person refuses.
+const fn acts(action: &'static str) -> Needs {
+    Needs {
+        access: Access::From(Role::Operator),
+        lock: Lock::Refuses,
+        action: Some(action),
+        body_max_bytes: ACTION_BODY_MAX_BYTES,
+    }
+}
+
+impl Needs {
+    const fn role(self, role: Role) -> Self {
+        Self { access: Access::From(role), ..self }
+    }
+
+    const fn access(self, access: Access) -> Self {
+        Self { access, ..self }
+    }
+
+    const fn lock(self, lock: Lock) -> Self {
+        Self { lock, ..self }
+    }
+
+    const fn body(self, body_max_bytes: usize) -> Self {
+        Self { body_max_bytes, ..self }
+    }
+}
+
+/// Returns all operations.
+#[rustfmt::skip]
+pub fn table() -> Vec<Operation> {
+    use Role::{Admin, Viewer};
+    let rows: Vec<(Needs, UtoipaMethodRouter<App>)> = vec![
+        (READS, routes!(status::status)),
+        (READS, routes!(queue::list)),
+        (acts("queue").body(BODY_MAX_BYTES), routes!(queue::add)),
+        (acts("remove"), routes!(queue::remove)),
+        (acts("move"), routes!(queue::shift)),
+        (READS.role(Role::Operator), routes!(queue::preflight)),
+        (READS, routes!(runs::list)),
+        (READS, routes!(runs::one)),
+        (READS, routes!(runs::summary)),
+        (READS, routes!(runs::preflight)),
+        (READS, routes!(runs::plan)),
+        (acts("arm"), routes!(runs::arm)),
+        // Any valid key may stop a run.
+        (acts("run_action").role(Viewer).lock(Lock::RefusesSome), routes!(runs::act)),
+        (READS, routes!(trials::of_run)),
+        (READS, routes!(trials::all)),
+        (READS, routes!(trials::one)),
+        (READS, routes!(trials::frames)),
+        (READS, routes!(trials::bench_records)),
+        (READS, routes!(twins::all)),
+        (READS, routes!(twins::of_run)),
+        (READS, routes!(evaluation::simulation)),
+        (READS, routes!(datasets::list)),
+        (acts("make a dataset").body(BODY_MAX_BYTES), routes!(datasets::make)),
+        (READS, routes!(datasets::one)),
+        (READS, routes!(datasets::lineage)),
+        (READS, routes!(datasets::card)),
+        (READS, routes!(datasets::rows)),
+        (READS, routes!(datasets::data)),
+        (READS, routes!(exports::list)),
+        // An export reads rows: viewers may, and no lock prevents it.
+        (acts("export").role(Viewer).lock(Lock::Ignored), routes!(exports::request)),
+        (READS, routes!(exports::one)),
+        (READS, routes!(exports::file)),
+        (acts("import").body(IMPORT_MAX_BYTES), routes!(imports::add)),
+        (acts("train").body(BODY_MAX_BYTES), routes!(jobs::train)),
+        (acts("evaluate"), routes!(jobs::evaluate)),
+        (READS, routes!(jobs::list)),
+        (READS, routes!(jobs::one)),
+        (READS, routes!(jobs::losses)),
+        (acts("stop a job"), routes!(jobs::stop)),
+        (READS, routes!(models::list)),
+        (READS, routes!(models::one)),
+        (READS, routes!(models::onnx)),
+        (READS, routes!(models::losses)),
+        (READS, routes!(models::residuals)),
+        (acts("add a model").body(MODEL_MAX_BYTES), routes!(models::add)),
+        (acts("add a calibration").body(BODY_MAX_BYTES), routes!(models::add_calibration)),
+        (READS, routes!(models::serving)),
+        (acts("promote"), routes!(models::promote)),
+        (acts("roll back"), routes!(models::roll_back)),
+        (READS.body(FRAMES_MAX_BYTES), routes!(infer::infer)),
+        (READS, routes!(infer::live)),
+        (READS, routes!(events::events)),
+        (READS, routes!(live::frames)),
+        (acts("rig_action"), routes!(rig::act)),
+        (acts("rig_check"), routes!(rig::check)),
+        (READS, routes!(people::lock)),
+        // The lock itself: the handlers compare the holder.
+        (acts("lock").lock(Lock::Ignored), routes!(people::take_lock)),
+        (acts("unlock").lock(Lock::Ignored), routes!(people::clear_lock)),
+        // A lock does not keep a key from being revoked.
+        (READS.role(Admin), routes!(people::keys)),
+        (acts("key").role(Admin).lock(Lock::Ignored), routes!(people::create_key)),
+        (acts("revoke_key").role(Admin).lock(Lock::Ignored), routes!(people::revoke_key)),
+        (READS, routes!(people::ticket)),
+        (READS, routes!(people::actions)),
+        (READS, routes!(health::metrics)),
+        (READS.access(Access::Open), routes!(health::live)),
+        (READS.access(Access::Open), routes!(health::ready)),
+        (acts("estop").access(Access::Stop).lock(Lock::Ignored), routes!(estop::estop)),
+    ];
+    rows.into_iter().map(|(needs, route)| Operation { needs, route }).collect()
+}
+
+/// Needs of each operation by method and path, such as `/api/v1/queue/{run}`.
+#[derive(Debug)]
+pub struct AllNeeds(HashMap<(Method, String), Needs>);
+
+impl AllNeeds {
+    /// Reads the table.
+    pub fn of(table: &[Operation]) -> Self {
+        let mut all = HashMap::new();
+        for Operation { needs, route } in table {
+            for (path, item) in &route.1.paths {
+                let methods = [
+                    (Method::GET, item.get.is_some()),
+                    (Method::PUT, item.put.is_some()),
+                    (Method::POST, item.post.is_some()),
+                    (Method::DELETE, item.delete.is_some()),
+                ];
+                for (method, _) in methods.into_iter().filter(|(_, exists)| *exists) {
+                    all.insert((method, path.clone()), *needs);
+                }
+            }
+        }
+        Self(all)
+    }
+
+    /// Returns the needs of an operation; those of GET for HEAD.
+    pub fn find(&self, method: &Method, path: &str) -> Option<&Needs> {
+        let method = if *method == Method::HEAD { Method::GET } else { method.clone() };
+        self.0.get(&(method, path.to_owned()))
+    }
+
+    /// Returns all operations with their needs.
+    pub fn iter(&self) -> impl Iterator<Item = (&Method, &str, &Needs)> {
+        self.0.iter().map(|((method, path), needs)| (method, path.as_str(), needs))
+    }
+}
