@@ -302,7 +302,7 @@ fn stop_routes() -> OpenApiRouter<App> {
 
 /// Description of all routes.
 fn description() -> utoipa::openapi::OpenApi {
-    routes().merge(stop_routes()).merge(open_routes()).to_openapi()
+    params::with_joined_parts(routes().merge(stop_routes()).merge(open_routes()).to_openapi())
 }
 
 fn router(app: App) -> axum::Router {

@@ -1,12 +1,33 @@
-//! Query parameters of rows for the API description, generated from the table of columns.
+//! Query parameters of rows for the API description, generated from the table of columns, and the parts
+//! of described types.
 //! PURE. Uses: `store::table`, `dataset::format`, utoipa. Never: a value of a request.
 
 use utoipa::IntoParams;
 use utoipa::openapi::path::{Parameter, ParameterBuilder, ParameterIn};
 use utoipa::openapi::schema::{ArrayBuilder, ObjectBuilder, Schema, SchemaType, Type};
+use utoipa::openapi::{OpenApi, RefOr};
 
 use crate::dataset::format::Format;
 use crate::store::table::{self, Column, Kind, TABLE};
+
+/// Joins the objects of each `allOf`: inline parts of a type are described as fields of the type.
+pub fn with_joined_parts(mut api: OpenApi) -> OpenApi {
+    for schema in api.components.iter_mut().flat_map(|components| components.schemas.values_mut()) {
+        let RefOr::T(Schema::AllOf(all)) = schema else { continue };
+        let Some((RefOr::T(Schema::Object(own)), parts)) = all.items.split_last_mut() else {
+            continue;
+        };
+        for part in parts {
+            if let RefOr::T(Schema::Object(part)) = part {
+                own.required.append(&mut part.required);
+                own.properties.append(&mut part.properties);
+            }
+        }
+        let is_empty = |item: &RefOr<Schema>| matches!(item, RefOr::T(Schema::Object(part)) if part.properties.is_empty());
+        all.items.retain(|item| !is_empty(item));
+    }
+    api
+}
 
 /// Parameters of pages of stored trials.
 pub struct TrialParams;
