@@ -136,3 +136,23 @@ fn text() -> Schema {
 fn boolean() -> Schema {
     ObjectBuilder::new().schema_type(SchemaType::Type(Type::Boolean)).into()
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::record::TrialScalars;
+
+    #[test]
+    fn the_scalars_of_a_stored_trial_are_described_as_its_fields() {
+        let api = serde_json::to_value(super::super::description()).unwrap();
+        let schemas = &api["components"]["schemas"];
+        assert!(schemas.get("TrialScalars").is_none(), "a part is no type of the API");
+        let [quality, own] = &schemas["TrialRow"]["allOf"].as_array().unwrap()[..] else {
+            panic!("{:#}", schemas["TrialRow"])
+        };
+        assert_eq!(quality["$ref"], "#/components/schemas/FrameQuality");
+        for name in TrialScalars::default().columns().map(|(name, _)| name).chain(["settle_ms"]) {
+            assert!(own["properties"][name]["description"].is_string(), "{name}: {own:#}");
+        }
+        assert!(own.get("description").is_none(), "{own:#}");
+    }
+}

@@ -267,7 +267,7 @@ async fn whatever_of_a_trial_changes_is_found_where_it_is_read() {
 }
 
 #[tokio::test]
-async fn whatever_column_of_a_trial_changes_is_found() {
+async fn whatever_column_of_the_trials_table_changes_is_found() {
     let folder = Folder::new();
     filled(&folder).await;
     let store = open(&folder.file()).await;
