@@ -4,7 +4,7 @@
 
 use utoipa::IntoParams;
 use utoipa::openapi::path::{Parameter, ParameterBuilder, ParameterIn};
-use utoipa::openapi::schema::{ArrayBuilder, ObjectBuilder, Schema, SchemaType, Type};
+use utoipa::openapi::schema::{ArrayBuilder, Object, ObjectBuilder, Schema, SchemaType, Type};
 use utoipa::openapi::{OpenApi, RefOr};
 
 use crate::dataset::format::Format;
@@ -14,19 +14,41 @@ use crate::store::table::{self, Column, Kind, TABLE};
 pub fn with_joined_parts(mut api: OpenApi) -> OpenApi {
     for schema in api.components.iter_mut().flat_map(|components| components.schemas.values_mut()) {
         let RefOr::T(Schema::AllOf(all)) = schema else { continue };
+        // The fields of the type itself come last.
         let Some((RefOr::T(Schema::Object(own)), parts)) = all.items.split_last_mut() else {
             continue;
         };
-        for part in parts {
-            if let RefOr::T(Schema::Object(part)) = part {
-                own.required.append(&mut part.required);
-                own.properties.append(&mut part.properties);
-            }
+        for part in parts.iter_mut().filter(|part| is_inline(part)) {
+            absorb(own, part);
         }
-        let is_empty = |item: &RefOr<Schema>| matches!(item, RefOr::T(Schema::Object(part)) if part.properties.is_empty());
-        all.items.retain(|item| !is_empty(item));
+        let own = all.items.pop();
+        all.items.retain(|part| !is_inline(part));
+        all.items.extend(own);
     }
     api
+}
+
+/// Whether a part is an object, or an object with a separate description, instead of a named type.
+fn is_inline(part: &RefOr<Schema>) -> bool {
+    match part {
+        RefOr::T(Schema::Object(_)) => true,
+        RefOr::T(Schema::AllOf(all)) => all.items.iter().all(is_inline),
+        _ => false,
+    }
+}
+
+/// Moves the fields of an inline part to `own`.
+fn absorb(own: &mut Object, part: &mut RefOr<Schema>) {
+    match part {
+        RefOr::T(Schema::Object(part)) => {
+            own.required.append(&mut part.required);
+            own.properties.append(&mut part.properties);
+        }
+        RefOr::T(Schema::AllOf(all)) => {
+            all.items.iter_mut().for_each(|part| absorb(own, part));
+        }
+        _ => {}
+    }
 }
 
 /// Parameters of pages of stored trials.
