@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use palpate::clock::Clock;
 use palpate::ids::{RunUid, TrialKey};
 use palpate::journal::Journal;
-use palpate::record::{ArmReading, FrameQuality, FrameRecord, Pose, TrialRecord};
+use palpate::record::{ArmReading, FrameQuality, FrameRecord, Pose, TrialRecord, TrialScalars};
 use palpate::store::{Condition, Label, NewRun, RunKind, Store, TrialQuery};
 
 type Failure = Box<dyn std::error::Error>;
@@ -48,7 +48,7 @@ fn trial(n: u32) -> TrialRecord {
         quality: FrameQuality::default(),
         flags: vec![],
         settle_ms: 1800.0,
-        overshoot_n: Some(0.1),
+        scalars: TrialScalars::all(0.1),
         started_at: now,
         measured_at: now,
     }

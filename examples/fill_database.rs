@@ -16,7 +16,7 @@ use jiff::Timestamp;
 use palpate::clock::Clock;
 use palpate::ids::{RunUid, TrialKey};
 use palpate::journal::{ExitStatus, Journal};
-use palpate::record::{ArmReading, FrameQuality, FrameRecord, Pose, TrialRecord};
+use palpate::record::{ArmReading, FrameQuality, FrameRecord, Pose, TrialRecord, TrialScalars};
 use palpate::simulate::compare::difference;
 use palpate::simulate::model::load_or_build;
 use palpate::store::{Label, NewRun, NewTwinModel, RunKind, Store, Twin, TwinOutcome};
@@ -144,7 +144,7 @@ fn record(n: u32, press: &Press, counts: Vec<i16>, electrodes: usize) -> TrialRe
         }],
         flags: vec![],
         settle_ms: 1500.0,
-        overshoot_n: Some(0.2),
+        scalars: TrialScalars::all(0.2),
         started_at,
         measured_at: started_at + (TRIAL - MOTION),
     }

@@ -83,6 +83,52 @@ pub struct FrameQuality {
     pub dropped_packets: Option<u32>,
 }
 
+/// Scalars measured in a trial, each a column of the table of trials; absent if not measured, as in
+/// manual trials.
+///
+/// A new scalar is a field with its line in `COLUMNS`: the store writes, reads and checks it by name.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct TrialScalars {
+    /// Largest force while approaching and settling minus the measured force, N.
+    pub overshoot_n: Option<f64>,
+}
+
+/// Access to the field of a scalar.
+type Field = fn(&mut TrialScalars) -> &mut Option<f64>;
+
+impl TrialScalars {
+    /// Name and field of each scalar, in the order in which they were added.
+    const COLUMNS: &[(&'static str, Field)] = &[("overshoot_n", |s| &mut s.overshoot_n)];
+
+    /// Returns the names of the columns with their values.
+    pub fn columns(mut self) -> impl Iterator<Item = (&'static str, Option<f64>)> {
+        Self::COLUMNS.iter().map(move |(name, field)| (*name, *field(&mut self)))
+    }
+
+    /// Returns the scalars for whose columns `value` returns the values.
+    ///
+    /// # Errors
+    /// The first error of `value`.
+    pub fn of_columns<E>(
+        mut value: impl FnMut(&'static str) -> Result<Option<f64>, E>,
+    ) -> Result<Self, E> {
+        let mut scalars = Self::default();
+        for (name, field) in Self::COLUMNS {
+            *field(&mut scalars) = value(name)?;
+        }
+        Ok(scalars)
+    }
+
+    /// Returns scalars that are all present and have this value, for trials that nothing measured.
+    pub fn all(value: f64) -> Self {
+        let mut scalars = Self::default();
+        for (_, field) in Self::COLUMNS {
+            *field(&mut scalars) = Some(value);
+        }
+        scalars
+    }
+}
+
 /// Possible fault of a stored trial.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema,
@@ -149,9 +195,8 @@ pub struct TrialRecord {
     pub flags: Vec<Flag>,
     /// Time between the end of motion and the measurement, process ms.
     pub settle_ms: f64,
-    /// Largest force on a cell during approach and settling, minus the measured force, N; absent
-    /// for manual trials.
-    pub overshoot_n: Option<f64>,
+    /// Its other measured numbers.
+    pub scalars: TrialScalars,
     /// Wall time at the start of the motion.
     pub started_at: Timestamp,
     /// Wall time of the last frame.
@@ -235,4 +280,23 @@ pub struct TouchOffRecord {
     /// Wall time of the touch-off.
     #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_scalar_is_a_column_under_its_own_name() {
+        let mut n = 0;
+        let numbered = TrialScalars::of_columns(|_| {
+            n += 1;
+            Ok::<_, ()>(Some(f64::from(n)))
+        });
+        let fields = serde_json::to_value(numbered.unwrap()).unwrap();
+        assert_eq!(fields.as_object().unwrap().len(), n as usize, "a line of COLUMNS is missing");
+        for (name, value) in numbered.unwrap().columns() {
+            assert_eq!(fields[name].as_f64(), value, "{name}");
+        }
+    }
 }

@@ -329,6 +329,8 @@ async fn adam_6017_over_tcp() {
         assert!(matches!(early, RigError::NotReady { .. }), "ranges are not known yet: {early}");
         assert_eq!(module.prepare().await.unwrap(), "ADAM-6017, Volts0To5");
         for n in 0..5 {
+            // Longer than an update of the module.
+            tokio::time::sleep(Duration::from_millis(1)).await;
             let reading = module.read().await.unwrap();
             let volts = reading.volts;
             assert!((volts[0] - 0.5).abs() < 1e-4, "{volts:?}");

@@ -11,7 +11,7 @@ use std::time::Duration;
 use palpate::clock::Clock;
 use palpate::ids::{RunUid, TrialId, TrialKey};
 use palpate::journal::Journal;
-use palpate::record::{ArmReading, FrameQuality, FrameRecord, TrialRecord};
+use palpate::record::{ArmReading, FrameQuality, FrameRecord, TrialRecord, TrialScalars};
 use palpate::store::{Label, MAX_PAGE, NewRun, RunKind, Store, StoreError, TrialQuery, TrialRow};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -63,7 +63,7 @@ fn trial(n: u32) -> TrialRecord {
         quality: FrameQuality::default(),
         flags: vec![],
         settle_ms: f64::from(n),
-        overshoot_n: None,
+        scalars: TrialScalars::default(),
         started_at: at,
         measured_at: at,
     }

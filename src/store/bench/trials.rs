@@ -86,50 +86,56 @@ impl Entry {
         connection: &mut SqliteConnection,
     ) -> Result<Option<TrialId>, StoreError> {
         let r = &self.record;
-        let statement = sqlx::query_scalar(
+        let mut insert = QueryBuilder::<Sqlite>::new(
             "INSERT INTO trials (run, configuration, depth_index, attempt, tips, depth_mm,
                  target_x_mm, target_y_mm, target_z_mm, target_radius_mm,
                  reached_x_mm, reached_y_mm, reached_z_mm, reached_radius_mm,
-                 placed_by, flags, settle_ms, overshoot_n, contact_count, max_force_n,
-                 frame_count, started_at, measured_at, saturated_channels, stuck_channels,
-                 missing_channels, injection_sum_v, dropped_packets, crc32)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17,
-                 ?18, ?19, ?20, ?21, ?22, ?23, ?24, ?25, ?26, ?27, ?28, ?29)
-             ON CONFLICT (run, configuration, depth_index) DO NOTHING
+                 placed_by, flags, settle_ms, contact_count, max_force_n, frame_count,
+                 started_at, measured_at, saturated_channels, stuck_channels, missing_channels,
+                 injection_sum_v, dropped_packets, crc32",
+        );
+        for (name, _) in r.scalars.columns() {
+            insert.push(", ").push(name);
+        }
+        let mut values = insert.push(") VALUES (").separated(", ");
+        values
+            .push_bind(self.scan_id)
+            .push_bind(r.key.configuration)
+            .push_bind(r.key.depth_index)
+            .push_bind(r.attempt)
+            .push_bind(r.tips)
+            .push_bind(r.depth_mm);
+        for pose in [r.target, r.reached] {
+            values
+                .push_bind(pose.map(|p| p.x_mm))
+                .push_bind(pose.map(|p| p.y_mm))
+                .push_bind(pose.map(|p| p.z_mm))
+                .push_bind(pose.map(|p| p.radius_mm));
+        }
+        values
+            .push_bind(r.placed_by.as_deref())
+            .push_bind(self.flags.as_str())
+            .push_bind(r.settle_ms)
+            .push_bind(self.contact_count)
+            .push_bind(self.max_force_n)
+            .push_bind(r.frames.len() as i64)
+            .push_bind(time_text(r.started_at))
+            .push_bind(time_text(r.measured_at))
+            .push_bind(r.quality.saturated_channels)
+            .push_bind(r.quality.stuck_channels)
+            .push_bind(r.quality.missing_channels)
+            .push_bind(r.quality.injection_sum_v)
+            .push_bind(r.quality.dropped_packets)
+            .push_bind(self.crc32);
+        for (_, value) in r.scalars.columns() {
+            values.push_bind(value);
+        }
+        insert.push(
+            ") ON CONFLICT (run, configuration, depth_index) DO NOTHING
              RETURNING id",
-        )
-        .bind(self.scan_id)
-        .bind(r.key.configuration)
-        .bind(r.key.depth_index)
-        .bind(r.attempt)
-        .bind(r.tips)
-        .bind(r.depth_mm);
-        let statement = [r.target, r.reached].iter().fold(statement, |statement, pose| {
-            statement
-                .bind(pose.map(|p| p.x_mm))
-                .bind(pose.map(|p| p.y_mm))
-                .bind(pose.map(|p| p.z_mm))
-                .bind(pose.map(|p| p.radius_mm))
-        });
-        let id: Option<i64> = statement
-            .bind(r.placed_by.as_deref())
-            .bind(self.flags.as_str())
-            .bind(r.settle_ms)
-            .bind(r.overshoot_n)
-            .bind(self.contact_count)
-            .bind(self.max_force_n)
-            .bind(self.record.frames.len() as i64)
-            .bind(time_text(r.started_at))
-            .bind(time_text(r.measured_at))
-            .bind(r.quality.saturated_channels)
-            .bind(r.quality.stuck_channels)
-            .bind(r.quality.missing_channels)
-            .bind(r.quality.injection_sum_v)
-            .bind(r.quality.dropped_packets)
-            .bind(self.crc32)
-            .fetch_optional(connection)
-            .await
-            .during(STORING)?;
+        );
+        let id: Option<i64> =
+            insert.build_query_scalar().fetch_optional(connection).await.during(STORING)?;
         Ok(id.map(TrialId))
     }
 }
@@ -177,18 +183,14 @@ fn check(record: &TrialRecord) -> Result<(), StoreError> {
         return Err(refused("frames", "must have the same length"));
     }
     let poses = [record.target, record.reached].into_iter().flatten();
-    let numbers = [
-        Some(record.settle_ms),
-        record.depth_mm,
-        record.overshoot_n,
-        record.quality.injection_sum_v,
-    ]
-    .into_iter()
-    .flatten()
-    .chain(poses.flat_map(|p| [p.x_mm, p.y_mm, p.z_mm, p.radius_mm]))
-    .chain(record.arms.iter().flat_map(|a| [a.x_mm, a.y_mm, a.force_n, a.cell_v, a.tare_v]))
-    .chain(record.placed.iter().flat_map(|p| [p.x_mm, p.y_mm, p.force_n]))
-    .chain(record.frames.iter().map(|f| f64::from(f.volts_per_count)));
+    let numbers = [Some(record.settle_ms), record.depth_mm, record.quality.injection_sum_v]
+        .into_iter()
+        .chain(record.scalars.columns().map(|(_, value)| value))
+        .flatten()
+        .chain(poses.flat_map(|p| [p.x_mm, p.y_mm, p.z_mm, p.radius_mm]))
+        .chain(record.arms.iter().flat_map(|a| [a.x_mm, a.y_mm, a.force_n, a.cell_v, a.tare_v]))
+        .chain(record.placed.iter().flat_map(|p| [p.x_mm, p.y_mm, p.force_n]))
+        .chain(record.frames.iter().map(|f| f64::from(f.volts_per_count)));
     for number in numbers {
         if !number.is_finite() {
             return Err(refused("every number", "must be finite"));

@@ -15,7 +15,7 @@ use crate::core::columns::time_text;
 use crate::core::{During, Store, StoreError};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::ExitStatus;
-use crate::record::{Flag, FrameQuality};
+use crate::record::{Flag, FrameQuality, TrialScalars};
 use crate::table::checksum::Numbers;
 use crate::table::trial_row::Contact;
 
@@ -178,7 +178,7 @@ async fn insert(
         flags: &trial.flags,
         quality: trial.quality,
         settle_ms: None,
-        overshoot_n: None,
+        scalars: TrialScalars::default(),
         contact_count: contacts,
         max_force_n: largest,
         frame_count: 0,

@@ -12,7 +12,7 @@ use crate::core::columns::Columns;
 use crate::core::facts::RunKind;
 use crate::core::{During, StoreError};
 use crate::ids::{TrialId, TrialKey};
-use crate::record::{ArmReading, FrameQuality, Pose};
+use crate::record::{ArmReading, FrameQuality, Pose, TrialScalars};
 
 /// Returns the reading of an attached tip from its columns.
 pub(crate) fn arm(c: &Columns<'_>) -> Result<ArmReading, StoreError> {
@@ -199,7 +199,7 @@ fn trial_row(
             dropped_packets: c.whole_or_none("dropped_packets")?,
         },
         settle_ms: c.get("settle_ms")?,
-        overshoot_n: c.get("overshoot_n")?,
+        scalars: TrialScalars::of_columns(|name| c.get(name))?,
         frame_count: c.whole("frame_count")?,
         started_at: c.time_or_none("started_at")?,
         measured_at: c.time_or_none("measured_at")?,

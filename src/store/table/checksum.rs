@@ -11,7 +11,7 @@ use super::trial_row::{Contact, TrialRow};
 use crate::core::StoreError;
 use crate::core::columns::{Columns, counts_blob, time_text};
 use crate::ids::TrialKey;
-use crate::record::{ArmReading, Flag, FrameQuality, FrameRecord, Pose, TrialRecord};
+use crate::record::{ArmReading, Flag, FrameQuality, FrameRecord, Pose, TrialRecord, TrialScalars};
 
 /// Returns the CRC-32 of a frame: of its counts as they are stored, then sequence, device time and
 /// scale, little-endian.
@@ -96,7 +96,7 @@ pub(crate) struct Numbers<'a> {
     pub flags: &'a [Flag],
     pub quality: FrameQuality,
     pub settle_ms: Option<f64>,
-    pub overshoot_n: Option<f64>,
+    pub scalars: TrialScalars,
     pub contact_count: u8,
     pub max_force_n: Option<f64>,
     pub frame_count: u32,
@@ -123,7 +123,7 @@ impl<'a> Numbers<'a> {
             flags: &record.flags,
             quality: record.quality,
             settle_ms: Some(record.settle_ms),
-            overshoot_n: record.overshoot_n,
+            scalars: record.scalars,
             contact_count,
             max_force_n,
             frame_count: record.frames.len() as u32,
@@ -145,7 +145,7 @@ impl<'a> Numbers<'a> {
             flags: &row.flags,
             quality: row.quality,
             settle_ms: row.settle_ms,
-            overshoot_n: row.overshoot_n,
+            scalars: row.scalars,
             contact_count: row.contact_count,
             max_force_n: row.max_force_n,
             frame_count: row.frame_count,
@@ -153,7 +153,8 @@ impl<'a> Numbers<'a> {
         }
     }
 
-    /// Returns the CRC-32 of the values, in the order of this function.
+    /// Returns the CRC-32 of the values, in the order of this function. The order never changes: a
+    /// stored checksum would differ. A value that older rows lack enters only if it is present.
     pub(crate) fn crc32(&self) -> u32 {
         let mut sum = Sum(crc32fast::Hasher::new());
         let wholes = [
@@ -165,7 +166,7 @@ impl<'a> Numbers<'a> {
             self.frame_count,
         ];
         sum.numbers(wholes.map(f64::from).map(Some));
-        sum.numbers([self.depth_mm, self.settle_ms, self.overshoot_n, self.max_force_n]);
+        sum.numbers([self.depth_mm, self.settle_ms, self.scalars.overshoot_n, self.max_force_n]);
         for pose in self.poses {
             let numbers = pose.map(|p| [p.x_mm, p.y_mm, p.z_mm, p.radius_mm]);
             sum.numbers((0..4).map(|i| numbers.map(|n| n[i])));
@@ -189,6 +190,8 @@ impl<'a> Numbers<'a> {
         for at in self.times {
             sum.text(at.map(time_text).as_deref());
         }
+        // The overshoot is as old as the checksums.
+        sum.if_present(self.scalars.columns().filter(|(name, _)| *name != "overshoot_n"));
         sum.0.finalize()
     }
 }
@@ -207,9 +210,80 @@ impl Sum {
         }
     }
 
+    /// Adds the name and value of each number that is present: a row that was stored before a column
+    /// was added has the same checksum with the column as without it.
+    fn if_present(&mut self, columns: impl Iterator<Item = (&'static str, Option<f64>)>) {
+        for (name, value) in columns {
+            if value.is_some_and(|v| !v.is_nan()) {
+                self.text(Some(name));
+                self.numbers([value]);
+            }
+        }
+    }
+
     /// Adds a text, then whether it is present.
     fn text(&mut self, value: Option<&str>) {
         self.0.update(value.unwrap_or_default().as_bytes());
         self.0.update(&[u8::from(value.is_some())]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The expected number was computed by another program from the bytes that rows have had since the
+    /// first checksum.
+    #[test]
+    fn the_checksum_of_a_stored_row_never_changes() {
+        let numbers = Numbers {
+            key: TrialKey { configuration: 1, depth_index: 2 },
+            attempt: 3,
+            tips: 4,
+            depth_mm: Some(0.5),
+            poses: [Some(Pose { x_mm: 1.0, y_mm: 2.0, z_mm: 3.0, radius_mm: 4.0 }), None],
+            arms: &[ArmReading {
+                arm: 1,
+                x_mm: 10.0,
+                y_mm: 20.0,
+                force_n: 5.5,
+                cell_v: 0.7,
+                tare_v: 0.5,
+            }],
+            placed: &[],
+            placed_by: None,
+            flags: &[Flag::Unsettled],
+            quality: FrameQuality {
+                saturated_channels: Some(7),
+                injection_sum_v: Some(0.001),
+                ..FrameQuality::default()
+            },
+            settle_ms: Some(1800.25),
+            scalars: overshoot(0.125),
+            contact_count: 1,
+            max_force_n: Some(5.5),
+            frame_count: 2,
+            times: [Some("2026-11-20T18:00:00.123Z".parse().unwrap()), None],
+        };
+        assert_eq!(numbers.crc32(), 0x10e258d5);
+    }
+
+    /// Returns scalars of a row from before any other scalar.
+    fn overshoot(value_n: f64) -> TrialScalars {
+        let value = |name| Ok::<_, ()>((name == "overshoot_n").then_some(value_n));
+        TrialScalars::of_columns(value).unwrap()
+    }
+
+    #[test]
+    fn a_later_scalar_enters_only_if_it_is_present() {
+        let sum = |columns: &[(&'static str, Option<f64>)]| {
+            let mut sum = Sum(crc32fast::Hasher::new());
+            sum.numbers([Some(1.0)]);
+            sum.if_present(columns.iter().copied());
+            sum.0.finalize()
+        };
+        assert_eq!(sum(&[("a_n", None), ("b_n", Some(f64::NAN))]), sum(&[]));
+        assert_ne!(sum(&[("a_n", Some(0.0))]), sum(&[]));
+        assert_ne!(sum(&[("a_n", Some(2.0))]), sum(&[("b_n", Some(2.0))]));
     }
 }

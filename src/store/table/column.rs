@@ -141,7 +141,7 @@ pub static TABLE: [Column; 34] = [
     c("dropped_packets", "", Of::Count(|t| t.quality.dropped_packets), "t.dropped_packets", "packets lost or garbled while the frames were read"),
     c("depth_error_mm", "mm", Of::Number(TrialRow::depth_error_mm), "(t.reached_z_mm - t.target_z_mm)", "measured z minus its target"),
     c("settle_ms", "ms", Of::Number(|t| t.settle_ms), "t.settle_ms", "time between the end of motion and the measurement, process clock"),
-    c("overshoot_n", "N", Of::Number(|t| t.overshoot_n), "t.overshoot_n", "largest force while approaching and settling minus the measured one"),
+    c("overshoot_n", "N", Of::Number(|t| t.scalars.overshoot_n), "t.overshoot_n", "largest force while approaching and settling minus the measured one"),
     c("frame_count", "", Of::Count(|t| Some(t.frame_count)), "t.frame_count", "raw frames kept"),
     c("started_at", "", Of::Time(|t| t.started_at), "t.started_at", "start of its motion"),
     c("measured_at", "", Of::Time(|t| t.measured_at), "t.measured_at", "time of its last frame"),
@@ -157,6 +157,16 @@ pub fn names(which: impl Fn(&Column) -> bool) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::record::TrialScalars;
+
+    #[test]
+    fn every_scalar_of_a_trial_is_a_column() {
+        for (name, _) in TrialScalars::default().columns() {
+            let column = Column::find(name);
+            assert!(matches!(column, Some(Column { of: Of::Number(_), .. })), "{name}: {column:?}");
+            assert_eq!(column.unwrap().sql, format!("t.{name}"));
+        }
+    }
 
     #[test]
     fn the_manual_explains_every_column() {

@@ -7,7 +7,7 @@ use utoipa::ToSchema;
 
 use crate::core::facts::{Label, RunKind};
 use crate::ids::{RunUid, TrialId};
-use crate::record::{ArmReading, Flag, FrameQuality, PlacedContact, Pose};
+use crate::record::{ArmReading, Flag, FrameQuality, PlacedContact, Pose, TrialScalars};
 
 /// A contact of a trial: position, force and diameter of one tip on the skin.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -89,8 +89,10 @@ pub struct TrialRow {
     pub quality: FrameQuality,
     /// Process time between the end of motion and the measurement, ms.
     pub settle_ms: Option<f64>,
-    /// Largest force while approaching and settling minus the measured force, N.
-    pub overshoot_n: Option<f64>,
+    /// Its other measured numbers, in the description of the API as fields of the trial.
+    #[serde(flatten)]
+    #[schema(inline)]
+    pub scalars: TrialScalars,
     /// Number of stored raw frames.
     pub frame_count: u32,
     /// Wall time at which its motion started.

@@ -13,7 +13,7 @@ use crate::clock::Clock;
 use crate::core::store::PAGE_BYTES;
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::Journal;
-use crate::record::{ArmReading, FrameRecord, Pose, ReferenceRecord};
+use crate::record::{ArmReading, FrameRecord, Pose, ReferenceRecord, TrialScalars};
 use crate::state::{StateChange, StoredState};
 use crate::{RunKind, Soundness, Store, StoreError, TrialQuery};
 
@@ -267,6 +267,45 @@ async fn whatever_of_a_trial_changes_is_found_where_it_is_read() {
 }
 
 #[tokio::test]
+async fn whatever_column_of_the_trials_table_changes_is_found() {
+    let folder = Folder::new();
+    filled(&folder).await;
+    let store = open(&folder.file()).await;
+    let change = async |sql: String| {
+        let changing = async move |c: &mut sqlx::SqliteConnection| {
+            sqlx::raw_sql(sqlx::AssertSqlSafe(sql)).execute(c).await.unwrap();
+            Ok(())
+        };
+        store.inner.writer.run("damaging", changing).await.unwrap();
+    };
+    // The id and the run are references: the structure of the file covers them.
+    let columns: Vec<(String, String)> = sqlx::query_as(
+        "SELECT name, type FROM pragma_table_info('trials') WHERE name NOT IN ('id', 'run')",
+    )
+    .fetch_all(&store.inner.readers)
+    .await
+    .unwrap();
+    assert!(columns.len() > 20, "{columns:?}");
+    change("CREATE TEMP TABLE original AS SELECT * FROM trials WHERE id = 9".into()).await;
+    for (name, kind) in columns {
+        let other = match (&*name, &*kind) {
+            ("flags", _) => "'[\"unsettled\"]'".to_owned(),
+            (_, "TEXT") => "'2026-01-01T00:00:00.000Z'".to_owned(),
+            // Still a number of contacts, of a key that is not stored.
+            _ => format!("coalesce({name}, 0) + 100"),
+        };
+        change(format!("UPDATE trials SET {name} = {other} WHERE id = 9")).await;
+        let Soundness::Damaged(findings) = store.examine(2000).await.unwrap() else {
+            panic!("{name}")
+        };
+        assert!(findings.len() == 1 && findings[0].contains("trial 9"), "{name}: {findings:?}");
+        let original = format!("(SELECT {name} FROM original)");
+        change(format!("UPDATE trials SET {name} = {original} WHERE id = 9")).await;
+    }
+    assert_eq!(store.examine(2000).await.unwrap(), Soundness::Sound);
+}
+
+#[tokio::test]
 async fn a_reference_press_that_changed_is_found_where_it_is_read() {
     let folder = Folder::new();
     let run = filled(&folder).await;
@@ -304,7 +343,7 @@ async fn a_negative_zero_and_what_is_absent_are_no_damage() {
     let store = open(&folder.file()).await;
     let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
     let mut trial = hex_trial(0, 0, &[-0.0, 5.0]);
-    (trial.target, trial.overshoot_n) = (None, Some(-0.0));
+    (trial.target, trial.scalars) = (None, TrialScalars::all(-0.0));
     trial.quality.injection_sum_v = None;
     let id = store.trial(run, &trial).await.unwrap();
     assert_eq!(store.trial_by_id(id).await.unwrap().unwrap().target, None);

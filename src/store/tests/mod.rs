@@ -11,6 +11,7 @@ mod tasks;
 mod trials;
 mod twins;
 
+use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -19,7 +20,7 @@ use jiff::Timestamp;
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialKey};
 use crate::record::{
-    ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose, TrialRecord,
+    ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose, TrialRecord, TrialScalars,
 };
 use crate::{Label, NewRun, RunKind, Store};
 
@@ -93,6 +94,11 @@ fn hex_trial(configuration: u32, depth_index: u32, forces_n: &[f64]) -> TrialRec
         tare_v: 0.497,
     });
     let counts = (0..784).map(|i| (i * 83 + configuration as i32 * 31) as i16).collect();
+    let mut scalar = 0.0;
+    let Ok(scalars) = TrialScalars::of_columns(|_| {
+        scalar += 0.125;
+        Ok::<_, Infallible>(Some(scalar))
+    });
     TrialRecord {
         key: TrialKey { configuration, depth_index },
         attempt: 1,
@@ -118,7 +124,7 @@ fn hex_trial(configuration: u32, depth_index: u32, forces_n: &[f64]) -> TrialRec
         },
         flags: vec![],
         settle_ms: 1800.25,
-        overshoot_n: Some(0.125),
+        scalars,
         started_at: time("2026-11-20T18:00:00.123Z"),
         measured_at: time("2026-11-20T18:00:02.004Z"),
     }
@@ -133,7 +139,7 @@ fn random_trial(configuration: u32, weights: usize) -> TrialRecord {
     trial.frames.push(second);
     trial.tips = weights as u8;
     (trial.depth_mm, trial.target, trial.reached) = (None, None, None);
-    trial.overshoot_n = None;
+    trial.scalars = TrialScalars::default();
     trial.placed_by = Some("Ada".into());
     trial.flags = vec![Flag::Unsettled, Flag::SaturatedChannels];
     trial.placed = (0..weights)

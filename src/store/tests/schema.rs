@@ -7,34 +7,12 @@ use super::{Folder, open};
 use crate::core::store::{MIGRATIONS, PAGE_BYTES};
 use crate::digest::sha256_hex;
 
-/// Merged migrations by the sha256 of their files. A line is added, never changed.
-const MERGED: [(&str, &str); 8] = [
-    ("0001_create_tables.sql", "7f8fd10f7d423db439b80b2fc3526c5c772af618a790e2bc19d1263564d2e0b2"),
-    ("0002_add_twins.sql", "eed1edaa483255f687011f624f45d12abbe31acf9cf482d0f447693f4464f9b0"),
-    (
-        "0003_add_imports_and_datasets.sql",
-        "8ed41a5555d86dc99864cbd0217887415325fc63e6b3500ce016235f48ef8b1d",
-    ),
-    (
-        "0004_add_models_and_jobs.sql",
-        "054964d65045ca689dec4bad98a4aeb6c98087ab2c9489c4905c6d9c43540d58",
-    ),
-    (
-        "0005_mark_roll_backs.sql",
-        "e9d3cd395d2e7cb00d57061257680056df75f8843a9be352fe576a17eb1a87e4",
-    ),
-    (
-        "0006_guard_what_is_stored.sql",
-        "ff19b9924c48e373c9af54ddeb9b2db6687ee9b58c4dd03ea4df199e8afee0c0",
-    ),
-    ("0007_keep_plans.sql", "437b31fb3fd81a2ef31a66b2cf9dd588cacb285983a51ea8f77bea27699af3d2"),
-    ("0008_one_queue.sql", "123a95f3eb9ad85beacff2d3386e0756535026678beb60d98ef3ef67ccb8e26e"),
-];
-
+/// `migrations/SHA256SUMS` holds the sha256 of each merged migration. A line is added, never changed:
+/// `UPDATE=1` adds the line of a new file.
 #[test]
 fn migrations_only_grow_and_are_all_in_the_binary() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../migrations");
-    let mut files: Vec<(String, String)> = std::fs::read_dir(folder)
+    let mut files: Vec<(String, String)> = std::fs::read_dir(&folder)
         .unwrap()
         .map(|entry| entry.unwrap().path())
         .filter(|path| path.extension().is_some_and(|e| e == "sql"))
@@ -46,9 +24,19 @@ fn migrations_only_grow_and_are_all_in_the_binary() {
         })
         .collect();
     files.sort();
-    let merged: Vec<_> = MERGED.iter().map(|(n, h)| (n.to_string(), h.to_string())).collect();
-    assert_eq!(files, merged);
-    assert_eq!(MIGRATIONS.iter().count(), merged.len(), "touch src/store/core/store.rs");
+    let sums = folder.join("SHA256SUMS");
+    let mut merged = std::fs::read_to_string(&sums).unwrap();
+    if std::env::var_os("UPDATE").is_some() {
+        for (name, sum) in &files {
+            if !merged.contains(name) {
+                merged += &format!("{sum}  {name}\n");
+            }
+        }
+        std::fs::write(&sums, &merged).unwrap();
+    }
+    let found: String = files.iter().map(|(name, sum)| format!("{sum}  {name}\n")).collect();
+    assert_eq!(found, merged, "a new migration: UPDATE=1 cargo test migrations_only_grow");
+    assert_eq!(MIGRATIONS.iter().count(), files.len(), "touch src/store/core/store.rs");
 }
 
 #[tokio::test]

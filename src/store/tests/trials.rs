@@ -4,7 +4,9 @@
 use super::{Folder, hex_trial, new_run, now, open, random_trial, time};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::Journal;
-use crate::record::{AttemptRecord, Flag, ReferenceRecord, TareRecord, TouchOffRecord};
+use crate::record::{
+    AttemptRecord, Flag, ReferenceRecord, TareRecord, TouchOffRecord, TrialScalars,
+};
 use crate::{Condition, Order, RunKind, SettingCount, Store, StoreError, TrialQuery};
 
 async fn with_run(folder: &Folder, kind: RunKind) -> (Store, RunUid) {
@@ -31,7 +33,7 @@ async fn a_trial_comes_back_bit_for_bit() {
         got.forces_n,
         [Some(0.1 + 0.2), Some(5.0), Some(4.999_999_999), Some(-0.31), Some(41.7), None]
     );
-    assert_eq!((got.settle_ms, got.overshoot_n), (Some(put.settle_ms), put.overshoot_n));
+    assert_eq!((got.settle_ms, got.scalars), (Some(put.settle_ms), put.scalars));
     let times = (Some(put.started_at), Some(put.measured_at));
     assert_eq!((got.started_at, got.measured_at), times);
     assert_eq!(got.quality, put.quality);
@@ -58,7 +60,8 @@ async fn weights_under_the_deadband_stay_contacts() {
     let got = store.trial_by_id(id).await.unwrap().unwrap();
     assert_eq!((got.contact_count, got.max_force_n), (3, Some(4.905)));
     assert_eq!(got.contacts.len(), 3);
-    assert_eq!((got.depth_mm, got.target, got.overshoot_n), (None, None, None));
+    assert_eq!((got.depth_mm, got.target), (None, None));
+    assert_eq!(got.scalars, TrialScalars::default());
     assert_eq!(got.forces_n, [None; 6]);
     assert_eq!((got.placed_by.as_deref(), got.frame_count), (Some("Ada"), 2));
     assert_eq!(got.flags, put.flags);
@@ -91,7 +94,7 @@ async fn a_bad_record_is_refused_whole() {
     let mut none = hex_trial(0, 0, &[9.0]);
     none.frames.clear();
     let mut nan = hex_trial(0, 0, &[9.0]);
-    nan.overshoot_n = Some(f64::NAN);
+    nan.scalars = TrialScalars::all(f64::NAN);
     let mut uneven = hex_trial(0, 0, &[9.0]);
     uneven.frames.push(uneven.frames[0].clone());
     uneven.frames[1].counts.pop();

@@ -10,7 +10,7 @@ use palpate::clock::Clock;
 use palpate::ids::{CalibrationId, RunUid, TrialKey};
 use palpate::journal::{ExitStatus, Journal};
 use palpate::record::{
-    ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose, TrialRecord,
+    ArmReading, Flag, FrameQuality, FrameRecord, PlacedContact, Pose, TrialRecord, TrialScalars,
 };
 use palpate::store::{
     Label, NewRun, NewTwinModel, RunKind, Store, TrialQuery, Twin, TwinModelId, TwinOutcome,
@@ -97,7 +97,7 @@ fn trial(key: TrialKey, chance: &mut ChaCha8Rng) -> TrialRecord {
         },
         flags: Vec::new(),
         settle_ms: 1800.5,
-        overshoot_n: Some(0.25),
+        scalars: TrialScalars::all(0.25),
         started_at,
         measured_at: started_at + Duration::from_millis(800),
     }

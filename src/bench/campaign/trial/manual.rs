@@ -12,7 +12,7 @@ use crate::campaign::shown::status::Phase;
 use crate::campaign::trial::measure::{frame_flags, frame_quality, record};
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialKey};
-use crate::record::{Flag, FrameQuality, PlacedContact, TrialRecord};
+use crate::record::{Flag, FrameQuality, PlacedContact, TrialRecord, TrialScalars};
 use crate::rig::traits::{Frame, SkinReader};
 use crate::schedule::experiment::Measure;
 use crate::schedule::manual::PlannedPlacement;
@@ -75,7 +75,7 @@ pub async fn measure(
         quality,
         flags,
         settle_ms,
-        overshoot_n: None,
+        scalars: TrialScalars::default(),
         started_at,
         measured_at: clock.timestamp(),
     };

@@ -19,7 +19,9 @@ use crate::campaign::spans::trial_span;
 use crate::campaign::trial::measure::{self, Taken};
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::JournalError;
-use crate::record::{ArmReading, Flag, Pose, ReferenceRecord, TareRecord, TrialRecord};
+use crate::record::{
+    ArmReading, Flag, Pose, ReferenceRecord, TareRecord, TrialRecord, TrialScalars,
+};
 use crate::rig::config::ARMS;
 use crate::schedule::configuration::Stand;
 use crate::schedule::plan::{Plan, PlannedConfiguration, ReferencePress};
@@ -138,7 +140,7 @@ impl Pressing<'_> {
             quality: taken.quality,
             flags,
             settle_ms: settled.settle_ms,
-            overshoot_n: Some((stage.peak_n - measured_n).max(0.0)),
+            scalars: TrialScalars { overshoot_n: Some((stage.peak_n - measured_n).max(0.0)) },
             started_at,
             measured_at: stage.clock.timestamp(),
         };

@@ -1,7 +1,9 @@
 """The columns that docs/how-to/datasets.md promises, and values in one form, whoever read them."""
 
 import math
+import re
 from datetime import datetime
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,22 +11,41 @@ import pyarrow as pa
 
 from wire import check
 
-# The columns as docs/how-to/datasets.md promises them: type and unit.
 FRAME, CONTACTS = "f32[784]", "contacts"
-COLUMNS = {
-    "trial_id": ("i64", None), "run": ("text", None), "scan_id": ("i64", None), "seed": ("u64", None),
-    "index": ("u64", None), "experiment": ("text", None), "label": ("text", None),
-    "configuration": ("u32", None), "depth_index": ("u32", None), "attempt": ("u32", None),
-    "depth_mm": ("f64", "mm"), "tips": ("u8", None), "contact_count": ("u8", None),
-    "max_force_n": ("f32", "N"), "contacts": (CONTACTS, None), "forces_n": ("f32[6]", "N"),
-    "voltages_v": (FRAME, "V"), "sim_voltages_v": (FRAME, "V"), "sim_model": ("text", None),
-    "rmse_v": ("f64", "V"), "fvu": ("f64", None), "flags": ("texts", None),
-    "saturated_channels": ("u32", None), "stuck_channels": ("u32", None),
-    "missing_channels": ("u32", None), "injection_sum_v": ("f64", "V"),
-    "dropped_packets": ("u32", None), "depth_error_mm": ("f64", "mm"), "settle_ms": ("f64", "ms"),
-    "overshoot_n": ("f64", "N"), "frame_count": ("u32", None), "started_at": ("time", None),
-    "measured_at": ("time", None), "split": ("text", None),
+# Types by their names in the manual.
+TYPES = {
+    "int64": "i64", "uint64": "u64", "uint32": "u32", "uint8": "u8", "float64": "f64", "float32": "f32",
+    "string": "text", "list of string": "texts", "timestamp[ms, UTC]": "time", "float32[784]": FRAME,
+    "float32[6]": "f32[6]", "list of struct": CONTACTS,
 }
+
+
+def each(cell: str, columns: list[str]) -> list[str]:
+    """The entries of a cell: one per column, or one for all columns."""
+    entries = [cell] if cell in TYPES else cell.split(", ")
+    if len(entries) == 1:
+        entries *= len(columns)
+    if len(entries) != len(columns):
+        raise SystemExit(f"docs/how-to/datasets.md: {columns} have {cell}")
+    return entries
+
+
+def promised() -> dict[str, tuple[str, str | None]]:
+    """The columns as the manual promises them: type and unit, in order."""
+    manual = (Path(__file__).parents[4] / "docs/how-to/datasets.md").read_text(encoding="utf-8")
+    head = "| column | type | unit | |\n|---|---|---|---|\n"
+    found = {}
+    for line in manual.split(head)[1].split("\n\n")[0].splitlines():
+        names, types, units, _ = [cell.strip() for cell in line.strip("|").split("|")]
+        names = re.findall("`([a-z_]+)`", names)
+        if names == ["force_map_n"]:  # Only with `map`.
+            continue
+        for name, kind, unit in zip(names, each(types, names), each(units, names)):
+            found[name] = (TYPES[kind], None if unit in ("", "1") else unit)
+    return found
+
+
+COLUMNS = promised()
 CONTACT = ["x_mm", "y_mm", "force_n", "diameter_mm"]
 ARROW = {
     "i64": pa.int64(), "u64": pa.uint64(), "u32": pa.uint32(), "u8": pa.uint8(), "f64": pa.float64(),
