@@ -41,10 +41,19 @@ impl IntoParams for RowsParams {
 
 impl IntoParams for FileParams {
     fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
-        let mut all = selected(|_| true);
+        let names = Format::ALL.map(Format::name).join("|");
+        let file = parameter("file", &format!("ID_OR_NAME.{names}"), text());
+        let mut all = vec![ParameterBuilder::from(file).parameter_in(ParameterIn::Path).build()];
+        all.extend(selected(|_| true));
         all.push(map());
         all
     }
+}
+
+/// Names of the formats of a page: JSON, and the row formats.
+pub fn page_formats() -> Vec<&'static str> {
+    let formats = Format::ALL.into_iter().filter(|format| format.streams()).map(Format::name);
+    ["json"].into_iter().chain(formats).collect()
 }
 
 /// Parameters of every selection of rows: conditions, columns and slice.
@@ -80,9 +89,7 @@ fn meanings(has: fn(&Column) -> bool) -> String {
 }
 
 fn page(cursor: &str) -> [Parameter; 3] {
-    let formats = Format::ALL.into_iter().filter(|format| format.streams()).map(Format::name);
-    let formats: Vec<&str> = ["json"].into_iter().chain(formats).collect();
-    let format = ObjectBuilder::new().schema_type(Type::String).enum_values(Some(formats));
+    let format = ObjectBuilder::new().schema_type(Type::String).enum_values(Some(page_formats()));
     let limit = ObjectBuilder::new()
         .schema_type(Type::Integer)
         .minimum(Some(1))
