@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use axum::extract::DefaultBodyLimit;
 use axum::middleware::{from_fn, from_fn_with_state};
-use axum::routing::{get, post};
+use axum::routing::post;
 use jiff::Timestamp;
 use sim_core::calibration::Calibration;
 use sim_core::sensor::Sensor;
@@ -311,8 +311,7 @@ fn router(app: App) -> axum::Router {
     guarded
         .route_layer(from_fn_with_state(app.clone(), auth::admit))
         .merge(open)
-        .route("/", get(page::first))
-        .route("/openapi.json", get(page::description))
+        .merge(page::routes())
         .fallback(page::unknown)
         .layer(from_fn(trace::follow))
         .merge(stop_routes().route("/estop", post(estop::estop)))
