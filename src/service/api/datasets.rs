@@ -243,7 +243,8 @@ pub async fn rows(
 /// name and the file are made if needed. For a large dataset request an export, which shows its
 /// progress.
 #[utoipa::path(get, operation_id = "dataset_file", path = "/api/v1/data/{file}", tag = "datasets",
-    params(FileParams),
+    params(("file" = String, Path,
+        description = "ID_OR_NAME.FORMAT, with a format of `ExportRequest`"), FileParams),
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 206, body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 304),

@@ -41,10 +41,7 @@ impl IntoParams for RowsParams {
 
 impl IntoParams for FileParams {
     fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
-        let names = Format::ALL.map(Format::name).join("|");
-        let file = parameter("file", &format!("ID_OR_NAME.{names}"), text());
-        let mut all = vec![ParameterBuilder::from(file).parameter_in(ParameterIn::Path).build()];
-        all.extend(selected(|_| true));
+        let mut all = selected(|_| true);
         all.push(map());
         all
     }
