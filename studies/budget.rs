@@ -156,9 +156,14 @@ impl Budget {
     }
 
     /// Request for scores on a part of a dataset; on all of it if `part` is absent.
-    pub fn request(&self, scored: Scored, dataset: &str, part: Option<&str>) -> EvaluationRequest {
+    pub fn request(
+        &self,
+        scored: impl Into<Scored>,
+        dataset: &str,
+        part: Option<&str>,
+    ) -> EvaluationRequest {
         EvaluationRequest {
-            scored,
+            scored: scored.into(),
             dataset: dataset.into(),
             part: part.map(str::to_owned),
             conditions: Vec::new(),
@@ -215,6 +220,7 @@ pub fn small() -> Budget {
 mod tests {
     use super::*;
     use crate::ids::ModelId;
+    use crate::infer::methods::Method;
 
     #[test]
     fn a_net_is_named_by_recipe_map_noise_and_scale() {
@@ -231,8 +237,8 @@ mod tests {
         let changed = Budget { epochs: Some(3), rows: Some(50), scored: Some(7), ..small() };
         let training = changed.transfer_to_6();
         assert_eq!((training.epochs, training.rows), (3, Some(50)));
-        assert_eq!(changed.request(Scored::Exact, "real", None).limit, Some(7));
-        assert_eq!(small().request(Scored::Exact, "real", None).limit, Some(2_000));
+        assert_eq!(changed.request(Method::Exact, "real", None).limit, Some(7));
+        assert_eq!(small().request(Method::Exact, "real", None).limit, Some(2_000));
         assert!(changed.caption("virtual").contains("3 epochs of up to 50 rows"));
     }
 }

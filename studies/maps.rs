@@ -7,9 +7,9 @@ use crate::budget::{Budget, RECON_NET};
 use crate::dataset::force_map::{ForceMapSpec, TABLE_IV};
 use crate::evaluate::charts::{Heat, heats};
 use crate::evaluate::published::table_iv as published_table_iv;
-use crate::evaluate::request::Scored;
 use crate::evaluate::score::{Mean, Score};
 use crate::evaluate::table::{Beside, COLUMNS, markdown, published_row, score_row};
+use crate::infer::methods::Method;
 use crate::lab::{Lab, StudyError};
 use crate::sheet::{OutputFile, Sheet};
 
@@ -25,7 +25,7 @@ pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Erro
     let mut label = String::new();
     for (number, spec) in (1..).zip(TABLE_IV) {
         let model = lab.train(&budget.map_net(RECON_NET, spec, None)).await?;
-        let mut request = budget.request(Scored::Paper, "s2s-recon", Some("test"));
+        let mut request = budget.request(Method::Paper, "s2s-recon", Some("test"));
         request.map = Some(model.to_string());
         let report = lab.score(&request).await?;
         let name = format!("Map {number}, {spec}");

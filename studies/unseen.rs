@@ -9,11 +9,12 @@ use crate::dataset::force_map::{ForceMapSpec, TABLE_IV};
 use crate::evaluate::charts::{Bar, Picture, bars, pictures};
 use crate::evaluate::figures::FigureError;
 use crate::evaluate::published::REAL_UNSEEN;
-use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Example, FramesRead, Scored};
+use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Example, FramesRead};
 use crate::evaluate::score::{Mean, Score};
 use crate::evaluate::table::{Beside, COLUMNS, markdown, published_row, score_row};
 use crate::factorial::{COARSE_MM, DIAMETERS_MM};
 use crate::ids::{CalibrationId, ModelId};
+use crate::infer::methods::Method;
 use crate::lab::{Lab, Noise, StudyError};
 use crate::noise::LEVELS;
 use crate::rows::{by_contacts, perfects, read_by};
@@ -88,8 +89,8 @@ struct Study<'a, L> {
 
 impl<L: Lab> Study<'_, L> {
     /// Request for scores on the whole dataset; the scale does not limit its rows.
-    fn request(&self, scored: Scored) -> EvaluationRequest {
-        let mut request = self.budget.request(scored, &self.unseen.dataset, None);
+    fn request(&self, method: Method) -> EvaluationRequest {
+        let mut request = self.budget.request(method, &self.unseen.dataset, None);
         request.limit = self.budget.scored;
         request
     }
@@ -97,20 +98,20 @@ impl<L: Lab> Study<'_, L> {
     async fn ours(&self) -> Result<Vec<Named>, L::Error> {
         let Unseen { points, skin, .. } = self.unseen;
         let mut scores = Vec::new();
-        for (name, scored) in
-            [("one step, Tikhonov", Scored::Tikhonov), ("one step, NOSER", Scored::Noser)]
+        for (name, method) in
+            [("one step, Tikhonov", Method::Tikhonov), ("one step, NOSER", Method::Noser)]
         {
-            let mut request = self.request(scored);
+            let mut request = self.request(method);
             request.skin = skin.clone();
             scores.push((name.into(), self.lab.score(&request).await?));
         }
         for (read, frames) in [("1 frame", FramesRead::First), ("mean", FramesRead::Mean)] {
             if points.is_some() {
-                let mut request = self.request(Scored::Fast);
+                let mut request = self.request(Method::Fast);
                 (request.points, request.frames) = (points.clone(), frames);
                 scores.push((format!("fast, {read}"), self.lab.score(&request).await?));
             }
-            let mut request = self.request(Scored::Exact);
+            let mut request = self.request(Method::Exact);
             (request.points, request.skin, request.frames) = (points.clone(), skin.clone(), frames);
             scores.push((format!("exact, {read}"), self.lab.score(&request).await?));
         }
@@ -124,7 +125,7 @@ impl<L: Lab> Study<'_, L> {
             for level in LEVELS {
                 let training = self.budget.map_net(RECON_NET, map, Noise::at(level, &transfer));
                 let net = self.lab.train(&training).await?;
-                let mut request = self.request(Scored::Paper);
+                let mut request = self.request(Method::Paper);
                 request.transfer = Some(transfer.to_string());
                 request.map = Some(net.to_string());
                 let name = format!("{map}, {:.0} %", 100.0 * level);
@@ -139,7 +140,7 @@ impl<L: Lab> Study<'_, L> {
         let stem = "transfer-published-to-6";
         let training = self.budget.transfer_by(PUBLISHED, stem, R2S, &[up_to(6)]);
         let transfer = self.lab.train(&training).await?;
-        let mut request = self.request(Scored::Paper);
+        let mut request = self.request(Method::Paper);
         request.transfer = Some(transfer.to_string());
         request.map = best.models.last().map(ModelId::to_string);
         self.lab.score(&request).await
@@ -149,7 +150,7 @@ impl<L: Lab> Study<'_, L> {
         let mut scores = Vec::new();
         for map in maps(self.budget.scale) {
             let net = self.lab.train(&self.budget.map_net(END_TO_END, map, None)).await?;
-            let mut request = self.request(Scored::Paper);
+            let mut request = self.request(Method::Paper);
             request.map = Some(net.to_string());
             scores.push((map.to_string(), self.lab.score(&request).await?));
         }
@@ -163,17 +164,17 @@ impl<L: Lab> Study<'_, L> {
             [("real-to-sim", best(&scores.pipeline)), ("end-to-end", best(&scores.end_to_end))];
         for (name, best) in bests {
             let Some((_, report)) = best else { continue };
-            let mut request = self.request(Scored::Paper);
+            let mut request = self.request(Method::Paper);
             // Reports name the Transfer-Net first, if there is one.
             request.map = report.models.last().map(ModelId::to_string);
             let transfer = report.models.first().filter(|_| report.models.len() > 1);
             request.transfer = transfer.map(ModelId::to_string);
             requests.push((name, request));
         }
-        for (name, scored) in [("one step", Scored::Tikhonov), ("exact", Scored::Exact)] {
-            let mut request = self.request(scored);
+        for (name, method) in [("one step", Method::Tikhonov), ("exact", Method::Exact)] {
+            let mut request = self.request(method);
             request.skin = self.unseen.skin.clone();
-            if scored == Scored::Exact {
+            if method == Method::Exact {
                 request.points = self.unseen.points.clone();
             }
             requests.push((name, request));

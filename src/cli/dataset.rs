@@ -5,6 +5,7 @@ use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Subcommand};
 use futures::StreamExt;
 use reqwest::Method;
@@ -81,8 +82,8 @@ struct MakeArgs {
 struct ExportArgs {
     /// Id or name; `run-N` is all trials of a run.
     name: String,
-    /// Format: parquet, arrow, csv, ndjson or npz.
-    #[arg(long, default_value = "parquet")]
+    /// Format of the file.
+    #[arg(long, default_value = Format::Parquet.name(), value_parser = formats())]
     format: Format,
     /// A condition on rows, such as `contact_count__gte=3` or `split=train`; may be repeated.
     #[arg(long = "where", value_name = "COLUMN__gt=VALUE")]
@@ -118,6 +119,12 @@ struct ImportArgs {
     name: Option<String>,
     #[command(flatten)]
     at: At,
+}
+
+/// Parser of the name of a format; the help lists the formats.
+fn formats() -> impl TypedValueParser<Value = Format> {
+    let of = |format: Format| PossibleValue::new(format.name()).help(format.about());
+    PossibleValuesParser::new(Format::ALL.map(of)).try_map(|name| name.parse::<Format>())
 }
 
 /// Fields of an export that are read.

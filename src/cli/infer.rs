@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use serde_json::Value;
 
 use super::error::CliError;
@@ -24,8 +25,8 @@ pub struct InferArgs {
     /// JSON lines: each an array of voltages, or an object with voltages_v; - for standard input.
     #[arg(value_name = "FILE|-")]
     file: PathBuf,
-    /// Method: paper, fast or exact.
-    #[arg(long, value_parser = method)]
+    /// Method.
+    #[arg(long, value_parser = methods(Method::served()))]
     method: Method,
     /// Id or name of a model, instead of the serving one.
     #[arg(long, value_name = "MODEL")]
@@ -46,8 +47,8 @@ pub struct InferArgs {
 /// Options of `live`.
 #[derive(Debug, Args)]
 pub struct LiveArgs {
-    /// Method: paper, fast or exact [default: the best one with serving models].
-    #[arg(long, value_parser = method)]
+    /// Method [default: the best one with serving models].
+    #[arg(long, value_parser = methods(Method::served()))]
     method: Option<Method>,
     /// Include the force map (shown with --json): the net's own, or the contacts drawn as Map 1.
     #[arg(long)]
@@ -59,9 +60,11 @@ pub struct LiveArgs {
     at: At,
 }
 
-fn method(name: &str) -> Result<Method, String> {
-    let found = Method::ALL.into_iter().find(|method| method.name() == name);
-    found.ok_or_else(|| format!("must be {}", Method::ALL.map(Method::name).join(", ")))
+/// Parser of the name of a method; the help lists the methods.
+pub fn methods(of: impl Iterator<Item = Method>) -> impl TypedValueParser<Value = Method> {
+    let values = of.map(|method| PossibleValue::new(method.name()).help(method.about()));
+    let named = |name: String| Method::named(&name).ok_or("must be the name of a method");
+    PossibleValuesParser::new(values).try_map(named)
 }
 
 /// Runs `palpate infer`.

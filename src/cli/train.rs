@@ -16,6 +16,7 @@ use super::output::{duration, say, say_json};
 use super::progress::LogLines;
 use super::{At, embed};
 use crate::api::{JobOut, ModelOut};
+use crate::carried::{self, RECIPES};
 use crate::jobs::Progress;
 use crate::store::TaskState;
 
@@ -27,26 +28,16 @@ const LOOK: Duration = Duration::from_millis(250);
 const FEW_PIXELS: i64 = 64;
 const FEWER_CHANNELS: [i64; 3] = [128, 64, 32];
 
-/// Lists the recipes of `experiments/recipes` that the program carries.
-macro_rules! carried {
-    ($first:literal $(, $more:literal)* $(,)?) => {
-        /// The recipes carried in the program, by name.
-        const CARRIED: &[(&str, &str)] = &[carried!(@ $first) $(, carried!(@ $more))*];
-        /// Help of the argument RECIPE.
-        const RECIPE_HELP: &str =
-            concat!("A recipe file, or a carried recipe: ", $first $(, ", ", $more)*);
-    };
-    (@ $name:literal) => {
-        ($name, include_str!(concat!("../../experiments/recipes/", $name, ".toml")))
-    };
+/// Help of the argument RECIPE.
+fn recipe_help() -> String {
+    let names: Vec<&str> = carried::names(RECIPES).collect();
+    format!("A recipe file, or a carried recipe: {}", names.join(", "))
 }
-
-carried!["transfer-net", "transfer-net-published", "recon-net", "end-to-end", "point-net"];
 
 /// Options of `train`.
 #[derive(Debug, Args)]
 pub struct TrainArgs {
-    #[arg(value_name = "RECIPE", help = RECIPE_HELP)]
+    #[arg(value_name = "RECIPE", help = recipe_help())]
     recipe: String,
     #[command(flatten)]
     changes: Changes,
@@ -103,9 +94,8 @@ pub struct Changes {
 /// # Errors
 /// `CliError::Problems` if the recipe cannot be read, or a change does not apply.
 pub fn recipe_text(named: &str, changes: &Changes) -> Result<String, CliError> {
-    let carried = CARRIED.iter().find(|(name, _)| *name == named);
-    let text = match carried {
-        Some((_, text)) => (*text).to_owned(),
+    let text = match carried::text(RECIPES, named) {
+        Some(text) => text.to_owned(),
         None => read_input(Path::new(named))?,
     };
     let unread = |error: toml::de::Error| {

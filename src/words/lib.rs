@@ -1,6 +1,8 @@
-//! The shared types: time, random numbers, keys, records of a run, rejected values, new files.
+//! The shared types: time, random numbers, keys, records of a run, rejected values, new files;
+//! and the files that the program carries.
 //! Uses: no other chapter. Never: devices, the database, HTTP; files, except in `new_file`.
 
+pub mod carried;
 pub mod chance;
 pub mod clock;
 pub mod commit;

@@ -8,8 +8,10 @@ use clap::{Args, Subcommand};
 
 use super::error::CliError;
 use super::files::write;
-use crate::evaluate::request::{EvaluationRequest, FramesRead, Scored};
+use super::infer::methods;
+use crate::evaluate::request::{EvaluationRequest, FramesRead};
 use crate::ids::CalibrationId;
+use crate::infer::methods::Method;
 use crate::studies::budget::{Budget, R2S};
 use crate::studies::factorial::fig_11;
 use crate::studies::maps::table_iv;
@@ -55,9 +57,9 @@ enum What {
 /// Options of `evaluate method`.
 #[derive(Debug, Clone, Args)]
 struct MethodArgs {
-    /// Method: paper, fast, exact, tikhonov or noser.
-    #[arg(value_name = "METHOD", value_parser = scored)]
-    method: Scored,
+    /// Method.
+    #[arg(value_name = "METHOD", value_parser = methods(Method::ALL.into_iter()))]
+    method: Method,
     /// Name or id of a dataset.
     #[arg(long, value_name = "NAME", default_value = "real-unseen")]
     dataset: String,
@@ -173,12 +175,6 @@ impl MethodArgs {
             ..budget.request(self.method, &self.dataset, self.part.as_deref())
         }
     }
-}
-
-fn scored(name: &str) -> Result<Scored, String> {
-    let found = Scored::METHODS.into_iter().find(|(known, _)| *known == name);
-    let names = || Scored::METHODS.map(|(name, _)| name).join(", ");
-    found.map(|(_, scored)| scored).ok_or_else(|| format!("must be {}", names()))
 }
 
 /// Writes files to a folder, and creates it.

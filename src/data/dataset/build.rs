@@ -243,7 +243,7 @@ impl Tally {
 
 /// The unfinished file of a dataset, and the hash of its rows.
 struct Encoder {
-    parquet: Stream<NewFile>,
+    parquet: Stream<'static, NewFile>,
     rows: StreamWriter<Hashing>,
 }
 

@@ -1,28 +1,16 @@
 //! The definition of a dataset: which runs, how they are labelled, filtered and split.
-//! PURE. Uses: `problem`, `syntax`, `store`'s conditions and labels. Never: files, rows.
+//! PURE. Uses: `carried`, `problem`, `syntax`, `store`'s conditions and labels. Never: files, rows.
 //!
 //! The four datasets of the paper (Table II) are ordinary definition files, built into the binary.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use crate::carried::{self, DATASETS};
 use crate::ids::DatasetId;
 use crate::problem::{Checks, Problem};
 use crate::store::{Condition, Label, RunKind};
 use crate::syntax::syntax_problem;
-
-/// The built-in definitions: name and text.
-const BUILT_IN: [(&str, &str); 6] = [
-    ("real", include_str!("../../../experiments/datasets/real.toml")),
-    ("real-untouched", include_str!("../../../experiments/datasets/real-untouched.toml")),
-    ("r2s-transfer", include_str!("../../../experiments/datasets/r2s-transfer.toml")),
-    (
-        "r2s-transfer-by-trial",
-        include_str!("../../../experiments/datasets/r2s-transfer-by-trial.toml"),
-    ),
-    ("s2s-recon", include_str!("../../../experiments/datasets/s2s-recon.toml")),
-    ("real-unseen", include_str!("../../../experiments/datasets/real-unseen.toml")),
-];
 
 /// Largest number of runs, counts, conditions or folders of one definition.
 const LIST_MAX: usize = 1000;
@@ -156,13 +144,12 @@ pub struct Definition {
 impl Definition {
     /// The built-in definition of this name.
     pub fn built_in(name: &str) -> Option<Self> {
-        let (_, text) = BUILT_IN.iter().find(|(known, _)| *known == name)?;
-        toml::from_str(text).ok()
+        toml::from_str(carried::text(DATASETS, name)?).ok()
     }
 
     /// Names of the built-in definitions.
     pub fn built_in_names() -> impl Iterator<Item = &'static str> {
-        BUILT_IN.iter().map(|(name, _)| *name)
+        carried::names(DATASETS)
     }
 
     /// The definition of all trials of one run with all columns, made when the run ends.

@@ -9,6 +9,7 @@ use std::sync::atomic::Ordering;
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
+use utoipa::openapi::schema::{Object, ObjectBuilder, Type};
 
 use super::build::Progress;
 use super::error::DatasetError;
@@ -31,8 +32,8 @@ const NAME_DIGITS: usize = 24;
 pub struct ExportRequest {
     /// Id of a dataset, or a name, which stands for the dataset at the begin of the export.
     pub dataset: String,
-    /// `parquet`, `arrow`, `csv`, `ndjson` or `npz`.
-    #[schema(value_type = String)]
+    /// Format of the file.
+    #[schema(schema_with = format_schema)]
     pub format: Format,
     /// Columns, in this order; empty: all columns.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -46,6 +47,16 @@ pub struct ExportRequest {
     /// Only these values of each frame, as `FIRST:END`, end excluded: `0:28`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub slice: Option<String>,
+}
+
+/// Names of all formats, for the API description.
+fn format_schema() -> Object {
+    let about = Format::ALL.map(|format| format!("- `{format}`: {}", format.about()));
+    ObjectBuilder::new()
+        .schema_type(Type::String)
+        .description(Some(format!("Format of the file:\n\n{}", about.join("\n"))))
+        .enum_values(Some(Format::ALL.map(Format::name)))
+        .build()
 }
 
 impl ExportRequest {

@@ -13,7 +13,7 @@ use super::App;
 use super::audit::Act;
 use super::params::{FileParams, RowsParams};
 use super::problem::{ApiError, Body, Path, ProblemBody};
-use super::query::{file_query, rows_query};
+use super::query::{file_query, for_pages, rows_query};
 use super::send::{self, Download};
 use crate::dataset::definition::Definition;
 use crate::dataset::error::DatasetError;
@@ -211,13 +211,7 @@ pub async fn rows(
 ) -> Result<Response, ApiError> {
     let requested = rows_query(&pairs).map_err(ApiError::bad_query)?;
     let format = requested.format.or_else(|| send::accepted(&headers));
-    if format == Some(Format::Npz) {
-        let limit = "must be json, ndjson, csv, parquet or arrow for pages; npz is at \
-                     /api/v1/data/NAME.npz";
-        return Err(ApiError::bad_query(vec![crate::problem::Problem::new(
-            "query", "format", "npz", limit,
-        )]));
-    }
+    format.map_or(Ok(()), for_pages).map_err(ApiError::bad_query)?;
     let row = app.datasets.resolve(&dataset).await?;
     let catalog = app.datasets.clone();
     let reading = tokio::task::spawn_blocking(move || {
@@ -253,8 +247,8 @@ pub async fn rows(
 /// name and the file are made if needed. For a large dataset request an export, which shows its
 /// progress.
 #[utoipa::path(get, operation_id = "dataset_file", path = "/api/v1/data/{file}", tag = "datasets",
-    params(("file" = String, Path, description = "ID_OR_NAME.parquet|arrow|csv|ndjson|npz"),
-        FileParams),
+    params(("file" = String, Path,
+        description = "ID_OR_NAME.FORMAT, with a format of `ExportRequest`"), FileParams),
     responses((status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 206, body = Vec<u8>, content_type = "application/octet-stream"),
         (status = 304),

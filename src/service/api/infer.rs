@@ -47,7 +47,7 @@ const SEND: Duration = Duration::from_secs(5);
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct InferOptions {
-    /// Method: `paper`, `fast` or `exact`.
+    /// Method.
     #[param(inline)]
     pub method: Method,
     /// Id or name of a model to use instead of the serving one.
@@ -218,7 +218,7 @@ async fn received(
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct LiveParams {
-    /// Method; absent: the first of `exact`, `fast` and `paper` for which a model serves.
+    /// Method; absent: the best one for which models serve.
     #[param(inline)]
     pub method: Option<Method>,
     /// Include the force map: the output of the net, or for `fast` and `exact` the contacts
@@ -306,7 +306,7 @@ impl Default for Turns {
 }
 
 fn best(pipeline: &Pipeline) -> Option<Method> {
-    Method::ALL.into_iter().rev().find(|method| pipeline.ready(*method).is_ok())
+    Method::served().rev().find(|method| pipeline.ready(*method).is_ok())
 }
 
 async fn follow(app: &App, mut socket: WebSocket, method: Method, map: bool) {

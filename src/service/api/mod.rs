@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use axum::http::Method;
 use axum::middleware::{from_fn, from_fn_with_state};
-use axum::routing::{get, post};
+use axum::routing::post;
 use jiff::Timestamp;
 use sim_core::calibration::Calibration;
 use sim_core::sensor::Sensor;
@@ -244,8 +244,7 @@ fn router(app: App) -> axum::Router {
     of(|access| matches!(access, Access::From(_)))
         .route_layer(from_fn_with_state(app.clone(), guard::admit))
         .merge(of(|access| access == Access::Open))
-        .route("/", get(page::first))
-        .route("/openapi.json", get(page::description))
+        .merge(page::routes())
         .fallback(page::unknown)
         .method_not_allowed_fallback(page::wrong_method)
         .layer(from_fn(guard::harden))

@@ -6,7 +6,7 @@ use axum::extract::State;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use serde_json::{Value, json};
 use utoipa::ToSchema;
 
 use super::App;
@@ -15,11 +15,13 @@ use super::form::Form;
 use super::jobs::ndjson;
 use super::limits::{MODEL_MAX_BYTES, WHO_MAX_CHARS};
 use super::problem::{ApiError, Body, Path, ProblemBody, Text};
+use crate::evaluate::request::Scored;
 use crate::ids::{CalibrationId, ModelId, PromotedId};
 use crate::infer::registry::{NewModel, facts};
 use crate::infer::slot::Slot;
 use crate::learn::model_file::{ModelFacts, manifest_for_foreign};
 use crate::learn::residuals::Residuals;
+use crate::learn::task::NetTask;
 use crate::problem::Problem;
 use crate::store::ModelRow;
 use crate::syntax::syntax_problem;
@@ -337,14 +339,11 @@ pub async fn roll_back(
 /// True if a report is a score of a model of this task: by a method that uses the task, on rows
 /// outside its training, and not a report of examples only.
 fn is_score(task: &str, report: &Value) -> bool {
-    let methods: &[&str] = match task {
-        "transfer" => &["voltages", "paper"],
-        "points" => &["fast"],
-        _ => &["paper"],
-    };
+    let task = NetTask::deserialize(json!(task)).ok();
+    let scored = Scored::deserialize(&report["scored"]).ok();
     let trained_on = report["held_out"] == false
         || matches!(report["part"].as_str(), Some("train" | "validation"));
-    let is_for = report["scored"].as_str().is_some_and(|scored| methods.contains(&scored));
+    let is_for = scored.zip(task).is_some_and(|(scored, task)| scored.rates(Slot::of(task)));
     is_for && !trained_on && report["examples"].is_null()
 }
 

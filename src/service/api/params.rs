@@ -47,6 +47,12 @@ impl IntoParams for FileParams {
     }
 }
 
+/// Names of the formats of a page: JSON, and the row formats.
+pub fn page_formats() -> Vec<&'static str> {
+    let formats = Format::ALL.into_iter().filter(|format| format.streams()).map(Format::name);
+    ["json"].into_iter().chain(formats).collect()
+}
+
 /// Parameters of every selection of rows: conditions, columns and slice.
 fn selected(has: fn(&Column) -> bool) -> Vec<Parameter> {
     let comparable = table::names(|column| has(column) && column.kind() != Kind::List);
@@ -80,9 +86,7 @@ fn meanings(has: fn(&Column) -> bool) -> String {
 }
 
 fn page(cursor: &str) -> [Parameter; 3] {
-    let formats = Format::ALL.into_iter().filter(|format| format.streams()).map(Format::name);
-    let formats: Vec<&str> = ["json"].into_iter().chain(formats).collect();
-    let format = ObjectBuilder::new().schema_type(Type::String).enum_values(Some(formats));
+    let format = ObjectBuilder::new().schema_type(Type::String).enum_values(Some(page_formats()));
     let limit = ObjectBuilder::new()
         .schema_type(Type::Integer)
         .minimum(Some(1))

@@ -4,6 +4,7 @@
 
 use super::audit::cut;
 use super::limits::{CONDITIONS_MAX, VALUES_MAX};
+use super::params::page_formats;
 use crate::dataset::format::Format;
 use crate::dataset::select::Wanted;
 use crate::dataset::sort::Sort;
@@ -105,6 +106,22 @@ pub fn file_query(pairs: &[(String, String)]) -> Result<Wanted, Vec<Problem>> {
         return Err(vec![Problem::new("query", key, value, limit)]);
     }
     rows_query(pairs).map(|request| request.wanted)
+}
+
+/// Checks that a page can be written in a format, row by row.
+///
+/// # Errors
+/// A problem that lists the formats of pages.
+pub fn for_pages(format: Format) -> Result<(), Vec<Problem>> {
+    if format.streams() {
+        return Ok(());
+    }
+    let limit = format!(
+        "must be one of {} for pages; a dataset as {format} is at /api/v1/data/NAME.{}",
+        page_formats().join(", "),
+        format.extension()
+    );
+    Err(vec![Problem::new("query", "format", format.name(), limit)])
 }
 
 /// Applies `apply` to each pair and collects the problems.

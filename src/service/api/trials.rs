@@ -18,7 +18,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::params::TrialParams;
 use super::problem::{ApiError, Path, ProblemBody};
-use super::query::{TrialsRequest, trial_query};
+use super::query::{TrialsRequest, for_pages, trial_query};
 use super::runs::find;
 use super::send;
 use crate::dataset::batch::{self, Row};
@@ -28,7 +28,6 @@ use crate::dataset::schema;
 use crate::dataset::select::{Selection, Wanted};
 use crate::ids::{RunUid, TrialId};
 use crate::journal::error_chain;
-use crate::problem::Problem;
 use crate::store::table::{Column, Of};
 use crate::store::{Order, TrialQuery, TrialRow};
 
@@ -186,10 +185,7 @@ async fn table(
     wanted: &Wanted,
     format: Format,
 ) -> Result<Table, ApiError> {
-    if format == Format::Npz {
-        let limit = "must be json, ndjson, csv, parquet or arrow for pages";
-        return Err(ApiError::bad_query(vec![Problem::new("query", "format", "npz", limit)]));
-    }
+    for_pages(format).map_err(ApiError::bad_query)?;
     let CheckedPage { ids, next, table, selection, with_voltages } =
         checked(app, &query, wanted).await?;
     let next = next.map(|next| next.to_string());

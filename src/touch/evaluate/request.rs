@@ -1,16 +1,20 @@
 //! Request and report of an evaluation.
-//! PURE. Uses: `evaluate::{score, voltages}`, `infer::answer`. Never: models, rows.
+//! PURE. Uses: `evaluate::{score, voltages}`, `infer::{answer, methods, slot}`. Never: models, rows.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
+use utoipa::openapi::RefOr;
+use utoipa::openapi::schema::Schema;
+use utoipa::{PartialSchema, ToSchema};
 
 use super::anova::Moments;
 use super::score::Scores;
 use super::voltages::VoltageScores;
 use crate::ids::{CalibrationId, DatasetId, ModelId};
 use crate::infer::answer::Reading;
+use crate::infer::methods::{Method, names};
+use crate::infer::slot::Slot;
 use crate::problem::{Checks, Problem};
 use crate::store::Contact;
 
@@ -20,34 +24,92 @@ fn threshold_n() -> f64 {
 }
 
 /// Method or values that are scored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "&'static str")]
 pub enum Scored {
     /// Voltages of a Transfer-Net (or the measured ones) compared with simulated ones (paper, Table
     /// III).
     Voltages,
-    /// Contacts of `transfer` (if needed) and `map`.
-    Paper,
-    /// Contacts of `points`.
-    Fast,
-    /// Contacts fitted through the exact model of `skin`.
-    Exact,
-    /// Peaks of the one-step reconstruction with Tikhonov's regularisation.
-    Tikhonov,
-    /// Peaks of the one-step reconstruction with NOSER's.
-    Noser,
+    /// Contacts of a method.
+    Method(Method),
 }
 
 impl Scored {
-    /// The methods from a frame to contacts, with their names in commands.
-    pub const METHODS: [(&'static str, Self); 5] = [
-        ("paper", Self::Paper),
-        ("fast", Self::Fast),
-        ("exact", Self::Exact),
-        ("tikhonov", Self::Tikhonov),
-        ("noser", Self::Noser),
-    ];
+    /// All that can be scored.
+    pub fn all() -> impl Iterator<Item = Self> {
+        [Self::Voltages].into_iter().chain(Method::ALL.into_iter().map(Self::Method))
+    }
+
+    /// Name in requests and reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Voltages => "voltages",
+            Self::Method(method) => method.name(),
+        }
+    }
+
+    /// The slots of the models that it uses.
+    pub fn slots(self) -> &'static [Slot] {
+        match self {
+            Self::Voltages => &[Slot::Transfer],
+            Self::Method(method) => method.slots(),
+        }
+    }
+
+    /// Whether its scores describe the net in a slot. A fit only starts from a net's proposals.
+    pub fn rates(self, slot: Slot) -> bool {
+        self.slots().contains(&slot) && !self.is_fit()
+    }
+
+    /// The slots whose model a request must name.
+    fn named_slots(self) -> &'static [Slot] {
+        match self {
+            Self::Voltages => &[],
+            Self::Method(method) => method.named_slots(),
+        }
+    }
+
+    fn is_fit(self) -> bool {
+        matches!(self, Self::Method(method) if method.is_fit())
+    }
 }
+
+impl From<Method> for Scored {
+    fn from(method: Method) -> Self {
+        Self::Method(method)
+    }
+}
+
+/// The name is not of a method or of voltages.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "scored = {name}: must be one of {}",
+    Scored::all().map(Scored::name).collect::<Vec<_>>().join(", "),
+    name = .0,
+)]
+pub struct UnknownScored(String);
+
+impl TryFrom<String> for Scored {
+    type Error = UnknownScored;
+
+    fn try_from(name: String) -> Result<Self, UnknownScored> {
+        Self::all().find(|scored| scored.name() == name).ok_or(UnknownScored(name))
+    }
+}
+
+impl From<Scored> for &'static str {
+    fn from(scored: Scored) -> Self {
+        scored.name()
+    }
+}
+
+impl PartialSchema for Scored {
+    fn schema() -> RefOr<Schema> {
+        names("Method or values that are scored.", Self::all().map(Self::name).collect())
+    }
+}
+
+impl ToSchema for Scored {}
 
 /// Frame of a trial that is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
@@ -122,21 +184,31 @@ impl EvaluationRequest {
         let parts = crate::dataset::split::Part::ALL.map(|part| part.name());
         checks.require(parts.contains(&part), "part", part, "must be train, validation or test");
         checks.within("threshold_n", self.threshold_n, 0.0, 1000.0);
-        let needs = |key, there: bool, wanted: bool, checks: &mut Checks<'_>| {
-            let limit = format!("must be set for {:?}, and only where it is used", self.scored);
-            checks.require(there == wanted, key, if there { "named" } else { "none" }, &limit);
-        };
-        needs("map", self.map.is_some(), self.scored == Scored::Paper, &mut checks);
-        if self.scored == Scored::Fast {
-            needs("points", self.points.is_some(), true, &mut checks);
+        let scored = self.scored.name();
+        for (slot, is_set) in [
+            (Slot::Transfer, self.transfer.is_some()),
+            (Slot::Map, self.map.is_some()),
+            (Slot::Points, self.points.is_some()),
+            (Slot::Skin, self.skin.is_some()),
+        ] {
+            let used = self.scored.slots().contains(&slot);
+            let unused = format!("must be absent for {scored}, which does not use it");
+            checks.require(used || !is_set, slot.name(), "named", &unused);
+            let missing = self.scored.named_slots().contains(&slot) && !is_set;
+            checks.require(!missing, slot.name(), "none", &format!("must be set for {scored}"));
         }
         if let Some(limit_mm) = self.place_sd_mm {
             checks.within("place_sd_mm", limit_mm, 1.0, 1000.0);
-            needs("place_sd_mm", true, self.scored == Scored::Exact, &mut checks);
+            let unused =
+                format!("must be absent for {scored}, which states no standard deviations");
+            checks.require(self.scored.is_fit(), "place_sd_mm", limit_mm, &unused);
         }
         checks.require(self.limit != Some(0), "limit", 0, "must be at least 1, or absent");
         let few = self.examples <= EXAMPLES_MAX;
         checks.require(few, "examples", self.examples, &format!("must be 0..{EXAMPLES_MAX}"));
+        let unused = "must be 0 for voltages, which have no readings";
+        let has_readings = self.scored != Scored::Voltages;
+        checks.require(has_readings || self.examples == 0, "examples", self.examples, unused);
         checks.done()
     }
 }
@@ -213,4 +285,52 @@ pub struct Example {
     pub truth: Vec<Contact>,
     /// Answer of the method.
     pub reading: Reading,
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    /// Keys of the problems of a request.
+    fn problems(scored: Scored, more: serde_json::Value) -> Vec<String> {
+        let mut request = json!({ "scored": scored, "dataset": "real" });
+        request.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+        let request: EvaluationRequest = serde_json::from_value(request).unwrap();
+        request.check().err().into_iter().flatten().map(|problem| problem.key).collect()
+    }
+
+    #[test]
+    fn a_model_without_use_is_named_and_so_is_a_missing_one() {
+        let every = json!({ "transfer": "t", "map": "m", "points": "p", "skin": "cal-1" });
+        for scored in Scored::all() {
+            let unused: Vec<&str> = Slot::ALL
+                .into_iter()
+                .filter(|slot| !scored.slots().contains(slot))
+                .map(Slot::name)
+                .collect();
+            assert_eq!(problems(scored, every.clone()), unused, "{scored:?}");
+            let missing: Vec<&str> = scored.named_slots().iter().map(|slot| slot.name()).collect();
+            assert_eq!(problems(scored, json!({})), missing, "{scored:?}");
+        }
+    }
+
+    #[test]
+    fn values_without_use_are_named() {
+        let place = json!({ "place_sd_mm": 30.0, "points": "p" });
+        assert_eq!(problems(Method::Fast.into(), place.clone()), ["place_sd_mm"]);
+        assert_eq!(problems(Method::Exact.into(), place), Vec::<String>::new());
+        assert_eq!(problems(Scored::Voltages, json!({ "examples": 2 })), ["examples"]);
+    }
+
+    #[test]
+    fn only_methods_that_serve_are_read_as_a_method() {
+        for method in Method::ALL {
+            let name = json!(method.name());
+            assert_eq!(serde_json::from_value::<Scored>(name.clone()).unwrap(), method.into());
+            let served = serde_json::from_value::<Method>(name).ok();
+            assert_eq!(served, Method::served().find(|m| *m == method));
+        }
+    }
 }

@@ -6,22 +6,17 @@ use std::sync::Arc;
 use super::answer::Reading;
 use super::error::InferError;
 use super::maps::draw;
-use super::methods::exact::{ExactPipeline, ExactSkin, Tracked};
+use super::methods::exact::{ExactSkin, Tracked};
 use super::methods::fast::PointPipeline;
-use super::methods::paper::MapPipeline;
-use super::methods::{Method, ReadyMethod};
+use super::methods::{Method, Models, ReadyMethod};
 use super::registry::Model;
 use super::slot::Slot;
-use crate::dataset::force_map::peaks::THRESHOLD_N;
 use crate::learn::task::Reads;
 
 /// The models of all methods; a method without its models returns an error that names them.
 #[derive(Debug, Clone, Default)]
 pub struct Pipeline {
-    transfer: Option<Arc<Model>>,
-    map: Option<Arc<Model>>,
-    points: Option<PointPipeline>,
-    skin: Option<Arc<ExactSkin>>,
+    models: Models,
 }
 
 /// Answers, and the models that gave them.
@@ -41,58 +36,49 @@ impl Pipeline {
     /// `InferError::OtherTask` if the net does not fit its slot.
     pub fn with(mut self, model: Arc<Model>) -> Result<Self, InferError> {
         match Slot::of(model.manifest.model.task) {
-            Slot::Transfer => self.transfer = Some(model),
-            Slot::Points => self.points = Some(PointPipeline::new(model)?),
-            Slot::Map | Slot::Skin => self.map = Some(model),
+            Slot::Transfer => self.models.transfer = Some(model),
+            Slot::Points => self.models.points = Some(PointPipeline::new(model)?),
+            Slot::Map | Slot::Skin => self.models.map = Some(model),
         }
         Ok(self)
     }
 
     /// Returns the pipeline with a skin, or without one.
     pub fn with_skin(mut self, skin: Option<Arc<ExactSkin>>) -> Self {
-        self.skin = skin;
+        self.models.skin = skin;
         self
     }
 
     /// The skin that serves.
     pub fn skin(&self) -> Option<&Arc<ExactSkin>> {
-        self.skin.as_ref()
+        self.models.skin.as_ref()
     }
 
     /// Returns the pipeline with an empty slot.
     pub fn without(mut self, slot: Slot) -> Self {
         match slot {
-            Slot::Transfer => self.transfer = None,
-            Slot::Map => self.map = None,
-            Slot::Points => self.points = None,
-            Slot::Skin => self.skin = None,
+            Slot::Transfer => self.models.transfer = None,
+            Slot::Map => self.models.map = None,
+            Slot::Points => self.models.points = None,
+            Slot::Skin => self.models.skin = None,
         }
         self
     }
 
-    /// Returns a method with its models.
+    /// Returns a method with its models, for measured frames.
     ///
     /// # Errors
     /// `InferError::NotServed` if a model is missing; `Map` if a map does not fit the skin.
     pub fn ready(&self, method: Method) -> Result<Box<dyn ReadyMethod>, InferError> {
-        let lacks = |needs| InferError::NotServed { method: method.name(), needs };
-        Ok(match method {
-            Method::Paper => {
-                let map = self.map.clone().ok_or_else(|| lacks("recon-net or end-to-end net"))?;
-                let transfer = match map.manifest.model.task.reads() {
-                    Reads::Measured => None,
-                    Reads::Simulated => {
-                        Some(self.transfer.clone().ok_or_else(|| lacks("transfer-net"))?)
-                    }
-                };
-                Box::new(MapPipeline::new(transfer, map, THRESHOLD_N)?)
-            }
-            Method::Fast => Box::new(self.points.clone().ok_or_else(|| lacks("point-net"))?),
-            Method::Exact => {
-                let skin = self.skin.clone().ok_or_else(|| lacks("skin"))?;
-                Box::new(ExactPipeline { skin, points: self.points.clone() })
-            }
-        })
+        let mut models = self.models.clone();
+        // The Transfer-Net remains promoted while an end-to-end net serves, which does not use it.
+        let reads = models.map.as_ref().map(|map| map.manifest.model.task.reads());
+        models.transfer = models.transfer.filter(|_| reads != Some(Reads::Measured));
+        let ready = method.ready(&models)?;
+        if ready.reads() == Reads::Simulated {
+            return Err(InferError::NotServed { method: method.name(), needs: "transfer-net" });
+        }
+        Ok(ready)
     }
 
     /// Answers frames (V, one after the other), each the mean of `averaged` frames.

@@ -6,7 +6,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::Value;
-use sim_core::inverse::linear::Regularisation;
 use sim_core::stats::{quantile, sorted};
 
 use super::error::JobError;
@@ -25,12 +24,10 @@ use crate::evaluate::voltages::VoltageScores;
 use crate::ids::{CalibrationId, DatasetId};
 use crate::infer::answer::FoundContact;
 use crate::infer::error::InferError;
-use crate::infer::methods::ReadyMethod;
-use crate::infer::methods::exact::ExactPipeline;
 use crate::infer::methods::fast::PointPipeline;
-use crate::infer::methods::one_step::OneStepPipeline;
-use crate::infer::methods::paper::MapPipeline;
+use crate::infer::methods::{Models, ReadyMethod};
 use crate::infer::registry::Model;
+use crate::infer::slot::Slot;
 use crate::learn::error::LearnError;
 use crate::learn::examples::{MEASURED, SIMULATED};
 use crate::learn::task::Reads;
@@ -132,35 +129,27 @@ async fn reader(jobs: &Jobs, request: &EvaluationRequest) -> Result<Reader, JobE
         Some(name) => models.load(name).await.map(Some),
         None => Ok(None),
     };
-    let transfer = load(&request.transfer).await?;
-    let points = load(&request.points).await?.map(PointPipeline::new).transpose()?;
-    let none = || InferError::NoModel("none".into());
-    let method: Box<dyn ReadyMethod> = match request.scored {
-        Scored::Voltages => return Ok(Reader::Voltages(transfer)),
-        Scored::Paper => {
-            let map = load(&request.map).await?.ok_or_else(none)?;
-            Box::new(MapPipeline::new(transfer, map, request.threshold_n)?)
-        }
-        Scored::Fast => Box::new(points.ok_or_else(none)?),
-        Scored::Exact => {
-            let calibration = skin(jobs, request).await?;
-            // The preparation of a skin takes most of a minute: it is reused.
-            jobs.inner.serving.once_restored(None).await;
-            let skin = jobs.inner.serving.skin(calibration.as_ref()).await?;
-            Box::new(ExactPipeline { skin, points })
-        }
-        Scored::Tikhonov | Scored::Noser => {
-            let model = jobs.inner.serving.model(skin(jobs, request).await?.as_ref()).await?;
-            let kind = match request.scored {
-                Scored::Noser => Regularisation::Noser,
-                _ => Regularisation::Tikhonov,
-            };
-            let threshold_n = request.threshold_n;
-            let ready = move || OneStepPipeline::new(&model, kind, threshold_n);
-            Box::new(background(ready).await??)
-        }
+    let mut ready = Models {
+        transfer: load(&request.transfer).await?,
+        map: load(&request.map).await?,
+        points: load(&request.points).await?.map(PointPipeline::new).transpose()?,
+        threshold_n: request.threshold_n,
+        ..Models::default()
     };
-    Ok(Reader::Contacts(method))
+    let Scored::Method(method) = request.scored else {
+        return Ok(Reader::Voltages(ready.transfer));
+    };
+    if method.slots().contains(&Slot::Skin) {
+        let (serving, calibration) = (&jobs.inner.serving, skin(jobs, request).await?);
+        if method.is_fit() {
+            // The preparation of a skin takes most of a minute: it is reused.
+            serving.once_restored(None).await;
+            ready.skin = Some(serving.skin(calibration.as_ref()).await?);
+        } else {
+            ready.forward = Some(Arc::new(serving.model(calibration.as_ref()).await?));
+        }
+    }
+    Ok(Reader::Contacts(background(move || method.ready(&ready)).await??))
 }
 
 /// Whether none of the scored rows can have been used to train a net of the reader.

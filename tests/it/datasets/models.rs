@@ -91,6 +91,12 @@ async fn nets_are_trained_scored_promoted_and_asked() {
     assert_eq!(report["contacts"]["all"]["trials"], report["rows"]);
     // The true contacts of this run lie far apart: a perfect map finds nearly all of them.
     assert!(report["perfect"]["all"]["exact_rate"]["mean"].as_f64().unwrap() > 0.8, "{report:#}");
+    // An end-to-end net reads the measured frames: a Transfer-Net before it has no use.
+    let both = json!({ "scored": "paper", "dataset": "real", "transfer": transfer, "map": maps });
+    let (_, job) = lab.post("/api/v1/evaluations", both).await;
+    let failed = lab.job(&job).await;
+    let words = format!("transfer = {transfer}: must be absent");
+    assert!(failed["error"].as_str().is_some_and(|error| error.contains(&words)), "{failed}");
     let shown = json!({ "scored": "paper", "dataset": "real", "map": maps, "limit": 2,
         "examples": 2 });
     let shown = lab.scored(shown).await;
@@ -214,6 +220,10 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
         .await;
     assert_eq!(status, 422);
     assert!(body["detail"].as_str().unwrap().contains("part = some"), "{body}");
+    let unused = json!({ "scored": "tikhonov", "dataset": "real", "points": "any" });
+    let (status, body) = lab.post("/api/v1/evaluations", unused).await;
+    assert_eq!(status, 422);
+    assert!(body["detail"].as_str().unwrap().contains("points = named"), "{body}");
 
     let frame = vec![0.0; 784];
     for (frames, words) in [

@@ -1,5 +1,6 @@
 //! Pages, columns, slices and maps; and what a query gets wrong.
 
+use palpate::dataset::format::Format;
 use serde_json::Value;
 
 use super::filled::Filled;
@@ -96,13 +97,21 @@ async fn stored_trials_come_in_every_format() {
     let rows: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(rows.iter().map(|r| r["trial_id"].as_i64().unwrap()).collect::<Vec<_>>(), ids);
     assert_eq!(rows[0].as_object().unwrap().len(), 2);
-    for (format, starts) in
-        [("parquet", &b"PAR1"[..]), ("arrow", b"\xff\xff\xff\xff"), ("csv", b"trial_id,run,")]
-    {
+    for format in Format::ALL {
         let answer = lab.answer(&format!("{path}&voltages=true&format={format}")).await;
-        assert!(answer.status().is_success());
+        assert_eq!(answer.status().is_success(), format.streams(), "{format}");
+        if !format.streams() {
+            continue;
+        }
+        assert_eq!(answer.headers()["content-type"], format.media_type());
         let bytes = answer.bytes().await.unwrap();
-        assert!(bytes.starts_with(starts), "{format}");
+        let starts = match format {
+            Format::Parquet => &b"PAR1"[..],
+            Format::Arrow => b"\xff\xff\xff\xff",
+            Format::Csv => b"trial_id,run,",
+            _ => b"",
+        };
+        assert!(!bytes.is_empty() && bytes.starts_with(starts), "{format}");
     }
     let backwards = lab.get(&format!("{path}&sort=-trial_id&columns=trial_id")).await;
     let backwards = backwards["trials"][0]["trial_id"].as_i64().unwrap();

@@ -23,14 +23,17 @@ use std::str::FromStr;
 
 use ::parquet::errors::ParquetError;
 use arrow_array::RecordBatch;
+use arrow_ipc::writer::StreamWriter;
+use arrow_json::LineDelimitedWriter;
 use arrow_schema::{ArrowError, DataType, SchemaRef};
 use serde::{Deserialize, Serialize};
 use zip::result::ZipError;
 
 pub use columns::rows_per_batch;
+use stream::RowWriter;
 pub use stream::Stream;
 
-/// File format of rows.
+/// File format of rows. A new format is a variant with its row in the list, and its writer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Format {
@@ -49,43 +52,98 @@ pub enum Format {
     Npz,
 }
 
+/// A row of the list of formats.
+struct Row {
+    name: &'static str,
+    extension: &'static str,
+    media_type: &'static str,
+    about: &'static str,
+    streams: bool,
+}
+
 impl Format {
     /// All formats, in the order in which messages list them.
     pub const ALL: [Self; 5] = [Self::Parquet, Self::Arrow, Self::Csv, Self::Ndjson, Self::Npz];
 
+    /// The list of formats. Messages, commands, HTTP and `openapi.yaml` follow from it.
+    fn row(self) -> Row {
+        match self {
+            Self::Parquet => Row {
+                name: "parquet",
+                extension: "parquet",
+                media_type: "application/vnd.apache.parquet",
+                about: "Apache Parquet, compressed with zstd",
+                streams: true,
+            },
+            Self::Arrow => Row {
+                name: "arrow",
+                extension: "arrows",
+                media_type: "application/vnd.apache.arrow.stream",
+                about: "Arrow IPC stream, uncompressed",
+                streams: true,
+            },
+            Self::Csv => Row {
+                name: "csv",
+                extension: "csv",
+                media_type: "text/csv; charset=utf-8; header=present",
+                about: "CSV (RFC 4180) with a header line",
+                streams: true,
+            },
+            Self::Ndjson => Row {
+                name: "ndjson",
+                extension: "ndjson",
+                media_type: "application/x-ndjson",
+                about: "a JSON object per line, without missing values",
+                streams: true,
+            },
+            Self::Npz => Row {
+                name: "npz",
+                extension: "npz",
+                media_type: "application/zip",
+                about: "NumPy arrays, one per column",
+                streams: false,
+            },
+        }
+    }
+
+    /// Starts an output in a row format, and writes its header, if it has one.
+    fn writer<'w, W: Write + Send + 'w>(
+        self,
+        schema: &SchemaRef,
+        out: W,
+    ) -> Result<Box<dyn RowWriter<W> + 'w>, FormatError> {
+        Ok(match self {
+            Self::Parquet => Box::new(parquet::Writer::new(schema, out)?),
+            Self::Arrow => Box::new(StreamWriter::try_new(out, schema)?),
+            Self::Csv => Box::new(csv::Writer::new(schema, out)?),
+            Self::Ndjson => Box::new(LineDelimitedWriter::new(out)),
+            Self::Npz => return Err(FormatError::NotAStream),
+        })
+    }
+
     /// Name in queries and commands.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Parquet => "parquet",
-            Self::Arrow => "arrow",
-            Self::Csv => "csv",
-            Self::Ndjson => "ndjson",
-            Self::Npz => "npz",
-        }
+        self.row().name
     }
 
     /// Extension of file names, without the dot.
     pub fn extension(self) -> &'static str {
-        match self {
-            Self::Arrow => "arrows",
-            Self::Parquet | Self::Csv | Self::Ndjson | Self::Npz => self.name(),
-        }
+        self.row().extension
     }
 
     /// Media type in HTTP.
     pub fn media_type(self) -> &'static str {
-        match self {
-            Self::Parquet => "application/vnd.apache.parquet",
-            Self::Arrow => "application/vnd.apache.arrow.stream",
-            Self::Csv => "text/csv; charset=utf-8; header=present",
-            Self::Ndjson => "application/x-ndjson",
-            Self::Npz => "application/zip",
-        }
+        self.row().media_type
+    }
+
+    /// Description in one line.
+    pub fn about(self) -> &'static str {
+        self.row().about
     }
 
     /// True if rows can be written in one pass: all formats except NPZ.
     pub fn streams(self) -> bool {
-        self != Self::Npz
+        self.row().streams
     }
 }
 
@@ -200,7 +258,7 @@ pub fn write(
     out: &mut (impl Write + Send),
     progress: &mut dyn FnMut(u64),
 ) -> Result<(), FormatError> {
-    if format == Format::Npz {
+    if !format.streams() {
         return npz::write(rows, out, progress);
     }
     let mut stream = Stream::new(format, &rows.schema(), out)?;

@@ -11,28 +11,15 @@ use arrow_schema::SchemaRef;
 use super::{Format, FormatError, csv, parquet, zone};
 
 /// Writes batches of one schema in a row format.
-pub struct Stream<W: Write + Send>(Writer<W>);
+pub struct Stream<'w, W: Write + Send>(Box<dyn RowWriter<W> + 'w>);
 
-enum Writer<W: Write + Send> {
-    Parquet(Box<parquet::Writer<W>>),
-    Arrow(StreamWriter<W>),
-    Csv(Box<csv::Writer<W>>),
-    Ndjson(LineDelimitedWriter<W>),
-}
-
-impl<W: Write + Send> Stream<W> {
+impl<'w, W: Write + Send + 'w> Stream<'w, W> {
     /// Starts an output and writes the header, if the format has one.
     ///
     /// # Errors
     /// `FormatError::NotAStream` for NPZ; another variant if the header cannot be written.
     pub fn new(format: Format, schema: &SchemaRef, out: W) -> Result<Self, FormatError> {
-        Ok(Self(match format {
-            Format::Parquet => Writer::Parquet(Box::new(parquet::Writer::new(schema, out)?)),
-            Format::Arrow => Writer::Arrow(StreamWriter::try_new(out, schema)?),
-            Format::Csv => Writer::Csv(Box::new(csv::Writer::new(schema, out)?)),
-            Format::Ndjson => Writer::Ndjson(LineDelimitedWriter::new(out)),
-            Format::Npz => return Err(FormatError::NotAStream),
-        }))
+        Ok(Self(format.writer(schema, out)?))
     }
 
     /// Writes a batch; in Parquet, a row group.
@@ -40,12 +27,7 @@ impl<W: Write + Send> Stream<W> {
     /// # Errors
     /// `FormatError` if the batch cannot be encoded or written.
     pub fn push(&mut self, batch: &RecordBatch) -> Result<(), FormatError> {
-        match &mut self.0 {
-            Writer::Parquet(writer) => writer.push(batch),
-            Writer::Arrow(writer) => Ok(writer.write(batch)?),
-            Writer::Csv(writer) => writer.push(&zone::as_offsets(batch)?),
-            Writer::Ndjson(writer) => Ok(writer.write(&zone::as_offsets(batch)?)?),
-        }
+        self.0.push_batch(batch)
     }
 
     /// Writes the end of the format and returns the output.
@@ -53,14 +35,56 @@ impl<W: Write + Send> Stream<W> {
     /// # Errors
     /// `FormatError` if the output cannot be written.
     pub fn finish(self) -> Result<W, FormatError> {
-        match self.0 {
-            Writer::Parquet(writer) => writer.finish(),
-            Writer::Arrow(writer) => Ok(writer.into_inner()?),
-            Writer::Csv(writer) => writer.finish(),
-            Writer::Ndjson(mut writer) => {
-                writer.finish()?;
-                Ok(writer.into_inner())
-            }
-        }
+        self.0.end()
+    }
+}
+
+/// Writer of a row format, after its header.
+pub(super) trait RowWriter<W>: Send {
+    /// Writes a batch.
+    fn push_batch(&mut self, batch: &RecordBatch) -> Result<(), FormatError>;
+
+    /// Writes the end of the format and returns the output.
+    fn end(self: Box<Self>) -> Result<W, FormatError>;
+}
+
+impl<W: Write + Send> RowWriter<W> for parquet::Writer<W> {
+    fn push_batch(&mut self, batch: &RecordBatch) -> Result<(), FormatError> {
+        self.push(batch)
+    }
+
+    fn end(self: Box<Self>) -> Result<W, FormatError> {
+        self.finish()
+    }
+}
+
+impl<W: Write + Send> RowWriter<W> for StreamWriter<W> {
+    fn push_batch(&mut self, batch: &RecordBatch) -> Result<(), FormatError> {
+        Ok(self.write(batch)?)
+    }
+
+    fn end(self: Box<Self>) -> Result<W, FormatError> {
+        Ok(self.into_inner()?)
+    }
+}
+
+impl<W: Write + Send> RowWriter<W> for csv::Writer<W> {
+    fn push_batch(&mut self, batch: &RecordBatch) -> Result<(), FormatError> {
+        self.push(&zone::as_offsets(batch)?)
+    }
+
+    fn end(self: Box<Self>) -> Result<W, FormatError> {
+        self.finish()
+    }
+}
+
+impl<W: Write + Send> RowWriter<W> for LineDelimitedWriter<W> {
+    fn push_batch(&mut self, batch: &RecordBatch) -> Result<(), FormatError> {
+        Ok(self.write(&zone::as_offsets(batch)?)?)
+    }
+
+    fn end(mut self: Box<Self>) -> Result<W, FormatError> {
+        self.finish()?;
+        Ok(self.into_inner())
     }
 }

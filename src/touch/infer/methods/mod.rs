@@ -1,4 +1,4 @@
-//! The methods from a frame to contacts, one folder each, and what they have in common.
+//! The methods from a frame to contacts, one folder each, their list, and their common parts.
 //! Uses: `infer::{answer, maps, registry, slot}`. Never: what serves (`pipeline`), HTTP.
 
 pub mod paper;
@@ -6,22 +6,33 @@ pub mod fast;
 pub mod exact;
 pub mod one_step;
 
-use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
+use std::sync::Arc;
 
-use self::exact::Tracked;
+use serde::{Deserialize, Serialize};
+use sim_core::forward::ForwardModel;
+use sim_core::inverse::linear::Regularisation;
+use utoipa::openapi::RefOr;
+use utoipa::openapi::schema::{ObjectBuilder, Schema, Type};
+use utoipa::{PartialSchema, ToSchema};
+
+use self::exact::{ExactPipeline, ExactSkin, Tracked};
+use self::fast::PointPipeline;
+use self::one_step::OneStepPipeline;
+use self::paper::MapPipeline;
 use super::answer::Reading;
 use super::error::InferError;
 use super::maps::MAP_1;
 use super::registry::Model;
 use super::slot::Slot;
 use crate::dataset::force_map::ForceMapSpec;
+use crate::dataset::force_map::peaks::THRESHOLD_N;
 use crate::ids::CalibrationId;
 use crate::learn::task::Reads;
 
-/// Method from frames to contacts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "lowercase")]
+/// Method from frames to contacts. As JSON and in `openapi.yaml`: one that serves; evaluations read
+/// all (`evaluate::request::Scored`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "&'static str")]
 pub enum Method {
     /// The paper's method: Transfer-Net, Recon-Net, peaks of the map (V-C).
     Paper,
@@ -29,27 +40,134 @@ pub enum Method {
     Fast,
     /// Contacts fitted to the frame through the exact model.
     Exact,
+    /// Peaks of the one-step reconstruction with Tikhonov's regularisation.
+    Tikhonov,
+    /// Peaks of the one-step reconstruction with NOSER's.
+    Noser,
 }
 
 /// A row of the list of methods.
 struct Row {
     name: &'static str,
+    about: &'static str,
+    /// Slots that it uses.
     slots: &'static [Slot],
+    /// Slots whose model an evaluation must name. A skin that is not named is the serving one.
+    named: &'static [Slot],
     is_fit: bool,
+    serves: bool,
+}
+
+/// Models for a method. It uses those of its slots.
+#[derive(Debug, Clone)]
+pub struct Models {
+    /// A Transfer-Net.
+    pub transfer: Option<Arc<Model>>,
+    /// A net with force maps as answers.
+    pub map: Option<Arc<Model>>,
+    /// A Point-Net.
+    pub points: Option<PointPipeline>,
+    /// A skin that is ready for fits.
+    pub skin: Option<Arc<ExactSkin>>,
+    /// The exact model of a skin, for methods that use the skin without fits.
+    pub forward: Option<Arc<ForwardModel>>,
+    /// Least force of a peak, N.
+    pub threshold_n: f64,
+}
+
+impl Default for Models {
+    /// No models, and the paper's least force of a peak.
+    fn default() -> Self {
+        let (transfer, map, points, skin, forward) = (None, None, None, None, None);
+        Self { transfer, map, points, skin, forward, threshold_n: THRESHOLD_N }
+    }
 }
 
 impl Method {
-    /// All methods, the best last.
-    pub const ALL: [Self; 3] = [Self::Paper, Self::Fast, Self::Exact];
+    /// All methods; those that serve in the order of their quality, the best last.
+    pub const ALL: [Self; 5] = [Self::Paper, Self::Fast, Self::Exact, Self::Tikhonov, Self::Noser];
 
-    /// The list of methods.
+    /// The list of methods. Commands, HTTP, evaluations and `openapi.yaml` follow from it.
     fn row(self) -> Row {
         use Slot::{Map, Points, Skin, Transfer};
         match self {
-            Self::Paper => Row { name: "paper", slots: &[Transfer, Map], is_fit: false },
-            Self::Fast => Row { name: "fast", slots: &[Points], is_fit: false },
-            Self::Exact => Row { name: "exact", slots: &[Points, Skin], is_fit: true },
+            Self::Paper => Row {
+                name: "paper",
+                about: "the paper's: Transfer-Net, Recon-Net, peaks of the force map",
+                slots: &[Transfer, Map],
+                named: &[Map],
+                is_fit: false,
+                serves: true,
+            },
+            Self::Fast => Row {
+                name: "fast",
+                about: "candidates of Point-Net",
+                slots: &[Points],
+                named: &[Points],
+                is_fit: false,
+                serves: true,
+            },
+            Self::Exact => Row {
+                name: "exact",
+                about: "contacts fitted to the frame through the exact model",
+                slots: &[Points, Skin],
+                named: &[],
+                is_fit: true,
+                serves: true,
+            },
+            Self::Tikhonov => Row {
+                name: "tikhonov",
+                about: "peaks of the one-step reconstruction with Tikhonov's regularisation",
+                slots: &[Skin],
+                named: &[],
+                is_fit: false,
+                serves: false,
+            },
+            Self::Noser => Row {
+                name: "noser",
+                about: "peaks of the one-step reconstruction with NOSER's regularisation",
+                slots: &[Skin],
+                named: &[],
+                is_fit: false,
+                serves: false,
+            },
         }
+    }
+
+    /// Returns the method with its models, for serving and for evaluations. Takes up to about 1 s.
+    ///
+    /// # Errors
+    /// `InferError::NotServed` if a model is missing; `Problems` if a model has no use, `OtherTask`
+    /// if it has another task; `Map` if a map does not fit the skin.
+    pub fn ready(self, models: &Models) -> Result<Box<dyn ReadyMethod>, InferError> {
+        let lacks = |needs| InferError::NotServed { method: self.name(), needs };
+        let one_step = |kind| {
+            let model = models.forward.as_ref().ok_or_else(|| lacks("skin"))?;
+            OneStepPipeline::new(model, kind, models.threshold_n)
+        };
+        Ok(match self {
+            Self::Paper => {
+                let map = models.map.clone().ok_or_else(|| lacks("recon-net or end-to-end net"))?;
+                Box::new(MapPipeline::new(models.transfer.clone(), map, models.threshold_n)?)
+            }
+            Self::Fast => Box::new(models.points.clone().ok_or_else(|| lacks("point-net"))?),
+            Self::Exact => {
+                let skin = models.skin.clone().ok_or_else(|| lacks("skin"))?;
+                Box::new(ExactPipeline { skin, points: models.points.clone() })
+            }
+            Self::Tikhonov => Box::new(one_step(Regularisation::Tikhonov)?),
+            Self::Noser => Box::new(one_step(Regularisation::Noser)?),
+        })
+    }
+
+    /// The methods that serve, the best last.
+    pub fn served() -> impl DoubleEndedIterator<Item = Self> {
+        Self::ALL.into_iter().filter(|method| method.row().serves)
+    }
+
+    /// The method of this name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|method| method.name() == name)
     }
 
     /// Name in commands and answers.
@@ -57,15 +175,62 @@ impl Method {
         self.row().name
     }
 
+    /// Description in one line.
+    pub fn about(self) -> &'static str {
+        self.row().about
+    }
+
     /// The slots that it uses.
     pub fn slots(self) -> &'static [Slot] {
         self.row().slots
+    }
+
+    /// The slots whose model an evaluation must name.
+    pub fn named_slots(self) -> &'static [Slot] {
+        self.row().named
     }
 
     /// Whether contacts are fitted: an answer takes a tenth of a second instead of milliseconds.
     pub fn is_fit(self) -> bool {
         self.row().is_fit
     }
+}
+
+/// No method of this name serves.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "method = {name}: must be one of {}",
+    Method::served().map(Method::name).collect::<Vec<_>>().join(", "),
+    name = .0,
+)]
+pub struct UnknownMethod(String);
+
+impl TryFrom<String> for Method {
+    type Error = UnknownMethod;
+
+    fn try_from(name: String) -> Result<Self, UnknownMethod> {
+        Self::served().find(|method| method.name() == name).ok_or(UnknownMethod(name))
+    }
+}
+
+impl From<Method> for &'static str {
+    fn from(method: Method) -> Self {
+        method.name()
+    }
+}
+
+impl PartialSchema for Method {
+    fn schema() -> RefOr<Schema> {
+        names("Method from frames to contacts.", Self::served().map(Self::name).collect())
+    }
+}
+
+impl ToSchema for Method {}
+
+/// Schema of one of several names.
+pub fn names(about: &str, names: Vec<&'static str>) -> RefOr<Schema> {
+    let schema = ObjectBuilder::new().schema_type(Type::String).description(Some(about));
+    schema.enum_values(Some(names)).into()
 }
 
 /// The exact model of a skin that a method uses.

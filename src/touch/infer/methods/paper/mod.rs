@@ -10,6 +10,7 @@ use crate::infer::error::InferError;
 use crate::infer::maps::contacts;
 use crate::infer::registry::Model;
 use crate::learn::task::{Answers, Reads};
+use crate::problem::Problem;
 
 /// Least sum of a peak for nets trained without forces, whose contacts sum up to 1.
 const HALF_A_CONTACT: f64 = 0.5;
@@ -34,7 +35,8 @@ impl MapPipeline {
     /// Transfer-Net. Without `transfer`, frames are the input of `map`.
     ///
     /// # Errors
-    /// `InferError::OtherTask` if a net has another task; `Map` if the map does not fit the skin.
+    /// `InferError::OtherTask` if a net has another task; `Problems` if `map` reads measured
+    /// voltages, so that `transfer` has no use; `Map` if the map does not fit the skin.
     pub fn new(
         transfer: Option<Arc<Model>>,
         map: Arc<Model>,
@@ -52,6 +54,14 @@ impl MapPipeline {
         }
         let spec = map.manifest.model.force_map;
         let spec = spec.ok_or_else(|| other(&map, "a Recon-Net or an end-to-end net is needed"))?;
+        if let Some(transfer) = &transfer
+            && map.manifest.model.task.reads() == Reads::Measured
+        {
+            let limit =
+                format!("must be absent: map = {} reads measured voltages", map.manifest.id);
+            let problem = Problem::new("request", "transfer", &transfer.manifest.id, limit);
+            return Err(InferError::Problems(vec![problem]));
+        }
         let draws = ForceMap::new(spec, map.skin.width_mm, map.skin.height_mm)?;
         let has_forces = !map.manifest.model.trained_on.forces_unknown;
         let threshold_n = if has_forces { threshold_n } else { HALF_A_CONTACT };
