@@ -10,7 +10,9 @@ use futures::future::join_all;
 use tokio::time::Instant;
 
 use crate::campaign::bench::estop::StopSwitch;
-use crate::campaign::bench::evidence::{FELT_FRAMES, SilentArms, SkinWatch};
+use crate::campaign::bench::evidence::{
+    FELT_FRAMES, Held, PressedArm, SilentArms, SkinWatch, WeighedForces,
+};
 use crate::campaign::bench::interlock::{self, ForceLimits, TripKind};
 use crate::campaign::bench::stopping::{POLL_S, Stopping};
 use crate::campaign::bench::stuck::StuckChannels;
@@ -152,15 +154,16 @@ impl Stage {
         }
     }
 
-    /// Distance of each attached arm's tip below its touch height of the touch-off, mm, at `z_mm`.
-    pub fn below_touch_mm(&self, z_mm: f64) -> impl Iterator<Item = f64> + '_ {
-        let surface = self.surface.as_ref();
-        (1..=self.tips).map(move |arm| {
+    /// Forces of the attached arms, and the depths of their tips.
+    pub fn pressed_arms(&self, held: &Held) -> impl Iterator<Item = PressedArm> + use<'_> {
+        let (surface, z_mm) = (self.surface.as_ref(), held.z_mm);
+        (1..=self.tips).zip(held.forces_n).map(move |(arm, force_n)| {
             let touched = surface.and_then(|s| {
                 let offset = s.tip_offset_mm.iter().find(|(a, _)| *a == arm)?.1;
                 Some(s.surface_z_mm + offset)
             });
-            touched.map_or(f64::NEG_INFINITY, |at| z_mm - at)
+            let below_touch_mm = touched.map_or(f64::NEG_INFINITY, |at| z_mm - at);
+            PressedArm { force_n, below_touch_mm }
         })
     }
 
@@ -272,7 +275,8 @@ impl Stage {
             return Ok(());
         };
         let limits = &self.config.limits;
-        match watch.unweighed_touch(&frame, forces_n, now_s, update_s, limits) {
+        let weighed = WeighedForces { forces_n, now_s, update_s };
+        match watch.unweighed_touch(&frame, &weighed, limits) {
             Some(words) => Err(Halt::trip(TripKind::Cell, words)),
             None => Ok(()),
         }

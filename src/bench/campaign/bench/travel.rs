@@ -36,6 +36,15 @@ impl Target {
     }
 }
 
+/// Motion of z at a speed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Descent {
+    /// Target, machine mm.
+    pub z_mm: f64,
+    /// Speed, mm/s.
+    pub speed_mm_s: f64,
+}
+
 /// Values read by one poll of a press.
 #[derive(Debug, Clone, Copy)]
 pub struct Sample {
@@ -67,18 +76,17 @@ impl Stage {
         self.watched_travel(control, &[target], true, |_| false).await.map(|_| ())
     }
 
-    /// Moves z at `speed_mm_s`, reads the cells at every poll, and stops z once `until` holds for a
-    /// sample. Returns whether it did.
+    /// Moves z, reads the cells at every poll, and stops z once `until` holds for a sample. Returns whether it did.
     ///
     /// # Errors
     /// As `weighed_travel`.
     pub async fn press_until(
         &mut self,
         control: &mut Control,
-        z_mm: f64,
-        speed_mm_s: f64,
+        descent: Descent,
         until: impl FnMut(&Sample) -> bool,
     ) -> Result<bool, Halt> {
+        let Descent { z_mm, speed_mm_s } = descent;
         let target = Target { axis: AxisName::Z, position: z_mm, speed: Some(speed_mm_s) };
         self.watched_travel(control, &[target], true, until).await
     }
@@ -88,8 +96,8 @@ impl Stage {
     /// # Errors
     /// As `weighed_travel`.
     pub async fn press_to(&mut self, control: &mut Control, z_mm: f64) -> Result<(), Halt> {
-        let speed = self.stopping.press_speed_mm_s(&self.config, self.tips);
-        self.press_until(control, z_mm, speed, |_| false).await.map(|_| ())
+        let speed_mm_s = self.stopping.press_speed_mm_s(&self.config, self.tips);
+        self.press_until(control, Descent { z_mm, speed_mm_s }, |_| false).await.map(|_| ())
     }
 
     async fn watched_travel(

@@ -7,10 +7,10 @@
 use serde_json::json;
 use tracing::Instrument;
 
-use crate::campaign::bench::evidence::{self, Held, SilentArms};
+use crate::campaign::bench::evidence::{self, Held, PressedArm};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::stage::Stage;
-use crate::campaign::bench::tare;
+use crate::campaign::bench::tare::{self, Accept};
 use crate::campaign::diary::Note;
 use crate::campaign::run::control::{Control, STORE_LIMIT};
 use crate::campaign::run::halt::Halt;
@@ -63,8 +63,7 @@ impl Pressing<'_> {
             control.checkpoint()?;
         }
         if let Some(deepest) = before {
-            let below: Vec<f64> = stage.below_touch_mm(deepest.z_mm).collect();
-            let arms = deepest.forces_n.into_iter().zip(below);
+            let arms: Vec<PressedArm> = stage.pressed_arms(&deepest).collect();
             if let Some(words) = stage.silent.note(arms, &stage.config.limits) {
                 return Err(Halt::trip(TripKind::Cell, words));
             }
@@ -83,7 +82,7 @@ impl Pressing<'_> {
         stage.go_over(control, stand.centre_mm, stand.radius_mm).await?;
         control.phase(Phase::Tare);
         let samples = self.plan.measure.tare_samples;
-        let volts = tare::tare_untouched(stage, control, samples, false).await?;
+        let volts = tare::tare_untouched(stage, control, samples, Accept::NearLast).await?;
         let at = stage.clock.timestamp();
         let record = TareRecord { configuration, volts, samples, at };
         control.diary.note(Note::Tare(self.run, record));
@@ -118,8 +117,7 @@ impl Pressing<'_> {
         if (reached.z_mm - target.z_mm).abs() > DEPTH_TOLERANCE_MM {
             flags.push(Flag::DepthMissed);
         }
-        let silent = |(&force, below)| SilentArms::is_silent(force, below, limits);
-        if held.forces_n.iter().zip(stage.below_touch_mm(reached.z_mm)).any(silent) {
+        if stage.pressed_arms(&held).any(|arm| arm.is_silent(limits)) {
             flags.push(Flag::StillCell);
         }
         let arms = arm_readings(stage, &c.stand, &taken.volts);
