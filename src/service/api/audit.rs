@@ -10,6 +10,7 @@ use super::App;
 use super::auth::Caller;
 use super::problem::ApiError;
 use crate::ids::RunUid;
+use crate::journal::error_chain;
 use crate::store::{NewAction, StoreError};
 
 /// Largest number of entries that wait for a failing store.
@@ -51,7 +52,7 @@ impl App {
             detail: outcome.as_ref().err().map(|e| e.detail().into()),
         };
         if let Err(error) = self.store.log_action(new.clone()).await {
-            let error = error.with_causes();
+            let error = error_chain(&error);
             tracing::error!(error, ?new, "an action is not logged yet");
             self.log_later(new);
         }
@@ -73,7 +74,7 @@ impl App {
                 match store.log_action(action.clone()).await {
                     Ok(()) | Err(StoreError::Closed { .. }) => break,
                     Err(error @ (StoreError::NoSuchRun(_) | StoreError::Unreadable { .. })) => {
-                        let error = error.with_causes();
+                        let error = error_chain(&error);
                         tracing::error!(error, ?action, "an action cannot be logged");
                         break;
                     }
