@@ -386,8 +386,8 @@ impl Service {
         store.sweep_imports().await?;
         let datasets = Catalog::open(store.clone(), &options.data, Clock::new(1.0))?;
         let models = Registry::open(store.clone(), &options.data, Clock::new(1.0))?;
-        let skin = (options.sensor, options.sensor_text);
-        let serving = Serving::new(store.clone(), models.clone(), skin, &options.data);
+        let (sensor, text) = (options.sensor, options.sensor_text);
+        let serving = Serving::new(store.clone(), models.clone(), sensor, text, &options.data);
         let jobs = Jobs::new(
             store.clone(),
             datasets.clone(),
