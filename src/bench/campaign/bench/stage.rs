@@ -1,6 +1,6 @@
 //! The guarded bench: last readings, active limits, allowed positions of the tips.
-//! Uses: `rig::traits`, `campaign::{bench::interlock, bench::evidence, bench::stopping}`. Never:
-//! the plan, storage.
+//! Uses: `rig::traits`, `schedule::configuration`, `campaign::{bench::interlock, bench::evidence,
+//! bench::stopping}`. Never: the plan, storage.
 //!
 //! Motions are in `travel`. Every sample of the cells goes through `check`.
 
@@ -24,6 +24,7 @@ use crate::record::{Pose, TouchOffRecord};
 use crate::rig::config::{ARMS, RigConfig};
 use crate::rig::error::RigError;
 use crate::rig::traits::{Axis, Bench, CellVolts};
+use crate::schedule::configuration::Stand;
 
 /// Shortest pause between two polls, wall s, so that an accelerated rig is not polled continuously.
 const POLL_WALL_S: f64 = 200e-6;
@@ -325,14 +326,14 @@ impl Stage {
         }
     }
 
-    /// Machine pose over a position in skin coordinates.
-    pub fn pose_over(&self, centre_mm: [f64; 2], radius_mm: f64, z_mm: f64) -> Pose {
+    /// Machine pose over a stand, at a machine z.
+    pub fn pose_over(&self, stand: &Stand, z_mm: f64) -> Pose {
         let place = &self.config.skin;
         Pose {
-            x_mm: place.origin_x_mm + centre_mm[0],
-            y_mm: place.origin_y_mm + centre_mm[1],
+            x_mm: place.origin_x_mm + stand.centre_mm[0],
+            y_mm: place.origin_y_mm + stand.centre_mm[1],
             z_mm,
-            radius_mm,
+            radius_mm: stand.radius_mm,
         }
     }
 

@@ -48,7 +48,7 @@ pub async fn touch_off(
     raise_as_planned(control, stage).await?;
     let mut touches: Vec<(f64, f64, u8, f64)> = Vec::new();
     for (i, place) in places.iter().enumerate() {
-        stage.go_over(control, place.centre_mm, place.radius_mm).await?;
+        stage.go_over(control, place).await?;
         let accept = if i == 0 { Accept::AnyZero } else { Accept::NearLast };
         tare::tare_untouched(stage, control, tare_samples, accept).await?;
         for (arm, z_mm) in touch(stage, control, first_height(&touches)).await? {

@@ -1,6 +1,6 @@
 //! Motions of the stage, each supervised to its end: positions, alarms, forces, requests.
-//! Uses: `campaign::{bench::stage, run::control, bench::interlock}`. Never: the plan, storage, a
-//! wait for the store.
+//! Uses: `schedule::configuration`, `campaign::{bench::stage, run::control, bench::interlock}`.
+//! Never: the plan, storage, a wait for the store.
 //!
 //! No lateral or radial motion unless z is measured clear of the surface.
 
@@ -14,6 +14,7 @@ use crate::campaign::run::halt::Halt;
 use crate::record::Pose;
 use crate::rig::config::ARMS;
 use crate::rig::traits::{AxisStatus, CellVolts};
+use crate::schedule::configuration::Stand;
 
 /// Longest homing of one axis, process s.
 const HOMING_S: f64 = 180.0;
@@ -254,18 +255,14 @@ impl Stage {
         Ok(())
     }
 
-    /// Moves to a position in skin coordinates, with the arms at a radius. The radius is always
-    /// approached from below, so that the backlash of the slot has no effect.
+    /// Moves over a stand. The radius is always approached from below, so that the backlash of the
+    /// slot has no effect.
     ///
     /// # Errors
     /// As `travel`.
-    pub async fn go_over(
-        &mut self,
-        control: &mut Control,
-        centre_mm: [f64; 2],
-        radius_mm: f64,
-    ) -> Result<Pose, Halt> {
-        let target = self.pose_over(centre_mm, radius_mm, self.clear_z_mm());
+    pub async fn go_over(&mut self, control: &mut Control, stand: &Stand) -> Result<Pose, Halt> {
+        let target = self.pose_over(stand, self.clear_z_mm());
+        let radius_mm = stand.radius_mm;
         let slot = self.config.slot.clone();
         let angle = Target::of(AxisName::Radial, slot.angle_deg(radius_mm));
         let here = slot.radius_mm(self.bench.radial.status().await?.position);

@@ -79,7 +79,7 @@ impl Pressing<'_> {
         configuration: u32,
     ) -> Result<(), Halt> {
         control.phase(Phase::Travel);
-        stage.go_over(control, stand.centre_mm, stand.radius_mm).await?;
+        stage.go_over(control, stand).await?;
         control.phase(Phase::Tare);
         let samples = self.plan.measure.tare_samples;
         let volts = tare::tare_untouched(stage, control, samples, Accept::NearLast).await?;
@@ -100,8 +100,7 @@ impl Pressing<'_> {
     ) -> Result<Held, Halt> {
         let depth_mm = self.plan.depths_mm[key.depth_index as usize];
         let started_at = stage.clock.timestamp();
-        let target =
-            stage.pose_over(c.stand.centre_mm, c.stand.radius_mm, self.z_mm(stage, depth_mm)?);
+        let target = stage.pose_over(&c.stand, self.z_mm(stage, depth_mm)?);
         let (settled, taken, reached) = self.hold(stage, control, &target).await?;
         let held = Held { z_mm: reached.z_mm, forces_n: stage.forces_n(&taken.volts) };
         let limits = &stage.config.limits;
@@ -180,7 +179,7 @@ impl Pressing<'_> {
         control.show_run(|run| run.trial = None);
         self.prepare(stage, control, &press.stand, press.before_configuration).await?;
         let z_mm = self.z_mm(stage, press.depth_mm)?;
-        let target = stage.pose_over(press.stand.centre_mm, press.stand.radius_mm, z_mm);
+        let target = stage.pose_over(&press.stand, z_mm);
         let (_, mut taken, reached) = self.hold(stage, control, &target).await?;
         let arms = arm_readings(stage, &press.stand, &taken.volts);
         let record = ReferenceRecord {
