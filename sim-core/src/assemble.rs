@@ -7,7 +7,7 @@ use faer::sparse::{SparseColMat, Triplet};
 
 use crate::boundary::FixedBottom;
 use crate::element::hex8::{self, Stiffness};
-use crate::material::isotropic_mpa;
+use crate::material::Isotropic;
 use crate::mesh::{BrickSheet, Mesh};
 use crate::solve::SolveError;
 
@@ -58,5 +58,6 @@ fn outline(mesh: &Mesh, cell: &[u32; 4], sheet: &BrickSheet) -> ([i64; 8], [[f64
 }
 
 fn brick(corners_mm: &[[f64; 3]; 8], sheet: &BrickSheet) -> Stiffness {
-    hex8::stiffness(corners_mm, &isotropic_mpa(sheet.youngs_mpa, sheet.poisson))
+    let material = Isotropic { youngs_mpa: sheet.youngs_mpa, poisson: sheet.poisson };
+    hex8::stiffness(corners_mm, &material.stiffness_mpa())
 }

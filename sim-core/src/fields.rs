@@ -12,6 +12,15 @@ pub struct DisplacementLut {
     samples_mm: Vec<f64>,
 }
 
+/// Compressions at which a displacement table is sampled.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LutGrid {
+    /// Distance of the samples, mm.
+    pub step_mm: f64,
+    /// Compression up to which the table is sampled, mm.
+    pub end_mm: f64,
+}
+
 /// Why a displacement table is invalid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum LutError {
@@ -48,11 +57,12 @@ impl DisplacementLut {
         Ok(Self { step_mm, samples_mm })
     }
 
-    /// Builds the table from a law, sampled up to `end_mm`.
+    /// Builds the table from samples of a law, in mm.
     ///
     /// # Errors
     /// `LutError`, as [`Self::new`].
-    pub fn sample(step_mm: f64, end_mm: f64, law: impl Fn(f64) -> f64) -> Result<Self, LutError> {
+    pub fn sample(grid: LutGrid, law: impl Fn(f64) -> f64) -> Result<Self, LutError> {
+        let LutGrid { step_mm, end_mm } = grid;
         let count = (end_mm / step_mm).ceil().max(1.0) as usize;
         Self::new(step_mm, (0..=count).map(|i| law(i as f64 * step_mm)).collect())
     }

@@ -371,7 +371,7 @@ impl ForwardModel {
 
     /// Appends the shares of a contact's force on the nodes to `shares`.
     pub(crate) fn spread(&self, contact: &Contact, shares: &mut Vec<Share>) {
-        self.lattice.spread(self.spreading, contact.x_mm, contact.y_mm, shares);
+        self.lattice.spread(self.spreading, [contact.x_mm, contact.y_mm], shares);
     }
 
     /// Sums the unit responses, each times its node's load, at every node.

@@ -417,8 +417,9 @@ fn circuit_parts(model: &ForwardModel, field: Field, index: usize) -> CircuitPar
 fn electrode_slopes(model: &ForwardModel, field: Field, electrode: usize) -> [Option<Resistor>; 3] {
     let (mesh, circuit): (&Mesh, &ReadoutCircuit) = (model.mesh(), model.circuit());
     let site = circuit.electrodes[electrode];
-    let place = mesh.locate(site.x_mm, site.y_mm);
-    let slopes = mesh.weight_slopes(&place, site.x_mm, site.y_mm);
+    let at_mm = [site.x_mm, site.y_mm];
+    let place = mesh.locate(at_mm);
+    let slopes = mesh.weight_slopes(&place, at_mm);
     let own = model.electrode_nodes[electrode];
     std::array::from_fn(|corner| {
         let conductance_s = match field {

@@ -162,13 +162,13 @@ impl Mesh {
         })
     }
 
-    /// Returns the triangle that contains a position, or the nearest position on the mesh. A
+    /// Returns the triangle that contains a position, mm, or the nearest position on the mesh. A
     /// position on a node has that node with weight 1.
-    pub fn locate(&self, x_mm: f64, y_mm: f64) -> MeshPlace {
+    pub fn locate(&self, at_mm: [f64; 2]) -> MeshPlace {
         let mut best = MeshPlace { nodes: [0; 3], weights: [1.0, 0.0, 0.0] };
         let mut best_depth = f64::NEG_INFINITY;
         for triangle in &self.triangles {
-            let weights = self.barycentric(triangle, x_mm, y_mm);
+            let weights = self.barycentric(triangle, at_mm);
             let depth = weights.iter().copied().fold(f64::INFINITY, f64::min);
             if depth > best_depth {
                 best_depth = depth;
@@ -177,7 +177,7 @@ impl Mesh {
         }
         for (k, &node) in best.nodes.iter().enumerate() {
             let [x, y] = self.nodes_mm[node as usize];
-            if (x - x_mm).hypot(y - y_mm) < SAME_PLACE_MM {
+            if (x - at_mm[0]).hypot(y - at_mm[1]) < SAME_PLACE_MM {
                 best.weights = [0.0; 3];
                 best.weights[k] = 1.0;
                 return best;
@@ -191,11 +191,11 @@ impl Mesh {
 
     /// Slopes of a located position's weights in x and y, 1/mm; on an edge, those of its triangle.
     /// Outside the mesh, where weights are clamped, those of the clamped weights.
-    pub fn weight_slopes(&self, place: &MeshPlace, x_mm: f64, y_mm: f64) -> [[f64; 2]; 3] {
+    pub fn weight_slopes(&self, place: &MeshPlace, at_mm: [f64; 2]) -> [[f64; 2]; 3] {
         let [a, b, c] = place.nodes.map(|n| self.nodes_mm[n as usize]);
         let whole = 2.0 * self.triangle_area_mm2(&place.nodes);
         let along = |p: [f64; 2], q: [f64; 2]| [(p[1] - q[1]) / whole, (q[0] - p[0]) / whole];
-        let raw = self.barycentric(&place.nodes, x_mm, y_mm);
+        let raw = self.barycentric(&place.nodes, at_mm);
         let mut slopes = [along(b, c), along(c, a), along(a, b)];
         let beyond = |k: usize| raw[k] < 0.0 && place.weights[k] == 0.0;
         if (0..3).any(beyond) {
@@ -213,7 +213,7 @@ impl Mesh {
         slopes
     }
 
-    fn barycentric(&self, triangle: &[u32; 3], x: f64, y: f64) -> [f64; 3] {
+    fn barycentric(&self, triangle: &[u32; 3], [x, y]: [f64; 2]) -> [f64; 3] {
         let [a, b, c] = triangle.map(|n| self.nodes_mm[n as usize]);
         let twice = |p: [f64; 2], q: [f64; 2]| (p[0] - x) * (q[1] - y) - (q[0] - x) * (p[1] - y);
         let whole = 2.0 * self.triangle_area_mm2(triangle);

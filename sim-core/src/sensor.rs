@@ -183,7 +183,7 @@ impl Sensor {
         let electrodes = lay_out_electrodes(&file);
         let sensor = Self { file, points, electrodes };
         for (i, p) in sensor.points.iter().enumerate() {
-            if !sensor.holds_tip(p.x_mm, p.y_mm) {
+            if !sensor.holds_tip([p.x_mm, p.y_mm]) {
                 let value = format!("point {i} at ({:.2}, {:.2}) mm", p.x_mm, p.y_mm);
                 return Err(bad("points", value, "a tip on every point must be on the skin"));
             }
@@ -230,15 +230,16 @@ impl Sensor {
     }
 
     /// Index of the point within `tolerance_mm` of a position, if there is one.
-    pub fn point_near(&self, x_mm: f64, y_mm: f64, tolerance_mm: f64) -> Option<usize> {
+    pub fn point_near(&self, at_mm: [f64; 2], tolerance_mm: f64) -> Option<usize> {
+        let [x_mm, y_mm] = at_mm;
         self.points.iter().position(|p| (p.x_mm - x_mm).hypot(p.y_mm - y_mm) <= tolerance_mm)
     }
 
     /// Whether a tip centred at a position is wholly on the skin.
-    pub fn holds_tip(&self, x_mm: f64, y_mm: f64) -> bool {
+    pub fn holds_tip(&self, at_mm: [f64; 2]) -> bool {
         let r = self.file.tip_diameter_mm / 2.0;
-        (r..=self.file.width_mm - r).contains(&x_mm)
-            && (r..=self.file.height_mm - r).contains(&y_mm)
+        (r..=self.file.width_mm - r).contains(&at_mm[0])
+            && (r..=self.file.height_mm - r).contains(&at_mm[1])
     }
 }
 
@@ -346,8 +347,7 @@ mod tests {
     #[test]
     fn half_of_the_electrodes_have_a_point_at_10_mm() {
         let s = paper();
-        let near =
-            s.electrodes_mm().iter().filter(|e| s.point_near(e[0], e[1], 10.01).is_some()).count();
+        let near = s.electrodes_mm().iter().filter(|&&e| s.point_near(e, 10.01).is_some()).count();
         assert_eq!(near, 14);
     }
 

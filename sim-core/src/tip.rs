@@ -92,14 +92,11 @@ impl TipLattice {
         lattice
     }
 
-    /// Shares of a tip's force, appended to `shares`, each node once; on a node its six neighbours
+    /// Shares of the force of a tip at a position, mm, appended to `shares`, each node once; on a node its six neighbours
     /// come in the order of the hexagon's corners.
-    pub fn spread(&self, spreading: Spreading, x_mm: f64, y_mm: f64, shares: &mut Vec<Share>) {
+    pub fn spread(&self, spreading: Spreading, at_mm: [f64; 2], shares: &mut Vec<Share>) {
         let first = shares.len();
-        let mut centre = [
-            (x_mm - self.origin_mm[0]) / self.step_mm[0],
-            (y_mm - self.origin_mm[1]) / self.step_mm[1],
-        ];
+        let mut centre = self.steps(at_mm);
         let node = centre.map(f64::round);
         let near = |i: usize| (centre[i] - node[i]).abs() < ON_NODE;
         if near(0) && near(1) && (node[0] + node[1]) % 2.0 == 0.0 {
@@ -118,17 +115,18 @@ impl TipLattice {
         shares.retain(|s| s.sixths != 0.0 || s.slope_per_mm != [0.0; 2]);
     }
 
-    /// The three nodes around a position, each with its linear weight (sum 1) and the weight's
+    /// The three nodes around a position, mm, each with its linear weight (sum 1) and the weight's
     /// slope in x and y, 1/mm. `None` if the lattice lacks a corner.
-    pub fn around(&self, x_mm: f64, y_mm: f64) -> [Option<Share>; 3] {
-        let place = [
-            (x_mm - self.origin_mm[0]) / self.step_mm[0],
-            (y_mm - self.origin_mm[1]) / self.step_mm[1],
-        ];
-        self.corners(place).map(|(place, sixths, slope)| {
+    pub fn around(&self, at_mm: [f64; 2]) -> [Option<Share>; 3] {
+        self.corners(self.steps(at_mm)).map(|(place, sixths, slope)| {
             let slope_per_mm = [slope[0] / self.step_mm[0], slope[1] / self.step_mm[1]];
             self.node(place).map(|node| Share { node, sixths, slope_per_mm })
         })
+    }
+
+    /// Position in lattice steps.
+    fn steps(&self, at_mm: [f64; 2]) -> [f64; 2] {
+        [0, 1].map(|axis| (at_mm[axis] - self.origin_mm[axis]) / self.step_mm[axis])
     }
 
     /// Removes the second moment of a triangle's shares.

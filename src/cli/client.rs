@@ -39,6 +39,24 @@ pub struct Client {
     answer_within: Duration,
 }
 
+/// A text that is uploaded with a file.
+#[derive(Debug)]
+pub struct TextPart {
+    /// Name of the part.
+    pub key: &'static str,
+    /// Content.
+    pub text: String,
+    /// Name of its file; absent for a value that is not a file.
+    pub file_name: Option<String>,
+}
+
+impl TextPart {
+    /// Creates a value that is not a file.
+    pub fn value(key: &'static str, text: String) -> Self {
+        Self { key, text, file_name: None }
+    }
+}
+
 impl Client {
     /// Client of the service at a URL, with the key of the environment.
     ///
@@ -258,7 +276,7 @@ impl Client {
         self.carry_out(operation, request.header(reqwest::header::RANGE, range)).await
     }
 
-    /// Uploads a file with texts, each with a file name if it has one.
+    /// Uploads a file with texts.
     ///
     /// # Errors
     /// As [`Self::ask`]; `CliError::File` if the file cannot be read.
@@ -266,7 +284,7 @@ impl Client {
         &self,
         path: &str,
         file: &Path,
-        texts: impl IntoIterator<Item = (&'static str, String, Option<String>)>,
+        texts: impl IntoIterator<Item = TextPart>,
     ) -> Result<T, CliError> {
         let operation = format!("POST {path}");
         let read = |source| CliError::File { path: file.into(), source };
@@ -277,7 +295,7 @@ impl Client {
         let name = file.display().to_string();
         let mut form =
             Form::new().part("file", Part::stream_with_length(body, length).file_name(name));
-        for (key, text, file_name) in texts {
+        for TextPart { key, text, file_name } in texts {
             let part = Part::text(text);
             form = form.part(
                 key,

@@ -12,7 +12,7 @@ use reqwest::Method;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::client::Client;
+use super::client::{Client, TextPart};
 use super::error::CliError;
 use super::files::read_input;
 use super::output::{bytes, counted, say, say_json};
@@ -351,19 +351,14 @@ async fn import(client: &Client, args: &ImportArgs) -> Result<(), CliError> {
     let name = args.name.clone().unwrap_or_else(|| {
         args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
     });
-    let made: Value = client
-        .patient(MAKING)
-        .upload(
-            "/api/v1/imports",
-            &args.file,
-            [
-                ("sensor", sensor, Some(args.sensor.display().to_string())),
-                ("name", name, None),
-                ("label", args.label.clone(), None),
-                ("who", client.who().to_owned(), None),
-            ],
-        )
-        .await?;
+    let file_name = Some(args.sensor.display().to_string());
+    let texts = [
+        TextPart { key: "sensor", text: sensor, file_name },
+        TextPart::value("name", name),
+        TextPart::value("label", args.label.clone()),
+        TextPart::value("who", client.who().to_owned()),
+    ];
+    let made: Value = client.patient(MAKING).upload("/api/v1/imports", &args.file, texts).await?;
     if args.at.json {
         say_json(&made);
         return Ok(());

@@ -7,7 +7,7 @@ use std::time::Duration;
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 
-use super::client::Client;
+use super::client::{Client, TextPart};
 use super::error::CliError;
 use super::files::{DEFAULT_SENSOR, read_input, write, write_bytes};
 use super::output::{say, say_json};
@@ -213,9 +213,9 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
                 None => DEFAULT_SENSOR.to_owned(),
             };
             let texts = [
-                ("sensor", sensor, None),
-                ("facts", read_input(&add.facts)?, None),
-                ("name", add.name.clone(), None),
+                TextPart::value("sensor", sensor),
+                TextPart::value("facts", read_input(&add.facts)?),
+                TextPart::value("name", add.name.clone()),
             ];
             let model: ModelOut = client.upload("/api/v1/models", &add.file, texts).await?;
             if add.at.json { say_json(&model) } else { say(line(&model)) }

@@ -194,8 +194,9 @@ async fn with_virtual_rig(
         seed: args.skin_seed.unwrap_or(DEFAULT_SKIN_SEED),
         speed: args.speed.unwrap_or(DEFAULT_SPEED),
         fault: args.fault.clone(),
+        quiet: order.json,
     };
-    let bench = VirtualBench::switch_on(&options, order.json).await?;
+    let bench = VirtualBench::switch_on(&options).await?;
     let service = embed::options(options.data.clone(), &bench.rig)?;
     let (send, sent) = std::sync::mpsc::sync_channel(1);
     let closing = embed::host(service, |client| {

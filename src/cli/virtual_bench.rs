@@ -42,6 +42,8 @@ pub struct BenchOptions {
     pub speed: f64,
     /// Script of faults.
     pub fault: Option<PathBuf>,
+    /// Whether to show no progress while it starts.
+    pub quiet: bool,
 }
 
 /// A running virtual rig.
@@ -70,7 +72,7 @@ impl VirtualBench {
     ///
     /// # Errors
     /// `CliError::Child` or `Late` if it does not start; `File` if a file cannot be written.
-    pub async fn switch_on(options: &BenchOptions, quiet: bool) -> Result<Self, CliError> {
+    pub async fn switch_on(options: &BenchOptions) -> Result<Self, CliError> {
         let folder = options.data.join("virtual-rig");
         let served = folder.join("served.toml");
         let mut command = rig_command(options, &folder, &served)?;
@@ -78,7 +80,7 @@ impl VirtualBench {
         let mut child = start("virtual rig", &mut command, &log, Stdio::piped())?;
         let stdout = child.stdout.take().ok_or_else(|| failed("virtual rig", "no pipe", &log))?;
         let mut stdout = BufReader::new(stdout);
-        let spinner = spinner(quiet);
+        let spinner = spinner(options.quiet);
         let ready = ready_line(&mut stdout, &log).await;
         spinner.finish_and_clear();
         let control = ready?.control;

@@ -41,16 +41,19 @@ impl JournalError {
     }
 }
 
-/// Formats an error with its causes, for people.
+/// Formats an error with its causes, for people. A cause whose message is already part of the text
+/// is omitted.
 pub fn error_chain(error: &(dyn std::error::Error + 'static)) -> String {
-    let mut words = error.to_string();
+    let mut text = error.to_string();
     let mut cause = error.source();
     while let Some(error) = cause {
-        words += ": ";
-        words += &error.to_string();
+        let message = error.to_string();
+        if !text.contains(&message) {
+            text = format!("{text}: {message}");
+        }
         cause = error.source();
     }
-    words
+    text
 }
 
 /// Tips that a person has entered as mounted, and the state of the cells at that time.

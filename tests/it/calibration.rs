@@ -15,7 +15,7 @@ use sim_core::sensor::Sensor;
 use sim_core::surface::SurfaceSinking;
 use virtual_rig::skin::chance::normal_at;
 use virtual_rig::skin::gap::Gap;
-use virtual_rig::skin::mechanics::Mechanics;
+use virtual_rig::skin::mechanics::{Mechanics, Stroke, TipPosition};
 use virtual_rig::skin::{Readout, Skin, TipLoad};
 
 use crate::support::{Folder, PALPATE, sensor};
@@ -77,13 +77,14 @@ fn indentation() -> String {
     let mechanics = Mechanics::new(&gap.mechanics, SEED);
     for (place, &point) in POINTS.iter().take(8).enumerate() {
         let p = sensor.points()[point];
-        let (centre, radius, tip) = ([p.x_mm - 80.0, p.y_mm], 80.0, [p.x_mm, p.y_mm]);
-        let touch = mechanics.depth_at_5_n_mm(0, centre, radius, tip) - gap.mechanics.toe_mm;
+        let (centre_mm, tip_mm) = ([p.x_mm - 80.0, p.y_mm], [p.x_mm, p.y_mm]);
+        let at = TipPosition { arm: 0, centre_mm, radius_mm: 80.0, tip_mm };
+        let touch = mechanics.depth_at_5_n_mm(&at) - gap.mechanics.toe_mm;
         let found = 0.05 * normal_at(SEED, "touch", place as u64);
         for step in 1..=9u32 {
             let travel = 0.5 * f64::from(step);
             let row = (place as u64) * 100 + u64::from(step);
-            let force = mechanics.force_n(0, centre, radius, tip, touch + travel, false)
+            let force = mechanics.force_n(&at, touch + travel, Stroke::Loading)
                 + 0.05 * normal_at(SEED, "cell", row);
             let displacement = travel + found + 0.01 * normal_at(SEED, "gauge", row);
             writeln!(text, "{:.2},{:.2},{force:.2},{displacement:.3}", p.x_mm, p.y_mm).unwrap();
@@ -118,7 +119,7 @@ fn indentation_with_gauges() -> String {
                 let (sinking, gauge) = if beside_mm == 0.0 {
                     (surface.of_tip(n), ",".into())
                 } else {
-                    (surface.at(n, &mesh.locate(x, y)), format!("{x:.2},{y:.2}"))
+                    (surface.at(n, &mesh.locate([x, y])), format!("{x:.2},{y:.2}"))
                 };
                 let noise = 0.02 * normal_at(SEED, "beside", row);
                 row += 1;

@@ -257,6 +257,17 @@ impl AxisName {
     }
 }
 
+/// A Modbus device of a rig file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Device<'a> {
+    /// Dotted key in the rig file.
+    pub key: String,
+    /// Name of its wire.
+    pub line: &'a str,
+    /// Modbus address.
+    pub unit: u8,
+}
+
 impl RigFile {
     /// Parses the text of a rig file and checks the values that the virtual rig needs.
     ///
@@ -278,29 +289,29 @@ impl RigFile {
         }
     }
 
-    /// All Modbus devices: key, wire and address.
-    pub fn devices(&self) -> Vec<(String, &str, u8)> {
-        let mut devices: Vec<(String, &str, u8)> = AxisName::ALL
-            .iter()
-            .map(|&n| {
-                (format!("axes.{}", n.as_str()), self.axis(n).line.as_str(), self.axis(n).unit)
-            })
-            .collect();
-        devices.push(("cells".into(), self.cells.line.as_str(), self.cells.unit));
+    /// All Modbus devices.
+    pub fn devices(&self) -> Vec<Device<'_>> {
+        let axis = |&name: &AxisName| {
+            let axis = self.axis(name);
+            Device { key: format!("axes.{}", name.as_str()), line: &axis.line, unit: axis.unit }
+        };
+        let mut devices: Vec<Device<'_>> = AxisName::ALL.iter().map(axis).collect();
+        let cells = &self.cells;
+        devices.push(Device { key: "cells".into(), line: &cells.line, unit: cells.unit });
         devices
     }
 
     fn check(&self) -> Result<(), ConfigError> {
         let devices = self.devices();
-        for (i, (device, line, unit)) in devices.iter().enumerate() {
+        for (i, Device { key, line, unit }) in devices.iter().enumerate() {
             if !self.lines.contains_key(*line) {
-                let (device, line) = (device.clone(), (*line).to_owned());
+                let (device, line) = (key.clone(), (*line).to_owned());
                 return Err(ConfigError::UnknownLine { device, line });
             }
-            if let Some(first) = devices[..i].iter().find(|d| d.1 == *line && d.2 == *unit) {
+            if let Some(first) = devices[..i].iter().find(|d| d.line == *line && d.unit == *unit) {
                 return Err(ConfigError::SharedUnit {
-                    first: first.0.clone(),
-                    second: device.clone(),
+                    first: first.key.clone(),
+                    second: key.clone(),
                     line: (*line).to_owned(),
                     unit: *unit,
                 });

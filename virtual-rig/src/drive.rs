@@ -4,7 +4,9 @@
 //! Positions of the motor are true positions in the axis's unit (mm or degrees). The counter reads
 //! zero at power-up at any position of the motor, and true positions once homed.
 
-use crate::kinematics::{Pace, Trajectory};
+use std::ops::RangeInclusive;
+
+use crate::kinematics::{Pace, Start, Trajectory};
 
 /// Distance of the mechanical end stops from the soft travel, units.
 const HARD_STOP_MARGIN: f64 = 2.0;
@@ -72,6 +74,7 @@ pub struct Drive {
     /// True position at which the counter reads zero.
     counter_zero: f64,
     servo: bool,
+    servo_at_power_up: bool,
     homed: bool,
     homing_until_s: Option<f64>,
     crash_at_s: Option<f64>,
@@ -82,8 +85,9 @@ pub struct Drive {
 }
 
 impl Drive {
-    /// Creates a drive at power-up: at `position`, not homed, the counter at zero.
-    pub fn power_up(mechanism: Mechanism, position: f64, servo: bool) -> Self {
+    /// Creates a drive at power-up: at `position`, not homed, the counter at zero, the motor on if
+    /// it is `servo_at_power_up`.
+    pub fn power_up(mechanism: Mechanism, position: f64, servo_at_power_up: bool) -> Self {
         let pace = Pace {
             speed: mechanism.speed,
             acceleration: mechanism.acceleration,
@@ -94,7 +98,8 @@ impl Drive {
             motion: Trajectory::at_rest(position),
             pace,
             counter_zero: position,
-            servo,
+            servo: servo_at_power_up,
+            servo_at_power_up,
             homed: false,
             homing_until_s: None,
             crash_at_s: None,
@@ -132,9 +137,9 @@ impl Drive {
         if self.jam.is_some() { 0.0 } else { self.motion.velocity(t_s) }
     }
 
-    /// Smallest and largest true position between two times without a command between them, units.
-    pub fn range(&self, from_s: f64, to_s: f64) -> [f64; 2] {
-        self.jam.map_or_else(|| self.motion.range(from_s, to_s), |j| [j.position; 2])
+    /// Smallest and largest true position in an interval of time without a command, s; units.
+    pub fn range(&self, times_s: RangeInclusive<f64>) -> [f64; 2] {
+        self.jam.map_or_else(|| self.motion.range(times_s), |j| [j.position; 2])
     }
 
     /// Position at which the present motion will end, units.
@@ -262,29 +267,31 @@ impl Drive {
         self.alarm = None;
     }
 
-    /// Blocks or frees the motor. A freed motor continues to its target.
-    pub fn set_jam(&mut self, t_s: f64, jammed: bool, alarm_after_s: Option<f64>) {
-        match (self.jam, jammed) {
-            (None, true) => {
-                let position = self.motion.position(t_s);
-                self.jam = Some(Jam { position, since_s: t_s, alarm_after_s });
-            }
-            (Some(jam), false) => {
-                self.jam = None;
-                let (target, homing) = (self.motion.target(), self.homing_until_s.is_some());
-                self.motion = Trajectory::to_target(t_s, jam.position, 0.0, target, self.pace);
-                self.homing_until_s = homing.then(|| self.motion.end_s() + INDEX_SEARCH_S);
-                self.motions += 1;
-            }
-            (None, false) | (Some(_), true) => {}
+    /// Blocks the motor, unless it is blocked. `alarm_after_s`: duration of a jam after which the
+    /// drive raises an alarm, s; without it none is raised.
+    pub fn jam(&mut self, t_s: f64, alarm_after_s: Option<f64>) {
+        if self.jam.is_none() {
+            let position = self.motion.position(t_s);
+            self.jam = Some(Jam { position, since_s: t_s, alarm_after_s });
+        }
+    }
+
+    /// Frees a blocked motor, which continues to its target.
+    pub fn free(&mut self, t_s: f64) {
+        if let Some(Jam { position, .. }) = self.jam.take() {
+            let (target, homing) = (self.motion.target(), self.homing_until_s.is_some());
+            let start = Start { t_s, position, velocity: 0.0 };
+            self.motion = Trajectory::to_target(start, target, self.pace);
+            self.homing_until_s = homing.then(|| self.motion.end_s() + INDEX_SEARCH_S);
+            self.motions += 1;
         }
     }
 
     /// Simulates a loss and return of power: same position, not homed, the counter at zero.
-    pub fn power_cycle(&mut self, t_s: f64, servo: bool) {
+    pub fn power_cycle(&mut self, t_s: f64) {
         let position = self.position(t_s);
         let kept = (self.motions + 1, self.stops);
-        *self = Self::power_up(self.mechanism, position, servo);
+        *self = Self::power_up(self.mechanism, position, self.servo_at_power_up);
         (self.motions, self.stops) = kept;
     }
 
@@ -293,10 +300,13 @@ impl Drive {
         Pace { speed: self.mechanism.speed, acceleration: a, deceleration: a }
     }
 
+    /// True position and velocity at a time.
+    fn state(&self, t_s: f64) -> Start {
+        Start { t_s, position: self.position(t_s), velocity: self.velocity(t_s) }
+    }
+
     fn begin(&mut self, t_s: f64, target: f64, pace: Pace) {
-        let (p, v) = (self.motion.position(t_s), self.motion.velocity(t_s));
-        let (p, v) = self.jam.map_or((p, v), |j| (j.position, 0.0));
-        self.motion = Trajectory::to_target(t_s, p, v, target, pace);
+        self.motion = Trajectory::to_target(self.state(t_s), target, pace);
         self.pace = pace;
         self.crash_at_s = None;
         self.motions += 1;
@@ -304,9 +314,7 @@ impl Drive {
 
     /// Decelerates to standstill, without a command.
     pub fn brake(&mut self, t_s: f64) {
-        let (p, v) = (self.motion.position(t_s), self.motion.velocity(t_s));
-        let (p, v) = self.jam.map_or((p, v), |j| (j.position, 0.0));
-        self.motion = Trajectory::to_stand(t_s, p, v, self.pace.deceleration);
+        self.motion = Trajectory::to_stand(self.state(t_s), self.pace.deceleration);
         self.homing_until_s = None;
         self.crash_at_s = None;
     }
@@ -345,12 +353,12 @@ mod tests {
     fn a_jammed_axis_stands_still_and_stays_under_way_until_freed() {
         let mut drive = Drive::power_up(STAGE, 0.0, true);
         drive.start_move(0.0, 100.0, PACE);
-        drive.set_jam(0.2, true, None);
+        drive.jam(0.2, None);
         let stuck = drive.position(0.2);
         assert!(stuck > 1.0 && stuck < 99.0);
         assert_eq!(drive.position(50.0), stuck);
         assert!(drive.moving(50.0));
-        drive.set_jam(50.0, false, None);
+        drive.free(50.0);
         assert_eq!(drive.position(60.0), 100.0);
         assert!(!drive.moving(60.0));
     }

@@ -2,6 +2,8 @@
 //! acceleration, so that a position at any time is computed without time steps.
 //! PURE. Uses: nothing. Never: clocks (times are passed in), devices.
 
+use std::ops::RangeInclusive;
+
 /// Speed and accelerations of a motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pace {
@@ -11,6 +13,17 @@ pub struct Pace {
     pub acceleration: f64,
     /// Deceleration, units/s^2.
     pub deceleration: f64,
+}
+
+/// State of an axis from which a motion starts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Start {
+    /// Time of the start, s.
+    pub t_s: f64,
+    /// Position, units.
+    pub position: f64,
+    /// Velocity, units/s.
+    pub velocity: f64,
 }
 
 /// A segment of constant acceleration.
@@ -47,9 +60,10 @@ impl Trajectory {
         Self { stretches: Vec::new(), end_s: f64::NEG_INFINITY, target: position }
     }
 
-    /// Creates a trajectory from a position and velocity at `t_s` to rest at `target`. A target
-    /// that can no longer be reached without reversing is overrun, as by a drive.
-    pub fn to_target(t_s: f64, position: f64, velocity: f64, target: f64, pace: Pace) -> Self {
+    /// Creates a trajectory to rest at `target`. A target that can no longer be reached without
+    /// reversing is overrun, as by a drive.
+    pub fn to_target(start: Start, target: f64, pace: Pace) -> Self {
+        let Start { t_s, position, velocity } = start;
         let mut path = Self { stretches: Vec::with_capacity(4), end_s: t_s, target: position };
         let braking = velocity * velocity.abs() / (2.0 * pace.deceleration);
         let beyond_stop = target - (position + braking);
@@ -63,8 +77,9 @@ impl Trajectory {
         path
     }
 
-    /// Creates a trajectory from a position and velocity at `t_s` to rest as soon as possible.
-    pub fn to_stand(t_s: f64, position: f64, velocity: f64, deceleration: f64) -> Self {
+    /// Creates a trajectory to rest as soon as possible.
+    pub fn to_stand(start: Start, deceleration: f64) -> Self {
+        let Start { t_s, position, velocity } = start;
         let mut path = Self { stretches: Vec::with_capacity(1), end_s: t_s, target: position };
         path.brake_from(velocity, deceleration);
         path
@@ -101,8 +116,9 @@ impl Trajectory {
         self.target
     }
 
-    /// Smallest and largest position between two times, units.
-    pub fn range(&self, from_s: f64, to_s: f64) -> [f64; 2] {
+    /// Smallest and largest position in an interval of time, s; units.
+    pub fn range(&self, times_s: RangeInclusive<f64>) -> [f64; 2] {
+        let (from_s, to_s) = times_s.into_inner();
         let (a, b) = (self.position(from_s), self.position(to_s));
         let mut range = [a.min(b), a.max(b)];
         for s in &self.stretches {
@@ -166,13 +182,15 @@ mod tests {
     #[test]
     fn a_long_move_takes_the_textbook_time() {
         let pace = Pace { speed: 250.0, acceleration: 1500.0, deceleration: 1500.0 };
-        let path = Trajectory::to_target(10.0, 0.0, 0.0, 500.0, pace);
+        let start = Start { t_s: 10.0, position: 0.0, velocity: 0.0 };
+        let path = Trajectory::to_target(start, 500.0, pace);
         assert!((path.end_s() - 10.0 - (500.0 / 250.0 + 250.0 / 1500.0)).abs() < 1e-9);
     }
 
     #[test]
     fn a_stop_covers_the_braking_distance() {
-        let path = Trajectory::to_stand(0.0, 100.0, -60.0, 1000.0);
+        let start = Start { t_s: 0.0, position: 100.0, velocity: -60.0 };
+        let path = Trajectory::to_stand(start, 1000.0);
         assert!((path.target() - (100.0 - 1.8)).abs() < 1e-9);
         assert!((path.end_s() - 0.06).abs() < 1e-12);
     }
@@ -184,7 +202,8 @@ mod tests {
             velocity in -300.0..300.0f64, speed in 1.0..300.0f64,
         ) {
             let pace = Pace { speed, ..PACE };
-            let path = Trajectory::to_target(5.0, start, velocity, target, pace);
+            let from = Start { t_s: 5.0, position: start, velocity };
+            let path = Trajectory::to_target(from, target, pace);
             prop_assert!((path.position(5.0) - start).abs() < 1e-6);
             prop_assert!((path.position(path.end_s() - 1e-9) - target).abs() < 1e-4);
             prop_assert_eq!(path.position(path.end_s()), target);
@@ -205,8 +224,9 @@ mod tests {
         fn the_range_holds_every_position(
             start in -50.0..50.0f64, target in -50.0..50.0f64, velocity in -300.0..300.0f64,
         ) {
-            let path = Trajectory::to_target(0.0, start, velocity, target, PACE);
-            let [low, high] = path.range(0.0, path.end_s());
+            let from = Start { t_s: 0.0, position: start, velocity };
+            let path = Trajectory::to_target(from, target, PACE);
+            let [low, high] = path.range(0.0..=path.end_s());
             for i in 0..200 {
                 let p = path.position(path.end_s() * f64::from(i) / 200.0);
                 prop_assert!(low - 1e-6 <= p && p <= high + 1e-6);

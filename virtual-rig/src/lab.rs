@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use parking_lot::{Mutex, MutexGuard};
 use serde::Serialize;
 
-use crate::bench::{Bench, Served};
+use crate::bench::{Arrival, Bench, Served};
 use crate::clock::{RigClock, unix_s};
 use crate::config::RigFile;
 use crate::solver::Solver;
@@ -60,10 +60,11 @@ impl Lab {
 
     /// Executes one request that has just arrived over a wire.
     pub fn serve(&self, line: &str, unit: u8, pdu: &[u8]) -> Served {
-        let received = unix_s();
+        let unix_s = unix_s();
         let (served, expected) = {
             let mut bench = self.bench();
-            let served = bench.serve(line, unit, pdu, self.clock.process_s(), received);
+            let arrival = Arrival { process_s: self.clock.process_s(), unix_s };
+            let served = bench.serve(line, unit, pdu, arrival);
             (served, bench.take_expected())
         };
         for load in expected {

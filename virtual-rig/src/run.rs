@@ -17,6 +17,7 @@ use tokio_serial::{SerialPort, SerialStream};
 use crate::bench::Bench;
 use crate::clock::RigClock;
 use crate::config::{ConfigError, Ert, Line, RigFile};
+use crate::ert::packet::Amplifier;
 use crate::ert::sinks::{PtySink, Sinks};
 use crate::ert::stream::Stream;
 use crate::fault::{self, FaultError};
@@ -292,7 +293,8 @@ impl VirtualRig {
             return Err(RunError::Electrodes { rig: rig.ert.electrodes(), sensor: electrodes });
         }
         let size = [sensor.file.width_mm, sensor.file.height_mm];
-        let source_v = sensor.file.circuit.source_v * sensor.file.circuit.gain;
+        let circuit = &sensor.file.circuit;
+        let amplifier = Amplifier { source_v: circuit.source_v * circuit.gain };
         let mechanics = Mechanics::new(&gap.mechanics, args.seed);
         let readout = Readout::new(&gap, args.seed);
         let (seed, cache) = (args.seed, args.cache.clone());
@@ -322,7 +324,7 @@ impl VirtualRig {
         let links = std::mem::take(&mut doors.links);
         let (wires, sinks) = doors.serve(&lab);
         let stream =
-            Stream::start(lab, readout, sinks, source_v, args.seed).map_err(RunError::Start)?;
+            Stream::start(lab, readout, sinks, amplifier, args.seed).map_err(RunError::Start)?;
         Ok(Self { ready, rig_text, _stream: stream, _wires: wires, _links: links })
     }
 }

@@ -159,8 +159,12 @@ pub async fn serve_rtu(lab: Arc<Lab>, line: String, mut master: SerialStream) {
             Some(Ok(_)) => {}
             None => quiet = false,
         }
+        let line_state = match read {
+            Some(_) => rtu::LineState::Receiving,
+            None => rtu::LineState::Silent,
+        };
         loop {
-            match rtu::take(&mut buffer, read.is_none()) {
+            match rtu::take(&mut buffer, line_state) {
                 rtu::Taken::Incomplete => break,
                 rtu::Taken::Garbled => {
                     quiet = read.is_some();

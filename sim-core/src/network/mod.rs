@@ -90,7 +90,7 @@ impl SheetNetwork {
                     return Err(ElectrodeError::Resistance { electrode, ohm });
                 }
             }
-            let place = mesh.locate(site.x_mm, site.y_mm);
+            let place = mesh.locate([site.x_mm, site.y_mm]);
             let node = if site.contact_ohm > 0.0 {
                 let own = network.places_mm.len() as u32;
                 network.places_mm.push([site.x_mm, site.y_mm]);

@@ -9,7 +9,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sim_core::batch::{BatchError, BatchModel, BatchWork, Kernel};
 use sim_core::circuit::ReadoutCircuit;
-use sim_core::fields::{DisplacementLut, NodeFields};
+use sim_core::fields::{DisplacementLut, LutGrid, NodeFields};
 use sim_core::forward::{Contact, ContactError, ForwardModel, Workspace};
 
 use super::{model, press, responses, sensor};
@@ -154,7 +154,8 @@ fn the_reality_gap_is_honoured() {
     }
     fields.ln_sheet_conductance.iter_mut().for_each(|v| *v = rng.random_range(-0.2..0.2));
     let law = |x: f64| x / (1.0 + (x / 5.0).powi(4)).powf(0.25);
-    fields.displacement = Some(DisplacementLut::sample(0.05, 12.0, law).unwrap());
+    fields.displacement =
+        Some(DisplacementLut::sample(LutGrid { step_mm: 0.05, end_mm: 12.0 }, law).unwrap());
     let mut circuit = ReadoutCircuit::nominal(sensor());
     for (index, site) in circuit.electrodes.iter_mut().enumerate() {
         site.contact_ohm = 30.0;

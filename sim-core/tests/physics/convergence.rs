@@ -8,7 +8,7 @@
 use sim_core::assemble;
 use sim_core::boundary::FixedBottom;
 use sim_core::element::hex8;
-use sim_core::material::isotropic_mpa;
+use sim_core::material::Isotropic;
 use sim_core::mesh::{BrickSheet, Mesh};
 use sim_core::solve::Factor;
 
@@ -93,7 +93,7 @@ fn all_bricks(mesh: &Mesh) -> Vec<Brick> {
 /// Root mean square errors of displacement and strain. `load_poisson` is that of the load.
 fn errors(mesh: &Mesh, load_poisson: f64) -> [f64; 2] {
     let boundary = FixedBottom::new(mesh);
-    let d = isotropic_mpa(1.0, load_poisson);
+    let d = Isotropic { youngs_mpa: 1.0, poisson: load_poisson }.stiffness_mpa();
     let mut u = vec![0.0; boundary.unknowns()];
     let bricks = all_bricks(mesh);
     for (nodes, corners) in &bricks {

@@ -2,7 +2,7 @@
 
 use sim_core::assemble;
 use sim_core::boundary::FixedBottom;
-use sim_core::material::confined_modulus_mpa;
+use sim_core::material::Isotropic;
 use sim_core::mesh::Mesh;
 use sim_core::responses::{ResponsesError, UnitResponses};
 use sim_core::solve::Factor;
@@ -103,7 +103,10 @@ fn confined_compression_follows_the_closed_form() {
         let layers = &sensor().file.layers;
         [(&layers.bottom, 1.0), (&layers.foam, foam_scale), (&layers.top, 1.0)]
             .iter()
-            .map(|(l, s)| l.thickness_mm / (s * confined_modulus_mpa(l.youngs_mpa, l.poisson)))
+            .map(|(l, s)| {
+                let material = Isotropic { youngs_mpa: l.youngs_mpa, poisson: l.poisson };
+                l.thickness_mm / (s * material.confined_modulus_mpa())
+            })
             .sum()
     };
     let sinking = confined_sinking(mesh);

@@ -1,7 +1,7 @@
 //! The brick: nodality, patch test, rigid motion; each check fails on a broken twin.
 
 use sim_core::element::hex8::{self, Stiffness};
-use sim_core::material::isotropic_mpa;
+use sim_core::material::Isotropic;
 
 /// A skew brick, and a rim wedge (a collapsed brick), corners in mm.
 fn bricks() -> [[[f64; 3]; 8]; 2] {
@@ -80,7 +80,7 @@ fn gradients_match_finite_differences() {
 
 #[test]
 fn a_linear_field_is_reproduced_also_by_the_wedge() {
-    let d = isotropic_mpa(0.07, 0.05);
+    let d = Isotropic { youngs_mpa: 0.07, poisson: 0.05 }.stiffness_mpa();
     for nodes in bricks() {
         let k = hex8::stiffness(&nodes, &d);
         assert!(patch_error(&nodes, &k, &d) < 1e-12);
@@ -89,7 +89,7 @@ fn a_linear_field_is_reproduced_also_by_the_wedge() {
 
 #[test]
 fn twin_a_wrong_material_fails_the_patch_test() {
-    let d = isotropic_mpa(0.07, 0.05);
+    let d = Isotropic { youngs_mpa: 0.07, poisson: 0.05 }.stiffness_mpa();
     let mut wrong = d;
     wrong[3][3] *= 2.0; // tensor instead of engineering shear strain
     for nodes in bricks() {
@@ -100,7 +100,7 @@ fn twin_a_wrong_material_fails_the_patch_test() {
 
 #[test]
 fn rigid_motion_costs_nothing_and_the_matrix_is_symmetric() {
-    let d = isotropic_mpa(20.0, 0.3);
+    let d = Isotropic { youngs_mpa: 20.0, poisson: 0.3 }.stiffness_mpa();
     for nodes in bricks() {
         let k = hex8::stiffness(&nodes, &d);
         let scale = k[0][0].abs();

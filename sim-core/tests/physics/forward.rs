@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use sim_core::circuit::ReadoutCircuit;
-use sim_core::fields::{DisplacementLut, LutError, NodeFields};
+use sim_core::fields::{DisplacementLut, LutError, LutGrid, NodeFields};
 use sim_core::forward::{ForwardModel, VertexForce, Workspace};
 use sim_core::piezo::resistance_ohm;
 use sim_core::sensor::{ResistancePer, Sensor};
@@ -211,7 +211,7 @@ fn a_skin_with_other_electrodes_is_the_one_made_anew() {
 
 #[test]
 fn a_displacement_table_is_linear_between_its_samples() {
-    let lut = DisplacementLut::sample(0.5, 4.0, |x| x * x).unwrap();
+    let lut = DisplacementLut::sample(LutGrid { step_mm: 0.5, end_mm: 4.0 }, |x| x * x).unwrap();
     assert_eq!(lut.apply(0.0), 0.0);
     assert_eq!(lut.apply(0.25), 0.125);
     assert_eq!(lut.apply(2.0), 4.0);

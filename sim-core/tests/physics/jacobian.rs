@@ -4,7 +4,7 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sim_core::circuit::ReadoutCircuit;
-use sim_core::fields::{DisplacementLut, NodeFields};
+use sim_core::fields::{DisplacementLut, LutGrid, NodeFields};
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 use sim_core::jacobian::{CONTACT_PARAMETERS, Field, FieldGradient, JacobianWork, Mode};
 use sim_core::stats::{sorted, upper_quantile};
@@ -136,7 +136,8 @@ fn other_skin() -> ForwardModel {
         field.iter_mut().for_each(|v| *v = rng.random_range(-0.2..0.2));
     }
     let soft = |x: f64| x * (1.0 + 0.1 * x * (-x).exp());
-    fields.displacement = Some(DisplacementLut::sample(0.05, 30.0, soft).unwrap());
+    fields.displacement =
+        Some(DisplacementLut::sample(LutGrid { step_mm: 0.05, end_mm: 30.0 }, soft).unwrap());
     let mut circuit = ReadoutCircuit::nominal(sensor());
     for (k, site) in circuit.electrodes.iter_mut().enumerate() {
         site.lead_ohm = 100.0 + 200.0 * k as f64;

@@ -61,7 +61,7 @@ fn cells_and_triangles_cover_the_same_area() {
 fn electrodes_stand_on_nodes() {
     let mesh = mesh();
     for &[x, y] in sensor().electrodes_mm() {
-        assert!(mesh.locate(x, y).weights.contains(&1.0), "({x}, {y})");
+        assert!(mesh.locate([x, y]).weights.contains(&1.0), "({x}, {y})");
     }
 }
 
@@ -69,14 +69,14 @@ fn electrodes_stand_on_nodes() {
 fn a_place_is_the_weighted_mean_of_its_triangle() {
     let mesh = mesh();
     for (x, y) in [(270.0, 280.0), (101.3, 333.3), (49.2, 60.0)] {
-        let place = mesh.locate(x, y);
+        let place = mesh.locate([x, y]);
         let mean = |axis: usize| -> f64 {
             (0..3).map(|k| place.weights[k] * mesh.nodes_mm[place.nodes[k] as usize][axis]).sum()
         };
         assert!((mean(0) - x).abs() < 1e-9 && (mean(1) - y).abs() < 1e-9);
     }
     // Off the mesh: the rim.
-    let place = mesh.locate(-50.0, 280.0);
+    let place = mesh.locate([-50.0, 280.0]);
     assert!((place.weights.iter().sum::<f64>() - 1.0).abs() < 1e-12);
     assert!(place.nodes.iter().any(|&n| mesh.nodes_mm[n as usize][0] < 6.0));
 }

@@ -33,7 +33,7 @@ fn the_tip_sinks_by_the_foams_compression_and_a_little_more() {
 fn softer_moduli_sink_in_proportion_and_the_derivative_is_that_of_differences() {
     let point = point_at(270.0, 280.0);
     let p = sensor().points()[point];
-    let beside = Mesh::new(sensor()).unwrap().locate(p.x_mm + 23.0, p.y_mm + 4.0);
+    let beside = Mesh::new(sensor()).unwrap().locate([p.x_mm + 23.0, p.y_mm + 4.0]);
     let sinking = |foam: f64, fabric: f64| {
         let surface = SurfaceSinking::solve(&scaled(foam, fabric), &[point]).unwrap();
         [surface.of_tip(0), surface.at(0, &beside)]

@@ -9,7 +9,7 @@ use super::{model, point_at, press, responses, sensor};
 
 fn shares(spreading: Spreading, x_mm: f64, y_mm: f64) -> Vec<Share> {
     let mut shares = Vec::new();
-    TipLattice::new(sensor(), model().mesh()).spread(spreading, x_mm, y_mm, &mut shares);
+    TipLattice::new(sensor(), model().mesh()).spread(spreading, [x_mm, y_mm], &mut shares);
     shares
 }
 

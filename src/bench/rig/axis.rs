@@ -11,7 +11,7 @@ use tokio::time::Instant;
 use super::config::{AxisProfile, Guard};
 use super::error::{RigError, Severity};
 use super::link::{MotionGate, MotionPermit, Request};
-use super::motion::{Command, Going, MotionWatch, Seen};
+use super::motion::{AxisMotion, Command, Going, MotionWatch, Seen};
 use super::station::Station;
 use super::traits::{Axis, AxisStatus, Found};
 use crate::clock::Clock;
@@ -133,7 +133,8 @@ impl<D: Drive> ModbusAxis<D> {
         gate: MotionGate,
         clock: Clock,
     ) -> Self {
-        let watch = Mutex::new(MotionWatch::new(profile.tolerance, profile.speed));
+        let motion = AxisMotion { tolerance: profile.tolerance, speed: profile.speed };
+        let watch = Mutex::new(MotionWatch::new(motion));
         let held = AtomicBool::new(true);
         Self { name, drive, station, profile, gate, clock, watch, held }
     }

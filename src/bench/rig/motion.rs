@@ -59,11 +59,19 @@ pub struct Seen {
     pub homed: bool,
 }
 
+/// Properties of an axis by which its motion is judged.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AxisMotion {
+    /// Arrival tolerance, units.
+    pub tolerance: f64,
+    /// Travelling speed, units/s.
+    pub speed: f64,
+}
+
 /// Detects the motion of one axis.
 #[derive(Debug, Clone)]
 pub struct MotionWatch {
-    tolerance: f64,
-    speed: f64,
+    axis: AxisMotion,
     command: Option<(Command, f64)>,
     last: Option<Last>,
 }
@@ -77,10 +85,9 @@ struct Last {
 }
 
 impl MotionWatch {
-    /// Creates the detector of an axis with this arrival tolerance (units) and travelling speed
-    /// (units/s).
-    pub fn new(tolerance: f64, speed: f64) -> Self {
-        Self { tolerance, speed, command: None, last: None }
+    /// Creates the detector of an axis.
+    pub fn new(axis: AxisMotion) -> Self {
+        Self { axis, command: None, last: None }
     }
 
     /// Records a command that was sent at process time `t_s`.
@@ -103,7 +110,7 @@ impl MotionWatch {
         !homing
             && self.last.is_some_and(|l| {
                 let longest_s = seen.arrived_s - l.seen.asked_s;
-                let reach = IMPLAUSIBLE_SPEEDUP * self.speed * longest_s + PLAUSIBLE_STEP;
+                let reach = IMPLAUSIBLE_SPEEDUP * self.axis.speed * longest_s + PLAUSIBLE_STEP;
                 (seen.position - l.seen.position).abs() > reach
             })
     }
@@ -133,7 +140,7 @@ impl MotionWatch {
             (Going::Moving, _) => true,
             (Going::Unsure, _) => seen.asked_s - there_since_s < still_s,
             (Going::Standing, Some(Command::Move(target))) => {
-                fresh && (seen.position - target).abs() > self.tolerance
+                fresh && (seen.position - target).abs() > self.axis.tolerance
             }
             (Going::Standing, Some(Command::Home)) => fresh && !seen.homed,
             (Going::Standing, Some(Command::Stop) | None) => false,
@@ -145,6 +152,8 @@ impl MotionWatch {
 mod tests {
     use super::*;
 
+    const AXIS: AxisMotion = AxisMotion { tolerance: 0.05, speed: 100.0 };
+
     /// A reading whose reply arrived within a microsecond.
     fn seen(going: Going, position: f64, t_s: f64) -> Seen {
         Seen { asked_s: t_s, arrived_s: t_s + 1e-6, going, position, homed: true }
@@ -152,7 +161,7 @@ mod tests {
 
     #[test]
     fn a_move_just_told_is_under_way_although_the_drive_still_reports_the_stand_before_it() {
-        let mut watch = MotionWatch::new(0.05, 100.0);
+        let mut watch = MotionWatch::new(AXIS);
         watch.commanded(Command::Move(10.0), 1.0);
         assert!(watch.observe(seen(Going::Standing, 0.0, 1.001)));
         assert!(!watch.observe(seen(Going::Standing, 0.0, 1.1)), "a drive that never starts");
@@ -160,14 +169,14 @@ mod tests {
 
     #[test]
     fn an_axis_that_is_there_already_is_not_under_way() {
-        let mut watch = MotionWatch::new(0.05, 100.0);
+        let mut watch = MotionWatch::new(AXIS);
         watch.commanded(Command::Move(10.0), 1.0);
         assert!(!watch.observe(seen(Going::Standing, 10.01, 1.001)));
     }
 
     #[test]
     fn an_unsure_drive_moves_while_its_position_changes() {
-        let mut watch = MotionWatch::new(0.05, 100.0);
+        let mut watch = MotionWatch::new(AXIS);
         watch.commanded(Command::Move(10.0), 0.0);
         assert!(watch.observe(seen(Going::Unsure, 1.0, 0.05)));
         watch.commanded(Command::Stop, 0.06);
@@ -180,7 +189,7 @@ mod tests {
 
     #[test]
     fn a_late_reply_after_a_command_proves_no_stand() {
-        let mut watch = MotionWatch::new(0.05, 100.0);
+        let mut watch = MotionWatch::new(AXIS);
         watch.observe(seen(Going::Unsure, 5.0, 0.5));
         watch.commanded(Command::Move(10.0), 1.0);
         // Taken just after the command, before anything moved, but delayed by a second.
@@ -192,7 +201,7 @@ mod tests {
 
     #[test]
     fn homing_may_rest_between_its_phases() {
-        let mut watch = MotionWatch::new(0.05, 100.0);
+        let mut watch = MotionWatch::new(AXIS);
         watch.commanded(Command::Home, 0.0);
         let unhomed = |going, p, t| Seen { homed: false, ..seen(going, p, t) };
         assert!(watch.observe(unhomed(Going::Unsure, 5.0, 0.5)));
@@ -203,7 +212,7 @@ mod tests {
 
     #[test]
     fn a_position_out_of_reach_is_implausible_and_a_quick_move_is_not() {
-        let mut watch = MotionWatch::new(0.05, 100.0);
+        let mut watch = MotionWatch::new(AXIS);
         watch.observe(seen(Going::Standing, 50.0, 1.0));
         assert!(watch.implausible(seen(Going::Standing, 50.0 + 655.36, 1.01)));
         assert!(!watch.implausible(seen(Going::Standing, 51.5, 1.01)));
@@ -214,7 +223,7 @@ mod tests {
 
     #[test]
     fn an_axis_told_to_move_has_not_stood_since() {
-        let mut watch = MotionWatch::new(0.05, 100.0);
+        let mut watch = MotionWatch::new(AXIS);
         assert!(!watch.stood(), "never read");
         watch.observe(seen(Going::Standing, 0.0, 1.0));
         assert!(watch.stood());

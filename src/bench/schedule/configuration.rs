@@ -165,7 +165,7 @@ mod tests {
                 let x = stand.centre_mm[0] + stand.radius_mm * angle.cos();
                 let y = stand.centre_mm[1] + stand.radius_mm * angle.sin();
                 assert!((tip[0] - x).hypot(tip[1] - y) < 1e-9);
-                assert!(sensor.point_near(tip[0], tip[1], 1e-9).is_some());
+                assert!(sensor.point_near(*tip, 1e-9).is_some());
             }
         }
     }

@@ -219,9 +219,17 @@ const HIGH: Assumed = Assumed {
     repeated: 0.01,
 };
 
-/// Predicts a plan on a bench: its settings in order (one entry without tips for manual trials),
-/// and the whole plan.
-pub fn estimate(plan: &Plan, bench: &Bench) -> (Vec<Estimate>, Estimate) {
+/// Prediction of a plan on a bench.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Estimates {
+    /// Settings of the plan in order; one entry without tips for manual trials.
+    pub settings: Vec<Estimate>,
+    /// The whole plan.
+    pub whole: Estimate,
+}
+
+/// Predicts a plan on a bench.
+pub fn estimate(plan: &Plan, bench: &Bench) -> Estimates {
     let low = Walk::through(plan, bench, &LOW);
     let high = Walk::through(plan, bench, &HIGH);
     let mut settings = Walk::through(plan, bench, &LIKELY);
@@ -238,7 +246,7 @@ pub fn estimate(plan: &Plan, bench: &Bench) -> (Vec<Estimate>, Estimate) {
         whole.disk_bytes += setting.disk_bytes;
         whole.parts.add(&setting.parts);
     }
-    (settings, whole)
+    Estimates { settings, whole }
 }
 
 /// State of one walk through the steps of a plan.

@@ -125,7 +125,7 @@ mod tests {
         for (i, trial) in trials.iter().enumerate() {
             assert_eq!(trial.index, i as u32);
             for (j, a) in trial.contacts.iter().enumerate() {
-                assert!(sensor.point_near(a.x_mm, a.y_mm, 1e-9).is_some());
+                assert!(sensor.point_near([a.x_mm, a.y_mm], 1e-9).is_some());
                 for b in &trial.contacts[..j] {
                     assert!((a.x_mm - b.x_mm).hypot(a.y_mm - b.y_mm) > 20.0);
                 }

@@ -7,7 +7,7 @@ use std::fmt;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::estimate::{Bench, Estimate, Parts, estimate, fixed_bytes};
+use super::estimate::{Bench, Estimate, Estimates, Parts, estimate, fixed_bytes};
 use super::order::Place;
 use super::plan::{Kind, Plan, PlannedConfiguration, Step};
 use crate::problem::Problem;
@@ -62,7 +62,7 @@ pub struct Preflight {
 impl Preflight {
     /// Summarises a plan. `problems` are those of `lint`.
     pub fn of(plan: &Plan, bench: &Bench, problems: Vec<Problem>) -> Self {
-        let (settings, whole) = estimate(plan, bench);
+        let Estimates { settings, whole } = estimate(plan, bench);
         let disk_fixed_bytes = fixed_bytes(plan);
         let travel_mm = travel_mm(plan, |c| c.stand.place());
         let drawn = in_drawn_order(plan);

@@ -207,7 +207,7 @@ impl<'a> Skin<'a> {
             .map(|r| Load {
                 at: points.partition_point(|&p| p < r.point),
                 force_n: r.force_n,
-                gauge: r.gauge_mm.map(|[x, y]| mesh.locate(x, y)),
+                gauge: r.gauge_mm.map(|at_mm| mesh.locate(at_mm)),
             })
             .collect();
         Ok(Self { file: &sensor.file, points, loads })
@@ -262,7 +262,7 @@ fn indentation(file: &str, row: &Row, sensor: &Sensor) -> Result<Indentation, Pr
                 row.problem(file, "point", point, &limit)
             })?,
         (None, Some(x), Some(y)) => {
-            sensor.point_near(x, y, POINT_TOLERANCE_MM).ok_or_else(|| {
+            sensor.point_near([x, y], POINT_TOLERANCE_MM).ok_or_else(|| {
                 let limit =
                     format!("must be within {POINT_TOLERANCE_MM} mm of a point of the sensor");
                 row.problem(file, "x_mm, y_mm", format!("{x}, {y}"), &limit)

@@ -7,10 +7,10 @@ use plotters::prelude::*;
 
 use super::CalibrateError;
 use super::foam::{FittedRow, FoamFit};
-use super::page::{Area, page};
+use super::page::{Area, PageSize, page};
 use super::piezo::PiezoFit;
 
-const SIZE: (u32, u32) = (720, 480);
+const SIZE: PageSize = PageSize { width_px: 720, height_px: 480 };
 const INK: RGBColor = RGBColor(40, 40, 40);
 const FIT: RGBColor = RGBColor(0, 90, 160);
 /// Number of points on a curve.

@@ -10,10 +10,10 @@ use sim_core::skin::SkinField;
 use sim_core::stats::sorted;
 
 use super::CalibrateError;
-use super::page::{Area, page};
+use super::page::{Area, PageSize, page};
 use super::skin::CalibratedSkin;
 
-const SIZE: (u32, u32) = (1320, 900);
+const SIZE: PageSize = PageSize { width_px: 1320, height_px: 900 };
 const INK: RGBColor = RGBColor(40, 40, 40);
 /// Below zero, at zero, above zero (blue, white, red: distinguishable with colour blindness).
 const SCALE: [RGBColor; 3] =

@@ -17,6 +17,7 @@ use super::auth::Caller;
 use super::limits::{DETAIL_MAX_CHARS, WHO_MAX_CHARS, WHY_MAX_CHARS};
 use super::problem::{ApiError, Refused};
 use crate::ids::RunUid;
+use crate::journal::error_chain;
 use crate::store::{NewAction, Role, StoreError};
 
 /// Interval of storing such an entry again.
@@ -141,7 +142,7 @@ impl App {
     /// Stores an entry of the log. A failure is reported, and the entry is stored later.
     pub(super) async fn log_action(&self, new: NewAction) {
         if let Err(error) = self.store.log_action(new.clone()).await {
-            let error = error.with_causes();
+            let error = error_chain(&error);
             tracing::error!(error, ?new, "an action is not logged yet");
             self.log_later(new);
         }
@@ -162,7 +163,7 @@ impl App {
                 match store.log_action(action.clone()).await {
                     Ok(()) | Err(StoreError::Closed { .. }) => break,
                     Err(error @ (StoreError::NoSuchRun(_) | StoreError::Unreadable { .. })) => {
-                        let error = error.with_causes();
+                        let error = error_chain(&error);
                         tracing::error!(error, ?action, "an action cannot be logged");
                         break;
                     }

@@ -17,7 +17,7 @@ use super::App;
 use super::problem::{ApiError, Params, ProblemBody};
 use super::runs::find;
 use crate::ids::RunUid;
-use crate::journal::Event;
+use crate::journal::{Event, error_chain};
 
 /// Number of events per page by default, and per reading of a live stream.
 const PAGE: u32 = 200;
@@ -101,7 +101,7 @@ fn follow(
             let events = match app.store.events_since(since, PAGE, run).await {
                 Ok(events) => events,
                 Err(error) => {
-                    let error = error.with_causes();
+                    let error = error_chain(&error);
                     tracing::warn!(error, "an event stream was ended: the store failed");
                     return None;
                 }

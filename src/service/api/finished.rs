@@ -28,7 +28,7 @@ pub async fn keep(app: App) {
         let runs = match app.store.runs(CHECKED_RUNS, None).await {
             Ok(page) => page.runs,
             Err(error) => {
-                tracing::warn!(error = error.with_causes(), "the runs could not be read");
+                tracing::warn!(error = error_chain(&error), "the runs could not be read");
                 continue;
             }
         };

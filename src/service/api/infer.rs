@@ -26,7 +26,7 @@ use crate::infer::answer::Reading;
 use crate::infer::error::InferError;
 use crate::infer::methods::Method;
 use crate::infer::methods::exact::Tracked;
-use crate::infer::pipeline::Pipeline;
+use crate::infer::pipeline::{Followed, Pipeline};
 use crate::infer::slot::Slot;
 
 /// Largest number of frames per request.
@@ -334,7 +334,7 @@ async fn follow(app: &App, mut socket: WebSocket, method: Method, map: bool) {
         let Ok((answered, memory)) = tokio::task::spawn_blocking(work).await else { return };
         tracked = memory;
         let text = match answered {
-            Ok((reading, model)) => {
+            Ok(Followed { reading, model }) => {
                 let latency_us = (clock.now() - frame.received).as_micros() as u64;
                 let answer = FrameAnswer { reading, model, method, latency_us };
                 let (sequence, device_time_us) = (frame.sequence, frame.device_time_us);

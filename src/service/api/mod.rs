@@ -29,6 +29,7 @@ use crate::infer::error::InferError;
 use crate::infer::registry::Registry;
 use crate::infer::serving::Serving;
 use crate::jobs::Jobs;
+use crate::journal::error_chain;
 use crate::simulate::model::sweep_partial;
 use crate::store::{KeyRing, Soundness, Store, StoreError};
 use crate::twins::TwinPool;
@@ -132,7 +133,7 @@ pub enum ServeError {
     #[error(transparent)]
     Locked(#[from] LockFileError),
     /// The store cannot be opened.
-    #[error("{}", .0.with_causes())]
+    #[error("{}", error_chain(.0))]
     Store(#[from] StoreError),
     /// The address is not available.
     #[error("listening at {bind}: {source}")]
@@ -325,8 +326,8 @@ impl Service {
         store.sweep_imports().await?;
         let datasets = Catalog::open(store.clone(), &options.data, Clock::new(1.0))?;
         let models = Registry::open(store.clone(), &options.data, Clock::new(1.0))?;
-        let skin = (options.sensor, options.sensor_text);
-        let serving = Serving::new(store.clone(), models.clone(), skin, &options.data);
+        let (sensor, text) = (options.sensor, options.sensor_text);
+        let serving = Serving::new(store.clone(), models.clone(), sensor, text, &options.data);
         let jobs = Jobs::new(
             store.clone(),
             datasets.clone(),
@@ -400,7 +401,7 @@ impl Service {
 async fn after_start(app: App, resume: bool) {
     let continue_run = async {
         if let Err(error) = app.conductor.go_on(resume).await {
-            tracing::warn!(error = crate::journal::error_chain(&error), "no run was resumed");
+            tracing::warn!(error = error_chain(&error), "no run was resumed");
         }
     };
     let examine = async {
@@ -410,7 +411,7 @@ async fn after_start(app: App, resume: bool) {
             }
             Ok(Soundness::Sound | Soundness::Unchecked) => {}
             Err(error) => {
-                tracing::warn!(error = error.with_causes(), "the database was not examined")
+                tracing::warn!(error = error_chain(&error), "the database was not examined")
             }
         }
     };

@@ -257,9 +257,9 @@ impl From<StoreError> for ApiError {
             _ => StatusCode::INTERNAL_SERVER_ERROR,
         };
         if status == StatusCode::INTERNAL_SERVER_ERROR {
-            tracing::error!(error = error.with_causes(), "the store failed");
+            tracing::error!(error = error_chain(&error), "the store failed");
         }
-        Self::new(status, error.with_causes())
+        Self::new(status, error_chain(&error))
     }
 }
 

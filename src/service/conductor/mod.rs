@@ -332,7 +332,7 @@ impl Conductor {
 
     async fn say(&self, run: &RunRow, kind: &str, data: serde_json::Value) {
         if let Err(error) = self.inner.store.append_event(Some(run.uid), kind, data).await {
-            let error = error.with_causes();
+            let error = error_chain(&error);
             tracing::error!(error, kind, "an event was not stored");
         }
     }

@@ -330,7 +330,7 @@ impl TwinPool {
             let words = fit.describe(watch.limits());
             let data = json!({ "level": fit.level, "fit": fit, "words": words });
             if let Err(error) = self.inner.store.append_event(Some(run), "twins", data).await {
-                tracing::error!(error = error.with_causes(), "an event was not stored");
+                tracing::error!(error = error_chain(&error), "an event was not stored");
             }
             if fit.level == Level::Suspend
                 && let Err(refusal) = self.inner.campaign.ask(Request::Suspend(words)).await

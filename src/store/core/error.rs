@@ -8,7 +8,7 @@
 use std::path::PathBuf;
 
 use crate::ids::{RunUid, TrialKey};
-use crate::journal::JournalError;
+use crate::journal::{JournalError, error_chain};
 
 /// Failure of an operation of the store.
 #[derive(Debug, thiserror::Error)]
@@ -211,21 +211,7 @@ impl StoreError {
             },
             _ => false,
         };
-        if damage { Ok(vec![self.with_causes()]) } else { Err(self) }
-    }
-
-    /// Returns the message with the messages of its causes, without repetitions.
-    pub fn with_causes(&self) -> String {
-        let mut text = self.to_string();
-        let mut cause = std::error::Error::source(self);
-        while let Some(error) = cause {
-            let message = error.to_string();
-            if !text.contains(&message) {
-                text = format!("{text}: {message}");
-            }
-            cause = error.source();
-        }
-        text
+        if damage { Ok(vec![error_chain(&self)]) } else { Err(self) }
     }
 
     /// Returns a conversion to the error of `Journal`, for `map_err`; `what` names the record.

@@ -20,6 +20,7 @@ use utoipa::ToSchema;
 use super::columns::{Columns, time_text};
 use super::{During, Store, StoreError};
 use crate::digest::sha256_hex;
+use crate::journal::error_chain;
 
 /// Start of the text of every key.
 const PREFIX: &str = "palpate_";
@@ -174,7 +175,7 @@ impl KeyRing {
         let (store, id) = (self.store.clone(), key.id);
         let noting = async move {
             if let Err(error) = store.note_key_use(id, now).await {
-                let error = error.with_causes();
+                let error = error_chain(&error);
                 tracing::warn!(error, key = id, "the use of a key was not stored");
             }
         };

@@ -16,6 +16,7 @@ use tokio::sync::{mpsc, oneshot};
 use tracing::{Instrument, Span};
 
 use super::error::{During, StoreError};
+use crate::journal::error_chain;
 
 /// Length of the job queue; further callers wait until they can submit their job.
 const WAITING_JOBS: usize = 64;
@@ -229,7 +230,7 @@ impl Hand {
         if let Err(error) = &result
             && error.outcome_unknown()
         {
-            tracing::error!(error = error.with_causes(), operation, "a write failed");
+            tracing::error!(error = error_chain(error), operation, "a write failed");
             self.close().await;
         }
         result
@@ -290,7 +291,7 @@ impl Hand {
                 Err(error)
             }
             Err(second) => {
-                let second = second.with_causes();
+                let second = error_chain(&second);
                 tracing::error!(operation, error = second, "reading the outcome failed, too");
                 self.close().await;
                 Err(error)

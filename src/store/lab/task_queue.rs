@@ -19,6 +19,7 @@ use tracing::{Instrument, error_span};
 use super::tasks::{TaskEnd, TaskKind, TaskRow};
 use crate::core::{Store, StoreError};
 use crate::ids::TaskId;
+use crate::journal::error_chain;
 
 /// Interval of polling the store if no task is open, and shortest pause after a failure of the store.
 const IDLE: Duration = Duration::from_millis(500);
@@ -107,7 +108,7 @@ impl<W: Default> TaskQueue<W> {
                 }
                 Ok(None) => {}
                 Err(error) => {
-                    let error = error.with_causes();
+                    let error = error_chain(&error);
                     tracing::warn!(error, kinds = ?self.kinds, "the open tasks could not be read");
                 }
             }
@@ -132,7 +133,7 @@ impl<W: Default> TaskQueue<W> {
                 Ok(begun) => break begun,
                 // The shared state stays: a stop that was requested meanwhile holds.
                 Err(error) => {
-                    let error = error.with_causes();
+                    let error = error_chain(&error);
                     tracing::warn!(error, "a task could not begin, and is tried again");
                     tokio::time::sleep(IDLE).await;
                 }
@@ -159,7 +160,7 @@ impl<W: Default> TaskQueue<W> {
                 Ok(false) => tracing::info!("the end of a task was already stored"),
                 Ok(true) => tracing::info!(state = %end.state(), "a task has ended"),
                 Err(error) => {
-                    let error = error.with_causes();
+                    let error = error_chain(&error);
                     tracing::error!(error, "the end of a task could not be stored");
                     tokio::time::sleep(pause).await;
                     pause = (2 * pause).min(PAUSE_MAX);

@@ -12,7 +12,7 @@ use super::{Folder, hex_trial, new_run, now, open};
 use crate::clock::Clock;
 use crate::core::store::PAGE_BYTES;
 use crate::ids::{RunUid, TrialId, TrialKey};
-use crate::journal::Journal;
+use crate::journal::{Journal, error_chain};
 use crate::record::{ArmReading, FrameRecord, Pose, ReferenceRecord, TrialScalars};
 use crate::state::{StateChange, StoredState};
 use crate::{RunKind, Soundness, Store, StoreError, TrialQuery};
@@ -444,7 +444,7 @@ async fn tables_that_another_hand_changed_are_refused_with_the_cause() {
         behind.close().await.unwrap();
         match Store::open(&folder.file(), Clock::new(1.0)).await {
             Ok(_) => panic!("{sql}: it opened"),
-            Err(error) => error.with_causes(),
+            Err(error) => error_chain(&error),
         }
     };
     let words = refusal("ALTER TABLE trials DROP COLUMN settle_ms").await;

@@ -7,6 +7,7 @@ use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
 
 use super::figures::{COLOURS, FigureError, SMALL, TEXT, dash, legend, page, whole};
+use crate::calibrate::page::PageSize;
 use crate::dataset::force_map::{ForceMap, ForceMapSpec, SIDE_MM};
 use crate::store::Contact;
 
@@ -87,7 +88,7 @@ pub fn lines(title: &str, x: &str, y: &str, lines: &[Line]) -> Result<String, Fi
         return empty(title);
     }
     let (low, high) = (low / 1.5, high * 1.5);
-    page("lines", (1000, 560), |area| {
+    page("lines", PageSize { width_px: 1000, height_px: 560 }, |area| {
         let (left_area, names) = area.split_horizontally(850);
         let mut chart = ChartBuilder::on(&left_area)
             .caption(title, TEXT)
@@ -136,7 +137,7 @@ pub fn bars(title: &str, bars: &[Bar]) -> Result<String, FigureError> {
     let high = bars.iter().map(|bar| bar.mean + bar.sd).fold(0.0, f64::max);
     let room = (0.05 * (high - low)).max(1e-6);
     let count = bars.len();
-    page("bars", (900, 90 + 30 * count as u32), |area| {
+    page("bars", PageSize { width_px: 900, height_px: 90 + 30 * count as u32 }, |area| {
         let mut chart = ChartBuilder::on(area)
             .margin(18)
             .x_label_area_size(50)
@@ -187,7 +188,7 @@ pub fn heats(title: &str, heats: &[Heat]) -> Result<String, FigureError> {
     if pixels.is_empty() {
         return empty(title);
     }
-    page("heat maps", (1200, 420), |area| {
+    page("heat maps", PageSize { width_px: 1200, height_px: 420 }, |area| {
         let titled = area.titled(title, TEXT)?;
         for (heat, area) in heats.iter().zip(titled.split_evenly((1, heats.len()))) {
             let largest = heat.cells.iter().map(|cell| cell.1.abs()).fold(1e-9, f64::max);
@@ -250,42 +251,47 @@ pub fn heats(title: &str, heats: &[Heat]) -> Result<String, FigureError> {
 pub fn pictures(title: &str, maps: &[Picture], columns: usize) -> Result<String, FigureError> {
     let columns = columns.max(1);
     let rows = maps.len().div_ceil(columns).max(1);
-    page("force maps", (320 * columns as u32, 30 + 350 * rows as u32), |area| {
-        let titled = area.titled(title, TEXT)?;
-        for (map, area) in maps.iter().zip(titled.split_evenly((rows, columns))) {
-            let largest = map.map.iter().copied().fold(1e-6, f32::max);
-            let half = SIDE_MM / 2.0;
-            let mut chart = ChartBuilder::on(&area)
-                .caption(format!("{}, to {largest:.2} N per pixel", map.name), SMALL)
-                .margin(8)
-                .x_label_area_size(24)
-                .y_label_area_size(40)
-                .build_cartesian_2d(-half..half, -half..half)?;
-            chart
-                .configure_mesh()
-                .disable_mesh()
-                .x_labels(3)
-                .y_labels(3)
-                .x_label_formatter(&whole)
-                .y_label_formatter(&whole)
-                .label_style(SMALL)
-                .draw()?;
-            chart.draw_series([Rectangle::new(
-                [(-half, -half), (half, half)],
-                ViridisRGB.get_color(0.0).filled(),
-            )])?;
-            let (pixels, mm) = (map.spec.pixels(), map.spec.pixel_mm);
-            // Pixels of almost zero are the background: pages of 25,600 squares are slow to
-            // display.
-            let seen = map.map.iter().enumerate().filter(|(_, n)| **n > 0.01 * largest);
-            chart.draw_series(seen.map(|(at, newtons)| {
-                let (x, y) = ((at % pixels) as f64 * mm - half, (at / pixels) as f64 * mm - half);
-                let colour = ViridisRGB.get_color(f64::from(newtons / largest));
-                Rectangle::new([(x, y), (x + mm, y + mm)], colour.filled())
-            }))?;
-        }
-        Ok(())
-    })
+    page(
+        "force maps",
+        PageSize { width_px: 320 * columns as u32, height_px: 30 + 350 * rows as u32 },
+        |area| {
+            let titled = area.titled(title, TEXT)?;
+            for (map, area) in maps.iter().zip(titled.split_evenly((rows, columns))) {
+                let largest = map.map.iter().copied().fold(1e-6, f32::max);
+                let half = SIDE_MM / 2.0;
+                let mut chart = ChartBuilder::on(&area)
+                    .caption(format!("{}, to {largest:.2} N per pixel", map.name), SMALL)
+                    .margin(8)
+                    .x_label_area_size(24)
+                    .y_label_area_size(40)
+                    .build_cartesian_2d(-half..half, -half..half)?;
+                chart
+                    .configure_mesh()
+                    .disable_mesh()
+                    .x_labels(3)
+                    .y_labels(3)
+                    .x_label_formatter(&whole)
+                    .y_label_formatter(&whole)
+                    .label_style(SMALL)
+                    .draw()?;
+                chart.draw_series([Rectangle::new(
+                    [(-half, -half), (half, half)],
+                    ViridisRGB.get_color(0.0).filled(),
+                )])?;
+                let (pixels, mm) = (map.spec.pixels(), map.spec.pixel_mm);
+                // Pixels of almost zero are the background: pages of 25,600 squares are slow to
+                // display.
+                let seen = map.map.iter().enumerate().filter(|(_, n)| **n > 0.01 * largest);
+                chart.draw_series(seen.map(|(at, newtons)| {
+                    let (x, y) =
+                        ((at % pixels) as f64 * mm - half, (at / pixels) as f64 * mm - half);
+                    let colour = ViridisRGB.get_color(f64::from(newtons / largest));
+                    Rectangle::new([(x, y), (x + mm, y + mm)], colour.filled())
+                }))?;
+            }
+            Ok(())
+        },
+    )
 }
 
 /// Draws mean and standard deviation of a Transfer-Net's residuals, by reading (paper, Fig. 10A).
@@ -296,7 +302,7 @@ pub fn residuals(mean_v: &[f32], sd_v: &[f32]) -> Result<String, FigureError> {
     let millivolts = |v: f32| 1e3 * f64::from(v);
     let largest = mean_v.iter().zip(sd_v).map(|(m, s)| millivolts(m.abs() + s));
     let most = 1.08 * largest.fold(1e-6, f64::max);
-    page("residuals", (1100, 460), |area| {
+    page("residuals", PageSize { width_px: 1100, height_px: 460 }, |area| {
         let mut chart = ChartBuilder::on(area)
             .margin(18)
             .x_label_area_size(50)
@@ -330,7 +336,7 @@ pub fn residuals(mean_v: &[f32], sd_v: &[f32]) -> Result<String, FigureError> {
 
 /// A page that states that there is no data.
 fn empty(title: &str) -> Result<String, FigureError> {
-    page("an empty page", (400, 120), |area| {
+    page("an empty page", PageSize { width_px: 400, height_px: 120 }, |area| {
         area.draw_text(&format!("{title}: no data"), &TEXT.into_text_style(area), (20, 50))?;
         Ok(())
     })

@@ -6,7 +6,7 @@ use plotters::coord::CoordTranslate;
 use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
 
-use crate::calibrate::{self, page::Area};
+use crate::calibrate::page::{self, Area, PageSize};
 
 use super::simulation::{BoxPlot, FORCE_END_N, ForceBin, PointFit, SimulationReport};
 
@@ -56,7 +56,7 @@ pub struct Outline {
     pub pitch_mm: f64,
 }
 
-const SIZE: (u32, u32) = (900, 560);
+const SIZE: PageSize = PageSize { width_px: 900, height_px: 560 };
 pub(super) const TEXT: (&str, i32) = ("sans-serif", 18);
 pub(super) const SMALL: (&str, i32) = ("sans-serif", 15);
 /// Dark on white, distinguishable with colour blindness (Okabe and Ito), 0 to 6 contacts.
@@ -77,10 +77,10 @@ const MAP_END: f64 = 1.0;
 /// Draws on a white page and returns its SVG text.
 pub(super) fn page(
     figure: &'static str,
-    size: (u32, u32),
+    size: PageSize,
     draw: impl FnOnce(&Area<'_>) -> Result<(), Box<dyn std::error::Error>>,
 ) -> Result<String, FigureError> {
-    calibrate::page::page(size, draw).map_err(|why| FigureError { figure, why })
+    page::page(size, draw).map_err(|why| FigureError { figure, why })
 }
 
 /// Line next to a name in a legend.
@@ -218,7 +218,7 @@ pub fn boxes(report: &SimulationReport, quantity: Quantity) -> Result<String, Fi
 /// `FigureError` if the plotting backend fails.
 pub fn map(points: &[PointFit], skin: &Outline) -> Result<String, FigureError> {
     let [width, height] = skin.size_mm;
-    page("map of FVU", (760, 700), |area| {
+    page("map of FVU", PageSize { width_px: 760, height_px: 700 }, |area| {
         let (left, right) = area.split_horizontally(650);
         let mut chart = ChartBuilder::on(&left)
             .margin(18)
@@ -299,7 +299,7 @@ pub fn frames(measured_v: &[f32], simulated_v: &[f32]) -> Result<String, FigureE
     let all = || lines.iter().flat_map(|(_, line, _)| line).map(|p| p.1);
     let (low, high) = (all().fold(0.0, f64::min), all().fold(0.0, f64::max));
     let room = (0.06 * (high - low)).max(1e-3);
-    page("a trial's frames", (1100, 460), |area| {
+    page("a trial's frames", PageSize { width_px: 1100, height_px: 460 }, |area| {
         let mut chart = ChartBuilder::on(area)
             .margin(18)
             .x_label_area_size(50)

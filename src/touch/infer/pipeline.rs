@@ -29,6 +29,15 @@ pub struct Answered {
     pub model: String,
 }
 
+/// Answer to one frame of a stream, and the models that gave it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Followed {
+    /// The reading.
+    pub reading: Reading,
+    /// Id of the model, as in [`Answered`].
+    pub model: String,
+}
+
 impl Pipeline {
     /// Returns the pipeline with a net in its slot.
     ///
@@ -100,7 +109,7 @@ impl Pipeline {
         Ok(Answered { readings, model: ready.id() })
     }
 
-    /// Answers the next frame of a stream (V), and returns the id of the models.
+    /// Answers the next frame of a stream (V).
     ///
     /// # Errors
     /// `InferError::NotServed` if a model is missing; other variants if the frame cannot be
@@ -111,12 +120,12 @@ impl Pipeline {
         frame: &[f32],
         with_map: bool,
         tracked: &mut Tracked,
-    ) -> Result<(Reading, String), InferError> {
+    ) -> Result<Followed, InferError> {
         let ready = self.ready(method)?;
         let mut reading = ready.follow(frame, with_map, tracked)?;
         if with_map {
             draw(std::slice::from_mut(&mut reading), ready.size_mm())?;
         }
-        Ok((reading, ready.id()))
+        Ok(Followed { reading, model: ready.id() })
     }
 }

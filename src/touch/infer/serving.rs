@@ -48,7 +48,8 @@ impl Serving {
     pub fn new(
         store: Store,
         models: Registry,
-        (sensor, sensor_text): (Sensor, String),
+        sensor: Sensor,
+        sensor_text: String,
         data: &Path,
     ) -> Self {
         let (current, changing) = (RwLock::default(), tokio::sync::Mutex::default());

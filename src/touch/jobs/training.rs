@@ -7,7 +7,6 @@ use std::sync::Arc;
 use nets::device::Compute;
 use nets::train::{End, Flow, Observer, Progress};
 use serde_json::{Value, json};
-use sim_core::batch::{BatchModel, Kernel};
 use sim_core::forward::ForwardModel;
 
 use super::error::JobError;
@@ -152,12 +151,11 @@ impl Work {
     }
 
     fn on_stream(self, sensor: String, model: &ForwardModel) -> Result<Option<NewModel>, JobError> {
-        let batch = Arc::new(BatchModel::new(model, Kernel::detect()));
         let mut observer = self.observer("training on simulations")?;
         let checkpoint = std::fs::read(self.folder.join(CHECKPOINT)).ok();
         let learned = train::train_on_stream(
             &self.recipe,
-            (batch, model),
+            model,
             compute(),
             checkpoint.as_deref(),
             &mut observer,

@@ -10,7 +10,7 @@ use nets::network::{Layer, Network};
 use nets::points::streamed::Streamed;
 use nets::samples::Samples;
 use nets::train::{self as training, Observer, Plan};
-use sim_core::batch::BatchModel;
+use sim_core::batch::{BatchModel, Kernel};
 use sim_core::forward::ForwardModel;
 
 use super::error::LearnError;
@@ -110,7 +110,7 @@ pub fn train(
 /// `LearnError` if the recipe is not of a Point-Net, or the training fails.
 pub fn train_on_stream(
     recipe: &Recipe,
-    (batch, model): (Arc<BatchModel>, &ForwardModel),
+    model: &ForwardModel,
     compute: nets::device::Compute,
     checkpoint: Option<&[u8]>,
     observer: &mut (dyn Observer + Send),
@@ -119,6 +119,7 @@ pub fn train_on_stream(
         let limit = "must be point-net if no dataset is named";
         return Err(LearnError::value("training.net", recipe.task().as_str(), limit));
     };
+    let batch = Arc::new(BatchModel::new(model, Kernel::detect()));
     let points = model.sensor().points();
     let stream = |seed, len| Streamed::new(batch.clone(), points, net.draws, seed, len);
     let seed = recipe.training.seed;

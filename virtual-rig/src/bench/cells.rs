@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::config::{ARMS, Cells};
 use crate::device::INPUTS;
-use crate::fault::Kind;
+use crate::fault::{ActiveFault, Kind};
 
 /// Largest zero offset, fraction of full scale (accuracy of the cell).
 const OFFSET_PART: f64 = 0.01;
@@ -70,15 +70,15 @@ impl CellBank {
         conversion: i64,
         forces_n: &[f64; ARMS],
         powered: usize,
-        faults: &[(Kind, f64)],
+        faults: &[ActiveFault],
     ) -> [f64; INPUTS] {
         let mut volts = [0.0; INPUTS];
         let t_s = self.time_s(conversion);
         for arm in 0..ARMS {
-            let uncoupled = faults.iter().any(|f| f.0 == Kind::UncoupledCell { arm });
+            let uncoupled = faults.iter().any(|f| f.kind == Kind::UncoupledCell { arm });
             let felt_n = if uncoupled { 0.0 } else { forces_n[arm] };
             let mut force = felt_n + self.offsets_n[arm];
-            for (kind, began_s) in faults {
+            for ActiveFault { kind, began_s } in faults {
                 if let Kind::DriftingCell { arm: a, n_per_s } = kind
                     && *a == arm
                 {
@@ -104,8 +104,8 @@ impl CellBank {
         v.clamp(FLOOR_PART * supply, CEILING_PART * supply)
     }
 
-    fn with_faults(&mut self, arm: usize, v: f64, faults: &[(Kind, f64)]) -> f64 {
-        let has = |kind: Kind| faults.iter().any(|f| f.0 == kind);
+    fn with_faults(&mut self, arm: usize, v: f64, faults: &[ActiveFault]) -> f64 {
+        let has = |kind: Kind| faults.iter().any(|f| f.kind == kind);
         let frozen = has(Kind::FrozenCell { arm });
         self.frozen[arm] = frozen.then(|| self.frozen[arm].unwrap_or(v));
         if has(Kind::DeadCell { arm }) {
@@ -179,11 +179,12 @@ mod tests {
     fn faults_of_cells_show() {
         let mut bank = bank();
         let faults = [
-            (Kind::DeadCell { arm: 0 }, 0.0),
-            (Kind::SaturatedCell { arm: 1 }, 0.0),
-            (Kind::FrozenCell { arm: 2 }, 0.0),
-            (Kind::DriftingCell { arm: 3, n_per_s: 1.0 }, 0.0),
+            Kind::DeadCell { arm: 0 },
+            Kind::SaturatedCell { arm: 1 },
+            Kind::FrozenCell { arm: 2 },
+            Kind::DriftingCell { arm: 3, n_per_s: 1.0 },
         ];
+        let faults = faults.map(|kind| ActiveFault { kind, began_s: 0.0 });
         let first = bank.convert(10, &[0.0; 6], 6, &faults);
         let later = bank.convert(110, &[20.0; 6], 6, &faults);
         assert_eq!(later[0], 0.0);
@@ -197,9 +198,10 @@ mod tests {
     fn a_foreign_load_pushes_or_pulls_on_a_cell_without_a_tip() {
         let mut bank = bank();
         let zero = bank.convert(10, &[0.0; 6], 6, &[]);
-        let push = (Kind::ForeignLoad { arm: 5, n: 8.0 }, 0.0);
-        let pull = (Kind::ForeignLoad { arm: 0, n: -3.0 }, 0.0);
-        let loaded = bank.convert(11, &[0.0; 6], 6, &[push, pull]);
+        let push = Kind::ForeignLoad { arm: 5, n: 8.0 };
+        let pull = Kind::ForeignLoad { arm: 0, n: -3.0 };
+        let faults = [push, pull].map(|kind| ActiveFault { kind, began_s: 0.0 });
+        let loaded = bank.convert(11, &[0.0; 6], 6, &faults);
         let changes = [0, 5].map(|arm| (loaded[arm] - zero[arm]) * 27.8);
         assert!((changes[0] + 3.0).abs() < 0.2 && (changes[1] - 8.0).abs() < 0.2, "{changes:?}");
     }

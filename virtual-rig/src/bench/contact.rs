@@ -3,7 +3,7 @@
 
 use crate::config::{ARMS, Placement, Slot};
 use crate::skin::TipLoad;
-use crate::skin::mechanics::Mechanics;
+use crate::skin::mechanics::{Mechanics, Stroke, TipPosition};
 
 /// Height above the nominal surface at which no unevenness lets a tip touch, mm.
 const SURELY_CLEAR_MM: f64 = 5.0;
@@ -126,9 +126,9 @@ impl Indenter {
         self.mounted == 0 || z_mm < self.surface_z_mm - SURELY_CLEAR_MM
     }
 
-    /// Whether a position is on the skin.
-    pub fn on_skin(&self, x_mm: f64, y_mm: f64) -> bool {
-        (0.0..=self.size_mm[0]).contains(&x_mm) && (0.0..=self.size_mm[1]).contains(&y_mm)
+    /// Whether a position (skin coordinates, mm) is on the skin.
+    pub fn on_skin(&self, at_mm: [f64; 2]) -> bool {
+        (0.0..=self.size_mm[0]).contains(&at_mm[0]) && (0.0..=self.size_mm[1]).contains(&at_mm[1])
     }
 
     fn centre(&self, pose: &Pose) -> [f64; 2] {
@@ -143,17 +143,17 @@ impl Indenter {
     }
 
     /// Force on each arm, N; zero on arms without a tip.
-    pub fn forces_n(&self, pose: &Pose, unloading: bool) -> [f64; ARMS] {
+    pub fn forces_n(&self, pose: &Pose, stroke: Stroke) -> [f64; ARMS] {
         let mut forces = [0.0; ARMS];
         if self.surely_clear(pose.z_mm) {
             return forces;
         }
-        let (centre, below) = (self.centre(pose), pose.z_mm - self.surface_z_mm);
+        let (centre_mm, below_mm) = (self.centre(pose), pose.z_mm - self.surface_z_mm);
         for (arm, force) in forces.iter_mut().enumerate().take(self.mounted) {
-            let tip = self.tip(arm, pose);
-            if !self.missing[arm] && self.on_skin(tip[0], tip[1]) {
-                let radius = pose.radius_mm;
-                *force = self.mechanics.force_n(arm, centre, radius, tip, below, unloading);
+            let tip_mm = self.tip(arm, pose);
+            if !self.missing[arm] && self.on_skin(tip_mm) {
+                let at = TipPosition { arm, centre_mm, radius_mm: pose.radius_mm, tip_mm };
+                *force = self.mechanics.force_n(&at, below_mm, stroke);
             }
         }
         forces
@@ -161,12 +161,12 @@ impl Indenter {
 
     /// Whether any tip is in contact.
     pub fn touches(&self, pose: &Pose) -> bool {
-        self.forces_n(pose, false).iter().any(|&f| f > 0.0)
+        self.forces_n(pose, Stroke::Loading).iter().any(|&f| f > 0.0)
     }
 
     /// Load of the skin: the tips in contact, then the weights.
-    pub fn load(&self, pose: &Pose, unloading: bool, weights: &[Weight]) -> Load {
-        let forces = self.forces_n(pose, unloading);
+    pub fn load(&self, pose: &Pose, stroke: Stroke, weights: &[Weight]) -> Load {
+        let forces = self.forces_n(pose, stroke);
         let pressing = forces.iter().enumerate().filter(|(_, f)| **f > 0.0);
         let mut tips: Vec<TipLoad> = pressing
             .map(|(arm, &force_n)| {

@@ -60,7 +60,7 @@ impl Bench {
     /// A weight is off the skin, or its force is not from above 0 to 1000 N.
     pub fn place(&mut self, weights: Vec<Weight>) -> Result<(), Refusal> {
         for w in &weights {
-            if !self.indenter.on_skin(w.x_mm, w.y_mm) {
+            if !self.indenter.on_skin([w.x_mm, w.y_mm]) {
                 return Err(Refusal::OffSkin);
             }
             if !(w.force_n > 0.0 && w.force_n <= 1000.0) {
@@ -76,7 +76,7 @@ impl Bench {
     /// Resets the largest force and the deepest z.
     pub fn clear_peaks(&mut self) {
         let pose = self.pose(self.now_s);
-        let forces = self.indenter.forces_n(&pose, self.unloading(pose.z_mm));
+        let forces = self.indenter.forces_n(&pose, self.stroke(pose.z_mm));
         let force_n = forces.iter().copied().fold(0.0, f64::max);
         self.peaks = Peaks { force_n, z_mm: self.drive(AxisName::Z).position(self.now_s) };
     }

@@ -27,12 +27,21 @@ use crate::device::{AxisMap, CellsMap, INPUTS};
 use crate::drive::{Alarm, Drive, Mechanism};
 use crate::fault::{Board, Fault, Kind, Target, WireFault};
 use crate::modbus::{Exception, Request, answer};
-use crate::skin::mechanics::Mechanics;
+use crate::skin::mechanics::{Mechanics, Stroke};
 
 /// Largest number of stop receipts that are stored.
 const RECEIPTS_MAX: usize = 4096;
 /// Rise of a tip above its deepest position at which it is unloading, mm.
 const UNLOADING_MM: f64 = 0.005;
+
+/// When the bytes of a request arrived.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Arrival {
+    /// Process s.
+    pub process_s: f64,
+    /// The same time, wall seconds since 1970.
+    pub unix_s: f64,
+}
 
 /// Result of a request to a wire.
 #[derive(Debug, Clone, PartialEq)]
@@ -70,7 +79,6 @@ struct Axis {
     map: AxisMap,
     line: String,
     unit: u8,
-    servo_at_power_up: bool,
     /// State of the device as stale reads show it, and the process time since which they are stale,
     /// s.
     stale: Option<(AxisMap, Drive, f64)>,
@@ -128,13 +136,11 @@ impl Bench {
             let at = lower + rng.random_range(0.05..0.95) * (upper - lower);
             let (speed, acceleration) = (file.speed, file.acceleration);
             let mechanism = Mechanism { travel: file.travel, speed, acceleration };
-            let servo_at_power_up = AxisMap::servo_at_power_up(file.device);
             Axis {
-                drive: Drive::power_up(mechanism, at, servo_at_power_up),
+                drive: Drive::power_up(mechanism, at, AxisMap::servo_at_power_up(file.device)),
                 map: AxisMap::new(file.device, file.counts_per_unit, rig.clock_rate),
                 line: file.line.clone(),
                 unit: file.unit,
-                servo_at_power_up,
                 stale: None,
             }
         };
@@ -228,9 +234,10 @@ impl Bench {
             return;
         }
         self.load = None;
-        let deepest_mm = self.drive(AxisName::Z).range(from_s, to_s)[1];
+        let deepest_mm = self.drive(AxisName::Z).range(from_s..=to_s)[1];
         let end = self.pose(to_s);
-        let forces = self.indenter.forces_n(&Pose { z_mm: deepest_mm, ..end }, false);
+        let lowest = Pose { z_mm: deepest_mm, ..end };
+        let forces = self.indenter.forces_n(&lowest, Stroke::Loading);
         let largest_n = forces.iter().copied().fold(0.0, f64::max);
         let touching = largest_n > 0.0;
         self.peaks.force_n = self.peaks.force_n.max(largest_n);
@@ -261,16 +268,17 @@ impl Bench {
         }
     }
 
-    fn unloading(&self, z_mm: f64) -> bool {
-        z_mm < self.deepest_z_mm - UNLOADING_MM
+    fn stroke(&self, z_mm: f64) -> Stroke {
+        let risen = z_mm < self.deepest_z_mm - UNLOADING_MM;
+        if risen { Stroke::Unloading } else { Stroke::Loading }
     }
 
     /// Computes the held load if it is unknown.
     fn hold_load(&mut self) {
         if self.load.is_none() {
             let pose = self.pose(self.now_s);
-            let unloading = self.unloading(pose.z_mm);
-            self.load = Some(Arc::new(self.indenter.load(&pose, unloading, &self.weights)));
+            let stroke = self.stroke(pose.z_mm);
+            self.load = Some(Arc::new(self.indenter.load(&pose, stroke, &self.weights)));
         }
     }
 
@@ -286,11 +294,14 @@ impl Bench {
                 self.hold_cells();
             }
             let axis = &mut self.axes[name.index()];
-            axis.drive.set_jam(t_s, jam.is_some(), jam.flatten());
+            match jam {
+                Some(alarm_after_s) => axis.drive.jam(t_s, alarm_after_s),
+                None => axis.drive.free(t_s),
+            }
             match sudden {
                 Some(Kind::Alarm { code }) => axis.drive.trip(t_s, Alarm::Scripted(code)),
                 Some(Kind::PowerLoss) => {
-                    axis.drive.power_cycle(t_s, axis.servo_at_power_up);
+                    axis.drive.power_cycle(t_s);
                     axis.map.power_cycle();
                 }
                 _ => {}
@@ -327,7 +338,7 @@ impl Bench {
             return held;
         }
         let pose = self.pose(self.cells.time_s(conversion));
-        let forces = self.indenter.forces_n(&pose, self.unloading(pose.z_mm));
+        let forces = self.indenter.forces_n(&pose, self.stroke(pose.z_mm));
         let faults = self.faults.cells(self.now_s);
         self.cells.convert(conversion, &forces, self.powered, &faults)
     }
@@ -344,16 +355,9 @@ impl Bench {
         AxisName::ALL.iter().copied().find(axis).map(Target::Axis)
     }
 
-    /// Executes one request at a process time. `received_unix_s`: time at which its bytes arrived.
-    pub fn serve(
-        &mut self,
-        line: &str,
-        unit: u8,
-        pdu: &[u8],
-        t_s: f64,
-        received_unix_s: f64,
-    ) -> Served {
-        self.advance(t_s);
+    /// Executes one request that arrived over a wire.
+    pub fn serve(&mut self, line: &str, unit: u8, pdu: &[u8], arrival: Arrival) -> Served {
+        self.advance(arrival.process_s);
         self.counters.requests += 1;
         let target = self.target(line, unit);
         let fault = self.faults.strike_request(target.as_ref(), line, self.now_s);
@@ -363,7 +367,7 @@ impl Bench {
             Some(WireFault::NoReply { executed: false })
             | Some(WireFault::Disconnect { executed: false }) => Vec::new(),
             Some(WireFault::Exception(code)) => answer(pdu, &Err(Exception::Scripted(code))),
-            _ => self.carry_out(&target, pdu, received_unix_s),
+            _ => self.carry_out(&target, pdu, arrival.unix_s),
         };
         self.counters.exceptions += u64::from(answer.first().is_some_and(|f| f & 0x80 != 0));
         Served { answer: Some(answer), fault }
@@ -433,8 +437,8 @@ impl Bench {
         if self.indenter.surely_clear(pose.z_mm) {
             return;
         }
-        let unloading = self.unloading(pose.z_mm);
-        self.expected.push(Arc::new(self.indenter.load(&pose, unloading, &self.weights)));
+        let stroke = self.stroke(pose.z_mm);
+        self.expected.push(Arc::new(self.indenter.load(&pose, stroke, &self.weights)));
     }
 
     /// Returns the loads that are expected to be held soon, for the solver.

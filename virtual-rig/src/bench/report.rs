@@ -105,7 +105,7 @@ impl Bench {
             deepest_below_surface_mm: self.peaks.z_mm - self.indenter.surface_z_mm(),
             radius_mm: pose.radius_mm,
             surface_z_mm: self.indenter.surface_z_mm(),
-            forces_n: self.indenter.forces_n(&pose, self.unloading(pose.z_mm)),
+            forces_n: self.indenter.forces_n(&pose, self.stroke(pose.z_mm)),
             tips_mm: (0..self.indenter.mounted()).map(|a| self.indenter.tip(a, &pose)).collect(),
             weights: self.weights.clone(),
             pressing: self.pressing,

@@ -18,12 +18,20 @@ const USE: f64 = 0.8;
 /// Reserve for noise and drift in addition to the held voltages, V.
 const NOISE_ROOM_V: f64 = 0.02;
 
-/// Voltage of one count, V: that of the finest gain step that contains `largest_v`, starting from
-/// the voltage of the source.
-pub fn volts_per_count(source_v: f64, largest_v: f64) -> f32 {
-    let needed = (largest_v + NOISE_ROOM_V) / USE;
-    let steps = (source_v / needed).log2().floor().clamp(0.0, f64::from(STEPS - 1));
-    (source_v / 2f64.powf(steps) / f64::from(i16::MAX)) as f32
+/// The amplifier before the converter; it chooses the gain step of each frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Amplifier {
+    /// Full scale of the first gain step, V: the voltage of the source.
+    pub source_v: f64,
+}
+
+impl Amplifier {
+    /// Voltage of one count, V: that of the finest gain step that contains `largest_v`.
+    pub fn volts_per_count(&self, largest_v: f64) -> f32 {
+        let needed = (largest_v + NOISE_ROOM_V) / USE;
+        let steps = (self.source_v / needed).log2().floor().clamp(0.0, f64::from(STEPS - 1));
+        (self.source_v / 2f64.powf(steps) / f64::from(i16::MAX)) as f32
+    }
 }
 
 /// Encodes packets, with a reused buffer.
@@ -176,10 +184,11 @@ mod tests {
 
     #[test]
     fn the_amplifier_never_saturates_on_the_held_voltages() {
+        let amplifier = Amplifier { source_v: 12.0 };
         for largest in [0.0, 0.01, 0.1, 0.5, 2.0, 9.0] {
-            let step = f64::from(volts_per_count(12.0, largest)) * 32767.0;
+            let step = f64::from(amplifier.volts_per_count(largest)) * 32767.0;
             assert!(step > largest && step <= 12.001, "{step} for {largest}");
         }
-        assert!(volts_per_count(12.0, 0.0) < volts_per_count(12.0, 1.0));
+        assert!(amplifier.volts_per_count(0.0) < amplifier.volts_per_count(1.0));
     }
 }

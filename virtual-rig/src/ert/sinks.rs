@@ -95,14 +95,21 @@ impl Tail {
 }
 
 impl Sinks {
-    /// Accepts new readers; with `refused` (the wire is disconnected) they are rejected.
-    pub fn accept(&mut self, refused: bool) {
+    /// Accepts new readers.
+    pub fn accept(&mut self) {
         let Sinks::Tcp { listener, clients } = self else { return };
         while let Ok((stream, _)) = listener.accept() {
             let ready = stream.set_nonblocking(true).and(stream.set_nodelay(true)).is_ok();
-            if ready && !refused && clients.len() < CLIENTS_MAX {
+            if ready && clients.len() < CLIENTS_MAX {
                 clients.push(Client { stream, tail: Tail::default() });
             }
+        }
+    }
+
+    /// Rejects new readers: the wire is disconnected.
+    pub fn reject(&mut self) {
+        if let Sinks::Tcp { listener, .. } = self {
+            while listener.accept().is_ok() {}
         }
     }
 

@@ -13,7 +13,7 @@ use std::time::Duration;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::packet::{PacketWriter, volts_per_count};
+use super::packet::{Amplifier, PacketWriter};
 use super::sinks::Sinks;
 use crate::bench::TakenFrame;
 use crate::fault::Kind;
@@ -42,7 +42,7 @@ impl Stream {
         lab: Arc<Lab>,
         readout: Readout,
         sinks: Sinks,
-        source_v: f64,
+        amplifier: Amplifier,
         seed: u64,
     ) -> io::Result<Self> {
         let stop = Arc::new(AtomicBool::new(false));
@@ -52,7 +52,7 @@ impl Stream {
             lab,
             readout,
             sinks,
-            source_v,
+            amplifier,
             writer: PacketWriter::default(),
             voltages: vec![0.0; electrodes * electrodes],
             batch: Vec::new(),
@@ -82,7 +82,7 @@ struct Sender {
     lab: Arc<Lab>,
     readout: Readout,
     sinks: Sinks,
-    source_v: f64,
+    amplifier: Amplifier,
     writer: PacketWriter,
     voltages: Vec<f32>,
     batch: Vec<u8>,
@@ -104,8 +104,10 @@ impl Sender {
         let cut = faults.iter().any(|f| matches!(f, Kind::Disconnect { .. }));
         if cut {
             self.sinks.disconnect();
+            self.sinks.reject();
+        } else {
+            self.sinks.accept();
         }
-        self.sinks.accept(cut);
         let readers = self.sinks.readers();
         self.lab.stream.readers.store(readers as u64, Ordering::Relaxed);
         if readers > 0 && !cut && !faults.contains(&Kind::StallStream) {
@@ -131,7 +133,7 @@ impl Sender {
             };
             self.readout.frame(&held, frame.first_sample_s, &mut self.voltages);
             let largest = held.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
-            let step = volts_per_count(self.source_v, largest);
+            let step = self.amplifier.volts_per_count(largest);
             let time_us = (frame.first_sample_s * 1e6).round() as u64;
             let start = self.batch.len();
             let out = &mut self.batch;

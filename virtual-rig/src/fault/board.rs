@@ -20,6 +20,15 @@ impl Entry {
     }
 }
 
+/// A fault in effect.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ActiveFault {
+    /// The fault.
+    pub kind: Kind,
+    /// Process time of its begin, s.
+    pub began_s: f64,
+}
+
 /// Effect of a fault on one request.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum WireFault {
@@ -161,11 +170,11 @@ impl Board {
         Some(fault.kind)
     }
 
-    /// Active faults of the cells, with the process time of their begin, s.
-    pub fn cells(&mut self, t_s: f64) -> Vec<(Kind, f64)> {
+    /// Active faults of the cells.
+    pub fn cells(&mut self, t_s: f64) -> Vec<ActiveFault> {
         self.active(t_s)
             .filter(|(f, _, _)| f.target == Target::Cells)
-            .map(|(f, began, _)| (f.kind, began))
+            .map(|(f, began_s, _)| ActiveFault { kind: f.kind, began_s })
             .collect()
     }
 

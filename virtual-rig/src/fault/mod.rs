@@ -12,7 +12,7 @@
 
 mod board;
 
-pub use board::{Board, WireFault};
+pub use board::{ActiveFault, Board, WireFault};
 
 use serde::Deserialize;
 

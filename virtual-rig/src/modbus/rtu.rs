@@ -14,6 +14,15 @@ pub struct Adu {
     pub pdu: Vec<u8>,
 }
 
+/// State of the line after the bytes in the buffer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LineState {
+    /// Bytes have just arrived, and more may follow.
+    Receiving,
+    /// No bytes have arrived for a while, so the buffer contains the whole frame.
+    Silent,
+}
+
 /// Content of the front of the buffer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Taken {
@@ -33,23 +42,22 @@ pub fn crc16(bytes: &[u8]) -> u16 {
 }
 
 /// Length of the request at the front, if its function determines it. With an unknown function the
-/// whole buffer is one frame once `silent`.
-fn request_length(buffer: &[u8], silent: bool) -> Option<usize> {
+/// whole buffer is one frame once the line is silent.
+fn request_length(buffer: &[u8], line: LineState) -> Option<usize> {
     match buffer.get(1)? {
         1..=6 => Some(8),
         15 | 16 => Some(9 + usize::from(*buffer.get(6)?)),
         22 => Some(10),
         23 => Some(13 + usize::from(*buffer.get(10)?)),
-        _ => silent.then_some(buffer.len()),
+        _ => (line == LineState::Silent).then_some(buffer.len()),
     }
 }
 
-/// Takes one request from the front. `silent`: no bytes have arrived for a while, so the buffer
-/// contains the whole frame.
-pub fn take(buffer: &mut Vec<u8>, silent: bool) -> Taken {
-    let length = request_length(buffer, silent).unwrap_or(usize::MAX);
+/// Takes one request from the front.
+pub fn take(buffer: &mut Vec<u8>, line: LineState) -> Taken {
+    let length = request_length(buffer, line).unwrap_or(usize::MAX);
     if buffer.len() < length.max(SHORTEST) {
-        if silent && !buffer.is_empty() {
+        if line == LineState::Silent && !buffer.is_empty() {
             buffer.clear();
             return Taken::Garbled;
         }
@@ -86,7 +94,7 @@ mod tests {
     fn a_documented_frame_is_read_and_written() {
         let mut buffer = WAVESHARE.to_vec();
         let adu = Adu { unit: 1, pdu: WAVESHARE[1..6].to_vec() };
-        assert_eq!(take(&mut buffer, false), Taken::Request(adu));
+        assert_eq!(take(&mut buffer, LineState::Receiving), Taken::Request(adu));
         assert!(buffer.is_empty());
         assert_eq!(frame(1, &WAVESHARE[1..6]), WAVESHARE);
     }
@@ -96,7 +104,7 @@ mod tests {
         for bit in 0..64 {
             let mut buffer = WAVESHARE.to_vec();
             buffer[bit / 8] ^= 1 << (bit % 8);
-            let taken = take(&mut buffer, true);
+            let taken = take(&mut buffer, LineState::Silent);
             assert_eq!(taken, Taken::Garbled, "bit {bit}");
         }
     }
@@ -104,8 +112,8 @@ mod tests {
     #[test]
     fn a_cut_frame_waits_and_then_is_dropped() {
         let mut buffer = WAVESHARE[..5].to_vec();
-        assert_eq!(take(&mut buffer, false), Taken::Incomplete);
-        assert_eq!(take(&mut buffer, true), Taken::Garbled);
+        assert_eq!(take(&mut buffer, LineState::Receiving), Taken::Incomplete);
+        assert_eq!(take(&mut buffer, LineState::Silent), Taken::Garbled);
         assert!(buffer.is_empty());
     }
 }

@@ -20,6 +20,28 @@ use super::gap::MechanicsGap;
 /// Force at the end of the toe, N.
 const TOE_FORCE_N: f64 = 5.0;
 
+/// Position of one tip.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TipPosition {
+    /// Index of the arm, 0 to 5.
+    pub arm: usize,
+    /// Centre of the indenter, skin coordinates, mm.
+    pub centre_mm: [f64; 2],
+    /// Radius of the circle of tips, mm.
+    pub radius_mm: f64,
+    /// Centre of the tip, skin coordinates, mm.
+    pub tip_mm: [f64; 2],
+}
+
+/// Direction in which the depth of a tip in contact changes: the foam is softer while unloading.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stroke {
+    /// Downward, or at the deepest position so far.
+    Loading,
+    /// Upward from the deepest position.
+    Unloading,
+}
+
 /// The mechanics of one rig on one skin. The unevenness is a smooth function of position: returning
 /// within tenths of a millimetre meets the same gap; neighbouring points (17 mm) are nearly
 /// independent.
@@ -44,14 +66,9 @@ impl Mechanics {
         }
     }
 
-    /// Depth below the nominal surface at which a tip reaches 5 N, mm. `arm`: 0 to 5.
-    pub fn depth_at_5_n_mm(
-        &self,
-        arm: usize,
-        centre: [f64; 2],
-        radius_mm: f64,
-        tip: [f64; 2],
-    ) -> f64 {
+    /// Depth below the nominal surface at which a tip reaches 5 N, mm.
+    pub fn depth_at_5_n_mm(&self, at: &TipPosition) -> f64 {
+        let TipPosition { arm, centre_mm: centre, radius_mm, tip_mm: tip } = *at;
         let g = &self.gap;
         let configuration = self.configuration.at([centre[0], centre[1], radius_mm]);
         let under_tip = self.tips.get(arm).map_or(0.0, |field| field.at([tip[0], tip[1], 0.0]));
@@ -61,19 +78,11 @@ impl Mechanics {
             + g.tip_offsets_mm.get(arm).copied().unwrap_or(0.0)
     }
 
-    /// Force of a tip, N, >= 0. `arm`: 0 to 5; centre, radius and tip in skin coordinates, mm;
-    /// `z_below_surface_mm`: how far the stage is below the nominal surface (see above).
-    pub fn force_n(
-        &self,
-        arm: usize,
-        centre: [f64; 2],
-        radius_mm: f64,
-        tip: [f64; 2],
-        z_below_surface_mm: f64,
-        unloading: bool,
-    ) -> f64 {
+    /// Force of a tip, N, >= 0. `z_below_surface_mm`: how far the stage is below the nominal
+    /// surface (see above).
+    pub fn force_n(&self, at: &TipPosition, z_below_surface_mm: f64, stroke: Stroke) -> f64 {
         let g = &self.gap;
-        let beyond = z_below_surface_mm - self.depth_at_5_n_mm(arm, centre, radius_mm, tip);
+        let beyond = z_below_surface_mm - self.depth_at_5_n_mm(at);
         let into_toe = beyond + g.toe_mm;
         let loading = if into_toe <= 0.0 {
             0.0
@@ -82,6 +91,9 @@ impl Mechanics {
         } else {
             TOE_FORCE_N + g.slope_n_per_mm * beyond
         };
-        if unloading { loading * (1.0 - g.unloading_softer) } else { loading }
+        match stroke {
+            Stroke::Loading => loading,
+            Stroke::Unloading => loading * (1.0 - g.unloading_softer),
+        }
     }
 }

@@ -17,7 +17,7 @@ use std::path::Path;
 
 use rand_distr::{Distribution, StandardNormal};
 use sim_core::circuit::{ElectrodeSite, ReadoutCircuit};
-use sim_core::fields::{DisplacementLut, LutError, NodeFields};
+use sim_core::fields::{DisplacementLut, LutError, LutGrid, NodeFields};
 use sim_core::forward::{ForwardModel, ModelError, POINT_TOLERANCE_MM, VertexForce, Workspace};
 use sim_core::mesh::Mesh;
 use sim_core::responses::ResponsesError;
@@ -29,8 +29,7 @@ pub use readout::Readout;
 
 /// Linear compression at the end of the table of the foam's law, mm; beyond it the table is
 /// extrapolated (240 N compress 20 mm).
-const LUT_END_MM: f64 = 30.0;
-const LUT_STEP_MM: f64 = 0.01;
+const LUT_GRID: LutGrid = LutGrid { step_mm: 0.01, end_mm: 30.0 };
 
 /// Reason why a skin cannot be built.
 #[derive(Debug, thiserror::Error)]
@@ -230,6 +229,6 @@ fn fields(mesh: &Mesh, sensor: &Sensor, gap: &Gap, seed: u64) -> Result<NodeFiel
         ln_c: smooth("ln c", g.ln_c_sd, nodes),
         ln_compliance,
         ln_sheet_conductance: smooth("ln sheet", g.ln_sheet_sd, &centres),
-        displacement: Some(DisplacementLut::sample(LUT_STEP_MM, LUT_END_MM, |x| foam.apply(x))?),
+        displacement: Some(DisplacementLut::sample(LUT_GRID, |x| foam.apply(x))?),
     })
 }

@@ -9,7 +9,7 @@ use sim_core::sensor::Sensor;
 use sim_core::stats::{fvu, sorted, upper_quantile};
 
 use super::gap::{Gap, GapError};
-use super::mechanics::Mechanics;
+use super::mechanics::{Mechanics, Stroke, TipPosition};
 use super::{Readout, Skin, TipLoad, points_under};
 
 const GAP_A: &str = include_str!("../../../experiments/gaps/gap-a.toml");
@@ -43,6 +43,13 @@ struct Stand {
     tips: Vec<[f64; 2]>,
 }
 
+impl Stand {
+    fn tip(&self, arm: usize) -> TipPosition {
+        let (centre_mm, radius_mm, tip_mm) = (self.centre, self.radius_mm, self.tips[arm]);
+        TipPosition { arm, centre_mm, radius_mm, tip_mm }
+    }
+}
+
 /// All (centre, radius) at which the first `tips` arms are on points.
 fn stands(sensor: &Sensor, tips: usize) -> Vec<Stand> {
     let pitch = sensor.pitch_mm();
@@ -56,7 +63,7 @@ fn stands(sensor: &Sensor, tips: usize) -> Vec<Stand> {
                     [p.x_mm + radius_mm * angle.cos(), p.y_mm + radius_mm * angle.sin()]
                 })
                 .collect();
-            if places.iter().all(|&[x, y]| sensor.point_near(x, y, 0.01).is_some()) {
+            if places.iter().all(|&at_mm| sensor.point_near(at_mm, 0.01).is_some()) {
                 out.push(Stand { centre: [p.x_mm, p.y_mm], radius_mm, tips: places });
             }
         }
@@ -71,10 +78,8 @@ fn some(stands: &[Stand], count: usize) -> impl Iterator<Item = &Stand> {
 
 fn forces(mechanics: &Mechanics, stand: &Stand, travel_mm: f64) -> Vec<f64> {
     let z = travel_mm - 1.0;
-    let force = |(arm, &tip): (usize, &[f64; 2])| {
-        mechanics.force_n(arm, stand.centre, stand.radius_mm, tip, z, false)
-    };
-    stand.tips.iter().enumerate().map(force).collect()
+    let force = |arm| mechanics.force_n(&stand.tip(arm), z, Stroke::Loading);
+    (0..stand.tips.len()).map(force).collect()
 }
 
 #[test]
@@ -123,23 +128,27 @@ fn forces_at_full_depth_fill_the_papers_range() {
 #[test]
 fn force_rises_with_depth_and_a_place_keeps_its_gap() {
     let mechanics = Mechanics::new(&gap_a().mechanics, 5);
-    let (centre, radius, tip) = ([270.0, 280.0], 34.64, [304.64, 280.0]);
-    let force = |z: f64, unloading| mechanics.force_n(0, centre, radius, tip, z, unloading);
+    let at = |centre_mm, radius_mm, tip_mm| TipPosition { arm: 0, centre_mm, radius_mm, tip_mm };
+    let place = at([270.0, 280.0], 34.64, [304.64, 280.0]);
+    let force = |z: f64, stroke| mechanics.force_n(&place, z, stroke);
     let mut before = 0.0;
     for step in 0..80 {
-        let now = force(-1.0 + 0.1 * f64::from(step), false);
+        let now = force(-1.0 + 0.1 * f64::from(step), Stroke::Loading);
         assert!(now >= before && now.is_finite());
         before = now;
     }
-    assert_eq!(force(-3.0, false), 0.0);
-    let back = mechanics.force_n(0, [270.2, 279.9], 34.7, [304.9, 280.1], 3.0, false);
-    assert!((back - force(3.0, false)).abs() < 1.0, "{back} {}", force(3.0, false));
-    let elsewhere = mechanics.force_n(0, [270.0, 310.0], 34.64, [304.64, 310.0], 3.0, false);
-    assert!((elsewhere - force(3.0, false)).abs() > 0.5);
-    assert_eq!(force(3.0, true), force(3.0, false));
+    assert_eq!(force(-3.0, Stroke::Loading), 0.0);
+    let pressed = force(3.0, Stroke::Loading);
+    let near = at([270.2, 279.9], 34.7, [304.9, 280.1]);
+    let back = mechanics.force_n(&near, 3.0, Stroke::Loading);
+    assert!((back - pressed).abs() < 1.0, "{back} {pressed}");
+    let far = at([270.0, 310.0], 34.64, [304.64, 310.0]);
+    let elsewhere = mechanics.force_n(&far, 3.0, Stroke::Loading);
+    assert!((elsewhere - pressed).abs() > 0.5);
+    assert_eq!(force(3.0, Stroke::Unloading), pressed);
     let b = Mechanics::new(&Gap::from_toml(GAP_B).unwrap().mechanics, 5);
     let [loading, unloading] =
-        [false, true].map(|back| b.force_n(0, centre, radius, tip, 3.0, back));
+        [Stroke::Loading, Stroke::Unloading].map(|stroke| b.force_n(&place, 3.0, stroke));
     assert!((unloading / loading - 0.95).abs() < 1e-12);
 }
 
@@ -151,10 +160,7 @@ fn the_mean_travel_to_five_newtons_is_the_papers() {
     let mut depths = Vec::new();
     for seed in 0..8 {
         let mechanics = Mechanics::new(&gap_a().mechanics, seed);
-        depths.extend(
-            some(&all, 400)
-                .map(|s| 1.0 + mechanics.depth_at_5_n_mm(0, s.centre, s.radius_mm, s.tips[0])),
-        );
+        depths.extend(some(&all, 400).map(|s| 1.0 + mechanics.depth_at_5_n_mm(&s.tip(0))));
     }
     let mean = depths.iter().sum::<f64>() / depths.len() as f64;
     let variance = depths.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / depths.len() as f64;

@@ -149,7 +149,7 @@ impl Shapes {
         slopes.fill(0.0);
         let (along_x, rest) = slopes.split_at_mut(self.width);
         let (along_y, along_f) = rest.split_at_mut(self.width);
-        for corner in model.lattice().around(x_mm, y_mm).into_iter().flatten() {
+        for corner in model.lattice().around([x_mm, y_mm]).into_iter().flatten() {
             let (low, high) = (self.row(corner.node, level), self.row(corner.node, level + 1));
             let [slope_x, slope_y] = corner.slope_per_mm;
             let weight = corner.sixths;

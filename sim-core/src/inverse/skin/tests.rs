@@ -107,13 +107,13 @@ fn correlation(a: &[f64], b: &[f64]) -> f64 {
 
 /// Number of electrodes in the triangle of their true position.
 fn in_their_triangles(places_mm: &[[f64; 2]], skin: &ForwardModel) -> usize {
-    let triangle = |x_mm: f64, y_mm: f64| {
-        let mut nodes = skin.mesh().locate(x_mm, y_mm).nodes;
+    let triangle = |at_mm: [f64; 2]| {
+        let mut nodes = skin.mesh().locate(at_mm).nodes;
         nodes.sort_unstable();
         nodes
     };
     let both = places_mm.iter().zip(&skin.circuit().electrodes);
-    both.filter(|(at, site)| triangle(at[0], at[1]) == triangle(site.x_mm, site.y_mm)).count()
+    both.filter(|(at, site)| triangle(**at) == triangle([site.x_mm, site.y_mm])).count()
 }
 
 /// Held-out medians before and after a fit of `trials` trials, correlation of the fitted with the

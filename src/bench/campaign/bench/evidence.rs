@@ -26,6 +26,17 @@ const SILENT_N: f64 = 0.5;
 /// Consecutive configurations in which an attached arm may be silent at the deepest step.
 const SILENT_MAX: u32 = 3;
 
+/// Newest forces of the attached arms, and when they were compared with the skin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WeighedForces<'a> {
+    /// Forces, N.
+    pub forces_n: &'a [f64],
+    /// Time of the comparison, process s.
+    pub now_s: f64,
+    /// Process time after which the cells show a load that the skin shows, s.
+    pub update_s: f64,
+}
+
 /// Reference frame of the untouched skin, and the touches detected since.
 #[derive(Debug, Clone)]
 pub struct SkinWatch {
@@ -78,24 +89,22 @@ impl SkinWatch {
         Some(beyond.max(0.0).sqrt())
     }
 
-    /// Compares the newest frame with the newest forces of the attached arms, N, at a process time,
-    /// s. Returns a message if the skin has shown a touch that no cell measures for longer than
-    /// `update_s`.
+    /// Compares the newest frame with the newest forces. Returns a message if the skin has shown a
+    /// touch that no cell measures for longer than `update_s`.
     pub fn unweighed_touch(
         &mut self,
         frame: &Frame,
-        forces_n: &[f64],
-        now_s: f64,
-        update_s: f64,
+        weighed: &WeighedForces<'_>,
         limits: &RigLimits,
     ) -> Option<String> {
+        let WeighedForces { forces_n, now_s, update_s } = *weighed;
         if frame.sequence == self.sequence {
             return None;
         }
         self.sequence = frame.sequence;
         let (touch_v, limit_v) = (self.touch_v(frame)?, limits.skin_touch_v);
-        let weighed = forces_n.iter().any(|&f| f > WEIGHED_N);
-        if touch_v < limit_v || weighed {
+        let explained = forces_n.iter().any(|&f| f > WEIGHED_N);
+        if touch_v < limit_v || explained {
             self.unweighed = None;
             return None;
         }
@@ -156,6 +165,22 @@ pub fn outside_corridor(
     })
 }
 
+/// Force on an attached arm, and the depth of its tip.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PressedArm {
+    /// Force, N.
+    pub force_n: f64,
+    /// Distance of the tip below its touch height of the touch-off, mm.
+    pub below_touch_mm: f64,
+}
+
+impl PressedArm {
+    /// Whether the arm measures no force although its tip must press.
+    pub fn is_silent(&self, limits: &RigLimits) -> bool {
+        self.force_n < SILENT_N && self.below_touch_mm >= limits.must_press_mm
+    }
+}
+
 /// Counts, for each attached arm, the consecutive configurations without force where its tip must
 /// press.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -164,23 +189,17 @@ pub struct SilentArms {
 }
 
 impl SilentArms {
-    /// Whether an arm measures no force although its tip is `below_touch_mm` below its touch
-    /// height.
-    pub fn is_silent(force_n: f64, below_touch_mm: f64, limits: &RigLimits) -> bool {
-        force_n < SILENT_N && below_touch_mm >= limits.must_press_mm
-    }
-
-    /// Records the deepest step of a configuration: largest force of each attached arm, N, and
-    /// distance of its tip below its touch height, mm. Returns a message if an arm has been silent
-    /// in too many configurations.
+    /// Records the deepest step of a configuration: the largest force of each attached arm. Returns
+    /// a message if an arm has been silent in too many configurations.
     pub fn note(
         &mut self,
-        arms: impl Iterator<Item = (f64, f64)>,
+        arms: impl IntoIterator<Item = PressedArm>,
         limits: &RigLimits,
     ) -> Option<String> {
         let mut words = None;
-        for (i, (force_n, below_touch_mm)) in arms.enumerate().take(ARMS) {
-            if Self::is_silent(force_n, below_touch_mm, limits) {
+        for (i, arm) in arms.into_iter().enumerate().take(ARMS) {
+            let PressedArm { force_n, below_touch_mm } = arm;
+            if arm.is_silent(limits) {
                 self.configurations[i] += 1;
                 if self.configurations[i] >= SILENT_MAX {
                     let n = self.configurations[i];
@@ -226,7 +245,9 @@ mod tests {
     fn a_touch_that_no_cell_weighs_counts_after_the_cells_update() {
         let (mut watch, limits) = (watch(), limits());
         let mut look = |n: u32, level, force| {
-            watch.unweighed_touch(&frame(n, level), &[force], f64::from(n) * 0.05, 0.1, &limits)
+            let now_s = f64::from(n) * 0.05;
+            let weighed = WeighedForces { forces_n: &[force], now_s, update_s: 0.1 };
+            watch.unweighed_touch(&frame(n, level), &weighed, &limits)
         };
         assert_eq!(look(4, 0, 0.0), None);
         assert_eq!(look(5, 40, 0.0), None);
@@ -265,7 +286,8 @@ mod tests {
     fn an_arm_that_never_presses_is_named_after_three_configurations() {
         let (mut arms, limits) = (SilentArms::default(), limits());
         let deep = limits.must_press_mm + 0.5;
-        let mut note = |a: f64, b: f64| arms.note([(a, deep), (b, deep)].into_iter(), &limits);
+        let arm = |force_n| PressedArm { force_n, below_touch_mm: deep };
+        let mut note = |a: f64, b: f64| arms.note([a, b].map(arm), &limits);
         assert_eq!(note(10.0, 0.1), None);
         assert_eq!(note(10.0, 0.1), None);
         assert_eq!(note(10.0, 4.0), None, "it presses");

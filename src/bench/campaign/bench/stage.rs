@@ -1,6 +1,6 @@
 //! The guarded bench: last readings, active limits, allowed positions of the tips.
-//! Uses: `rig::traits`, `campaign::{bench::interlock, bench::evidence, bench::stopping}`. Never:
-//! the plan, storage.
+//! Uses: `rig::traits`, `schedule::configuration`, `campaign::{bench::interlock, bench::evidence,
+//! bench::stopping}`. Never: the plan, storage.
 //!
 //! Motions are in `travel`. Every sample of the cells goes through `check`.
 
@@ -10,7 +10,9 @@ use futures::future::join_all;
 use tokio::time::Instant;
 
 use crate::campaign::bench::estop::StopSwitch;
-use crate::campaign::bench::evidence::{FELT_FRAMES, SilentArms, SkinWatch};
+use crate::campaign::bench::evidence::{
+    FELT_FRAMES, Held, PressedArm, SilentArms, SkinWatch, WeighedForces,
+};
 use crate::campaign::bench::interlock::{self, ForceLimits, TripKind};
 use crate::campaign::bench::stopping::{POLL_S, Stopping};
 use crate::campaign::bench::stuck::StuckChannels;
@@ -22,6 +24,7 @@ use crate::record::{Pose, TouchOffRecord};
 use crate::rig::config::{ARMS, RigConfig};
 use crate::rig::error::RigError;
 use crate::rig::traits::{Axis, Bench, CellVolts};
+use crate::schedule::configuration::Stand;
 
 /// Shortest pause between two polls, wall s, so that an accelerated rig is not polled continuously.
 const POLL_WALL_S: f64 = 200e-6;
@@ -152,15 +155,16 @@ impl Stage {
         }
     }
 
-    /// Distance of each attached arm's tip below its touch height of the touch-off, mm, at `z_mm`.
-    pub fn below_touch_mm(&self, z_mm: f64) -> impl Iterator<Item = f64> + '_ {
-        let surface = self.surface.as_ref();
-        (1..=self.tips).map(move |arm| {
+    /// Forces of the attached arms, and the depths of their tips.
+    pub fn pressed_arms(&self, held: &Held) -> impl Iterator<Item = PressedArm> + use<'_> {
+        let (surface, z_mm) = (self.surface.as_ref(), held.z_mm);
+        (1..=self.tips).zip(held.forces_n).map(move |(arm, force_n)| {
             let touched = surface.and_then(|s| {
                 let offset = s.tip_offset_mm.iter().find(|(a, _)| *a == arm)?.1;
                 Some(s.surface_z_mm + offset)
             });
-            touched.map_or(f64::NEG_INFINITY, |at| z_mm - at)
+            let below_touch_mm = touched.map_or(f64::NEG_INFINITY, |at| z_mm - at);
+            PressedArm { force_n, below_touch_mm }
         })
     }
 
@@ -272,7 +276,8 @@ impl Stage {
             return Ok(());
         };
         let limits = &self.config.limits;
-        match watch.unweighed_touch(&frame, forces_n, now_s, update_s, limits) {
+        let weighed = WeighedForces { forces_n, now_s, update_s };
+        match watch.unweighed_touch(&frame, &weighed, limits) {
             Some(words) => Err(Halt::trip(TripKind::Cell, words)),
             None => Ok(()),
         }
@@ -321,14 +326,14 @@ impl Stage {
         }
     }
 
-    /// Machine pose over a position in skin coordinates.
-    pub fn pose_over(&self, centre_mm: [f64; 2], radius_mm: f64, z_mm: f64) -> Pose {
+    /// Machine pose over a stand, at a machine z.
+    pub fn pose_over(&self, stand: &Stand, z_mm: f64) -> Pose {
         let place = &self.config.skin;
         Pose {
-            x_mm: place.origin_x_mm + centre_mm[0],
-            y_mm: place.origin_y_mm + centre_mm[1],
+            x_mm: place.origin_x_mm + stand.centre_mm[0],
+            y_mm: place.origin_y_mm + stand.centre_mm[1],
             z_mm,
-            radius_mm,
+            radius_mm: stand.radius_mm,
         }
     }
 

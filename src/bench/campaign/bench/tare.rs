@@ -13,6 +13,15 @@ const NOISE_MULTIPLE: f64 = 10.0;
 /// Frames of the untouched skin: at 30 frames per second they arrive while the cells are read.
 const UNTOUCHED_FRAMES: usize = 4;
 
+/// Zeros that a tare accepts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Accept {
+    /// Any zero: no earlier tare is a limit.
+    AnyZero,
+    /// A zero that has drifted by no more than the limit since the last tare.
+    NearLast,
+}
+
 /// Tares the cells and meanwhile takes frames of the untouched skin, so that each can then
 /// cross-check the other. Returns arms and their zeros, V.
 ///
@@ -22,11 +31,11 @@ pub async fn tare_untouched(
     stage: &mut Stage,
     control: &mut Control,
     samples: u32,
-    first: bool,
+    accept: Accept,
 ) -> Result<Vec<(u8, f64)>, Halt> {
     let skin = stage.bench.skin.clone();
     let untouched = skin.take(stage.clock.now(), UNTOUCHED_FRAMES);
-    let (zeros, frames) = futures::join!(tare(stage, control, samples, first), untouched);
+    let (zeros, frames) = futures::join!(tare(stage, control, samples, accept), untouched);
     let zeros = zeros?;
     let frames = frames.map_err(|e| stage.no_frames(e))?;
     stage.skin = SkinWatch::untouched(&frames);
@@ -34,8 +43,7 @@ pub async fn tare_untouched(
     Ok(zeros)
 }
 
-/// Averages `samples` fresh readings of the cells and makes them the zeros. With `first`, any zero
-/// is accepted; otherwise it may not have drifted by more than the limit since the last tare.
+/// Averages `samples` fresh readings of the cells and makes them the zeros, if they are accepted.
 /// Connected cells on arms without a tip get zeros too, so that a load on them is detected.
 ///
 /// # Errors
@@ -45,7 +53,7 @@ pub async fn tare(
     stage: &mut Stage,
     control: &mut Control,
     samples: u32,
-    first: bool,
+    accept: Accept,
 ) -> Result<Vec<(u8, f64)>, Halt> {
     let mut readings: Vec<[f64; ARMS]> = Vec::with_capacity(samples as usize);
     for _ in 0..samples {
@@ -54,7 +62,7 @@ pub async fn tare(
         control.attend()?;
         readings.push(stage.bench.cells.read().await?.volts);
     }
-    let last = LastTare { zeros_v: &stage.tare_v, first };
+    let last = LastTare { zeros_v: &stage.tare_v, accept };
     stage.tare_v = zeros(&stage.config, stage.tips, &last, &readings)?;
     Ok((1..=stage.tips).map(|arm| (arm, stage.tare_v[usize::from(arm) - 1])).collect())
 }
@@ -63,8 +71,8 @@ pub async fn tare(
 struct LastTare<'a> {
     /// Zeros of arms 1 to 6, V.
     zeros_v: &'a [f64; ARMS],
-    /// No tare has been made: `zeros_v` is not a limit.
-    first: bool,
+    /// Whether `zeros_v` is a limit.
+    accept: Accept,
 }
 
 /// Zeros of arms 1 to 6, V, from readings in the air.
@@ -109,7 +117,7 @@ fn zeros(
         }
         let moved_n = ((mean - last.zeros_v[i]) * cells.newtons_per_volt()).abs();
         let limit = config.limits.tare_drift_n;
-        if !last.first && moved_n > limit {
+        if last.accept == Accept::NearLast && moved_n > limit {
             let detail = format!(
                 "zero of cell {arm} moved by {moved_n:.2} N since the last tare, limit {limit} N"
             );
@@ -132,11 +140,11 @@ mod tests {
     }
 
     /// Zeros of two tips, from readings of `forces_n` relative to the last zeros, arms 1 to 6.
-    fn tared(first: bool, forces_n: &[[f64; ARMS]]) -> Result<[f64; ARMS], Halt> {
+    fn tared(accept: Accept, forces_n: &[[f64; ARMS]]) -> Result<[f64; ARMS], Halt> {
         let config = rig();
         let volts = |f: &[f64; ARMS]| f.map(|n| 0.5 + n / config.cells.newtons_per_volt());
         let readings: Vec<_> = forces_n.iter().map(volts).collect();
-        zeros(&config, 2, &LastTare { zeros_v: &LAST, first }, &readings)
+        zeros(&config, 2, &LastTare { zeros_v: &LAST, accept }, &readings)
     }
 
     fn words(refused: Result<[f64; ARMS], Halt>) -> String {
@@ -151,29 +159,29 @@ mod tests {
     fn a_zero_that_moved_too_far_since_the_last_tare_trips() {
         let limit_n = rig().limits.tare_drift_n;
         let below = [0.0, 0.9 * limit_n, 0.0, 0.0, 0.0, 0.0];
-        let zeros = tared(false, &[below]).unwrap();
+        let zeros = tared(Accept::NearLast, &[below]).unwrap();
         assert!(zeros[0] == LAST[0] && zeros[1] > LAST[1]);
         let beyond = [0.0, -1.1 * limit_n, 0.0, 0.0, 0.0, 0.0];
-        let detail = words(tared(false, &[beyond]));
+        let detail = words(tared(Accept::NearLast, &[beyond]));
         assert!(detail.starts_with("zero of cell 2 moved by"), "{detail}");
-        assert!(tared(true, &[beyond]).is_ok(), "the first tare has no predecessor");
+        assert!(tared(Accept::AnyZero, &[beyond]).is_ok(), "the first tare has no predecessor");
     }
 
     #[test]
     fn a_cell_that_is_not_quiet_fails_the_attempt_and_does_not_trip() {
         let limit_n = NOISE_MULTIPLE * rig().cells.force_noise_n;
         let swings = |n: f64| [[n, 0.0, 0.0, 0.0, 0.0, 0.0], [-n, 0.0, 0.0, 0.0, 0.0, 0.0]];
-        assert!(tared(false, &swings(0.9 * limit_n)).is_ok());
-        let why = words(tared(false, &swings(1.1 * limit_n)));
+        assert!(tared(Accept::NearLast, &swings(0.9 * limit_n)).is_ok());
+        let why = words(tared(Accept::NearLast, &swings(1.1 * limit_n)));
         assert!(why.starts_with("failed: cell 1 varies by"), "{why}");
     }
 
     #[test]
     fn a_load_on_an_arm_without_a_tip_trips_and_an_unplugged_cell_there_does_not() {
         let at = |n| [0.0, 0.0, 0.0, n, 0.0, 0.0];
-        let detail = words(tared(false, &[at(1.1 * FOREIGN_N)]));
+        let detail = words(tared(Accept::NearLast, &[at(1.1 * FOREIGN_N)]));
         assert!(detail.contains("no tip is entered for arm 4"), "{detail}");
         let unplugged = -0.5 * rig().cells.newtons_per_volt();
-        assert_eq!(tared(false, &[at(unplugged)]).unwrap()[3], LAST[3]);
+        assert_eq!(tared(Accept::NearLast, &[at(unplugged)]).unwrap()[3], LAST[3]);
     }
 }

@@ -12,8 +12,8 @@ use sim_core::stats::median;
 
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::stage::{AxisName, Stage};
-use crate::campaign::bench::tare;
-use crate::campaign::bench::travel::{Sample, Target};
+use crate::campaign::bench::tare::{self, Accept};
+use crate::campaign::bench::travel::{Descent, Sample, Target};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::safe_end::raise_as_planned;
@@ -48,8 +48,9 @@ pub async fn touch_off(
     raise_as_planned(control, stage).await?;
     let mut touches: Vec<(f64, f64, u8, f64)> = Vec::new();
     for (i, place) in places.iter().enumerate() {
-        stage.go_over(control, place.centre_mm, place.radius_mm).await?;
-        tare::tare_untouched(stage, control, tare_samples, i == 0).await?;
+        stage.go_over(control, place).await?;
+        let accept = if i == 0 { Accept::AnyZero } else { Accept::NearLast };
+        tare::tare_untouched(stage, control, tare_samples, accept).await?;
         for (arm, z_mm) in touch(stage, control, first_height(&touches)).await? {
             let [x, y] = place.tips_mm[usize::from(arm) - 1];
             touches.push((x, y, arm, z_mm));
@@ -96,15 +97,14 @@ fn deepest_search_mm(stage: &Stage, known_mm: Option<f64>) -> f64 {
 async fn search(
     stage: &mut Stage,
     control: &mut Control,
-    bottom_mm: f64,
-    speed_mm_s: f64,
+    to_bottom: Descent,
     touched: impl Fn(&Sample) -> bool + Copy,
 ) -> Result<bool, Halt> {
     let [top_mm, _] = stage.config.skin.surface_z_mm;
     let mut z_mm = top_mm - STEP_MM;
-    while z_mm < bottom_mm {
-        z_mm = (z_mm + STEP_MM).min(bottom_mm);
-        if stage.press_until(control, z_mm, speed_mm_s, touched).await? {
+    while z_mm < to_bottom.z_mm {
+        z_mm = (z_mm + STEP_MM).min(to_bottom.z_mm);
+        if stage.press_until(control, Descent { z_mm, ..to_bottom }, touched).await? {
             return Ok(true);
         }
         let skin = stage.bench.skin.clone();
@@ -131,9 +131,10 @@ async fn touch(
     let force = move |s: &Sample, i: usize| (s.volts[i] - tare_v[i]) * per_volt;
     let bottom = deepest_search_mm(stage, known_mm);
     let touched = move |s: &Sample| (0..tips).any(|i| force(s, i) > TOUCH_N);
+    let to_bottom = Descent { z_mm: bottom, speed_mm_s: coarse };
     let felt = match known_mm {
-        Some(_) => stage.press_until(control, bottom, coarse, touched).await?,
-        None => search(stage, control, bottom, coarse, touched).await?,
+        Some(_) => stage.press_until(control, to_bottom, touched).await?,
+        None => search(stage, control, to_bottom, touched).await?,
     };
     if !felt {
         let detail = format!(
@@ -149,7 +150,7 @@ async fn touch(
     let deepest = (felt_mm + stage.config.skin.search_below_mm).min(z.travel_mm[1]);
     let mut heights = [None::<f64>; ARMS];
     stage
-        .press_until(control, deepest, fine, |s| {
+        .press_until(control, Descent { z_mm: deepest, speed_mm_s: fine }, |s| {
             for (i, height) in heights.iter_mut().enumerate().take(tips) {
                 if height.is_none() && force(s, i) > TOUCH_N {
                     *height = Some(s.z_mm);

@@ -1,6 +1,6 @@
 //! Motions of the stage, each supervised to its end: positions, alarms, forces, requests.
-//! Uses: `campaign::{bench::stage, run::control, bench::interlock}`. Never: the plan, storage, a
-//! wait for the store.
+//! Uses: `schedule::configuration`, `campaign::{bench::stage, run::control, bench::interlock}`.
+//! Never: the plan, storage, a wait for the store.
 //!
 //! No lateral or radial motion unless z is measured clear of the surface.
 
@@ -14,6 +14,7 @@ use crate::campaign::run::halt::Halt;
 use crate::record::Pose;
 use crate::rig::config::ARMS;
 use crate::rig::traits::{AxisStatus, CellVolts};
+use crate::schedule::configuration::Stand;
 
 /// Longest homing of one axis, process s.
 const HOMING_S: f64 = 180.0;
@@ -34,6 +35,15 @@ impl Target {
     pub fn of(axis: AxisName, position: f64) -> Self {
         Self { axis, position, speed: None }
     }
+}
+
+/// Motion of z at a speed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Descent {
+    /// Target, machine mm.
+    pub z_mm: f64,
+    /// Speed, mm/s.
+    pub speed_mm_s: f64,
 }
 
 /// Values read by one poll of a press.
@@ -67,18 +77,17 @@ impl Stage {
         self.watched_travel(control, &[target], true, |_| false).await.map(|_| ())
     }
 
-    /// Moves z at `speed_mm_s`, reads the cells at every poll, and stops z once `until` holds for a
-    /// sample. Returns whether it did.
+    /// Moves z, reads the cells at every poll, and stops z once `until` holds for a sample. Returns whether it did.
     ///
     /// # Errors
     /// As `weighed_travel`.
     pub async fn press_until(
         &mut self,
         control: &mut Control,
-        z_mm: f64,
-        speed_mm_s: f64,
+        descent: Descent,
         until: impl FnMut(&Sample) -> bool,
     ) -> Result<bool, Halt> {
+        let Descent { z_mm, speed_mm_s } = descent;
         let target = Target { axis: AxisName::Z, position: z_mm, speed: Some(speed_mm_s) };
         self.watched_travel(control, &[target], true, until).await
     }
@@ -88,8 +97,8 @@ impl Stage {
     /// # Errors
     /// As `weighed_travel`.
     pub async fn press_to(&mut self, control: &mut Control, z_mm: f64) -> Result<(), Halt> {
-        let speed = self.stopping.press_speed_mm_s(&self.config, self.tips);
-        self.press_until(control, z_mm, speed, |_| false).await.map(|_| ())
+        let speed_mm_s = self.stopping.press_speed_mm_s(&self.config, self.tips);
+        self.press_until(control, Descent { z_mm, speed_mm_s }, |_| false).await.map(|_| ())
     }
 
     async fn watched_travel(
@@ -246,18 +255,14 @@ impl Stage {
         Ok(())
     }
 
-    /// Moves to a position in skin coordinates, with the arms at a radius. The radius is always
-    /// approached from below, so that the backlash of the slot has no effect.
+    /// Moves over a stand. The radius is always approached from below, so that the backlash of the
+    /// slot has no effect.
     ///
     /// # Errors
     /// As `travel`.
-    pub async fn go_over(
-        &mut self,
-        control: &mut Control,
-        centre_mm: [f64; 2],
-        radius_mm: f64,
-    ) -> Result<Pose, Halt> {
-        let target = self.pose_over(centre_mm, radius_mm, self.clear_z_mm());
+    pub async fn go_over(&mut self, control: &mut Control, stand: &Stand) -> Result<Pose, Halt> {
+        let target = self.pose_over(stand, self.clear_z_mm());
+        let radius_mm = stand.radius_mm;
         let slot = self.config.slot.clone();
         let angle = Target::of(AxisName::Radial, slot.angle_deg(radius_mm));
         let here = slot.radius_mm(self.bench.radial.status().await?.position);

@@ -31,6 +31,17 @@ pub fn contacts(placement: &PlannedPlacement) -> Vec<PlacedContact> {
         .collect()
 }
 
+/// Confirmation by a person that the weights of a placement are placed.
+#[derive(Debug)]
+pub struct Confirmed<'a> {
+    /// Run that asked for the placement.
+    pub run: RunUid,
+    /// Name of the person.
+    pub who: String,
+    /// How the placement is measured.
+    pub measure: &'a Measure,
+}
+
 /// Measures a placement that a person has confirmed.
 ///
 /// # Errors
@@ -39,9 +50,10 @@ pub async fn measure(
     skin: &Arc<dyn SkinReader>,
     clock: &Clock,
     control: &mut Control,
-    (run, who, plan_measure): (RunUid, String, &Measure),
+    confirmed: Confirmed<'_>,
     placement: &PlannedPlacement,
 ) -> Result<(), Halt> {
+    let Confirmed { run, who, measure: plan_measure } = confirmed;
     let key = TrialKey { configuration: placement.index, depth_index: 0 };
     control.show_run(|run| run.trial = Some(key));
     control.phase(Phase::Settle);

@@ -7,10 +7,10 @@
 use serde_json::json;
 use tracing::Instrument;
 
-use crate::campaign::bench::evidence::{self, Held, SilentArms};
+use crate::campaign::bench::evidence::{self, Held, PressedArm};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::stage::Stage;
-use crate::campaign::bench::tare;
+use crate::campaign::bench::tare::{self, Accept};
 use crate::campaign::diary::Note;
 use crate::campaign::run::control::{Control, STORE_LIMIT};
 use crate::campaign::run::halt::Halt;
@@ -65,8 +65,7 @@ impl Pressing<'_> {
             control.checkpoint()?;
         }
         if let Some(deepest) = before {
-            let below: Vec<f64> = stage.below_touch_mm(deepest.z_mm).collect();
-            let arms = deepest.forces_n.into_iter().zip(below);
+            let arms: Vec<PressedArm> = stage.pressed_arms(&deepest).collect();
             if let Some(words) = stage.silent.note(arms, &stage.config.limits) {
                 return Err(Halt::trip(TripKind::Cell, words));
             }
@@ -82,10 +81,10 @@ impl Pressing<'_> {
         configuration: u32,
     ) -> Result<(), Halt> {
         control.phase(Phase::Travel);
-        stage.go_over(control, stand.centre_mm, stand.radius_mm).await?;
+        stage.go_over(control, stand).await?;
         control.phase(Phase::Tare);
         let samples = self.plan.measure.tare_samples;
-        let volts = tare::tare_untouched(stage, control, samples, false).await?;
+        let volts = tare::tare_untouched(stage, control, samples, Accept::NearLast).await?;
         let at = stage.clock.timestamp();
         let record = TareRecord { configuration, volts, samples, at };
         control.diary.note(Note::Tare(self.run, record));
@@ -103,8 +102,7 @@ impl Pressing<'_> {
     ) -> Result<Held, Halt> {
         let depth_mm = self.plan.depths_mm[key.depth_index as usize];
         let started_at = stage.clock.timestamp();
-        let target =
-            stage.pose_over(c.stand.centre_mm, c.stand.radius_mm, self.z_mm(stage, depth_mm)?);
+        let target = stage.pose_over(&c.stand, self.z_mm(stage, depth_mm)?);
         let (settled, taken, reached) = self.hold(stage, control, &target).await?;
         let held = Held { z_mm: reached.z_mm, forces_n: stage.forces_n(&taken.volts) };
         let limits = &stage.config.limits;
@@ -120,8 +118,7 @@ impl Pressing<'_> {
         if (reached.z_mm - target.z_mm).abs() > DEPTH_TOLERANCE_MM {
             flags.push(Flag::DepthMissed);
         }
-        let silent = |(&force, below)| SilentArms::is_silent(force, below, limits);
-        if held.forces_n.iter().zip(stage.below_touch_mm(reached.z_mm)).any(silent) {
+        if stage.pressed_arms(&held).any(|arm| arm.is_silent(limits)) {
             flags.push(Flag::StillCell);
         }
         let arms = arm_readings(stage, &c.stand, &taken.volts);
@@ -184,7 +181,7 @@ impl Pressing<'_> {
         control.show_run(|run| run.trial = None);
         self.prepare(stage, control, &press.stand, press.before_configuration).await?;
         let z_mm = self.z_mm(stage, press.depth_mm)?;
-        let target = stage.pose_over(press.stand.centre_mm, press.stand.radius_mm, z_mm);
+        let target = stage.pose_over(&press.stand, z_mm);
         let (_, mut taken, reached) = self.hold(stage, control, &target).await?;
         let arms = arm_readings(stage, &press.stand, &taken.volts);
         let record = ReferenceRecord {

@@ -53,9 +53,9 @@ proptest! {
         for (stand, tips) in stands {
             prop_assert_eq!(stand.tips_mm.len(), usize::from(tips));
             prop_assert!((low..=high).contains(&stand.radius_pitches));
-            for &[x, y] in stand.tips_mm.iter().chain([&stand.centre_mm]) {
-                prop_assert!(sensor.point_near(x, y, 1e-9).is_some());
-                prop_assert!(sensor.holds_tip(x, y));
+            for &at_mm in stand.tips_mm.iter().chain([&stand.centre_mm]) {
+                prop_assert!(sensor.point_near(at_mm, 1e-9).is_some());
+                prop_assert!(sensor.holds_tip(at_mm));
             }
         }
     }

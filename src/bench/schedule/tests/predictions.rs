@@ -3,7 +3,7 @@
 
 use super::{bench, hex, planned};
 use crate::problem::Problem;
-use crate::schedule::estimate::{Bench, Estimate, Motion, estimate};
+use crate::schedule::estimate::{Bench, Estimate, Estimates, Motion, estimate};
 use crate::schedule::plan::{Plan, Step};
 use crate::schedule::preflight::Preflight;
 
@@ -16,7 +16,7 @@ fn small() -> Plan {
 }
 
 fn whole(plan: &Plan, bench: &Bench) -> Estimate {
-    estimate(plan, bench).1
+    estimate(plan, bench).whole
 }
 
 fn near(a: f64, b: f64) -> bool {
@@ -46,7 +46,7 @@ fn parts_that_can_be_counted_are_what_was_counted() {
 
 #[test]
 fn the_whole_is_its_parts_and_its_settings() {
-    let (settings, whole) = estimate(&small(), &bench());
+    let Estimates { settings, whole } = estimate(&small(), &bench());
     assert!(near(whole.duration_s, whole.parts.total_s()));
     assert_eq!(settings.iter().map(|s| s.tips).collect::<Vec<_>>(), [Some(1), Some(4)]);
     assert!(near(whole.duration_s, settings.iter().map(|s| s.duration_s).sum()));

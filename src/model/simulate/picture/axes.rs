@@ -47,7 +47,7 @@ pub(super) fn draw(out: &mut Drawing, view: &View, part: &Part) {
     let [[x0, x1], [y0, y1]] = part.range_mm;
     let tick = TICK_SHARE * part.longer_mm();
     // With a turn to the right the near edges are y0 and x1; to the left, y0 and x0.
-    let (side, outwards) = if view.away(1.0, 0.0) < 0.0 { (x1, tick) } else { (x0, -tick) };
+    let (side, outwards) = if view.away([1.0, 0.0]) < 0.0 { (x1, tick) } else { (x0, -tick) };
     out.group("stroke=\"#555\" stroke-width=\"1\" fill=\"#333\" font-size=\"13\"");
     let mut marks = Vec::new();
     for x in ticks(x0, x1, 6.0) {

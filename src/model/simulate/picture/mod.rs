@@ -74,11 +74,11 @@ pub fn draw(scene: &Scene<'_>) -> String {
     let arrows = arrows(scene, &part);
     let all = faces.iter().flat_map(|f| f.corners).chain(part.floor());
     let all: Vec<_> = all.chain(arrows.iter().flat_map(|a| [a.from, a.to])).collect();
-    let view = View::new(VIEW_DEG[0], VIEW_DEG[1], STRETCH).fit(&all, STAGE);
+    let view = View::new(VIEW_DEG, STRETCH).fit(&all, STAGE);
     let lowest = all.iter().map(|&c| view.place(c)[1]).fold(0.0, f64::max);
     let height = (lowest + 70.0).max(480.0);
 
-    let mut out = Drawing::new(WIDTH, height);
+    let mut out = Drawing::new([WIDTH, height]);
     out.group("fill=\"#222\" font-size=\"17\"");
     out.words([24.0, 32.0], "start", scene.title);
     out.end_group();

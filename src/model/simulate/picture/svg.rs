@@ -13,8 +13,8 @@ pub struct Drawing {
 }
 
 impl Drawing {
-    /// Starts an empty white drawing.
-    pub fn new(width: f64, height: f64) -> Self {
+    /// Starts an empty white drawing of this width and height.
+    pub fn new([width, height]: [f64; 2]) -> Self {
         let mut drawing = Self { text: String::new() };
         drawing.line(format_args!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" \
@@ -103,9 +103,9 @@ pub struct View {
 
 impl View {
     /// Defines a view of stretched coordinates, in millimetres; [`View::fit`] scales it to the
-    /// drawing.
-    pub fn new(turn_deg: f64, elevation_deg: f64, stretch: f64) -> Self {
-        let [turn, elevation] = [turn_deg, elevation_deg].map(|deg: f64| {
+    /// drawing. `angles_deg`: rotation about the vertical, and elevation of the viewer.
+    pub fn new(angles_deg: [f64; 2], stretch: f64) -> Self {
+        let [turn, elevation] = angles_deg.map(|deg: f64| {
             let (sin, cos) = deg.to_radians().sin_cos();
             [sin, cos]
         });
@@ -138,17 +138,17 @@ impl View {
 
     /// Distance of a position from the viewer, mm, up to a constant.
     pub fn distance(&self, [x, y, z]: [f64; 3]) -> f64 {
-        self.away(x, y) * self.elevation[1] - self.stretch * z * self.elevation[0]
+        self.away([x, y]) * self.elevation[1] - self.stretch * z * self.elevation[0]
     }
 
     /// Distance of a position in the plane from the viewer along the plane, mm.
-    pub fn away(&self, x: f64, y: f64) -> f64 {
+    pub fn away(&self, [x, y]: [f64; 2]) -> f64 {
         y * self.turn[1] - x * self.turn[0]
     }
 
     fn project(&self, [x, y, z]: [f64; 3]) -> [f64; 2] {
         let across = x * self.turn[1] + y * self.turn[0];
-        let up = self.away(x, y) * self.elevation[0] + self.stretch * z * self.elevation[1];
+        let up = self.away([x, y]) * self.elevation[0] + self.stretch * z * self.elevation[1];
         [across, up]
     }
 }

@@ -134,7 +134,7 @@ mod tests {
             counts[contacts.len() - 1] += 1;
             let mut seen = BTreeSet::new();
             for c in &contacts {
-                let point = sensor.point_near(c.x_mm, c.y_mm, 1e-9).unwrap();
+                let point = sensor.point_near([c.x_mm, c.y_mm], 1e-9).unwrap();
                 assert!(seen.insert(point), "trial {index} presses a point twice");
                 points[point] += 1;
                 assert!((5.0..=40.0).contains(&c.force_n), "{}", c.force_n);

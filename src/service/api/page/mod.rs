@@ -119,7 +119,11 @@ mod tests {
             }
             assert_eq!(has("://") + has(" src=") + has("<link"), 0, "{}", page.path);
             let policy = policy(&document);
-            assert_eq!(policy.matches("sha256-").count(), has("<script") + has("<style"), "{policy}");
+            assert_eq!(
+                policy.matches("sha256-").count(),
+                has("<script") + has("<style"),
+                "{policy}"
+            );
             assert!(!policy.contains("unsafe") && has(" style=") + has(" onclick=\"") == 0);
             for other in PAGES {
                 let links = usize::from(other.path != page.path);

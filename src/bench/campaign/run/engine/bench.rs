@@ -277,7 +277,8 @@ impl Engine {
         let tared = match stage.bench.cells.read().await {
             Ok(reading) => {
                 stage.tips = mounted.unwrap_or_else(|| leading_live(stage, &reading.volts));
-                tare::tare(stage, &mut self.control, TARE_SAMPLES, true).await.map(|_| ())
+                let accept = tare::Accept::AnyZero;
+                tare::tare(stage, &mut self.control, TARE_SAMPLES, accept).await.map(|_| ())
             }
             Err(error) => Err(error.into()),
         };

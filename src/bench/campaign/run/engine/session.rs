@@ -236,9 +236,10 @@ impl Engine {
             Step::Manual(placement) => match attempts.confirmed_by.clone() {
                 Some((index, who)) if index == placement.index => {
                     let (skin, clock) = (stage.bench.skin.clone(), stage.clock.clone());
-                    let about = (job.run, who, &job.plan.measure);
+                    let (run, measure) = (job.run, &job.plan.measure);
+                    let confirmed = manual::Confirmed { run, who, measure };
                     let key = TrialKey { configuration: placement.index, depth_index: 0 };
-                    let trial = manual::measure(&skin, &clock, control, about, placement);
+                    let trial = manual::measure(&skin, &clock, control, confirmed, placement);
                     trial.instrument(trial_span(key)).await?;
                     progress.stored.insert(key);
                     Ok(1)
