@@ -67,19 +67,19 @@ struct Peaks {
 
 struct Axis {
     drive: Drive,
-    map: AxisMap,
+    map: Box<dyn AxisMap>,
     line: String,
     unit: u8,
     servo_at_power_up: bool,
     /// State of the device as stale reads show it, and the process time since which they are stale,
     /// s.
-    stale: Option<(AxisMap, Drive, f64)>,
+    stale: Option<(Box<dyn AxisMap>, Drive, f64)>,
 }
 
 /// The bench of the rig.
 pub struct Bench {
     axes: [Axis; 4],
-    cells_map: CellsMap,
+    cells_map: Box<dyn CellsMap>,
     cells_at: (String, u8),
     stale_cells: Option<[f64; INPUTS]>,
     cells: CellBank,
@@ -128,10 +128,10 @@ impl Bench {
             let at = lower + rng.random_range(0.05..0.95) * (upper - lower);
             let (speed, acceleration) = (file.speed, file.acceleration);
             let mechanism = Mechanism { travel: file.travel, speed, acceleration };
-            let servo_at_power_up = AxisMap::servo_at_power_up(file.device);
+            let servo_at_power_up = file.device.servo_at_power_up;
             Axis {
                 drive: Drive::power_up(mechanism, at, servo_at_power_up),
-                map: AxisMap::new(file.device, file.counts_per_unit, rig.clock_rate),
+                map: (file.device.map)(file.counts_per_unit, rig.clock_rate),
                 line: file.line.clone(),
                 unit: file.unit,
                 servo_at_power_up,
@@ -143,7 +143,7 @@ impl Bench {
         let z_mm = axes[AxisName::Z.index()].drive.position(0.0);
         Self {
             axes,
-            cells_map: CellsMap::new(rig.cells.device),
+            cells_map: (rig.cells.device.map)(),
             cells_at: (rig.cells.line.clone(), rig.cells.unit),
             stale_cells: None,
             cells: CellBank::new(rig.cells.clone(), rng.random()),
@@ -298,7 +298,7 @@ impl Bench {
             if !stale {
                 axis.stale = None;
             } else if axis.stale.is_none() {
-                axis.stale = Some((axis.map.clone(), axis.drive.clone(), t_s));
+                axis.stale = Some((axis.map.copy(), axis.drive.clone(), t_s));
             }
         }
         let missing = self.faults.missing_tips(t_s);
