@@ -168,7 +168,7 @@ async fn a_script_that_is_not_what_the_driver_does_fails() {
         ("waveshare_8ch_rtu.txt", "repeats 1", "repeats 2"),
         ("waveshare_8ch_rtu.txt", ": read 0.5 ", ": read 0.6 "),
         ("oriental_az_rtu.txt", ": status moving", ": status !moving"),
-        ("oriental_az_rtu.txt", "alarm 0x30", "alarm 0x31"),
+        ("oriental_az_rtu.txt", ": status alarm 0x30", ": status alarm 0x31"),
         ("oriental_az_rtu.txt", ": move 10 at", ": move 11 at"),
         ("leadshine_em2rs_rtu.txt", ": status at 25.05\n", ""),
         ("leadshine_em2rs_rtu.txt", ": status at 25\n", ": status at 25.5\n"),
