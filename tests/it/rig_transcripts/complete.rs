@@ -10,6 +10,8 @@ use super::scripts::{device_of, devices, script};
 
 /// Damaged frames that a device's transcripts must hold: one that is cut, one that is corrupted.
 const DAMAGED: usize = 2;
+/// What drivers are written from.
+const REFERENCES: &str = "docs/references.md";
 
 /// The parts of the checkout in which a driver is looked for.
 struct Checkout {
@@ -17,7 +19,7 @@ struct Checkout {
     transcripts: Vec<(String, String)>,
     /// Devices that rig files name.
     rigs: Vec<String>,
-    /// `docs/references.md`.
+    /// The text of [`REFERENCES`].
     references: String,
     /// Register maps of the virtual rig.
     twins: Vec<&'static str>,
@@ -30,7 +32,7 @@ impl Checkout {
         Self {
             transcripts: files("tests/transcripts", "txt"),
             rigs: rigs().iter().flat_map(|(_, config)| named(config)).collect(),
-            references: text("docs/references.md").expect("the references are there"),
+            references: text(REFERENCES).expect("the references are there"),
             twins: drives.chain(modules).collect(),
         }
     }
@@ -44,7 +46,7 @@ impl Checkout {
         let named = self.rigs.iter().any(|name| name == device);
         let heading = format!("`device = \"{device}\"`");
         let folder = text(&format!("src/bench/rig/{device}/mod.rs"));
-        let cites = folder.is_some_and(|text| text.contains("docs/references.md`, \""));
+        let cites = folder.is_some_and(|text| text.contains(&format!("`{REFERENCES}`, \"")));
         let found = [
             (
                 self.transcripts.iter().any(|t| own(&t)),
@@ -57,7 +59,7 @@ impl Checkout {
             (named, "no rig file in experiments/rigs that names it".into()),
             (
                 self.references.contains(&heading),
-                format!("no section of docs/references.md that states {heading}"),
+                format!("no section of {REFERENCES} that states {heading}"),
             ),
             (cites, format!("no src/bench/rig/{device}/mod.rs that cites its references")),
             (self.twins.contains(&device), "no register map in virtual-rig/src/device".into()),
