@@ -7,6 +7,7 @@
 //! the current folder, and counts nothing of the process.
 
 mod calibration;
+mod contract;
 mod datasets;
 mod evaluate;
 mod experiments;

@@ -153,19 +153,24 @@ async fn moves_and_stops(axis: &Arc<dyn Axis>, latch: &StopLatch) {
     latch.clear();
 }
 
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn iai_and_adam_over_tcp() {
-    keeps_the_contract("virtual").await;
+/// Names of the rig files in `experiments/rigs/`.
+fn rig_files() -> Vec<String> {
+    let entries = std::fs::read_dir(file("rigs")).unwrap().map(|entry| entry.unwrap().path());
+    let files = entries.filter(|path| path.extension().is_some_and(|e| e == "toml"));
+    let mut names: Vec<String> =
+        files.map(|path| path.file_stem().unwrap().to_str().unwrap().to_owned()).collect();
+    names.sort();
+    names
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn oriental_az_and_waveshare_over_rtu() {
-    keeps_the_contract("oriental-az-rtu").await;
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn leadshine_and_waveshare_over_rtu() {
-    keeps_the_contract("leadshine-rtu").await;
+async fn the_devices_of_every_rig_file_keep_the_contract() {
+    let names = rig_files();
+    assert!(names.iter().any(|name| name == "virtual"), "{names:?}");
+    for name in names {
+        println!("{name}");
+        keeps_the_contract(&name).await;
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -1,10 +1,12 @@
 //! The parts of a rig file that the virtual rig needs: wires, devices, geometry. Written only for
 //! this crate; keys that only the service needs are ignored.
-//! Uses: serde, toml. Never: the service's types, ports, clocks.
+//! Uses: serde, toml, `device`. Never: the service's types, ports, clocks.
 
 use std::collections::BTreeMap;
 
 use serde::Deserialize;
+
+use crate::device::{AxisDevice, CellsDevice};
 
 /// Number of arms of the indenter (paper II-B).
 pub const ARMS: usize = 6;
@@ -119,18 +121,6 @@ pub struct AxisFile {
     pub acceleration: f64,
 }
 
-/// Register maps of axes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum AxisDevice {
-    /// IAI SCON/PCON.
-    Iai,
-    /// Oriental Motor AZ.
-    OrientalAz,
-    /// Leadshine EM2RS.
-    LeadshineEm2rs,
-}
-
 /// Law of the slots with backlash: radius = radius at zero + slope x angle.
 #[derive(Debug, Clone, Copy, Deserialize)]
 pub struct Slot {
@@ -151,18 +141,6 @@ pub struct Placement {
     pub origin_y_mm: f64,
     /// Range of machine z that contains the surface, mm.
     pub surface_z_mm: [f64; 2],
-}
-
-/// Analog input modules.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum CellsDevice {
-    /// Advantech ADAM-6017.
-    #[serde(rename = "adam_6017")]
-    Adam6017,
-    /// Waveshare Modbus RTU Analog Input 8CH.
-    #[serde(rename = "waveshare_8ch")]
-    Waveshare8ch,
 }
 
 /// Module of the load cells.

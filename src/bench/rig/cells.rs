@@ -1,44 +1,17 @@
 //! The load cells of a rig file: conversion of an output to a force, and the outputs that no
 //! working cell returns. One set of thresholds, for the rig check and for the interlocks of a run.
-//! PURE. Uses: `problem`. Never: ports, times, consequences of a finding (the caller decides).
+//! PURE. Uses: `problem`, `device`. Never: ports, times, consequences of a finding (the caller decides).
 
 use serde::{Deserialize, Serialize};
 
 use super::config::ARMS;
+use super::device::CellsDevice;
 use crate::problem::Checks;
 
 /// Fraction of the supply up to which a cell counts as disconnected (its zero is at 0.1).
 const DEAD_SHARE: f64 = 0.05;
 /// Fraction of the supply at which the amplified output saturates.
 const SATURATED_SHARE: f64 = 0.9;
-
-/// Supported analog input modules.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum CellsDevice {
-    /// Advantech ADAM-6017, Modbus TCP.
-    #[serde(rename = "adam_6017")]
-    Adam6017,
-    /// Waveshare Modbus RTU Analog Input 8CH.
-    #[serde(rename = "waveshare_8ch")]
-    Waveshare8ch,
-}
-
-impl CellsDevice {
-    /// Longest run of equal values of a working cell, in update periods, above which the module
-    /// hangs; derived from the step of the module and the noise of a 25 lbf cell (sd 0.022 N), with
-    /// the mean in the middle of a step, where values repeat longest.
-    ///
-    /// ADAM-6017: a step of 0.002 N, which 4 % of the values fall into: 9 repeats occur once in
-    /// 10^14 values. Waveshare: 12 bits, 0.034 N, 55 % of the values: 41 repeats occur once in 6 x
-    /// 10^10 values, once in 20,000 nights.
-    pub fn repeats_max(self) -> u32 {
-        match self {
-            CellsDevice::Adam6017 => 8,
-            CellsDevice::Waveshare8ch => 40,
-        }
-    }
-}
 
 /// FC22 amplified load cells on an analog input module (`docs/references.md`, "FC22 load cells").
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -1,6 +1,6 @@
 //! The rig file: which device is connected to which wire at which address, how far and how fast it
 //! may move, and the limits that trip it. It is parsed and checked here; nothing is opened.
-//! PURE. Uses: `problem`, `cells`, `guard`, `limits`. Never: ports, files (the text is passed in).
+//! PURE. Uses: `problem`, `cells`, `device`, `guard`, `limits`. Never: ports, files (the text is passed in).
 //!
 //! Machine coordinates: x and y increase along the stage, z increases downward from the raised home
 //! position 0. The slot converts the angle of the rotary actuator to a radius.
@@ -9,7 +9,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-pub use super::cells::{CellsConfig, CellsDevice};
+pub use super::cells::CellsConfig;
+pub use super::device::{AxisDevice, CellsDevice};
 pub use super::guard::Guard;
 pub use super::limits::RigLimits;
 use crate::problem::{Checks, Problem};
@@ -127,29 +128,6 @@ pub struct AxesConfig {
     pub z: LinearAxis,
     /// Rotary actuator that spreads the six arms.
     pub radial: RotaryAxis,
-}
-
-/// Supported register maps of drives.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum AxisDevice {
-    /// IAI SCON/PCON: positions in 0.01 mm (0.01 degree on a rotary).
-    Iai,
-    /// Oriental Motor AZ: direct data operation, positions in steps.
-    OrientalAz,
-    /// Leadshine EM2RS: PR mode, positions in pulses.
-    LeadshineEm2rs,
-}
-
-impl AxisDevice {
-    /// Name of the device, as in rig files.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            AxisDevice::Iai => "iai",
-            AxisDevice::OrientalAz => "oriental_az",
-            AxisDevice::LeadshineEm2rs => "leadshine_em2rs",
-        }
-    }
 }
 
 /// Settings of a linear axis.

@@ -1,13 +1,13 @@
 //! Guards: values in a rig file that a drive enforces without the service, against silence or
-//! excessive torque, and which drives have them.
-//! PURE. Uses: `problem`. Never: registers (those are each device's `codec`), consequences for a
-//! run.
+//! excessive torque. Which drives have them is stated in their folders.
+//! PURE. Uses: `problem`, `device`. Never: registers (those are each device's `codec`), consequences
+//! for a run.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::config::AxisDevice;
+use super::device::AxisDevice;
 use crate::problem::Checks;
 
 /// Guards of one drive. An absent value is left as it is set in the drive.
@@ -39,7 +39,7 @@ impl Guard {
         let lacks = |what: &str| {
             format!("{} has no {what} that can be set over its wire: remove it", device.as_str())
         };
-        let has = has_guards(device);
+        let has = device.has_guards();
         if let Some(ms) = self.watchdog_ms {
             let key = key("guard.watchdog_ms");
             c.require(has, &key, ms, &lacks("communication watchdog"));
@@ -50,14 +50,6 @@ impl Guard {
             c.require(has, &key, percent, &lacks("torque limit"));
             c.require((5..=100).contains(&percent), &key, percent, "must be from 5 to 100");
         }
-    }
-}
-
-/// Whether a drive has a communication watchdog and a torque limit that can be set.
-fn has_guards(device: AxisDevice) -> bool {
-    match device {
-        AxisDevice::OrientalAz => true,
-        AxisDevice::Iai | AxisDevice::LeadshineEm2rs => false,
     }
 }
 

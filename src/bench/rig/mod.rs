@@ -1,4 +1,5 @@
-//! The bench: capabilities in units, and the drivers that implement them. One device, one folder.
+//! The bench: capabilities in units, and the drivers that implement them. One device, one folder;
+//! [`DRIVES`] and [`MODULES`] are the only lists of the devices.
 //! Uses: `clock`, `problem`. Never: campaigns, trials, storage, HTTP.
 
 pub mod cells;
@@ -16,6 +17,7 @@ pub mod station;
 pub mod words;
 
 pub mod axis;
+pub mod device;
 pub mod iai;
 pub mod leadshine_em2rs;
 pub mod oriental_az;
@@ -27,3 +29,11 @@ pub mod ert_stream;
 
 pub mod check;
 pub mod registry;
+
+use device::{AxisDevice, CellsDevice};
+
+/// Supported drives.
+pub const DRIVES: &[AxisDevice] = &[iai::DRIVE, oriental_az::DRIVE, leadshine_em2rs::DRIVE];
+
+/// Supported analog input modules.
+pub const MODULES: &[CellsDevice] = &[adam_6017::MODULE, waveshare_8ch::MODULE];

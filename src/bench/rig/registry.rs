@@ -1,24 +1,20 @@
-//! From a rig file to an open bench: the one place that maps device names to drivers.
-//! Uses: every device folder. Never: sends a request, moves anything, waits.
+//! From a rig file to an open bench: its wires, and the drivers of its devices on them.
+//! Uses: `device`, `link`, `ert_stream`. Never: the name of a device; sends a request, moves anything,
+//! waits.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use super::adam_6017::Adam6017;
-use super::axis::ModbusAxis;
-use super::config::{AxisDevice, AxisProfile, CellsDevice, LineConfig, RigConfig};
+use super::config::{AxisProfile, LineConfig, RigConfig};
+use super::device::AxisParts;
 use super::error::RigError;
 use super::ert_stream::ErtStream;
-use super::iai::Iai;
-use super::leadshine_em2rs::LeadshineEm2rs;
 use super::link::{
     Framing, Line, LinePolicy, MotionGate, SerialSettings, StopLatch, serial_opener, tcp_opener,
 };
-use super::oriental_az::OrientalAz;
 use super::station::Station;
-use super::traits::{Axis, Bench, LoadCells, SkinReader};
-use super::waveshare_8ch::Waveshare8ch;
+use super::traits::{Axis, Bench, SkinReader};
 use crate::clock::Clock;
 
 /// Longest time that a stop waits for the reply to a request in flight on TCP.
@@ -65,12 +61,7 @@ pub fn open(config: &RigConfig, clock: &Clock, latch: &StopLatch) -> Result<Open
     let stream = Arc::new(ErtStream::open(&config.ert, frame_age, clock.clone())?);
     let cells_line = find(&lines, &config.cells.line, "cells")?;
     let station = Station::new(cells_line, config.cells.unit, "cells");
-    let cells: Arc<dyn LoadCells> = match config.cells.device {
-        CellsDevice::Adam6017 => Arc::new(Adam6017::new(station, &config.cells, clock.clone())),
-        CellsDevice::Waveshare8ch => {
-            Arc::new(Waveshare8ch::new(station, &config.cells, clock.clone()))
-        }
-    };
+    let cells = config.cells.device.open(station, &config.cells, clock.clone());
     let bench = Bench {
         x: axis("x", config.axes.x.profile())?,
         y: axis("y", config.axes.y.profile())?,
@@ -104,16 +95,7 @@ fn open_axis(
 ) -> Arc<dyn Axis> {
     let station = Station::new(line, profile.address, name);
     let (gate, clock) = (MotionGate::new(latch.clone()), clock.clone());
-    match profile.device {
-        AxisDevice::Iai => Arc::new(ModbusAxis::new(name, Iai, station, profile, gate, clock)),
-        AxisDevice::OrientalAz => {
-            Arc::new(ModbusAxis::new(name, OrientalAz, station, profile, gate, clock))
-        }
-        AxisDevice::LeadshineEm2rs => {
-            let drive = LeadshineEm2rs::default();
-            Arc::new(ModbusAxis::new(name, drive, station, profile, gate, clock))
-        }
-    }
+    profile.device.open(AxisParts { name, station, profile, gate, clock })
 }
 
 fn open_line(name: &str, config: &LineConfig, clock: &Clock) -> Line {

@@ -76,18 +76,18 @@ struct Peaks {
 
 struct Axis {
     drive: Drive,
-    map: AxisMap,
+    map: Box<dyn AxisMap>,
     line: String,
     unit: u8,
     /// State of the device as stale reads show it, and the process time since which they are stale,
     /// s.
-    stale: Option<(AxisMap, Drive, f64)>,
+    stale: Option<(Box<dyn AxisMap>, Drive, f64)>,
 }
 
 /// The bench of the rig.
 pub struct Bench {
     axes: [Axis; 4],
-    cells_map: CellsMap,
+    cells_map: Box<dyn CellsMap>,
     cells_at: (String, u8),
     stale_cells: Option<[f64; INPUTS]>,
     cells: CellBank,
@@ -137,8 +137,8 @@ impl Bench {
             let (speed, acceleration) = (file.speed, file.acceleration);
             let mechanism = Mechanism { travel: file.travel, speed, acceleration };
             Axis {
-                drive: Drive::power_up(mechanism, at, AxisMap::servo_at_power_up(file.device)),
-                map: AxisMap::new(file.device, file.counts_per_unit, rig.clock_rate),
+                drive: Drive::power_up(mechanism, at, file.device.servo_at_power_up),
+                map: (file.device.map)(file.counts_per_unit, rig.clock_rate),
                 line: file.line.clone(),
                 unit: file.unit,
                 stale: None,
@@ -149,7 +149,7 @@ impl Bench {
         let z_mm = axes[AxisName::Z.index()].drive.position(0.0);
         Self {
             axes,
-            cells_map: CellsMap::new(rig.cells.device),
+            cells_map: (rig.cells.device.map)(),
             cells_at: (rig.cells.line.clone(), rig.cells.unit),
             stale_cells: None,
             cells: CellBank::new(rig.cells.clone(), rng.random()),
@@ -309,7 +309,7 @@ impl Bench {
             if !stale {
                 axis.stale = None;
             } else if axis.stale.is_none() {
-                axis.stale = Some((axis.map.clone(), axis.drive.clone(), t_s));
+                axis.stale = Some((axis.map.copy(), axis.drive.clone(), t_s));
             }
         }
         let missing = self.faults.missing_tips(t_s);

@@ -2,7 +2,7 @@
 //! Registers from `docs/references.md`, "ADAM-6017": 0 to 7 the values (0 to 65535 over the range),
 //! 200 + channel the range codes, 210 the model. PURE. Never: the meaning of the inputs.
 
-use super::{INPUTS, read_each};
+use super::{CellsDevice, CellsMap, INPUTS, read_each};
 use crate::modbus::{Exception, Reply, Request};
 
 /// Range codes: 0 to 5 V, 0 to 10 V, +-5 V, +-10 V.
@@ -13,6 +13,10 @@ const RANGE_BASE: u16 = 200;
 /// Register of the model number.
 const MODEL_AT: u16 = 210;
 const MODEL: u16 = 0x6017;
+
+/// The module as rig files name it.
+pub const MODULE: CellsDevice =
+    CellsDevice { name: "adam_6017", map: || Box::new(Adam6017::default()) };
 
 /// Settings of the module.
 #[derive(Debug, Clone)]
@@ -27,12 +31,8 @@ impl Default for Adam6017 {
     }
 }
 
-impl Adam6017 {
-    /// Executes one request, given the voltages of the inputs at the last conversion, V.
-    ///
-    /// # Errors
-    /// The Modbus exception that the module returns.
-    pub fn serve(&mut self, request: &Request, volts: &[f64; INPUTS]) -> Result<Reply, Exception> {
+impl CellsMap for Adam6017 {
+    fn serve(&mut self, request: &Request, volts: &[f64; INPUTS]) -> Result<Reply, Exception> {
         match *request {
             Request::ReadRegisters { address, count, .. } => {
                 read_each(address, count, |a| self.register(a, volts))
@@ -47,7 +47,9 @@ impl Adam6017 {
             Request::ReadBits { .. } | Request::WriteCoil { .. } => Err(Exception::IllegalFunction),
         }
     }
+}
 
+impl Adam6017 {
     fn register(&self, address: u16, volts: &[f64; INPUTS]) -> Option<u16> {
         if let Some(&v) = volts.get(usize::from(address)) {
             let code = self.ranges[usize::from(address)];

@@ -3,7 +3,7 @@
 //! first. The value read back from the trigger register is (unverified). PURE.
 //! Never: clocks, wires; jog, velocity paths, chained paths and saved parameters are omitted.
 
-use super::{counts, high, long, low, read_each};
+use super::{AxisDevice, AxisMap, counts, high, long, low, read_each};
 use crate::drive::{Alarm, Drive};
 use crate::kinematics::Pace;
 use crate::modbus::{Exception, Reply, Request};
@@ -48,6 +48,13 @@ const MODE_RELATIVE: u16 = 0x40;
 /// Pulses per revolution at the factory setting, to which the scale of the rig file refers.
 const FACTORY_PULSES: u16 = 10_000;
 
+/// The drive as rig files name it.
+pub const DRIVE: AxisDevice = AxisDevice {
+    name: "leadshine_em2rs",
+    servo_at_power_up: true,
+    map: |counts_per_unit, _| Box::new(Em2rs::new(counts_per_unit)),
+};
+
 /// State of the register map.
 #[derive(Debug, Clone)]
 pub struct Em2rs {
@@ -81,17 +88,19 @@ impl Em2rs {
             path_commanded: false,
         }
     }
+}
 
-    /// Resets the state after a loss of power; nothing was saved.
-    pub fn power_cycle(&mut self) {
+impl AxisMap for Em2rs {
+    fn copy(&self) -> Box<dyn AxisMap> {
+        Box::new(self.clone())
+    }
+
+    // Nothing was saved: all values return to the factory settings.
+    fn power_cycle(&mut self) {
         *self = Self::new(f64::from(FACTORY_PULSES) / self.units_per_turn);
     }
 
-    /// Executes one request at a process time.
-    ///
-    /// # Errors
-    /// The Modbus exception that the drive returns.
-    pub fn serve(
+    fn serve(
         &mut self,
         request: &Request,
         drive: &mut Drive,
@@ -116,7 +125,9 @@ impl Em2rs {
             | Request::WriteCoil { .. } => Err(Exception::IllegalFunction),
         }
     }
+}
 
+impl Em2rs {
     fn pulses_per_unit(&self) -> f64 {
         f64::from(self.pulses_per_turn) / self.units_per_turn
     }

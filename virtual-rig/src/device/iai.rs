@@ -4,7 +4,7 @@
 //! (unverified). PURE.
 //! Never: clocks, wires; push motion, position tables and PIO patterns are omitted.
 
-use super::{counts, high, long, low, read_each};
+use super::{AxisDevice, AxisMap, counts, high, long, low, read_each};
 use crate::drive::{Alarm, Drive};
 use crate::kinematics::Pace;
 use crate::modbus::{Exception, Reply, Request};
@@ -37,6 +37,13 @@ const PCMD_LOW: usize = 1;
 const FLAGS: usize = 8;
 /// Relative motion (unverified).
 const FLAG_RELATIVE: u16 = 1 << 3;
+
+/// The drive as rig files name it.
+pub const DRIVE: AxisDevice = AxisDevice {
+    name: "iai",
+    servo_at_power_up: false,
+    map: |counts_per_unit, _| Box::new(Iai::new(counts_per_unit)),
+};
 
 /// State of the register map.
 #[derive(Debug, Clone)]
@@ -73,17 +80,18 @@ impl Iai {
             held: None,
         }
     }
+}
 
-    /// Resets the state after a loss of power.
-    pub fn power_cycle(&mut self) {
+impl AxisMap for Iai {
+    fn copy(&self) -> Box<dyn AxisMap> {
+        Box::new(self.clone())
+    }
+
+    fn power_cycle(&mut self) {
         *self = Self::new(self.counts_per_unit);
     }
 
-    /// Executes one request at a process time.
-    ///
-    /// # Errors
-    /// The Modbus exception that the controller returns.
-    pub fn serve(
+    fn serve(
         &mut self,
         request: &Request,
         drive: &mut Drive,
@@ -111,7 +119,9 @@ impl Iai {
             }
         }
     }
+}
 
+impl Iai {
     fn write_coil(
         &mut self,
         address: u16,

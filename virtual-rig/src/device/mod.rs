@@ -1,6 +1,7 @@
 //! The devices of the rig as register maps, written from their documents
 //! (`docs/references.md`, "Devices").
 //! A map converts requests to actions of a drive or an input module; it has no access to wires.
+//! Each map describes its device (`DRIVE` or `MODULE`); the lists here name every one.
 //! PURE. Uses: `drive`, `modbus`. Never: sockets, clocks, faults.
 
 pub mod adam_6017;
@@ -9,118 +10,112 @@ pub mod iai;
 pub mod oriental_az;
 pub mod waveshare_8ch;
 
-use crate::config::{AxisDevice, CellsDevice};
+use std::fmt;
+
+use serde::de::{Deserialize, Deserializer, Error};
+
 use crate::drive::Drive;
 use crate::modbus::{Exception, Reply, Request};
+
+/// Register maps of drives, the only list of them.
+pub const DRIVES: &[AxisDevice] = &[iai::DRIVE, oriental_az::DRIVE, em2rs::DRIVE];
+
+/// Register maps of analog input modules, the only list of them.
+pub const MODULES: &[CellsDevice] = &[adam_6017::MODULE, waveshare_8ch::MODULE];
 
 /// Number of inputs of an analog module.
 pub const INPUTS: usize = 8;
 
 /// The register map of an axis.
-#[derive(Debug, Clone)]
-pub enum AxisMap {
-    /// IAI SCON/PCON.
-    Iai(iai::Iai),
-    /// Oriental Motor AZ.
-    OrientalAz(oriental_az::OrientalAz),
-    /// Leadshine EM2RS.
-    Em2rs(em2rs::Em2rs),
-}
-
-impl AxisMap {
-    /// Creates the map of a device with `counts_per_unit` counts per axis unit. `clock_rate` is in
-    /// process seconds per wall second: a watchdog runs in wall time.
-    pub fn new(device: AxisDevice, counts_per_unit: f64, clock_rate: f64) -> Self {
-        match device {
-            AxisDevice::Iai => Self::Iai(iai::Iai::new(counts_per_unit)),
-            AxisDevice::OrientalAz => {
-                Self::OrientalAz(oriental_az::OrientalAz::new(counts_per_unit, clock_rate))
-            }
-            AxisDevice::LeadshineEm2rs => Self::Em2rs(em2rs::Em2rs::new(counts_per_unit)),
-        }
-    }
-
-    /// Whether the motor is on at power-up: IAI requires a servo-on command, the others do not.
-    pub fn servo_at_power_up(device: AxisDevice) -> bool {
-        device != AxisDevice::Iai
-    }
+pub trait AxisMap: fmt::Debug + Send + Sync {
+    /// A copy of the map with its present state.
+    fn copy(&self) -> Box<dyn AxisMap>;
 
     /// Resets the state that a device does not keep without power.
-    pub fn power_cycle(&mut self) {
-        match self {
-            AxisMap::Iai(map) => map.power_cycle(),
-            AxisMap::OrientalAz(map) => map.power_cycle(),
-            AxisMap::Em2rs(map) => map.power_cycle(),
-        }
-    }
-
-    /// Records that a request has reached the device, whatever its result.
-    pub fn hear(&mut self, t_s: f64) {
-        if let AxisMap::OrientalAz(map) = self {
-            map.hear(t_s);
-        }
-    }
-
-    /// Process time at which the watchdog of the device expires unless a request arrives before, s.
-    pub fn watchdog_s(&self) -> Option<f64> {
-        match self {
-            AxisMap::OrientalAz(map) => map.watchdog_s(),
-            AxisMap::Iai(_) | AxisMap::Em2rs(_) => None,
-        }
-    }
-
-    /// Lets an expired watchdog stop the motor.
-    pub fn watch(&mut self, drive: &mut Drive, t_s: f64) {
-        if let AxisMap::OrientalAz(map) = self {
-            map.watch(drive, t_s);
-        }
-    }
+    fn power_cycle(&mut self);
 
     /// Executes one request at a process time.
     ///
     /// # Errors
     /// The Modbus exception that the device returns.
-    pub fn serve(
-        &mut self,
-        request: &Request,
-        drive: &mut Drive,
-        t_s: f64,
-    ) -> Result<Reply, Exception> {
-        match self {
-            AxisMap::Iai(map) => map.serve(request, drive, t_s),
-            AxisMap::OrientalAz(map) => map.serve(request, drive, t_s),
-            AxisMap::Em2rs(map) => map.serve(request, drive, t_s),
-        }
+    fn serve(&mut self, request: &Request, drive: &mut Drive, t_s: f64)
+    -> Result<Reply, Exception>;
+
+    /// Records that a request has reached the device, whatever its result.
+    fn hear(&mut self, _t_s: f64) {}
+
+    /// Process time at which the watchdog of the device expires unless a request arrives before, s.
+    fn watchdog_s(&self) -> Option<f64> {
+        None
     }
+
+    /// Lets an expired watchdog stop the motor; once, until the next request.
+    fn watch(&mut self, _drive: &mut Drive, _t_s: f64) {}
 }
 
 /// The register map of an analog input module.
-#[derive(Debug, Clone)]
-pub enum CellsMap {
-    /// Advantech ADAM-6017.
-    Adam6017(adam_6017::Adam6017),
-    /// Waveshare Modbus RTU Analog Input 8CH.
-    Waveshare8ch(waveshare_8ch::Waveshare8ch),
-}
-
-impl CellsMap {
-    /// Creates the map of a module.
-    pub fn new(device: CellsDevice) -> Self {
-        match device {
-            CellsDevice::Adam6017 => Self::Adam6017(adam_6017::Adam6017::default()),
-            CellsDevice::Waveshare8ch => Self::Waveshare8ch(waveshare_8ch::Waveshare8ch::default()),
-        }
-    }
-
+pub trait CellsMap: fmt::Debug + Send + Sync {
     /// Executes one request, given the voltages of the inputs at the last conversion, V.
     ///
     /// # Errors
     /// The Modbus exception that the module returns.
-    pub fn serve(&mut self, request: &Request, volts: &[f64; INPUTS]) -> Result<Reply, Exception> {
-        match self {
-            CellsMap::Adam6017(map) => map.serve(request, volts),
-            CellsMap::Waveshare8ch(map) => map.serve(request, volts),
-        }
+    fn serve(&mut self, request: &Request, volts: &[f64; INPUTS]) -> Result<Reply, Exception>;
+}
+
+/// A drive that a rig file can name.
+#[derive(Clone, Copy)]
+pub struct AxisDevice {
+    /// Name in rig files.
+    pub name: &'static str,
+    /// Whether the motor is on at power-up.
+    pub servo_at_power_up: bool,
+    /// Creates the map at power-up, with counts per axis unit and process seconds per wall second
+    /// (a watchdog runs in wall time).
+    pub map: fn(f64, f64) -> Box<dyn AxisMap>,
+}
+
+/// An analog input module that a rig file can name.
+#[derive(Clone, Copy)]
+pub struct CellsDevice {
+    /// Name in rig files.
+    pub name: &'static str,
+    /// Creates the map at power-up.
+    pub map: fn() -> Box<dyn CellsMap>,
+}
+
+/// The device with a name, of a list.
+fn by_name<T: Copy, E: Error>(
+    name: &str,
+    devices: &[T],
+    name_of: fn(T) -> &'static str,
+) -> Result<T, E> {
+    devices.iter().copied().find(|&device| name_of(device) == name).ok_or_else(|| {
+        let known: Vec<&str> = devices.iter().copied().map(name_of).collect();
+        E::custom(format!("no register map for `{name}`, only for {}", known.join(", ")))
+    })
+}
+
+impl<'de> Deserialize<'de> for AxisDevice {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        by_name(&String::deserialize(deserializer)?, DRIVES, |device| device.name)
+    }
+}
+
+impl<'de> Deserialize<'de> for CellsDevice {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        by_name(&String::deserialize(deserializer)?, MODULES, |device| device.name)
+    }
+}
+
+impl fmt::Debug for AxisDevice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name)
+    }
+}
+
+impl fmt::Debug for CellsDevice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name)
     }
 }
 

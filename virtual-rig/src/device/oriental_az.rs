@@ -5,7 +5,7 @@
 //! alarm that a driver may raise in addition is omitted. PURE.
 //! Never: clocks, wires; stored data operation, push and wrap motion are omitted.
 
-use super::{counts, high, long, low, read_each};
+use super::{AxisDevice, AxisMap, counts, high, long, low, read_each};
 use crate::drive::{Alarm, Drive};
 use crate::kinematics::Pace;
 use crate::modbus::{Exception, Reply, Request};
@@ -55,6 +55,13 @@ const STEPS_PER_TURN: f64 = 1000.0;
 /// Largest pulse rate of a driver, Hz.
 const TOP_HZ: i32 = 4_000_000;
 
+/// The drive as rig files name it.
+pub const DRIVE: AxisDevice = AxisDevice {
+    name: "oriental_az",
+    servo_at_power_up: true,
+    map: |counts_per_unit, clock_rate| Box::new(OrientalAz::new(counts_per_unit, clock_rate)),
+};
+
 /// State of the register map.
 #[derive(Debug, Clone)]
 pub struct OrientalAz {
@@ -87,26 +94,28 @@ impl OrientalAz {
         }
         az
     }
+}
 
-    /// Resets the state after a loss of power.
-    pub fn power_cycle(&mut self) {
+impl AxisMap for OrientalAz {
+    fn copy(&self) -> Box<dyn AxisMap> {
+        Box::new(self.clone())
+    }
+
+    fn power_cycle(&mut self) {
         *self = Self::new(self.counts_per_unit, self.clock_rate);
     }
 
-    /// Records that a request has arrived.
-    pub fn hear(&mut self, t_s: f64) {
+    fn hear(&mut self, t_s: f64) {
         self.heard_s = Some(t_s);
     }
 
-    /// Process time at which the watchdog expires unless a request arrives before, s.
-    pub fn watchdog_s(&self) -> Option<f64> {
+    fn watchdog_s(&self) -> Option<f64> {
         let ms = long(self.timeout[0], self.timeout[1]);
         let after_s = f64::from(ms) * 1e-3 * self.clock_rate;
         self.heard_s.filter(|_| ms > 0).map(|heard_s| heard_s + after_s)
     }
 
-    /// Stops the motor if the watchdog has expired; once, until the next request.
-    pub fn watch(&mut self, drive: &mut Drive, t_s: f64) {
+    fn watch(&mut self, drive: &mut Drive, t_s: f64) {
         if self.watchdog_s().is_some_and(|end_s| t_s >= end_s) {
             self.heard_s = None;
             if drive.moving(t_s) {
@@ -115,11 +124,7 @@ impl OrientalAz {
         }
     }
 
-    /// Executes one request at a process time.
-    ///
-    /// # Errors
-    /// The Modbus exception that the driver returns.
-    pub fn serve(
+    fn serve(
         &mut self,
         request: &Request,
         drive: &mut Drive,
@@ -138,7 +143,9 @@ impl OrientalAz {
             | Request::WriteCoil { .. } => Err(Exception::IllegalFunction),
         }
     }
+}
 
+impl OrientalAz {
     fn write(
         &mut self,
         address: u16,

@@ -3,7 +3,7 @@
 //! FC16 0x1000 + channel the mode (0 is 0 to 5 V, 1 is 1 to 5 V, 2 and 3 currents, 4 raw counts);
 //! 0x4000 address; 0x8000 version. PURE. Never: the meaning of the inputs.
 
-use super::{INPUTS, read_each};
+use super::{CellsDevice, CellsMap, INPUTS, read_each};
 use crate::modbus::{Exception, Reply, Request};
 
 const MODE_BASE: u16 = 0x1000;
@@ -16,18 +16,18 @@ const MODE_RAW: u16 = 4;
 const FULL_SCALE_V: f64 = 5.0;
 const COUNTS: f64 = 4096.0;
 
+/// The module as rig files name it.
+pub const MODULE: CellsDevice =
+    CellsDevice { name: "waveshare_8ch", map: || Box::new(Waveshare8ch::default()) };
+
 /// Settings of the module.
 #[derive(Debug, Clone, Default)]
 pub struct Waveshare8ch {
     modes: [u16; INPUTS],
 }
 
-impl Waveshare8ch {
-    /// Executes one request, given the voltages of the inputs at the last conversion, V.
-    ///
-    /// # Errors
-    /// The Modbus exception that the module returns.
-    pub fn serve(&mut self, request: &Request, volts: &[f64; INPUTS]) -> Result<Reply, Exception> {
+impl CellsMap for Waveshare8ch {
+    fn serve(&mut self, request: &Request, volts: &[f64; INPUTS]) -> Result<Reply, Exception> {
         match *request {
             Request::ReadRegisters { function: 4, address, count } => {
                 read_each(address, count, |a| self.value(a, volts))
@@ -45,7 +45,9 @@ impl Waveshare8ch {
             Request::ReadBits { .. } | Request::WriteCoil { .. } => Err(Exception::IllegalFunction),
         }
     }
+}
 
+impl Waveshare8ch {
     fn value(&self, address: u16, volts: &[f64; INPUTS]) -> Option<u16> {
         let v = *volts.get(usize::from(address))?;
         let raw = (v / FULL_SCALE_V * COUNTS).round().clamp(0.0, COUNTS - 1.0);

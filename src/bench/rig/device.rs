@@ -1,0 +1,213 @@
+//! A supported device: its name in rig files, what a rig file may set in it, and its driver. The
+//! folder of a device describes its own; `rig/mod.rs` lists all of them.
+//! Uses: `axis`, `station`, `link`, `traits`. Never: the name of a device, requests, ports.
+
+use std::fmt;
+use std::sync::Arc;
+
+use serde::de::{Deserialize, Deserializer, Error};
+use serde::ser::{Serialize, Serializer};
+
+use super::axis::{Drive, ModbusAxis};
+use super::cells::CellsConfig;
+use super::config::AxisProfile;
+use super::link::MotionGate;
+use super::station::Station;
+use super::traits::{Axis, LoadCells};
+use super::{DRIVES, MODULES};
+use crate::clock::Clock;
+
+/// What the driver of an axis is built from.
+#[derive(Debug)]
+pub struct AxisParts {
+    /// Name of the axis, as in rig files.
+    pub name: &'static str,
+    /// Its drive, at its address on a wire.
+    pub station: Station,
+    /// Settings of the axis.
+    pub profile: AxisProfile,
+    /// Permits of its motions.
+    pub gate: MotionGate,
+    /// Clock of the rig.
+    pub clock: Clock,
+}
+
+impl AxisParts {
+    /// The axis on a drive.
+    pub fn on<D: Drive>(self, drive: D) -> Arc<dyn Axis> {
+        let Self { name, station, profile, gate, clock } = self;
+        Arc::new(ModbusAxis::new(name, drive, station, profile, gate, clock))
+    }
+}
+
+/// A supported drive.
+#[derive(Clone, Copy)]
+pub struct AxisDevice {
+    name: &'static str,
+    has_guards: bool,
+    open: fn(AxisParts) -> Arc<dyn Axis>,
+}
+
+impl AxisDevice {
+    /// Describes a drive without guards: its name in rig files, and how its driver is created.
+    pub const fn new(name: &'static str, open: fn(AxisParts) -> Arc<dyn Axis>) -> Self {
+        Self { name, has_guards: false, open }
+    }
+
+    /// The same drive, with a communication watchdog and a torque limit that can be set.
+    pub const fn with_guards(self) -> Self {
+        Self { has_guards: true, ..self }
+    }
+
+    /// Name of the device, as in rig files.
+    pub const fn as_str(self) -> &'static str {
+        self.name
+    }
+
+    /// Whether the drive has a communication watchdog and a torque limit that can be set.
+    pub const fn has_guards(self) -> bool {
+        self.has_guards
+    }
+
+    /// Creates the driver of an axis; sends nothing.
+    pub fn open(self, parts: AxisParts) -> Arc<dyn Axis> {
+        (self.open)(parts)
+    }
+}
+
+/// A supported analog input module.
+#[derive(Clone, Copy)]
+pub struct CellsDevice {
+    name: &'static str,
+    repeats_max: u32,
+    open: fn(Station, &CellsConfig, Clock) -> Arc<dyn LoadCells>,
+}
+
+impl CellsDevice {
+    /// Describes a module: its name in rig files, its longest run of equal values
+    /// ([`CellsDevice::repeats_max`]), and how its driver is created.
+    pub const fn new(
+        name: &'static str,
+        repeats_max: u32,
+        open: fn(Station, &CellsConfig, Clock) -> Arc<dyn LoadCells>,
+    ) -> Self {
+        Self { name, repeats_max, open }
+    }
+
+    /// Name of the device, as in rig files.
+    pub const fn as_str(self) -> &'static str {
+        self.name
+    }
+
+    /// Longest run of equal values of a working cell, in update periods, above which the module
+    /// hangs; derived from the step of the module and the noise of a 25 lbf cell (sd 0.022 N), with
+    /// the mean in the middle of a step, where values repeat longest.
+    pub const fn repeats_max(self) -> u32 {
+        self.repeats_max
+    }
+
+    /// Creates the driver of the module at a station; sends nothing.
+    pub fn open(self, station: Station, cells: &CellsConfig, clock: Clock) -> Arc<dyn LoadCells> {
+        (self.open)(station, cells, clock)
+    }
+}
+
+/// The device with a name, of a list.
+fn by_name<T: Copy, E: Error>(
+    found: &str,
+    devices: &[T],
+    name: fn(T) -> &'static str,
+) -> Result<T, E> {
+    devices.iter().copied().find(|&device| name(device) == found).ok_or_else(|| {
+        let names: Vec<String> = devices.iter().map(|&d| format!("`{}`", name(d))).collect();
+        let names = names.join(", ");
+        E::custom(format!("unknown device `{found}`, expected one of {names}"))
+    })
+}
+
+impl<'de> Deserialize<'de> for AxisDevice {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        by_name(&String::deserialize(deserializer)?, DRIVES, Self::as_str)
+    }
+}
+
+impl<'de> Deserialize<'de> for CellsDevice {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        by_name(&String::deserialize(deserializer)?, MODULES, Self::as_str)
+    }
+}
+
+impl Serialize for AxisDevice {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name)
+    }
+}
+
+impl Serialize for CellsDevice {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name)
+    }
+}
+
+impl PartialEq for AxisDevice {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name
+    }
+}
+
+impl Eq for AxisDevice {}
+
+impl PartialEq for CellsDevice {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name
+    }
+}
+
+impl Eq for CellsDevice {}
+
+impl fmt::Debug for AxisDevice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name)
+    }
+}
+
+impl fmt::Debug for CellsDevice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rig::config::RigConfig;
+
+    const FILE: &str = include_str!("../../../experiments/rigs/virtual.toml");
+
+    fn problem(from: &str, to: &str) -> String {
+        assert!(FILE.contains(from), "{from}");
+        RigConfig::from_toml("r.toml", &FILE.replacen(from, to, 1)).unwrap_err()[0].to_string()
+    }
+
+    #[test]
+    fn an_unknown_device_is_refused_with_the_names_of_the_supported_ones() {
+        let drive = problem("device = \"iai\"", "device = \"iia\"");
+        assert!(drive.starts_with("r.toml: axes.x.device = \"iia\": unknown device"), "{drive}");
+        let module = problem("device = \"adam_6017\"", "device = \"adam\"");
+        assert!(module.starts_with("r.toml: cells.device = \"adam\": unknown device"), "{module}");
+        for device in DRIVES {
+            assert!(drive.contains(&format!("`{}`", device.as_str())), "{drive}");
+        }
+        for device in MODULES {
+            assert!(module.contains(&format!("`{}`", device.as_str())), "{module}");
+        }
+    }
+
+    #[test]
+    fn a_device_is_written_as_it_is_read() {
+        let config = RigConfig::from_toml("r.toml", FILE).unwrap();
+        let text = toml::to_string(&config).unwrap();
+        assert_eq!(RigConfig::from_toml("r.toml", &text).unwrap(), config);
+        assert!(text.contains("device = \"iai\"") && text.contains("device = \"adam_6017\""));
+    }
+}

@@ -1,0 +1,86 @@
+//! `openapi.yaml` as generators of clients see it: valid, and good for clients in Python and
+//! TypeScript that make real calls.
+
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::json;
+
+use super::datasets::filled::Filled;
+use super::support::{self, Folder};
+
+const DESCRIPTION: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi.yaml");
+
+async fn admin_key(lab: &Filled) -> String {
+    let (status, made) =
+        lab.post("/api/v1/keys", json!({ "name": "contract", "role": "admin" })).await;
+    assert_eq!(status, 201, "{made}");
+    made["secret"].as_str().unwrap().into()
+}
+
+/// Runs a command to its end; its output is shown if it fails.
+async fn succeeds(mut command: Command) -> String {
+    let output = tokio::task::spawn_blocking(move || command.output()).await.unwrap().unwrap();
+    let text =
+        [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+    assert!(output.status.success(), "{}", text.join("\n"));
+    text.join("\n")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_generated_python_client_makes_real_calls() {
+    let Some(python) = support::python("openapi_spec_validator, openapi_python_client") else {
+        return;
+    };
+    let lab = Filled::open("contract-python").await;
+    let folder = Folder::new("contract-python-client");
+    let mut command = Command::new(python);
+    command.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/contract/client.py")).args([
+        DESCRIPTION,
+        &lab.url(""),
+        &admin_key(&lab).await,
+        &folder.path(""),
+    ]);
+    let said = succeeds(command).await;
+    assert!(said.contains("operations imported, 16 called"), "{said}");
+    lab.close().await;
+}
+
+/// The packages are those of `.ci/run`: `PALPATE_NODE` is the folder with their `node_modules`.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_typed_typescript_client_makes_real_calls() {
+    let Some(packages) = std::env::var_os("PALPATE_NODE") else {
+        eprintln!("SKIPPED: PALPATE_NODE names no folder with openapi-typescript");
+        return;
+    };
+    let lab = Filled::open("contract-typescript").await;
+    let folder = Folder::new("contract-typescript-client");
+    let modules = Path::new(&packages).join("node_modules");
+    std::os::unix::fs::symlink(&modules, folder.path("node_modules")).unwrap();
+    let source = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/contract/client.ts");
+    std::fs::copy(source, folder.path("client.ts")).unwrap();
+    std::fs::write(folder.path("package.json"), r#"{ "type": "module" }"#).unwrap();
+    let tool = |name: &str| {
+        let mut command = Command::new(modules.join(".bin").join(name));
+        command.current_dir(folder.path(""));
+        command
+    };
+    let mut generate = tool("openapi-typescript");
+    generate.args([DESCRIPTION, "--output", "api.d.ts"]);
+    succeeds(generate).await;
+    let mut compile = tool("tsc");
+    compile.args([
+        "--strict",
+        "--target",
+        "es2022",
+        "--module",
+        "nodenext",
+        "--skipLibCheck",
+        "client.ts",
+    ]);
+    succeeds(compile).await;
+    let mut run = Command::new("node");
+    run.current_dir(folder.path("")).args(["client.js", &lab.url(""), &admin_key(&lab).await]);
+    assert!(succeeds(run).await.contains("6 calls"));
+    lab.close().await;
+}

@@ -1,0 +1,168 @@
+//! What a driver must have, found by its name: a rig file, a transcript, its registers among the
+//! references, its own folder, a register map in the virtual rig. And every rig file parses.
+
+use std::path::Path;
+
+use palpate::rig::config::RigConfig;
+
+use super::play::files;
+use super::scripts::{device_of, devices, script};
+
+/// Damaged frames that a device's transcripts must hold: one that is cut, one that is corrupted.
+const DAMAGED: usize = 2;
+/// What drivers are written from.
+const REFERENCES: &str = "docs/references.md";
+
+/// The parts of the checkout in which a driver is looked for.
+struct Checkout {
+    /// Transcripts: name and text.
+    transcripts: Vec<(String, String)>,
+    /// Devices that rig files name.
+    rigs: Vec<String>,
+    /// The text of [`REFERENCES`].
+    references: String,
+    /// Register maps of the virtual rig.
+    twins: Vec<&'static str>,
+}
+
+impl Checkout {
+    fn read() -> Self {
+        let drives = virtual_rig::device::DRIVES.iter().map(|device| device.name);
+        let modules = virtual_rig::device::MODULES.iter().map(|device| device.name);
+        Self {
+            transcripts: files("tests/transcripts", "txt"),
+            rigs: rigs().iter().flat_map(|(_, config)| named(config)).collect(),
+            references: text(REFERENCES).expect("the references are there"),
+            twins: drives.chain(modules).collect(),
+        }
+    }
+
+    /// What a device lacks.
+    fn lacks(&self, device: &str) -> Vec<String> {
+        let own = |(name, _): &&(String, String)| device_of(name) == Some(device);
+        let damaged = |text: &str| text.lines().filter(|l| l.starts_with("= ")).count();
+        let damaged: usize =
+            self.transcripts.iter().filter(own).map(|(_, text)| damaged(text)).sum();
+        let named = self.rigs.iter().any(|name| name == device);
+        let heading = format!("`device = \"{device}\"`");
+        let folder = text(&format!("src/bench/rig/{device}/mod.rs"));
+        let cites = folder.is_some_and(|text| text.contains(&format!("`{REFERENCES}`, \"")));
+        let found = [
+            (
+                self.transcripts.iter().any(|t| own(&t)),
+                format!("no tests/transcripts/{device}_tcp.txt or {device}_rtu.txt"),
+            ),
+            (
+                damaged >= DAMAGED,
+                format!("{damaged} damaged frames in its transcripts, at least {DAMAGED}"),
+            ),
+            (named, "no rig file in experiments/rigs that names it".into()),
+            (
+                self.references.contains(&heading),
+                format!("no section of {REFERENCES} that states {heading}"),
+            ),
+            (cites, format!("no src/bench/rig/{device}/mod.rs that cites its references")),
+            (self.twins.contains(&device), "no register map in virtual-rig/src/device".into()),
+        ];
+        found.into_iter().filter(|(has, _)| !has).map(|(_, what)| what).collect()
+    }
+}
+
+fn text(path: &str) -> Option<String> {
+    std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).ok()
+}
+
+fn rigs() -> Vec<(String, RigConfig)> {
+    let parsed = |(name, text): (String, String)| {
+        let config = RigConfig::from_toml(&name, &text).unwrap_or_else(|p| panic!("{p:#?}"));
+        (name, config)
+    };
+    files("experiments/rigs", "toml").into_iter().map(parsed).collect()
+}
+
+/// The devices that a rig file names.
+fn named(config: &RigConfig) -> Vec<String> {
+    let axes = &config.axes;
+    let drives = [axes.x.device, axes.y.device, axes.z.device, axes.radial.device];
+    let drives = drives.iter().map(|device| device.as_str());
+    drives.chain([config.cells.device.as_str()]).map(str::to_owned).collect()
+}
+
+#[test]
+fn every_driver_is_complete() {
+    let checkout = Checkout::read();
+    let mut lacking = Vec::new();
+    for device in devices() {
+        let lacks = checkout.lacks(device);
+        lacking.extend(lacks.into_iter().map(|what| format!("{device}: {what}")));
+    }
+    assert!(lacking.is_empty(), "\n{}\n", lacking.join("\n"));
+    let mut twins = checkout.twins.clone();
+    let mut drivers = devices();
+    twins.sort_unstable();
+    drivers.sort_unstable();
+    assert_eq!(twins, drivers, "each name is used once, here and in the virtual rig");
+}
+
+#[test]
+fn a_driver_that_lacks_something_is_found() {
+    let mut checkout = Checkout::read();
+    assert_eq!(checkout.lacks("no_such_device").len(), 6);
+    checkout.twins.retain(|name| *name != "iai");
+    assert_eq!(checkout.lacks("iai"), ["no register map in virtual-rig/src/device"]);
+    checkout.rigs.retain(|name| name != "waveshare_8ch");
+    let lacks = checkout.lacks("waveshare_8ch");
+    assert_eq!(lacks, ["no rig file in experiments/rigs that names it"]);
+    for (_, text) in &mut checkout.transcripts {
+        *text = text.replacen("= reopen\n", "", 1);
+    }
+    let lacks = checkout.lacks("oriental_az");
+    assert_eq!(lacks, ["1 damaged frames in its transcripts, at least 2"]);
+}
+
+#[test]
+fn every_transcript_is_played() {
+    let coded = include_str!("mod.rs");
+    for (name, text) in files("tests/transcripts", "txt") {
+        let played = !script(&text).is_empty() || coded.contains(&format!("\"{name}\""));
+        assert!(played, "{name}: has no script, and no test reads it");
+    }
+}
+
+#[test]
+fn every_rig_file_parses() {
+    let rigs = rigs();
+    assert!(rigs.iter().any(|(name, _)| name == "virtual.toml"));
+    for (name, config) in rigs {
+        let radii = config.slot.radius_mm.map(|r| config.slot.angle_deg(r));
+        assert!(radii[0] < radii[1], "{name}");
+    }
+}
+
+fn problems(from: &str, to: &str) -> String {
+    let name = "iai-modbus-tcp.toml";
+    let (_, text) = files("experiments/rigs", "toml").into_iter().find(|(n, _)| n == name).unwrap();
+    assert!(text.contains(from), "{from}");
+    let problems = RigConfig::from_toml(name, &text.replacen(from, to, 1)).unwrap_err();
+    problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n")
+}
+
+#[test]
+fn a_wrong_rig_file_is_told_with_file_key_value_and_limit() {
+    let unknown = problems("clock_rate =", "clock_speed =");
+    assert!(unknown.starts_with("iai-modbus-tcp.toml"), "{unknown}");
+    assert!(unknown.contains("unknown field `clock_speed`"), "{unknown}");
+    assert!(unknown.contains("`clock_rate`"), "names what is allowed: {unknown}");
+    assert_eq!(
+        problems("clock_rate = 1.0", "clock_rate = 0.0"),
+        "iai-modbus-tcp.toml: clock_rate = 0: must be from 0.01 to 2000"
+    );
+    assert_eq!(
+        problems("speed_mm_s = 60.0", "speed_mm_s = 9000.0"),
+        "iai-modbus-tcp.toml: axes.z.speed_mm_s = 9000: must be from 0.001 to 5000"
+    );
+    assert_eq!(
+        problems("timeout_ms = 300", "timeout_ms = 0"),
+        "iai-modbus-tcp.toml: lines.cells.timeout_ms = 0: must be from 5 to 10000"
+    );
+}
