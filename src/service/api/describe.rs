@@ -3,9 +3,10 @@
 //! of clients accept.
 //! Uses: `routes`, utoipa. Never: a fact that contradicts the table of operations.
 
-use utoipa::openapi::path::Operation;
+use utoipa::openapi::path::{Operation, Parameter, ParameterIn};
 use utoipa::openapi::schema::{
-    AdditionalProperties, AllOf, Array, ArrayItems, Components, Object, Schema, SchemaType, Type,
+    AdditionalProperties, AllOf, AnyOf, Array, ArrayItems, Components, Object, Schema, SchemaType,
+    Type,
 };
 use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{
@@ -13,6 +14,7 @@ use utoipa::openapi::{
 };
 
 use super::routes::{Access, AllNeeds, Lock, Needs};
+use crate::dataset::format::Format;
 use crate::store::Role;
 
 /// Media type of problem bodies.
@@ -28,14 +30,18 @@ const BAD_REQUEST: Refusal =
 const NO_KEY: Refusal = ("401", "NoKey", "the key is missing, unknown or revoked");
 const FORBIDDEN: Refusal =
     ("403", "Forbidden", "the role is too low, or the request is from a page of another origin");
+const NOT_FOUND: Refusal = ("404", "NotFound", "an object that the address names does not exist");
 const TOO_SLOW: Refusal = ("408", "TooSlow", "the body arrived too slowly");
 const LOCKED: Refusal = ("409", "Locked", "another person holds the operator lock");
 const TOO_LARGE: Refusal = ("413", "TooLarge", "the body is too large");
 const OTHER_TYPE: Refusal = ("415", "OtherType", "the body has another media type");
 const INVALID: Refusal = ("422", "Invalid", "a value of the body is invalid");
+const NO_SOCKET: Refusal = ("426", "NoSocket", "the request does not ask for a WebSocket");
 const TOO_MANY: Refusal = ("429", "TooMany", "the caller has too many requests in progress");
 const BUSY: Refusal = ("503", "Busy", "all connections are in use, or the service ends");
-const ALL: [Refusal; 10] = [
+const ALL: [Refusal; 12] = [
+    NOT_FOUND,
+    NO_SOCKET,
     BAD_REQUEST,
     NO_KEY,
     FORBIDDEN,
@@ -91,9 +97,20 @@ fn complete_operation(operation: &mut Operation, needs: &Needs) {
     if let Access::From(_) = needs.access {
         refusals.extend([FORBIDDEN, TOO_MANY]);
     }
-    if operation.parameters.as_ref().is_some_and(|all| !all.is_empty()) {
+    let parameters =
+        operation.parameters.iter().flatten().filter_map(|parameter| match parameter {
+            RefOr::T(parameter) => Some(parameter),
+            RefOr::Ref(_) => None,
+        });
+    let has = |of: &dyn Fn(&Parameter) -> bool| parameters.clone().any(of);
+    if has(&|_| true) {
         refusals.push(BAD_REQUEST);
     }
+    if has(&|parameter| parameter.parameter_in == ParameterIn::Path) {
+        refusals.push(NOT_FOUND);
+    }
+    let is_table = has(&|parameter| ["export", "file"].contains(&parameter.name.as_str()));
+    let pages = has(&|parameter| parameter.name == "format");
     if operation.request_body.is_some() && needs.access != Access::Stop {
         refusals.extend([BAD_REQUEST, TOO_SLOW, TOO_LARGE, OTHER_TYPE, INVALID]);
     }
@@ -101,6 +118,24 @@ fn complete_operation(operation: &mut Operation, needs: &Needs) {
         refusals.push(LOCKED);
     }
     let responses = &mut operation.responses.responses;
+    if responses.contains_key("101") {
+        refusals.extend([BAD_REQUEST, NO_SOCKET]);
+    }
+    let files =
+        responses.iter_mut().filter(|(status, _)| ["200", "206"].contains(&status.as_str()));
+    for (_, file) in files {
+        if let RefOr::T(file) = file
+            && let Some(content) = file.content.get("application/octet-stream").cloned()
+            && is_table
+        {
+            let formats = Format::ALL.into_iter();
+            file.content.extend(formats.map(|f| (f.media_type().into(), content.clone())));
+        }
+    }
+    if pages && let Some(RefOr::T(page)) = responses.get_mut("200") {
+        let formats = Format::ALL.into_iter().filter(|format| format.streams());
+        page.content.extend(formats.map(|format| (format.media_type().into(), table().into())));
+    }
     for (status, name, _) in refusals {
         responses.entry(status.into()).or_insert(RefOr::Ref(Ref::from_response_name(name)));
     }
@@ -144,6 +179,12 @@ fn complete_response(status: &str, response: &mut Response) {
     }
 }
 
+/// A table in a format other than JSON.
+fn table() -> Content {
+    let bytes = Object::builder().schema_type(SchemaType::Type(Type::String));
+    ContentBuilder::new().schema(Some(bytes.content_encoding("binary").build())).build()
+}
+
 /// Meaning of a status without a description.
 fn meaning(status: &str) -> &'static str {
     match status {
@@ -177,6 +218,13 @@ fn simplify(components: &mut Components) {
             && let Some(object) = flattened(components, all)
         {
             components.schemas.insert(name.clone(), RefOr::T(Schema::Object(object)));
+        }
+        // A whole trial also is an object of columns.
+        if let RefOr::T(Schema::OneOf(one)) = &schema
+            && name == "TrialOrColumns"
+        {
+            let any = AnyOf { items: one.items.clone(), ..AnyOf::new() };
+            components.schemas.insert(name.clone(), RefOr::T(Schema::AnyOf(any)));
         }
         if let Some(schema) = components.schemas.get_mut(&name) {
             open_tuples(schema);

@@ -39,7 +39,9 @@ pub struct Latched {
 /// Any valid key permits it, whatever its role and whoever holds the lock; it may be repeated. The
 /// body is only used for the log of actions: without one, or with an invalid one, the stop is the
 /// same.
-#[utoipa::path(post, path = "/api/v1/estop", tag = "rig", request_body = Option<Attribution>,
+#[utoipa::path(post, path = "/api/v1/estop", tag = "rig", 
+    request_body(content = Option<serde_json::Value>, description = "`who` and `why`, as in Attribution, for \
+        the log of actions; whatever it is, the stop is the same"),
     responses((status = 200, body = Latched),
         (status = 401, body = ProblemBody, description = "the key is missing, unknown or revoked")))]
 pub async fn estop(State(app): State<App>, request: Request) -> Response {

@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::audit::Act;
 use super::problem::{ApiError, Body, Path, ProblemBody};
-use super::send::{self, Download};
+use super::send::{self, Created, Download};
 use crate::dataset::export::{ExportRequest, ExportResult};
 use crate::dataset::format::Format;
 use crate::ids::{DatasetId, TaskId};
@@ -82,7 +82,7 @@ fn out(app: &App, row: TaskRow) -> ExportOut {
 /// It continues after a restart and produces the same bytes.
 #[utoipa::path(post, operation_id = "request_export",
     path = "/api/v1/exports", tag = "datasets", request_body = ExportRequest,
-    responses((status = 202, body = ExportOut),
+    responses((status = 202, body = ExportOut, headers(("Location", description = "the export"))),
         (status = 400, body = ProblemBody,
             description = "the selection is invalid, or too many exports wait"),
         (status = 404, body = ProblemBody, description = "no dataset has this id or name")))]
@@ -90,10 +90,10 @@ pub async fn request(
     State(app): State<App>,
     act: Act,
     Body(request): Body<ExportRequest>,
-) -> Result<(StatusCode, Json<ExportOut>), ApiError> {
+) -> Result<Created<ExportOut>, ApiError> {
     let row = app.datasets.request_export(&request, &act.name()).await?;
     act.about(&row.id.to_string());
-    Ok((StatusCode::ACCEPTED, Json(out(&app, row))))
+    Ok(Created::later(format!("/api/v1/exports/{}", row.id), out(&app, row)))
 }
 
 /// Returns the newest 200 exports, newest first.

@@ -3,7 +3,6 @@
 
 use std::io::Write;
 
-use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
 use serde::Serialize;
@@ -14,6 +13,7 @@ use super::audit::{Act, cut};
 use super::form::Form;
 use super::limits::WHO_MAX_CHARS;
 use super::problem::{ApiError, ProblemBody};
+use super::send::Created;
 use crate::dataset::import::{Import, import};
 use crate::new_file::NewFile;
 use crate::problem::Problem;
@@ -61,7 +61,7 @@ struct Parts {
 /// Imports trials measured elsewhere as a new run.
 #[utoipa::path(post, operation_id = "import_trials", path = "/api/v1/imports", tag = "datasets",
     request_body(content = ImportForm, content_type = "multipart/form-data"),
-    responses((status = 201, body = ImportOut),
+    responses((status = 201, body = ImportOut, headers(("Location", description = "the run"))),
         (status = 400, body = ProblemBody,
             description = "a part of the form, the sensor file or a value of the file is invalid"),
         (status = 507, body = ProblemBody, description = "the disk has no room for the trials")))]
@@ -69,7 +69,7 @@ pub async fn add(
     State(app): State<App>,
     act: Act,
     form: Form,
-) -> Result<(StatusCode, Json<ImportOut>), ApiError> {
+) -> Result<Created<ImportOut>, ApiError> {
     let parts = receive(&app, form).await?;
     act.stated(parts.who.as_deref(), None);
     let missing = |part: &str| {
@@ -93,7 +93,7 @@ pub async fn add(
         trials: done.trials,
         columns_left_out: done.columns_left_out,
     };
-    Ok((StatusCode::CREATED, Json(out)))
+    Ok(Created::at(format!("/api/v1/runs/{}", out.run.uid), out))
 }
 
 /// Receives the parts. The file is written to the disk as it arrives, and removed with the value.

@@ -12,6 +12,7 @@ use utoipa::ToSchema;
 use super::App;
 use super::audit::Act;
 use super::problem::{ApiError, Body, Path, ProblemBody};
+use super::send::Created;
 use crate::evaluate::request::EvaluationRequest;
 use crate::ids::{DatasetId, TaskId};
 use crate::jobs::Progress;
@@ -86,30 +87,30 @@ fn out(app: &App, row: TaskRow) -> JobOut {
 ///
 /// After a restart the training continues from its last checkpoint.
 #[utoipa::path(post, path = "/api/v1/trainings", tag = "jobs", request_body = TrainingRequest,
-    responses((status = 202, body = JobOut),
+    responses((status = 202, body = JobOut, headers(("Location", description = "the job"))),
         (status = 422, body = ProblemBody, description = "the recipe is invalid")))]
 pub async fn train(
     State(app): State<App>,
     act: Act,
     Body(request): Body<TrainingRequest>,
-) -> Result<(StatusCode, Json<JobOut>), ApiError> {
+) -> Result<Created<JobOut>, ApiError> {
     let row = app.jobs.train(&request.recipe, &act.name()).await?;
     act.about(&row.id.to_string());
-    Ok((StatusCode::ACCEPTED, Json(out(&app, row))))
+    Ok(Created::later(format!("/api/v1/jobs/{}", row.id), out(&app, row)))
 }
 
 /// Requests an evaluation.
 #[utoipa::path(post, path = "/api/v1/evaluations", tag = "jobs", request_body = EvaluationRequest,
-    responses((status = 202, body = JobOut),
+    responses((status = 202, body = JobOut, headers(("Location", description = "the job"))),
         (status = 422, body = ProblemBody, description = "a value of the request is invalid")))]
 pub async fn evaluate(
     State(app): State<App>,
     act: Act,
     Body(request): Body<EvaluationRequest>,
-) -> Result<(StatusCode, Json<JobOut>), ApiError> {
+) -> Result<Created<JobOut>, ApiError> {
     let row = app.jobs.evaluate(&request, &act.name()).await?;
     act.about(&row.id.to_string());
-    Ok((StatusCode::ACCEPTED, Json(out(&app, row))))
+    Ok(Created::later(format!("/api/v1/jobs/{}", row.id), out(&app, row)))
 }
 
 /// Returns the newest 500 jobs, newest first, without the examples of evaluations.

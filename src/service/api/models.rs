@@ -15,6 +15,7 @@ use super::form::Form;
 use super::jobs::ndjson;
 use super::limits::{MODEL_MAX_BYTES, WHO_MAX_CHARS};
 use super::problem::{ApiError, Body, Path, ProblemBody, Text};
+use super::send::Created;
 use crate::evaluate::request::Scored;
 use crate::ids::{CalibrationId, ModelId, PromotedId};
 use crate::infer::registry::{NewModel, facts};
@@ -201,18 +202,18 @@ pub struct ModelForm {
 /// Adds a model trained elsewhere.
 #[utoipa::path(post, operation_id = "add_model", path = "/api/v1/models", tag = "models",
     request_body(content = ModelForm, content_type = "multipart/form-data"),
-    responses((status = 201, body = ModelOut),
+    responses((status = 201, body = ModelOut, headers(("Location", description = "the model"))),
         (status = 422, body = ProblemBody,
             description = "a part of the form is missing or invalid, or the model does not run")))]
 pub async fn add(
     State(app): State<App>,
     act: Act,
     form: Form,
-) -> Result<(StatusCode, Json<ModelOut>), ApiError> {
+) -> Result<Created<ModelOut>, ApiError> {
     let parts = receive(form).await?;
     let row = store(&app, parts).await?;
     act.about(row.id.as_str());
-    Ok((StatusCode::CREATED, Json(out(&app, row).await?)))
+    Ok(Created::at(format!("/api/v1/models/{}", row.id), out(&app, row).await?))
 }
 
 /// Parts of the form of a model.

@@ -184,6 +184,7 @@ impl From<DatasetError> for ApiError {
             DatasetError::Store(error) => return error.into(),
             DatasetError::NoDataset { .. }
             | DatasetError::NoRun(_)
+            | DatasetError::FileMissing(_)
             | DatasetError::Empty { .. } => StatusCode::NOT_FOUND,
             DatasetError::Labels(_)
             | DatasetError::Channels { .. }

@@ -13,6 +13,7 @@ use super::audit::Act;
 use super::limits::TURN;
 use super::problem::{ApiError, Body, Params, Path, ProblemBody};
 use super::runs::find;
+use super::send::Created;
 use crate::conductor::Submission;
 use crate::schedule::preflight::Preflight;
 use crate::store::RunRow;
@@ -63,17 +64,17 @@ pub async fn list(State(app): State<App>) -> Result<Json<Queue>, ApiError> {
 /// Queues a run.
 #[utoipa::path(post, operation_id = "queue_run",
     path = "/api/v1/queue", tag = "queue", request_body = QueueRequest,
-    responses((status = 201, body = RunRow),
+    responses((status = 201, body = RunRow, headers(("Location", description = "the run"))),
         (status = 422, body = ProblemBody, description = "a file of the submission is invalid")))]
 pub async fn add(
     State(app): State<App>,
     act: Act,
     Body(item): Body<QueueRequest>,
-) -> Result<(StatusCode, Json<RunRow>), ApiError> {
+) -> Result<Created<RunRow>, ApiError> {
     act.stated(item.who.as_deref(), None);
     let row = app.conductor.enqueue(item.submission, act.name(), item.auto_resume).await?;
     act.on(row.uid);
-    Ok((StatusCode::CREATED, Json(row)))
+    Ok(Created::at(format!("/api/v1/runs/{}", row.uid), row))
 }
 
 /// Removes a run from the queue.

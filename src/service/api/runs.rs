@@ -9,7 +9,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::audit::Act;
+use super::audit::{Act, cut};
+use super::limits::WHO_MAX_CHARS;
 use super::problem::{ApiError, Body, Params, Path, ProblemBody};
 use crate::campaign::STOPS;
 use crate::campaign::shown::command::Request;
@@ -146,14 +147,15 @@ pub struct ActionAccepted {
 /// Finds a run by its uid or scan_id.
 ///
 /// # Errors
-/// 422 if `run` is neither, 404 if there is no such run; errors of the store.
+/// 404 if there is no such run; errors of the store.
 pub async fn find(app: &App, run: &str) -> Result<RunRow, ApiError> {
     let found = if let Ok(scan_id) = run.parse::<i64>() {
         app.store.run_by_scan_id(scan_id).await?
     } else if let Ok(uid) = run.parse::<RunUid>() {
         app.store.run(uid).await?
     } else {
-        return Err(ApiError::value("run", run, "must be a uid or a scan_id"));
+        let words = format!("no run {}: must be a uid or a scan_id", cut(run, WHO_MAX_CHARS));
+        return Err(ApiError::not_found(words));
     };
     let row = found.ok_or_else(|| ApiError::not_found(format!("no run {run}")))?;
     let request = tracing::Span::current();

@@ -6,12 +6,14 @@ use std::sync::Arc;
 
 use arrow_array::RecordBatch;
 use arrow_schema::{DataType, FieldRef, Schema, SchemaRef};
+use axum::Json;
 use axum::body::Body;
 use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use base64::Engine;
 use parking_lot::Mutex;
+use serde::Serialize;
 use serde_json::value::RawValue;
 use tower_http::services::ServeFile;
 
@@ -24,6 +26,31 @@ use crate::dataset::format::{Format, Stream};
 /// Media type of a format, as a header value.
 fn media_type(format: Format) -> HeaderValue {
     HeaderValue::from_static(format.media_type())
+}
+
+/// Response with a new object, and with its address in the header `Location`.
+pub struct Created<T> {
+    status: StatusCode,
+    location: String,
+    object: T,
+}
+
+impl<T> Created<T> {
+    /// The object exists (201).
+    pub fn at(location: String, object: T) -> Self {
+        Self { status: StatusCode::CREATED, location, object }
+    }
+
+    /// The object shows the state of work that has been accepted (202).
+    pub fn later(location: String, object: T) -> Self {
+        Self { status: StatusCode::ACCEPTED, location, object }
+    }
+}
+
+impl<T: Serialize> IntoResponse for Created<T> {
+    fn into_response(self) -> Response {
+        (self.status, [(header::LOCATION, self.location)], Json(self.object)).into_response()
+    }
 }
 
 /// Name and lifetime of a downloaded file.

@@ -39,10 +39,22 @@ const READS: usize = 3;
 /// A page of trials.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct TrialPage {
-    /// The trials.
+    /// The trials; with `columns` or `slice` only the requested columns of each.
+    #[schema(value_type = Vec<TrialOrColumns>)]
     pub trials: Vec<TrialRow>,
     /// Value of `cursor` for the next page; null on the last page.
     pub next: Option<i64>,
+}
+
+/// A trial, or its requested columns.
+#[derive(ToSchema)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "describes the response for openapi.yaml")]
+enum TrialOrColumns {
+    /// A whole trial.
+    Trial(Box<TrialRow>),
+    /// The requested columns, by name.
+    Columns(serde_json::Map<String, Value>),
 }
 
 /// A raw frame of a trial.
