@@ -84,12 +84,15 @@ impl RoleName {
 pub async fn lock(args: LockArgs) -> Result<(), CliError> {
     let LockArgs { note, clear, at } = args;
     let json = at.json;
-    embed::with_server(&at, move |client| async move {
+    embed::with_admin(&at, move |client| async move {
         if clear {
             client.delete("/api/v1/lock").await?;
         } else if let Some(note) = note {
             let body = json!({ "holder": client.who(), "note": note });
-            client.ask::<LockRow>(Method::PUT, "/api/v1/lock", Some(&body)).await?;
+            let lock: LockRow = client.ask(Method::PUT, "/api/v1/lock", Some(&body)).await?;
+            if lock.is_keyless() && !json {
+                say("taken without a key, it holds for everybody until `palpate lock --clear`");
+            }
         }
         let lock: Option<LockRow> = client.get("/api/v1/lock").await?;
         match lock {

@@ -21,6 +21,8 @@ use crate::ids::RunUid;
 const ACKNOWLEDGED: Duration = Duration::from_secs(2);
 /// Interval of polling.
 const LOOK: Duration = Duration::from_millis(50);
+/// Repetitions of a stop that was not answered.
+const ESTOP_AGAIN: u32 = 4;
 
 /// Options of a request to the active run.
 #[derive(Debug, Clone, Args)]
@@ -120,7 +122,7 @@ pub async fn abort(args: &AbortArgs) -> Result<(), CliError> {
     request(&client, (run.uid, run.scan_id), &args.act, "abort", json!({})).await
 }
 
-/// Runs `palpate estop`: one request, then the axes' acknowledgement as far as it is known.
+/// Runs `palpate estop`: a request, repeated until it is answered, then the axes' acknowledgement as far as it is known.
 ///
 /// # Errors
 /// `CliError` if the request for the stop fails; the acknowledgement is only reported.
@@ -129,7 +131,17 @@ pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
     let url = args.at.url().unwrap_or_else(|| super::DEFAULT_URL.into());
     let client = Client::new(&url)?;
     let body = json!({ "why": args.why, "who": client.who() });
-    let answer: Value = client.post("/api/v1/estop", &body).await?;
+    let mut tries = 0;
+    let answer: Value = loop {
+        match client.post("/api/v1/estop", &body).await {
+            // A stop may be repeated: a crowded service may close a connection unanswered.
+            Err(CliError::NoServer { .. } | CliError::Http { .. }) if tries < ESTOP_AGAIN => {
+                tries += 1;
+                tokio::time::sleep(LOOK).await;
+            }
+            outcome => break outcome?,
+        }
+    };
     let asked = Instant::now();
     let (mut acknowledged_ms, mut missing) = (None, Vec::new());
     while acknowledged_ms.is_none() && asked.elapsed() < ACKNOWLEDGED {

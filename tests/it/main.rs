@@ -23,4 +23,5 @@ mod rig_transcripts;
 mod sim_random;
 mod simulate;
 mod store_durability;
+mod streams;
 mod support;

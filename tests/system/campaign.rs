@@ -113,7 +113,7 @@ async fn a_run_pauses_and_goes_on_and_what_its_state_forbids_is_refused() {
     complete(&lab, &run).await;
     let actions = lab.get(&format!("/api/v1/actions?run={run}")).await;
     let logged = actions.as_array().unwrap().iter().find(|a| a["why"] == "lunch").unwrap();
-    assert_eq!((&logged["who"], &logged["accepted"]), (&json!("eve"), &json!(true)));
+    assert_eq!((&logged["who"], &logged["accepted"]), (&json!("eve (local)"), &json!(true)));
     lab.close().await;
 }
 
@@ -268,7 +268,7 @@ async fn weights_are_placed_confirmed_measured_and_repeated() {
     assert_eq!(summary["contact_counts"], json!([0, 0, 3, 3, 0, 0, 0]));
     let page = lab.get(&format!("/api/v1/runs/{run}/trials?limit=100")).await;
     for trial in page["trials"].as_array().unwrap() {
-        assert_eq!(trial["placed_by"], "virtual operator");
+        assert_eq!(trial["placed_by"], "virtual operator (local)");
         assert_eq!(trial["frame_count"], 5);
         assert_eq!(trial["forces_n"], json!([null, null, null, null, null, null]));
     }

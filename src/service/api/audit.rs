@@ -1,6 +1,7 @@
 //! The log of actions: who requested what, and the outcome.
 //! Uses: `store`. Never: an action that waits because its entry cannot be stored.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -10,6 +11,7 @@ use axum::http::request::Parts;
 use axum::response::Response;
 use jiff::Timestamp;
 use parking_lot::Mutex;
+use serde::Deserialize;
 use tracing::Instrument;
 
 use super::App;
@@ -20,6 +22,8 @@ use crate::ids::RunUid;
 use crate::journal::error_chain;
 use crate::store::{NewAction, Role, StoreError};
 
+/// Longest name of an action that is read from a body, characters.
+const ACTION_MAX_CHARS: usize = 20;
 /// Interval of storing such an entry again.
 const LOG_AGAIN: Duration = Duration::from_secs(1);
 
@@ -50,7 +54,7 @@ impl Outcome {
 
 #[derive(Debug)]
 struct Entry {
-    action: &'static str,
+    action: Cow<'static, str>,
     run: Option<RunUid>,
     who: Option<String>,
     why: Option<String>,
@@ -59,7 +63,7 @@ struct Entry {
 impl Act {
     /// An action of a caller.
     pub fn new(caller: Caller, action: &'static str) -> Self {
-        let entry = Entry { action, run: None, who: None, why: None };
+        let entry = Entry { action: action.into(), run: None, who: None, why: None };
         Self { caller, entry: Arc::new(Mutex::new(entry)) }
     }
 
@@ -82,7 +86,23 @@ impl Act {
 
     /// Replaces the name of the action: one route may serve several.
     pub fn named(&self, action: &'static str) {
-        self.entry.lock().action = action;
+        self.entry.lock().action = action.into();
+    }
+
+    /// Reads name, person and reason from a body, if it is a JSON object with these: for the entry
+    /// of a request that is refused before its handler.
+    pub fn read(&self, body: &[u8]) {
+        #[derive(Default, Deserialize)]
+        struct Stated {
+            action: Option<String>,
+            who: Option<String>,
+            why: Option<String>,
+        }
+        let stated: Stated = serde_json::from_slice(body).unwrap_or_default();
+        self.stated(stated.who.as_deref(), stated.why.as_deref());
+        if let Some(action) = stated.action.filter(|name| !name.is_empty()) {
+            self.entry.lock().action = cut(&action, ACTION_MAX_CHARS).into();
+        }
     }
 
     /// Returns the caller with the entered name, as the log shows it.
@@ -110,7 +130,7 @@ impl Act {
             NewAction {
                 at: Timestamp::now(),
                 run: entry.run,
-                action: entry.action.into(),
+                action: entry.action.clone().into_owned(),
                 who: self.caller.name(entry.who.as_deref()),
                 why: entry.why.clone(),
                 accepted: outcome.accepted,

@@ -51,8 +51,12 @@ impl Caller {
     /// Whether the caller may release a lock: its holder, an admin, and for a lock that was taken
     /// without a key everybody without one.
     pub fn may_release(&self, lock: &LockRow) -> bool {
-        let keyless = lock.holder == KEYLESS || lock.holder.ends_with(KEYLESS_SUFFIX);
-        self.holds(lock) || self.role == Role::Admin || (self.key.is_none() && keyless)
+        self.holds(lock) || self.role == Role::Admin || (self.key.is_none() && lock.is_keyless())
+    }
+
+    /// Whether the key of the caller has not been revoked since.
+    pub fn is_valid(&self, app: &App) -> bool {
+        self.key.as_ref().is_none_or(|key| app.keys.is_valid(key))
     }
 
     /// Checks that the caller has at least this role.
@@ -63,7 +67,13 @@ impl Caller {
         if self.role >= role {
             return Ok(());
         }
-        let words = format!("role = {:?}: must be at least {role:?}", self.role).to_lowercase();
+        let mut words = format!("role = {:?}: must be at least {role:?}", self.role).to_lowercase();
+        if self.key.is_none() {
+            words.push_str(
+                "; set PALPATE_KEY to the key of an admin, or stop the service and run `palpate key \
+                 create`, or start it with --local-admin",
+            );
+        }
         Err(ApiError::new(StatusCode::FORBIDDEN, words))
     }
 }
@@ -73,13 +83,9 @@ impl Caller {
 /// # Errors
 /// 401 without a valid key (on loopback only for an invalid one); 403 on loopback for a foreign
 /// host or origin.
-pub fn identify(app: &App, headers: &HeaderMap, query: Option<&str>) -> Result<Caller, ApiError> {
+pub fn identify(app: &App, headers: &HeaderMap) -> Result<Caller, ApiError> {
     if app.loopback() {
         own_host(headers)?;
-    }
-    if let Some(ticket) = ticket(query) {
-        let caller = app.facts.tickets.take(ticket);
-        return caller.ok_or_else(|| unauthorized("this ticket is unknown, used or too old"));
     }
     match secret(headers)? {
         Some(secret) => {
@@ -97,6 +103,27 @@ pub fn identify(app: &App, headers: &HeaderMap, query: Option<&str>) -> Result<C
 
 fn unauthorized(words: &str) -> ApiError {
     ApiError::new(StatusCode::UNAUTHORIZED, words)
+}
+
+/// Determines the caller of a WebSocket, for which a ticket in the query may stand.
+///
+/// # Errors
+/// 401 for a ticket that is unknown, used or too old, or whose key has been revoked; otherwise as
+/// [`identify`].
+pub fn identify_socket(
+    app: &App,
+    headers: &HeaderMap,
+    query: Option<&str>,
+) -> Result<Caller, ApiError> {
+    let ticket = match ticket(query) {
+        Some(ticket) if !headers.contains_key(header::AUTHORIZATION) => ticket,
+        Some(_) | None => return identify(app, headers),
+    };
+    if app.loopback() {
+        own_host(headers)?;
+    }
+    let caller = app.facts.tickets.take(ticket).filter(|caller| caller.is_valid(app));
+    caller.ok_or_else(|| unauthorized("this ticket is unknown, used or too old"))
 }
 
 /// Returns the text of the key, a bearer token. An invalid header is an error: treated as "no key" it
@@ -155,12 +182,14 @@ impl WrongKeys {
 pub struct Tickets(Mutex<HashMap<String, (Caller, Instant)>>);
 
 impl Tickets {
-    /// Creates a ticket from random bytes; `None` if `TICKETS` wait to be used.
+    /// Creates a ticket from random bytes; `None` if `TICKETS` of the caller wait to be used.
     pub fn create(&self, caller: Caller, random: [u8; 32]) -> Option<String> {
         let mut waiting = self.0.lock();
         let now = Instant::now();
         waiting.retain(|_, (_, until)| *until > now);
-        if waiting.len() >= TICKETS {
+        let key = |caller: &Caller| caller.key.as_ref().map(|key| key.id);
+        let of = key(&caller);
+        if waiting.values().filter(|(caller, _)| key(caller) == of).count() >= TICKETS {
             return None;
         }
         let ticket = hex::encode(random);

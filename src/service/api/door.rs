@@ -35,6 +35,7 @@ use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
 use tower_service::Service;
 
+use super::limits::YOUNG;
 use super::line::{Line, Sent};
 use super::problem::ApiError;
 use super::seat::{InFlight, Seat, Seats};
@@ -136,6 +137,8 @@ async fn serve(listener: TcpListener, handlers: Handlers, mut ending: watch::Rec
             },
             Some(_) = connections.join_next() => {}
             () = seats.one_is_freed(), if !room => {}
+            // A new connection is no longer young.
+            () = sleep(YOUNG / 4), if !room => {}
             now = sweep.tick() => seats.sweep(now),
         }
     }

@@ -46,7 +46,7 @@ pub struct Latched {
         (status = 401, body = ProblemBody, description = "the key is missing, unknown or revoked")))]
 pub async fn estop(State(app): State<App>, request: Request) -> Response {
     let began = Instant::now();
-    let latched = latch(&app, request.headers(), request.uri().query());
+    let latched = latch(&app, request.headers());
     let latched_after = began.elapsed();
     // The stop is latched. From here on nothing can delay it.
     let id = RequestId::of(request.headers());
@@ -83,8 +83,8 @@ pub async fn estop(State(app): State<App>, request: Request) -> Response {
 ///
 /// # Errors
 /// As [`auth::identify`]; nothing is latched then.
-fn latch(app: &App, headers: &HeaderMap, query: Option<&str>) -> Result<Caller, ApiError> {
-    let caller = auth::identify(app, headers, query)?;
+fn latch(app: &App, headers: &HeaderMap) -> Result<Caller, ApiError> {
+    let caller = auth::identify(app, headers)?;
     let name = cut(&caller.name(None), WHO_MAX_CHARS);
     app.campaign.estop(&format!("emergency stop ({name})"));
     Ok(caller)

@@ -8,12 +8,12 @@ use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::body::{Body, HttpBody};
+use axum::body::{Body, HttpBody, to_bytes};
 use axum::extract::{DefaultBodyLimit, MatchedPath, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use futures::{StreamExt, TryStreamExt};
+use futures::StreamExt;
 use parking_lot::Mutex;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, timeout_at};
@@ -27,7 +27,8 @@ use super::limits::{
 use super::line::Held;
 use super::problem::ApiError;
 use super::routes::{Access, Lock, Needs};
-use crate::store::LockRow;
+use super::runs;
+use crate::store::{LockRow, Role};
 
 /// Requests in progress by caller: the number of the key, or none. Clones share it.
 #[derive(Debug, Clone, Default)]
@@ -44,79 +45,143 @@ impl InProgress {
     }
 }
 
+/// A place of `InProgress`, kept until the response has been sent, or by a WebSocket until its end.
+#[derive(Debug, Clone)]
+pub struct Place(#[expect(dead_code, reason = "dropped at the end")] Arc<OwnedSemaphorePermit>);
+
 /// Admits a request to its handler, and logs the action that it asks for.
-pub async fn admit(State(app): State<App>, request: Request, next: Next) -> Response {
+pub async fn admit(State(app): State<App>, mut request: Request, next: Next) -> Response {
     let path = request.extensions().get::<MatchedPath>().map(MatchedPath::as_str);
     let needs = path.and_then(|path| app.facts.needs.find(request.method(), path)).copied();
     let Some(needs) = needs else {
         let words = format!("{} is not a method of this address", request.method());
         return ApiError::new(StatusCode::METHOD_NOT_ALLOWED, words).into_response();
     };
-    let caller = match auth::identify(&app, request.headers(), request.uri().query()) {
+    let identified = match needs.socket {
+        true => auth::identify_socket(&app, request.headers(), request.uri().query()),
+        false => auth::identify(&app, request.headers()),
+    };
+    let caller = match identified {
         Ok(caller) => caller,
-        Err(refused) => {
-            if refused.status() == StatusCode::UNAUTHORIZED {
-                app.facts.wrong_keys.note();
-                tokio::time::sleep(WRONG_KEY_DELAY).await;
-            }
-            return refused.into_response();
-        }
+        Err(refused) => return wrong_key(&app, refused).await,
     };
     tracing::Span::current().record("caller", caller.name(None));
     if let Some(key) = &caller.key {
         app.keys.note_use(key);
     }
-    let Some(place) = app.facts.in_progress.begin(&caller) else {
-        let words = format!(
-            "{CALLER_REQUESTS} requests of {} are in progress: wait for one to end",
-            caller.name(None)
-        );
-        let refused = ApiError::new(StatusCode::TOO_MANY_REQUESTS, words);
-        return ([(header::RETRY_AFTER, "1")], refused).into_response();
+    // Pausing and ending a run waits for no other request.
+    let place = match needs.lock {
+        Lock::RefusesSome => None,
+        Lock::Ignored | Lock::Refuses => match app.facts.in_progress.begin(&caller) {
+            Some(place) => Some(Place(Arc::new(place))),
+            None => return too_many(&caller),
+        },
     };
+    if let Err(refused) = allow(needs, &caller, request.headers()) {
+        return refused.into_response();
+    }
+    DefaultBodyLimit::max(needs.body_max_bytes).apply(&mut request);
+    let uploads = needs.body_max_bytes > BODY_MAX_BYTES;
+    let mut request =
+        request.map(|body| paced(body, if uploads { UPLOAD_WITHIN } else { BODY_WITHIN }));
+    request.extensions_mut().insert(caller.clone());
+    request.extensions_mut().insert(place.clone());
     let response = match needs.action {
         Some(action) => {
             let act = Act::new(caller.clone(), action);
-            let response = handle(&app, needs, &caller, Some(&act), request, next).await;
-            // A refused role is not an entry: a viewer must not be able to fill the log.
-            if response.status() != StatusCode::FORBIDDEN {
+            let response = match checked(&app, needs, &act, request).await {
+                Ok(request) => next.run(request).await,
+                Err(refused) => refused.into_response(),
+            };
+            if is_logged(&caller, response.status()) {
                 let outcome = Outcome::of(&response);
                 act.log(&app, outcome).await;
             }
             response
         }
-        None => handle(&app, needs, &caller, None, request, next).await,
+        None => next.run(request).await,
     };
-    response.map(|body| Body::new(Held::new(until_revoked(&app, &caller, body), place)))
+    let is_events = response
+        .headers()
+        .get(header::CONTENT_TYPE)
+        .is_some_and(|kind| kind.as_bytes().starts_with(b"text/event-stream"));
+    response.map(|body| Body::new(Held::new(until_revoked(&app, &caller, body, is_events), place)))
 }
 
-async fn handle(
+/// Whether the log of actions gets an entry. A viewer must not be able to fill it with bodies that
+/// mean nothing.
+fn is_logged(caller: &Caller, status: StatusCode) -> bool {
+    let means_nothing = matches!(
+        status,
+        StatusCode::BAD_REQUEST
+            | StatusCode::UNPROCESSABLE_ENTITY
+            | StatusCode::UNSUPPORTED_MEDIA_TYPE
+            | StatusCode::PAYLOAD_TOO_LARGE
+            | StatusCode::REQUEST_TIMEOUT
+    );
+    caller.role >= Role::Operator || !means_nothing
+}
+
+/// Answers a request without a valid key: late, unless many such answers wait already.
+async fn wrong_key(app: &App, refused: ApiError) -> Response {
+    if refused.status() == StatusCode::UNAUTHORIZED {
+        app.facts.wrong_keys.note();
+        if let Ok(_delayed) = app.facts.delayed.try_acquire() {
+            tokio::time::sleep(WRONG_KEY_DELAY).await;
+        }
+    }
+    ([(header::CONNECTION, "close")], refused).into_response()
+}
+
+fn too_many(caller: &Caller) -> Response {
+    let words = format!(
+        "{CALLER_REQUESTS} requests of {} are in progress: wait for one to end",
+        caller.name(None)
+    );
+    let refused = ApiError::new(StatusCode::TOO_MANY_REQUESTS, words);
+    ([(header::RETRY_AFTER, "1")], refused).into_response()
+}
+
+/// Receives the body of an action, then checks key and lock: what changed while it arrived counts.
+/// Uploads are received by their handlers, which check again.
+async fn checked(
     app: &App,
     needs: Needs,
-    caller: &Caller,
-    act: Option<&Act>,
+    act: &Act,
     mut request: Request,
-    next: Next,
-) -> Response {
-    if let Err(refused) = allow(app, needs, caller, request.headers()).await {
-        return refused.into_response();
+) -> Result<Request, ApiError> {
+    if needs.body_max_bytes <= BODY_MAX_BYTES {
+        let (parts, body) = request.into_parts();
+        let body = to_bytes(body, needs.body_max_bytes).await.map_err(|error| {
+            let words = format!("the body must have at most {} bytes", needs.body_max_bytes);
+            ApiError::of_body(StatusCode::PAYLOAD_TOO_LARGE, words, &error)
+        })?;
+        act.read(&body);
+        request = Request::from_parts(parts, Body::from(body));
     }
-    DefaultBodyLimit::max(needs.body_max_bytes).apply(&mut request);
-    let within = if needs.body_max_bytes > BODY_MAX_BYTES { UPLOAD_WITHIN } else { BODY_WITHIN };
-    let mut request = request.map(|body| paced(body, within));
-    request.extensions_mut().insert(caller.clone());
-    if let Some(act) = act {
-        request.extensions_mut().insert(act.clone());
+    if needs.lock == Lock::Refuses
+        && let Err(refused) = app.unlocked(act.caller()).await
+    {
+        if let Some(run) = run_of(&request)
+            && let Ok(run) = runs::find(app, run).await
+        {
+            act.on(run.uid);
+        }
+        return Err(refused);
     }
-    next.run(request).await
+    app.still_valid(act.caller())?;
+    request.extensions_mut().insert(act.clone());
+    Ok(request)
 }
 
-async fn allow(
-    app: &App,
-    needs: Needs,
-    caller: &Caller,
-    headers: &HeaderMap,
-) -> Result<(), ApiError> {
+/// Returns the run that an address names.
+fn run_of(request: &Request) -> Option<&str> {
+    let path = request.extensions().get::<MatchedPath>()?.as_str();
+    let at = path.split('/').position(|part| part == "{run}")?;
+    request.uri().path().split('/').nth(at)
+}
+
+fn allow(needs: Needs, caller: &Caller, headers: &HeaderMap) -> Result<(), ApiError> {
     auth::same_origin(headers)?;
     if let Access::From(role) = needs.access {
         caller.require(role)?;
@@ -127,10 +192,7 @@ async fn allow(
         let words = format!("the body must have at most {} bytes", needs.body_max_bytes);
         return Err(ApiError::new(StatusCode::PAYLOAD_TOO_LARGE, words));
     }
-    match needs.lock {
-        Lock::Refuses => app.unlocked(caller).await,
-        Lock::Ignored | Lock::RefusesSome => Ok(()),
-    }
+    Ok(())
 }
 
 /// A body that fails if no byte arrives for `BODY_STALL`, or if it is not complete in time.
@@ -154,15 +216,26 @@ fn paced(body: Body, within: Duration) -> Body {
 #[error("the body arrived too slowly: its next bytes are due within {} s", BODY_STALL.as_secs())]
 pub struct TooSlow;
 
-/// A streamed body ends when the key of its caller is revoked.
-fn until_revoked(app: &App, caller: &Caller, body: Body) -> Body {
-    match &caller.key {
-        Some(key) if body.size_hint().exact().is_none() => {
-            let revoked = app.keys.revoked(key);
-            Body::from_stream(body.into_data_stream().take_until(Box::pin(revoked)).into_stream())
+/// The key of a caller was revoked.
+#[derive(Debug, thiserror::Error)]
+#[error("the key was revoked")]
+struct Revoked;
+
+/// A streamed body ends when the key of its caller is revoked: with an error, so that a part of a
+/// table is not taken for all of it, unless it is a stream of events.
+fn until_revoked(app: &App, caller: &Caller, body: Body, is_events: bool) -> Body {
+    let Some(key) = caller.key.as_ref().filter(|_| body.size_hint().exact().is_none()) else {
+        return body;
+    };
+    let state = (body.into_data_stream(), Box::pin(app.keys.revoked(key)));
+    let pieces = futures::stream::unfold(Some(state), move |state| async move {
+        let (mut body, mut revoked) = state?;
+        tokio::select! {
+            piece = body.next() => piece.map(|piece| (piece, Some((body, revoked)))),
+            () = &mut revoked => (!is_events).then(|| (Err(axum::Error::new(Revoked)), None)),
         }
-        Some(_) | None => body,
-    }
+    });
+    Body::from_stream(pieces)
 }
 
 impl App {
@@ -172,6 +245,26 @@ impl App {
             Some(key) => self.keys.revoked(key).await,
             None => std::future::pending().await,
         }
+    }
+
+    /// Checks that the key of a caller has not been revoked since.
+    ///
+    /// # Errors
+    /// 401 if it has.
+    fn still_valid(&self, caller: &Caller) -> Result<(), ApiError> {
+        match caller.is_valid(self) {
+            true => Ok(()),
+            false => Err(ApiError::new(StatusCode::UNAUTHORIZED, "this key is revoked")),
+        }
+    }
+
+    /// Checks again, after a long upload, that the key is valid and the lock is free.
+    ///
+    /// # Errors
+    /// 401 or 409 if it is not.
+    pub(super) async fn still_allowed(&self, act: &Act) -> Result<(), ApiError> {
+        self.unlocked(act.caller()).await?;
+        self.still_valid(act.caller())
     }
 
     /// Checks that no other person holds the operator lock. A lock that was taken without a key
@@ -188,10 +281,13 @@ impl App {
 }
 
 fn locked(lock: &LockRow) -> ApiError {
-    let words = format!(
-        "{} holds the operator lock ({}): ask the holder to release it",
-        lock.holder, lock.note
-    );
+    let how = match lock.is_keyless() {
+        true => {
+            "it was taken without a key and holds for everybody: `palpate lock --clear` ends it"
+        }
+        false => "ask the holder to release it",
+    };
+    let words = format!("{} holds the operator lock ({}): {how}", lock.holder, lock.note);
     ApiError::new(StatusCode::CONFLICT, words)
 }
 

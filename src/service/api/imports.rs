@@ -72,6 +72,7 @@ pub async fn add(
 ) -> Result<Created<ImportOut>, ApiError> {
     let parts = receive(&app, form).await?;
     act.stated(parts.who.as_deref(), None);
+    app.still_allowed(&act).await?;
     let missing = |part: &str| {
         ApiError::bad_query(vec![Problem::new("form", part, "absent", "must be given")])
     };

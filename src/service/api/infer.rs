@@ -18,6 +18,7 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::App;
 use super::auth::Caller;
+use super::guard::Place;
 use super::limits::{FRAME_CLIENTS, LIVE_CLIENTS, MESSAGE_MAX_BYTES, PREFLIGHTS, TURN};
 use super::problem::{ApiError, Params, ProblemBody, Upgrade};
 use crate::clock::Clock;
@@ -171,7 +172,7 @@ async fn received(
     let (options, frames) = if raw {
         let query = Query::<InferOptions>::try_from_uri(request.uri()).map_err(ApiError::from)?.0;
         let bytes = bytes::Bytes::from_request(request, app).await;
-        let bytes = bytes.map_err(|e| ApiError::new(e.status(), e.body_text()))?;
+        let bytes = bytes.map_err(|e| ApiError::of_body(e.status(), e.body_text(), &e))?;
         if bytes.len() % (4 * channels) != 0 {
             let limit =
                 format!("must be a multiple of {} bytes: frames of {channels} f32", 4 * channels);
@@ -225,9 +226,9 @@ pub struct LiveParams {
     /// rendered as Map 1 (4x20).
     #[serde(default)]
     pub map: bool,
-    /// API key, because a browser's WebSocket sends no headers.
+    /// A ticket of `POST /api/v1/tickets`: a browser's WebSocket sends no header with a key.
     #[expect(dead_code, reason = "auth reads it")]
-    key: Option<String>,
+    ticket: Option<String>,
 }
 
 /// Contacts of a live frame.
@@ -253,6 +254,7 @@ pub struct LiveAnswer {
 pub async fn live(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
+    Extension(counted): Extension<Option<Place>>,
     Params(options): Params<LiveParams>,
     Upgrade(upgrade): Upgrade,
 ) -> Result<Response, ApiError> {
@@ -276,7 +278,7 @@ pub async fn live(
             () = follow(&app, socket, method, options.map).instrument(span) => {}
             () = app.until_revoked(&caller) => {}
         }
-        drop(turn);
+        drop((turn, counted));
     }))
 }
 

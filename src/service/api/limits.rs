@@ -11,6 +11,8 @@ pub const CONNECTIONS: usize = 512;
 pub const RESERVED: usize = 32;
 /// Longest time for the head of a request, from the start of the connection or from its first byte.
 pub const HEAD: Duration = Duration::from_secs(5);
+/// Least time that a new connection is kept for its first request.
+pub const YOUNG: Duration = Duration::from_millis(20);
 /// Longest time from the end of a response to the next request.
 pub const IDLE: Duration = Duration::from_secs(60);
 /// Longest time without a byte of a request's body.
@@ -33,12 +35,14 @@ pub const FRAME_CLIENTS: usize = 64;
 pub const LIVE_CLIENTS: usize = 8;
 /// Largest message of a WebSocket from a client, bytes.
 pub const MESSAGE_MAX_BYTES: usize = 4096;
-/// Tickets for WebSockets that wait to be used.
-pub const TICKETS: usize = 1024;
+/// Tickets of one key for WebSockets that wait to be used.
+pub const TICKETS: usize = 32;
 /// Validity of a ticket.
 pub const TICKET: Duration = Duration::from_secs(30);
 /// Delay of the response to a request with a wrong key.
 pub const WRONG_KEY_DELAY: Duration = Duration::from_millis(250);
+/// Responses that are delayed at once; further ones are not, so that they keep no connection busy.
+pub const DELAYED: usize = 32;
 /// Largest body of an action, bytes.
 pub const ACTION_BODY_MAX_BYTES: usize = 64 << 10;
 /// Largest body of a submission, a recipe, a definition or a calibration, bytes.
@@ -114,9 +118,9 @@ mod tests {
             line("clients of live frames", n(FRAME_CLIENTS), "503"),
             line("clients of live contacts", n(LIVE_CLIENTS), "503"),
             line("message of a WebSocket client", bytes(MESSAGE_MAX_BYTES), "the socket is closed"),
-            line("unused tickets for WebSockets", n(TICKETS), "429"),
+            line("unused tickets of one key, or of all clients without a key, for WebSockets", n(TICKETS), "429"),
             line("validity of a ticket, one use", seconds(TICKET), "401"),
-            line("delay of the response to a wrong key", seconds(WRONG_KEY_DELAY), "the e-stop is not delayed"),
+            line("delay of the response to a wrong key", seconds(WRONG_KEY_DELAY), "of 32 responses at once; never of the e-stop"),
             line("body of an action", bytes(ACTION_BODY_MAX_BYTES), "413"),
             line("body of a submission, recipe, definition, calibration, and of any other request", bytes(BODY_MAX_BYTES), "413"),
             line("body with frames", bytes(FRAMES_MAX_BYTES), "413"),

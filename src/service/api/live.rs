@@ -14,6 +14,7 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::auth::Caller;
+use super::guard::Place;
 use super::limits::{FRAME_CLIENTS, MESSAGE_MAX_BYTES};
 use super::problem::{ApiError, ProblemBody, Upgrade};
 use crate::rig::traits::Frame;
@@ -38,11 +39,14 @@ pub struct LiveFrame {
 
 /// Streams live frames as JSON messages over a WebSocket.
 #[utoipa::path(get, operation_id = "live_frames", path = "/api/v1/frames/live", tag = "frames",
+    params(("ticket" = Option<String>, Query,
+        description = "a ticket of `POST /api/v1/tickets`: a browser's WebSocket sends no header with a key")),
     responses((status = 101, description = "WebSocket whose messages are LiveFrame", body = LiveFrame),
         (status = 503, body = ProblemBody, description = "too many clients are connected")))]
 pub async fn frames(
     State(app): State<App>,
     Extension(caller): Extension<Caller>,
+    Extension(counted): Extension<Option<Place>>,
     Upgrade(upgrade): Upgrade,
 ) -> Result<Response, ApiError> {
     let place = app.turns.frames.clone().try_acquire_owned().map_err(|_| {
@@ -54,7 +58,7 @@ pub async fn frames(
             () = send(&app, socket) => {}
             () = app.until_revoked(&caller) => {}
         }
-        drop(place);
+        drop((place, counted));
     }))
 }
 

@@ -196,6 +196,7 @@ struct Facts {
     in_progress: guard::InProgress,
     tickets: auth::Tickets,
     wrong_keys: auth::WrongKeys,
+    delayed: Semaphore,
     local_admin: bool,
 }
 
@@ -312,6 +313,7 @@ impl Service {
             in_progress: guard::InProgress::default(),
             tickets: auth::Tickets::default(),
             wrong_keys: auth::WrongKeys::default(),
+            delayed: Semaphore::new(limits::DELAYED),
             local_admin: options.local_admin,
         };
         let cache = options.data.join("cache");

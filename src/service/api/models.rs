@@ -211,6 +211,7 @@ pub async fn add(
     form: Form,
 ) -> Result<Created<ModelOut>, ApiError> {
     let parts = receive(form).await?;
+    app.still_allowed(&act).await?;
     let row = store(&app, parts).await?;
     act.about(row.id.as_str());
     Ok(Created::at(format!("/api/v1/models/{}", row.id), out(&app, row).await?))

@@ -28,6 +28,8 @@ pub struct Needs {
     pub action: Option<&'static str>,
     /// Largest body, bytes.
     pub body_max_bytes: usize,
+    /// Whether it opens a WebSocket, for which a ticket may stand for the key.
+    pub socket: bool,
 }
 
 /// Who may ask for an operation.
@@ -65,7 +67,9 @@ const READS: Needs = Needs {
     lock: Lock::Ignored,
     action: None,
     body_max_bytes: BODY_MAX_BYTES,
+    socket: false,
 };
+const SOCKET: Needs = Needs { socket: true, ..READS };
 
 /// An action that the operator lock of another person refuses.
 const fn acts(action: &'static str) -> Needs {
@@ -74,6 +78,7 @@ const fn acts(action: &'static str) -> Needs {
         lock: Lock::Refuses,
         action: Some(action),
         body_max_bytes: ACTION_BODY_MAX_BYTES,
+        socket: false,
     }
 }
 
@@ -140,7 +145,7 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(jobs::list)),
         (READS, routes!(jobs::one)),
         (READS, routes!(jobs::losses)),
-        (acts("stop a job"), routes!(jobs::stop)),
+        (acts("stop a job").lock(Lock::Ignored), routes!(jobs::stop)),
         (READS, routes!(models::list)),
         (READS, routes!(models::one)),
         (READS, routes!(models::onnx)),
@@ -152,9 +157,9 @@ pub fn table() -> Vec<Operation> {
         (acts("promote"), routes!(models::promote)),
         (acts("roll back"), routes!(models::roll_back)),
         (READS.body(FRAMES_MAX_BYTES), routes!(infer::infer)),
-        (READS, routes!(infer::live)),
+        (SOCKET, routes!(infer::live)),
         (READS, routes!(events::events)),
-        (READS, routes!(live::frames)),
+        (SOCKET, routes!(live::frames)),
         (acts("rig_action"), routes!(rig::act)),
         (acts("rig_check"), routes!(rig::check)),
         (READS, routes!(people::lock)),

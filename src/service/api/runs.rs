@@ -244,7 +244,8 @@ pub async fn summary(
     path = "/api/v1/runs/{run}/preflight", tag = "runs",
     params(("run" = String, Path, description = "uid or scan_id")),
     responses((status = 200, body = Preflight),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
+        (status = 422, body = ProblemBody, description = "the run was not planned from an experiment")))]
 pub async fn preflight(
     State(app): State<App>,
     Path(run): Path<String>,

@@ -9,7 +9,7 @@ use tokio::sync::Notify;
 use tokio::sync::futures::Notified;
 use tokio::time::Instant;
 
-use super::limits::{CONNECTIONS, HEAD, IDLE, RESERVED};
+use super::limits::{CONNECTIONS, HEAD, IDLE, RESERVED, YOUNG};
 
 /// Largest number of connections including those that are being closed.
 const WITH_CLOSING: usize = 2 * CONNECTIONS;
@@ -22,11 +22,14 @@ pub struct Seats {
 }
 
 impl Seats {
-    /// True if another connection can be accepted, possibly after closing an idle one.
+    /// True if another connection can be accepted, possibly after closing an idle one. The first
+    /// request of a new connection has `YOUNG` to arrive.
     pub fn have_room(&mut self) -> bool {
         self.taken.retain(|seat| seat.strong_count() > 0);
         let most = CONNECTIONS + RESERVED;
-        let one_is_idle = || self.all().any(|seat| seat.idle_since().is_some());
+        let old = Instant::now() - YOUNG;
+        let idle = |seat: Arc<Seat>| seat.idle_since().is_some_and(|since| since <= old);
+        let one_is_idle = || self.all().any(idle);
         self.taken.len() < most
             || self.taken.len() < WITH_CLOSING && (self.open().count() < most || one_is_idle())
     }
@@ -240,6 +243,8 @@ mod tests {
         let late: Vec<_> = (0..3 * RESERVED).map(|_| seats.take()).collect();
         assert_eq!(reserved(&late), late.len());
         assert_eq!(late.iter().filter(|seat| !seat.is_closing()).count(), RESERVED);
+        assert!(!seats.have_room(), "the newest may still send their requests");
+        std::thread::sleep(YOUNG);
         assert!(seats.have_room());
         let stops: Vec<_> = late[2 * RESERVED..].iter().cloned().map(InFlight::begin).collect();
         drop(late);

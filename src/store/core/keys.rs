@@ -225,6 +225,11 @@ impl KeyRing {
         self.store.revoke_key(id).await
     }
 
+    /// Whether a key has not been revoked.
+    pub fn is_valid(&self, key: &Key) -> bool {
+        self.valid().values().any(|valid| valid.id == key.id)
+    }
+
     /// Completes when a key is revoked.
     pub fn revoked(&self, key: &Key) -> impl Future<Output = ()> + Send + use<> {
         let (valid, id, mut revocations) =

@@ -7,6 +7,7 @@ use sqlx::sqlite::{SqliteConnection, SqliteRow};
 use utoipa::ToSchema;
 
 use super::columns::Columns;
+use super::keys::{KEYLESS, KEYLESS_SUFFIX};
 use super::{During, Store, StoreError};
 
 /// The operator lock while a person holds it.
@@ -22,6 +23,11 @@ pub struct LockRow {
 }
 
 impl LockRow {
+    /// Whether the lock was taken without a key.
+    pub fn is_keyless(&self) -> bool {
+        self.holder == KEYLESS || self.holder.ends_with(KEYLESS_SUFFIX)
+    }
+
     fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
         let c = Columns::of(row, operation);
         Ok(Self { holder: c.get("holder")?, note: c.get("note")?, since: c.time("since")? })

@@ -207,8 +207,13 @@ impl Filled {
 
     /// A service on a folder.
     pub async fn serve(data: PathBuf) -> Self {
+        Self::serve_with(data, true).await
+    }
+
+    /// A service on a folder; `local_admin`: without a key one may make keys.
+    pub async fn serve_with(data: PathBuf, local_admin: bool) -> Self {
         let options = ServeOptions {
-            local_admin: true,
+            local_admin,
             bind: "127.0.0.1:0".parse().unwrap(),
             data: data.clone(),
             rig_file: "rig.toml".into(),

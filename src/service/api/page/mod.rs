@@ -5,10 +5,12 @@
 //! them: `{{head}}` (style), `{{header}}` (links, the stop, the form for a key), `{{script}}` (the
 //! begin of its module).
 
+use std::sync::LazyLock;
+
+use axum::Router;
 use axum::http::{Method, StatusCode, Uri, header};
 use axum::response::{Html, IntoResponse};
 use axum::routing::get;
-use axum::{Json, Router};
 use base64::Engine;
 use bytes::Bytes;
 
@@ -88,7 +90,11 @@ pub fn routes() -> Router<App> {
 
 /// Returns the API description.
 async fn description() -> impl IntoResponse {
-    Json(super::description())
+    static TEXT: LazyLock<Bytes> = LazyLock::new(|| {
+        // The description is plain JSON: serialisation does not fail.
+        serde_json::to_vec(&super::description()).unwrap_or_default().into()
+    });
+    ([(header::CONTENT_TYPE, "application/json")], TEXT.clone())
 }
 
 /// Returns the error for a method that an address does not have.

@@ -28,14 +28,18 @@ function needKey() { // All but the stop rests until a key is given; the page th
 }
 $('key-form').onsubmit = event => {
   event.preventDefault()
-  keep('sessionStorage', 'palpate-key', $('key').value)
-  location.reload()
+  secret = $('key').value
+  keep('sessionStorage', 'palpate-key', secret)
+  // Without storage the key lasts for this page only: the stop must still have it.
+  if (keep('sessionStorage', 'palpate-key') === secret) location.reload()
+  else $('key-form').hidden = true
 }
 // The stop: asks nothing, tries five times, says what came of it.
 $('estop').onclick = async () => {
   const name = $('who')?.value.trim() ?? keep('localStorage', 'palpate-who'), body = { why: name ? `pressed on the page by ${name}` : 'pressed on the page' }
   let why = 'it did not latch'
   note('stop-said', 'Stopping…')
+  secret ||= $('key').value
   page.stopping() // A browser opens six connections to a service, over all its pages: one must be free now.
   for (let attempt = 0; attempt < 5; attempt++, await sleep(200)) {
     try {
