@@ -18,7 +18,7 @@ async fn every_response_states_the_id_of_its_request() {
     for (method, path, status) in [
         (Method::GET, "/api/v1/status", 200),
         (Method::GET, "/api/v1/runs/7", 404),
-        (Method::GET, "/api/v1/runs/none", 422),
+        (Method::GET, "/api/v1/runs/none", 404),
         (Method::GET, "/no-such-page", 404),
         (Method::POST, "/health/live", 405),
         (Method::POST, "/api/v1/estop", 200),

@@ -103,7 +103,7 @@ async fn an_id_is_its_contents_and_a_name_follows_them() {
     let file = lab.data.join("datasets").join(format!("{id}.parquet"));
     let bytes = std::fs::read(&file).unwrap();
     std::fs::remove_file(&file).unwrap();
-    assert_eq!(lab.refused(&format!("/api/v1/datasets/{id}")).await.0, 500);
+    assert_eq!(lab.refused(&format!("/api/v1/datasets/{id}")).await.0, 404);
     assert_eq!(lab.get("/api/v1/datasets/r2s-transfer").await["id"], first["id"]);
     assert_eq!(std::fs::read(&file).unwrap(), bytes);
     // Another deadband labels anew: another dataset.
