@@ -110,7 +110,7 @@ async fn every_answer_is_one_that_the_description_states() {
             .args(["--exclude-path", "/api/v1/live", "--exclude-path", "/api/v1/frames/live"])
             .args(["--exclude-operation-id", "revoke_key", "--request-timeout", "60"]);
         let said = succeeds(command).await;
-        let cases = said.lines().find(|line| line.contains(" generated")).unwrap_or_default();
+        let cases = said.lines().find(|line| line.contains(" generated, ")).unwrap_or_default();
         eprintln!("{role}: {}", cases.trim());
     }
     lab.close().await;
