@@ -136,6 +136,9 @@ def streams(count: int) -> str:
 
 
 def wrong_keys(loops: int, seconds: float) -> str:
+    count = lambda: json.loads(ask("GET", "/api/v1/status")[1])["service"]["wrong_keys"]
+    before = count()
+
     def loop() -> None:
         end = time.time() + seconds
         while time.time() < end:
@@ -151,7 +154,7 @@ def wrong_keys(loops: int, seconds: float) -> str:
         thread.start()
     for thread in threads:
         thread.join()
-    return f"{json.loads(ask('GET', '/api/v1/status')[1])['service']['wrong_keys']} refused"
+    return f"{(count() - before) / seconds:.0f} per second refused"
 
 
 rows = "/api/v1/datasets/run-1/rows"

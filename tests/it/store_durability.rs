@@ -286,7 +286,7 @@ async fn a_torn_log_leaves_a_prefix_and_a_changed_one_is_refused() {
         let again = open_with_run(&file(&cut)).await;
         let kept = check_whole(&again).await.len() as u32;
         shorter += u32::from(kept < 60);
-        // It goes on at the right place.
+        // It resumes at the right place.
         let next = again.trial(run_uid(), &trial(kept)).await.unwrap();
         assert!(next > TrialId(i64::from(kept)) || kept == 0);
         again.close().await;

@@ -30,9 +30,9 @@ use super::routes::{Access, Lock, Needs};
 use super::runs;
 use crate::store::{LockRow, Role};
 
-/// Requests in progress by caller: the number of the key, or none. Clones share it.
-#[derive(Debug, Clone, Default)]
-pub struct InProgress(Arc<Mutex<HashMap<Option<i64>, Arc<Semaphore>>>>);
+/// Requests in progress by caller: the number of the key, or none.
+#[derive(Debug, Default)]
+pub struct InProgress(Mutex<HashMap<Option<i64>, Arc<Semaphore>>>);
 
 impl InProgress {
     /// Takes a place for a request; `None` if the caller has `CALLER_REQUESTS` in progress.

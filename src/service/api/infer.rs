@@ -19,7 +19,10 @@ use utoipa::{IntoParams, ToSchema};
 use super::App;
 use super::auth::Caller;
 use super::guard::Place;
-use super::limits::{FRAME_CLIENTS, LIVE_CLIENTS, MESSAGE_MAX_BYTES, PREFLIGHTS, TURN};
+use super::limits::{
+    EXACT_MAX, FIT_REQUESTS, FRAME_CLIENTS, FRAMES_MAX, LIVE_CLIENTS, MAPS_MAX, MESSAGE_MAX_BYTES,
+    NET_REQUESTS, PREFLIGHTS, TURN,
+};
 use super::problem::{ApiError, Params, ProblemBody, Upgrade};
 use crate::clock::Clock;
 use crate::dataset::background::background;
@@ -30,16 +33,6 @@ use crate::infer::methods::exact::Tracked;
 use crate::infer::pipeline::{Followed, Pipeline};
 use crate::infer::slot::Slot;
 
-/// Largest number of frames per request.
-const FRAMES_MAX: usize = 2_000;
-/// Largest number of frames per request for `exact`: a fit takes about 0.1 s.
-const EXACT_MAX: usize = 300;
-/// Largest number of frames per request with maps: a map has 25,600 numbers.
-const MAPS_MAX: usize = 100;
-/// Number of requests that nets answer concurrently; further ones wait.
-const NET_REQUESTS: usize = 4;
-/// Number of requests that `exact` answers concurrently; further ones wait.
-const FIT_REQUESTS: usize = 2;
 /// Longest time for sending a message; a slower client is disconnected.
 const SEND: Duration = Duration::from_secs(5);
 

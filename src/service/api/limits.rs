@@ -1,5 +1,6 @@
-//! All bounds of the API in one table, from which `docs/limits.md` is generated.
-//! Uses: the bounds of `dataset` and `store`. Never: a bound that applies elsewhere without a line here.
+//! Bounds of the HTTP interface, from which `docs/limits.md` is generated. The queues of runs, exports
+//! and jobs have theirs where they are.
+//! Uses: `store` (the largest page). Never: a decision.
 
 use std::time::Duration;
 
@@ -29,6 +30,16 @@ pub const CALLER_REQUESTS: usize = 128;
 pub const PREFLIGHTS: usize = 2;
 /// Longest wait for a preflight's or an inference's turn.
 pub const TURN: Duration = Duration::from_secs(10);
+/// Frames of one inference.
+pub const FRAMES_MAX: usize = 2_000;
+/// Frames of one inference by `exact`: a fit takes about 0.1 s.
+pub const EXACT_MAX: usize = 300;
+/// Frames of one inference with maps: a map has 25,600 numbers.
+pub const MAPS_MAX: usize = 100;
+/// Inferences by nets in progress; further ones wait.
+pub const NET_REQUESTS: usize = 4;
+/// Inferences by `exact` in progress; further ones wait.
+pub const FIT_REQUESTS: usize = 2;
 /// Clients of the live frames.
 pub const FRAME_CLIENTS: usize = 64;
 /// Clients of the live contacts.
@@ -64,7 +75,7 @@ pub const WHY_MAX_CHARS: usize = 500;
 pub const DETAIL_MAX_CHARS: usize = 2000;
 /// Entries of the log of actions that wait for a failing store.
 pub const LOGGED_LATER_MAX: usize = 1000;
-/// Conditions of a selection of rows.
+/// Parameters of a selection of rows.
 pub const CONDITIONS_MAX: usize = 100;
 /// Values of one condition `COLUMN__in`.
 pub const VALUES_MAX: usize = 1000;
@@ -115,12 +126,18 @@ mod tests {
             line("requests in progress of one key, or of all clients without a key; streams count", n(CALLER_REQUESTS), "429 with Retry-After"),
             line("preflights in progress", n(PREFLIGHTS), "the request waits, then 503"),
             line("wait for the turn of a preflight or an inference", seconds(TURN), "503"),
+            line("inferences by nets in progress", n(NET_REQUESTS), "the request waits, then 503"),
+            line("inferences by `exact` in progress", n(FIT_REQUESTS), "the request waits, then 503"),
+            line("frames of an inference", n(FRAMES_MAX), "422"),
+            line("frames of an inference by `exact`", n(EXACT_MAX), "422"),
+            line("frames of an inference with maps", n(MAPS_MAX), "422"),
             line("clients of live frames", n(FRAME_CLIENTS), "503"),
             line("clients of live contacts", n(LIVE_CLIENTS), "503"),
             line("message of a WebSocket client", bytes(MESSAGE_MAX_BYTES), "the socket is closed"),
             line("unused tickets of one key, or of all clients without a key, for WebSockets", n(TICKETS), "429"),
             line("validity of a ticket, one use", seconds(TICKET), "401"),
-            line("delay of the response to a wrong key", seconds(WRONG_KEY_DELAY), "of 32 responses at once; never of the e-stop"),
+            line("delay of the response to a wrong key", seconds(WRONG_KEY_DELAY), "never of the e-stop"),
+            line("responses delayed at once", n(DELAYED), "further ones are not delayed"),
             line("body of an action", bytes(ACTION_BODY_MAX_BYTES), "413"),
             line("body of a submission, recipe, definition, calibration, and of any other request", bytes(BODY_MAX_BYTES), "413"),
             line("body with frames", bytes(FRAMES_MAX_BYTES), "413"),
@@ -131,7 +148,7 @@ mod tests {
             line("note of the lock, reason of an action", format!("{WHY_MAX_CHARS} characters"), "422; in the log of actions: cut"),
             line("message of a refusal in the log of actions", format!("{DETAIL_MAX_CHARS} characters"), "cut"),
             line("rows of a page", MAX_PAGE.to_string(), "400"),
-            line("conditions of a selection", n(CONDITIONS_MAX), "400"),
+            line("parameters of a selection of rows", n(CONDITIONS_MAX), "400"),
             line("values of a condition `COLUMN__in`", n(VALUES_MAX), "400"),
             line("numbers in the frames and maps of a page", PAGE_NUMBERS_MAX.to_string(), "400"),
         ]
