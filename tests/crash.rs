@@ -211,7 +211,7 @@ async fn killed_at_random_instants_every_planned_trial_is_stored_once() {
         tokio::time::sleep(Duration::from_millis(200)).await;
     }
     let page = site.answer(&format!("/api/v1/runs/{run}/trials?limit=1000")).await;
-    let trials = page["trials"].as_array().unwrap();
+    let trials = page["items"].as_array().unwrap();
     let keys: BTreeSet<String> =
         trials.iter().map(|t| format!("{} {}", t["configuration"], t["depth_index"])).collect();
     let planned = 2 * 4 * configurations as usize;
@@ -304,13 +304,14 @@ async fn trips_and_stops(site: &Site, control: &str) {
 /// Once the store takes records again, it holds both, in order.
 async fn told_afterwards(site: &Site) {
     let all = |page: &Value| {
-        let events = page["events"].as_array().unwrap();
+        let events = page["items"].as_array().unwrap();
         let trip = |kind: &str| events.iter().position(|e| e["data"]["kind"] == kind);
         let end = events.iter().rposition(|e| e["kind"] == "safe_end");
         trip("force").is_some() && trip("force") < end && end < trip("estop")
     };
     site.until("/api/v1/events?since=0&limit=1000", all).await;
-    let stop = |rows: &Value| rows.as_array().unwrap().iter().any(|a| a["action"] == "estop");
+    let stop =
+        |rows: &Value| rows["items"].as_array().unwrap().iter().any(|a| a["action"] == "estop");
     site.until("/api/v1/actions", stop).await;
 }
 

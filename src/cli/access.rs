@@ -138,7 +138,7 @@ async fn create(client: &Client, name: &str, role: RoleName, json: bool) -> Resu
 }
 
 async fn list(client: &Client, json: bool) -> Result<(), CliError> {
-    let keys: Vec<KeyRow> = client.get("/api/v1/keys").await?;
+    let keys: Vec<KeyRow> = client.all("/api/v1/keys?").await?;
     if json {
         say_json(&keys);
         return Ok(());

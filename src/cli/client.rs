@@ -14,11 +14,11 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::{self, Message};
 
 use super::error::CliError;
-use super::view::{ArmedView, EventPageView, StatusView, TakenUpView};
-use crate::api::Summary;
+use super::view::{ArmedView, EventView, StatusView, TakenUpView};
+use crate::api::{Page, Summary};
 use crate::ids::RunUid;
 use crate::problem::Problem;
-use crate::store::{RunPage, RunRow};
+use crate::store::RunRow;
 
 /// Environment variable with the API key.
 pub const KEY_VARIABLE: &str = "PALPATE_KEY";
@@ -26,8 +26,6 @@ pub const KEY_VARIABLE: &str = "PALPATE_KEY";
 const ANSWER: Duration = Duration::from_secs(60);
 /// Longest wait when probing for a server.
 const LOOK: Duration = Duration::from_secs(2);
-/// Number of runs per page.
-const PAGE: u32 = 200;
 
 /// A client of one service. Clones share its connections.
 #[derive(Debug, Clone)]
@@ -138,8 +136,22 @@ impl Client {
     ///
     /// # Errors
     /// As [`Self::send`].
-    pub async fn events(&self, run: RunUid, since: i64) -> Result<EventPageView, CliError> {
+    pub async fn events(&self, run: RunUid, since: i64) -> Result<Page<EventView>, CliError> {
         self.get(&format!("/api/v1/events?since={since}&run={run}")).await
+    }
+
+    /// Returns all entries of a list; `path` has its parameters, or none after `?`.
+    ///
+    /// # Errors
+    /// As [`Self::send`].
+    pub async fn all<T: DeserializeOwned>(&self, path: &str) -> Result<Vec<T>, CliError> {
+        let (mut all, mut cursor) = (Vec::new(), String::new());
+        loop {
+            let page: Page<T> = self.get(&format!("{path}{cursor}")).await?;
+            all.extend(page.items);
+            let Some(next) = page.next else { return Ok(all) };
+            cursor = format!("&cursor={next}");
+        }
     }
 
     /// Returns the newest of all runs that `fits` accepts.
@@ -150,14 +162,14 @@ impl Client {
         &self,
         fits: impl Fn(&RunRow) -> bool,
     ) -> Result<Option<RunRow>, CliError> {
-        let mut path = format!("/api/v1/runs?limit={PAGE}");
+        let mut path = "/api/v1/runs?".to_owned();
         loop {
-            let page: RunPage = self.get(&path).await?;
-            if let Some(run) = page.runs.into_iter().find(&fits) {
+            let page: Page<RunRow> = self.get(&path).await?;
+            if let Some(run) = page.items.into_iter().find(&fits) {
                 return Ok(Some(run));
             }
             let Some(next) = page.next else { return Ok(None) };
-            path = format!("/api/v1/runs?limit={PAGE}&cursor={next}");
+            path = format!("/api/v1/runs?cursor={next}");
         }
     }
 

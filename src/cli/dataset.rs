@@ -43,7 +43,7 @@ enum What {
     List(At),
     /// Show a dataset: parts, contacts, excluded trials with reasons, columns.
     Show(ShowArgs),
-    /// Make the dataset of a definition file from the trials stored now.
+    /// Make a dataset from the trials stored now, by its definition file or its name.
     Make(MakeArgs),
     /// Write a dataset to a file.
     ///
@@ -71,9 +71,10 @@ struct ShowArgs {
 
 #[derive(Debug, Args)]
 struct MakeArgs {
-    /// Definition file; see experiments/datasets.
-    #[arg(value_name = "DATASET.toml")]
-    definition: PathBuf,
+    /// Definition file (see experiments/datasets), or a name: of a built-in definition, of an
+    /// existing dataset, or `run-N`.
+    #[arg(value_name = "DATASET.toml|NAME")]
+    what: PathBuf,
     #[command(flatten)]
     at: At,
 }
@@ -171,12 +172,13 @@ pub async fn dataset(args: DatasetArgs) -> Result<(), CliError> {
 }
 
 async fn list(client: &Client, json: bool) -> Result<(), CliError> {
-    let found: Value = client.get("/api/v1/datasets").await?;
+    let mut found: Value = client.get("/api/v1/datasets?limit=1").await?;
+    let made: Vec<Value> = client.all("/api/v1/datasets?").await?;
+    found["items"] = made.clone().into();
     if json {
         say_json(&found);
         return Ok(());
     }
-    let made = found["datasets"].as_array().cloned().unwrap_or_default();
     for row in &made {
         say(format_args!(
             "{:<20} {:<16} {:>8} rows {:>10}  {}",
@@ -192,7 +194,7 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
     }
     let names: Vec<&str> =
         found["definitions"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
-    say(format_args!("made on request: {}, run-N", names.join(", ")));
+    say(format_args!("palpate dataset make NAME, of: {}, run-N", names.join(", ")));
     Ok(())
 }
 
@@ -212,8 +214,12 @@ async fn show(client: &Client, args: &ShowArgs) -> Result<(), CliError> {
 }
 
 async fn make(client: &Client, args: &MakeArgs) -> Result<(), CliError> {
-    let file = args.definition.display().to_string();
-    let body = json!({ "toml": read_input(&args.definition)?, "file": file });
+    let what = args.what.display().to_string();
+    let is_file = args.what.extension().is_some() || args.what.is_file();
+    let body = match is_file {
+        true => json!({ "toml": read_input(&args.what)?, "file": what }),
+        false => json!({ "name": what }),
+    };
     let made: Value = client.patient(MAKING).post("/api/v1/datasets", &body).await?;
     if args.at.json {
         say_json(&made);
@@ -232,6 +238,10 @@ fn describe(row: &Value, url: &str) {
         text(&row["id"]),
         row["rows"]
     ));
+    if row["is_current"] == false {
+        let name = text(&row["name"]);
+        say(format_args!("  trials were stored since: palpate dataset make {name}"));
+    }
     let report = &row["report"];
     table("part", &report["parts"]);
     table("contacts", &report["contact_counts"]);

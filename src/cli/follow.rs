@@ -183,11 +183,9 @@ impl Follower {
     async fn tell_events(&mut self) -> Result<(), CliError> {
         loop {
             let page = self.client.events(self.watch.run, self.watch.since).await?;
-            if page.events.is_empty() {
-                return Ok(());
-            }
-            self.watch.since = page.next;
-            for event in page.events {
+            let Some(last) = page.items.last() else { return Ok(()) };
+            self.watch.since = last.seq;
+            for event in page.items {
                 if self.watch.json {
                     say_json(&event);
                 }

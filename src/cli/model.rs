@@ -149,7 +149,7 @@ pub async fn model(args: ModelArgs) -> Result<(), CliError> {
 async fn answer(client: Client, what: What) -> Result<(), CliError> {
     match what {
         What::List(at) => {
-            let models: Vec<ModelOut> = client.get("/api/v1/models").await?;
+            let models: Vec<ModelOut> = client.all("/api/v1/models?").await?;
             for model in models {
                 if at.json {
                     say_json(&model);

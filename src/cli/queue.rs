@@ -4,7 +4,6 @@
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
-use reqwest::Method;
 use serde_json::{Value, json};
 
 use super::client::Client;
@@ -13,6 +12,7 @@ use super::files::ExperimentFiles;
 use super::output::{say, say_json};
 use super::run::submission;
 use super::{At, embed};
+use crate::api::Page;
 use crate::store::RunRow;
 
 /// Options of `queue`.
@@ -83,19 +83,15 @@ pub async fn queue(args: QueueArgs) -> Result<(), CliError> {
 }
 
 async fn list(client: &Client, json: bool) -> Result<(), CliError> {
-    #[derive(serde::Serialize, serde::Deserialize)]
-    struct Queue {
-        runs: Vec<RunRow>,
-    }
-    let queue: Queue = client.ask(Method::GET, "/api/v1/queue", None::<&Value>).await?;
+    let queue: Page<RunRow> = client.get("/api/v1/queue").await?;
     if json {
         say_json(&queue);
         return Ok(());
     }
-    if queue.runs.is_empty() {
+    if queue.items.is_empty() {
         say("the queue is empty");
     }
-    for run in queue.runs {
+    for run in queue.items {
         let place = run.queue_position.map_or("-".into(), |p| p.to_string());
         let (id, name, trials) = (run.scan_id, &run.experiment, run.trials_planned);
         say(format_args!(

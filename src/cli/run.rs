@@ -382,10 +382,8 @@ async fn start(
     let mut since = 0;
     loop {
         let page = client.events(run.uid, since).await?;
-        since = page.next;
-        if page.events.is_empty() {
-            break;
-        }
+        let Some(last) = page.items.last() else { break };
+        since = last.seq;
     }
     let armed = client.arm(run.uid).await?;
     note(order, &preflight_words(run, &armed.preflight, status));

@@ -298,7 +298,7 @@ pub async fn job(args: JobArgs) -> Result<(), CliError> {
     embed::with_server(&at, move |client| async move {
         match args.what {
             JobWhat::List(at) => {
-                let jobs: Vec<JobOut> = client.get("/api/v1/jobs").await?;
+                let jobs: Vec<JobOut> = client.all("/api/v1/jobs?").await?;
                 jobs.iter().for_each(|job| shown(job, at.json));
             }
             JobWhat::Show(one) => {

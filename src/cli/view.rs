@@ -158,15 +158,6 @@ pub struct TakenUpView {
     pub started: Option<String>,
 }
 
-/// `GET /api/v1/events`.
-#[derive(Debug, Clone, Deserialize)]
-pub struct EventPageView {
-    /// Events in order.
-    pub events: Vec<EventView>,
-    /// Value of `since` for the next page.
-    pub next: i64,
-}
-
 /// One event.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EventView {

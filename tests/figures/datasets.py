@@ -135,7 +135,7 @@ def downloaded(service: Service, path: str, name: str) -> Path:
 def first_building(service: Service, name: str) -> dict:
     service.restart()
     before = service.memory_mb()
-    seconds, row = timed(service.json, f"/api/v1/datasets/{name}")
+    seconds, row = timed(service.json, "/api/v1/datasets", {"name": name})
     megabytes = row["bytes"] / 1e6
     cells = [f"{row['rows']:,}", f"{megabytes:.0f} MB", shown(seconds), f"{before:.0f} -> {service.memory_mb():.0f} MB"]
     table(f"First building of `{name}` (once)", ["rows", "file", "time", "memory"], [cells])
@@ -168,19 +168,20 @@ def query(service: Service, ours: str, theirs: str) -> None:
 
 def pages(service: Service, ours: str, total: int) -> None:
     connection, rows = duckdb.connect(), []
-    first = service.json("/api/v1/trials?limit=1")["trials"][0]["trial_id"]
+    first = service.json("/api/v1/trials?limit=1")["items"][0]["trial_id"]
     scalars = "EXCLUDE (voltages_v, sim_voltages_v)"
     for share in [0, 0.25, 0.5, 0.75, 0.99]:
         offset = int(share * total)
-        path = f"/api/v1/trials?limit={PAGE}&cursor={first - 1 + offset}"
+        after = f"limit={PAGE}&trial_id__gt={first - 1 + offset}"
+        path = f"/api/v1/trials?{after}"
         json_s, page = best(service.json, path, repetitions=20)
         arrow_s, _ = best(service.get, f"{path}&format=arrow", repetitions=20)
-        rows_s, _ = best(service.get, f"/api/v1/datasets/run-1/rows?limit={PAGE}&cursor={offset}&format=arrow")
+        rows_s, _ = best(service.get, f"/api/v1/datasets/run-1/rows?{after}&format=arrow")
         sql = f"SELECT * {scalars} FROM '{ours}' LIMIT {PAGE} OFFSET {offset}"
         duckdb_s, same = best(in_memory, connection, sql)
         lazy = pl.scan_parquet(ours).select(pl.exclude("voltages_v", "sim_voltages_v")).slice(offset, PAGE)
         polars_s, _ = best(lazy.collect)
-        ids = [row["trial_id"] for row in page["trials"]]
+        ids = [row["trial_id"] for row in page["items"]]
         words = "" if ids == same["trial_id"].to_pylist() else " OTHER ROWS"
         rows.append([f"{offset:,}{words}", *map(shown, [json_s, arrow_s, rows_s, duckdb_s, polars_s])])
     columns = ["from row", "`/trials`, JSON", "`/trials`, Arrow", "`/rows`, frames too", "DuckDB OFFSET", "polars slice"]

@@ -49,10 +49,10 @@ def gaps(url: str, run: str, seconds: float, of: str) -> None:
             left = min(PERIOD_S, end - begun)
             exports(url, of, left) if of else load(url, left)
             loaded.append((begun, time.time()))
-    rows, cursor = [], 0
+    rows, cursor = [], ""
     while cursor is not None:
-        page = call(url, f"/api/v1/runs/{run}/trials?limit=5000&cursor={cursor}")
-        rows, cursor = rows + page["trials"], page["next"]
+        page = call(url, f"/api/v1/runs/{run}/trials?limit=5000{cursor}")
+        rows, cursor = rows + page["items"], "next" in page and f"&cursor={page['next']}" or None
     when = lambda row, key: datetime.fromisoformat(row[key].replace("Z", "+00:00")).timestamp()
     found = {"idle": ([], []), "under load": ([], [])}
     for last, row in zip(rows, rows[1:]):

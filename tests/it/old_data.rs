@@ -172,7 +172,7 @@ async fn datasets_models_and_jobs_of_an_earlier_version_have_the_values_that_wer
             "created_at": m.created_at })
     });
     assert_holds(&models.collect(), &recorded["models"], "models");
-    let jobs = store.tasks(TaskKind::JOBS, 100).await.unwrap();
+    let jobs = store.tasks(TaskKind::JOBS, 100, None).await.unwrap();
     let jobs = jobs.iter().map(|j| {
         json!({ "id": j.id, "kind": j.kind, "state": j.state, "dataset": j.dataset,
             "result": j.result, "asked_by": j.asked_by, "created_at": j.created_at,
@@ -254,7 +254,7 @@ async fn a_service_offers_the_killed_run_and_serves_what_was_made() {
     assert_eq!(dataset["sha256"], sha256_hex(&file).as_str());
     let columns = "trial_id,voltages_v,sim_voltages_v";
     let page = lab.get(&format!("/api/v1/datasets/{id}/rows?limit=100&columns={columns}")).await;
-    let rows = page["rows"].as_array().unwrap();
+    let rows = page["items"].as_array().unwrap();
     assert_eq!(dataset["rows"], rows.len());
     for row in rows {
         let trials = recorded["trials"].as_array().unwrap();

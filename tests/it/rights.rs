@@ -157,7 +157,7 @@ async fn every_operation_admits_and_logs_what_the_table_says() {
 
 async fn newest_action(lab: &Filled) -> i64 {
     let actions = lab.get("/api/v1/actions?limit=1").await;
-    actions[0]["id"].as_i64().unwrap_or_default()
+    actions["items"][0]["id"].as_i64().unwrap_or_default()
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -181,13 +181,13 @@ async fn a_lock_without_a_key_holds_for_everybody_and_nobody_signs_as_another() 
     // The rig is not connected: the action is refused by its state, and signed.
     let answer = lab.send(&local, &Method::POST, rig, &tare("alice")).await;
     assert!(!answer.body.contains("operator lock"), "{}", answer.body);
-    assert_eq!(lab.get("/api/v1/actions?limit=1").await[0]["who"], "alice (local)");
+    assert_eq!(lab.get("/api/v1/actions?limit=1").await["items"][0]["who"], "alice (local)");
     // Too long a note costs nothing: it is neither stored nor repeated.
     let long = json!({ "note": "x".repeat(60_000) });
     let answer = lab.send(&local, &Method::PUT, lock, &long).await;
     assert_eq!(answer.status, 422);
     assert!(answer.body.len() < 500, "{}", answer.body.len());
-    let why = lab.get("/api/v1/actions?limit=1").await[0]["why"].clone();
+    let why = lab.get("/api/v1/actions?limit=1").await["items"][0]["why"].clone();
     assert_eq!(why.as_str().unwrap().len(), 500);
     lab.close().await;
 }

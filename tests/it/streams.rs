@@ -114,7 +114,7 @@ async fn a_lock_that_is_taken_while_a_body_arrives_counts() {
     let n = timeout(LIMIT, wire.read(&mut answer)).await.unwrap().unwrap();
     let answer = String::from_utf8_lossy(&answer[..n]);
     assert!(answer.starts_with("HTTP/1.1 409") && answer.contains("eve holds"), "{answer}");
-    let newest = &lab.get("/api/v1/actions?limit=1").await[0];
+    let newest = &lab.get("/api/v1/actions?limit=1").await["items"][0];
     let signed = ["action", "who", "why"].map(|key| newest[key].as_str().unwrap_or_default());
     assert_eq!(signed, ["tare", "bob (local)", "a slow client"]);
     lab.close().await;

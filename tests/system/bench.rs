@@ -182,13 +182,13 @@ impl Lab {
 
     /// Every event so far.
     pub async fn events(&self) -> Value {
-        self.get("/api/v1/events?since=0&limit=1000").await["events"].clone()
+        self.get("/api/v1/events?since=0&limit=1000").await["items"].clone()
     }
 
     /// Keys of a run's trials, in the order of storage.
     pub async fn keys(&self, run: &str) -> Vec<(u64, u64)> {
         let page = self.get(&format!("/api/v1/runs/{run}/trials?limit=10000")).await;
-        let trials = page["trials"].as_array().unwrap().iter();
+        let trials = page["items"].as_array().unwrap().iter();
         trials
             .map(|t| (t["configuration"].as_u64().unwrap(), t["depth_index"].as_u64().unwrap()))
             .collect()

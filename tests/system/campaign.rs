@@ -53,20 +53,20 @@ async fn a_small_campaign_stores_every_planned_trial_once() {
     assert_eq!(summary["settings"], json!([{"tips": 1, "stored": 12}, {"tips": 4, "stored": 12}]));
     assert_eq!(summary["retries"], 0);
     let page = lab.get(&format!("/api/v1/runs/{run}/trials?limit=100")).await;
-    for trial in page["trials"].as_array().unwrap() {
+    for trial in page["items"].as_array().unwrap() {
         assert_eq!(trial["flags"], json!([]), "{trial:#}");
     }
     let deep = lab.get(&format!("/api/v1/runs/{run}/trials?depth_mm__eq=3.75&tips__eq=4")).await;
-    for trial in deep["trials"].as_array().unwrap() {
+    for trial in deep["items"].as_array().unwrap() {
         assert!(trial["max_force_n"].as_f64().unwrap() > 10.0, "{trial:#}");
         let forces = trial["forces_n"].as_array().unwrap();
         assert_eq!(forces.iter().filter(|f| f.is_number()).count(), 4, "{trial:#}");
     }
     let records = |kind: &str| format!("/api/v1/runs/{run}/records/{kind}");
-    assert_eq!(lab.get(&records("touch-offs")).await.as_array().unwrap().len(), 2);
+    assert_eq!(lab.get(&records("touch-offs")).await["items"].as_array().unwrap().len(), 2);
     // Before the first, after the second, at the end of each setting; each has its own tare.
-    let references = lab.get(&records("references")).await.as_array().unwrap().len();
-    let tares = lab.get(&records("tares")).await.as_array().unwrap().len();
+    let references = lab.get(&records("references")).await["items"].as_array().unwrap().len();
+    let tares = lab.get(&records("tares")).await["items"].as_array().unwrap().len();
     assert_eq!(tares, 6 + references);
     every_trial_has_its_twin(&lab, &run).await;
     lab.close().await;
@@ -79,7 +79,7 @@ async fn every_trial_has_its_twin(lab: &Lab, run: &str) {
     assert_eq!(lab.eventually("all twins", &path, all_there).await["failures"], 0);
     let deep =
         lab.get(&format!("/api/v1/runs/{run}/trials?max_force_n__gt=15&voltages=true")).await;
-    for trial in deep["trials"].as_array().unwrap() {
+    for trial in deep["items"].as_array().unwrap() {
         assert_eq!(trial["sim_voltages_v"].as_array().unwrap().len(), 784);
         assert!(trial["fvu"].as_f64().unwrap() < 0.5, "{} {}", trial["trial_id"], trial["fvu"]);
     }
@@ -112,7 +112,7 @@ async fn a_run_pauses_and_goes_on_and_what_its_state_forbids_is_refused() {
     assert_eq!(act(json!({ "action": "resume" })).await.0, 202);
     complete(&lab, &run).await;
     let actions = lab.get(&format!("/api/v1/actions?run={run}")).await;
-    let logged = actions.as_array().unwrap().iter().find(|a| a["why"] == "lunch").unwrap();
+    let logged = actions["items"].as_array().unwrap().iter().find(|a| a["why"] == "lunch").unwrap();
     assert_eq!((&logged["who"], &logged["accepted"]), (&json!("eve (local)"), &json!(true)));
     lab.close().await;
 }
@@ -267,7 +267,7 @@ async fn weights_are_placed_confirmed_measured_and_repeated() {
     assert_eq!(summary["run"]["exit_status"], "success", "{summary:#}\n{:#}", lab.events().await);
     assert_eq!(summary["contact_counts"], json!([0, 0, 3, 3, 0, 0, 0]));
     let page = lab.get(&format!("/api/v1/runs/{run}/trials?limit=100")).await;
-    for trial in page["trials"].as_array().unwrap() {
+    for trial in page["items"].as_array().unwrap() {
         assert_eq!(trial["placed_by"], "virtual operator (local)");
         assert_eq!(trial["frame_count"], 5);
         assert_eq!(trial["forces_n"], json!([null, null, null, null, null, null]));
@@ -296,7 +296,7 @@ async fn the_same_campaign_on_other_axes_and_wires_has_the_same_keys_and_targets
                 t["depth_mm"]
             ])
         };
-        seen.push(page["trials"].as_array().unwrap().iter().map(place).collect::<Vec<_>>());
+        seen.push(page["items"].as_array().unwrap().iter().map(place).collect::<Vec<_>>());
         lab.close().await;
     }
     assert_eq!(seen[0], seen[1]);

@@ -168,7 +168,7 @@ async fn the_log_says_who_and_why(lab: &Lab, viewer: &str) {
     let body = json!({ "who": "eve", "why": format!("smoke{}", "!".repeat(3000)) });
     assert_eq!(ask(lab, Method::POST, "/estop", Some(viewer), body).await.0, 200);
     let written = |actions: &Value| {
-        let mut actions = actions.as_array().unwrap().iter();
+        let mut actions = actions["items"].as_array().unwrap().iter();
         actions.any(|a| {
             let why = a["why"].as_str().unwrap_or_default();
             a["action"] == "estop"
@@ -202,7 +202,7 @@ async fn a_lock_is_held_by_who_took_it(lab: &Lab) {
     assert_eq!(ask(lab, Method::DELETE, "/api/v1/lock", None, Value::Null).await.0, 204);
     assert_eq!(ask(lab, Method::POST, RIG, None, tare("eve")).await.0, 202);
     let actions = lab.get("/api/v1/actions?limit=1").await;
-    assert_eq!(actions[0]["who"], "eve (local)");
+    assert_eq!(actions["items"][0]["who"], "eve (local)");
     // Nor by a key of the same name, nor by one that is called like somebody without a key.
     for name in ["alice", "eve (local)", "local", ""] {
         let body = json!({ "name": name, "role": "operator" });

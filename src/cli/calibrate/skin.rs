@@ -8,7 +8,6 @@ use std::sync::Arc;
 use std::thread;
 
 use clap::Args;
-use serde::Deserialize;
 use serde_json::json;
 use sim_core::calibration::Calibration;
 use sim_core::inverse::skin::{MeasuredTrial, SkinFitOptions, noise_v};
@@ -21,6 +20,7 @@ use super::super::files::{calibration_problem, parse_calibration, write};
 use super::super::output::{counted, say, say_json};
 use super::super::progress::{LogLines, progress_bar};
 use super::super::{At, embed};
+use crate::api::Page;
 use crate::calibrate::CalibrateError;
 use crate::calibrate::skin::{CalibratedSkin, Candidate, Choice, Source, calibrate, choose};
 use crate::calibrate::skin_plot;
@@ -70,13 +70,6 @@ pub async fn skin(args: SkinArgs) -> Result<ExitCode, CliError> {
     let at = args.at.clone();
     embed::with_server(&at, move |client| fit_run(client, args)).await?;
     Ok(ExitCode::SUCCESS)
-}
-
-/// A page of trials.
-#[derive(Deserialize)]
-struct Page {
-    trials: Vec<TrialRow>,
-    next: Option<i64>,
 }
 
 async fn fit_run(client: Client, args: SkinArgs) -> Result<(), CliError> {
@@ -142,8 +135,8 @@ async fn candidates(client: &Client, run: &RunRow) -> Result<Vec<Candidate>, Cli
     let path = format!("/api/v1/runs/{}/trials?flagged=false&limit={PAGE}", run.uid);
     let (mut candidates, mut cursor) = (Vec::new(), String::new());
     loop {
-        let page: Page = client.get(&format!("{path}{cursor}")).await?;
-        for trial in &page.trials {
+        let page: Page<TrialRow> = client.get(&format!("{path}{cursor}")).await?;
+        for trial in &page.items {
             let Some(contacts) = contacts(trial, run.kind, force_noise_n) else { continue };
             let arms = trial.arms.iter().map(|arm| [arm.x_mm, arm.y_mm]);
             let tips_mm = match run.kind {
@@ -176,10 +169,10 @@ async fn frames(
                 run.uid,
                 ids.join(",")
             );
-            let page: Page = client.get(&path).await?;
+            let page: Page<TrialRow> = client.get(&path).await?;
             for &i in some {
                 let candidate = &candidates[i];
-                let row = page.trials.iter().find(|row| row.trial_id.0 == candidate.trial);
+                let row = page.items.iter().find(|row| row.trial_id.0 == candidate.trial);
                 let frame_v = row.and_then(|row| row.voltages_v.clone()).unwrap_or_default();
                 // A frame of another length is not of this skin.
                 if frame_v.len() == channels && frame_v.iter().all(|v| v.is_finite()) {

@@ -125,7 +125,7 @@ pub struct ServiceLab {
 impl ServiceLab {
     /// Description of a dataset, which is made if needed.
     async fn dataset(&self, name: &str) -> Result<Value, CliError> {
-        self.client.patient(MAKING).get(&format!("/api/v1/datasets/{name}")).await
+        self.client.patient(MAKING).post("/api/v1/datasets", &json!({ "name": name })).await
     }
 }
 
@@ -150,7 +150,7 @@ impl Lab for ServiceLab {
         // The name contains recipe and data: an equal request finds the model.
         let digest = sha256_hex(format!("{text}{dataset}"));
         let name = format!("{stem}-{}", &digest[..8]);
-        let models: Vec<ModelOut> = self.client.get("/api/v1/models").await?;
+        let models: Vec<ModelOut> = self.client.all("/api/v1/models?").await?;
         if let Some(model) = models.into_iter().find(|model| model.name == name) {
             return Ok(model.id);
         }
@@ -192,7 +192,7 @@ impl Lab for ServiceLab {
             "/api/v1/datasets/{dataset}/rows?{conditions}&columns=voltages_v,contacts,label&limit=1"
         );
         let page: Value = self.client.get(&path).await?;
-        let row = &page["rows"][0];
+        let row = &page["items"][0];
         let Ok(frame_v) = serde_json::from_value(row["voltages_v"].clone()) else {
             return Ok(None);
         };

@@ -68,7 +68,7 @@ async fn run_of(client: &Client, named: Option<String>) -> Result<String, CliErr
         return Ok(run);
     }
     let page: Value = client.get("/api/v1/trials?limit=1&sort=-trial_id").await?;
-    let newest = page["trials"][0]["run"].as_str().map(str::to_owned);
+    let newest = page["items"][0]["run"].as_str().map(str::to_owned);
     newest.ok_or_else(|| CliError::argument("--run", "none", "there are no trials yet"))
 }
 
@@ -80,6 +80,6 @@ async fn example(client: &Client, run: &RunRow) -> Result<Option<[Vec<f32>; 2]>,
             run.uid
         ))
         .await?;
-    let trial: Option<TrialRow> = serde_json::from_value(page["trials"][0].clone()).ok();
+    let trial: Option<TrialRow> = serde_json::from_value(page["items"][0].clone()).ok();
     Ok(trial.and_then(|t| Some([t.voltages_v?, t.sim_voltages_v?])))
 }

@@ -1,7 +1,8 @@
 //! The datasets of a service: found, made on request, exported one after the other.
 //! Uses: `store`, `dataset::{build, export}`. Never: HTTP; two builds or two exports at once.
 //!
-//! A name stands for the current result of its definition, an id for a dataset that never changes.
+//! An id stands for a dataset that never changes. A name stands for the newest dataset that was made
+//! with it when it is read, and for the result of its definition when one is made.
 //! Exports are tasks of the store, so that they continue after a restart.
 
 use std::path::{Path, PathBuf};
@@ -96,12 +97,46 @@ impl Catalog {
         self.inner.data.join("exports")
     }
 
-    /// Returns the dataset with this id, or the current one of this name, which is made if needed.
+    /// Returns the dataset with this id, or the newest one of this name. None is made.
     ///
     /// # Errors
-    /// `DatasetError::NoDataset` if the id or name is unknown, `FileMissing` if the file of the id
-    /// is missing, `NotEnded` for the name of a run that has not ended; the errors of
-    /// [`Self::make`].
+    /// `DatasetError::NoDataset` if the id or name is unknown, `NotMade` if no dataset of the name
+    /// has been made, `FileMissing` if its file is missing, `NotEnded` for the name of a run that
+    /// has not ended.
+    pub async fn find(&self, name: &str) -> Result<DatasetRow, DatasetError> {
+        if let Ok(id) = name.parse() {
+            return self.of_id(&id).await;
+        }
+        match self.inner.store.newest_dataset(name).await? {
+            Some(row) => self.of_id(&row.id).await,
+            None => {
+                let definition = self.definition(name).await?;
+                Err(DatasetError::NotMade(definition.name))
+            }
+        }
+    }
+
+    /// Whether making a dataset again would return the same one; `None` if it could not be made
+    /// again, because its runs or shards no longer exist.
+    ///
+    /// # Errors
+    /// `DatasetError::Store` if the store fails.
+    pub async fn is_current(&self, row: &DatasetRow) -> Result<Option<bool>, DatasetError> {
+        let Ok(definition) = serde_json::from_value(row.definition.clone()) else {
+            return Ok(None);
+        };
+        match self.existing(&definition).await {
+            Ok((now, _)) => Ok(Some(now.is_some_and(|now| now.id == row.id))),
+            Err(DatasetError::Store(error)) => Err(error.into()),
+            Err(_) => Ok(None),
+        }
+    }
+
+    /// Returns the dataset with this id, or the one of this name of the trials stored now, which is
+    /// made if needed.
+    ///
+    /// # Errors
+    /// As [`Self::find`], and the errors of [`Self::make`].
     pub async fn resolve(&self, name: &str) -> Result<DatasetRow, DatasetError> {
         if let Ok(id) = name.parse() {
             return self.of_id(&id).await;

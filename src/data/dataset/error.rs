@@ -28,6 +28,12 @@ pub enum DatasetError {
         /// Names of the built-in definitions, separated by commas.
         choices: String,
     },
+    /// No dataset of this name has been made.
+    #[error(
+        "dataset {0} has not been made: run `palpate dataset make {0}`, or post {{\"name\": \"{0}\"}} to \
+         /api/v1/datasets"
+    )]
+    NotMade(String),
     /// A definition names a run that does not exist.
     #[error("runs = {0}: no run has this uid, scan id or experiment")]
     NoRun(String),

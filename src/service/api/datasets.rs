@@ -3,7 +3,7 @@
 
 use axum::Json;
 use axum::extract::{Query, Request, State};
-use axum::http::{HeaderMap, header};
+use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -11,6 +11,7 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::audit::Act;
+use super::pages::{Cursors, Page, PageParams, PageRequest};
 use super::params::{FileParams, RowsParams};
 use super::problem::{ApiError, Body, Path, ProblemBody};
 use super::query::{file_query, for_pages, rows_query};
@@ -46,6 +47,10 @@ pub struct DatasetOut {
     pub created_at: jiff::Timestamp,
     /// Address of the Parquet file, for pandas, polars and DuckDB.
     pub url: String,
+    /// False if its definition selects other trials or shards now, so that making it again makes
+    /// another dataset. Absent in lists, and if it cannot be made again.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub is_current: Option<bool>,
 }
 
 impl From<DatasetRow> for DatasetOut {
@@ -60,17 +65,18 @@ impl From<DatasetRow> for DatasetOut {
             sha256: row.sha256,
             report: row.report,
             created_at: row.created_at,
+            is_current: None,
         }
     }
 }
 
-/// The datasets of a service.
+/// A page of datasets.
 #[derive(Debug, Serialize, ToSchema)]
-pub struct Datasets {
-    /// Existing datasets, newest first.
-    pub datasets: Vec<DatasetOut>,
-    /// Names of the built-in definitions. These, and `run-N` for each ended run, are made on
-    /// request.
+pub struct DatasetsPage {
+    /// Datasets, newest first, and the next page.
+    #[serde(flatten)]
+    pub page: Page<DatasetOut>,
+    /// Names of the built-in definitions, of which datasets can be made.
     pub definitions: Vec<&'static str>,
 }
 
@@ -95,20 +101,47 @@ pub struct RowsPage {
     pub dataset: DatasetId,
     /// The rows; a null value is absent.
     #[schema(value_type = Vec<Object>)]
-    pub rows: Vec<Box<serde_json::value::RawValue>>,
+    pub items: Vec<Box<serde_json::value::RawValue>>,
     /// Value of `cursor` for the next page; absent on the last page.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub next: Option<String>,
 }
 
+/// Position in the rows of a dataset: the dataset, and the number of rows before it.
+struct RowsAt {
+    dataset: DatasetId,
+    from: u64,
+}
+
+impl std::fmt::Display for RowsAt {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} {}", self.dataset, self.from)
+    }
+}
+
+impl std::str::FromStr for RowsAt {
+    type Err = ();
+
+    fn from_str(text: &str) -> Result<Self, ()> {
+        let (dataset, from) = text.split_once(' ').ok_or(())?;
+        let dataset = dataset.parse().map_err(|_| ())?;
+        Ok(Self { dataset, from: from.parse().map_err(|_| ())? })
+    }
+}
+
 type Pairs = Query<Vec<(String, String)>>;
 
-/// Returns the existing datasets, and the names of the built-in definitions.
+/// Returns a page of the datasets, newest first, and the names of the built-in definitions.
 #[utoipa::path(get, operation_id = "list_datasets", path = "/api/v1/datasets", tag = "datasets",
-    responses((status = 200, body = Datasets)))]
-pub async fn list(State(app): State<App>) -> Result<Json<Datasets>, ApiError> {
+    params(PageParams), responses((status = 200, body = DatasetsPage),
+        (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
+pub async fn list(
+    State(app): State<App>,
+    asked: PageRequest,
+) -> Result<Json<DatasetsPage>, ApiError> {
     let datasets = app.store.datasets().await?.into_iter().map(DatasetOut::from).collect();
-    Ok(Json(Datasets { datasets, definitions: Definition::built_in_names().collect() }))
+    let page = asked.of_all(datasets, |dataset: &DatasetOut| dataset.id.clone())?;
+    Ok(Json(DatasetsPage { page, definitions: Definition::built_in_names().collect() }))
 }
 
 /// Makes a dataset from the stored trials, or returns the existing one.
@@ -143,22 +176,22 @@ pub async fn make(
         }
     };
     act.about(row.id.as_str());
-    Ok(Json(row.into()))
+    Ok(Json(DatasetOut { is_current: Some(true), ..row.into() }))
 }
 
-/// Returns the dataset with an id, or the current dataset of a name.
-///
-/// The dataset of a name is made if needed.
+/// Returns the dataset with an id, or the newest one of a name.
 #[utoipa::path(get, operation_id = "dataset", path = "/api/v1/datasets/{dataset}", tag = "datasets",
     params(("dataset" = String, Path, description = "id or name")),
     responses((status = 200, body = DatasetOut),
         (status = 404, body = ProblemBody,
-            description = "no dataset has this id or name, or its definition selects no rows")))]
+            description = "no dataset has this id, or none of this name has been made")))]
 pub async fn one(
     State(app): State<App>,
     Path(dataset): Path<String>,
 ) -> Result<Json<DatasetOut>, ApiError> {
-    Ok(Json(app.datasets.resolve(&dataset).await?.into()))
+    let row = app.datasets.find(&dataset).await?;
+    let is_current = app.datasets.is_current(&row).await?;
+    Ok(Json(DatasetOut { is_current, ..row.into() }))
 }
 
 /// Returns the lineage of a dataset: runs, models, calibrations, shards and code.
@@ -167,12 +200,12 @@ pub async fn one(
     params(("dataset" = String, Path, description = "id or name")),
     responses((status = 200, body = Object),
         (status = 404, body = ProblemBody,
-            description = "no dataset has this id or name, or its definition selects no rows")))]
+            description = "no dataset has this id, or none of this name has been made")))]
 pub async fn lineage(
     State(app): State<App>,
     Path(dataset): Path<String>,
 ) -> Result<Json<Value>, ApiError> {
-    let row = app.datasets.resolve(&dataset).await?;
+    let row = app.datasets.find(&dataset).await?;
     Ok(Json(serde_json::json!({
         "dataset": row.id, "sha256": row.sha256, "definition": row.definition,
         "lineage": row.lineage,
@@ -185,19 +218,21 @@ pub async fn lineage(
     params(("dataset" = String, Path, description = "id or name")),
     responses((status = 200, body = String, content_type = "text/markdown"),
         (status = 404, body = ProblemBody,
-            description = "no dataset has this id or name, or its definition selects no rows")))]
+            description = "no dataset has this id, or none of this name has been made")))]
 pub async fn card(
     State(app): State<App>,
     Path(dataset): Path<String>,
 ) -> Result<Response, ApiError> {
-    let row = app.datasets.resolve(&dataset).await?;
+    let row = app.datasets.find(&dataset).await?;
     let text = app.datasets.card(&row.id)?;
     Ok(([(header::CONTENT_TYPE, "text/markdown; charset=utf-8")], text).into_response())
 }
 
 /// Returns a page of the rows of a dataset.
 ///
-/// In a format other than JSON the cursor of the next page is in the header `x-next-cursor`.
+/// The pages of one list of rows stay with the dataset that the first page was read from, also if
+/// another dataset of the name is made meanwhile. The header `Link` has the address of the next page
+/// in every format.
 #[utoipa::path(get, operation_id = "dataset_rows",
     path = "/api/v1/datasets/{dataset}/rows", tag = "datasets",
     params(("dataset" = String, Path, description = "id or name"), RowsParams),
@@ -207,24 +242,31 @@ pub async fn rows(
     State(app): State<App>,
     Path(dataset): Path<String>,
     Query(pairs): Pairs,
+    cursors: Cursors,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let requested = rows_query(&pairs).map_err(ApiError::bad_query)?;
     let format = requested.format.or_else(|| send::accepted(&headers));
     format.map_or(Ok(()), for_pages).map_err(ApiError::bad_query)?;
-    let row = app.datasets.resolve(&dataset).await?;
+    let at: Option<RowsAt> = cursors.position(&pairs)?;
+    let from = at.as_ref().map_or(0, |at| at.from);
+    let row = match at {
+        Some(at) => app.datasets.find(at.dataset.as_str()).await?,
+        None => app.datasets.find(&dataset).await?,
+    };
     let catalog = app.datasets.clone();
     let reading = tokio::task::spawn_blocking(move || {
         let rows = catalog.rows(&row.id, &requested.wanted)?;
-        send::check_numbers(&rows.schema(), requested.limit)?;
+        send::check_numbers(send::numbers_per_row(&rows.schema()), requested.limit)?;
         let limit = requested.limit as usize;
         let (batches, next) = match &requested.sort {
-            Some(sort) => rows.sorted_page(sort, requested.from, limit)?,
-            None => rows.page(requested.from, limit)?,
+            Some(sort) => rows.sorted_page(sort, from, limit)?,
+            None => rows.page(from, limit)?,
         };
-        let next = next.map(|next| next.to_string());
-        match format {
-            Some(format) => send::batches(format, &rows.schema(), &batches, next),
+        let next = next.map(|from| cursors.cursor(RowsAt { dataset: row.id.clone(), from }));
+        let link = next.as_deref().and_then(|next| cursors.link(next));
+        let response = match format {
+            Some(format) => send::batches(format, &rows.schema(), &batches),
             None => {
                 let mut lines =
                     crate::dataset::format::Stream::new(Format::Ndjson, &rows.schema(), Vec::new())
@@ -233,19 +275,21 @@ pub async fn rows(
                     lines.push(batch).map_err(DatasetError::from)?;
                 }
                 let lines = lines.finish().map_err(DatasetError::from)?;
-                let rows = send::values(&lines)?;
-                Ok(Json(RowsPage { dataset: row.id, rows, next }).into_response())
+                let items = send::values(&lines)?;
+                Ok(Json(RowsPage { dataset: row.id, items, next }).into_response())
             }
-        }
+        };
+        response.map(|response| (link.map(|link| [link]), response).into_response())
     });
     reading.await.map_err(|_| ApiError::from(DatasetError::Worker))?
 }
 
 /// Returns a dataset as a file: `real.parquet`, `ds-0123.npz`, `run-3.csv`.
 ///
-/// The header `Range` selects a part; the entity tag is the sha256 of the file. The dataset of a
-/// name and the file are made if needed. For a large dataset request an export, which shows its
-/// progress.
+/// The header `Range` selects a part; the entity tag is the sha256 of the file. A name stands for the
+/// newest dataset that was made with it, whose address is in the header `Content-Location`. A file
+/// in another format than Parquet, or with a selection, is written if needed; for a large dataset
+/// request an export, which shows its progress.
 #[utoipa::path(get, operation_id = "dataset_file", path = "/api/v1/data/{file}", tag = "datasets",
     params(("file" = String, Path,
         description = "ID_OR_NAME.FORMAT, with a format of `ExportRequest`"), FileParams),
@@ -254,7 +298,7 @@ pub async fn rows(
         (status = 304),
         (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid"),
         (status = 404, body = ProblemBody,
-            description = "no dataset has this id or name, or the format is unknown")))]
+            description = "no dataset has this id, none of this name has been made, or the format is unknown")))]
 pub async fn data(
     State(app): State<App>,
     Path(file): Path<String>,
@@ -267,9 +311,13 @@ pub async fn data(
     let format: Format =
         format.map_err(|error: UnknownFormat| ApiError::not_found(format!("{file}: {error}")))?;
     let wanted = file_query(&pairs).map_err(ApiError::bad_query)?;
-    let row = app.datasets.resolve(name).await?;
+    let row = app.datasets.find(name).await?;
     let export_file = app.datasets.file(&row, format, &wanted, std::sync::Arc::default()).await?;
     let shown = format!("{}.{}", row.id, format.extension());
     let download = Download { name: &shown, immutable: name == row.id.as_str() };
-    send::file(request, &export_file, format, download).await
+    let mut response = send::file(request, &export_file, format, download).await?;
+    if let Ok(address) = HeaderValue::from_str(&format!("/api/v1/data/{shown}")) {
+        response.headers_mut().insert(header::CONTENT_LOCATION, address);
+    }
+    Ok(response)
 }

@@ -5,8 +5,7 @@
 
 use utoipa::openapi::path::{Operation, Parameter, ParameterIn};
 use utoipa::openapi::schema::{
-    AdditionalProperties, AllOf, AnyOf, Array, ArrayItems, Components, Object, Schema, SchemaType,
-    Type,
+    AdditionalProperties, AllOf, Array, ArrayItems, Components, Object, Schema, SchemaType, Type,
 };
 use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{
@@ -209,7 +208,7 @@ fn problem(meaning: &str) -> Response {
 }
 
 /// Rewrites schemas that are valid, but that generators refuse or cannot satisfy: tuples that end in
-/// `items: false`, and flattened structs.
+/// `items: false`, and flattened structs. Entries of pages become schemas of their own.
 fn simplify(components: &mut Components) {
     let names: Vec<String> = components.schemas.keys().cloned().collect();
     for name in names {
@@ -219,16 +218,24 @@ fn simplify(components: &mut Components) {
         {
             components.schemas.insert(name.clone(), RefOr::T(Schema::Object(object)));
         }
-        // A whole trial also is an object of columns.
-        if let RefOr::T(Schema::OneOf(one)) = &schema
-            && name == "TrialOrColumns"
-        {
-            let any = AnyOf { items: one.items.clone(), ..AnyOf::new() };
-            components.schemas.insert(name.clone(), RefOr::T(Schema::AnyOf(any)));
+        if let Some(of) = name.strip_prefix("Page_") {
+            share_items(components, &name, of);
         }
         if let Some(schema) = components.schemas.get_mut(&name) {
             open_tuples(schema);
         }
+    }
+}
+
+/// Makes the entries of a page a schema of their own, with the name of their type.
+fn share_items(components: &mut Components, page: &str, of: &str) {
+    if let Some(RefOr::T(Schema::Object(object))) = components.schemas.get_mut(page)
+        && let Some(RefOr::T(Schema::Array(list))) = object.properties.get_mut("items")
+        && let ArrayItems::RefOrSchema(entry) = &mut list.items
+        && let RefOr::T(schema) =
+            std::mem::replace(entry.as_mut(), RefOr::Ref(Ref::from_schema_name(of)))
+    {
+        components.schemas.entry(of.into()).or_insert(RefOr::T(schema));
     }
 }
 

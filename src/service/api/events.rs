@@ -4,23 +4,23 @@
 use std::convert::Infallible;
 use std::time::Duration;
 
-use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, header};
 use axum::response::sse::{self, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use futures::stream::{self, Stream, StreamExt};
-use serde::{Deserialize, Serialize};
-use utoipa::{IntoParams, ToSchema};
+use serde::Deserialize;
+use utoipa::IntoParams;
 
 use super::App;
+use super::pages::{Page, PageParams, PageRequest};
 use super::problem::{ApiError, Params, ProblemBody};
 use super::runs::find;
 use crate::ids::RunUid;
 use crate::journal::{Event, error_chain};
 
-/// Number of events per page by default, and per reading of a live stream.
-const PAGE: u32 = 200;
+/// Number of events per reading of a live stream.
+const PIECE: u32 = 200;
 /// Interval of reading the table for a live client.
 const POLL: Duration = Duration::from_millis(200);
 
@@ -28,35 +28,25 @@ const POLL: Duration = Duration::from_millis(200);
 #[derive(Debug, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 pub struct EventParams {
-    /// Only events after this number; a negative number counts from the end. Absent: all events of
-    /// a page, only new events of a live stream.
+    /// Only events after this number; a negative number counts from the end. Absent: all events in
+    /// pages, only new events of a live stream.
     pub since: Option<i64>,
     /// Only events of this run: uid or scan_id.
     pub run: Option<String>,
-    /// Largest number of events in a page, 1 to 1000, default 200.
-    pub limit: Option<u32>,
 }
 
-/// A page of events.
-#[derive(Debug, Serialize, ToSchema)]
-pub struct EventPage {
-    /// Events in ascending order of their numbers.
-    pub events: Vec<Event>,
-    /// Value of `since` for the next page.
-    pub next: i64,
-}
-
-/// Returns a page of events, or a live stream.
+/// Returns a page of events in the order of their numbers, or a live stream.
 ///
 /// With `Accept: text/event-stream` the response is a live stream of server-sent events. Their `id`
 /// is the number of the event, with which a reconnecting client continues.
-#[utoipa::path(get, path = "/api/v1/events", tag = "events", params(EventParams),
-    responses((status = 200, body = EventPage),
+#[utoipa::path(get, path = "/api/v1/events", tag = "events", params(EventParams, PageParams),
+    responses((status = 200, body = Page<Event>),
         (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
         (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
 pub async fn events(
     State(app): State<App>,
     Params(params): Params<EventParams>,
+    asked: PageRequest,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let run = match &params.run {
@@ -74,14 +64,12 @@ pub async fn events(
         let keep_alive = KeepAlive::new().interval(Duration::from_secs(15));
         return Ok(Sse::new(follow(app, since, run)).keep_alive(keep_alive).into_response());
     }
-    let since = resolved(&app, params.since.unwrap_or(0)).await?;
-    let limit = params.limit.unwrap_or(PAGE);
-    if !(1..=1000).contains(&limit) {
-        return Err(ApiError::query("limit", limit, "must be from 1 to 1000"));
-    }
-    let events = app.store.events_since(since, limit, run).await?;
-    let next = events.last().map_or(since, |e| e.seq);
-    Ok(Json(EventPage { events, next }).into_response())
+    let since = match asked.after()? {
+        Some(last) => last,
+        None => resolved(&app, params.since.unwrap_or(0)).await?,
+    };
+    let events = app.store.events_since(since, asked.limit + 1, run).await?;
+    Ok(asked.first(events, |event| event.seq).into_response())
 }
 
 /// Resolves a negative number, which counts from the end: -30 selects the last 30 events.
@@ -98,7 +86,7 @@ fn follow(
     let ending = app.facts.ending.clone();
     stream::unfold((app, since, ending), move |(app, since, mut ending)| async move {
         loop {
-            let events = match app.store.events_since(since, PAGE, run).await {
+            let events = match app.store.events_since(since, PIECE, run).await {
                 Ok(events) => events,
                 Err(error) => {
                     let error = error_chain(&error);

@@ -11,15 +11,13 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::audit::Act;
+use super::pages::{Page, PageParams, PageRequest};
 use super::problem::{ApiError, Body, Path, ProblemBody};
 use super::send::{self, Created, Download};
 use crate::dataset::export::{ExportRequest, ExportResult};
 use crate::dataset::format::Format;
 use crate::ids::{DatasetId, TaskId};
 use crate::store::{TaskKind, TaskRow, TaskState};
-
-/// Largest number of exports in a list.
-const LISTED: u32 = 200;
 
 /// An export.
 #[derive(Debug, Serialize, ToSchema)]
@@ -96,12 +94,13 @@ pub async fn request(
     Ok(Created::later(format!("/api/v1/exports/{}", row.id), out(&app, row)))
 }
 
-/// Returns the newest 200 exports, newest first.
+/// Returns a page of the exports, newest first.
 #[utoipa::path(get, operation_id = "list_exports", path = "/api/v1/exports", tag = "datasets",
-    responses((status = 200, body = Vec<ExportOut>)))]
-pub async fn list(State(app): State<App>) -> Result<Json<Vec<ExportOut>>, ApiError> {
-    let rows = app.store.tasks(TaskKind::EXPORTS, LISTED).await?;
-    Ok(Json(rows.into_iter().map(|row| out(&app, row)).collect()))
+    params(PageParams), responses((status = 200, body = Page<ExportOut>),
+        (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
+pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<ExportOut>, ApiError> {
+    let rows = app.store.tasks(TaskKind::EXPORTS, asked.limit + 1, asked.after()?).await?;
+    Ok(asked.first(rows.into_iter().map(|row| out(&app, row)).collect(), |export| export.id))
 }
 
 /// Returns the state and progress of an export.

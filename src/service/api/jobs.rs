@@ -11,15 +11,13 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::audit::Act;
+use super::pages::{Page, PageParams, PageRequest};
 use super::problem::{ApiError, Body, Path, ProblemBody};
 use super::send::Created;
 use crate::evaluate::request::EvaluationRequest;
 use crate::ids::{DatasetId, TaskId};
 use crate::jobs::Progress;
 use crate::store::{TaskKind, TaskRow, TaskState};
-
-/// Largest number of jobs in a list.
-const LISTED: u32 = 500;
 
 /// Request for a training.
 #[derive(Debug, Deserialize, Serialize, ToSchema)]
@@ -113,14 +111,15 @@ pub async fn evaluate(
     Ok(Created::later(format!("/api/v1/jobs/{}", row.id), out(&app, row)))
 }
 
-/// Returns the newest 500 jobs, newest first, without the examples of evaluations.
+/// Returns a page of the jobs, newest first, without the examples of evaluations.
 #[utoipa::path(get, operation_id = "list_jobs", path = "/api/v1/jobs", tag = "jobs",
-    responses((status = 200, body = Vec<JobOut>)))]
-pub async fn list(State(app): State<App>) -> Result<Json<Vec<JobOut>>, ApiError> {
-    let rows = app.store.tasks(TaskKind::JOBS, LISTED).await?;
+    params(PageParams), responses((status = 200, body = Page<JobOut>),
+        (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
+pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<JobOut>, ApiError> {
+    let rows = app.store.tasks(TaskKind::JOBS, asked.limit + 1, asked.after()?).await?;
     let brief =
         |row: TaskRow| out(&app, TaskRow { result: row.result.map(without_examples), ..row });
-    Ok(Json(rows.into_iter().map(brief).collect()))
+    Ok(asked.first(rows.into_iter().map(brief).collect(), |job| job.id))
 }
 
 /// A result without the maps of its examples, which are large.

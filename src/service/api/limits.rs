@@ -75,6 +75,10 @@ pub const WHY_MAX_CHARS: usize = 500;
 pub const DETAIL_MAX_CHARS: usize = 2000;
 /// Entries of the log of actions that wait for a failing store.
 pub const LOGGED_LATER_MAX: usize = 1000;
+/// Entries of a page of a list by default; lists of trials and of rows have their own.
+pub const LIST_PAGE: u32 = 100;
+/// Entries of a page of a list.
+pub const LIST_MAX: u32 = 1000;
 /// Parameters of a selection of rows.
 pub const CONDITIONS_MAX: usize = 100;
 /// Values of one condition `COLUMN__in`.
@@ -147,7 +151,8 @@ mod tests {
             line("name of a person, holder, key or model", format!("{WHO_MAX_CHARS} characters"), "422; in the log of actions: cut"),
             line("note of the lock, reason of an action", format!("{WHY_MAX_CHARS} characters"), "422; in the log of actions: cut"),
             line("message of a refusal in the log of actions", format!("{DETAIL_MAX_CHARS} characters"), "cut"),
-            line("rows of a page", MAX_PAGE.to_string(), "400"),
+            line("entries of a page of a list, by default 100", LIST_MAX.to_string(), "400"),
+            line("rows of a page of trials or of a dataset, by default 100", MAX_PAGE.to_string(), "400"),
             line("parameters of a selection of rows", n(CONDITIONS_MAX), "400"),
             line("values of a condition `COLUMN__in`", n(VALUES_MAX), "400"),
             line("numbers in the frames and maps of a page", PAGE_NUMBERS_MAX.to_string(), "400"),

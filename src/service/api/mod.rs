@@ -56,6 +56,7 @@ mod live;
 mod lock_file;
 mod models;
 mod page;
+mod pages;
 mod params;
 mod people;
 mod problem;
@@ -76,6 +77,7 @@ pub use infer::{FrameAnswer, InferOptions, InferRequest, LiveAnswer, Turns};
 pub use jobs::JobOut;
 pub use lock_file::{LockFile, LockFileError};
 pub use models::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
+pub use pages::Page;
 pub use routes::{Access, Lock, Needs};
 pub use runs::Summary;
 

@@ -14,6 +14,7 @@ use super::audit::{Act, cut};
 use super::form::Form;
 use super::jobs::ndjson;
 use super::limits::{MODEL_MAX_BYTES, WHO_MAX_CHARS};
+use super::pages::{Page, PageParams, PageRequest};
 use super::problem::{ApiError, Body, Path, ProblemBody, Text};
 use super::send::Created;
 use crate::evaluate::request::Scored;
@@ -115,15 +116,18 @@ pub struct PromotionOut {
     pub rolled_back: bool,
 }
 
-/// Returns all models, newest first.
+/// Returns a page of the models, newest first.
 #[utoipa::path(get, operation_id = "list_models", path = "/api/v1/models", tag = "models",
-    responses((status = 200, body = Vec<ModelOut>)))]
-pub async fn list(State(app): State<App>) -> Result<Json<Vec<ModelOut>>, ApiError> {
-    let mut models = Vec::new();
-    for row in app.store.models().await? {
-        models.push(out(&app, row).await?);
+    params(PageParams), responses((status = 200, body = Page<ModelOut>),
+        (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
+pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<ModelOut>, ApiError> {
+    let Page { items: rows, next } =
+        asked.of_all(app.store.models().await?, |model| model.id.clone())?;
+    let mut items = Vec::new();
+    for row in rows {
+        items.push(out(&app, row).await?);
     }
-    Ok(Json(models))
+    Ok(Page { items, next })
 }
 
 /// Returns a model.

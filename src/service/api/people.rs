@@ -11,6 +11,7 @@ use super::App;
 use super::audit::Act;
 use super::auth::Caller;
 use super::limits::{TICKET, TICKETS, WHO_MAX_CHARS, WHY_MAX_CHARS};
+use super::pages::{Page, PageParams, PageRequest};
 use super::problem::{ApiError, Body, Params, Path, ProblemBody};
 use super::queue::WhoParams;
 use super::runs::find;
@@ -50,10 +51,6 @@ pub struct CreatedKey {
 pub struct ActionParams {
     /// Only actions on this run: uid or scan_id.
     pub run: Option<String>,
-    /// Largest number of actions, 1 to 1000, default 100.
-    pub limit: Option<u32>,
-    /// Only actions with a smaller number.
-    pub cursor: Option<i64>,
 }
 
 /// Returns the operator lock, or null.
@@ -111,10 +108,10 @@ pub async fn clear_lock(
 
 /// Returns the API keys, without their texts.
 #[utoipa::path(get, path = "/api/v1/keys", tag = "people",
-    responses((status = 200, body = Vec<KeyRow>),
+    responses((status = 200, body = Page<KeyRow>),
         (status = 403, body = ProblemBody, description = "the role is not admin")))]
-pub async fn keys(State(app): State<App>) -> Result<Json<Vec<KeyRow>>, ApiError> {
-    Ok(Json(app.store.keys().await?))
+pub async fn keys(State(app): State<App>) -> Result<Page<KeyRow>, ApiError> {
+    Ok(Page::whole(app.store.keys().await?))
 }
 
 /// Creates an API key.
@@ -177,21 +174,20 @@ pub async fn ticket(
 }
 
 /// Returns the log of actions, newest first.
-#[utoipa::path(get, path = "/api/v1/actions", tag = "people", params(ActionParams),
-    responses((status = 200, body = Vec<ActionRow>),
+#[utoipa::path(get, path = "/api/v1/actions", tag = "people",
+    params(ActionParams, PageParams),
+    responses((status = 200, body = Page<ActionRow>),
         (status = 400, body = ProblemBody, description = "a parameter is invalid"),
         (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
 pub async fn actions(
     State(app): State<App>,
     Params(params): Params<ActionParams>,
-) -> Result<Json<Vec<ActionRow>>, ApiError> {
+    asked: PageRequest,
+) -> Result<Page<ActionRow>, ApiError> {
     let run = match &params.run {
         Some(run) => Some(find(&app, run).await?.uid),
         None => None,
     };
-    let limit = params.limit.unwrap_or(100);
-    if !(1..=1000).contains(&limit) {
-        return Err(ApiError::query("limit", limit, "must be from 1 to 1000"));
-    }
-    Ok(Json(app.store.actions(run, limit, params.cursor).await?))
+    let found = app.store.actions(run, asked.limit + 1, asked.after()?).await?;
+    Ok(asked.first(found, |action| action.id))
 }

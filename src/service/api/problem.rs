@@ -183,6 +183,7 @@ impl From<DatasetError> for ApiError {
             DatasetError::Problems(problems) => return Self::bad_query(problems),
             DatasetError::Store(error) => return error.into(),
             DatasetError::NoDataset { .. }
+            | DatasetError::NotMade(_)
             | DatasetError::NoRun(_)
             | DatasetError::FileMissing(_)
             | DatasetError::Empty { .. } => StatusCode::NOT_FOUND,

@@ -1,5 +1,4 @@
-//! Parses query strings to selections of rows: `column__gt=..`, `columns`, `sort`, `limit`,
-//! `cursor`.
+//! Parses query strings to selections of rows: `column__gt=..`, `columns`, `sort`, `limit`.
 //! PURE. Uses: `store`'s table of columns and its conditions. Never: SQL, a name of a column.
 
 use super::audit::cut;
@@ -8,7 +7,7 @@ use super::params::page_formats;
 use crate::dataset::format::Format;
 use crate::dataset::select::Wanted;
 use crate::dataset::sort::Sort;
-use crate::ids::{RunUid, TrialId};
+use crate::ids::RunUid;
 use crate::problem::Problem;
 use crate::record::Flag;
 use crate::store::table::{self, Column};
@@ -39,8 +38,6 @@ pub struct RowsRequest {
     pub format: Option<Format>,
     /// Order; `None` for the order of the file.
     pub sort: Option<Sort>,
-    /// Position at which the page starts: row of the file, or position in the order of `sort`.
-    pub from: u64,
     /// Largest number of rows in the page.
     pub limit: u32,
 }
@@ -74,13 +71,12 @@ pub fn trial_query(
 /// All unknown names and invalid values.
 pub fn rows_query(pairs: &[(String, String)]) -> Result<RowsRequest, Vec<Problem>> {
     let wanted = Wanted::default();
-    let mut request = RowsRequest { wanted, format: None, sort: None, from: 0, limit: PAGE };
+    let mut request = RowsRequest { wanted, format: None, sort: None, limit: PAGE };
     each(pairs, |key, value| {
         if common(&mut request.wanted, &mut request.format, &mut request.limit, key, value)? {
             return Ok(true);
         }
         match key {
-            "cursor" => request.from = whole(value)?,
             "sort" => request.sort = Some(Sort::parse(value)),
             "map" => request.wanted.map = Some(value.into()),
             _ => {
@@ -152,6 +148,8 @@ fn common(
     value: &str,
 ) -> Result<bool, String> {
     match key {
+        // `pages` reads it.
+        "cursor" => {}
         "limit" => match value.parse() {
             Ok(n @ 1..=MAX_PAGE) => *page = n,
             _ => return Err(format!("must be from 1 to {MAX_PAGE}; for more request an export")),
@@ -175,7 +173,6 @@ fn common(
 
 fn apply(query: &mut TrialQuery, key: &str, value: &str) -> Result<bool, String> {
     match key {
-        "cursor" => query.after = Some(TrialId(whole(value)?)),
         "voltages" => query.with_voltages = yes_or_no(value)?,
         "flagged" => query.flagged = Some(yes_or_no(value)?),
         "flag" => query.flags.push(flag(value)?),
@@ -200,10 +197,6 @@ fn condition(key: &str, value: &str) -> Result<(Condition, String), String> {
         return Ok((Condition::parse(value)?, value.to_owned()));
     }
     Ok((Condition::from_pair(key, value)?, format!("{key}={value}")))
-}
-
-fn whole<T: std::str::FromStr>(value: &str) -> Result<T, String> {
-    value.parse().map_err(|_| "must be the value of `next` of a page".into())
 }
 
 fn yes_or_no(value: &str) -> Result<bool, String> {

@@ -4,26 +4,20 @@
 use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use tokio::time::timeout;
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
 use super::audit::Act;
 use super::limits::TURN;
+use super::pages::Page;
 use super::problem::{ApiError, Body, Params, Path, ProblemBody};
 use super::runs::find;
 use super::send::Created;
 use crate::conductor::Submission;
 use crate::schedule::preflight::Preflight;
 use crate::store::RunRow;
-
-/// The queue.
-#[derive(Debug, Serialize, ToSchema)]
-pub struct Queue {
-    /// Waiting runs, the next one first.
-    pub runs: Vec<RunRow>,
-}
 
 /// Request to queue a run.
 #[derive(Debug, Deserialize, ToSchema)]
@@ -54,11 +48,11 @@ pub struct MoveRequest {
     pub who: Option<String>,
 }
 
-/// Returns the queue.
+/// Returns the waiting runs, the next one first.
 #[utoipa::path(get, operation_id = "queue",
-    path = "/api/v1/queue", tag = "queue", responses((status = 200, body = Queue)))]
-pub async fn list(State(app): State<App>) -> Result<Json<Queue>, ApiError> {
-    Ok(Json(Queue { runs: app.store.queue().await? }))
+    path = "/api/v1/queue", tag = "queue", responses((status = 200, body = Page<RunRow>)))]
+pub async fn list(State(app): State<App>) -> Result<Page<RunRow>, ApiError> {
+    Ok(Page::whole(app.store.queue().await?))
 }
 
 /// Queues a run.
@@ -100,7 +94,7 @@ pub async fn remove(
 #[utoipa::path(post, operation_id = "move_run",
     path = "/api/v1/queue/{run}/move", tag = "queue", request_body = MoveRequest,
     params(("run" = String, Path, description = "uid or scan_id")),
-    responses((status = 200, body = Queue),
+    responses((status = 200, body = Page<RunRow>),
         (status = 409, body = ProblemBody,
             description = "the run is not queued, or another person holds the operator lock")))]
 pub async fn shift(
@@ -108,11 +102,11 @@ pub async fn shift(
     act: Act,
     Path(run): Path<String>,
     Body(shift): Body<MoveRequest>,
-) -> Result<Json<Queue>, ApiError> {
+) -> Result<Page<RunRow>, ApiError> {
     act.stated(shift.who.as_deref(), None);
     let run = find(&app, &run).await?.uid;
     act.on(run);
-    Ok(Json(Queue { runs: app.store.move_item(run, shift.position).await? }))
+    Ok(Page::whole(app.store.move_item(run, shift.position).await?))
 }
 
 /// Returns the preflight of a submission on this rig, without queuing it.

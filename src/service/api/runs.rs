@@ -6,12 +6,13 @@ use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::IntoResponse;
 use serde::{Deserialize, Serialize};
-use utoipa::{IntoParams, ToSchema};
+use utoipa::ToSchema;
 
 use super::App;
 use super::audit::{Act, cut};
 use super::limits::WHO_MAX_CHARS;
-use super::problem::{ApiError, Body, Params, Path, ProblemBody};
+use super::pages::{Page, PageParams, PageRequest};
+use super::problem::{ApiError, Body, Path, ProblemBody};
 use crate::campaign::STOPS;
 use crate::campaign::shown::command::Request;
 use crate::conductor::{Armed, Started};
@@ -19,22 +20,7 @@ use crate::ids::RunUid;
 use crate::journal::Journal;
 use crate::schedule::preflight::Preflight;
 use crate::state::StoredState;
-use crate::store::{Role, RunPage, RunRow, SettingCount, SkipRow};
-
-/// Default number of runs per page.
-const PAGE: u32 = 50;
-/// Largest number of runs per page.
-const LONGEST_PAGE: u32 = 500;
-
-/// Selection of a page.
-#[derive(Debug, Deserialize, IntoParams)]
-#[into_params(parameter_in = Query)]
-pub struct PageParams {
-    /// Largest number of runs in a page, 1 to 500, default 50.
-    pub limit: Option<u32>,
-    /// `next` of the previous page.
-    pub cursor: Option<i64>,
-}
+use crate::store::{Role, RunRow, SettingCount, SkipRow};
 
 /// Results of a run.
 #[derive(Debug, Clone, Serialize, Deserialize, ToSchema)]
@@ -166,17 +152,11 @@ pub async fn find(app: &App, run: &str) -> Result<RunRow, ApiError> {
 /// Returns a page of runs, newest first.
 #[utoipa::path(get, operation_id = "list_runs",
     path = "/api/v1/runs", tag = "runs", params(PageParams),
-    responses((status = 200, body = RunPage),
-        (status = 400, body = ProblemBody, description = "the limit is invalid")))]
-pub async fn list(
-    State(app): State<App>,
-    Params(page): Params<PageParams>,
-) -> Result<Json<RunPage>, ApiError> {
-    let limit = page.limit.unwrap_or(PAGE);
-    if !(1..=LONGEST_PAGE).contains(&limit) {
-        return Err(ApiError::query("limit", limit, "must be from 1 to 500"));
-    }
-    Ok(Json(app.store.runs(limit, page.cursor).await?))
+    responses((status = 200, body = Page<RunRow>),
+        (status = 400, body = ProblemBody, description = "a parameter is invalid")))]
+pub async fn list(State(app): State<App>, asked: PageRequest) -> Result<Page<RunRow>, ApiError> {
+    let found = app.store.runs(asked.limit, asked.after()?).await?;
+    Ok(asked.page(found.runs, found.next))
 }
 
 /// Returns a run.

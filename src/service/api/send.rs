@@ -155,7 +155,7 @@ impl Write for Piece {
     }
 }
 
-/// Returns batches as a response in a row format; `next` is the cursor of the next page.
+/// Returns batches as a response in a row format.
 ///
 /// # Errors
 /// An error of the format if a batch cannot be encoded, or for NPZ.
@@ -163,7 +163,6 @@ pub fn batches(
     format: Format,
     schema: &SchemaRef,
     batches: &[RecordBatch],
-    next: Option<String>,
 ) -> Result<Response, ApiError> {
     let out = || -> Result<Vec<u8>, DatasetError> {
         let mut stream = Stream::new(format, schema, Vec::new())?;
@@ -172,7 +171,7 @@ pub fn batches(
         }
         Ok(stream.finish()?)
     };
-    Ok(with_headers(format, next, Body::from(out()?)))
+    Ok(in_format(format, Body::from(out()?)))
 }
 
 /// Splits JSON lines into raw values.
@@ -184,30 +183,29 @@ pub fn values(lines: &[u8]) -> Result<Vec<Box<RawValue>>, DatasetError> {
     lines.map(serde_json::from_slice).collect::<Result<_, _>>().map_err(DatasetError::Json)
 }
 
-/// Returns a response with the media type of a format and the cursor of the next page.
-pub fn with_headers(format: Format, next: Option<String>, body: Body) -> Response {
-    let mut response = body.into_response();
-    response.headers_mut().insert(header::CONTENT_TYPE, media_type(format));
-    if let Some(next) = next.and_then(|next| HeaderValue::from_str(&next).ok()) {
-        response.headers_mut().insert(HeaderName::from_static("x-next-cursor"), next);
-    }
-    response
+/// Returns a response with the media type of a format.
+pub fn in_format(format: Format, body: Body) -> Response {
+    ([(header::CONTENT_TYPE, media_type(format))], body).into_response()
 }
 
 fn internal(words: &str) -> ApiError {
     ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, words)
 }
 
-/// Checks that a page of `rows` rows has at most `PAGE_NUMBERS_MAX` numbers in frames and maps.
-///
-/// # Errors
-/// 400 with the largest number of rows that is possible.
-pub fn check_numbers(table: &Schema, rows: u32) -> Result<(), ApiError> {
+/// Number of values in the frames and the map of a row.
+pub fn numbers_per_row(table: &Schema) -> u64 {
     let length = |field: &FieldRef| match field.data_type() {
         DataType::FixedSizeList(_, length) => u64::try_from(*length).unwrap_or_default(),
         _ => 0,
     };
-    let per_row: u64 = table.fields().iter().map(length).sum();
+    table.fields().iter().map(length).sum()
+}
+
+/// Checks that a page of `rows` rows has at most `PAGE_NUMBERS_MAX` numbers in frames and maps.
+///
+/// # Errors
+/// 400 with the largest number of rows that is possible.
+pub fn check_numbers(per_row: u64, rows: u32) -> Result<(), ApiError> {
     let most = PAGE_NUMBERS_MAX / per_row.max(1);
     if u64::from(rows) <= most {
         return Ok(());

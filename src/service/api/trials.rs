@@ -8,14 +8,14 @@ use axum::extract::{Query, State};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use futures::StreamExt;
-use serde::ser::SerializeMap;
-use serde::{Serialize, Serializer};
+use serde::Serialize;
 use serde_json::{Value, json};
 use tokio_stream::wrappers::ReceiverStream;
 use tracing::Instrument;
 use utoipa::ToSchema;
 
 use super::App;
+use super::pages::{Cursors, Page, PageParams, PageRequest};
 use super::params::TrialParams;
 use super::problem::{ApiError, Path, ProblemBody};
 use super::query::{TrialsRequest, for_pages, trial_query};
@@ -28,34 +28,13 @@ use crate::dataset::schema;
 use crate::dataset::select::{Selection, Wanted};
 use crate::ids::{RunUid, TrialId};
 use crate::journal::error_chain;
-use crate::store::table::{Column, Of};
+use crate::store::table::Column;
 use crate::store::{Order, TrialQuery, TrialRow};
 
 /// Number of trials per piece of a page.
 const PIECE_ROWS: usize = 500;
 /// Number of pieces that are read concurrently.
 const READS: usize = 3;
-
-/// A page of trials.
-#[derive(Debug, Serialize, ToSchema)]
-pub struct TrialPage {
-    /// The trials; with `columns` or `slice` only the requested columns of each.
-    #[schema(value_type = Vec<TrialOrColumns>)]
-    pub trials: Vec<TrialRow>,
-    /// Value of `cursor` for the next page; null on the last page.
-    pub next: Option<i64>,
-}
-
-/// A trial, or its requested columns.
-#[derive(ToSchema)]
-#[serde(untagged)]
-#[expect(dead_code, reason = "describes the response for openapi.yaml")]
-enum TrialOrColumns {
-    /// A whole trial.
-    Trial(Box<TrialRow>),
-    /// The requested columns, by name.
-    Columns(serde_json::Map<String, Value>),
-}
 
 /// A raw frame of a trial.
 #[derive(Debug, Serialize, ToSchema)]
@@ -76,119 +55,108 @@ type Pairs = Query<Vec<(String, String)>>;
 
 /// Returns a page of the trials of a run, in the order of storing.
 ///
-/// In a format other than JSON the cursor of the next page is in the header `x-next-cursor`.
+/// JSON holds whole trials; the other formats are tables of columns. The header `Link` has the address
+/// of the next page in every format.
 #[utoipa::path(get, operation_id = "run_trials", path = "/api/v1/runs/{run}/trials", tag = "trials",
     params(("run" = String, Path, description = "uid or scan_id"), TrialParams),
-    responses((status = 200, body = TrialPage),
+    responses((status = 200, body = Page<TrialRow>),
         (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid")))]
 pub async fn of_run(
     State(app): State<App>,
     Path(run): Path<String>,
     Query(pairs): Pairs,
+    cursors: Cursors,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let run = find(&app, &run).await?.uid;
-    page(&app, Some(run), &pairs, &headers).await
+    page(&app, Some(run), &pairs, &cursors, &headers).await
 }
 
 /// Returns a page of the trials of all runs, in the order of storing.
 ///
-/// In a format other than JSON the cursor of the next page is in the header `x-next-cursor`.
+/// JSON holds whole trials; the other formats are tables of columns. The header `Link` has the address
+/// of the next page in every format.
 #[utoipa::path(get, operation_id = "list_trials",
     path = "/api/v1/trials", tag = "trials", params(TrialParams),
-    responses((status = 200, body = TrialPage),
+    responses((status = 200, body = Page<TrialRow>),
         (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid")))]
 pub async fn all(
     State(app): State<App>,
     Query(pairs): Pairs,
+    cursors: Cursors,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
-    page(&app, None, &pairs, &headers).await
+    page(&app, None, &pairs, &cursors, &headers).await
 }
 
 async fn page(
     app: &App,
     run: Option<RunUid>,
     pairs: &[(String, String)],
+    cursors: &Cursors,
     headers: &HeaderMap,
 ) -> Result<Response, ApiError> {
-    let TrialsRequest { query, wanted, format } =
+    let TrialsRequest { mut query, wanted, format } =
         trial_query(run, pairs).map_err(ApiError::bad_query)?;
-    if let Some(format) = format.or_else(|| send::accepted(headers)) {
-        let Table { pieces, next } = table(app, query, &wanted, format).await?;
-        return Ok(send::with_headers(format, next, Body::from_stream(pieces)));
-    }
-    json_page(app, query, &wanted).await
-}
-
-/// A page as JSON: complete trials, or the requested columns.
-async fn json_page(app: &App, query: TrialQuery, wanted: &Wanted) -> Result<Response, ApiError> {
-    if wanted.columns.is_empty() && wanted.slice.is_none() {
-        let trials = app.store.trials(&query).await?;
-        let full = trials.len() == query.limit as usize;
-        let next = trials.last().filter(|_| full).map(|t| t.trial_id.0);
-        return Ok(Json(TrialPage { trials, next }).into_response());
-    }
-    let CheckedPage { ids, next, selection, with_voltages, .. } =
-        checked(app, &query, wanted).await?;
-    let mut trials = match with_voltages {
-        true => app.store.trials_with_voltages(&ids).await?,
-        false => app.store.trials_of(&ids).await?,
-    };
-    if query.order == Order::NewestFirst {
-        trials.reverse();
-    }
-    let chosen = |trial| SelectedTrial { trial, selection: &selection };
-    let page = SelectedPage { trials: trials.iter().map(chosen).collect(), next };
-    Ok(Json(page).into_response())
-}
-
-/// A page of selected columns.
-#[derive(Serialize)]
-struct SelectedPage<'a> {
-    trials: Vec<SelectedTrial<'a>>,
-    next: Option<i64>,
-}
-
-/// The selected columns of a trial, serialised as JSON.
-struct SelectedTrial<'a> {
-    trial: &'a TrialRow,
-    selection: &'a Selection,
-}
-
-impl Serialize for SelectedTrial<'_> {
-    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        let fields = self.selection.schema().fields();
-        let mut row = to.serialize_map(Some(fields.len()))?;
-        for column in fields.iter().filter_map(|field| Column::find(field.name())) {
-            let (t, name) = (self.trial, column.name);
-            match column.of {
-                Of::Id(of) => row.serialize_entry(name, &of(t))?,
-                Of::Count(of) => row.serialize_entry(name, &of(t))?,
-                Of::Few(of) => row.serialize_entry(name, &of(t))?,
-                Of::Number(of) | Of::Single(of) => row.serialize_entry(name, &of(t))?,
-                Of::Text(of) => row.serialize_entry(name, &of(t))?,
-                Of::Time(of) => row.serialize_entry(name, &of(t))?,
-                Of::Contacts => row.serialize_entry(name, &t.contacts)?,
-                Of::Forces => row.serialize_entry(name, &t.forces_n)?,
-                Of::Flags => row.serialize_entry(name, &t.flags)?,
-                Of::Measured(of) | Of::Simulated(of) => {
-                    let frame = of(t).map(|frame| self.selection.slice_of(frame));
-                    row.serialize_entry(name, &frame)?;
-                }
-                Of::Drawn | Of::Part => {}
-            }
+    query.after = cursors.position(pairs)?.map(TrialId);
+    let (next, response) = match format.or_else(|| send::accepted(headers)) {
+        Some(format) => {
+            let Table { pieces, next } = table(app, query, &wanted, format).await?;
+            let next = next.map(|id| cursors.cursor(id));
+            (next, send::in_format(format, Body::from_stream(pieces)))
         }
-        row.end()
-    }
+        None => {
+            let Page { items, next } = whole_trials(app, query, &wanted).await?;
+            let next = next.map(|id| cursors.cursor(id));
+            (next.clone(), Page { items, next }.into_response())
+        }
+    };
+    let link = next.and_then(|next| cursors.link(&next)).map(|link| [link]);
+    Ok((link, response).into_response())
 }
 
 /// A page in a row format, encoded in pieces while it is sent, so that only a few pieces are in
 /// memory.
 struct Table {
     pieces: ReceiverStream<std::io::Result<Vec<u8>>>,
-    /// Cursor of the next page.
-    next: Option<String>,
+    /// Id of the last trial, if more trials follow.
+    next: Option<i64>,
+}
+
+/// A page of whole trials.
+async fn whole_trials(
+    app: &App,
+    query: TrialQuery,
+    wanted: &Wanted,
+) -> Result<Page<TrialRow>, ApiError> {
+    let selects = [("columns", !wanted.columns.is_empty()), ("slice", wanted.slice.is_some())];
+    if let Some((key, _)) = selects.into_iter().find(|(_, given)| *given) {
+        let limit = "must be absent for JSON, which holds whole trials: add format=ndjson";
+        return Err(ApiError::query(key, "given", limit));
+    }
+    let (ids, next) = ids(app, &query).await?;
+    let mut trials = match query.with_voltages {
+        true => {
+            let longest = app.store.frame_lengths(&ids).await?.pop().unwrap_or_default();
+            send::check_numbers(2 * u64::from(longest), query.limit)?;
+            app.store.trials_with_voltages(&ids).await?
+        }
+        false => app.store.trials_of(&ids).await?,
+    };
+    if query.order == Order::NewestFirst {
+        trials.reverse();
+    }
+    Ok(Page { items: trials, next: next.map(|id| id.to_string()) })
+}
+
+/// The ids of a page, and the last of them if more trials follow.
+async fn ids(app: &App, query: &TrialQuery) -> Result<(Vec<TrialId>, Option<i64>), ApiError> {
+    let one_more = TrialQuery { limit: query.limit + 1, ..query.clone() };
+    let mut ids = app.store.trial_ids(&one_more).await?;
+    let more = ids.len() > query.limit as usize;
+    ids.truncate(query.limit as usize);
+    let next = ids.last().filter(|_| more).map(|id| id.0);
+    Ok((ids, next))
 }
 
 async fn table(
@@ -200,7 +168,6 @@ async fn table(
     for_pages(format).map_err(ApiError::bad_query)?;
     let CheckedPage { ids, next, table, selection, with_voltages } =
         checked(app, &query, wanted).await?;
-    let next = next.map(|next| next.to_string());
     let piece = send::Piece::default();
     let mut stream =
         Stream::new(format, selection.schema(), piece.clone()).map_err(DatasetError::from)?;
@@ -261,8 +228,7 @@ struct CheckedPage {
 }
 
 async fn checked(app: &App, query: &TrialQuery, wanted: &Wanted) -> Result<CheckedPage, ApiError> {
-    let ids = app.store.trial_ids(query).await?;
-    let next = ids.last().filter(|_| ids.len() == query.limit as usize).map(|id| id.0);
+    let (ids, next) = ids(app, query).await?;
     let frames = |name: &String| Column::find(name).is_some_and(Column::is_frame);
     let with_voltages = query.with_voltages || wanted.columns.iter().any(frames);
     let lengths = match with_voltages {
@@ -279,7 +245,7 @@ async fn checked(app: &App, query: &TrialQuery, wanted: &Wanted) -> Result<Check
     let channels = lengths.first().map_or(schema::CHANNELS, |&length| length as i32);
     let table = trials_schema(channels, with_voltages);
     let selection = Selection::new(wanted, &table, None).map_err(ApiError::bad_query)?;
-    send::check_numbers(selection.schema(), query.limit)?;
+    send::check_numbers(send::numbers_per_row(selection.schema()), query.limit)?;
     Ok(CheckedPage { ids, next, table, selection, with_voltages })
 }
 
@@ -310,12 +276,12 @@ pub async fn one(
 #[utoipa::path(get, operation_id = "trial_frames",
     path = "/api/v1/trials/{trial}/frames", tag = "trials",
     params(("trial" = i64, Path, description = "id of the trial")),
-    responses((status = 200, body = Vec<FrameOut>),
+    responses((status = 200, body = Page<FrameOut>),
         (status = 404, body = ProblemBody, description = "no trial has this id, or it has no raw frames")))]
 pub async fn frames(
     State(app): State<App>,
     Path(trial): Path<i64>,
-) -> Result<Json<Vec<FrameOut>>, ApiError> {
+) -> Result<Page<FrameOut>, ApiError> {
     let frames = app.store.frames(TrialId(trial)).await?;
     if frames.is_empty() {
         let words = match app.store.trial_by_id(TrialId(trial)).await? {
@@ -333,27 +299,31 @@ pub async fn frames(
         voltages_v: f.counts.iter().map(|&c| f32::from(c) * f.volts_per_count).collect(),
         counts: f.counts,
     });
-    Ok(Json(out.collect()))
+    Ok(Page::whole(out.collect()))
 }
 
-/// Returns the bench records of a run: attempts, tares, touch-offs or references.
+/// Returns a page of the bench records of a run in the order of storing: attempts, tares, touch-offs
+/// or references.
 #[utoipa::path(get, path = "/api/v1/runs/{run}/records/{kind}", tag = "trials",
     params(("run" = String, Path, description = "uid or scan_id"),
-        ("kind" = String, Path, description = "attempts, tares, touch-offs or references")),
-    responses((status = 200, body = Vec<Object>),
+        ("kind" = String, Path, description = "attempts, tares, touch-offs or references"), PageParams),
+    responses((status = 200, body = Page<Object>),
+        (status = 400, body = ProblemBody, description = "a parameter is invalid"),
         (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
         (status = 422, body = ProblemBody, description = "the kind is unknown")))]
 pub async fn bench_records(
     State(app): State<App>,
     Path((run, kind)): Path<(String, String)>,
-) -> Result<Json<serde_json::Value>, ApiError> {
+    asked: PageRequest,
+) -> Result<Page<Value>, ApiError> {
     let run = find(&app, &run).await?.uid;
     let rows: Vec<Value> = match kind.as_str() {
         "attempts" => app
             .store
-            .attempts(run, 10_000)
+            .attempts(run, u32::MAX)
             .await?
             .into_iter()
+            .rev()
             .map(|a| {
                 let k = a.key;
                 json!({ "configuration": k.configuration, "depth_index": k.depth_index,
@@ -386,5 +356,7 @@ pub async fn bench_records(
             return Err(ApiError::value("kind", kind, limit));
         }
     };
-    Ok(Json(Value::Array(rows)))
+    let numbered = rows.into_iter().enumerate().collect();
+    let Page { items, next } = asked.of_all(numbered, |(number, _)| *number)?;
+    Ok(Page { items: items.into_iter().map(|(_, record)| record).collect(), next })
 }

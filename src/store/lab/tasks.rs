@@ -257,14 +257,21 @@ impl Store {
             .transpose()
     }
 
-    /// Returns at most `limit` tasks of these kinds, newest first.
+    /// Returns at most `limit` tasks of these kinds that were requested before the task `before`, newest
+    /// first.
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
-    pub async fn tasks(&self, kinds: &[TaskKind], limit: u32) -> Result<Vec<TaskRow>, StoreError> {
+    pub async fn tasks(
+        &self,
+        kinds: &[TaskKind],
+        limit: u32,
+        before: Option<TaskId>,
+    ) -> Result<Vec<TaskRow>, StoreError> {
         let sql = "SELECT * FROM tasks WHERE kind IN (SELECT value FROM json_each(?1))
+                 AND (?3 IS NULL OR id < ?3)
              ORDER BY id DESC LIMIT ?2";
-        self.read_tasks(sql, kinds, limit).await
+        self.read_tasks(sql, kinds, limit, before).await
     }
 
     /// Returns at most `limit` tasks of these kinds that have not ended, oldest first.
@@ -279,7 +286,7 @@ impl Store {
         let sql = "SELECT * FROM tasks WHERE state IN ('waiting', 'running')
                  AND kind IN (SELECT value FROM json_each(?1))
              ORDER BY id LIMIT ?2";
-        self.read_tasks(sql, kinds, limit).await
+        self.read_tasks(sql, kinds, limit, None).await
     }
 
     async fn read_tasks(
@@ -287,9 +294,11 @@ impl Store {
         sql: &'static str,
         kinds: &[TaskKind],
         limit: u32,
+        before: Option<TaskId>,
     ) -> Result<Vec<TaskRow>, StoreError> {
         const OPERATION: &str = "listing tasks";
-        let reading = sqlx::query(sql).bind(names(kinds)).bind(limit);
+        let before = before.map(|id| id.to_string());
+        let reading = sqlx::query(sql).bind(names(kinds)).bind(limit).bind(before);
         let rows = reading.fetch_all(&self.inner.readers).await.during(OPERATION)?;
         rows.iter().map(|row| TaskRow::read(row, OPERATION)).collect()
     }

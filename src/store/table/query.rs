@@ -63,7 +63,7 @@ pub struct TrialQuery {
     pub after: Option<TrialId>,
     /// Order of the trials; the cursor follows it.
     pub order: Order,
-    /// Largest number of trials of the page; at most [`MAX_PAGE`].
+    /// Largest number of trials of the page; at most [`MAX_PAGE`], and one more to see whether others\n    /// follow.
     pub limit: u32,
     /// Whether the rows hold their voltages.
     pub with_voltages: bool,
@@ -110,7 +110,7 @@ impl TrialQuery {
             Order::OldestFirst => " ORDER BY t.id LIMIT ",
             Order::NewestFirst => " ORDER BY t.id DESC LIMIT ",
         });
-        query.push_bind(i64::from(self.limit.min(MAX_PAGE)));
+        query.push_bind(i64::from(self.limit.min(MAX_PAGE + 1)));
         query
     }
 }

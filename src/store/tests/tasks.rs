@@ -75,7 +75,7 @@ async fn each_kind_is_listed_in_the_order_of_the_requests() {
         tasks.push(created(&store, kind).await.id);
     }
     let [training, first, evaluation, second] = tasks[..] else { panic!() };
-    let listed = async |kinds, limit| ids(&store.tasks(kinds, limit).await.unwrap());
+    let listed = async |kinds, limit| ids(&store.tasks(kinds, limit, None).await.unwrap());
     let waiting = async |kinds, limit| ids(&store.open_tasks(kinds, limit).await.unwrap());
     assert_eq!(listed(TaskKind::JOBS, 10).await, [evaluation, training]);
     assert_eq!(listed(TaskKind::EXPORTS, 10).await, [second, first]);
@@ -161,7 +161,7 @@ async fn exports_and_jobs_become_tasks() {
 
     let store = open(&folder.file()).await;
     store.integrity_check().await.unwrap();
-    let exports = store.tasks(TaskKind::EXPORTS, 10).await.unwrap();
+    let exports = store.tasks(TaskKind::EXPORTS, 10, None).await.unwrap();
     let states: Vec<_> = exports.iter().map(|export| export.state).collect();
     assert_eq!(states, [TaskState::Waiting, TaskState::Failed, TaskState::Done]);
     assert_eq!(exports[1].error.as_deref(), Some("no rows"));
@@ -179,7 +179,7 @@ async fn exports_and_jobs_become_tasks() {
         finished_at: Some(time("2026-11-20T18:00:02Z")),
     };
     assert_eq!(exports[2], done);
-    let jobs = store.tasks(TaskKind::JOBS, 10).await.unwrap();
+    let jobs = store.tasks(TaskKind::JOBS, 10, None).await.unwrap();
     let states: Vec<_> = jobs.iter().map(|job| (job.kind, job.state)).collect();
     assert_eq!(
         states,

@@ -13,10 +13,10 @@ const status = await client.GET('/api/v1/status')
 const service: components['schemas']['ServiceInfo'] = must(status.data, 'status').service
 if (service.pid <= 0) throw new Error(`pid ${service.pid}`)
 const runs = await client.GET('/api/v1/runs', { params: { query: { limit: 1 } } })
-const run = must(runs.data, 'runs').runs[0]
+const run = must(runs.data, 'runs').items[0]
 const trials = await client.GET('/api/v1/runs/{run}/trials', { params: { path: { run: run.uid }, query: { limit: 2 } } })
-const page = must(trials.data, 'trials') as components['schemas']['TrialPage']
-const ids: number[] = page.trials.map(trial => Number(trial.trial_id))
+const page = must(trials.data, 'trials') as components['schemas']['Page_TrialRow']
+const ids: number[] = page.items.map(trial => Number(trial.trial_id))
 if (ids.length !== 2) throw new Error(`trials ${ids}`)
 const lock = await client.PUT('/api/v1/lock', { body: { note: 'typed' } })
 if (must(lock.data, 'lock').note !== 'typed') throw new Error('lock')

@@ -107,7 +107,7 @@ async fn wishes_that_cannot_be_met_are_refused_or_fail_with_their_reason() {
     let ask = async |request: Value| lab.post("/api/v1/exports", request).await;
     assert_eq!(ask(json!({ "dataset": "reel", "format": "csv" })).await.0, 404);
     assert_eq!(ask(json!({ "dataset": "real", "format": "xlsx" })).await.0, 422);
-    let id = lab.get("/api/v1/datasets/real").await["id"].clone();
+    let id = lab.make("real").await["id"].clone();
     let (status, body) = ask(json!({ "dataset": id, "format": "csv", "map": "7x20" })).await;
     assert_eq!(status, 400, "{body}");
     let (_, late) =

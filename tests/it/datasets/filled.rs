@@ -17,7 +17,7 @@ use palpate::store::{
 };
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::support::{SENSOR, VIRTUAL_RIG, sensor};
 
@@ -234,6 +234,13 @@ impl Filled {
 
     pub async fn answer(&self, path: &str) -> reqwest::Response {
         self.http.get(self.url(path)).send().await.unwrap()
+    }
+
+    /// Makes a dataset of the trials stored now, by its name.
+    pub async fn make(&self, name: &str) -> Value {
+        let (status, made) = self.post("/api/v1/datasets", json!({ "name": name })).await;
+        assert_eq!(status, 200, "{made}");
+        made
     }
 
     /// A GET that must succeed.

@@ -87,7 +87,7 @@ async fn another_skins_trials_are_a_run_like_any_other() {
     );
     let run = made["run"]["scan_id"].as_i64().unwrap();
     let page = lab.get(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
-    let trials = page["trials"].as_array().unwrap();
+    let trials = page["items"].as_array().unwrap();
     assert_eq!(trials.len(), 3);
     assert_eq!(trials[0]["contacts"][0]["force_n"], 2.5);
     assert!(trials[1]["contacts"][0].get("force_n").is_none());
@@ -99,11 +99,12 @@ async fn another_skins_trials_are_a_run_like_any_other() {
     assert!(words.contains("no raw frames"), "{words}");
     // Without a force there is no map, not a map of zeros.
     let path = format!("/api/v1/datasets/run-{run}/rows?map=10x10&columns=trial_id,voltages_v");
-    let rows = lab.get(&path).await["rows"].clone();
+    lab.make(&format!("run-{run}")).await;
+    let rows = lab.get(&path).await["items"].clone();
     assert_eq!(rows[0]["voltages_v"].as_array().unwrap().len(), 4);
     assert!(rows[0]["force_map_n"].is_array() && rows[1].get("force_map_n").is_none());
     // It joins datasets only when it is named, and never those of another label unasked.
-    assert_eq!(lab.get("/api/v1/datasets/real").await["report"]["channels"], 784);
+    assert_eq!(lab.make("real").await["report"]["channels"], 784);
     let both = serde_json::json!({ "definition": { "name": "both", "task": "real",
         "runs": ["1", run.to_string()] } });
     let (status, body) = lab.post("/api/v1/datasets", both).await;
@@ -119,7 +120,7 @@ async fn another_skins_trials_are_a_run_like_any_other() {
 #[tokio::test]
 async fn what_cannot_be_used_is_named_and_nothing_is_stored() {
     let lab = Filled::open("import-bad").await;
-    let before = lab.get("/api/v1/runs").await["runs"].as_array().unwrap().len();
+    let before = lab.get("/api/v1/runs").await["items"].as_array().unwrap().len();
     let wrong_length =
         parquet(vec![("voltages_v", frames(3, vec![Some(1.0); 9])), ("contacts", contacts(12.5))]);
     let outside = parquet(vec![good().remove(0), ("contacts", contacts(120.0))]);
@@ -160,7 +161,7 @@ async fn what_cannot_be_used_is_named_and_nothing_is_stored() {
         assert_eq!(status, 400, "{wanted}: {body}");
         assert!(detail.contains(wanted), "{wanted}: {detail}");
     }
-    assert_eq!(lab.get("/api/v1/runs").await["runs"].as_array().unwrap().len(), before);
+    assert_eq!(lab.get("/api/v1/runs").await["items"].as_array().unwrap().len(), before);
     let uploads = std::fs::read_dir(lab.data.join("uploads")).unwrap().count();
     assert_eq!(uploads, 0, "uploads are removed");
     lab.close().await;

@@ -56,8 +56,9 @@ impl Filled {
     }
 
     async fn a_frame(&self) -> Value {
+        self.make("real").await;
         let page = self.get("/api/v1/datasets/real/rows?columns=voltages_v&limit=1").await;
-        page["rows"][0]["voltages_v"].clone()
+        page["items"][0]["voltages_v"].clone()
     }
 }
 
@@ -180,7 +181,7 @@ async fn a_training_goes_on_after_a_restart_and_stops_when_it_is_told() {
     }
     lab.post(&format!("{path}/stop"), Value::Null).await;
     assert_eq!(lab.job(&endless).await["state"], "stopped");
-    assert_eq!(lab.get("/api/v1/models").await.as_array().unwrap().len(), 1);
+    assert_eq!(lab.get("/api/v1/models").await["items"].as_array().unwrap().len(), 1);
     lab.close().await;
 }
 
@@ -272,7 +273,7 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
         assert_eq!(status, 422, "{body}");
         assert!(body["detail"].as_str().unwrap().contains(words), "{words}: {body}");
     }
-    assert_eq!(lab.get("/api/v1/models").await.as_array().unwrap().len(), 1);
+    assert_eq!(lab.get("/api/v1/models").await["items"].as_array().unwrap().len(), 1);
 
     let wish = json!({ "method": "fast", "model": id, "frames": [frame] });
     let (status, body) = lab.post("/api/v1/infer", wish).await;

@@ -18,23 +18,23 @@ const FLAGGED: u64 = 5;
 #[tokio::test]
 async fn real_is_labelled_split_and_says_what_it_leaves_out() {
     let lab = Filled::open("real").await;
-    let real = lab.get("/api/v1/datasets/real").await;
+    let real = lab.make("real").await;
     assert_eq!(real["rows"], TRIALS - UNTOUCHED - FLAGGED);
     let report = &real["report"];
     let left_out = json!({ "flagged: unsettled, depth_missed": FLAGGED, "no contact": UNTOUCHED });
     assert_eq!(report["left_out"], left_out);
     // Depth 3 presses with 5.0 and 5.3 N; the deadband itself counts.
     assert_eq!(report["contact_counts"], json!({ "2": TRIALS - UNTOUCHED - FLAGGED }));
-    let untouched = lab.get("/api/v1/datasets/real-untouched").await;
+    let untouched = lab.make("real-untouched").await;
     assert_eq!(
         (&untouched["rows"], &untouched["report"]["contact_counts"]["0"]),
         (&json!(90), &json!(90))
     );
-    let unseen = lab.get("/api/v1/datasets/real-unseen").await;
+    let unseen = lab.make("real-unseen").await;
     assert_eq!(unseen["rows"], 12);
     // Nominal contacts stay though they are under the deadband.
     assert_eq!(unseen["report"]["contact_counts"], json!({ "2": 4, "3": 4, "4": 4 }));
-    let transfer = lab.get("/api/v1/datasets/r2s-transfer").await;
+    let transfer = lab.make("r2s-transfer").await;
     assert_eq!(transfer["rows"], TRIALS - UNTOUCHED - FLAGGED - 3);
     assert_eq!(transfer["report"]["left_out"]["no simulated twin yet"], 3);
     lab.close().await;
@@ -43,8 +43,9 @@ async fn real_is_labelled_split_and_says_what_it_leaves_out() {
 /// Rows as maps, by trial.
 async fn rows(lab: &Filled, dataset: &str, columns: &str) -> BTreeMap<i64, Value> {
     let path = format!("/api/v1/datasets/{dataset}/rows?limit=10000&columns=trial_id,{columns}");
+    lab.make(dataset).await;
     let page = lab.get(&path).await;
-    let rows = page["rows"].as_array().unwrap().iter().cloned();
+    let rows = page["items"].as_array().unwrap().iter().cloned();
     rows.map(|row| (row["trial_id"].as_i64().unwrap(), row)).collect()
 }
 
@@ -94,17 +95,17 @@ async fn equal_places_never_straddle_a_split_and_datasets_divide_alike() {
 #[tokio::test]
 async fn an_id_is_its_contents_and_a_name_follows_them() {
     let lab = Filled::open("ids").await;
-    let first = lab.get("/api/v1/datasets/r2s-transfer").await;
+    let first = lab.make("r2s-transfer").await;
     let id = first["id"].as_str().unwrap().to_owned();
     assert!(id.starts_with("ds-") && id.len() == 19, "{id}");
-    let again = lab.get("/api/v1/datasets/r2s-transfer").await;
+    let again = lab.make("r2s-transfer").await;
     assert_eq!((&again["id"], &again["created_at"]), (&first["id"], &first["created_at"]));
     // Made anew from nothing, it is the same file.
     let file = lab.data.join("datasets").join(format!("{id}.parquet"));
     let bytes = std::fs::read(&file).unwrap();
     std::fs::remove_file(&file).unwrap();
     assert_eq!(lab.refused(&format!("/api/v1/datasets/{id}")).await.0, 404);
-    assert_eq!(lab.get("/api/v1/datasets/r2s-transfer").await["id"], first["id"]);
+    assert_eq!(lab.make("r2s-transfer").await["id"], first["id"]);
     assert_eq!(std::fs::read(&file).unwrap(), bytes);
     // Another deadband labels anew: another dataset.
     let relabelled = json!({ "definition": { "name": "softer", "task": "r2s-transfer",
@@ -119,8 +120,22 @@ async fn an_id_is_its_contents_and_a_name_follows_them() {
     filled::twins(&store, run, "sim-0000000000000002", &mut chance).await;
     store.close().await;
     let lab = Filled::serve(data).await;
-    let newer = lab.get("/api/v1/datasets/r2s-transfer").await;
+    // Reading makes nothing: the name stands for the newest one that was made, and says so.
+    let old = lab.get("/api/v1/datasets/r2s-transfer").await;
+    assert_eq!((&old["id"], &old["is_current"]), (&first["id"], &json!(false)));
+    let rows = "/api/v1/datasets/r2s-transfer/rows?columns=trial_id&limit=100";
+    let page = lab.get(rows).await;
+    let newer = lab.make("r2s-transfer").await;
     assert_ne!(newer["id"], first["id"]);
+    let found = lab.get("/api/v1/datasets/r2s-transfer").await;
+    assert_eq!((&found["id"], &found["is_current"]), (&newer["id"], &json!(true)));
+    // Pages stay with the dataset that they began in.
+    let second = format!("{rows}&cursor={}", page["next"].as_str().unwrap());
+    assert_eq!(lab.get(&second).await["dataset"], first["id"]);
+    assert_eq!(lab.get(rows).await["dataset"], newer["id"]);
+    let file = lab.answer("/api/v1/data/r2s-transfer.parquet").await;
+    let address = format!("/api/v1/data/{}.parquet", newer["id"].as_str().unwrap());
+    assert_eq!(file.headers()["content-location"], address.as_str());
     assert_eq!(lab.get(&format!("/api/v1/datasets/{id}")).await["sha256"], first["sha256"]);
     let lineage = lab.get(&format!("/api/v1/datasets/{id}/lineage")).await["lineage"].clone();
     assert_eq!(lineage["models"][0]["model"], "sim-0000000000000001");
@@ -155,7 +170,7 @@ async fn a_run_that_ended_gets_its_file_by_itself() {
         assert!(start.elapsed().as_secs() < 30, "no file in {}", folder.display());
         tokio::time::sleep(std::time::Duration::from_millis(100)).await;
     }
-    let run = lab.get("/api/v1/datasets/run-1").await;
+    let run = lab.make("run-1").await;
     assert_eq!(run["rows"], TRIALS);
     let path = folder.join(format!("{}.parquet", run["id"].as_str().unwrap()));
     assert!(path.with_extension("md").is_file());
@@ -168,6 +183,8 @@ async fn a_run_that_ended_gets_its_file_by_itself() {
 #[tokio::test]
 async fn what_cannot_be_made_is_explained() {
     let lab = Filled::open("refusals").await;
+    let (status, words) = lab.refused("/api/v1/datasets/real").await;
+    assert!(status == 404 && words.contains("palpate dataset make real"), "{words}");
     let (status, words) = lab.refused("/api/v1/datasets/reel").await;
     assert_eq!(status, 404);
     assert!(words.contains("r2s-transfer") && words.contains("run-N"), "{words}");

@@ -8,6 +8,8 @@ use super::filled::Filled;
 #[tokio::test]
 async fn pages_cover_a_dataset_once_also_filtered() {
     let lab = Filled::open("pages").await;
+    lab.make("real").await;
+    lab.make("run-1").await;
     for filter in ["", "&configuration__gte=7&max_force_n__lt=12.5&split=train"] {
         let mut seen = Vec::new();
         let mut path = format!("/api/v1/datasets/run-1/rows?limit=17&columns=trial_id{filter}");
@@ -17,14 +19,14 @@ async fn pages_cover_a_dataset_once_also_filtered() {
         let first = path.clone();
         loop {
             let page = lab.get(&path).await;
-            let rows = page["rows"].as_array().unwrap();
+            let rows = page["items"].as_array().unwrap();
             assert!(rows.len() <= 17);
             seen.extend(rows.iter().map(|row| row["trial_id"].as_i64().unwrap()));
             let Some(next) = page["next"].as_str() else { break };
             path = format!("{first}&cursor={next}");
         }
         let all = lab.get(&first.replace("limit=17", "limit=10000")).await;
-        let all: Vec<i64> = all["rows"]
+        let all: Vec<i64> = all["items"]
             .as_array()
             .unwrap()
             .iter()
@@ -39,15 +41,16 @@ async fn pages_cover_a_dataset_once_also_filtered() {
 #[tokio::test]
 async fn rows_come_in_the_order_of_a_column() {
     let lab = Filled::open("sorted").await;
+    lab.make("run-1").await;
     let path = "/api/v1/datasets/run-1/rows?columns=trial_id,max_force_n,voltages_v&tips=2";
-    let all = lab.get(&format!("{path}&limit=10000")).await["rows"].as_array().unwrap().clone();
+    let all = lab.get(&format!("{path}&limit=10000")).await["items"].as_array().unwrap().clone();
     let mut wanted = all.clone();
     let force = |row: &Value| row["max_force_n"].as_f64().unwrap();
     wanted.sort_by(|a, b| force(b).total_cmp(&force(a)));
     let (mut found, mut cursor) = (Vec::new(), String::new());
     loop {
         let page = lab.get(&format!("{path}&sort=-max_force_n&limit=37{cursor}")).await;
-        found.extend(page["rows"].as_array().unwrap().clone());
+        found.extend(page["items"].as_array().unwrap().clone());
         let Some(next) = page["next"].as_str() else { break };
         cursor = format!("&cursor={next}");
     }
@@ -62,17 +65,18 @@ async fn rows_come_in_the_order_of_a_column() {
 #[tokio::test]
 async fn frames_are_cut_and_maps_sum_to_the_forces() {
     let lab = Filled::open("maps").await;
+    lab.make("real").await;
     let whole = lab.get("/api/v1/datasets/real/rows?limit=3&columns=voltages_v").await;
     let cut = lab.get("/api/v1/datasets/real/rows?limit=3&columns=voltages_v&slice=28:56").await;
     let maps = lab.get("/api/v1/datasets/real/rows?limit=3&columns=contacts&map=10x10").await;
     for row in 0..3 {
-        let whole = whole["rows"][row]["voltages_v"].as_array().unwrap();
+        let whole = whole["items"][row]["voltages_v"].as_array().unwrap();
         assert_eq!(whole.len(), 784);
-        assert_eq!(cut["rows"][row]["voltages_v"].as_array().unwrap(), &whole[28..56]);
-        let map = maps["rows"][row]["force_map_n"].as_array().unwrap();
+        assert_eq!(cut["items"][row]["voltages_v"].as_array().unwrap(), &whole[28..56]);
+        let map = maps["items"][row]["force_map_n"].as_array().unwrap();
         assert_eq!(map.len(), 64 * 64);
         let sum = |values: &[Value]| values.iter().map(|v| v.as_f64().unwrap()).sum::<f64>();
-        let contacts = maps["rows"][row]["contacts"].as_array().unwrap();
+        let contacts = maps["items"][row]["contacts"].as_array().unwrap();
         let forces: Vec<Value> = contacts.iter().map(|c| c["force_n"].clone()).collect();
         assert!((sum(map) / sum(&forces) - 1.0).abs() < 1e-6, "{} {}", sum(map), sum(&forces));
     }
@@ -84,15 +88,22 @@ async fn stored_trials_come_in_every_format() {
     let lab = Filled::open("formats").await;
     let path = "/api/v1/trials?contact_count=2&max_force_n__gt=10&limit=40";
     let json = lab.get(path).await;
-    let ids: Vec<i64> = json["trials"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|t| t["trial_id"].as_i64().unwrap())
-        .collect();
+    let ids: Vec<i64> =
+        json["items"].as_array().unwrap().iter().map(|t| t["trial_id"].as_i64().unwrap()).collect();
     assert_eq!(ids.len(), 40);
     let lines = lab.answer(&format!("{path}&format=ndjson&columns=trial_id,contacts")).await;
-    assert_eq!(lines.headers()["x-next-cursor"], json["next"].to_string().as_str());
+    let next = json["next"].as_str().unwrap();
+    let link = lines.headers()["link"].to_str().unwrap();
+    assert!(link.ends_with("; rel=\"next\""), "{link}");
+    let second = link.strip_prefix('<').and_then(|link| link.split_once('>')).unwrap().0;
+    assert!(second.contains("format=ndjson&columns=trial_id,contacts&cursor="), "{second}");
+    let second = lab.answer(second).await.text().await.unwrap();
+    let first = serde_json::from_str::<Value>(second.lines().next().unwrap()).unwrap();
+    assert!(first["trial_id"].as_i64().unwrap() > ids[39]);
+    let (status, words) = lab.refused(&format!("{path}&sort=-trial_id&cursor={next}")).await;
+    assert!(status == 400 && words.contains("of the same address"), "{status} {words}");
+    let (status, words) = lab.refused(&format!("{path}&columns=trial_id")).await;
+    assert!(status == 400 && words.contains("format=ndjson"), "{status} {words}");
     let text = lines.text().await.unwrap();
     let rows: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(rows.iter().map(|r| r["trial_id"].as_i64().unwrap()).collect::<Vec<_>>(), ids);
@@ -113,8 +124,8 @@ async fn stored_trials_come_in_every_format() {
         };
         assert!(!bytes.is_empty() && bytes.starts_with(starts), "{format}");
     }
-    let backwards = lab.get(&format!("{path}&sort=-trial_id&columns=trial_id")).await;
-    let backwards = backwards["trials"][0]["trial_id"].as_i64().unwrap();
+    let backwards = lab.get(&format!("{path}&sort=-trial_id")).await;
+    let backwards = backwards["items"][0]["trial_id"].as_i64().unwrap();
     assert!(backwards > ids[0]);
     lab.close().await;
 }
@@ -122,6 +133,7 @@ async fn stored_trials_come_in_every_format() {
 #[tokio::test]
 async fn bad_queries_are_400_with_the_column_and_the_choices() {
     let lab = Filled::open("bad-queries").await;
+    lab.make("real").await;
     for path in [
         "/api/v1/trials",
         "/api/v1/runs/1/trials",
