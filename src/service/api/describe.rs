@@ -12,6 +12,7 @@ use utoipa::openapi::{
     Content, ContentBuilder, HeaderBuilder, OpenApi, Ref, RefOr, Response, ResponseBuilder,
 };
 
+use super::examples;
 use super::routes::{Access, AllNeeds, Lock, Needs};
 use crate::dataset::format::Format;
 use crate::store::Role;
@@ -112,6 +113,11 @@ fn complete_operation(operation: &mut Operation, needs: &Needs) {
     let pages = has(&|parameter| parameter.name == "format");
     if operation.request_body.is_some() && needs.access != Access::Stop {
         refusals.extend([BAD_REQUEST, TOO_SLOW, TOO_LARGE, OTHER_TYPE, INVALID]);
+    }
+    if let Some(RefOr::T(body)) = &mut operation.request_body
+        && let Some(RefOr::T(json)) = body.content.get_mut("application/json")
+    {
+        json.example = operation.operation_id.as_deref().and_then(examples::body);
     }
     if needs.lock != Lock::Ignored {
         refusals.push(LOCKED);

@@ -42,6 +42,7 @@ mod door;
 mod estop;
 mod evaluation;
 mod events;
+mod examples;
 mod exports;
 mod finished;
 mod form;

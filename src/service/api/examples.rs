@@ -1,0 +1,45 @@
+//! Examples of request bodies for the description of the API.
+//! Uses: the files of `experiments/`. Never: a body that the service would refuse.
+
+use serde_json::{Value, json};
+
+use crate::carried::{RECIPES, text};
+
+const EXPERIMENT: &str = include_str!("../../../experiments/quickstart.toml");
+const SENSOR: &str = include_str!("../../../experiments/sensors/ert-28.toml");
+
+/// Returns the example of an operation's body; `None` for uploads, and for frames, which are long.
+pub fn body(operation: &str) -> Option<Value> {
+    let submission =
+        || json!({ "file": "quickstart.toml", "definition": EXPERIMENT, "sensor": SENSOR });
+    Some(match operation {
+        "arm_run" => json!({ "who": "Ada", "why": "overnight run" }),
+        "check_rig" => json!({ "enable": false, "who": "Ada" }),
+        "create_key" => json!({ "name": "Ada", "role": "operator" }),
+        "evaluate" => {
+            json!({ "scored": "exact", "dataset": "real", "where": ["contact_count__lte=2"], "limit": 20 })
+        }
+        "make_dataset" => json!({ "name": "real" }),
+        "move_run" => json!({ "position": 1, "who": "Ada" }),
+        "preflight_submission" => submission(),
+        "promote" => {
+            json!({ "what": "transfer-net", "why": "least FVU of the week", "who": "Ada" })
+        }
+        "queue_run" => {
+            let mut body = submission();
+            body["who"] = "Ada".into();
+            body
+        }
+        "request_export" => {
+            json!({ "dataset": "real", "format": "npz", "where": ["contact_count__gte=3"], "map": "4x20" })
+        }
+        "rig_action" => json!({ "action": "jog", "axis": "z", "to_mm": 0.0, "who": "Ada" }),
+        "roll_back" => json!({ "slot": "transfer", "why": "too many ghosts", "who": "Ada" }),
+        "run_action" => {
+            json!({ "action": "pause", "when": "checkpoint", "why": "lunch", "who": "Ada" })
+        }
+        "take_lock" => json!({ "note": "hands in the rig" }),
+        "train" => json!({ "recipe": text(RECIPES, "transfer-net")? }),
+        _ => return None,
+    })
+}
