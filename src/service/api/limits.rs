@@ -75,6 +75,14 @@ pub const WHY_MAX_CHARS: usize = 500;
 pub const DETAIL_MAX_CHARS: usize = 2000;
 /// Entries of the log of actions that wait for a failing store.
 pub const LOGGED_LATER_MAX: usize = 1000;
+/// Characters of an `Idempotency-Key`.
+pub const ONCE_KEY_MAX_CHARS: usize = 128;
+/// Time for which a request with an `Idempotency-Key` is kept.
+pub const ONCE_KEPT: Duration = Duration::from_secs(24 * 3600);
+/// Requests of one caller that are kept.
+pub const ONCE_MAX: u32 = 10_000;
+/// Largest response that is kept, bytes.
+pub const ONCE_RESPONSE_MAX_BYTES: usize = 1 << 20;
 /// Parameters of a selection of rows.
 pub const CONDITIONS_MAX: usize = 100;
 /// Values of one condition `COLUMN__in`.
@@ -147,6 +155,10 @@ mod tests {
             line("name of a person, holder, key or model", format!("{WHO_MAX_CHARS} characters"), "422; in the log of actions: cut"),
             line("note of the lock, reason of an action", format!("{WHY_MAX_CHARS} characters"), "422; in the log of actions: cut"),
             line("message of a refusal in the log of actions", format!("{DETAIL_MAX_CHARS} characters"), "cut"),
+            line("`Idempotency-Key`", format!("{ONCE_KEY_MAX_CHARS} characters"), "400"),
+            line("time for which a request with an `Idempotency-Key` is kept", seconds(ONCE_KEPT), "a repetition is a new request"),
+            line("kept requests of one key, or of all clients without a key", ONCE_MAX.to_string(), "the oldest one is removed"),
+            line("response to a request with an `Idempotency-Key`", bytes(ONCE_RESPONSE_MAX_BYTES), "not kept: a repetition gets 409"),
             line("rows of a page", MAX_PAGE.to_string(), "400"),
             line("parameters of a selection of rows", n(CONDITIONS_MAX), "400"),
             line("values of a condition `COLUMN__in`", n(VALUES_MAX), "400"),
