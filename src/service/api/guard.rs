@@ -1,8 +1,8 @@
 //! Checks before a handler runs, by the table of operations: key, role, origin, number of requests,
 //! size and pace of the body, operator lock, repetitions (`once`), entity tags (`edited`). After it:
 //! the log of actions, and the end of streams whose key is revoked.
-//! Uses: `routes`, `auth`, `audit`, `once`, `edited`, the store (the lock). Never: the e-stop, which checks its key
-//! itself and waits for nothing.
+//! Uses: `routes`, `auth`, `audit`, `once`, `edited`, the store (the lock). Never: the e-stop, which
+//! checks its key itself and waits for nothing.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -93,11 +93,13 @@ pub async fn admit(State(app): State<App>, mut request: Request, next: Next) -> 
         Some(action) => {
             let act = Act::new(caller.clone(), action);
             let request = checked(&app, needs, &act, request).await;
-            let acting = carry_out(app.clone(), needs, act, request, next).in_current_span();
+            let held = place.clone();
+            let acting = carry_out(app.clone(), needs, act, request, next);
+            let acting = async move { (acting.await, held).0 }.in_current_span();
             if uploads {
                 acting.await
             } else {
-                // The action runs to its end and is logged, even if its client disconnects.
+                // It runs to its end and is logged, even if its client disconnects.
                 let ended = tokio::spawn(acting).await;
                 ended.unwrap_or_else(|_| panicked().into_response())
             }

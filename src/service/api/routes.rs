@@ -232,3 +232,22 @@ impl AllNeeds {
         self.0.iter().map(|((method, path), needs)| (method, path.as_str(), needs))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_stop_waits_for_an_edit_or_a_write_and_what_is_repeated_is_a_small_action() {
+        let all = AllNeeds::of(&table());
+        for (method, path, needs) in all.iter() {
+            let stops = needs.lock == Lock::RefusesSome || needs.access == Access::Stop;
+            assert!(!stops || (!needs.once && needs.edited.is_none()), "{path}");
+            // The commands find it by its method and address.
+            let is_simple = *method == Method::POST && !path.contains('{');
+            let is_small_action = needs.action.is_some() && needs.body_max_bytes <= BODY_MAX_BYTES;
+            assert!(!needs.once || (is_simple && is_small_action), "{path}");
+        }
+        assert_eq!(all.iter().filter(|(.., needs)| needs.once).count(), 10);
+    }
+}
