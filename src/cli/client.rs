@@ -1,5 +1,5 @@
 //! Client of the service: requests with deadlines, refusals as errors.
-//! Uses: reqwest, `view`. Never: the service's internals, retries that could start something twice.
+//! Uses: reqwest, `view`, `repeat`. Never: the service's internals; a repetition except in `repeat`.
 
 use std::path::Path;
 use std::time::Duration;
@@ -14,6 +14,7 @@ use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::{self, Message};
 
 use super::error::CliError;
+use super::repeat;
 use super::view::{ArmedView, EventView, StatusView, TakenUpView};
 use crate::api::{Page, Summary};
 use crate::ids::RunUid;
@@ -383,7 +384,8 @@ impl Client {
         request: RequestBuilder,
     ) -> Result<Response, CliError> {
         let request = self.with_key(request).timeout(self.answer_within);
-        let answer = request.send().await.map_err(|source| {
+        let answer = repeat::send(request, &operation, self.answer_within).await;
+        let answer = answer.map_err(|source| {
             if source.is_connect() {
                 CliError::NoServer { url: self.url.clone() }
             } else {

@@ -30,6 +30,7 @@ mod output;
 mod plan;
 mod progress;
 mod queue;
+mod repeat;
 mod rig;
 mod run;
 mod serve;

@@ -9,6 +9,7 @@
 mod calibration;
 mod contract;
 mod datasets;
+mod edited;
 mod evaluate;
 mod experiments;
 mod golden_plans;
@@ -17,6 +18,7 @@ mod independent_fit;
 #[cfg(feature = "train")]
 mod onnx;
 mod old_data;
+mod once;
 mod requests;
 mod rights;
 mod rig_transcripts;

@@ -7,6 +7,7 @@
 mod bench;
 mod campaign;
 mod live;
+mod once;
 mod rig_contract;
 mod safety;
 mod stop;

@@ -132,6 +132,7 @@ impl Act {
                 run: entry.run,
                 action: entry.action.clone().into_owned(),
                 who: self.caller.name(entry.who.as_deref()),
+                key_id: self.caller.key.as_ref().map(|key| key.id),
                 why: entry.why.clone(),
                 accepted: outcome.accepted,
                 detail: outcome.refused.map(|why| cut(&why, DETAIL_MAX_CHARS)),

@@ -3,7 +3,8 @@
 //! of clients accept.
 //! Uses: `routes`, utoipa. Never: a fact that contradicts the table of operations.
 
-use utoipa::openapi::path::{Operation, Parameter, ParameterIn};
+use axum::http::Method;
+use utoipa::openapi::path::{Operation, Parameter, ParameterBuilder, ParameterIn};
 use utoipa::openapi::schema::{
     AdditionalProperties, AllOf, Array, ArrayItems, Components, Object, Schema, SchemaType, Type,
 };
@@ -71,20 +72,20 @@ pub fn complete(description: &mut OpenApi, all: &AllNeeds) {
     simplify(components);
     for (path, item) in &mut description.paths.paths {
         let operations = [
-            (axum::http::Method::GET, &mut item.get),
-            (axum::http::Method::PUT, &mut item.put),
-            (axum::http::Method::POST, &mut item.post),
-            (axum::http::Method::DELETE, &mut item.delete),
+            (Method::GET, &mut item.get),
+            (Method::PUT, &mut item.put),
+            (Method::POST, &mut item.post),
+            (Method::DELETE, &mut item.delete),
         ];
         for (method, operation) in operations {
             if let Some((operation, needs)) = operation.as_mut().zip(all.find(&method, path)) {
-                complete_operation(operation, needs);
+                complete_operation(operation, &method, needs);
             }
         }
     }
 }
 
-fn complete_operation(operation: &mut Operation, needs: &Needs) {
+fn complete_operation(operation: &mut Operation, method: &Method, needs: &Needs) {
     let required = SecurityRequirement::new::<_, [&str; 0], &str>(KEY, []);
     operation.security = match needs.access {
         Access::Open => Some(vec![]),
@@ -141,6 +142,13 @@ fn complete_operation(operation: &mut Operation, needs: &Needs) {
         let formats = Format::ALL.into_iter().filter(|format| format.streams());
         page.content.extend(formats.map(|format| (format.media_type().into(), table().into())));
     }
+    if needs.once {
+        describe_repetition(operation, &refusals);
+    }
+    if needs.edited.is_some() {
+        describe_tags(operation, *method == Method::GET);
+    }
+    let responses = &mut operation.responses.responses;
     for (status, name, _) in refusals {
         responses.entry(status.into()).or_insert(RefOr::Ref(Ref::from_response_name(name)));
     }
@@ -168,6 +176,79 @@ fn complete_operation(operation: &mut Operation, needs: &Needs) {
         text.push_str("\n\n");
     }
     text.push_str(rights);
+}
+
+/// Adds the key of a request that is carried out once, and the refusals of its repetitions.
+fn describe_repetition(operation: &mut Operation, refusals: &[Refusal]) {
+    let text = "A text that the client chose for this request, for example a UUID: a repetition with the \
+                same key has no further effect and gets the first response, with the header \
+                `Idempotency-Replayed: true`. A string in double quotes, or its 1 to 128 visible ASCII \
+                characters alone. Not after a refusal (4xx): then the key may be used again.";
+    add_header(operation, "Idempotency-Key", text);
+    let responses = &mut operation.responses.responses;
+    for (status, words) in [
+        (
+            "409",
+            "the request with this `Idempotency-Key` is in progress (with `Retry-After`), or its \
+             outcome is unknown",
+        ),
+        ("422", "this `Idempotency-Key` was used with another request"),
+    ] {
+        let shared = refusals.iter().find(|refusal| refusal.0 == status);
+        match (responses.get_mut(status), shared) {
+            (Some(RefOr::T(response)), _) => {
+                response.description = format!("{}; or {words}", response.description);
+            }
+            (_, Some((.., meaning))) => {
+                let meaning = format!("{meaning}; or {words}");
+                responses.insert(status.into(), RefOr::T(problem(&meaning)));
+            }
+            (_, None) => {
+                responses.insert(status.into(), RefOr::T(problem(words)));
+            }
+        }
+    }
+    let done = responses.iter_mut().filter(|(status, _)| status.starts_with('2'));
+    for (_, response) in done {
+        if let RefOr::T(response) = response {
+            let replayed =
+                "`true` if this is the response to an earlier request with the same key.";
+            let header = HeaderBuilder::new().description(Some(replayed)).build();
+            response.headers.insert("Idempotency-Replayed".into(), header.into());
+        }
+    }
+}
+
+/// Adds the entity tag of what an operation shows, or changes.
+fn describe_tags(operation: &mut Operation, shows: bool) {
+    if !shows {
+        let text =
+            "Entity tags, or `*`: the change is made only if one of them is the present one.";
+        add_header(operation, "If-Match", text);
+        let changed = problem("it has changed since the entity tag of `If-Match` was read");
+        operation.responses.responses.insert("412".into(), RefOr::T(changed));
+        return;
+    }
+    add_header(operation, "If-None-Match", "Entity tags that the client has, or `*`.");
+    let responses = &mut operation.responses.responses;
+    let known = ResponseBuilder::new().description("the client has it already").build();
+    responses.insert("304".into(), RefOr::T(known));
+    for status in ["200", "304"] {
+        if let Some(RefOr::T(response)) = responses.get_mut(status) {
+            let tag = HeaderBuilder::new().description(Some("Entity tag, for `If-Match`.")).build();
+            response.headers.insert("ETag".into(), tag.into());
+        }
+    }
+}
+
+fn add_header(operation: &mut Operation, name: &str, description: &str) {
+    let header = ParameterBuilder::new()
+        .name(name)
+        .parameter_in(ParameterIn::Header)
+        .description(Some(description))
+        .schema(Some(Object::with_type(SchemaType::Type(Type::String))))
+        .build();
+    operation.parameters.get_or_insert_default().push(header.into());
 }
 
 fn complete_response(status: &str, response: &mut Response) {

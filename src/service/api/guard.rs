@@ -1,8 +1,8 @@
 //! Checks before a handler runs, by the table of operations: key, role, origin, number of requests,
-//! size and pace of the body, operator lock. After it: the log of actions, and the end of streams
-//! whose key is revoked.
-//! Uses: `routes`, `auth`, `audit`, the store (the lock). Never: the e-stop, which checks its key
-//! itself and waits for nothing.
+//! size and pace of the body, operator lock, repetitions (`once`), entity tags (`edited`). After it:
+//! the log of actions, and the end of streams whose key is revoked.
+//! Uses: `routes`, `auth`, `audit`, `once`, `edited`, the store (the lock). Never: the e-stop, which
+//! checks its key itself and waits for nothing.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -17,14 +17,17 @@ use futures::StreamExt;
 use parking_lot::Mutex;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, timeout_at};
+use tracing::Instrument;
 
 use super::App;
 use super::audit::{Act, Outcome};
 use super::auth::{self, Caller};
+use super::edited;
 use super::limits::{
     BODY_MAX_BYTES, BODY_STALL, BODY_WITHIN, CALLER_REQUESTS, UPLOAD_WITHIN, WRONG_KEY_DELAY,
 };
 use super::line::Held;
+use super::once;
 use super::problem::ApiError;
 use super::routes::{Access, Lock, Needs};
 use super::runs;
@@ -89,23 +92,50 @@ pub async fn admit(State(app): State<App>, mut request: Request, next: Next) -> 
     let response = match needs.action {
         Some(action) => {
             let act = Act::new(caller.clone(), action);
-            let response = match checked(&app, needs, &act, request).await {
-                Ok(request) => next.run(request).await,
-                Err(refused) => refused.into_response(),
-            };
-            if is_logged(&caller, response.status()) {
-                let outcome = Outcome::of(&response);
-                act.log(&app, outcome).await;
+            let request = checked(&app, needs, &act, request).await;
+            let held = place.clone();
+            let acting = carry_out(app.clone(), needs, act, request, next);
+            let acting = async move { (acting.await, held).0 }.in_current_span();
+            if uploads {
+                acting.await
+            } else {
+                // It runs to its end and is logged, even if its client disconnects.
+                let ended = tokio::spawn(acting).await;
+                ended.unwrap_or_else(|_| panicked().into_response())
             }
-            response
         }
-        None => next.run(request).await,
+        None => edited::carry_out(&app, needs, request, next).await,
     };
     let is_events = response
         .headers()
         .get(header::CONTENT_TYPE)
         .is_some_and(|kind| kind.as_bytes().starts_with(b"text/event-stream"));
     response.map(|body| Body::new(Held::new(until_revoked(&app, &caller, body, is_events), place)))
+}
+
+/// Carries out an action if it is allowed, and logs it. A repetition does nothing and is not logged.
+async fn carry_out(
+    app: App,
+    needs: Needs,
+    act: Act,
+    request: Result<Request, ApiError>,
+    next: Next,
+) -> Response {
+    let response = match request {
+        Ok(request) => once::carry_out(&app, needs, act.caller(), request, next).await,
+        Err(refused) => refused.into_response(),
+    };
+    if is_logged(act.caller(), response.status()) && !once::is_replayed(&response) {
+        let outcome = Outcome::of(&response);
+        act.log(&app, outcome).await;
+    }
+    response
+}
+
+fn panicked() -> ApiError {
+    let words =
+        "the request failed, and its outcome is unknown: the log of the service has the cause";
+    ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, words)
 }
 
 /// Whether the log of actions gets an entry. A viewer must not be able to fill it with bodies that

@@ -79,6 +79,14 @@ pub const LOGGED_LATER_MAX: usize = 1000;
 pub const LIST_PAGE: u32 = 100;
 /// Entries of a page of a list.
 pub const LIST_MAX: u32 = 1000;
+/// Characters of an `Idempotency-Key`.
+pub const ONCE_KEY_MAX_CHARS: usize = 128;
+/// Time for which a request with an `Idempotency-Key` is kept.
+pub const ONCE_KEPT: Duration = Duration::from_secs(24 * 3600);
+/// Requests of one caller that are kept.
+pub const ONCE_MAX: u32 = 10_000;
+/// Largest response that is kept, bytes.
+pub const ONCE_RESPONSE_MAX_BYTES: usize = 1 << 20;
 /// Parameters of a selection of rows.
 pub const CONDITIONS_MAX: usize = 100;
 /// Values of one condition `COLUMN__in`.
@@ -153,6 +161,10 @@ mod tests {
             line("message of a refusal in the log of actions", format!("{DETAIL_MAX_CHARS} characters"), "cut"),
             line("entries of a page of a list, by default 100", LIST_MAX.to_string(), "400"),
             line("rows of a page of trials or of a dataset, by default 100", MAX_PAGE.to_string(), "400"),
+            line("`Idempotency-Key`", format!("{ONCE_KEY_MAX_CHARS} characters"), "400"),
+            line("time for which a request with an `Idempotency-Key` is kept", seconds(ONCE_KEPT), "a repetition is a new request"),
+            line("kept requests of one key, or of all clients without a key", ONCE_MAX.to_string(), "the oldest one is removed"),
+            line("response to a request with an `Idempotency-Key`", bytes(ONCE_RESPONSE_MAX_BYTES), "not kept: a repetition gets 409"),
             line("parameters of a selection of rows", n(CONDITIONS_MAX), "400"),
             line("values of a condition `COLUMN__in`", n(VALUES_MAX), "400"),
             line("numbers in the frames and maps of a page", PAGE_NUMBERS_MAX.to_string(), "400"),

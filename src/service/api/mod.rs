@@ -39,6 +39,7 @@ mod auth;
 mod datasets;
 mod describe;
 mod door;
+mod edited;
 mod estop;
 mod evaluation;
 mod events;
@@ -56,6 +57,7 @@ mod line;
 mod live;
 mod lock_file;
 mod models;
+mod once;
 mod page;
 mod pages;
 mod params;
@@ -74,6 +76,7 @@ mod trials;
 mod twins;
 mod work;
 
+pub use edited::Edited;
 pub use infer::{FrameAnswer, InferOptions, InferRequest, LiveAnswer, Turns};
 pub use jobs::JobOut;
 pub use lock_file::{LockFile, LockFileError};
@@ -197,6 +200,8 @@ struct Facts {
     logged_later: Arc<Semaphore>,
     needs: AllNeeds,
     in_progress: guard::InProgress,
+    running: once::Running,
+    edits: edited::Edits,
     tickets: auth::Tickets,
     wrong_keys: auth::WrongKeys,
     delayed: Semaphore,
@@ -215,7 +220,8 @@ impl App {
     title = "Palpate",
     description = "Presses a tactile robot skin with a rig, trains models on the measured trials, \
                    and estimates position and force of contacts. Units are in the names; times are \
-                   RFC 3339 in UTC; errors are RFC 9457 problem bodies."
+                   RFC 3339 in UTC; errors are RFC 9457 problem bodies. What may change within v1, \
+                   repetitions, entity tags and limits: docs/api.md of the source."
 ))]
 struct Description;
 
@@ -314,6 +320,8 @@ impl Service {
             logged_later: Arc::new(Semaphore::new(limits::LOGGED_LATER_MAX)),
             needs: AllNeeds::of(&routes::table()),
             in_progress: guard::InProgress::default(),
+            running: once::Running::default(),
+            edits: edited::Edits::default(),
             tickets: auth::Tickets::default(),
             wrong_keys: auth::WrongKeys::default(),
             delayed: Semaphore::new(limits::DELAYED),

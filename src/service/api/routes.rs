@@ -8,6 +8,7 @@ use axum::http::Method;
 use utoipa_axum::router::UtoipaMethodRouter;
 use utoipa_axum::routes;
 
+use super::edited::Edited;
 use super::limits::{
     ACTION_BODY_MAX_BYTES, BODY_MAX_BYTES, FRAMES_MAX_BYTES, IMPORT_MAX_BYTES, MODEL_MAX_BYTES,
 };
@@ -30,6 +31,12 @@ pub struct Needs {
     pub body_max_bytes: usize,
     /// Whether it opens a WebSocket, for which a ticket may stand for the key.
     pub socket: bool,
+    /// Whether it is carried out once per `Idempotency-Key`: it creates or starts something. Not those
+    /// that must not wait for a write (actions on runs, the e-stop), whose responses must not be stored
+    /// (keys, tickets), that are uploads with unique names, or that have the same effect when repeated.
+    pub once: bool,
+    /// What it shows (GET) or changes (other methods), with an entity tag.
+    pub edited: Option<Edited>,
 }
 
 /// Who may ask for an operation.
@@ -68,6 +75,8 @@ const READS: Needs = Needs {
     action: None,
     body_max_bytes: BODY_MAX_BYTES,
     socket: false,
+    once: false,
+    edited: None,
 };
 const SOCKET: Needs = Needs { socket: true, ..READS };
 
@@ -78,7 +87,7 @@ const fn acts(action: &'static str) -> Needs {
         lock: Lock::Refuses,
         action: Some(action),
         body_max_bytes: ACTION_BODY_MAX_BYTES,
-        socket: false,
+        ..READS
     }
 }
 
@@ -98,6 +107,14 @@ impl Needs {
     const fn body(self, body_max_bytes: usize) -> Self {
         Self { body_max_bytes, ..self }
     }
+
+    const fn once(self) -> Self {
+        Self { once: true, ..self }
+    }
+
+    const fn of(self, edited: Edited) -> Self {
+        Self { edited: Some(edited), ..self }
+    }
 }
 
 /// Returns all operations.
@@ -106,10 +123,10 @@ pub fn table() -> Vec<Operation> {
     use Role::{Admin, Viewer};
     let rows: Vec<(Needs, UtoipaMethodRouter<App>)> = vec![
         (READS, routes!(status::status)),
-        (READS, routes!(queue::list)),
-        (acts("queue").body(BODY_MAX_BYTES), routes!(queue::add)),
-        (acts("remove"), routes!(queue::remove)),
-        (acts("move"), routes!(queue::shift)),
+        (READS.of(Edited::Queue), routes!(queue::list)),
+        (acts("queue").body(BODY_MAX_BYTES).once().of(Edited::Queue), routes!(queue::add)),
+        (acts("remove").of(Edited::Queue), routes!(queue::remove)),
+        (acts("move").of(Edited::Queue), routes!(queue::shift)),
         (READS.role(Role::Operator), routes!(queue::preflight)),
         (READS, routes!(runs::list)),
         (READS, routes!(runs::one)),
@@ -128,7 +145,7 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(twins::of_run)),
         (READS, routes!(evaluation::simulation)),
         (READS, routes!(datasets::list)),
-        (acts("make a dataset").body(BODY_MAX_BYTES), routes!(datasets::make)),
+        (acts("make a dataset").body(BODY_MAX_BYTES).once(), routes!(datasets::make)),
         (READS, routes!(datasets::one)),
         (READS, routes!(datasets::lineage)),
         (READS, routes!(datasets::card)),
@@ -136,12 +153,12 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(datasets::data)),
         (READS, routes!(exports::list)),
         // An export reads rows: viewers may, and no lock prevents it.
-        (acts("export").role(Viewer).lock(Lock::Ignored), routes!(exports::request)),
+        (acts("export").role(Viewer).lock(Lock::Ignored).once(), routes!(exports::request)),
         (READS, routes!(exports::one)),
         (READS, routes!(exports::file)),
         (acts("import").body(IMPORT_MAX_BYTES), routes!(imports::add)),
-        (acts("train").body(BODY_MAX_BYTES), routes!(jobs::train)),
-        (acts("evaluate"), routes!(jobs::evaluate)),
+        (acts("train").body(BODY_MAX_BYTES).once(), routes!(jobs::train)),
+        (acts("evaluate").once(), routes!(jobs::evaluate)),
         (READS, routes!(jobs::list)),
         (READS, routes!(jobs::one)),
         (READS, routes!(jobs::losses)),
@@ -152,20 +169,20 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(models::losses)),
         (READS, routes!(models::residuals)),
         (acts("add a model").body(MODEL_MAX_BYTES), routes!(models::add)),
-        (acts("add a calibration").body(BODY_MAX_BYTES), routes!(models::add_calibration)),
-        (READS, routes!(models::serving)),
-        (acts("promote"), routes!(models::promote)),
-        (acts("roll back"), routes!(models::roll_back)),
+        (acts("add a calibration").body(BODY_MAX_BYTES).once(), routes!(models::add_calibration)),
+        (READS.of(Edited::Serving), routes!(models::serving)),
+        (acts("promote").once().of(Edited::Serving), routes!(models::promote)),
+        (acts("roll back").once().of(Edited::Serving), routes!(models::roll_back)),
         (READS.body(FRAMES_MAX_BYTES), routes!(infer::infer)),
         (SOCKET, routes!(infer::live)),
         (READS, routes!(events::events)),
         (SOCKET, routes!(live::frames)),
-        (acts("rig_action"), routes!(rig::act)),
-        (acts("rig_check"), routes!(rig::check)),
-        (READS, routes!(people::lock)),
+        (acts("rig_action").once(), routes!(rig::act)),
+        (acts("rig_check").once(), routes!(rig::check)),
+        (READS.of(Edited::Lock), routes!(people::lock)),
         // The lock itself: the handlers compare the holder.
-        (acts("lock").lock(Lock::Ignored), routes!(people::take_lock)),
-        (acts("unlock").lock(Lock::Ignored), routes!(people::clear_lock)),
+        (acts("lock").lock(Lock::Ignored).of(Edited::Lock), routes!(people::take_lock)),
+        (acts("unlock").lock(Lock::Ignored).of(Edited::Lock), routes!(people::clear_lock)),
         // A lock does not keep a key from being revoked.
         (READS.role(Admin), routes!(people::keys)),
         (acts("key").role(Admin).lock(Lock::Ignored), routes!(people::create_key)),
@@ -213,5 +230,24 @@ impl AllNeeds {
     /// Returns all operations with their needs.
     pub fn iter(&self) -> impl Iterator<Item = (&Method, &str, &Needs)> {
         self.0.iter().map(|((method, path), needs)| (method, path.as_str(), needs))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_stop_waits_for_an_edit_or_a_write_and_what_is_repeated_is_a_small_action() {
+        let all = AllNeeds::of(&table());
+        for (method, path, needs) in all.iter() {
+            let stops = needs.lock == Lock::RefusesSome || needs.access == Access::Stop;
+            assert!(!stops || (!needs.once && needs.edited.is_none()), "{path}");
+            // The commands find it by its method and address.
+            let is_simple = *method == Method::POST && !path.contains('{');
+            let is_small_action = needs.action.is_some() && needs.body_max_bytes <= BODY_MAX_BYTES;
+            assert!(!needs.once || (is_simple && is_small_action), "{path}");
+        }
+        assert_eq!(all.iter().filter(|(.., needs)| needs.once).count(), 10);
     }
 }

@@ -17,6 +17,7 @@ use serde::Serialize;
 use serde_json::value::RawValue;
 use tower_http::services::ServeFile;
 
+use super::edited::lists;
 use super::limits::PAGE_NUMBERS_MAX;
 use super::problem::ApiError;
 use crate::dataset::error::DatasetError;
@@ -74,9 +75,7 @@ pub async fn file(
     Download { name, immutable }: Download<'_>,
 ) -> Result<Response, ApiError> {
     let tag = format!("\"{}\"", export_file.sha256);
-    let unchanged = text(request.headers(), &header::IF_NONE_MATCH).is_some_and(|tags| {
-        tags == "*" || tags.split(',').any(|known| known.trim().trim_start_matches("W/") == tag)
-    });
+    let unchanged = lists(request.headers(), &header::IF_NONE_MATCH, &tag);
     if text(request.headers(), &header::IF_RANGE).is_some_and(|wanted| wanted != tag) {
         // The client has parts of another file: the whole file is sent.
         request.headers_mut().remove(header::RANGE);

@@ -20,6 +20,8 @@ pub struct NewAction {
     pub action: String,
     /// Name of the API key, or of a caller without a key (`local`).
     pub who: String,
+    /// Number of the API key; absent without one.
+    pub key_id: Option<i64>,
     /// Reason that the person entered; absent without one.
     pub why: Option<String>,
     /// Whether it was accepted (true) or refused (false).
@@ -42,6 +44,9 @@ pub struct ActionRow {
     pub action: String,
     /// Name of the API key, or of a caller without a key (`local`).
     pub who: String,
+    /// Number of the API key, which is unique, unlike the name of a revoked key; absent without one, and
+    /// for actions that an older version logged.
+    pub key_id: Option<i64>,
     /// Reason that the person entered; absent without one.
     pub why: Option<String>,
     /// Whether it was accepted (true) or refused (false).
@@ -66,12 +71,12 @@ impl Store {
             .writer
             .run(OPERATION, async move |connection| {
                 sqlx::query(
-                    "INSERT INTO actions (at, run, action, who, why, accepted, detail)
-                     SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7 WHERE NOT EXISTS (
+                    "INSERT INTO actions (at, run, action, who, why, accepted, detail, key_id)
+                     SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8 WHERE NOT EXISTS (
                        SELECT 1 FROM actions
                        WHERE id > (SELECT max(id) - 1000 FROM actions) AND at = ?1
                          AND run IS ?2 AND action = ?3 AND who = ?4 AND why IS ?5
-                         AND accepted = ?6 AND detail IS ?7)",
+                         AND accepted = ?6 AND detail IS ?7 AND key_id IS ?8)",
                 )
                 .bind(time_text(action.at))
                 .bind(scan_id)
@@ -80,6 +85,7 @@ impl Store {
                 .bind(action.why)
                 .bind(action.accepted)
                 .bind(action.detail)
+                .bind(action.key_id)
                 .execute(connection)
                 .await
                 .map(drop)
@@ -128,6 +134,7 @@ impl Store {
                     run: c.uid_or_none("uid")?,
                     action: c.get("action")?,
                     who: c.get("who")?,
+                    key_id: c.get("key_id")?,
                     why: c.get("why")?,
                     accepted: c.get("accepted")?,
                     detail: c.get("detail")?,

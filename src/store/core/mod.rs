@@ -17,6 +17,8 @@ pub(crate) mod facts;
 pub(crate) mod lock;
 /// API keys.
 pub(crate) mod keys;
+/// Requests that are carried out once.
+pub(crate) mod once;
 
 pub(crate) use error::{During, StoreError};
 pub(crate) use store::Store;

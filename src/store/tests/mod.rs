@@ -3,6 +3,7 @@
 
 mod damage;
 mod datasets;
+mod once;
 mod people;
 mod runs;
 mod schema;

@@ -111,6 +111,7 @@ async fn actions_are_logged_newest_first() {
         run: accepted.then_some(run),
         action: name.into(),
         who: "local".into(),
+        key_id: None,
         why: Some("tip loose".into()),
         accepted,
         detail: (!accepted).then(|| "run is not paused".into()),
@@ -126,6 +127,26 @@ async fn actions_are_logged_newest_first() {
     assert_eq!(all[0].detail.as_deref(), Some("run is not paused"));
     assert_eq!(store.actions(Some(run), 10, None).await.unwrap(), all[1..]);
     assert_eq!(store.actions(None, 10, Some(2)).await.unwrap(), all[1..]);
+}
+
+#[tokio::test]
+async fn actions_of_two_keys_with_one_name_are_told_apart() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let ring = KeyRing::load(store.clone()).await.unwrap();
+    let at = now();
+    let mut ids = Vec::new();
+    for n in 0..2 {
+        let (row, _) = ring.create("night shift", Role::Operator, [n; 32]).await.unwrap();
+        assert!(ring.revoke(row.id).await.unwrap());
+        let (run, why, detail) = (None, None, None);
+        let (action, who, key_id) = ("tare".into(), row.name, Some(row.id));
+        let new = NewAction { at, run, action, who, key_id, why, accepted: true, detail };
+        store.log_action(new).await.unwrap();
+        ids.insert(0, key_id);
+    }
+    let logged = store.actions(None, 9, None).await.unwrap();
+    assert_eq!(logged.iter().map(|action| action.key_id).collect::<Vec<_>>(), ids);
 }
 
 #[tokio::test]

@@ -1,0 +1,172 @@
+//! Requests that are carried out once: which began, and with which response they ended.
+//! Uses: `core::writer`. Never: the meaning of a request; HTTP.
+
+use std::time::Duration;
+
+use jiff::Timestamp;
+use sqlx::sqlite::{SqliteConnection, SqliteRow};
+
+use super::columns::{Columns, time_text};
+use super::{During, Store, StoreError};
+
+/// Name of a request: the caller, and the key that it chose.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct OnceKey {
+    /// Number of the API key; absent for callers without one.
+    pub caller: Option<i64>,
+    /// The key of the request.
+    pub name: String,
+}
+
+impl OnceKey {
+    fn caller(&self) -> i64 {
+        self.caller.unwrap_or(0)
+    }
+}
+
+/// A stored response.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct OnceResponse {
+    /// HTTP status.
+    pub status: u16,
+    /// Address of the new object; absent without one.
+    pub location: Option<String>,
+    /// Media type of the body; absent without a body.
+    pub content_type: Option<String>,
+    /// The body.
+    pub body: Vec<u8>,
+}
+
+/// A request that began before.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct OnceRow {
+    /// sha256 of the request.
+    pub request: String,
+    /// Wall time at which it began.
+    pub began_at: Timestamp,
+    /// Its response; absent if none is stored.
+    pub response: Option<OnceResponse>,
+}
+
+impl OnceRow {
+    fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
+        let c = Columns::of(row, operation);
+        let response = match c.get("status")? {
+            Some(status) => Some(OnceResponse {
+                status,
+                location: c.get("location")?,
+                content_type: c.get("content_type")?,
+                body: c.get("body")?,
+            }),
+            None => None,
+        };
+        Ok(Self { request: c.get("request")?, began_at: c.time("began_at")?, response })
+    }
+}
+
+impl Store {
+    /// Stores that a request begins, and removes requests that are older than `kept`, and all except the
+    /// newest `most` of its caller. If one with the same key began before, returns that one instead.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn begin_once(
+        &self,
+        key: &OnceKey,
+        request: &str,
+        kept: Duration,
+        most: u32,
+    ) -> Result<Option<OnceRow>, StoreError> {
+        const OPERATION: &str = "storing that a request begins";
+        let now = self.inner.clock.timestamp();
+        // A duration that reaches before the first time keeps everything.
+        let oldest = time_text(now.checked_sub(kept).unwrap_or(Timestamp::MIN));
+        let (key, request, now) = (key.clone(), request.to_owned(), time_text(now));
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                sqlx::query("DELETE FROM requests_once WHERE began_at < ?1")
+                    .bind(oldest)
+                    .execute(&mut *connection)
+                    .await
+                    .during(OPERATION)?;
+                let inserted = sqlx::query(
+                    "INSERT INTO requests_once (caller, name, request, began_at)
+                     VALUES (?1, ?2, ?3, ?4) ON CONFLICT DO NOTHING",
+                )
+                .bind(key.caller())
+                .bind(&key.name)
+                .bind(request)
+                .bind(now)
+                .execute(&mut *connection)
+                .await
+                .during(OPERATION)?;
+                if inserted.rows_affected() == 0 {
+                    let row =
+                        sqlx::query("SELECT * FROM requests_once WHERE caller = ?1 AND name = ?2")
+                            .bind(key.caller())
+                            .bind(&key.name)
+                            .fetch_one(connection)
+                            .await
+                            .during(OPERATION)?;
+                    return OnceRow::read(&row, OPERATION).map(Some);
+                }
+                keep_newest(connection, key.caller(), most).await.during(OPERATION)?;
+                Ok(None)
+            })
+            .await
+    }
+
+    /// Stores the response of a request that began; without one, removes the request.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails.
+    pub async fn end_once(
+        &self,
+        key: &OnceKey,
+        response: Option<OnceResponse>,
+    ) -> Result<(), StoreError> {
+        const OPERATION: &str = "storing the response of a request";
+        let key = key.clone();
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                let statement = match response {
+                    Some(response) => sqlx::query(
+                        "UPDATE requests_once
+                         SET status = ?3, location = ?4, content_type = ?5, body = ?6
+                         WHERE caller = ?1 AND name = ?2",
+                    )
+                    .bind(key.caller())
+                    .bind(&key.name)
+                    .bind(response.status)
+                    .bind(response.location)
+                    .bind(response.content_type)
+                    .bind(response.body),
+                    None => {
+                        sqlx::query("DELETE FROM requests_once WHERE caller = ?1 AND name = ?2")
+                            .bind(key.caller())
+                            .bind(&key.name)
+                    }
+                };
+                statement.execute(connection).await.map(drop).during(OPERATION)
+            })
+            .await
+    }
+}
+
+async fn keep_newest(
+    connection: &mut SqliteConnection,
+    caller: i64,
+    most: u32,
+) -> Result<(), sqlx::Error> {
+    sqlx::query(
+        "DELETE FROM requests_once WHERE id IN (
+           SELECT id FROM requests_once WHERE caller = ?1 ORDER BY id DESC LIMIT -1 OFFSET ?2)",
+    )
+    .bind(caller)
+    .bind(most)
+    .execute(connection)
+    .await
+    .map(drop)
+}
