@@ -56,6 +56,7 @@ mod line;
 mod live;
 mod lock_file;
 mod models;
+mod offline;
 mod page;
 mod params;
 mod people;
@@ -77,6 +78,8 @@ pub use infer::{FrameAnswer, InferOptions, InferRequest, LiveAnswer, Turns};
 pub use jobs::JobOut;
 pub use lock_file::{LockFile, LockFileError};
 pub use models::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
+pub use offline::Offline;
+pub use people::CreatedKey;
 pub use routes::{Access, Lock, Needs};
 pub use runs::Summary;
 
