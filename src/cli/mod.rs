@@ -166,7 +166,7 @@ pub fn main(command: Command) -> ExitCode {
         command => on_runtime(command),
     };
     outcome.unwrap_or_else(|error| {
-        eprintln!("{error}");
+        output::note(&error);
         error.exit_code()
     })
 }

@@ -16,6 +16,7 @@ use super::problem::{ApiError, ProblemBody};
 use super::send::Created;
 use crate::dataset::import::{Import, import};
 use crate::new_file::NewFile;
+use crate::plain::violated;
 use crate::problem::Problem;
 use crate::store::{Label, RunRow};
 
@@ -41,7 +42,7 @@ pub struct ImportForm {
     file: Vec<u8>,
     /// Sensor file (TOML), at most 1 MiB.
     sensor: String,
-    /// Name of the experiment, 1 to 100 bytes.
+    /// Name of the experiment, 1 to 100 characters.
     name: String,
     /// Origin of the data: `measured`, `virtual` or `simulated`.
     label: String,
@@ -127,10 +128,16 @@ async fn receive(app: &App, mut form: Form) -> Result<Parts, ApiError> {
         };
         match name.as_str() {
             "sensor" => parts.sensor = Some((file, text)),
-            "name" if (1..=100).contains(&text.trim().len()) => {
+            "name" => {
+                let limit = match text.trim() {
+                    "" => Some("must not be empty".into()),
+                    name => violated(name, WHO_MAX_CHARS),
+                };
+                if let Some(limit) = limit {
+                    return Err(wrong(&limit));
+                }
                 parts.name = Some(text.trim().into());
             }
-            "name" => return Err(wrong("must be 1 to 100 bytes long")),
             "who" => parts.who = Some(text),
             "label" => match serde_json::from_value(text.clone().into()) {
                 Ok(label) => parts.label = Some(label),

@@ -85,6 +85,7 @@ pub const PAGE_NUMBERS_MAX: u64 = 20_000_000;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::schedule::experiment::NAME_MAX_CHARS;
     use crate::store::MAX_PAGE;
 
     /// A line of the page.
@@ -145,6 +146,7 @@ mod tests {
             line("import", bytes(IMPORT_MAX_BYTES), "413"),
             line("text part of a form", bytes(PART_MAX_BYTES), "413"),
             line("name of a person, holder, key or model", format!("{WHO_MAX_CHARS} characters"), "422; in the log of actions: cut"),
+            line("name of an experiment", format!("{NAME_MAX_CHARS} characters"), "422"),
             line("note of the lock, reason of an action", format!("{WHY_MAX_CHARS} characters"), "422; in the log of actions: cut"),
             line("message of a refusal in the log of actions", format!("{DETAIL_MAX_CHARS} characters"), "cut"),
             line("rows of a page", MAX_PAGE.to_string(), "400"),
