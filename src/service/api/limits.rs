@@ -85,6 +85,8 @@ pub const PAGE_NUMBERS_MAX: u64 = 20_000_000;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dataset::import::extent::TRIALS_MAX;
+    use crate::dataset::space::KEPT_FREE_BYTES;
     use crate::schedule::experiment::NAME_MAX_CHARS;
     use crate::store::MAX_PAGE;
 
@@ -144,6 +146,8 @@ mod tests {
             line("body with frames", bytes(FRAMES_MAX_BYTES), "413"),
             line("form with a model", bytes(MODEL_MAX_BYTES), "413"),
             line("import", bytes(IMPORT_MAX_BYTES), "413"),
+            line("trials of an import", TRIALS_MAX.to_string(), "400"),
+            line("free space that imports, datasets and exports leave to runs: at least", bytes(KEPT_FREE_BYTES as usize), "507; exports: the task fails"),
             line("text part of a form", bytes(PART_MAX_BYTES), "413"),
             line("name of a person, holder, key or model", format!("{WHO_MAX_CHARS} characters"), "422; in the log of actions: cut"),
             line("name of an experiment", format!("{NAME_MAX_CHARS} characters"), "422"),
