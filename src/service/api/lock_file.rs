@@ -30,7 +30,14 @@ const HOLDER_MAX_BYTES: u64 = 60;
 /// A lock that is held until this value is dropped.
 #[derive(Debug)]
 pub struct LockFile {
-    _file: File,
+    file: File,
+}
+
+impl Drop for LockFile {
+    /// An empty file takes no space: `/run/lock` is small, and a virtual rig has new addresses each time.
+    fn drop(&mut self) {
+        let _ = self.file.set_len(0);
+    }
 }
 
 /// Why a lock could not be taken.
@@ -109,7 +116,7 @@ impl LockFile {
         file.rewind().map_err(failed)?;
         let user = rustix::process::geteuid().as_raw();
         writeln!(file, "{} of user {user}", std::process::id()).map_err(failed)?;
-        Ok(Self { _file: file })
+        Ok(Self { file })
     }
 }
 
@@ -164,6 +171,7 @@ mod tests {
         let holder = format!("by process {} of user {user} (", std::process::id());
         assert!(refused.contains(&holder), "{refused}");
         drop(first);
+        assert_eq!(folder.join("palpate.lock").metadata().unwrap().len(), 0);
         LockFile::of_data(&folder).unwrap();
         std::fs::remove_dir_all(&folder).unwrap();
     }
