@@ -2,6 +2,7 @@
 
 use palpate::api::Offline;
 use palpate::store::Role;
+use serde_json::{Value, json};
 
 use super::datasets::filled::{Filled, folder, store};
 
@@ -36,5 +37,11 @@ async fn keys_and_lock_need_neither_a_service_nor_a_rig() {
     let lab = Filled::serve(data.clone()).await;
     let refused = Offline::open(&data).await.err().unwrap().to_string();
     assert!(refused.contains("in use by process"), "{refused}");
+    let note = json!({ "note": "gone\u{1b}[2J" });
+    let answer = lab.http.put(lab.url("/api/v1/lock")).json(&note).send().await.unwrap();
+    assert_eq!(answer.status(), 422);
+    let problem: Value = answer.json().await.unwrap();
+    let detail = "request: note = 8 characters: must have no control characters";
+    assert_eq!(problem["detail"], detail);
     lab.close().await;
 }

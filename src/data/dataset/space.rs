@@ -50,13 +50,12 @@ fn cell_bytes(kind: &DataType, as_text: bool) -> u64 {
     }
 }
 
-/// Size of an import in the database, bytes. `frames`: number of stored frames, measured and simulated;
-/// `voltages`: number of voltages of all frames; `contacts`: number of contacts of all trials.
-pub fn imported_bytes(trials: u64, frames: u64, voltages: u64, contacts: u64) -> u64 {
+/// Size of an import in the database, bytes. `frames`: number of measured and simulated frames of all
+/// trials, of `channels` voltages each; `contacts`: number of contacts of all trials.
+pub fn imported_bytes(trials: u64, frames: u64, channels: u64, contacts: u64) -> u64 {
     let parts = [
         trials.saturating_mul(TRIAL_BYTES),
-        frames.saturating_mul(VOLTAGES_BYTES),
-        voltages.saturating_mul(4),
+        frames.saturating_mul(VOLTAGES_BYTES + 4 * channels),
         contacts.saturating_mul(CONTACT_BYTES),
     ];
     parts.into_iter().fold(0, u64::saturating_add)
@@ -96,7 +95,7 @@ mod tests {
     fn an_import_takes_the_space_that_was_measured() {
         // 20,000 trials of one contact: 3500 bytes each in SQLite, 6798 with a simulated frame.
         for (frames, measured) in [(1, 3500), (2, 6798)] {
-            let bytes = imported_bytes(1, frames, frames * 784, 1);
+            let bytes = imported_bytes(1, frames, 784, 1);
             assert!((measured..measured * 5 / 4).contains(&bytes), "{frames}: {bytes}");
         }
         assert_eq!(imported_bytes(u64::MAX, 1, 1, 1), u64::MAX);

@@ -48,8 +48,9 @@ impl Extent {
         Self { rows, values }
     }
 
-    fn values(&self, column: &str) -> u64 {
-        self.values.get(column).copied().unwrap_or(0)
+    /// Number of rows.
+    pub fn rows(&self) -> u64 {
+        self.rows
     }
 
     /// Returns the size of the trials in the database, bytes. `file` is the name of the file in
@@ -73,9 +74,11 @@ impl Extent {
             checks.require(fits, column, format!("{number} values"), &limit);
         }
         checks.done()?;
-        let voltages = self.values(VOLTAGES_V).saturating_add(self.values(SIM_VOLTAGES_V));
-        let frames = voltages / channels.max(1);
-        Ok(imported_bytes(self.rows, frames, voltages, self.values(CONTACTS)))
+        // Each row has a whole frame, which the reader checks, whatever the footer states.
+        let frames = [VOLTAGES_V, SIM_VOLTAGES_V].iter().filter(|f| self.values.contains_key(**f));
+        let frames = self.rows.saturating_mul(frames.count() as u64);
+        let contacts = self.values.get(CONTACTS).copied().unwrap_or(0);
+        Ok(imported_bytes(self.rows, frames, channels, contacts))
     }
 }
 
@@ -98,7 +101,7 @@ mod tests {
             let extent = extent(rows, [(VOLTAGES_V, voltages), (CONTACTS, contacts)]);
             extent.needed("f", &pad()).map_err(|all| all[0].to_string())
         };
-        assert_eq!(of(10, 40, 12).unwrap(), imported_bytes(10, 10, 40, 12));
+        assert_eq!(of(10, 40, 12).unwrap(), imported_bytes(10, 10, 4, 12));
         let refused = "f: voltages_v = 41 values: must have at most 4 values per row";
         assert_eq!(of(10, 41, 12).unwrap_err(), refused);
         let refused = "f: contacts = 641 values: must have at most 64 values per row";

@@ -106,8 +106,8 @@ fn check(
     let mut reader = Reader::new(file, sensor);
     reader.check(opened.schema()).map_err(DatasetError::Problems)?;
     // A few bytes of a compressed file may stand for any number of values.
-    let needed =
-        Extent::of(opened.metadata()).needed(file, sensor).map_err(DatasetError::Problems)?;
+    let extent = Extent::of(opened.metadata());
+    let needed = extent.needed(file, sensor).map_err(DatasetError::Problems)?;
     space::check(Product::Import, needed, free)?;
     let mut hashing = Hashing::default();
     let mut bytes = File::open(path).map_err(DatasetError::file("opening", path))?;
@@ -122,10 +122,12 @@ fn check(
         let trials = reader.read(&batch?).map_err(DatasetError::Problems)?;
         checked.trials += trials.len() as u64;
         checked.simulated |= trials.iter().any(|trial| trial.sim_voltages_v.is_some());
+        if checked.trials > extent.rows() {
+            return Err(whole(file, "must not hold more rows than its footer states"));
+        }
     }
     if checked.trials == 0 {
-        let problem = Problem::whole(file, "must hold at least one trial");
-        return Err(DatasetError::Problems(vec![problem]));
+        return Err(whole(file, "must hold at least one trial"));
     }
     Ok(checked)
 }
@@ -149,6 +151,10 @@ fn batches(
 
 fn unreadable(file: &str, error: &ParquetError) -> DatasetError {
     let limit = format!("must be a Parquet file with the columns of the trials table: {error}");
+    whole(file, limit)
+}
+
+fn whole(file: &str, limit: impl Into<String>) -> DatasetError {
     DatasetError::Problems(vec![Problem::whole(file, limit)])
 }
 
