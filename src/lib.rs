@@ -3,7 +3,8 @@
 //! is a crate, and crates only use those before them.
 
 pub use palpate_words::{
-    carried, chance, clock, commit, digest, ids, journal, problem, record, state, syntax,
+    carried, chance, clock, commit, digest, ids, journal, new_file, plain, problem, record, state,
+    syntax,
 };
 
 pub use palpate_bench::{campaign, rig, schedule};

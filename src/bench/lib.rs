@@ -1,7 +1,7 @@
 //! From experiment files to plans, and from plans to measured trials on one bench.
 //! Uses: `words`. Never: SQL, HTTP.
 
-use palpate_words::{chance, clock, ids, journal, problem, record, state, syntax};
+use palpate_words::{chance, clock, ids, journal, plain, problem, record, state, syntax};
 
 pub mod schedule;
 pub mod rig;

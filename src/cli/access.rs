@@ -1,15 +1,17 @@
 //! `palpate lock` and `palpate key`: rights to start and edit, and to send requests at all.
-//! Uses: `client`. Never: a key's text except in the answer that creates it.
+//! Uses: `client`; without a server `api::Offline`. Never: a key's text except in the answer that creates
+//! it; the rig.
 
 use clap::{Args, Subcommand, ValueEnum};
 use reqwest::Method;
-use serde_json::{Value, json};
+use serde_json::json;
 
-use super::client::Client;
+use super::client::{Client, who};
 use super::error::CliError;
 use super::output::{say, say_json};
 use super::{At, embed};
-use crate::store::{KeyRow, LockRow};
+use crate::api::{CreatedKey, Offline};
+use crate::store::{KeyRow, LockRow, Role};
 
 /// Options of `lock`.
 #[derive(Debug, Clone, Args)]
@@ -67,12 +69,12 @@ pub enum RoleName {
     Admin,
 }
 
-impl RoleName {
-    fn as_str(self) -> &'static str {
-        match self {
-            RoleName::Viewer => "viewer",
-            RoleName::Operator => "operator",
-            RoleName::Admin => "admin",
+impl From<RoleName> for Role {
+    fn from(name: RoleName) -> Self {
+        match name {
+            RoleName::Viewer => Self::Viewer,
+            RoleName::Operator => Self::Operator,
+            RoleName::Admin => Self::Admin,
         }
     }
 }
@@ -80,65 +82,64 @@ impl RoleName {
 /// Runs `palpate lock`.
 ///
 /// # Errors
-/// `CliError` if the service cannot be reached or started, or refuses the request.
+/// `CliError` if the service or the data folder cannot be used, or refuses the request.
 pub async fn lock(args: LockArgs) -> Result<(), CliError> {
-    let LockArgs { note, clear, at } = args;
-    let json = at.json;
-    embed::with_admin(&at, move |client| async move {
-        if clear {
-            client.delete("/api/v1/lock").await?;
-        } else if let Some(note) = note {
-            let body = json!({ "holder": client.who(), "note": note });
-            let lock: LockRow = client.ask(Method::PUT, "/api/v1/lock", Some(&body)).await?;
-            if lock.is_keyless() && !json {
-                say("taken without a key, it holds for everybody until `palpate lock --clear`");
-            }
+    let people = People::of(&args.at).await?;
+    let outcome = lock_of(&people, &args).await;
+    people.close().await;
+    outcome
+}
+
+async fn lock_of(people: &People, args: &LockArgs) -> Result<(), CliError> {
+    let json = args.at.json;
+    if args.clear {
+        people.clear_lock().await?;
+    } else if let Some(note) = &args.note {
+        let lock = people.take_lock(note).await?;
+        if lock.is_keyless() && !json {
+            say("taken without a key, it holds for everybody until `palpate lock --clear`");
         }
-        let lock: Option<LockRow> = client.get("/api/v1/lock").await?;
-        match lock {
-            lock if json => say_json(&lock),
-            Some(l) => say(format_args!("locked by {} since {}: {}", l.holder, l.since, l.note)),
-            None => say("not locked"),
-        }
-        Ok(())
-    })
-    .await
+    }
+    match people.lock().await? {
+        lock if json => say_json(&lock),
+        Some(l) => say(format_args!("locked by {} since {}: {}", l.holder, l.since, l.note)),
+        None => say("not locked"),
+    }
+    Ok(())
 }
 
 /// Runs `palpate key`.
 ///
 /// # Errors
-/// `CliError` if the service cannot be reached or started, or refuses the request.
+/// `CliError` if the service or the data folder cannot be used, or refuses the request.
 pub async fn key(args: KeyArgs) -> Result<(), CliError> {
-    let (json, command) = (args.at.json, args.command.unwrap_or(KeyCommand::List));
-    embed::with_admin(&args.at, move |client| async move {
-        match command {
-            KeyCommand::Create { name, role } => create(&client, &name, role, json).await,
-            KeyCommand::List => list(&client, json).await,
-            KeyCommand::Revoke { id } => {
-                client.delete(&format!("/api/v1/keys/{id}")).await?;
-                list(&client, json).await
-            }
-        }
-    })
-    .await
+    let people = People::of(&args.at).await?;
+    let outcome = match args.command.unwrap_or(KeyCommand::List) {
+        KeyCommand::Create { name, role } => create(&people, &name, role, args.at.json).await,
+        KeyCommand::List => list(&people, args.at.json).await,
+        KeyCommand::Revoke { id } => match people.revoke_key(id).await {
+            Ok(()) => list(&people, args.at.json).await,
+            refused => refused,
+        },
+    };
+    people.close().await;
+    outcome
 }
 
-async fn create(client: &Client, name: &str, role: RoleName, json: bool) -> Result<(), CliError> {
-    let body = json!({ "name": name, "role": role.as_str() });
-    let made: Value = client.post("/api/v1/keys", &body).await?;
+async fn create(people: &People, name: &str, role: RoleName, json: bool) -> Result<(), CliError> {
+    let made = people.create_key(name, role.into()).await?;
     if json {
         say_json(&made);
         return Ok(());
     }
-    let (id, role) = (&made["key"]["id"], role.as_str());
-    say(format_args!("key {id}, {name}, {role}; it is shown this once:"));
-    say(made["secret"].as_str().unwrap_or_default());
+    let key = &made.key;
+    say(format_args!("key {}, {name}, {}; it is shown this once:", key.id, word(key.role)));
+    say(&made.secret);
     Ok(())
 }
 
-async fn list(client: &Client, json: bool) -> Result<(), CliError> {
-    let keys: Vec<KeyRow> = client.all("/api/v1/keys?").await?;
+async fn list(people: &People, json: bool) -> Result<(), CliError> {
+    let keys = people.keys().await?;
     if json {
         say_json(&keys);
         return Ok(());
@@ -152,8 +153,82 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
             (None, Some(at)) => format!("last used {at}"),
             (None, None) => "never used".into(),
         };
-        let role = format!("{:?}", key.role).to_lowercase();
-        say(format_args!("{:>4}  {:<20} {role:<9} {state}", key.id, key.name));
+        say(format_args!("{:>4}  {:<20} {:<9} {state}", key.id, key.name, word(key.role)));
     }
     Ok(())
+}
+
+fn word(role: Role) -> String {
+    format!("{role:?}").to_lowercase()
+}
+
+/// Keys and lock: of a running service, or of a data folder that no service uses.
+enum People {
+    Service(Client),
+    Folder(Box<Offline>),
+}
+
+impl People {
+    async fn of(at: &At) -> Result<Self, CliError> {
+        Ok(match embed::find(at).await? {
+            Some(client) => Self::Service(client),
+            None => Self::Folder(Box::new(Offline::open(&at.data()).await?)),
+        })
+    }
+
+    async fn close(self) {
+        if let Self::Folder(folder) = self {
+            folder.close().await;
+        }
+    }
+
+    async fn lock(&self) -> Result<Option<LockRow>, CliError> {
+        match self {
+            Self::Service(client) => client.get("/api/v1/lock").await,
+            Self::Folder(folder) => Ok(folder.lock().await?),
+        }
+    }
+
+    async fn take_lock(&self, note: &str) -> Result<LockRow, CliError> {
+        match self {
+            Self::Service(client) => {
+                let body = json!({ "holder": client.who(), "note": note });
+                client.ask(Method::PUT, "/api/v1/lock", Some(&body)).await
+            }
+            Self::Folder(folder) => Ok(folder.take_lock(&who(), note).await?),
+        }
+    }
+
+    async fn clear_lock(&self) -> Result<(), CliError> {
+        match self {
+            Self::Service(client) => client.delete("/api/v1/lock").await,
+            Self::Folder(folder) => Ok(folder.clear_lock().await.map(drop)?),
+        }
+    }
+
+    async fn keys(&self) -> Result<Vec<KeyRow>, CliError> {
+        match self {
+            Self::Service(client) => client.all("/api/v1/keys?").await,
+            Self::Folder(folder) => Ok(folder.keys().await?),
+        }
+    }
+
+    async fn create_key(&self, name: &str, role: Role) -> Result<CreatedKey, CliError> {
+        match self {
+            Self::Service(client) => {
+                client.post("/api/v1/keys", &json!({ "name": name, "role": role })).await
+            }
+            Self::Folder(folder) => Ok(folder.create_key(name, role).await?),
+        }
+    }
+
+    async fn revoke_key(&self, id: i64) -> Result<(), CliError> {
+        match self {
+            Self::Service(client) => client.delete(&format!("/api/v1/keys/{id}")).await,
+            Self::Folder(folder) => match folder.revoke_key(id).await? {
+                true => Ok(()),
+                false => Err(CliError::argument("key", id, "is not the number of a valid key")),
+            },
+        }
+    }
 }

@@ -56,6 +56,12 @@ impl TextPart {
     }
 }
 
+/// Name of the person at this terminal, for the log of actions.
+pub fn who() -> String {
+    let user = std::env::var("USER").ok().filter(|u| !u.is_empty());
+    user.unwrap_or_else(|| "cli".into())
+}
+
 impl Client {
     /// Client of the service at a URL, with the key of the environment.
     ///
@@ -80,10 +86,8 @@ impl Client {
             .no_proxy()
             .build()
             .map_err(|source| CliError::Http { operation: "HTTP client".into(), source })?;
-        let user = std::env::var("USER").ok().filter(|u| !u.is_empty());
-        let who = user.unwrap_or_else(|| "cli".into());
         let url = url.trim_end_matches('/').into();
-        Ok(Self { url, http, key, who, answer_within: ANSWER })
+        Ok(Self { url, http, key, who: who(), answer_within: ANSWER })
     }
 
     /// Returns the same client with another deadline for answers.

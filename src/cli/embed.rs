@@ -70,37 +70,9 @@ where
     F: Future<Output = Result<T, CliError>> + Send + 'static,
     T: Send + 'static,
 {
-    with_role(at, false, work).await
-}
-
-/// As [`with_server`], but the client of a server started for it may also make keys and release
-/// locks: who may open the data folder may do so.
-///
-/// # Errors
-/// As [`with_server`].
-pub async fn with_admin<T, F>(at: &At, work: impl FnOnce(Client) -> F) -> Result<T, CliError>
-where
-    F: Future<Output = Result<T, CliError>> + Send + 'static,
-    T: Send + 'static,
-{
-    with_role(at, true, work).await
-}
-
-async fn with_role<T, F>(
-    at: &At,
-    local_admin: bool,
-    work: impl FnOnce(Client) -> F,
-) -> Result<T, CliError>
-where
-    F: Future<Output = Result<T, CliError>> + Send + 'static,
-    T: Send + 'static,
-{
     match find(at).await? {
         Some(client) => work(client).await,
-        None => {
-            let options = options(at.data(), &RigFiles::read(None)?)?;
-            host(ServeOptions { local_admin, ..options }, work).await
-        }
+        None => host(options(at.data(), &RigFiles::read(None)?)?, work).await,
     }
 }
 

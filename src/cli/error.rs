@@ -11,10 +11,12 @@ use crate::api::{LockFileError, ServeError};
 use crate::calibrate::CalibrateError;
 use crate::calibrate::skin::SkinError;
 use crate::evaluate::figures::FigureError;
+use crate::journal::error_chain;
 use crate::problem::Problem;
 use crate::rig::error::RigError;
 use crate::simulate::model::ModelUnavailable;
 use crate::simulate::random::error::RandomError;
+use crate::store::StoreError;
 
 /// Why a command failed.
 #[derive(Debug, thiserror::Error)]
@@ -68,6 +70,9 @@ pub enum CliError {
     /// The service could not be started in this process.
     #[error("starting the service: {0}")]
     Serve(#[from] ServeError),
+    /// The database of the data folder failed, or refused a value.
+    #[error("{}", error_chain(.0))]
+    Store(#[from] StoreError),
     /// The runtime, the signals or the terminal are not available.
     #[error("{operation}: {source}")]
     System {
@@ -155,6 +160,7 @@ impl CliError {
         match self {
             CliError::Problems(_)
             | CliError::NotConfirmed { .. }
+            | CliError::Store(StoreError::Refused { .. })
             | CliError::SimRandom(RandomError::OtherDefinition { .. })
             | CliError::Refused { status: 400 | 422, .. } => ExitCode::from(2),
             _ => ExitCode::FAILURE,

@@ -12,7 +12,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval};
 
 use super::client::Client;
 use super::error::CliError;
-use super::output::{counted, duration, say_json};
+use super::output::{counted, duration, note, say_json, shown};
 use super::view::{RunView, StatusView};
 use crate::campaign::shown::status::{Eta, Phase};
 use crate::ids::RunUid;
@@ -270,10 +270,10 @@ impl Screen {
     fn progress(&mut self, run: &RunView, status: &StatusView) {
         self.bar.set_length(run.trials_planned);
         self.bar.set_position(run.trials_stored + run.trials_skipped);
-        let words = progress_words(run, status);
+        let words = shown(progress_words(run, status));
         if !self.terminal && self.is_due(run) {
             self.told = Some((Instant::now(), run.waiting_for.clone()));
-            eprintln!("{}/{} {words}", run.trials_stored, run.trials_planned);
+            note(format_args!("{}/{} {words}", run.trials_stored, run.trials_planned));
         }
         self.bar.set_message(words);
         if self.json && self.stored != Some(run.trials_stored) {
@@ -297,9 +297,9 @@ impl Screen {
 
     fn note(&self, words: &str) {
         if self.terminal {
-            self.bar.println(words);
+            self.bar.println(shown(words));
         } else {
-            eprintln!("{words}");
+            note(words);
         }
     }
 

@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::error::CliError;
 use super::files::read_input;
-use super::output::{say, say_json};
+use super::output::{note, say, say_json};
 use super::{At, embed};
 use crate::api::{FrameAnswer, InferOptions, InferRequest, LiveAnswer};
 use crate::infer::answer::FoundContact;
@@ -162,7 +162,7 @@ pub async fn live(args: LiveArgs) -> Result<(), CliError> {
     let path = format!("/api/v1/live?map={}{method}", args.map);
     let status: Value = client.get("/api/v1/status").await?;
     if status["rig"]["state"] == "disconnected" {
-        eprintln!("no frames while the rig is not connected: palpate rig connect");
+        note("no frames while the rig is not connected: palpate rig connect");
     }
     let mut seen = 0;
     client

@@ -12,6 +12,8 @@ use tracing::Dispatch;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::MakeWriter;
 
+use crate::plain::escaped_lines;
+
 /// Help on the variables of the environment.
 pub const HELP: &str = "\
 Log, on standard error:
@@ -99,12 +101,30 @@ impl Drop for Log {
 fn write_all(inbox: &Receiver<Item>, lost: &AtomicU64) {
     while let Ok(Item::Line(line)) = inbox.recv() {
         // A log that cannot be written, on a full disk, must not end the process.
-        let _ = io::stderr().write_all(&line);
+        let _ = io::stderr().write_all(safe(&line).as_bytes());
         let missing = lost.swap(0, Ordering::Relaxed);
         if missing > 0 {
             tracing::warn!(lines = missing, "lines of the log were lost: its reader is too slow");
         }
     }
+}
+
+/// Start of the codes with which the subscriber sets colours.
+const COLOUR: &str = "\u{1b}[";
+
+/// Escapes the control characters of a line, except codes of colours: the subscriber escapes those of texts
+/// and messages, not those of fields with `%`.
+fn safe(line: &[u8]) -> String {
+    let line = String::from_utf8_lossy(line);
+    let mut pieces = line.split(COLOUR);
+    let mut safe = escaped_lines(pieces.next().unwrap_or_default()).into_owned();
+    for piece in pieces {
+        let code = piece.trim_start_matches(|c: char| c.is_ascii_digit() || c == ';');
+        let start = if code.starts_with('m') { COLOUR } else { "\\u{1b}[" };
+        safe.push_str(start);
+        safe.push_str(&escaped_lines(piece));
+    }
+    safe
 }
 
 /// Puts lines into the queue of the writing thread.
@@ -252,6 +272,13 @@ mod tests {
         });
         assert!(inside.0.is_some());
         assert_eq!(inside.0, inside.1);
+    }
+
+    #[test]
+    fn a_line_sets_colours_and_nothing_else_of_the_terminal() {
+        let line = "\u{1b}[2mINFO\u{1b}[0m who=\u{1b}]0;title\u{7} \u{1b}[2J \u{9b}2J\n";
+        let shown = "\u{1b}[2mINFO\u{1b}[0m who=\\u{1b}]0;title\\u{7} \\u{1b}[2J \\u{9b}2J\n";
+        assert_eq!(safe(line.as_bytes()), shown);
     }
 
     #[test]

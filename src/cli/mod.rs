@@ -11,6 +11,7 @@ use std::process::ExitCode;
 use clap::{Args, Subcommand};
 
 use crate::campaign::STOPS;
+use crate::new_file;
 use serde_json::json;
 
 mod access;
@@ -166,7 +167,7 @@ pub fn main(command: Command) -> ExitCode {
         command => on_runtime(command),
     };
     outcome.unwrap_or_else(|error| {
-        eprintln!("{error}");
+        output::note(&error);
         error.exit_code()
     })
 }
@@ -237,6 +238,8 @@ pub fn virtual_rig_files(
         Some(path) => Ok(path),
         None => {
             let path = folder.join(OsStr::new(name));
+            new_file::make_folder(folder)
+                .map_err(|source| CliError::File { path: folder.into(), source })?;
             files::write(&path, text).map(|()| path)
         }
     };

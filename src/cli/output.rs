@@ -1,13 +1,34 @@
-//! Output lines for people and for scripts, and numbers with units.
-//! Uses: nothing. Never: HTTP, decisions. A closed standard output is not an error.
+//! Output lines for people and for scripts, and numbers with units. All text for people passes through
+//! here: names and notes that other people entered must not control the terminal.
+//! Uses: `plain`. Never: HTTP, decisions. A closed standard output is not an error.
 
+use std::fmt::Display;
 use std::io::{self, Write};
 
 use serde::Serialize;
 
+use crate::plain::escaped_lines;
+
 /// Prints one or several lines on standard output.
-pub fn say(text: impl std::fmt::Display) {
-    let _ = writeln!(io::stdout().lock(), "{text}");
+pub fn say(text: impl Display) {
+    let _ = writeln!(io::stdout().lock(), "{}", shown(text));
+}
+
+/// Prints one or several lines on standard error.
+pub fn note(text: impl Display) {
+    let _ = writeln!(io::stderr().lock(), "{}", shown(text));
+}
+
+/// Prints a question on standard error; the answer is entered behind it.
+pub fn ask(question: impl Display) {
+    let mut out = io::stderr().lock();
+    let _ = write!(out, "{}", shown(question)).and_then(|()| out.flush());
+}
+
+/// Returns a text as it may reach the terminal: control characters are escaped, except ends of lines and
+/// tabs.
+pub fn shown(text: impl Display) -> String {
+    escaped_lines(&text.to_string()).into()
 }
 
 /// Prints one JSON object as a line on standard output.
@@ -52,6 +73,12 @@ pub fn counted(count: u64, one: &str, many: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_name_cannot_control_the_terminal() {
+        let name = "night\u{1b}[31m\u{0}";
+        assert_eq!(shown(format_args!("run 3, {name}\n")), "run 3, night\\u{1b}[31m\\u{0}\n");
+    }
 
     #[test]
     fn durations_and_bytes_read_well() {

@@ -6,6 +6,8 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::output::note;
+
 /// A bar on standard error, in units of this name; hidden if that is not a terminal.
 pub fn progress_bar(unit: &str) -> ProgressBar {
     if !std::io::stderr().is_terminal() {
@@ -37,7 +39,7 @@ impl LogLines {
             && last.elapsed() >= LINES_APART
         {
             *last = Instant::now();
-            eprintln!("{}", words());
+            note(words());
         }
     }
 }

@@ -2,7 +2,7 @@
 //! without a server it starts one, with a virtual rig if needed.
 //! Uses: `embed`, `virtual_bench`, `follow`, `summary`. Never: the rig (the service has it).
 
-use std::io::{BufRead, IsTerminal, Write};
+use std::io::{BufRead, IsTerminal};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -14,7 +14,7 @@ use super::client::Client;
 use super::error::CliError;
 use super::files::{DEFAULT_SKIN_SEED, ExperimentFiles, RigFiles};
 use super::follow::{Follower, Left, Signals, Watch};
-use super::output::{bytes, duration, say, say_json};
+use super::output::{self, bytes, duration, say, say_json};
 use super::rig::{HOMING, until_rig};
 use super::summary::Closing;
 use super::twins::wait_for_twins;
@@ -318,8 +318,7 @@ async fn confirm_motion(order: &Order, status: &StatusView) -> Result<(), CliErr
     if !std::io::stdin().is_terminal() {
         return Err(CliError::NotConfirmed { rig });
     }
-    eprint!("rig {rig} ({}) will move. Is it clear? [y/N] ", status.rig.label);
-    let _ = std::io::stderr().flush();
+    output::ask(format_args!("rig {rig} ({}) will move. Is it clear? [y/N] ", status.rig.label));
     // A separate thread, so that Ctrl-C is handled meanwhile.
     let answer = tokio::task::spawn_blocking(|| {
         let mut answer = String::new();
@@ -410,6 +409,6 @@ fn note(order: &Order, words: &str) {
     if order.json {
         tracing::info!("{words}");
     } else {
-        eprintln!("{words}");
+        output::note(words);
     }
 }

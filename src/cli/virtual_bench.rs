@@ -16,6 +16,7 @@ use tokio::time::timeout;
 use super::client::KEY_VARIABLE;
 use super::error::CliError;
 use super::files::{DEFAULT_GAP, RigFiles, write};
+use crate::new_file;
 use crate::rig::config::Label;
 
 /// Longest wait for the rig: its first start solves the skin's unit responses.
@@ -74,6 +75,8 @@ impl VirtualBench {
     /// `CliError::Child` or `Late` if it does not start; `File` if a file cannot be written.
     pub async fn switch_on(options: &BenchOptions) -> Result<Self, CliError> {
         let folder = options.data.join("virtual-rig");
+        new_file::make_folder(&folder)
+            .map_err(|source| CliError::File { path: folder.clone(), source })?;
         let served = folder.join("served.toml");
         let mut command = rig_command(options, &folder, &served)?;
         let log = folder.join("rig.log");

@@ -7,7 +7,7 @@ use palpate_model::simulate;
 use palpate_store as store;
 use palpate_touch::{evaluate, infer, jobs, learn};
 use palpate_words::{
-    carried, clock, commit, digest, ids, journal, new_file, problem, record, state, syntax,
+    carried, clock, commit, digest, ids, journal, new_file, plain, problem, record, state, syntax,
 };
 
 pub mod conductor;

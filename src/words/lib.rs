@@ -1,4 +1,4 @@
-//! The shared types: time, random numbers, keys, records of a run, rejected values, new files;
+//! The shared types: time, random numbers, keys, records of a run, rejected values, new files, plain text;
 //! and the files that the program carries.
 //! Uses: no other chapter. Never: devices, the database, HTTP; files, except in `new_file`.
 
@@ -10,6 +10,7 @@ pub mod digest;
 pub mod ids;
 pub mod journal;
 pub mod new_file;
+pub mod plain;
 pub mod problem;
 pub mod record;
 pub mod state;

@@ -7,11 +7,16 @@
 //! state or the whole new file, and possibly a file under a temporary name, which [`sweep`] removes. Order
 //! between files follows: a file that is written after another has finished is never there without it.
 //!
+//! Other users of the machine see nothing of the data folder: [`make_folder`] makes a folder that only this
+//! user can open, and a [`NewFile`] is no more readable than its folder. The umask of the process stays as it
+//! is: files that a person asks for elsewhere (`--out`) follow it.
+//!
 //! Not covered: the entry of the folder in its parent if [`NewFile::create`] had to create the folder, and
 //! disks that report a sync before they have done it.
 
-use std::fs::{self, File};
+use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io::{self, Write};
+use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use crate::digest::Hashing;
@@ -46,13 +51,13 @@ impl NewFile {
     /// If folder or file cannot be created.
     pub fn create(folder: &Path) -> io::Result<Self> {
         if !folder.is_dir() {
-            fs::create_dir_all(folder)?;
+            make_folder(folder)?;
             if let Some(parent) = folder.parent().filter(|parent| !parent.as_os_str().is_empty()) {
                 File::open(parent)?.sync_all()?;
             }
         }
         let partial = folder.join(format!("{PARTIAL}{}", uuid::Uuid::now_v7()));
-        let file = File::create_new(&partial)?;
+        let file = as_private_as(folder)?.create_new(true).open(&partial)?;
         let (folder, sha256) = (folder.to_owned(), Hashing::default());
         Ok(Self { folder, partial, file, sha256, bytes: 0, finished: false })
     }
@@ -108,6 +113,25 @@ pub fn write(folder: &Path, name: &str, bytes: impl AsRef<[u8]>) -> io::Result<F
     file.finish(name)
 }
 
+/// Makes a folder, and its missing parents, that only this user can open; an existing one stays as it is.
+///
+/// # Errors
+/// If a folder cannot be created.
+pub fn make_folder(folder: &Path) -> io::Result<()> {
+    DirBuilder::new().recursive(true).mode(0o700).create(folder)
+}
+
+/// Returns options that write a new file in `folder`, readable at most by those who can read the folder.
+///
+/// # Errors
+/// If the folder does not exist.
+pub fn as_private_as(folder: &Path) -> io::Result<OpenOptions> {
+    let mode = fs::metadata(folder)?.permissions().mode();
+    let mut options = File::options();
+    options.write(true).mode(mode & 0o666);
+    Ok(options)
+}
+
 /// Removes the unfinished files in a folder; a missing folder is no error. No other process or thread may
 /// be writing a [`NewFile`] there.
 ///
@@ -157,6 +181,19 @@ mod tests {
         assert_eq!(fs::read(folder.join("a.txt")).unwrap(), b"d");
         assert_eq!(names(&folder), ["a.txt"]);
         fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn a_file_is_no_more_readable_than_its_folder() {
+        let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode() & 0o777;
+        let folder = empty("private");
+        write(&folder.join("datasets"), "a.txt", "a").unwrap();
+        let made = [folder.clone(), folder.join("datasets"), folder.join("datasets/a.txt")];
+        assert_eq!(made.map(|path| mode(&path)), [0o700, 0o700, 0o600]);
+        fs::set_permissions(&folder, fs::Permissions::from_mode(0o750)).unwrap();
+        write(&folder, "b.txt", "b").unwrap();
+        assert_eq!(mode(&folder.join("b.txt")) & 0o007, 0);
+        fs::remove_dir_all(&folder).unwrap();
     }
 
     #[test]

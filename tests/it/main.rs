@@ -17,6 +17,7 @@ mod independent;
 mod independent_fit;
 #[cfg(feature = "train")]
 mod onnx;
+mod offline;
 mod old_data;
 mod once;
 mod requests;

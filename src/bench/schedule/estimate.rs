@@ -5,7 +5,7 @@
 //! that the bench does not state are in `Assumed`, in three cases: low, likely, high. The time of a
 //! person (tip changes, weights) is not included: it was not measured.
 
-use crate::record::LOG_BYTES;
+use crate::record::{LOG_BYTES, TRIAL_BYTES, VOLTAGES_BYTES};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -13,15 +13,8 @@ use super::configuration::Stand;
 use super::order::Place;
 use super::plan::{Plan, Step};
 
-/// Size of a stored trial in addition to its frames: its row, six readings, flags, keys, the fit of
-/// its twin, bytes. Measured with the two constants below on 33,000 trials of four tips: 8.9 kB per
-/// trial in total.
-pub const TRIAL_BYTES: u64 = 800;
 /// Size of a stored frame in addition to its counts, bytes.
 pub const FRAME_BYTES: u64 = 250;
-/// Size of the stored mean voltages, and of those of the simulated twin, in addition to their
-/// values, bytes.
-pub const VOLTAGES_BYTES: u64 = 145;
 /// Size of a stored configuration in addition to its trials: tare, events, bytes.
 pub const CONFIGURATION_BYTES: u64 = 1500;
 

@@ -5,14 +5,18 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::plain::violated;
 use crate::problem::{Checks, Problem};
 use crate::syntax::syntax_problem;
+
+/// Longest name of an experiment, characters.
+pub const NAME_MAX_CHARS: usize = 200;
 
 /// Contents of an experiment file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Experiment {
-    /// Name of the experiment, stored with runs and datasets.
+    /// Name of the experiment, at most 200 characters, stored with runs and datasets.
     pub name: String,
     /// Seed of all random draws.
     pub seed: u64,
@@ -218,6 +222,9 @@ impl Experiment {
 
     fn check(&self, file: &str) -> Result<(), Vec<Problem>> {
         let mut c = Checks::of(file);
+        if let Some(limit) = violated(&self.name, NAME_MAX_CHARS) {
+            c.require(false, "name", format!("{} characters", self.name.chars().count()), &limit);
+        }
         if self.real_hex.is_some() == self.real_random.is_some() {
             let limit = "must hold exactly one of [real_hex] and [real_random]";
             return Err(vec![Problem::whole(file, limit)]);

@@ -11,7 +11,7 @@ use super::write_all;
 use crate::api::{FrameAnswer, InferOptions, InferRequest, JobOut, ModelOut};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
-use crate::cli::output::{say, say_json};
+use crate::cli::output::{note, say, say_json};
 use crate::cli::train::{Changes, follow, recipe_text};
 use crate::cli::{At, embed};
 use crate::digest::sha256_hex;
@@ -156,7 +156,7 @@ impl Lab for ServiceLab {
         }
         let recipe = recipe_text(recipe, &Changes { name: Some(name), ..changes })?;
         if !self.quiet {
-            eprintln!("training {stem}");
+            note(format_args!("training {stem}"));
         }
         let asked: JobOut =
             self.client.post("/api/v1/trainings", &json!({ "recipe": recipe })).await?;

@@ -18,7 +18,7 @@ use crate::cli::data_or_default;
 use crate::cli::error::CliError;
 use crate::cli::files::{read_calibration, read_sensor};
 use crate::cli::follow::Signals;
-use crate::cli::output::{bytes, counted, duration, say, say_json};
+use crate::cli::output::{self, bytes, counted, duration, say, say_json};
 use crate::cli::progress::progress_bar;
 use crate::simulate::model::load_or_build;
 use crate::simulate::random::draw::Draws;
@@ -114,10 +114,10 @@ pub async fn random(args: RandomArgs) -> Result<ExitCode, CliError> {
             }
             _ = signals.next() => {
                 if stop.swap(true, Ordering::Relaxed) {
-                    eprintln!("left; the same command resumes after the last complete shard");
+                    output::note("left; the same command resumes after the last complete shard");
                     return Ok(ExitCode::FAILURE);
                 }
-                eprintln!("stopping after this shard; Ctrl-C again leaves at once");
+                output::note("stopping after this shard; Ctrl-C again leaves at once");
             }
         }
     }
@@ -216,7 +216,10 @@ impl Screen {
             self.told = Instant::now();
             let (done, rate) = (self.found + self.made, self.rate());
             let left = duration((self.trials - done) as f64 / rate);
-            eprintln!("{done}/{} {rate:.0} trials/s | done in {left}", self.trials);
+            output::note(format_args!(
+                "{done}/{} {rate:.0} trials/s | done in {left}",
+                self.trials
+            ));
         }
     }
 
@@ -227,7 +230,7 @@ impl Screen {
 
     fn note(&self, words: &str) {
         if self.bar.is_hidden() {
-            eprintln!("{words}");
+            output::note(words);
         } else {
             self.bar.println(words);
         }

@@ -8,6 +8,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use arrow_schema::Schema;
 use tracing::{Instrument, error_span};
 
 use super::background::background;
@@ -20,6 +21,7 @@ use super::inputs::Inputs;
 use super::read::{DatasetRows, SKIN};
 use super::schema;
 use super::select::{Selection, Wanted};
+use super::space;
 use crate::clock::Clock;
 use crate::ids::{DatasetId, TaskId};
 use crate::journal::error_chain;
@@ -28,8 +30,6 @@ use crate::problem::Problem;
 use crate::state::StoredState;
 use crate::store::{DatasetRow, RunRow, Store, TaskEnd, TaskKind, TaskQueue, TaskRow};
 
-/// Free space that is reserved for runs, bytes.
-const KEPT_FREE_BYTES: u64 = 2 << 30;
 /// Largest total size of the export files, bytes; the oldest are removed first.
 const EXPORTS_BYTES: u64 = 20 << 30;
 /// Number of hexadecimal digits of a sha256.
@@ -243,7 +243,11 @@ impl Catalog {
                 let why = "no ended run and no shard matches its definition".into();
                 return Err(DatasetError::Empty { name, why });
             }
-            catalog.check_space(Product::Dataset, inputs.candidates() * 4096).await?;
+            let columns =
+                schema::of_dataset(&definition, inputs.channels(&catalog.inner.store).await?);
+            catalog
+                .check_space(Product::Dataset, inputs.candidates(), &columns, Format::Parquet)
+                .await?;
             let (store, folder) = (&catalog.inner.store, catalog.datasets());
             let at = catalog.inner.clock.timestamp();
             let row = build(store, &folder, inputs, at, progress).await?;
@@ -264,14 +268,26 @@ impl Catalog {
         Ok((existing, inputs))
     }
 
-    /// Checks that a file of `needed` bytes leaves the space that is reserved for runs.
-    async fn check_space(&self, product: Product, needed: u64) -> Result<(), DatasetError> {
+    /// Checks that the disk has room for a file of `rows` rows.
+    async fn check_space(
+        &self,
+        product: Product,
+        rows: u64,
+        columns: &Schema,
+        format: Format,
+    ) -> Result<(), DatasetError> {
+        let needed = rows.saturating_mul(space::row_bytes(columns, format));
+        space::check(product, needed, self.inner.store.free_bytes().await?)
+    }
+
+    /// Checks that the disk has room for an upload of `bytes` bytes and for its trials; 0 bytes: that
+    /// the space for runs is free.
+    ///
+    /// # Errors
+    /// `DatasetError::DiskFull` if it has not, `Store` if the free space is unknown.
+    pub async fn check_upload(&self, bytes: u64) -> Result<(), DatasetError> {
         let free = self.inner.store.free_bytes().await?;
-        if free < KEPT_FREE_BYTES + needed {
-            let kept = KEPT_FREE_BYTES;
-            return Err(DatasetError::DiskFull { product, needed, free, kept });
-        }
-        Ok(())
+        space::check(Product::Import, space::upload_bytes(bytes), free)
     }
 
     /// Opens selected rows of a dataset.
@@ -341,8 +357,7 @@ impl Catalog {
         if let Some(file) = existing() {
             return Ok(file);
         }
-        let row_bytes = 8 * rows.schema().fields().len() as u64 + 3 * row.bytes / row.rows.max(1);
-        self.check_space(Product::Export, rows.count() * row_bytes).await?;
+        self.check_space(Product::Export, rows.count(), &rows.schema(), format).await?;
         let folder = self.exports();
         trim(&folder, EXPORTS_BYTES)
             .map_err(DatasetError::file("removing old exports in", &folder))?;

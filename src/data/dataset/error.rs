@@ -81,7 +81,7 @@ pub enum DatasetError {
         "{product} of about {needed} bytes: {free} bytes are free, {kept} of them reserved for runs"
     )]
     DiskFull {
-        /// The file to be written: a dataset or an export.
+        /// What is to be written.
         product: Product,
         /// Estimated size of the file, bytes.
         needed: u64,
@@ -133,6 +133,8 @@ pub enum Product {
     Dataset,
     /// A dataset in a requested format.
     Export,
+    /// An uploaded file and its trials.
+    Import,
 }
 
 impl fmt::Display for Product {
@@ -140,6 +142,7 @@ impl fmt::Display for Product {
         f.write_str(match self {
             Self::Dataset => "a dataset",
             Self::Export => "an export",
+            Self::Import => "an import",
         })
     }
 }

@@ -22,7 +22,7 @@ use crate::new_file::{Finished, NewFile};
 use crate::store::TaskRow;
 
 /// Version of the bytes that the formats produce; part of the file name.
-const FORMAT_VERSION: u32 = 1;
+const FORMAT_VERSION: u32 = 2;
 /// Number of hexadecimal digits of a file name.
 const NAME_DIGITS: usize = 24;
 

@@ -2,7 +2,7 @@
 //! Uses: `store`, `simulate` (Sim-Random's manifests). Never: HTTP, motion, a dataset that changes.
 //!
 //! PURE: `definition`, `filter`, `split`, `force_map`, `schema`, `batch`, `survey`, `select`,
-//! `sort`, `card`, `pressed`.
+//! `sort`, `card`, `pressed`, `space`.
 //!
 //! ```text
 //! definition -> build: survey, batch, shards -> file DATA/datasets/ds-..  -> read, select -> format
@@ -11,6 +11,7 @@
 pub mod error;
 pub mod definition;
 pub mod schema;
+pub mod space;
 pub mod filter;
 pub mod split;
 pub mod force_map;

@@ -3,7 +3,7 @@
 //! need for one.
 
 use std::ffi::OsStr;
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -14,6 +14,8 @@ use sim_core::calibrated::CalibratedSensor;
 use sim_core::forward::{ForwardModel, ModelError};
 use sim_core::responses::{ResponsesError, UnitResponses};
 use sim_core::sensor::Sensor;
+
+use crate::new_file;
 
 /// Why the model of a sensor is not available.
 #[derive(Debug, thiserror::Error)]
@@ -73,12 +75,11 @@ fn cache_file(sensor: &Sensor, cache_dir: &Path) -> PathBuf {
 /// Writes a temporary file and renames it: a reader never reads a partial file. If the disk is
 /// full, the temporary file is removed.
 fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    if let Some(dir) = path.parent() {
-        fs::create_dir_all(dir)?;
-    }
+    let dir = path.parent().unwrap_or(Path::new("."));
+    new_file::make_folder(dir)?;
     let partial = path.with_extension(format!("{}.partial", std::process::id()));
     let write = || {
-        let mut file = File::create(&partial)?;
+        let mut file = new_file::as_private_as(dir)?.create(true).truncate(true).open(&partial)?;
         file.write_all(bytes)?;
         file.sync_all()?;
         fs::rename(&partial, path)

@@ -20,6 +20,7 @@ use super::limits::{DETAIL_MAX_CHARS, WHO_MAX_CHARS, WHY_MAX_CHARS};
 use super::problem::{ApiError, Refused};
 use crate::ids::RunUid;
 use crate::journal::error_chain;
+use crate::plain::escaped;
 use crate::store::{NewAction, Role, StoreError};
 
 /// Longest name of an action that is read from a body, characters.
@@ -154,9 +155,10 @@ impl<S: Sync> FromRequestParts<S> for Act {
     }
 }
 
-/// Returns the first characters of a text.
+/// Returns the first characters of a text, with its control characters escaped.
 pub(super) fn cut(text: &str, max_chars: usize) -> String {
-    text.chars().take(max_chars).collect()
+    let first: String = text.chars().take(max_chars).collect();
+    escaped(&first).into()
 }
 
 impl App {

@@ -216,13 +216,16 @@ fn allow(needs: Needs, caller: &Caller, headers: &HeaderMap) -> Result<(), ApiEr
     if let Access::From(role) = needs.access {
         caller.require(role)?;
     }
-    let announced = headers.get(header::CONTENT_LENGTH);
-    let announced = announced.and_then(|length| length.to_str().ok()?.parse::<u64>().ok());
-    if announced.is_some_and(|length| length > needs.body_max_bytes as u64) {
+    if announced_bytes(headers).is_some_and(|length| length > needs.body_max_bytes as u64) {
         let words = format!("the body must have at most {} bytes", needs.body_max_bytes);
         return Err(ApiError::new(StatusCode::PAYLOAD_TOO_LARGE, words));
     }
     Ok(())
+}
+
+/// Returns the length of the body, bytes, if the head of the request announces it.
+pub(super) fn announced_bytes(headers: &HeaderMap) -> Option<u64> {
+    headers.get(header::CONTENT_LENGTH)?.to_str().ok()?.parse().ok()
 }
 
 /// A body that fails if no byte arrives for `BODY_STALL`, or if it is not complete in time.

@@ -4,20 +4,25 @@
 use std::io::Write;
 
 use axum::extract::State;
-use axum::http::StatusCode;
+use axum::http::{HeaderMap, StatusCode};
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::App;
 use super::audit::{Act, cut};
 use super::form::Form;
+use super::guard::announced_bytes;
 use super::limits::WHO_MAX_CHARS;
 use super::problem::{ApiError, ProblemBody};
 use super::send::Created;
 use crate::dataset::import::{Import, import};
 use crate::new_file::NewFile;
+use crate::plain::violated;
 use crate::problem::Problem;
 use crate::store::{Label, RunRow};
+
+/// Number of uploaded bytes between two checks of the free space.
+const CHECKED_EVERY_BYTES: usize = 64 << 20;
 
 /// Result of an import.
 #[derive(Debug, Serialize, ToSchema)]
@@ -41,7 +46,7 @@ pub struct ImportForm {
     file: Vec<u8>,
     /// Sensor file (TOML), at most 1 MiB.
     sensor: String,
-    /// Name of the experiment, 1 to 100 bytes.
+    /// Name of the experiment, 1 to 100 characters.
     name: String,
     /// Origin of the data: `measured`, `virtual` or `simulated`.
     label: String,
@@ -68,8 +73,10 @@ struct Parts {
 pub async fn add(
     State(app): State<App>,
     act: Act,
+    headers: HeaderMap,
     form: Form,
 ) -> Result<Created<ImportOut>, ApiError> {
+    app.datasets.check_upload(announced_bytes(&headers).unwrap_or(0)).await?;
     let parts = receive(&app, form).await?;
     act.stated(parts.who.as_deref(), None);
     app.still_allowed(&act).await?;
@@ -86,7 +93,8 @@ pub async fn add(
         sensor,
         submitted_by: act.name(),
     };
-    let done = import(&app.store, upload.path(), request).await?;
+    let free = app.store.free_bytes().await?;
+    let done = import(&app.store, upload.path(), request, free).await?;
     act.on(done.run.uid);
     let out = ImportOut {
         dataset: format!("run-{}", done.run.scan_id),
@@ -113,8 +121,15 @@ async fn receive(app: &App, mut form: Form) -> Result<Parts, ApiError> {
                 ApiError::new(status, words)
             };
             let mut upload = NewFile::create(&folder).map_err(failed)?;
+            let mut unchecked = 0;
             while let Some(piece) = part.chunk().await? {
                 upload.write_all(&piece).map_err(failed)?;
+                unchecked += piece.len();
+                // A body without a length, or a disk that something else fills meanwhile.
+                if unchecked >= CHECKED_EVERY_BYTES {
+                    unchecked = 0;
+                    app.datasets.check_upload(0).await?;
+                }
             }
             parts.file = Some((file, upload));
             continue;
@@ -127,10 +142,16 @@ async fn receive(app: &App, mut form: Form) -> Result<Parts, ApiError> {
         };
         match name.as_str() {
             "sensor" => parts.sensor = Some((file, text)),
-            "name" if (1..=100).contains(&text.trim().len()) => {
+            "name" => {
+                let limit = match text.trim() {
+                    "" => Some("must not be empty".into()),
+                    name => violated(name, WHO_MAX_CHARS),
+                };
+                if let Some(limit) = limit {
+                    return Err(wrong(&limit));
+                }
                 parts.name = Some(text.trim().into());
             }
-            "name" => return Err(wrong("must be 1 to 100 bytes long")),
             "who" => parts.who = Some(text),
             "label" => match serde_json::from_value(text.clone().into()) {
                 Ok(label) => parts.label = Some(label),

@@ -151,6 +151,12 @@ async fn pipeline(app: &App, options: &InferOptions) -> Result<Pipeline, ApiErro
         }
         pipeline = pipeline.with(model)?;
     }
+    if let Some(transfer) = &options.transfer
+        && !pipeline.uses_transfer()
+    {
+        let limit = "must be absent: an end-to-end net reads measured voltages";
+        return Err(ApiError::value("transfer", transfer, limit));
+    }
     Ok(pipeline)
 }
 

@@ -97,6 +97,9 @@ pub const PAGE_NUMBERS_MAX: u64 = 20_000_000;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dataset::import::extent::TRIALS_MAX;
+    use crate::dataset::space::KEPT_FREE_BYTES;
+    use crate::schedule::experiment::NAME_MAX_CHARS;
     use crate::store::MAX_PAGE;
 
     /// A line of the page.
@@ -155,8 +158,11 @@ mod tests {
             line("body with frames", bytes(FRAMES_MAX_BYTES), "413"),
             line("form with a model", bytes(MODEL_MAX_BYTES), "413"),
             line("import", bytes(IMPORT_MAX_BYTES), "413"),
+            line("trials of an import", TRIALS_MAX.to_string(), "400"),
+            line("free space that imports, datasets and exports leave to runs: at least", bytes(KEPT_FREE_BYTES as usize), "507; exports: the task fails"),
             line("text part of a form", bytes(PART_MAX_BYTES), "413"),
             line("name of a person, holder, key or model", format!("{WHO_MAX_CHARS} characters"), "422; in the log of actions: cut"),
+            line("name of an experiment", format!("{NAME_MAX_CHARS} characters"), "422"),
             line("note of the lock, reason of an action", format!("{WHY_MAX_CHARS} characters"), "422; in the log of actions: cut"),
             line("message of a refusal in the log of actions", format!("{DETAIL_MAX_CHARS} characters"), "cut"),
             line("entries of a page of a list, by default 100", LIST_MAX.to_string(), "400"),

@@ -1,17 +1,43 @@
 //! Lock files: only one process uses a data folder, only one process uses a rig.
-//! Uses: the system's file locks, which a crash releases. Never: a stale file that must be deleted.
+//! Uses: the system's file locks, which a crash releases. Never: a stale file that must be deleted; a
+//! file behind a symbolic link.
+//!
+//! A rig belongs to the machine, not to a user: with a lock file in a folder of each user, two users would
+//! drive it at once. A serial port refuses a second process itself (`TIOCEXCL`), Modbus TCP does not. So the
+//! lock of a rig is in the machine's folder for locks, `/run/lock`, or else in `/tmp`, where every user may
+//! create files and nobody may replace those of another. Its name can be guessed. So no link is followed,
+//! the file must be an ordinary one with one name, it is written only by the holder of the lock, and it is
+//! never believed: what is read of it is shown. Any user may hold the lock without a rig; the refusal names
+//! process and user, and root may end it.
 
-use std::fs::File;
-use std::io::{Read, Seek, Write};
+use std::fs::{File, Permissions};
+use std::io::{self, Read, Seek, Write};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+
+use rustix::fs::OFlags;
 
 use crate::digest::sha256_hex;
 use crate::rig::config::{LineConfig, RigConfig};
 
+/// Folders for the lock of a rig, in the order of preference. Not `TMPDIR`: users have different ones.
+const SHARED: [&str; 2] = ["/run/lock", "/tmp"];
+/// Rights of a folder in which every user may create files and remove only own ones.
+const STICKY_FOR_ALL: u32 = 0o1002;
+/// Longest note of a holder that is shown, bytes.
+const HOLDER_MAX_BYTES: u64 = 60;
+
 /// A lock that is held until this value is dropped.
 #[derive(Debug)]
 pub struct LockFile {
-    _file: File,
+    file: File,
+}
+
+impl Drop for LockFile {
+    /// An empty file takes no space: `/run/lock` is small, and a virtual rig has new addresses each time.
+    fn drop(&mut self) {
+        let _ = self.file.set_len(0);
+    }
 }
 
 /// Why a lock could not be taken.
@@ -26,7 +52,7 @@ pub enum LockFileError {
     Held {
         /// The locked resource, as text.
         what: String,
-        /// Process id of the holder, as written in the lock file.
+        /// Process and user of the holder, as written in the lock file.
         holder: String,
         /// Path of the lock file.
         path: PathBuf,
@@ -37,7 +63,7 @@ pub enum LockFileError {
         /// Path of the lock file.
         path: PathBuf,
         /// Error of the operating system.
-        source: std::io::Error,
+        source: io::Error,
     },
 }
 
@@ -47,7 +73,8 @@ impl LockFile {
     /// # Errors
     /// `LockFileError::Held` if another process holds it, `File` if the lock file cannot be used.
     pub fn of_data(folder: &Path) -> Result<Self, LockFileError> {
-        Self::take(&folder.join("palpate.lock"), &format!("the data folder {}", folder.display()))
+        let what = format!("the data folder {}", folder.display());
+        Self::take(&folder.join("palpate.lock"), &what, 0o600)
     }
 
     /// Takes the lock of a rig on this machine. Rig files with the same wires have the same lock.
@@ -65,49 +92,126 @@ impl LockFile {
             .collect();
         wires.sort_unstable();
         let digest = sha256_hex(wires.join("\n"));
-        let path = std::env::temp_dir().join(format!("palpate-rig-{}.lock", &digest[..12]));
-        Self::take(&path, &format!("the rig {}", rig.name))
+        let is_shared = |folder: &&str| {
+            let found = Path::new(folder).metadata();
+            found.is_ok_and(|found| found.mode() & STICKY_FOR_ALL == STICKY_FOR_ALL)
+        };
+        let folder = SHARED.into_iter().find(is_shared).unwrap_or("/tmp");
+        let path = Path::new(folder).join(format!("palpate-rig-{}.lock", &digest[..12]));
+        Self::take(&path, &format!("the rig {}", rig.name), 0o666)
     }
 
-    fn take(path: &Path, what: &str) -> Result<Self, LockFileError> {
+    fn take(path: &Path, what: &str, mode: u32) -> Result<Self, LockFileError> {
         let failed = |source| LockFileError::File { path: path.into(), source };
-        let mut file = File::options()
-            .read(true)
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(path)
-            .map_err(failed)?;
+        let mut file = open(path, mode).map_err(failed)?;
         match file.try_lock() {
             Ok(()) => {}
             Err(std::fs::TryLockError::WouldBlock) => {
-                let mut holder = String::new();
-                let _ = file.read_to_string(&mut holder);
-                let holder = holder.trim().to_owned();
+                let holder = holder(&file);
                 return Err(LockFileError::Held { what: what.into(), holder, path: path.into() });
             }
             Err(std::fs::TryLockError::Error(source)) => return Err(failed(source)),
         }
         file.set_len(0).map_err(failed)?;
         file.rewind().map_err(failed)?;
-        writeln!(file, "{}", std::process::id()).map_err(failed)?;
-        Ok(Self { _file: file })
+        let user = rustix::process::geteuid().as_raw();
+        writeln!(file, "{} of user {user}", std::process::id()).map_err(failed)?;
+        Ok(Self { file })
     }
+}
+
+/// Opens a lock file, or creates it with these rights, whatever the umask.
+fn open(path: &Path, mode: u32) -> io::Result<File> {
+    let mut options = File::options();
+    options.read(true).write(true).mode(mode);
+    match options.clone().create_new(true).open(path) {
+        Ok(file) => {
+            file.set_permissions(Permissions::from_mode(mode))?;
+            return Ok(file);
+        }
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+        Err(error) => return Err(error),
+    }
+    // A pipe must not block.
+    let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed();
+    let file = options.custom_flags(flags).open(path)?;
+    let found = file.metadata()?;
+    if !found.is_file() || found.nlink() != 1 {
+        return Err(io::Error::other("must be an ordinary file with one name: remove it"));
+    }
+    Ok(file)
+}
+
+/// What the holder wrote. Anybody may have written it: only plain characters of the start are shown.
+fn holder(file: &File) -> String {
+    let mut text = Vec::new();
+    let _ = file.take(HOLDER_MAX_BYTES).read_to_end(&mut text);
+    let plain = |c: &char| c.is_ascii_alphanumeric() || *c == ' ';
+    text.into_iter().map(char::from).filter(plain).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn folder(name: &str) -> PathBuf {
+        let name = format!("palpate-lock-{name}-{}", std::process::id());
+        let folder = std::env::temp_dir().join(name);
+        std::fs::remove_dir_all(&folder).ok();
+        std::fs::create_dir_all(&folder).unwrap();
+        folder
+    }
+
     #[test]
     fn a_second_holder_is_refused_with_the_process_id_of_the_first() {
-        let folder = std::env::temp_dir().join(format!("palpate-lock-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
+        let folder = folder("held");
         let first = LockFile::of_data(&folder).unwrap();
         let refused = LockFile::of_data(&folder).unwrap_err().to_string();
-        assert!(refused.contains(&std::process::id().to_string()), "{refused}");
+        let user = rustix::process::geteuid().as_raw();
+        let holder = format!("by process {} of user {user} (", std::process::id());
+        assert!(refused.contains(&holder), "{refused}");
         drop(first);
+        assert_eq!(folder.join("palpate.lock").metadata().unwrap().len(), 0);
         LockFile::of_data(&folder).unwrap();
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn a_link_is_refused_and_its_target_stays_as_it_is() {
+        let folder = folder("link");
+        let target = folder.join("target");
+        std::fs::write(&target, "a file of another user").unwrap();
+        std::os::unix::fs::symlink(&target, folder.join("symbolic")).unwrap();
+        std::fs::hard_link(&target, folder.join("hard")).unwrap();
+        for link in ["symbolic", "hard"] {
+            let refused = LockFile::take(&folder.join(link), "a rig", 0o666);
+            assert!(matches!(refused, Err(LockFileError::File { .. })), "{link}: {refused:?}");
+        }
+        std::os::unix::fs::symlink(folder.join("absent"), folder.join("dangling")).unwrap();
+        LockFile::take(&folder.join("dangling"), "a rig", 0o666).unwrap_err();
+        assert!(!folder.join("absent").exists());
+        assert_eq!(std::fs::read_to_string(&target).unwrap(), "a file of another user");
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn every_user_can_open_the_lock_of_a_rig_and_one_user_that_of_a_data_folder() {
+        let folder = folder("mode");
+        for mode in [0o666, 0o600] {
+            let path = folder.join(format!("{mode:o}"));
+            let _held = LockFile::take(&path, "a rig", mode).unwrap();
+            assert_eq!(path.metadata().unwrap().mode() & 0o777, mode);
+        }
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn what_another_user_wrote_cannot_reach_the_terminal() {
+        let folder = folder("text");
+        let path = folder.join("lock");
+        std::fs::write(&path, format!("1\u{1b}[31m{}", "x".repeat(999))).unwrap();
+        let shown = holder(&File::open(&path).unwrap());
+        assert!(shown.starts_with("131m") && shown.len() < 61, "{shown:?}");
         std::fs::remove_dir_all(&folder).unwrap();
     }
 }

@@ -36,6 +36,7 @@ use crate::twins::TwinPool;
 
 mod audit;
 mod auth;
+mod data_folder;
 mod datasets;
 mod describe;
 mod door;
@@ -58,6 +59,7 @@ mod live;
 mod lock_file;
 mod models;
 mod once;
+mod offline;
 mod page;
 mod pages;
 mod params;
@@ -81,7 +83,9 @@ pub use infer::{FrameAnswer, InferOptions, InferRequest, LiveAnswer, Turns};
 pub use jobs::JobOut;
 pub use lock_file::{LockFile, LockFileError};
 pub use models::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
+pub use offline::Offline;
 pub use pages::Page;
+pub use people::CreatedKey;
 pub use routes::{Access, Lock, Needs};
 pub use runs::Summary;
 
@@ -127,7 +131,7 @@ pub enum ServeError {
         /// All invalid values.
         problems: Vec<crate::problem::Problem>,
     },
-    /// The data folder cannot be created.
+    /// The data folder cannot be created or made private.
     #[error("data folder {}: {source}", path.display())]
     Data {
         /// The data folder.
@@ -287,10 +291,8 @@ impl Service {
     pub async fn start(options: ServeOptions) -> Result<Self, ServeError> {
         let config = crate::rig::config::RigConfig::from_toml(&options.rig_file, &options.rig_text)
             .map_err(|problems| ServeError::Rig { problems })?;
-        let data = |source| ServeError::Data { path: options.data.clone(), source };
-        std::fs::create_dir_all(&options.data).map_err(data)?;
-        let locks = [LockFile::of_data(&options.data)?, LockFile::of_rig(&config)?];
-        let store = Store::open(&options.data.join("palpate.db"), Clock::new(1.0)).await?;
+        let locks = [data_folder::open(&options.data)?, LockFile::of_rig(&config)?];
+        let store = Store::open(&data_folder::database(&options.data), Clock::new(1.0)).await?;
         let keys = KeyRing::load(store.clone()).await?;
         if !options.bind.ip().is_loopback() && keys.is_empty() {
             return Err(ServeError::NoKey(options.bind));

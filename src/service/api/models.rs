@@ -239,7 +239,7 @@ async fn receive(mut form: Form) -> Result<Parts, ApiError> {
             "facts" => parts.facts = Some(part.text().await?),
             "name" => {
                 let name = part.text().await?;
-                ApiError::check_length("name", &name, WHO_MAX_CHARS)?;
+                ApiError::check_text("name", &name, WHO_MAX_CHARS)?;
                 parts.name = Some(name);
             }
             other => {

@@ -75,8 +75,8 @@ pub async fn take_lock(
 ) -> Result<Json<LockRow>, ApiError> {
     act.stated(new.holder.as_deref(), Some(&new.note));
     let holder = new.holder.as_deref();
-    ApiError::check_length("holder", holder.unwrap_or_default(), WHO_MAX_CHARS)?;
-    ApiError::check_length("note", &new.note, WHY_MAX_CHARS)?;
+    ApiError::check_text("holder", holder.unwrap_or_default(), WHO_MAX_CHARS)?;
+    ApiError::check_text("note", &new.note, WHY_MAX_CHARS)?;
     Ok(Json(app.store.set_lock(&act.caller().holder(holder), &new.note).await?))
 }
 

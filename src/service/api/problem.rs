@@ -21,6 +21,7 @@ use crate::dataset::shards::ShardsError;
 use crate::infer::error::InferError;
 use crate::jobs::JobError;
 use crate::journal::error_chain;
+use crate::plain::violated;
 use crate::problem::Problem;
 use crate::store::StoreError;
 
@@ -94,17 +95,16 @@ impl ApiError {
         Self { status: StatusCode::BAD_REQUEST, ..Self::problems(errors) }
     }
 
-    /// Checks the length of a text (422).
+    /// Checks the length of a name or note, and that it has no control characters (422).
     ///
     /// # Errors
-    /// 422 if it is longer; the text itself is not repeated.
-    pub fn check_length(key: &str, text: &str, max_chars: usize) -> Result<(), Self> {
-        match text.chars().count() {
-            n if n > max_chars => {
-                let limit = format!("must have at most {max_chars} characters");
-                Err(Self::value(key, format!("{n} characters"), &limit))
+    /// 422 if it violates a limit; the text itself is not repeated.
+    pub fn check_text(key: &str, text: &str, max_chars: usize) -> Result<(), Self> {
+        match violated(text, max_chars) {
+            Some(limit) => {
+                Err(Self::value(key, format!("{} characters", text.chars().count()), &limit))
             }
-            _ => Ok(()),
+            None => Ok(()),
         }
     }
 

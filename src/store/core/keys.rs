@@ -21,6 +21,7 @@ use super::columns::{Columns, time_text};
 use super::{During, Store, StoreError};
 use crate::digest::sha256_hex;
 use crate::journal::error_chain;
+use crate::plain::violated;
 
 /// Start of the text of every key.
 const PREFIX: &str = "palpate_";
@@ -185,7 +186,7 @@ impl KeyRing {
     /// Creates a key from 32 random bytes. Returns its row and its text, which is not stored.
     ///
     /// # Errors
-    /// `Refused` if the name is empty, longer than 100 characters, the name of another valid key, or
+    /// `Refused` if the name is empty, longer than 100 characters, has control characters, is the name of another valid key, or
     /// that of a caller without a key (names identify the holder of the operator lock); `Sql`, `Late` or
     /// `Closed` if the write fails.
     pub async fn create(
@@ -205,6 +206,9 @@ impl KeyRing {
     fn check_name(&self, name: &str) -> Result<(), StoreError> {
         if name.trim().is_empty() || name.chars().count() > NAME_MAX_CHARS {
             return Err(refused("must have 1 to 100 characters"));
+        }
+        if violated(name, NAME_MAX_CHARS).is_some() {
+            return Err(refused("must have no control characters"));
         }
         if name == KEYLESS || name.ends_with(KEYLESS_SUFFIX) {
             return Err(refused(

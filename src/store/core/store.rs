@@ -3,6 +3,7 @@
 
 use std::collections::HashMap;
 use std::io::ErrorKind;
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -174,7 +175,10 @@ async fn create(path: &Path, options: &SqliteConnectOptions) -> Result<(), Store
     let new = path.with_added_extension("new");
     // Remains of a killed process. SQLite removes their log itself.
     let _ = std::fs::remove_file(&new);
-    let writer = Writer::start(options.clone().filename(&new).create_if_missing(true))?;
+    // SQLite gives its log the rights of the database.
+    let made = std::fs::File::options().write(true).create_new(true).mode(0o600).open(&new);
+    made.map_err(|e| StoreError::Open { path: path.to_owned(), source: e.into() })?;
+    let writer = Writer::start(options.clone().filename(&new))?;
     writer.open(path, &MIGRATIONS).await?;
     writer.close().await;
     let rename = || {

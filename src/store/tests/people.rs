@@ -167,7 +167,7 @@ async fn a_key_opens_until_it_is_revoked_and_is_not_in_the_file() {
     assert_eq!(known(&KeyRing::load(store.clone()).await.unwrap(), &secret), expected);
     // The same random bytes result in the same key: it is refused.
     ring.create("again", Role::Viewer, [0xAB; 32]).await.unwrap_err();
-    for name in ["", " ", "local", "eve (local)", "night shift", &"x".repeat(101)] {
+    for name in ["", " ", "local", "eve (local)", "night shift", "a\u{1b}[m", &"x".repeat(101)] {
         let error = ring.create(name, Role::Viewer, [0xCD; 32]).await.unwrap_err();
         assert!(matches!(error, StoreError::Refused { field: "name", .. }), "{name}: {error}");
     }

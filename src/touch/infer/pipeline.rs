@@ -74,6 +74,12 @@ impl Pipeline {
         self
     }
 
+    /// Whether a Transfer-Net has a use: an end-to-end net reads measured frames itself.
+    pub fn uses_transfer(&self) -> bool {
+        let reads = self.models.map.as_ref().map(|map| map.manifest.model.task.reads());
+        reads != Some(Reads::Measured)
+    }
+
     /// Returns a method with its models, for measured frames.
     ///
     /// # Errors
@@ -81,8 +87,7 @@ impl Pipeline {
     pub fn ready(&self, method: Method) -> Result<Box<dyn ReadyMethod>, InferError> {
         let mut models = self.models.clone();
         // The Transfer-Net remains promoted while an end-to-end net serves, which does not use it.
-        let reads = models.map.as_ref().map(|map| map.manifest.model.task.reads());
-        models.transfer = models.transfer.filter(|_| reads != Some(Reads::Measured));
+        models.transfer = models.transfer.filter(|_| self.uses_transfer());
         let ready = method.ready(&models)?;
         if ready.reads() == Reads::Simulated {
             return Err(InferError::NotServed { method: method.name(), needs: "transfer-net" });

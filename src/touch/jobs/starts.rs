@@ -4,6 +4,8 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::new_file;
+
 /// Name of the file with the number of starts since the last progress.
 const STARTS: &str = "starts";
 /// Number of starts without progress after which a job fails.
@@ -27,8 +29,7 @@ impl Starts {
         let path = self.folder.join(STARTS);
         let known = std::fs::read_to_string(&path).ok().and_then(|text| text.trim().parse().ok());
         let before: u32 = known.unwrap_or(0);
-        let kept = std::fs::create_dir_all(&self.folder)
-            .and_then(|()| std::fs::write(&path, (before + 1).to_string()));
+        let kept = new_file::write(&self.folder, STARTS, (before + 1).to_string());
         if let Err(error) = kept {
             tracing::warn!(%error, path = %path.display(), "a job's start was not counted");
         }

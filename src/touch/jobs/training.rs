@@ -110,9 +110,7 @@ fn begun_with(folder: &Path, name: &str) -> Option<String> {
 }
 
 fn begin_with(folder: &Path, name: &str, what: &str) -> Result<(), LearnError> {
-    let kept =
-        std::fs::create_dir_all(folder).and_then(|()| write_whole(folder, name, what.as_bytes()));
-    kept.map_err(LearnError::file("writing", folder))
+    write_whole(folder, name, what.as_bytes()).map_err(LearnError::file("writing", folder))
 }
 
 /// Inputs of a running training.
@@ -208,7 +206,7 @@ impl Work {
     }
 
     fn observer(&self, phase: &str) -> Result<JobObserver<'_>, JobError> {
-        std::fs::create_dir_all(&self.folder).map_err(LearnError::file("making", &self.folder))?;
+        new_file::make_folder(&self.folder).map_err(LearnError::file("making", &self.folder))?;
         self.watch.phase(phase, 0);
         let began_s = self.clock.process_s();
         Ok(JobObserver { work: self, began_s, first: None, kept_s: began_s })

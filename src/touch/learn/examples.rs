@@ -23,6 +23,7 @@ use crate::dataset::read::DatasetRows;
 use crate::dataset::schema::{SPLIT, VOLTAGES_V};
 use crate::dataset::select::Wanted;
 use crate::dataset::split::Part;
+use crate::new_file;
 use crate::problem::Problem;
 use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
 use crate::store::Contact;
@@ -254,9 +255,9 @@ fn frame_length(rows: &DatasetRows, column: &str) -> Result<usize, LearnError> {
 
 /// A file that is removed when it is closed, also if the process is killed.
 fn unnamed_file(folder: &Path) -> std::io::Result<File> {
-    std::fs::create_dir_all(folder)?;
+    new_file::make_folder(folder)?;
     let path = folder.join(format!("training-{}.partial", uuid::Uuid::now_v7()));
-    let file = File::options().read(true).write(true).create_new(true).open(&path)?;
+    let file = new_file::as_private_as(folder)?.read(true).create_new(true).open(&path)?;
     std::fs::remove_file(&path)?;
     Ok(file)
 }

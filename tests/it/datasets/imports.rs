@@ -10,7 +10,12 @@ use parquet::arrow::ArrowWriter;
 use reqwest::multipart::{Form, Part};
 use serde_json::Value;
 
-use super::filled::Filled;
+use palpate::dataset::error::{DatasetError, Product};
+use palpate::dataset::import::{Import, import as import_file};
+use palpate::dataset::space::KEPT_FREE_BYTES;
+use palpate::store::Label;
+
+use super::filled::{Filled, folder, store};
 
 pub const PAD: &str = "name = \"pad\"\nchannels = 4\nwidth_mm = 100\nheight_mm = 80\n";
 
@@ -165,4 +170,28 @@ async fn what_cannot_be_used_is_named_and_nothing_is_stored() {
     let uploads = std::fs::read_dir(lab.data.join("uploads")).unwrap().count();
     assert_eq!(uploads, 0, "uploads are removed");
     lab.close().await;
+}
+
+#[tokio::test]
+async fn an_import_that_the_disk_cannot_hold_stores_nothing() {
+    let data = folder("import-disk");
+    let store = store(&data).await;
+    let path = data.join("pad.parquet");
+    std::fs::write(&path, parquet(good())).unwrap();
+    let request = Import {
+        name: "pad-study".into(),
+        label: Label::Measured,
+        file: "pad.parquet".into(),
+        sensor_file: "pad.toml".into(),
+        sensor: PAD.into(),
+        submitted_by: "local".into(),
+    };
+    // Three trials without their numbers take 2400 bytes.
+    let refused = import_file(&store, &path, request.clone(), KEPT_FREE_BYTES + 2400).await;
+    assert!(matches!(refused, Err(DatasetError::DiskFull { product: Product::Import, .. })));
+    assert!(store.runs(10, None).await.unwrap().runs.is_empty());
+    let stored = import_file(&store, &path, request, KEPT_FREE_BYTES + 4000).await.unwrap();
+    assert_eq!(stored.trials, 3);
+    store.close().await;
+    std::fs::remove_dir_all(data).unwrap();
 }

@@ -7,4 +7,5 @@ mod imports;
 mod names;
 mod models;
 mod notebook;
+mod private;
 mod queries;

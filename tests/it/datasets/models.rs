@@ -116,6 +116,10 @@ async fn nets_are_trained_scored_promoted_and_asked() {
     assert_eq!(status, 409, "{refused}");
     let (status, _) = lab.post("/api/v1/serving", json!({ "what": "maps" })).await;
     assert_eq!(status, 200);
+    let mut both = wish.clone();
+    both["transfer"] = json!(transfer);
+    let (status, refused) = lab.post("/api/v1/infer", both).await;
+    assert_eq!((status, &refused["errors"][0]["key"]), (422, &json!("transfer")), "{refused}");
     let (status, answers) = lab.post("/api/v1/infer", wish).await;
     assert_eq!(status, 200, "{answers}");
     assert_eq!(answers.as_array().unwrap().len(), 2);

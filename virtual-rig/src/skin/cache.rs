@@ -1,6 +1,9 @@
 //! The disk cache of unit responses: one file per sensor, named by its key.
 //! Uses: `sim_core::responses`. Never: trusts a file (length, key and checksum are checked).
 
+use std::fs::{DirBuilder, File};
+use std::io::Write;
+use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -53,9 +56,12 @@ fn read(path: &Path, sensor: &Sensor) -> Option<UnitResponses> {
 /// Writes to a temporary file and renames it, so that a reader never reads an incomplete file.
 fn write(path: &Path, responses: &UnitResponses) -> std::io::Result<()> {
     if let Some(dir) = path.parent() {
-        std::fs::create_dir_all(dir)?;
+        DirBuilder::new().recursive(true).mode(0o700).create(dir)?;
     }
     let partial = path.with_extension(format!("{}.tmp", std::process::id()));
-    std::fs::write(&partial, responses.to_bytes())?;
+    // The cache of the service, too, which keeps its folder to one user.
+    let mut file =
+        File::options().write(true).create(true).truncate(true).mode(0o600).open(&partial)?;
+    file.write_all(&responses.to_bytes())?;
     std::fs::rename(&partial, path)
 }

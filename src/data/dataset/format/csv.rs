@@ -3,6 +3,9 @@
 //!
 //! A number is the shortest text that parses to the same number of its width. A missing value and
 //! an empty text are both an empty cell. Numbers that are not finite are `NaN`, `inf` or `-inf`.
+//!
+//! A spreadsheet evaluates a text that begins like a formula. Such a text is written with an apostrophe
+//! before it (OWASP, "CSV Injection"); numbers are not.
 
 use std::io::Write;
 
@@ -66,6 +69,9 @@ impl<W: Write> Writer<W> {
     }
 }
 
+/// Characters with which a spreadsheet's formula may begin.
+const FORMULA: [char; 6] = ['=', '+', '-', '@', '\t', '\r'];
+
 /// The cells of a row, with reused buffers for their texts.
 #[derive(Default)]
 struct Line {
@@ -75,9 +81,12 @@ struct Line {
 }
 
 impl Line {
-    fn text(&mut self, texts: &ArrayFormatter<'_>, at: usize) -> Result<(), ArrowError> {
+    fn cell(&mut self, of: &Scalars<'_>, at: usize) -> Result<(), ArrowError> {
         self.text.clear();
-        texts.value(at).write(&mut self.text)?;
+        of.shown.value(at).write(&mut self.text)?;
+        if of.is_text && self.text.starts_with(FORMULA) {
+            self.text.insert(0, '\'');
+        }
         self.cells.push_field(self.text.as_bytes());
         Ok(())
     }
@@ -86,11 +95,24 @@ impl Line {
 /// A column of a batch as cells.
 enum Column<'a> {
     /// Scalars: one cell.
-    One(ArrayFormatter<'a>),
+    One(Scalars<'a>),
     /// Lists of fixed length: one cell per item.
-    Each(&'a FixedSizeListArray, ArrayFormatter<'a>),
+    Each(&'a FixedSizeListArray, Scalars<'a>),
     /// Other lists: one cell of JSON.
     Json(NullableEncoder<'a>),
+}
+
+/// Scalars as texts of cells.
+struct Scalars<'a> {
+    shown: ArrayFormatter<'a>,
+    is_text: bool,
+}
+
+impl<'a> Scalars<'a> {
+    fn new(column: &'a dyn Array, texts: &FormatOptions<'a>) -> Result<Self, ArrowError> {
+        let is_text = column.data_type().is_string();
+        Ok(Self { shown: ArrayFormatter::try_new(column, texts)?, is_text })
+    }
 }
 
 impl<'a> Column<'a> {
@@ -103,23 +125,23 @@ impl<'a> Column<'a> {
         Ok(match field.data_type() {
             DataType::FixedSizeList(..) => {
                 let lists = column.as_fixed_size_list();
-                Self::Each(lists, ArrayFormatter::try_new(lists.values().as_ref(), texts)?)
+                Self::Each(lists, Scalars::new(lists.values().as_ref(), texts)?)
             }
             DataType::List(_) => Self::Json(make_encoder(field, column, json)?),
-            _ => Self::One(ArrayFormatter::try_new(column, texts)?),
+            _ => Self::One(Scalars::new(column, texts)?),
         })
     }
 
     fn write(&mut self, row: usize, line: &mut Line) -> Result<(), ArrowError> {
         match self {
-            Self::One(texts) => line.text(texts, row)?,
-            Self::Each(lists, texts) => {
+            Self::One(scalars) => line.cell(scalars, row)?,
+            Self::Each(lists, scalars) => {
                 let length = lists.value_length() as usize;
                 for item in row * length..(row + 1) * length {
                     if lists.is_null(row) {
                         line.cells.push_field(b"");
                     } else {
-                        line.text(texts, item)?;
+                        line.cell(scalars, item)?;
                     }
                 }
             }

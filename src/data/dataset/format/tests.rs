@@ -182,6 +182,28 @@ fn arrow_reads_back() {
 }
 
 #[test]
+fn a_text_like_a_formula_is_a_text_in_csv_and_unchanged_elsewhere() {
+    let formulas = ["=HYPERLINK(\"http://evil\")", "+1", "@SUM", "-2+3", "\tx", "\rx", "a=b", ""];
+    let numbers = (0..8).map(|n| -1.5 - f64::from(n));
+    let batch = RecordBatch::try_from_iter([
+        ("who", Arc::new(StringArray::from(formulas.to_vec())) as ArrayRef),
+        ("depth_mm", Arc::new(numbers.collect::<Float64Array>())),
+    ]);
+    let table = Table::new(vec![batch.unwrap()]);
+    let file = bytes_of(Format::Csv, &table);
+    let lines: Vec<csv::StringRecord> =
+        csv::Reader::from_reader(file.as_slice()).records().map(Result::unwrap).collect();
+    for ((line, formula), n) in lines.iter().zip(formulas).zip(0..) {
+        let shown = if n < 6 { format!("'{formula}") } else { formula.into() };
+        assert_eq!(line[0], shown);
+        assert_eq!(line[1], (-1.5 - f64::from(n)).to_string());
+    }
+    let json = String::from_utf8(bytes_of(Format::Ndjson, &table)).unwrap();
+    let rows = json.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    assert!(rows.zip(formulas).all(|(row, formula)| row["who"] == formula));
+}
+
+#[test]
 fn csv_reads_back_cell_by_cell() {
     let file = bytes_of(Format::Csv, &sample());
     let mut reader = csv::Reader::from_reader(file.as_slice());

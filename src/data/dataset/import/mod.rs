@@ -1,24 +1,29 @@
 //! Import of trials measured elsewhere: a Parquet file becomes a separate run.
 //! Uses: `store::imports`, parquet. Never: HTTP; an incomplete import that counts as a run.
 
+pub mod extent;
 pub mod rows;
 pub mod sensor;
 
 use std::fs::File;
 use std::path::Path;
 
-use arrow_array::RecordBatchReader;
-use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+use arrow_schema::FieldRef;
+use parquet::arrow::ProjectionMask;
+use parquet::arrow::arrow_reader::{ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder};
+use parquet::errors::ParquetError;
 use tokio::sync::mpsc;
 
 use super::background::background;
-use super::error::DatasetError;
+use super::error::{DatasetError, Product};
+use super::space;
 use crate::digest::{Hashing, sha256_hex};
 use crate::ids::RunUid;
 use crate::problem::Problem;
 use crate::store::{
     IMPORTED_MODEL, ImportedTrial, Label, NewRun, NewTwinModel, RunKind, RunRow, Store, TwinModelId,
 };
+use extent::Extent;
 use rows::Reader;
 use sensor::ImportedSensor;
 
@@ -54,17 +59,23 @@ pub struct Imported {
 }
 
 /// Imports a file as a run. The file is read twice: it is checked completely before the first trial
-/// is stored.
+/// is stored. `free`: free space of the disk, bytes.
 ///
 /// # Errors
 /// `DatasetError::Problems` if sensor file, columns or values are invalid, or the file has no
-/// trials; `File` or `Parquet` if the file cannot be read; `Store` if the store fails.
-pub async fn import(store: &Store, path: &Path, import: Import) -> Result<Imported, DatasetError> {
+/// trials; `DiskFull` if its trials would need the space that is reserved for runs; `File` or
+/// `Parquet` if the file cannot be read; `Store` if the store fails.
+pub async fn import(
+    store: &Store,
+    path: &Path,
+    import: Import,
+    free: u64,
+) -> Result<Imported, DatasetError> {
     let sensor = ImportedSensor::from_toml(&import.sensor_file, &import.sensor)
         .map_err(DatasetError::Problems)?;
     let checked = {
         let (path, file, sensor) = (path.to_owned(), import.file.clone(), sensor.clone());
-        background(move || check(&path, &file, &sensor)).await??
+        background(move || check(&path, &file, &sensor, free)).await??
     };
     let run = store.begin_import(new_run(&import, &sensor, &checked)).await?;
     let model = match checked.simulated {
@@ -85,43 +96,66 @@ struct Checked {
     sha256: String,
 }
 
-fn check(path: &Path, file: &str, sensor: &ImportedSensor) -> Result<Checked, DatasetError> {
+fn check(
+    path: &Path,
+    file: &str,
+    sensor: &ImportedSensor,
+    free: u64,
+) -> Result<Checked, DatasetError> {
+    let opened = open(path, file)?;
+    let mut reader = Reader::new(file, sensor);
+    reader.check(opened.schema()).map_err(DatasetError::Problems)?;
+    // A few bytes of a compressed file may stand for any number of values.
+    let extent = Extent::of(opened.metadata());
+    let needed = extent.needed(file, sensor).map_err(DatasetError::Problems)?;
+    space::check(Product::Import, needed, free)?;
     let mut hashing = Hashing::default();
     let mut bytes = File::open(path).map_err(DatasetError::file("opening", path))?;
     std::io::copy(&mut bytes, &mut hashing).map_err(DatasetError::file("reading", path))?;
     let mut checked = Checked {
         trials: 0,
         simulated: false,
-        columns_left_out: Vec::new(),
+        columns_left_out: rows::ignored(opened.schema()),
         sha256: hashing.finish(),
     };
-    let batches = batches(path, file)?;
-    let mut reader = Reader::new(file, sensor);
-    reader.check(&batches.schema()).map_err(DatasetError::Problems)?;
-    checked.columns_left_out = rows::ignored(&batches.schema());
-    for batch in batches {
+    for batch in batches(opened, file)? {
         let trials = reader.read(&batch?).map_err(DatasetError::Problems)?;
         checked.trials += trials.len() as u64;
         checked.simulated |= trials.iter().any(|trial| trial.sim_voltages_v.is_some());
+        if checked.trials > extent.rows() {
+            return Err(whole(file, "must not hold more rows than its footer states"));
+        }
     }
     if checked.trials == 0 {
-        let problem = Problem::whole(file, "must hold at least one trial");
-        return Err(DatasetError::Problems(vec![problem]));
+        return Err(whole(file, "must hold at least one trial"));
     }
     Ok(checked)
 }
 
-fn batches(
-    path: &Path,
-    file: &str,
-) -> Result<parquet::arrow::arrow_reader::ParquetRecordBatchReader, DatasetError> {
+fn open(path: &Path, file: &str) -> Result<ParquetRecordBatchReaderBuilder<File>, DatasetError> {
     let opened = File::open(path).map_err(DatasetError::file("opening", path))?;
-    let built = ParquetRecordBatchReaderBuilder::try_new(opened)
-        .and_then(|builder| builder.with_batch_size(BATCH_TRIALS).build());
-    built.map_err(|error| {
-        let limit = format!("must be a Parquet file with the columns of the trials table: {error}");
-        DatasetError::Problems(vec![Problem::whole(file, limit)])
-    })
+    ParquetRecordBatchReaderBuilder::try_new(opened).map_err(|error| unreadable(file, &error))
+}
+
+/// Reads the columns that an import uses.
+fn batches(
+    opened: ParquetRecordBatchReaderBuilder<File>,
+    file: &str,
+) -> Result<ParquetRecordBatchReader, DatasetError> {
+    let used = |(at, field): (usize, &FieldRef)| rows::is_read(field.name()).then_some(at);
+    let used: Vec<usize> = opened.schema().fields().iter().enumerate().filter_map(used).collect();
+    let mask = ProjectionMask::roots(opened.parquet_schema(), used);
+    let built = opened.with_projection(mask).with_batch_size(BATCH_TRIALS).build();
+    built.map_err(|error| unreadable(file, &error))
+}
+
+fn unreadable(file: &str, error: &ParquetError) -> DatasetError {
+    let limit = format!("must be a Parquet file with the columns of the trials table: {error}");
+    whole(file, limit)
+}
+
+fn whole(file: &str, limit: impl Into<String>) -> DatasetError {
+    DatasetError::Problems(vec![Problem::whole(file, limit)])
 }
 
 fn new_run(import: &Import, sensor: &ImportedSensor, checked: &Checked) -> NewRun {
@@ -182,7 +216,7 @@ async fn store_trials(
     let (path, file, sensor) = (path.to_owned(), import.file.clone(), sensor.clone());
     let reading = background(move || -> Result<(), DatasetError> {
         let mut reader = Reader::new(&file, &sensor);
-        for batch in batches(&path, &file)? {
+        for batch in batches(open(&path, &file)?, &file)? {
             let trials = reader.read(&batch?).map_err(DatasetError::Problems)?;
             if sender.blocking_send(trials).is_err() {
                 break;

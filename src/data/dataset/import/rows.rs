@@ -38,10 +38,15 @@ const PROBLEMS_MAX: usize = 20;
 /// Largest valid force of a contact, N.
 const FORCE_MAX_N: f64 = 100_000.0;
 
+/// Whether an import reads the column with this name.
+pub fn is_read(name: &str) -> bool {
+    READ.contains(&name)
+}
+
 /// Names of the columns of a file that an import ignores.
 pub fn ignored(schema: &Schema) -> Vec<String> {
     let names = schema.fields().iter().map(|field| field.name());
-    names.filter(|name| !READ.contains(&name.as_str())).cloned().collect()
+    names.filter(|name| !is_read(name)).cloned().collect()
 }
 
 /// Converts batches, one after the other, to trials; checks that no key occurs twice.

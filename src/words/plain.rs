@@ -1,0 +1,57 @@
+//! Text that other people entered: what of it must not reach a terminal, and what a name may contain.
+//! PURE. Uses: nothing. Never: a text that is refused and shown as it is.
+
+use std::borrow::Cow;
+
+/// Whether a character controls a terminal (C0, DEL, C1) or the direction of the text after it.
+fn is_control(c: char) -> bool {
+    c.is_control() || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+}
+
+/// Returns the text with its control characters as `\u{1b}`.
+pub fn escaped(text: &str) -> Cow<'_, str> {
+    escape(text, is_control)
+}
+
+/// As [`escaped`], but ends of lines and tabs stay.
+pub fn escaped_lines(text: &str) -> Cow<'_, str> {
+    escape(text, |c| is_control(c) && !matches!(c, '\n' | '\t'))
+}
+
+fn escape(text: &str, of: impl Fn(char) -> bool) -> Cow<'_, str> {
+    if !text.contains(&of) {
+        return text.into();
+    }
+    let shown = |c: char| if of(c) { c.escape_unicode().to_string() } else { c.into() };
+    text.chars().map(shown).collect()
+}
+
+/// Returns the limit that a name or note of at most `max_chars` characters violates.
+pub fn violated(text: &str, max_chars: usize) -> Option<String> {
+    if text.chars().count() > max_chars {
+        return Some(format!("must have at most {max_chars} characters"));
+    }
+    text.contains(is_control).then(|| "must have no control characters".into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_that_controls_a_terminal_is_shown() {
+        let text = "a\u{1b}[31m\u{0}\u{7f}\u{9b}1m\u{202e}\u{2066}\r\n\tµ";
+        let whole = r"a\u{1b}[31m\u{0}\u{7f}\u{9b}1m\u{202e}\u{2066}\u{d}\u{a}\u{9}µ";
+        assert_eq!(escaped(text), whole);
+        assert_eq!(escaped_lines(text), whole.replace(r"\u{a}\u{9}", "\n\t"));
+        assert!(matches!(escaped("Ölfleck – 3"), Cow::Borrowed("Ölfleck – 3")));
+    }
+
+    #[test]
+    fn names_are_short_and_without_control_characters() {
+        assert_eq!(violated("Real-Hex, µ 3", 13), None);
+        assert_eq!(violated("abc", 2).unwrap(), "must have at most 2 characters");
+        assert_eq!(violated("a\u{7}", 2).unwrap(), "must have no control characters");
+        assert_eq!(violated("a\n", 2).unwrap(), "must have no control characters");
+    }
+}

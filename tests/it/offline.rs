@@ -1,0 +1,47 @@
+//! Keys and lock without a running service, and without the rig.
+
+use palpate::api::Offline;
+use palpate::store::Role;
+use serde_json::{Value, json};
+
+use super::datasets::filled::{Filled, folder, store};
+
+#[tokio::test]
+async fn keys_and_lock_need_neither_a_service_nor_a_rig() {
+    let data = folder("offline");
+    let offline = Offline::open(&data).await.unwrap();
+    let made = offline.create_key("ada", Role::Admin).await.unwrap();
+    offline.create_key("ada", Role::Viewer).await.unwrap_err();
+    offline.take_lock("ben", "hands in the rig").await.unwrap();
+    assert_eq!(offline.lock().await.unwrap().unwrap().holder, "ben (local)");
+    offline.clear_lock().await.unwrap();
+    assert!(offline.revoke_key(made.key.id).await.unwrap());
+    assert!(!offline.revoke_key(made.key.id).await.unwrap());
+    assert_eq!(offline.keys().await.unwrap().len(), 1);
+    offline.close().await;
+    let store = store(&data).await;
+    let mut log = store.actions(None, 10, None).await.unwrap();
+    log.reverse();
+    let shown: Vec<_> = log.iter().map(|a| (&*a.action, &*a.who, a.accepted)).collect();
+    let local = |action, accepted| (action, "local", accepted);
+    let all = [
+        local("key", true),
+        local("key", false),
+        ("lock", "ben (local)", true),
+        local("unlock", true),
+        local("revoke_key", true),
+        local("revoke_key", true),
+    ];
+    assert_eq!(shown, all);
+    store.close().await;
+    let lab = Filled::serve(data.clone()).await;
+    let refused = Offline::open(&data).await.err().unwrap().to_string();
+    assert!(refused.contains("in use by process"), "{refused}");
+    let note = json!({ "note": "gone\u{1b}[2J" });
+    let answer = lab.http.put(lab.url("/api/v1/lock")).json(&note).send().await.unwrap();
+    assert_eq!(answer.status(), 422);
+    let problem: Value = answer.json().await.unwrap();
+    let detail = "request: note = 8 characters: must have no control characters";
+    assert_eq!(problem["detail"], detail);
+    lab.close().await;
+}
