@@ -22,7 +22,7 @@ const CONTACT_BYTES: u64 = 80;
 /// `DatasetError::DiskFull` if they do not.
 pub fn check(product: Product, needed: u64, free: u64) -> Result<(), DatasetError> {
     let kept = KEPT_FREE_BYTES;
-    if needed.saturating_add(kept) <= free {
+    if needed.checked_add(kept).is_some_and(|all| all <= free) {
         return Ok(());
     }
     Err(DatasetError::DiskFull { product, needed, free, kept })
@@ -78,6 +78,7 @@ mod tests {
         check(Product::Import, 1000, free).unwrap();
         let refused = check(Product::Import, 1001, free).unwrap_err().to_string();
         assert!(refused.starts_with("an import of about 1001 bytes: 2147484648 bytes are free"));
+        check(Product::Import, 0, KEPT_FREE_BYTES - 1).unwrap_err();
         check(Product::Export, u64::MAX, u64::MAX).unwrap_err();
     }
 

@@ -197,15 +197,16 @@ fn real_random_is_placed_by_hand() {
 #[test]
 fn a_name_is_refused_that_is_long_or_controls_a_terminal() {
     let named = |name: &str| {
-        let experiment = Experiment { name: name.into(), ..hex(1, "") };
-        let text = toml::to_string(&experiment).unwrap();
+        let text = format!(
+            "name = \"{name}\"\nseed = 1\nsensor = \"s\"\n[real_hex]\ntips = [1]\nconfigurations = 1\n"
+        );
         Experiment::from_toml("e.toml", &text).map_err(|problems| problems[0].to_string())
     };
     named(&"n".repeat(200)).unwrap();
     let refused = "e.toml: name = 201 characters: must have at most 200 characters";
     assert_eq!(named(&"n".repeat(201)).unwrap_err(), refused);
     let refused = "e.toml: name = 4 characters: must have no control characters";
-    assert_eq!(named("n\u{1b}[m").unwrap_err(), refused);
+    assert_eq!(named(r"n\u001b[m").unwrap_err(), refused);
 }
 
 /// One-way analysis of variance: the variance of a quantity between stretches of `size` divided by
