@@ -35,7 +35,7 @@ use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
 use tower_service::Service;
 
-use super::limits::YOUNG;
+use super::limits::{HYPER_FIELDS, YOUNG};
 use super::line::{Line, Sent};
 use super::problem::ApiError;
 use super::seat::{InFlight, Seat, Seats};
@@ -166,7 +166,9 @@ async fn attend(
     let answering = seat.clone();
     let service = service_fn(move |request| answer(handlers.clone(), answering.clone(), request));
     let io = TokioIo::new(Line::new(stream, seat.clone()));
-    let mut connection = pin!(http1::Builder::new().serve_connection(io, service).with_upgrades());
+    let mut http = http1::Builder::new();
+    http.max_headers(HYPER_FIELDS);
+    let mut connection = pin!(http.serve_connection(io, service).with_upgrades());
     let mut ends = false;
     loop {
         tokio::select! {

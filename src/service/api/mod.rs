@@ -61,6 +61,7 @@ mod people;
 mod problem;
 mod query;
 mod queue;
+mod ranges;
 mod rig;
 mod routes;
 mod runs;
@@ -249,6 +250,7 @@ fn router(app: App) -> axum::Router {
         .merge(page::routes())
         .fallback(page::unknown)
         .method_not_allowed_fallback(page::wrong_method)
+        .layer(from_fn(guard::short_head))
         .layer(from_fn(guard::harden))
         .layer(from_fn(trace::follow))
         // The e-stop has no layer: nothing runs before its handler.
