@@ -48,6 +48,7 @@ pub async fn server(at: &At) -> Result<Client, CliError> {
 pub fn options(data: PathBuf, rig: &RigFiles) -> Result<ServeOptions, CliError> {
     let (sensor, sensor_text) = read_sensor_text(None)?;
     Ok(ServeOptions {
+        require_key: false,
         local_admin: false,
         bind: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)),
         data,

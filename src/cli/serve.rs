@@ -26,8 +26,11 @@ pub struct ServeArgs {
     /// Rig file [default: the virtual rig].
     #[arg(long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
-    /// Let callers on this machine make and revoke keys without having one.
+    /// Demand a key from callers on this machine, too; the emergency stop needs none there.
     #[arg(long)]
+    pub require_key: bool,
+    /// Let callers on this machine make and revoke keys without having one.
+    #[arg(long, conflicts_with = "require_key")]
     pub local_admin: bool,
     /// Do not resume interrupted runs automatically.
     #[arg(long)]
@@ -53,6 +56,7 @@ pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
     let (sensor, sensor_text) = read_sensor_text(args.sensor.as_deref())?;
     let options = ServeOptions {
         bind: args.bind,
+        require_key: args.require_key,
         local_admin: args.local_admin,
         data: data_or_default(args.data),
         rig_file: rig.file,

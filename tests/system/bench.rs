@@ -225,6 +225,7 @@ impl Lab {
 /// A service on a rig that is switched on.
 pub fn options(rig: &VirtualRig, data: &Path) -> ServeOptions {
     ServeOptions {
+        require_key: false,
         local_admin: true,
         bind: "127.0.0.1:0".parse().unwrap(),
         data: data.into(),

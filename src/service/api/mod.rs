@@ -99,6 +99,8 @@ pub struct ServeOptions {
     pub rig_file: String,
     /// Text of the rig file.
     pub rig_text: String,
+    /// True: every request needs a key, on loopback, too, except the e-stop and /health.
+    pub require_key: bool,
     /// True: callers without a key, on loopback, may also make and revoke keys.
     pub local_admin: bool,
     /// True: resume an interrupted run automatically, if its policy allows it.
@@ -149,6 +151,9 @@ pub enum ServeError {
         "bind = {0}: must be a loopback address while there is no API key; run `palpate key create NAME`"
     )]
     NoKey(SocketAddr),
+    /// Every request needs a key, and there is none.
+    #[error("require-key = true: there is no API key; run `palpate key create NAME --role admin`")]
+    NoKeyAtAll,
     /// The folders of datasets cannot be opened.
     #[error(transparent)]
     Datasets(#[from] DatasetError),
@@ -199,6 +204,7 @@ struct Facts {
     wrong_keys: auth::WrongKeys,
     delayed: Semaphore,
     local_admin: bool,
+    require_key: bool,
 }
 
 impl App {
@@ -274,9 +280,9 @@ impl Service {
     ///
     /// # Errors
     /// `ServeError::Rig` if the rig file is invalid, `Data` or `Store` if the data folder cannot be
-    /// used, `Locked` if another process uses it or the rig, `NoKey` for a public address without a
-    /// key, `Bind` if the address is not available, `Datasets`, `Models` or `Thread` for a failed
-    /// start of these parts.
+    /// used, `Locked` if another process uses it or the rig, `NoKey` for a public address without a key, `NoKeyAtAll` if keys are required
+    /// and there is none, `Bind` if the address is not available, `Datasets`, `Models` or `Thread` for
+    /// a failed start of these parts.
     pub async fn start(options: ServeOptions) -> Result<Self, ServeError> {
         let config = crate::rig::config::RigConfig::from_toml(&options.rig_file, &options.rig_text)
             .map_err(|problems| ServeError::Rig { problems })?;
@@ -287,6 +293,13 @@ impl Service {
         let keys = KeyRing::load(store.clone()).await?;
         if !options.bind.ip().is_loopback() && keys.is_empty() {
             return Err(ServeError::NoKey(options.bind));
+        }
+        if options.require_key && keys.is_empty() {
+            return Err(ServeError::NoKeyAtAll);
+        }
+        if !options.bind.ip().is_loopback() {
+            let bind = options.bind;
+            tracing::warn!(%bind, "keys and data travel readable: use a trusted network, or a proxy with TLS");
         }
         let bind = |source| ServeError::Bind { bind: options.bind, source };
         door::raise_file_limit();
@@ -317,6 +330,7 @@ impl Service {
             wrong_keys: auth::WrongKeys::default(),
             delayed: Semaphore::new(limits::DELAYED),
             local_admin: options.local_admin,
+            require_key: options.require_key,
         };
         let cache = options.data.join("cache");
         sweep_partial(&cache);
