@@ -1,7 +1,7 @@
 //! The service: HTTP over the conductor, the campaign and the store; wiring and life cycle.
 //! Uses: everything before it. Never: motion, SQL, a read that a motion waits for.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -68,6 +68,7 @@ mod runs;
 mod seat;
 mod send;
 mod status;
+mod tls;
 mod trace;
 mod trials;
 mod twins;
@@ -79,6 +80,7 @@ pub use lock_file::{LockFile, LockFileError};
 pub use models::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
 pub use routes::{Access, Lock, Needs};
 pub use runs::Summary;
+pub use tls::{Tls, TlsCause, TlsError, warn_if_others_may_read};
 
 use routes::AllNeeds;
 
@@ -99,6 +101,8 @@ pub struct ServeOptions {
     pub rig_file: String,
     /// Text of the rig file.
     pub rig_text: String,
+    /// Certificate and key for TLS; `None`: requests and keys travel readable.
+    pub tls: Option<Tls>,
     /// True: every request needs a key, on loopback, too, except the e-stop and /health.
     pub require_key: bool,
     /// True: callers without a key, on loopback, may also make and revoke keys.
@@ -154,6 +158,9 @@ pub enum ServeError {
     /// Every request needs a key, and there is none.
     #[error("require-key = true: there is no API key; run `palpate key create NAME --role admin`")]
     NoKeyAtAll,
+    /// The certificate or its key cannot be used.
+    #[error("{}", error_chain(.0))]
+    Tls(#[from] TlsError),
     /// The folders of datasets cannot be opened.
     #[error(transparent)]
     Datasets(#[from] DatasetError),
@@ -267,6 +274,7 @@ fn router(app: App) -> axum::Router {
 /// A running service.
 pub struct Service {
     address: SocketAddr,
+    secure: bool,
     app: App,
     ending: watch::Sender<bool>,
     door: std::thread::JoinHandle<()>,
@@ -280,12 +288,14 @@ impl Service {
     ///
     /// # Errors
     /// `ServeError::Rig` if the rig file is invalid, `Data` or `Store` if the data folder cannot be
-    /// used, `Locked` if another process uses it or the rig, `NoKey` for a public address without a key, `NoKeyAtAll` if keys are required
+    /// used, `Locked` if another process uses it or the rig, `Tls` if the certificate or its key
+    /// cannot be used, `NoKey` for a public address without a key, `NoKeyAtAll` if keys are required
     /// and there is none, `Bind` if the address is not available, `Datasets`, `Models` or `Thread` for
     /// a failed start of these parts.
     pub async fn start(options: ServeOptions) -> Result<Self, ServeError> {
         let config = crate::rig::config::RigConfig::from_toml(&options.rig_file, &options.rig_text)
             .map_err(|problems| ServeError::Rig { problems })?;
+        let tls = options.tls.as_ref().map(Tls::acceptor).transpose()?;
         let data = |source| ServeError::Data { path: options.data.clone(), source };
         std::fs::create_dir_all(&options.data).map_err(data)?;
         let locks = [LockFile::of_data(&options.data)?, LockFile::of_rig(&config)?];
@@ -297,9 +307,9 @@ impl Service {
         if options.require_key && keys.is_empty() {
             return Err(ServeError::NoKeyAtAll);
         }
-        if !options.bind.ip().is_loopback() {
+        if !options.bind.ip().is_loopback() && tls.is_none() {
             let bind = options.bind;
-            tracing::warn!(%bind, "keys and data travel readable: use a trusted network, or a proxy with TLS");
+            tracing::warn!(%bind, "keys and data travel readable: use --tls-cert, or a proxy with TLS");
         }
         let bind = |source| ServeError::Bind { bind: options.bind, source };
         door::raise_file_limit();
@@ -377,14 +387,26 @@ impl Service {
         ];
         let answering = app.facts.ending.clone();
         let listener = listener.into_std().map_err(bind)?;
-        let door =
-            door::open(listener, router(app.clone()), answering).map_err(ServeError::Thread)?;
-        Ok(Self { address, app, ending, door, tasks, engine, _locks: locks })
+        let secure = tls.is_some();
+        let door = door::open(listener, router(app.clone()), tls, answering)
+            .map_err(ServeError::Thread)?;
+        Ok(Self { address, secure, app, ending, door, tasks, engine, _locks: locks })
     }
 
-    /// Address of the service, `http://HOST:PORT`.
+    /// Address of the service, `http://HOST:PORT`, or `https://` with TLS.
     pub fn url(&self) -> String {
-        format!("http://{}", self.address)
+        format!("{}://{}", if self.secure { "https" } else { "http" }, self.address)
+    }
+
+    /// Address of the service as clients on this machine reach it.
+    pub fn local_url(&self) -> String {
+        let mut local = self.address;
+        match local.ip() {
+            ip if !ip.is_unspecified() => {}
+            IpAddr::V4(_) => local.set_ip(Ipv4Addr::LOCALHOST.into()),
+            IpAddr::V6(_) => local.set_ip(Ipv6Addr::LOCALHOST.into()),
+        }
+        self.url().replacen(&self.address.to_string(), &local.to_string(), 1)
     }
 
     /// Serves until `end` completes, then shuts down.

@@ -19,7 +19,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
 
-use crate::support::{SENSOR, VIRTUAL_RIG, sensor};
+use crate::support::{SENSOR, VIRTUAL_RIG, http, sensor};
 
 /// Configurations of the Real-Hex run; each third is one that was drawn before.
 pub const CONFIGURATIONS: u32 = 30;
@@ -218,6 +218,7 @@ impl Filled {
     /// A service on a folder, with other options.
     pub async fn serve_as(data: PathBuf, change: impl FnOnce(&mut ServeOptions)) -> Self {
         let mut options = ServeOptions {
+            tls: None,
             require_key: false,
             local_admin: true,
             bind: "127.0.0.1:0".parse().unwrap(),
@@ -232,7 +233,7 @@ impl Filled {
         };
         change(&mut options);
         let service = Service::start(options).await.unwrap();
-        Self { data, service, http: reqwest::Client::new() }
+        Self { data, service, http: http() }
     }
 
     pub fn url(&self, path: &str) -> String {
