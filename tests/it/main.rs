@@ -14,6 +14,7 @@ mod experiments;
 mod golden_plans;
 mod independent;
 mod independent_fit;
+mod network;
 #[cfg(feature = "train")]
 mod onnx;
 mod old_data;
