@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use palpate::cli::trust;
 use rand::{RngExt, SeedableRng};
 use rustix::process::{Pid, Resource, Rlimit, Signal, kill_process, prlimit};
 use serde_json::{Value, json};
@@ -69,7 +70,12 @@ impl Site {
         std::fs::create_dir_all(&folder).unwrap();
         let port = free_port();
         let url = format!("http://127.0.0.1:{port}");
-        let site = Self { folder, url, port, http: reqwest::Client::new() };
+        let site = Self {
+            folder,
+            url,
+            port,
+            http: trust::http(trust::tls("http:", None).unwrap()).unwrap(),
+        };
         let cache = Path::new(env!("CARGO_TARGET_TMPDIR")).join("skin");
         let cache = cache.to_str().unwrap();
         let rig = ["virtual-rig", "--ephemeral", "--speed", SPEED, "--cache", cache];

@@ -22,7 +22,7 @@ const ACKNOWLEDGED: Duration = Duration::from_secs(2);
 /// Interval of polling.
 const LOOK: Duration = Duration::from_millis(50);
 /// Repetitions of a stop that was not answered.
-const ESTOP_AGAIN: u32 = 4;
+const ESTOP_AGAIN: usize = 4;
 
 /// Options of a request to the active run.
 #[derive(Debug, Clone, Args)]
@@ -128,18 +128,18 @@ pub async fn abort(args: &AbortArgs) -> Result<(), CliError> {
 /// `CliError` if the request for the stop fails; the acknowledgement is only reported.
 pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
     // The server is not probed first: the stop must be the first request.
-    let url = args.at.url().unwrap_or_else(|| super::DEFAULT_URL.into());
-    let client = Client::new(&url)?;
-    let body = json!({ "why": args.why, "who": client.who() });
+    let clients = embed::clients(&args.at)?;
     let mut tries = 0;
-    let answer: Value = loop {
+    let (client, answer): (&Client, Value) = loop {
+        let client = &clients[tries % clients.len()];
+        let body = json!({ "why": args.why, "who": client.who() });
         match client.post("/api/v1/estop", &body).await {
             // A stop may be repeated: a crowded service may close a connection unanswered.
             Err(CliError::NoServer { .. } | CliError::Http { .. }) if tries < ESTOP_AGAIN => {
                 tries += 1;
                 tokio::time::sleep(LOOK).await;
             }
-            outcome => break outcome?,
+            outcome => break (client, outcome?),
         }
     };
     let asked = Instant::now();

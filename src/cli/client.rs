@@ -2,27 +2,33 @@
 //! Uses: reqwest, `view`, `repeat`. Never: the service's internals; a repetition except in `repeat`.
 
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
 use futures::StreamExt;
 use reqwest::multipart::{Form, Part};
 use reqwest::{Method, RequestBuilder, Response};
+use rustls::ClientConfig;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::{self, Message};
+use tokio_tungstenite::{Connector, connect_async_tls_with_config};
 
 use super::error::CliError;
 use super::repeat;
+use super::trust;
 use super::view::{ArmedView, EventView, StatusView, TakenUpView};
-use crate::api::{Page, Summary};
+use crate::api::{Page, Summary, warn_if_others_may_read};
 use crate::ids::RunUid;
 use crate::problem::Problem;
 use crate::store::RunRow;
 
 /// Environment variable with the API key.
 pub const KEY_VARIABLE: &str = "PALPATE_KEY";
+/// Environment variable with the path of a file with the API key, if the other one is not set.
+const KEY_FILE_VARIABLE: &str = "PALPATE_KEY_FILE";
 /// Longest wait for an answer; connecting a rig takes longest.
 const ANSWER: Duration = Duration::from_secs(60);
 /// Longest wait when probing for a server.
@@ -33,6 +39,7 @@ const LOOK: Duration = Duration::from_secs(2);
 pub struct Client {
     url: String,
     http: reqwest::Client,
+    tls: Arc<ClientConfig>,
     key: Option<String>,
     who: String,
     answer_within: Duration,
@@ -63,13 +70,14 @@ pub fn who() -> String {
 }
 
 impl Client {
-    /// Client of the service at a URL, with the key of the environment.
+    /// Client of the service at a URL, with the key of the environment. `ca`: file with the certificate
+    /// of the service or of its authority.
     ///
     /// # Errors
-    /// `CliError::Http` if the HTTP client cannot be created.
-    pub fn new(url: &str) -> Result<Self, CliError> {
-        let key = std::env::var(KEY_VARIABLE).ok().filter(|k| !k.is_empty());
-        Self::with(url, key)
+    /// `CliError::Http` if the HTTP client cannot be created; `File`, `Problems` or `Tls` if the file or
+    /// that of the key cannot be used.
+    pub fn new(url: &str, ca: Option<&Path>) -> Result<Self, CliError> {
+        Self::with(url, ca, key()?)
     }
 
     /// Client of a service in this process, which needs no key.
@@ -77,17 +85,15 @@ impl Client {
     /// # Errors
     /// `CliError::Http` if the HTTP client cannot be created.
     pub fn of_own(url: &str) -> Result<Self, CliError> {
-        Self::with(url, None)
+        Self::with(url, None, None)
     }
 
-    fn with(url: &str, key: Option<String>) -> Result<Self, CliError> {
-        // A rig is on the local network: proxies are not used.
-        let http = reqwest::Client::builder()
-            .no_proxy()
-            .build()
+    fn with(url: &str, ca: Option<&Path>, key: Option<String>) -> Result<Self, CliError> {
+        let tls = trust::tls(url, ca)?;
+        let http = trust::http(tls.clone())
             .map_err(|source| CliError::Http { operation: "HTTP client".into(), source })?;
         let url = url.trim_end_matches('/').into();
-        Ok(Self { url, http, key, who: who(), answer_within: ANSWER })
+        Ok(Self { url, http, tls: tls.into(), key, who: who(), answer_within: ANSWER })
     }
 
     /// Returns the same client with another deadline for answers.
@@ -106,11 +112,19 @@ impl Client {
     }
 
     /// Whether a palpate server answers at the URL.
-    pub async fn is_there(&self) -> bool {
+    ///
+    /// # Errors
+    /// `CliError::Untrusted` if its certificate is not trusted.
+    pub async fn is_there(&self) -> Result<bool, CliError> {
         let url = format!("{}/health/live", self.url);
-        let Ok(answer) = self.http.get(url).timeout(LOOK).send().await else { return false };
-        let body: Value = answer.json().await.unwrap_or_default();
-        body["service"] == "palpate"
+        let body: Value = match self.http.get(url).timeout(LOOK).send().await {
+            Ok(answer) => answer.json().await.unwrap_or_default(),
+            Err(error) => match self.untrusted(&error) {
+                Some(untrusted) => return Err(untrusted),
+                None => return Ok(false),
+            },
+        };
+        Ok(body["service"] == "palpate")
     }
 
     /// Returns the status of rig, run and service.
@@ -359,7 +373,9 @@ impl Client {
                 let body = serde_json::from_slice(body).unwrap_or_default();
                 refusal(operation(), answer.status().as_u16(), &body)
             }
-            tungstenite::Error::Io(_) => CliError::NoServer { url: self.url.clone() },
+            tungstenite::Error::Io(ref error) => self
+                .untrusted(error)
+                .unwrap_or_else(|| CliError::NoServer { url: self.url.clone() }),
             other => CliError::Socket { operation: operation(), source: Box::new(other) },
         };
         let url = format!("{}{path}", self.url.replacen("http", "ws", 1));
@@ -369,7 +385,9 @@ impl Client {
         {
             request.headers_mut().insert("authorization", value);
         }
-        let (mut socket, _) = tokio_tungstenite::connect_async(request).await.map_err(failed)?;
+        let tls = Some(Connector::Rustls(self.tls.clone()));
+        let connected = connect_async_tls_with_config(request, None, false, tls).await;
+        let (mut socket, _) = connected.map_err(failed)?;
         while let Some(message) = socket.next().await {
             match message.map_err(failed)? {
                 Message::Text(text) if !take(&text) => break,
@@ -390,7 +408,9 @@ impl Client {
         let request = self.with_key(request).timeout(self.answer_within);
         let answer = repeat::send(request, &operation, self.answer_within).await;
         let answer = answer.map_err(|source| {
-            if source.is_connect() {
+            if let Some(untrusted) = self.untrusted(&source) {
+                untrusted
+            } else if source.is_connect() {
                 CliError::NoServer { url: self.url.clone() }
             } else {
                 CliError::Http { operation: operation.clone(), source }
@@ -402,6 +422,12 @@ impl Client {
         let status = answer.status().as_u16();
         let body: Value = answer.json().await.unwrap_or_default();
         Err(refusal(operation, status, &body))
+    }
+
+    /// The error of a server whose certificate is not trusted, if this is the cause.
+    fn untrusted(&self, error: &(dyn std::error::Error + 'static)) -> Option<CliError> {
+        let why = trust::refused(error)?;
+        Some(CliError::Untrusted { url: self.url.clone(), why })
     }
 
     fn with_key(&self, request: RequestBuilder) -> RequestBuilder {
@@ -418,6 +444,29 @@ impl Client {
         more["action"] = action.into();
         more["who"] = self.who.clone().into();
         more
+    }
+}
+
+/// The key of the environment, or of the file that it names.
+fn key() -> Result<Option<String>, CliError> {
+    let of = |variable| std::env::var_os(variable).filter(|value| !value.is_empty());
+    if let Some(key) = of(KEY_VARIABLE) {
+        return Ok(key.into_string().ok());
+    }
+    of(KEY_FILE_VARIABLE).map(|path| key_of(Path::new(&path))).transpose()
+}
+
+/// The key in a file: its first line.
+fn key_of(path: &Path) -> Result<String, CliError> {
+    let text = std::fs::read_to_string(path);
+    let text = text.map_err(|source| CliError::File { path: path.into(), source })?;
+    warn_if_others_may_read(path);
+    match text.lines().next().map(str::trim) {
+        Some(key) if !key.is_empty() => Ok(key.into()),
+        _ => {
+            let words = "must have the key in its first line";
+            Err(CliError::Problems(vec![Problem::whole(&path.display().to_string(), words)]))
+        }
     }
 }
 
@@ -462,5 +511,17 @@ mod tests {
         assert_eq!(error.to_string(), "POST /q: run 3 is ended");
         let error = refusal("POST /q".into(), 502, &Value::Null);
         assert!(error.to_string().contains("502"));
+    }
+
+    #[test]
+    fn a_key_is_the_first_line_of_its_file() {
+        let path = std::env::temp_dir().join(format!("palpate-key-{}", std::process::id()));
+        for (text, key) in [("palpate_0\n", Some("palpate_0")), ("k", Some("k")), ("\nk", None)] {
+            std::fs::write(&path, text).unwrap();
+            assert_eq!(key_of(&path).ok().as_deref(), key, "{text:?}");
+        }
+        std::fs::remove_file(&path).unwrap();
+        let missing = key_of(&path).unwrap_err().to_string();
+        assert!(missing.contains(&path.display().to_string()), "{missing}");
     }
 }

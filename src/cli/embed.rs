@@ -10,6 +10,7 @@ use tokio::sync::oneshot;
 use super::client::Client;
 use super::error::CliError;
 use super::files::{RigFiles, read_sensor_text};
+use super::running::Running;
 use super::{At, DEFAULT_URL};
 use crate::api::{ServeOptions, Service};
 
@@ -17,17 +18,36 @@ use crate::api::{ServeOptions, Service};
 /// speed, and leaves the other processors idle.
 pub const TWIN_WORKERS: usize = 1;
 
-/// Returns the server that the options name, or the default one, if it answers.
+/// Returns clients of the servers that the options may mean, the most likely one first: the named one;
+/// otherwise the one whose address is in the data folder, then the one at the default address.
 ///
 /// # Errors
-/// `CliError::NoServer` if a named server does not answer.
-pub async fn find(at: &At) -> Result<Option<Client>, CliError> {
-    let named = at.url();
-    let client = Client::new(named.as_deref().unwrap_or(DEFAULT_URL))?;
-    if client.is_there().await {
-        return Ok(Some(client));
+/// As [`Client::new`].
+pub fn clients(at: &At) -> Result<Vec<Client>, CliError> {
+    let ca = at.ca();
+    let ca = ca.as_deref();
+    if let Some(url) = at.url() {
+        return Ok(vec![Client::new(&url, ca)?]);
     }
-    match named {
+    let recorded = Running::read(&at.data()).and_then(|Running { url, certificate }| {
+        // A killed service may have left a file that names a certificate which no longer exists.
+        Client::new(&url, Some(ca.unwrap_or(&certificate))).ok()
+    });
+    Ok(recorded.into_iter().chain([Client::new(DEFAULT_URL, ca)?]).collect())
+}
+
+/// Returns the server that the options name, or the one on this machine, if it answers.
+///
+/// # Errors
+/// `CliError::NoServer` if a named server does not answer; otherwise as [`clients`] and
+/// [`Client::is_there`].
+pub async fn find(at: &At) -> Result<Option<Client>, CliError> {
+    for client in clients(at)? {
+        if client.is_there().await? {
+            return Ok(Some(client));
+        }
+    }
+    match at.url() {
         Some(url) => Err(CliError::NoServer { url }),
         None => Ok(None),
     }
@@ -48,6 +68,8 @@ pub async fn server(at: &At) -> Result<Client, CliError> {
 pub fn options(data: PathBuf, rig: &RigFiles) -> Result<ServeOptions, CliError> {
     let (sensor, sensor_text) = read_sensor_text(None)?;
     Ok(ServeOptions {
+        tls: None,
+        require_key: false,
         local_admin: false,
         bind: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)),
         data,

@@ -33,6 +33,20 @@ pub enum CliError {
         /// URL of the expected server.
         url: String,
     },
+    /// The certificate of the server is not trusted.
+    #[error(
+        "the certificate of {url} is not trusted: {why}; name its file, or that of its authority, with \
+         --ca or PALPATE_CA"
+    )]
+    Untrusted {
+        /// URL of the server.
+        url: String,
+        /// Cause, as text.
+        why: String,
+    },
+    /// TLS is not available.
+    #[error("TLS: {0}; name the certificate of the server with --ca or PALPATE_CA")]
+    Tls(#[from] rustls::Error),
     /// A request had no answer, or an invalid one.
     #[error("{operation}: {source}")]
     Http {

@@ -34,10 +34,12 @@ mod queue;
 mod repeat;
 mod rig;
 mod run;
+mod running;
 mod serve;
 mod simulate;
 mod summary;
 mod train;
+pub mod trust;
 mod twins;
 mod view;
 mod virtual_bench;
@@ -55,9 +57,13 @@ const DEFAULT_DATA: &str = "palpate-data";
 #[derive(Debug, Clone, Default, Args)]
 pub struct At {
     /// URL of the server [env: PALPATE_URL] [default: http://127.0.0.1:8080]; its key is in
-    /// PALPATE_KEY.
+    /// PALPATE_KEY, or in the file of PALPATE_KEY_FILE.
     #[arg(long, value_name = "URL", global = true)]
     pub url: Option<String>,
+    /// Certificate of an https server or of its authority, PEM [env: PALPATE_CA] [default: the
+    /// authorities of the system].
+    #[arg(long, value_name = "FILE", global = true)]
+    pub ca: Option<PathBuf>,
     /// Folder of the database for a server that this command starts [env: PALPATE_DATA] [default:
     /// palpate-data].
     #[arg(long, value_name = "DIR", global = true)]
@@ -72,6 +78,12 @@ impl At {
     pub fn url(&self) -> Option<String> {
         let from_env = || std::env::var("PALPATE_URL").ok().filter(|u| !u.is_empty());
         self.url.clone().or_else(from_env)
+    }
+
+    /// File with the certificate to trust, if one was named.
+    pub fn ca(&self) -> Option<PathBuf> {
+        let from_env = || std::env::var_os("PALPATE_CA").filter(|file| !file.is_empty());
+        self.ca.clone().or_else(|| from_env().map(PathBuf::from))
     }
 
     /// Path of the data folder.

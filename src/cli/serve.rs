@@ -2,7 +2,7 @@
 //! Uses: `api`. Never: anything that a client could do.
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
@@ -12,7 +12,8 @@ use super::error::CliError;
 use super::files::{RigFiles, parse_calibration, read_sensor_text};
 use super::follow::Signals;
 use super::output::say;
-use crate::api::{ServeOptions, Service};
+use super::running::Running;
+use crate::api::{ServeOptions, Service, Tls};
 
 /// Options of `serve`.
 #[derive(Debug, Clone, Args)]
@@ -26,8 +27,17 @@ pub struct ServeArgs {
     /// Rig file [default: the virtual rig].
     #[arg(long, value_name = "FILE")]
     pub rig: Option<PathBuf>,
-    /// Let callers on this machine make and revoke keys without having one.
+    /// Certificate of the service, PEM, for https; with --tls-key.
+    #[arg(long, value_name = "FILE", requires = "tls_key")]
+    pub tls_cert: Option<PathBuf>,
+    /// Private key of the certificate, PEM.
+    #[arg(long, value_name = "FILE", requires = "tls_cert")]
+    pub tls_key: Option<PathBuf>,
+    /// Demand a key from callers on this machine, too; the emergency stop needs none there.
     #[arg(long)]
+    pub require_key: bool,
+    /// Let callers on this machine make and revoke keys without having one.
+    #[arg(long, conflicts_with = "require_key")]
     pub local_admin: bool,
     /// Do not resume interrupted runs automatically.
     #[arg(long)]
@@ -51,7 +61,11 @@ pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
     let rig = RigFiles::read(args.rig.as_deref())?;
     let mut signals = Signals::catch()?;
     let (sensor, sensor_text) = read_sensor_text(args.sensor.as_deref())?;
+    let tls = args.tls_cert.zip(args.tls_key);
+    let tls = tls.map(|(certificate, key)| Tls { certificate, key });
     let options = ServeOptions {
+        tls: tls.clone(),
+        require_key: args.require_key,
         bind: args.bind,
         local_admin: args.local_admin,
         data: data_or_default(args.data),
@@ -63,14 +77,29 @@ pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
         sensor,
         sensor_text,
     };
-    let data = options.data.display().to_string();
+    let data = options.data.clone();
     let service = Service::start(options).await?;
+    announce(&data, &service, tls.as_ref());
     let (url, name) = (service.url(), rig.config.name);
-    say(format_args!("palpate {} at {url}, data in {data}, rig {name}", env!("CARGO_PKG_VERSION")));
+    let (version, folder) = (env!("CARGO_PKG_VERSION"), data.display());
+    say(format_args!("palpate {version} at {url}, data in {folder}, rig {name}"));
     service
         .run_until(async {
             let _ = signals.next().await;
         })
         .await;
+    Running::remove(&data);
     Ok(())
+}
+
+/// Writes where commands on this machine find a service with TLS; removes what an earlier one left.
+fn announce(data: &Path, service: &Service, tls: Option<&Tls>) {
+    let Some(Tls { certificate, .. }) = tls else {
+        return Running::remove(data);
+    };
+    let written = std::path::absolute(certificate)
+        .and_then(|certificate| Running { url: service.local_url(), certificate }.write(data));
+    if let Err(error) = written {
+        tracing::warn!(%error, "commands on this machine need --url and --ca");
+    }
 }

@@ -15,6 +15,7 @@ mod experiments;
 mod golden_plans;
 mod independent;
 mod independent_fit;
+mod network;
 #[cfg(feature = "train")]
 mod onnx;
 mod offline;

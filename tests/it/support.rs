@@ -5,6 +5,7 @@ use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
+use palpate::cli::trust;
 use sim_core::sensor::Sensor;
 
 /// The program.
@@ -19,6 +20,11 @@ pub const VIRTUAL_RIG: &str = include_str!("../../experiments/rigs/virtual.toml"
 /// The sensor of 28 electrodes.
 pub fn sensor() -> Sensor {
     Sensor::from_toml(SENSOR).unwrap()
+}
+
+/// A client without TLS.
+pub fn http() -> reqwest::Client {
+    trust::http(trust::tls("http:", None).unwrap()).unwrap()
 }
 
 /// A folder in the system's temporary folder, removed at the end of its test. The name contains the

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use palpate::api::{ServeOptions, Service};
+use palpate::cli::trust;
 use serde_json::{Value, json};
 use sim_core::sensor::Sensor;
 use virtual_rig::run::{RigArgs, VirtualRig};
@@ -79,7 +80,7 @@ impl Lab {
         let data = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("system-{name}"));
         std::fs::remove_dir_all(&data).ok();
         let service = Service::start(options(&rig, &data)).await.unwrap();
-        let lab = Self { rig, service, data, http: reqwest::Client::new(), turn };
+        let lab = Self { rig, service, data, http: http(), turn };
         lab.call_operator(speed);
         lab
     }
@@ -222,9 +223,16 @@ impl Lab {
     }
 }
 
+/// A client without TLS.
+pub fn http() -> reqwest::Client {
+    trust::http(trust::tls("http:", None).unwrap()).unwrap()
+}
+
 /// A service on a rig that is switched on.
 pub fn options(rig: &VirtualRig, data: &Path) -> ServeOptions {
     ServeOptions {
+        tls: None,
+        require_key: false,
         local_admin: true,
         bind: "127.0.0.1:0".parse().unwrap(),
         data: data.into(),

@@ -9,7 +9,7 @@ use tokio::time::sleep;
 use tokio_tungstenite::connect_async;
 use tokio_tungstenite::tungstenite::Message;
 
-use super::bench::{Lab, rig_args};
+use super::bench::{Lab, http, rig_args};
 
 /// As fast as the wall: the readout sends thirty frames a second.
 const SPEED: f64 = 1.0;
@@ -102,7 +102,7 @@ async fn what_cannot_be_changes_nothing(lab: &Lab) {
     }
     // JSON has no NaN; bytes have.
     let bytes: Vec<u8> = [f32::NAN; CHANNELS].iter().flat_map(|v| v.to_le_bytes()).collect();
-    let raw = reqwest::Client::new()
+    let raw = http()
         .post(format!("{}{INFER}?method=fast", lab.service.url()))
         .header("content-type", "application/octet-stream")
         .body(bytes);

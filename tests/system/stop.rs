@@ -15,7 +15,7 @@ use tokio::net::TcpStream;
 use tokio::time::{sleep, timeout};
 use tokio_tungstenite::connect_async;
 
-use super::bench::{LIMIT, Lab, rig_args};
+use super::bench::{LIMIT, Lab, http, rig_args};
 
 const ESTOP: &str = "/api/v1/estop";
 const RIG: &str = "/api/v1/rig/actions";
@@ -43,7 +43,7 @@ async fn ask(
     body: Value,
 ) -> (u16, Value) {
     let url = format!("{}{path}", lab.service.url());
-    let mut request = reqwest::Client::new().request(method, url).json(&body);
+    let mut request = http().request(method, url).json(&body);
     if let Some(key) = key {
         request = request.bearer_auth(key);
     }
@@ -253,7 +253,7 @@ async fn a_slow_head_is_given_up(address: String) {
 
 /// Reads all trials with their voltages until told to end; counts the answers.
 async fn read_on(url: String, over: Arc<AtomicBool>, read: Arc<AtomicUsize>) {
-    let client = reqwest::Client::new();
+    let client = http();
     while !over.load(Ordering::Relaxed) {
         let answer = client.get(&url).send().await.unwrap();
         assert_eq!(answer.status(), 200);

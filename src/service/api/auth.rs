@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use std::net::IpAddr;
 use std::time::Instant;
 
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 use jiff::Timestamp;
 use parking_lot::Mutex;
 
@@ -81,23 +81,63 @@ impl Caller {
 /// Determines the caller from the head of a request. Neither waits nor writes.
 ///
 /// # Errors
-/// 401 without a valid key (on loopback only for an invalid one); 403 on loopback for a foreign
-/// host or origin.
+/// 401 without a valid key; on loopback a key is only needed if the service requires one, or if a
+/// proxy has forwarded the request. 403 on loopback for a foreign host or origin.
 pub fn identify(app: &App, headers: &HeaderMap) -> Result<Caller, ApiError> {
-    if app.loopback() {
-        own_host(headers)?;
+    identify_with(app, headers, || needs_key(app.facts.require_key, headers))
+}
+
+/// Determines the caller of the e-stop: on loopback it never needs a key.
+///
+/// # Errors
+/// 401 for an invalid key, or, except on loopback, without one; 403 on loopback for a foreign host
+/// or origin.
+pub fn identify_stop(app: &App, headers: &HeaderMap) -> Result<Caller, ApiError> {
+    identify_with(app, headers, || Ok(()))
+}
+
+/// Determines the caller; `local` decides whether a caller on loopback needs no key.
+fn identify_with(
+    app: &App,
+    headers: &HeaderMap,
+    local: impl Fn() -> Result<(), ApiError>,
+) -> Result<Caller, ApiError> {
+    if let Some(secret) = secret(headers)? {
+        let key = app.keys.find(&secret);
+        let key = key.ok_or_else(|| unauthorized("this key is unknown or revoked"))?;
+        own_origin(app, headers)?;
+        return Ok(Caller { role: key.role, key: Some(key) });
     }
-    match secret(headers)? {
-        Some(secret) => {
-            let key = app.keys.find(&secret);
-            let key = key.ok_or_else(|| unauthorized("this key is unknown or revoked"))?;
-            Ok(Caller { role: key.role, key: Some(key) })
-        }
-        None if app.loopback() => {
-            let role = if app.facts.local_admin { Role::Admin } else { Role::Operator };
-            Ok(Caller { key: None, role })
-        }
-        None => Err(unauthorized("no key: send the header Authorization: Bearer KEY")),
+    if !app.loopback() {
+        return Err(unauthorized("no key: send the header Authorization: Bearer KEY"));
+    }
+    local()?;
+    own_host(headers)?;
+    own_origin(app, headers)?;
+    let role = if app.facts.local_admin { Role::Admin } else { Role::Operator };
+    Ok(Caller { key: None, role })
+}
+
+/// Checks that a caller on loopback without a key may be taken for a person on this machine.
+///
+/// # Errors
+/// 401 if keys are required, or if a proxy has forwarded the request: its client may be anywhere.
+fn needs_key(required: bool, headers: &HeaderMap) -> Result<(), ApiError> {
+    if required {
+        let words = "no key: the service was started with --require-key; send the header \
+                     Authorization: Bearer KEY";
+        return Err(unauthorized(words));
+    }
+    let by_proxy = |name: &&HeaderName| {
+        let name = name.as_str();
+        matches!(name, "forwarded" | "via" | "x-real-ip") || name.starts_with("x-forwarded-")
+    };
+    match headers.keys().find(by_proxy) {
+        Some(name) => Err(unauthorized(&format!(
+            "no key: the header {name} shows that a proxy has forwarded the request, so it needs a key; \
+             send the header Authorization: Bearer KEY"
+        ))),
+        None => Ok(()),
     }
 }
 
@@ -119,11 +159,13 @@ pub fn identify_socket(
         Some(ticket) if !headers.contains_key(header::AUTHORIZATION) => ticket,
         Some(_) | None => return identify(app, headers),
     };
-    if app.loopback() {
+    let caller = app.facts.tickets.take(ticket).filter(|caller| caller.is_valid(app));
+    let caller = caller.ok_or_else(|| unauthorized("this ticket is unknown, used or too old"))?;
+    if caller.key.is_none() {
         own_host(headers)?;
     }
-    let caller = app.facts.tickets.take(ticket).filter(|caller| caller.is_valid(app));
-    caller.ok_or_else(|| unauthorized("this ticket is unknown, used or too old"))
+    own_origin(app, headers)?;
+    Ok(caller)
 }
 
 /// Returns the text of the key, a bearer token. An invalid header is an error: treated as "no key" it
@@ -203,23 +245,43 @@ impl Tickets {
     }
 }
 
-/// Checks, on loopback, that `Host` is this machine (against DNS rebinding) and that `Origin`,
-/// which a browser sends with the requests of a page, is this service.
+/// Checks that `Host` is this machine, for a caller without a key (against DNS rebinding).
+///
+/// # Errors
+/// 403 if it is not.
 fn own_host(headers: &HeaderMap) -> Result<(), ApiError> {
-    let text = |name| headers.get(name).map(|v| v.to_str().unwrap_or_default());
-    let host = text(header::HOST).unwrap_or_default();
-    if !is_local(host) {
-        let words = format!("Host = {host}: must be localhost or a loopback address");
-        return Err(ApiError::new(StatusCode::FORBIDDEN, words));
+    let host = text(headers, header::HOST).unwrap_or_default();
+    if is_local(host) {
+        return Ok(());
     }
-    if let Some(origin) = text(header::ORIGIN) {
-        let own = origin.strip_prefix("http://").is_some_and(|o| o == host);
-        if !own {
-            let words = format!("Origin = {origin}: must be http://{host}");
-            return Err(ApiError::new(StatusCode::FORBIDDEN, words));
+    let words = format!("Host = {host}: must be localhost or a loopback address, or send a key");
+    Err(ApiError::new(StatusCode::FORBIDDEN, words))
+}
+
+/// Checks, on loopback, that `Origin`, which a browser sends with the requests of a page, is this
+/// service.
+///
+/// # Errors
+/// 403 if it is not.
+fn own_origin(app: &App, headers: &HeaderMap) -> Result<(), ApiError> {
+    if app.loopback() { is_own_origin(headers) } else { Ok(()) }
+}
+
+fn is_own_origin(headers: &HeaderMap) -> Result<(), ApiError> {
+    let Some(origin) = text(headers, header::ORIGIN) else { return Ok(()) };
+    let host = text(headers, header::HOST).unwrap_or_default();
+    // With TLS, here or in a proxy, the scheme is https. One port does not serve both.
+    match ["http://", "https://"].iter().any(|scheme| origin.strip_prefix(scheme) == Some(host)) {
+        true => Ok(()),
+        false => {
+            let words = format!("Origin = {origin}: must be http://{host} or https://{host}");
+            Err(ApiError::new(StatusCode::FORBIDDEN, words))
         }
     }
-    Ok(())
+}
+
+fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
+    headers.get(name).map(|value| value.to_str().unwrap_or_default())
 }
 
 fn is_local(host: &str) -> bool {
@@ -300,8 +362,29 @@ mod tests {
             headers.insert(header::ORIGIN, origin.parse().unwrap());
             headers
         };
-        assert!(own_host(&headers("http://127.0.0.1:8080")).is_ok());
-        assert!(own_host(&headers("http://evil.example")).is_err());
-        assert!(own_host(&headers("null")).is_err());
+        for own in ["http://127.0.0.1:8080", "https://127.0.0.1:8080"] {
+            assert!(is_own_origin(&headers(own)).is_ok(), "{own}");
+        }
+        for foreign in ["http://evil.example", "https://127.0.0.1:8081", "127.0.0.1:8080", "null"] {
+            assert!(is_own_origin(&headers(foreign)).is_err(), "{foreign}");
+        }
+        assert!(is_own_origin(&HeaderMap::new()).is_ok(), "not a browser");
+    }
+
+    #[test]
+    fn who_comes_through_a_proxy_needs_a_key() {
+        let with = |name: &'static str| {
+            let mut headers = HeaderMap::new();
+            headers.insert(name, "10.0.0.7".parse().unwrap());
+            headers
+        };
+        for name in ["forwarded", "via", "x-real-ip", "x-forwarded-for", "x-forwarded-proto"] {
+            let refused = needs_key(false, &with(name)).unwrap_err();
+            assert_eq!(refused.status(), StatusCode::UNAUTHORIZED);
+            assert!(refused.detail().contains(name) && refused.detail().contains("proxy"));
+        }
+        assert!(needs_key(false, &with("x-request-id")).is_ok());
+        assert!(needs_key(false, &HeaderMap::new()).is_ok());
+        assert!(needs_key(true, &HeaderMap::new()).is_err());
     }
 }

@@ -36,11 +36,15 @@ const TOO_SLOW: Refusal = ("408", "TooSlow", "the body arrived too slowly");
 const LOCKED: Refusal = ("409", "Locked", "another person holds the operator lock");
 const TOO_LARGE: Refusal = ("413", "TooLarge", "the body is too large");
 const OTHER_TYPE: Refusal = ("415", "OtherType", "the body has another media type");
+const CHANGED: Refusal = ("412", "Changed", "no entity tag of `If-Match` is that of the file");
+const LONG_ADDRESS: Refusal = ("414", "LongAddress", "path and query are too long");
+const BEYOND: Refusal = ("416", "Beyond", "`Range` begins after the end of the file");
 const INVALID: Refusal = ("422", "Invalid", "a value of the body is invalid");
 const NO_SOCKET: Refusal = ("426", "NoSocket", "the request does not ask for a WebSocket");
 const TOO_MANY: Refusal = ("429", "TooMany", "the caller has too many requests in progress");
+const LONG_HEADERS: Refusal = ("431", "LongHeaders", "the headers are too many or too long");
 const BUSY: Refusal = ("503", "Busy", "all connections are in use, or the service ends");
-const ALL: [Refusal; 12] = [
+const ALL: [Refusal; 16] = [
     NOT_FOUND,
     NO_SOCKET,
     BAD_REQUEST,
@@ -48,10 +52,14 @@ const ALL: [Refusal; 12] = [
     FORBIDDEN,
     TOO_SLOW,
     LOCKED,
+    CHANGED,
     TOO_LARGE,
+    LONG_ADDRESS,
     OTHER_TYPE,
+    BEYOND,
     INVALID,
     TOO_MANY,
+    LONG_HEADERS,
     BUSY,
 ];
 
@@ -92,6 +100,9 @@ fn complete_operation(operation: &mut Operation, method: &Method, needs: &Needs)
         Access::Stop | Access::From(_) => Some(vec![required, SecurityRequirement::default()]),
     };
     let mut refusals = vec![BUSY];
+    if needs.access != Access::Stop {
+        refusals.extend([LONG_ADDRESS, LONG_HEADERS]);
+    }
     if matches!(needs.access, Access::Stop | Access::From(_)) {
         refusals.push(NO_KEY);
     }
@@ -127,15 +138,21 @@ fn complete_operation(operation: &mut Operation, method: &Method, needs: &Needs)
     if responses.contains_key("101") {
         refusals.extend([BAD_REQUEST, NO_SOCKET]);
     }
+    if responses.contains_key("206") {
+        refusals.extend([CHANGED, BEYOND]);
+    }
     let files =
         responses.iter_mut().filter(|(status, _)| ["200", "206"].contains(&status.as_str()));
-    for (_, file) in files {
+    for (status, file) in files {
         if let RefOr::T(file) = file
             && let Some(content) = file.content.get("application/octet-stream").cloned()
             && is_table
         {
             let formats = Format::ALL.into_iter();
             file.content.extend(formats.map(|f| (f.media_type().into(), content.clone())));
+            if status == "206" {
+                file.content.insert("multipart/byteranges".into(), content);
+            }
         }
     }
     if pages && let Some(RefOr::T(page)) = responses.get_mut("200") {

@@ -5,9 +5,9 @@
 //! this thread that would delay the e-stop.
 //!
 //! ```text
-//! this thread:    accept -> seat -> hyper -> router: the e-stop
-//!                                      |
-//! other threads:                       +---> router: all other requests (`work`)
+//! this thread:    accept -> seat -> TLS -> hyper -> router: the e-stop
+//!                                             |
+//! other threads:                              +---> router: all other requests (`work`)
 //! ```
 //! If all seats are taken, the connection that has been idle for longest is closed (`seat`). If all
 //! connections are busy, a limited number of further ones is accepted, for the e-stop and /health
@@ -27,15 +27,17 @@ use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::TokioIo;
 use rustix::process::{Resource, Rlimit, Signal, getrlimit, setrlimit};
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::runtime;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
+use tokio_rustls::TlsAcceptor;
 use tower_service::Service;
 
-use super::limits::YOUNG;
+use super::limits::{HYPER_FIELDS, YOUNG};
 use super::line::{Line, Sent};
 use super::problem::ApiError;
 use super::seat::{InFlight, Seat, Seats};
@@ -71,10 +73,11 @@ pub fn outlive_file_size_limit() {
     }
 }
 
-/// The router, and the runtime for requests other than the e-stop.
+/// The router, the runtime for requests other than the e-stop, and TLS if it is used.
 #[derive(Clone)]
 struct Handlers {
     router: Router,
+    tls: Option<TlsAcceptor>,
     threads: runtime::Handle,
 }
 
@@ -87,9 +90,10 @@ struct Handlers {
 pub fn open(
     listener: std::net::TcpListener,
     router: Router,
+    tls: Option<TlsAcceptor>,
     ending: watch::Receiver<bool>,
 ) -> io::Result<thread::JoinHandle<()>> {
-    let handlers = Handlers { router, threads: runtime::Handle::current() };
+    let handlers = Handlers { router, tls, threads: runtime::Handle::current() };
     let own = runtime::Builder::new_current_thread().enable_all().build()?;
     let listener = {
         let _inside = own.enter();
@@ -163,10 +167,37 @@ async fn attend(
 ) {
     // Without it responses are only delayed slightly.
     let _ = stream.set_nodelay(true);
+    let line = Line::new(stream, seat.clone());
+    let Some(tls) = handlers.tls.clone() else {
+        return converse(line, seat, handlers, ending).await;
+    };
+    // Until its first request the connection is idle: who does not complete the handshake is closed
+    // like one who does not complete the head of a request.
+    let shaken = tokio::select! {
+        biased;
+        shaken = tls.accept(line) => shaken,
+        () = seat.closed() => return,
+        () = ended(&mut ending) => return,
+    };
+    match shaken {
+        Ok(line) => converse(line, seat, handlers, ending).await,
+        Err(error) => tracing::trace!(%error, "a TLS handshake failed"),
+    }
+}
+
+/// Answers the requests of a connection.
+async fn converse(
+    line: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    seat: Arc<Seat>,
+    handlers: Handlers,
+    mut ending: watch::Receiver<bool>,
+) {
     let answering = seat.clone();
     let service = service_fn(move |request| answer(handlers.clone(), answering.clone(), request));
-    let io = TokioIo::new(Line::new(stream, seat.clone()));
-    let mut connection = pin!(http1::Builder::new().serve_connection(io, service).with_upgrades());
+    let mut http = http1::Builder::new();
+    http.max_headers(HYPER_FIELDS);
+    let connection = http.serve_connection(TokioIo::new(line), service);
+    let mut connection = pin!(connection.with_upgrades());
     let mut ends = false;
     loop {
         tokio::select! {
@@ -194,7 +225,7 @@ async fn answer(
 ) -> io::Result<Response<Sent>> {
     let request_guard = InFlight::begin(seat.clone());
     let only_for_stops = seat.only_for_stops();
-    let Handlers { mut router, threads } = handlers;
+    let Handlers { mut router, threads, .. } = handlers;
     let path = request.uri().path();
     let mut response = if is_stop(path) {
         let Ok(response) = router.call(request).await;

@@ -82,9 +82,9 @@ pub async fn estop(State(app): State<App>, request: Request) -> Response {
 /// Latches the e-stop for a caller with a valid key. Neither waits nor writes.
 ///
 /// # Errors
-/// As [`auth::identify`]; nothing is latched then.
+/// As [`auth::identify_stop`]; nothing is latched then.
 fn latch(app: &App, headers: &HeaderMap) -> Result<Caller, ApiError> {
-    let caller = auth::identify(app, headers)?;
+    let caller = auth::identify_stop(app, headers)?;
     let name = cut(&caller.name(None), WHO_MAX_CHARS);
     app.campaign.estop(&format!("emergency stop ({name})"));
     Ok(caller)

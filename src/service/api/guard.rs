@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use axum::body::{Body, HttpBody, to_bytes};
 use axum::extract::{DefaultBodyLimit, MatchedPath, Request, State};
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use futures::StreamExt;
@@ -24,7 +24,8 @@ use super::audit::{Act, Outcome};
 use super::auth::{self, Caller};
 use super::edited;
 use super::limits::{
-    BODY_MAX_BYTES, BODY_STALL, BODY_WITHIN, CALLER_REQUESTS, UPLOAD_WITHIN, WRONG_KEY_DELAY,
+    BODY_MAX_BYTES, BODY_STALL, BODY_WITHIN, CALLER_REQUESTS, FIELDS_MAX, HEADERS_MAX_BYTES,
+    UPLOAD_WITHIN, URI_MAX_BYTES, WRONG_KEY_DELAY,
 };
 use super::line::Held;
 use super::once;
@@ -324,6 +325,42 @@ fn locked(lock: &LockRow) -> ApiError {
     ApiError::new(StatusCode::CONFLICT, words)
 }
 
+/// Refuses a request with a long address or with many or long headers.
+pub async fn short_head(request: Request, next: Next) -> Response {
+    match check_head(request.uri(), request.headers()) {
+        Ok(()) => next.run(request).await,
+        Err(refused) => ([(header::CONNECTION, "close")], refused).into_response(),
+    }
+}
+
+/// Checks the length of path and query, the number of headers and their length.
+///
+/// # Errors
+/// 414 or 431 with the bound.
+fn check_head(uri: &Uri, headers: &HeaderMap) -> Result<(), ApiError> {
+    let too_large = |what: &str, n: usize, most: usize, unit: &str| {
+        let words = format!("{what} = {n} {unit}: must be at most {most} {unit}");
+        ApiError::new(StatusCode::REQUEST_HEADER_FIELDS_TOO_LARGE, words)
+    };
+    let address = uri.path_and_query().map_or(0, |address| address.as_str().len());
+    if address > URI_MAX_BYTES {
+        let words = format!(
+            "path and query = {address} bytes: must be at most {URI_MAX_BYTES} bytes; request an export \
+             or use several requests"
+        );
+        return Err(ApiError::new(StatusCode::URI_TOO_LONG, words));
+    }
+    if headers.len() > FIELDS_MAX {
+        return Err(too_large("headers", headers.len(), FIELDS_MAX, "fields"));
+    }
+    // As they were sent: "NAME: VALUE" and the end of the line.
+    let length = |(name, value): (&HeaderName, &HeaderValue)| name.as_str().len() + value.len() + 4;
+    match headers.iter().map(length).sum::<usize>() {
+        n if n > HEADERS_MAX_BYTES => Err(too_large("headers", n, HEADERS_MAX_BYTES, "bytes")),
+        _ => Ok(()),
+    }
+}
+
 /// Adds the headers that tell a browser what it must not do with a response.
 pub async fn harden(request: Request, next: Next) -> Response {
     let mut response = next.run(request).await;
@@ -340,4 +377,32 @@ pub async fn harden(request: Request, next: Next) -> Response {
         "camera=(), geolocation=(), microphone=()",
     );
     response
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_long_address_and_long_headers_are_refused_with_their_bound() {
+        let status = |path: usize, fields: usize, length: usize| {
+            let uri: Uri = format!("/{}", "x".repeat(path - 1)).parse().unwrap();
+            let mut headers = HeaderMap::new();
+            for _ in 0..fields {
+                headers.append("x", HeaderValue::from_str(&"y".repeat(length - 5)).unwrap());
+            }
+            check_head(&uri, &headers).err().map(|e| (e.status().as_u16(), e.detail().to_owned()))
+        };
+        assert_eq!(status(URI_MAX_BYTES, FIELDS_MAX, 10), None);
+        assert_eq!(status(1, 2, HEADERS_MAX_BYTES / 2), None);
+        let long = |refused: Option<(u16, String)>, code: u16, words: &str| {
+            assert!(
+                refused.as_ref().is_some_and(|(s, d)| *s == code && d.contains(words)),
+                "{refused:?}"
+            );
+        };
+        long(status(URI_MAX_BYTES + 1, 1, 10), 414, "at most 32768 bytes");
+        long(status(1, FIELDS_MAX + 1, 10), 431, "at most 100 fields");
+        long(status(1, 2, HEADERS_MAX_BYTES / 2 + 1), 431, "at most 32768 bytes");
+    }
 }

@@ -48,6 +48,17 @@ pub const LIVE_CLIENTS: usize = 8;
 pub const MESSAGE_MAX_BYTES: usize = 4096;
 /// Tickets of one key for WebSockets that wait to be used.
 pub const TICKETS: usize = 32;
+/// Longest path with query of a request, bytes. hyper's own bound is 65534.
+pub const URI_MAX_BYTES: usize = 32 << 10;
+/// Largest sum of the headers of a request, bytes. hyper's own bound, of the whole head, is 417792.
+pub const HEADERS_MAX_BYTES: usize = 32 << 10;
+/// Most header fields of a request.
+pub const FIELDS_MAX: usize = 100;
+/// Most header fields that hyper reads, so that a request with more than `FIELDS_MAX` can still be
+/// answered with a problem body, and a stop is a stop.
+pub const HYPER_FIELDS: usize = 256;
+/// Parts of a file in one response; more ranges are ignored.
+pub const RANGES_MAX: usize = 16;
 /// Validity of a ticket.
 pub const TICKET: Duration = Duration::from_secs(30);
 /// Delay of the response to a request with a wrong key.
@@ -89,7 +100,7 @@ pub const ONCE_MAX: u32 = 10_000;
 pub const ONCE_RESPONSE_MAX_BYTES: usize = 1 << 20;
 /// Parameters of a selection of rows.
 pub const CONDITIONS_MAX: usize = 100;
-/// Values of one condition `COLUMN__in`.
+/// Values of all conditions of a selection, also those of `COLUMN__in`.
 pub const VALUES_MAX: usize = 1000;
 /// Numbers in the frames and maps of one page, as rows x numbers per row.
 pub const PAGE_NUMBERS_MAX: u64 = 20_000_000;
@@ -101,6 +112,8 @@ mod tests {
     use crate::dataset::space::KEPT_FREE_BYTES;
     use crate::schedule::experiment::NAME_MAX_CHARS;
     use crate::store::MAX_PAGE;
+
+    const HEAD_BEYOND: &str = "431, except of the e-stop; beyond 417792 bytes or 256 fields, of every request, without a body";
 
     /// A line of the page.
     struct Bound {
@@ -153,6 +166,10 @@ mod tests {
             line("validity of a ticket, one use", seconds(TICKET), "401"),
             line("delay of the response to a wrong key", seconds(WRONG_KEY_DELAY), "never of the e-stop"),
             line("responses delayed at once", n(DELAYED), "further ones are not delayed"),
+            line("path and query of a request", bytes(URI_MAX_BYTES), "414; beyond 65534 bytes without a body"),
+            line("headers of a request", bytes(HEADERS_MAX_BYTES), HEAD_BEYOND),
+            line("header fields of a request", n(FIELDS_MAX), HEAD_BEYOND),
+            line("parts of a file that `Range` selects, after merging", n(RANGES_MAX), "200 with the whole file"),
             line("body of an action", bytes(ACTION_BODY_MAX_BYTES), "413"),
             line("body of a submission, recipe, definition, calibration, and of any other request", bytes(BODY_MAX_BYTES), "413"),
             line("body with frames", bytes(FRAMES_MAX_BYTES), "413"),
@@ -172,7 +189,7 @@ mod tests {
             line("kept requests of one key, or of all clients without a key", ONCE_MAX.to_string(), "the oldest one is removed"),
             line("response to a request with an `Idempotency-Key`", bytes(ONCE_RESPONSE_MAX_BYTES), "not kept: a repetition gets 409"),
             line("parameters of a selection of rows", n(CONDITIONS_MAX), "400"),
-            line("values of a condition `COLUMN__in`", n(VALUES_MAX), "400"),
+            line("values of all conditions of a selection of rows", n(VALUES_MAX), "400"),
             line("numbers in the frames and maps of a page", PAGE_NUMBERS_MAX.to_string(), "400"),
         ]
     }

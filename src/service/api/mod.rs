@@ -1,7 +1,7 @@
 //! The service: HTTP over the conductor, the campaign and the store; wiring and life cycle.
 //! Uses: everything before it. Never: motion, SQL, a read that a motion waits for.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -67,12 +67,14 @@ mod people;
 mod problem;
 mod query;
 mod queue;
+mod ranges;
 mod rig;
 mod routes;
 mod runs;
 mod seat;
 mod send;
 mod status;
+mod tls;
 mod trace;
 mod trials;
 mod twins;
@@ -88,6 +90,7 @@ pub use pages::Page;
 pub use people::CreatedKey;
 pub use routes::{Access, Lock, Needs};
 pub use runs::Summary;
+pub use tls::{Tls, TlsCause, TlsError, warn_if_others_may_read};
 
 use routes::AllNeeds;
 
@@ -108,6 +111,10 @@ pub struct ServeOptions {
     pub rig_file: String,
     /// Text of the rig file.
     pub rig_text: String,
+    /// Certificate and key for TLS; `None`: requests and keys travel readable.
+    pub tls: Option<Tls>,
+    /// True: every request needs a key, on loopback, too, except the e-stop and /health.
+    pub require_key: bool,
     /// True: callers without a key, on loopback, may also make and revoke keys.
     pub local_admin: bool,
     /// True: resume an interrupted run automatically, if its policy allows it.
@@ -158,6 +165,12 @@ pub enum ServeError {
         "bind = {0}: must be a loopback address while there is no API key; run `palpate key create NAME`"
     )]
     NoKey(SocketAddr),
+    /// Every request needs a key, and there is none.
+    #[error("require-key = true: there is no API key; run `palpate key create NAME --role admin`")]
+    NoKeyAtAll,
+    /// The certificate or its key cannot be used.
+    #[error("{}", error_chain(.0))]
+    Tls(#[from] TlsError),
     /// The folders of datasets cannot be opened.
     #[error(transparent)]
     Datasets(#[from] DatasetError),
@@ -210,6 +223,7 @@ struct Facts {
     wrong_keys: auth::WrongKeys,
     delayed: Semaphore,
     local_admin: bool,
+    require_key: bool,
 }
 
 impl App {
@@ -262,6 +276,7 @@ fn router(app: App) -> axum::Router {
         .merge(page::routes())
         .fallback(page::unknown)
         .method_not_allowed_fallback(page::wrong_method)
+        .layer(from_fn(guard::short_head))
         .layer(from_fn(guard::harden))
         .layer(from_fn(trace::follow))
         // The e-stop has no layer: nothing runs before its handler.
@@ -272,6 +287,7 @@ fn router(app: App) -> axum::Router {
 /// A running service.
 pub struct Service {
     address: SocketAddr,
+    secure: bool,
     app: App,
     ending: watch::Sender<bool>,
     door: std::thread::JoinHandle<()>,
@@ -285,17 +301,26 @@ impl Service {
     ///
     /// # Errors
     /// `ServeError::Rig` if the rig file is invalid, `Data` or `Store` if the data folder cannot be
-    /// used, `Locked` if another process uses it or the rig, `NoKey` for a public address without a
-    /// key, `Bind` if the address is not available, `Datasets`, `Models` or `Thread` for a failed
-    /// start of these parts.
+    /// used, `Locked` if another process uses it or the rig, `Tls` if the certificate or its key
+    /// cannot be used, `NoKey` for a public address without a key, `NoKeyAtAll` if keys are required
+    /// and there is none, `Bind` if the address is not available, `Datasets`, `Models` or `Thread` for
+    /// a failed start of these parts.
     pub async fn start(options: ServeOptions) -> Result<Self, ServeError> {
         let config = crate::rig::config::RigConfig::from_toml(&options.rig_file, &options.rig_text)
             .map_err(|problems| ServeError::Rig { problems })?;
+        let tls = options.tls.as_ref().map(Tls::acceptor).transpose()?;
         let locks = [data_folder::open(&options.data)?, LockFile::of_rig(&config)?];
         let store = Store::open(&data_folder::database(&options.data), Clock::new(1.0)).await?;
         let keys = KeyRing::load(store.clone()).await?;
         if !options.bind.ip().is_loopback() && keys.is_empty() {
             return Err(ServeError::NoKey(options.bind));
+        }
+        if options.require_key && keys.is_empty() {
+            return Err(ServeError::NoKeyAtAll);
+        }
+        if !options.bind.ip().is_loopback() && tls.is_none() {
+            let bind = options.bind;
+            tracing::warn!(%bind, "keys and data travel readable: use --tls-cert, or a proxy with TLS");
         }
         let bind = |source| ServeError::Bind { bind: options.bind, source };
         door::raise_file_limit();
@@ -328,6 +353,7 @@ impl Service {
             wrong_keys: auth::WrongKeys::default(),
             delayed: Semaphore::new(limits::DELAYED),
             local_admin: options.local_admin,
+            require_key: options.require_key,
         };
         let cache = options.data.join("cache");
         sweep_partial(&cache);
@@ -374,14 +400,26 @@ impl Service {
         ];
         let answering = app.facts.ending.clone();
         let listener = listener.into_std().map_err(bind)?;
-        let door =
-            door::open(listener, router(app.clone()), answering).map_err(ServeError::Thread)?;
-        Ok(Self { address, app, ending, door, tasks, engine, _locks: locks })
+        let secure = tls.is_some();
+        let door = door::open(listener, router(app.clone()), tls, answering)
+            .map_err(ServeError::Thread)?;
+        Ok(Self { address, secure, app, ending, door, tasks, engine, _locks: locks })
     }
 
-    /// Address of the service, `http://HOST:PORT`.
+    /// Address of the service, `http://HOST:PORT`, or `https://` with TLS.
     pub fn url(&self) -> String {
-        format!("http://{}", self.address)
+        format!("{}://{}", if self.secure { "https" } else { "http" }, self.address)
+    }
+
+    /// Address of the service as clients on this machine reach it.
+    pub fn local_url(&self) -> String {
+        let mut local = self.address;
+        match local.ip() {
+            ip if !ip.is_unspecified() => {}
+            IpAddr::V4(_) => local.set_ip(Ipv4Addr::LOCALHOST.into()),
+            IpAddr::V6(_) => local.set_ip(Ipv6Addr::LOCALHOST.into()),
+        }
+        self.url().replacen(&self.address.to_string(), &local.to_string(), 1)
     }
 
     /// Serves until `end` completes, then shuts down.

@@ -129,6 +129,11 @@ fn each(
         let limit = format!("must be at most {CONDITIONS_MAX} parameters");
         return Err(vec![Problem::new("query", "parameters", pairs.len(), limit)]);
     }
+    let values: usize = pairs.iter().map(|(_, value)| value.split(',').count()).sum();
+    if values > VALUES_MAX {
+        let limit = format!("must have at most {VALUES_MAX} values in all");
+        return Err(vec![Problem::new("query", "values", values, limit)]);
+    }
     let mut problems = Vec::new();
     for (key, value) in pairs {
         if let Err(limit) = apply(key, value) {
@@ -190,9 +195,6 @@ fn apply(query: &mut TrialQuery, key: &str, value: &str) -> Result<bool, String>
 
 /// A condition, as `where=COLUMN__gt=VALUE` or as `COLUMN__gt=VALUE`, and its text.
 fn condition(key: &str, value: &str) -> Result<(Condition, String), String> {
-    if value.split(',').count() > VALUES_MAX {
-        return Err(format!("must have at most {VALUES_MAX} values"));
-    }
     if key == "where" {
         return Ok((Condition::parse(value)?, value.to_owned()));
     }
@@ -238,7 +240,9 @@ mod tests {
         assert_eq!(limit(&many), "must be at most 100 parameters");
         assert!(read(&many[1..]).is_ok());
         let values = vec!["3"; VALUES_MAX + 1].join(",");
-        assert_eq!(limit(&[("tips__in", &values)]), "must have at most 1000 values");
+        assert_eq!(limit(&[("tips__in", &values)]), "must have at most 1000 values in all");
+        let half = &values[..values.len() / 2];
+        assert!(read(&[("tips__in", half), ("tips__in", half), ("limit", "3")]).is_err());
         assert!(read(&[("tips__in", &values[2..])]).is_ok());
     }
 

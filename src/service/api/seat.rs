@@ -2,7 +2,6 @@
 //! Uses: tokio's clock and wake-ups. Never: sockets, requests, a wait.
 
 use std::sync::{Arc, Weak};
-use std::time::Duration;
 
 use parking_lot::{Mutex, MutexGuard};
 use tokio::sync::Notify;
@@ -48,7 +47,7 @@ impl Seats {
         }
         let seat = Arc::new(Seat {
             reserved,
-            state: Mutex::new(State::idle(HEAD)),
+            state: Mutex::new(State::new()),
             closed: Notify::new(),
             freed: self.freed.clone(),
         });
@@ -90,8 +89,9 @@ impl Seats {
 
 /// State of a connection.
 enum State {
-    /// No request is in progress since `since`; the connection is closed at `until`.
-    Idle { since: Instant, until: Instant },
+    /// No request is in progress since `since`; the connection is closed at `until`. `new`: there
+    /// was none yet, and the only bytes that are sent are those of a TLS handshake.
+    Idle { since: Instant, until: Instant, new: bool },
     /// A request is in progress.
     Busy,
     /// The connection has become a WebSocket; it is not closed from here.
@@ -102,9 +102,16 @@ enum State {
 }
 
 impl State {
-    fn idle(at_most: Duration) -> Self {
+    /// State of a new connection.
+    fn new() -> Self {
         let since = Instant::now();
-        Self::Idle { since, until: since + at_most }
+        Self::Idle { since, until: since + HEAD, new: true }
+    }
+
+    /// State after a request.
+    fn idle() -> Self {
+        let since = Instant::now();
+        Self::Idle { since, until: since + IDLE, new: false }
     }
 }
 
@@ -148,8 +155,8 @@ impl Seat {
     /// Records sent bytes: while the rest of a response is sent, the idle time starts again.
     pub fn bytes_sent(&self) {
         let mut state = self.state();
-        if matches!(*state, State::Idle { .. }) {
-            *state = State::idle(IDLE);
+        if matches!(*state, State::Idle { new: false, .. }) {
+            *state = State::idle();
         }
     }
 
@@ -207,7 +214,7 @@ impl Drop for InFlight {
     fn drop(&mut self) {
         let mut state = self.0.state();
         if matches!(*state, State::Busy) {
-            *state = State::idle(IDLE);
+            *state = State::idle();
             self.0.freed.notify_one();
         }
     }
@@ -215,6 +222,8 @@ impl Drop for InFlight {
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use super::*;
 
     fn reserved(seats: &[Arc<Seat>]) -> usize {
@@ -273,21 +282,24 @@ mod tests {
     #[test]
     fn heads_and_idle_connections_have_a_time_limit_and_streams_have_none() {
         let mut seats = Seats::default();
-        let [silent, slow, idle, stream, socket] = std::array::from_fn(|_| seats.take());
+        let [silent, shaking, slow, idle, stream, socket] = std::array::from_fn(|_| seats.take());
         let _streaming = InFlight::begin(stream.clone());
         InFlight::begin(socket.clone()).0.upgrade();
         drop(InFlight::begin(idle.clone()));
         drop(InFlight::begin(slow.clone()));
         slow.bytes_received();
+        // A TLS handshake is no request: what it sends gains no time.
+        shaking.bytes_received();
+        shaking.bytes_sent();
         let start = Instant::now();
         let closed_after = |time: Duration| {
             seats.sweep(start + time);
-            [&silent, &slow, &idle, &stream, &socket].map(|seat| seat.is_closing())
+            [&silent, &shaking, &slow, &idle, &stream, &socket].map(|seat| seat.is_closing())
         };
-        assert_eq!(closed_after(HEAD / 2), [false; 5]);
+        assert_eq!(closed_after(HEAD / 2), [false; 6]);
         let late = Duration::from_millis(1);
-        assert_eq!(closed_after(HEAD + late), [true, true, false, false, false]);
-        assert_eq!(closed_after(IDLE + late), [true, true, true, false, false]);
-        assert_eq!(closed_after(10 * IDLE), [true, true, true, false, false]);
+        assert_eq!(closed_after(HEAD + late), [true, true, true, false, false, false]);
+        assert_eq!(closed_after(IDLE + late), [true, true, true, true, false, false]);
+        assert_eq!(closed_after(10 * IDLE), [true, true, true, true, false, false]);
     }
 }

@@ -1,7 +1,8 @@
 //! Responses with files (ranges, entity tags, sha256) and with rows in the requested format.
-//! Uses: tower-http's file service, `dataset::format`. Never: a file that can still change.
+//! Uses: `ranges`, `dataset::format`. Never: a file that can still change.
 
-use std::io::Write;
+use std::io::{self, Write};
+use std::path::Path;
 use std::sync::Arc;
 
 use arrow_array::RecordBatch;
@@ -9,17 +10,17 @@ use arrow_schema::{DataType, FieldRef, Schema, SchemaRef};
 use axum::Json;
 use axum::body::Body;
 use axum::extract::Request;
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use base64::Engine;
 use parking_lot::Mutex;
 use serde::Serialize;
 use serde_json::value::RawValue;
-use tower_http::services::ServeFile;
 
 use super::edited::lists;
 use super::limits::PAGE_NUMBERS_MAX;
 use super::problem::ApiError;
+use super::ranges::{self, Selected};
 use crate::dataset::error::DatasetError;
 use crate::dataset::export::ExportFile;
 use crate::dataset::format::{Format, Stream};
@@ -63,53 +64,91 @@ pub struct Download<'a> {
     pub immutable: bool,
 }
 
-/// Returns a file, or the requested part of it. The entity tag is the sha256 of the file, so that
+/// Returns a file, or the requested parts of it. The entity tag is the sha256 of the file, so that
 /// parts of different files are never combined.
 ///
 /// # Errors
-/// 500 if the file cannot be read.
+/// 412 if the client wants another file; 500 if the file cannot be read.
 pub async fn file(
-    mut request: Request,
+    request: Request,
     export_file: &ExportFile,
     format: Format,
     Download { name, immutable }: Download<'_>,
 ) -> Result<Response, ApiError> {
+    let sent = request.headers();
     let tag = format!("\"{}\"", export_file.sha256);
-    let unchanged = lists(request.headers(), &header::IF_NONE_MATCH, &tag);
-    if text(request.headers(), &header::IF_RANGE).is_some_and(|wanted| wanted != tag) {
-        // The client has parts of another file: the whole file is sent.
-        request.headers_mut().remove(header::RANGE);
+    if sent.contains_key(header::IF_MATCH) && !lists(sent, &header::IF_MATCH, &tag) {
+        let words = format!("If-Match: the entity tag of this file is {tag}");
+        return Err(ApiError::new(StatusCode::PRECONDITION_FAILED, words));
     }
-    // Units other than bytes must be ignored (RFC 9110, 14.2).
-    if text(request.headers(), &header::RANGE).is_some_and(|range| !range.starts_with("bytes=")) {
-        request.headers_mut().remove(header::RANGE);
-    }
-    // Only the tag is compared, not the time of the file.
-    for name in [header::IF_RANGE, header::IF_NONE_MATCH, header::IF_MODIFIED_SINCE] {
-        request.headers_mut().remove(name);
-    }
-    let mut response = if unchanged {
+    let mut response = if lists(sent, &header::IF_NONE_MATCH, &tag) {
         StatusCode::NOT_MODIFIED.into_response()
     } else {
-        let mime = format.media_type().parse().map_err(|_| internal("invalid media type"))?;
-        let sent = ServeFile::new_with_mime(&export_file.path, &mime).try_call(request).await;
-        sent.map_err(|error| internal(&error.to_string()))?.map(Body::new)
-    };
-    let headers = response.headers_mut();
-    headers.remove(header::LAST_MODIFIED);
-    let mut set = |name: HeaderName, value: String| {
-        if let Ok(value) = HeaderValue::from_str(&value) {
-            headers.insert(name, value);
+        let opened = open(&export_file.path).await;
+        let (opened, size) = opened.map_err(|error| internal(&error.to_string()))?;
+        // A client that has parts of another file gets the whole file. HEAD has no ranges.
+        let same = text(sent, &header::IF_RANGE).is_none_or(|wanted| wanted == tag);
+        let range = text(sent, &header::RANGE).filter(|_| same && request.method() == Method::GET);
+        match range.map_or(Selected::Whole, |range| Selected::of(range, size)) {
+            Selected::Nothing => return Ok(beyond(size)),
+            Selected::Whole => with_length(StatusCode::OK, ranges::one(opened, 0..size), format),
+            Selected::Parts(parts) => match parts.as_slice() {
+                [part] => {
+                    let part = part.clone();
+                    let shown = ranges::content_range(&part, size);
+                    let body = ranges::one(opened, part);
+                    let mut response = with_length(StatusCode::PARTIAL_CONTENT, body, format);
+                    set(&mut response, header::CONTENT_RANGE, &shown);
+                    response
+                }
+                _ => {
+                    // The hash of the file is in no file that has it.
+                    let (kind, boundary) = (format.media_type(), &export_file.sha256);
+                    let body = ranges::several(opened, parts, size, kind, boundary);
+                    let mut response = with_length(StatusCode::PARTIAL_CONTENT, body, format);
+                    let kind = format!("multipart/byteranges; boundary={boundary}");
+                    set(&mut response, header::CONTENT_TYPE, &kind);
+                    response
+                }
+            },
         }
     };
-    set(header::ETAG, tag);
-    set(header::CONTENT_DISPOSITION, format!("attachment; filename=\"{name}\""));
+    set(&mut response, header::ACCEPT_RANGES, "bytes");
+    set(&mut response, header::ETAG, &tag);
+    let disposition = format!("attachment; filename=\"{name}\"");
+    set(&mut response, header::CONTENT_DISPOSITION, &disposition);
     if let Some(digest) = digest(&export_file.sha256) {
-        set(HeaderName::from_static("repr-digest"), digest);
+        set(&mut response, HeaderName::from_static("repr-digest"), &digest);
     }
     let cache = if immutable { "private, max-age=31536000, immutable" } else { "no-cache" };
-    set(header::CACHE_CONTROL, cache.into());
+    set(&mut response, header::CACHE_CONTROL, cache);
     Ok(response)
+}
+
+/// Opens a file; returns it with its size.
+async fn open(path: &Path) -> io::Result<(std::fs::File, u64)> {
+    let file = tokio::fs::File::open(path).await?;
+    let size = file.metadata().await?.len();
+    Ok((file.into_std().await, size))
+}
+
+/// Refusal of a range without a byte of the file.
+fn beyond(size: u64) -> Response {
+    let words = format!("Range: must begin before the end of the file, which has {size} bytes");
+    let refused = ApiError::new(StatusCode::RANGE_NOT_SATISFIABLE, words);
+    ([(header::CONTENT_RANGE, format!("bytes */{size}"))], refused).into_response()
+}
+
+fn with_length(status: StatusCode, (body, length): (Body, u64), format: Format) -> Response {
+    let mut response = (status, [(header::CONTENT_TYPE, media_type(format))], body).into_response();
+    response.headers_mut().insert(header::CONTENT_LENGTH, length.into());
+    response
+}
+
+fn set(response: &mut Response, name: HeaderName, value: &str) {
+    if let Ok(value) = HeaderValue::from_str(value) {
+        response.headers_mut().insert(name, value);
+    }
 }
 
 fn text<'h>(headers: &'h HeaderMap, name: &HeaderName) -> Option<&'h str> {
@@ -144,12 +183,12 @@ impl Piece {
 }
 
 impl Write for Piece {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.0.lock().extend_from_slice(bytes);
         Ok(bytes.len())
     }
 
-    fn flush(&mut self) -> std::io::Result<()> {
+    fn flush(&mut self) -> io::Result<()> {
         Ok(())
     }
 }

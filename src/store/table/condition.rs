@@ -134,19 +134,22 @@ impl Condition {
             Comparison::Less => " < ",
             Comparison::LessOrEqual => " <= ",
         };
-        // `FALSE OR` prevents an index: for several values SQLite would use it and sort the result, and
-        // a page of 200,000 trials takes 44 ms instead of 0.3 ms. For ids the index is faster.
-        let plain = self.operands.len() == 1 || self.column.name == "trial_id";
-        query.push(if plain { " AND (" } else { " AND (FALSE OR " });
+        let several = self.operands.len() > 1;
+        // `+` prevents an index: for several values SQLite would use it and sort the result, and a page
+        // of 200,000 trials takes 44 ms instead of 0.3 ms. For ids the index is faster.
+        let unindexed = several && self.column.name != "trial_id";
+        query.push(if unindexed { " AND +" } else { " AND " }).push(column);
+        // Several values are compared for equality only.
+        query.push(if several { " IN (" } else { comparison });
         for (n, operand) in self.operands.iter().enumerate() {
-            query.push(if n == 0 { "" } else { " OR " }).push(column).push(comparison);
+            query.push(if n == 0 { "" } else { ", " });
             match operand {
                 Operand::Number(number) => query.push_bind(*number),
                 Operand::Time(time) => query.push_bind(time_text(*time)),
                 Operand::Word(word) => query.push_bind(word.clone()),
             };
         }
-        query.push(")");
+        query.push(if several { ")" } else { "" });
     }
 }
 

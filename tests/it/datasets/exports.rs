@@ -2,7 +2,7 @@
 
 use palpate::digest::sha256_hex;
 use reqwest::StatusCode;
-use reqwest::header::{ETAG, IF_NONE_MATCH, IF_RANGE, RANGE};
+use reqwest::header::{ETAG, IF_MATCH, IF_NONE_MATCH, IF_RANGE, RANGE};
 use serde_json::{Value, json};
 
 use super::filled::Filled;
@@ -42,6 +42,76 @@ async fn files_come_in_pieces_that_belong_together() {
     assert!(head.headers().contains_key("repr-digest"));
     let beyond = lab.http.get(&url).header(RANGE, "bytes=999999999-").send().await.unwrap();
     assert_eq!(beyond.status(), StatusCode::RANGE_NOT_SATISFIABLE);
+    lab.close().await;
+}
+
+/// The parts of a `multipart/byteranges` body, as (Content-Range, bytes).
+fn parts(body: &[u8], boundary: &str) -> Vec<(String, Vec<u8>)> {
+    let cut = |bytes: &[u8], at: &str| {
+        let n = bytes.windows(at.len()).position(|window| window == at.as_bytes()).unwrap();
+        (bytes[..n].to_vec(), bytes[n + at.len()..].to_vec())
+    };
+    let between = format!("\r\n--{boundary}");
+    let mut rest = cut(body, &between).1;
+    let mut parts = Vec::new();
+    while rest != b"--\r\n" {
+        let (head, more) = cut(&rest, "\r\n\r\n");
+        let head = String::from_utf8(head).unwrap();
+
+        let range = head.lines().find_map(|line| line.strip_prefix("content-range: ")).unwrap();
+        let (bytes, more) = cut(&more, &between);
+        parts.push((range.to_owned(), bytes));
+        rest = more;
+    }
+    parts
+}
+
+#[tokio::test]
+async fn several_ranges_are_parts_of_one_response() {
+    let lab = Filled::open("ranges").await;
+    let (_, whole) = exported(&lab, json!({ "dataset": "real", "format": "npz" })).await;
+    let (url, size) = (lab.url("/api/v1/data/real.npz"), whole.len());
+    let ask = |range: String| lab.http.get(&url).header(RANGE, range).send();
+    let last = size - 100_000;
+    let several = ask(format!("bytes=20-29,{last}-,10-12, 0-9")).await.unwrap();
+    assert_eq!(several.status(), StatusCode::PARTIAL_CONTENT);
+    let kind = several.headers()["content-type"].to_str().unwrap().to_owned();
+    let boundary = kind.strip_prefix("multipart/byteranges; boundary=").unwrap();
+    let length = several.content_length().unwrap();
+    let body = several.bytes().await.unwrap();
+    assert_eq!(length, body.len() as u64);
+    let expected = [0..13, 20..30, last..size].map(|part| {
+        let shown = format!("bytes {}-{}/{size}", part.start, part.end - 1);
+        (shown, whole[part].to_vec())
+    });
+    assert!(parts(&body, boundary) == expected, "the parts differ");
+    // Adjacent ranges are one part; what is no range is ignored.
+    let merged = ask("bytes=0-9,10-19".into()).await.unwrap();
+    assert_eq!(merged.headers()["content-range"], format!("bytes 0-19/{size}").as_str());
+    assert_eq!(merged.bytes().await.unwrap(), &whole[..20]);
+    let many = (0..17).map(|n| format!("{0}-{0}", 2 * n)).collect::<Vec<_>>().join(",");
+    for ignored in ["bytes=abc", "bytes=5-1", "rows=0-9", &format!("bytes={many}")] {
+        let answer = ask(ignored.into()).await.unwrap();
+        assert_eq!(answer.status(), StatusCode::OK, "{ignored}");
+        assert_eq!(answer.content_length(), Some(size as u64));
+        assert!(answer.bytes().await.unwrap() == whole, "{ignored}");
+    }
+    let beyond = ask(format!("bytes={size}-,{size}-{size}")).await.unwrap();
+    assert_eq!(beyond.status(), StatusCode::RANGE_NOT_SATISFIABLE);
+    assert_eq!(beyond.headers()["content-range"], format!("bytes */{size}").as_str());
+    assert_eq!(beyond.headers()["content-type"], "application/problem+json");
+    // HEAD is answered like GET, without ranges and without the body.
+    let head = lab.http.head(&url).header(RANGE, "bytes=0-9").send().await.unwrap();
+    assert_eq!(head.status(), StatusCode::OK);
+    assert_eq!(head.headers()["content-length"], size.to_string().as_str());
+    assert!(head.bytes().await.unwrap().is_empty());
+    // Who wants another file gets none.
+    let tag = format!("\"{}\"", sha256_hex(&whole));
+    for (tags, status) in [(format!("\"x\", {tag}"), 200), ("*".into(), 200), ("\"x\"".into(), 412)]
+    {
+        let answer = lab.http.get(&url).header(IF_MATCH, &tags).send().await.unwrap();
+        assert_eq!(answer.status(), status, "{tags}");
+    }
     lab.close().await;
 }
 

@@ -19,7 +19,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 
-use crate::support::{SENSOR, VIRTUAL_RIG, sensor};
+use crate::support::{SENSOR, VIRTUAL_RIG, http, sensor};
 
 /// Configurations of the Real-Hex run; each third is one that was drawn before.
 pub const CONFIGURATIONS: u32 = 30;
@@ -170,7 +170,7 @@ pub async fn fill(data: &Path) {
 }
 
 /// A rig that nobody else has the lock of.
-fn rig() -> String {
+pub fn rig() -> String {
     static NEXT: AtomicU32 = AtomicU32::new(0);
     let (process, n) = (std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed));
     let own = format!("127.{}.{}.{}:", process >> 8 & 0x7F, process & 0xFF, n + 1);
@@ -212,8 +212,15 @@ impl Filled {
 
     /// A service on a folder; `local_admin`: without a key one may make keys.
     pub async fn serve_with(data: PathBuf, local_admin: bool) -> Self {
-        let options = ServeOptions {
-            local_admin,
+        Self::serve_as(data, |options| options.local_admin = local_admin).await
+    }
+
+    /// A service on a folder, with other options.
+    pub async fn serve_as(data: PathBuf, change: impl FnOnce(&mut ServeOptions)) -> Self {
+        let mut options = ServeOptions {
+            tls: None,
+            require_key: false,
+            local_admin: true,
             bind: "127.0.0.1:0".parse().unwrap(),
             data: data.clone(),
             rig_file: "rig.toml".into(),
@@ -224,8 +231,9 @@ impl Filled {
             sensor: sensor(),
             sensor_text: SENSOR.into(),
         };
+        change(&mut options);
         let service = Service::start(options).await.unwrap();
-        Self { data, service, http: reqwest::Client::new() }
+        Self { data, service, http: http() }
     }
 
     pub fn url(&self, path: &str) -> String {

@@ -124,6 +124,12 @@ async fn stored_trials_come_in_every_format() {
         };
         assert!(!bytes.is_empty() && bytes.starts_with(starts), "{format}");
     }
+    let many = (0..998).map(|n| (n % 7).to_string()).collect::<Vec<_>>().join(",");
+    let all = lab.get(&format!("/api/v1/trials?tips__in={many}&limit=2")).await;
+    assert_eq!(all["items"].as_array().unwrap().len(), 2);
+    let some = lab.get("/api/v1/trials?contact_count__in=2,9&limit=10000").await;
+    let one = lab.get("/api/v1/trials?contact_count=2&limit=10000").await;
+    assert_eq!(some["items"], one["items"]);
     let backwards = lab.get(&format!("{path}&sort=-trial_id")).await;
     let backwards = backwards["items"][0]["trial_id"].as_i64().unwrap();
     assert!(backwards > ids[0]);
