@@ -73,6 +73,7 @@ mod tests {
     use tokio::net::TcpListener;
     use tokio::task::JoinHandle;
 
+    use super::super::trust;
     use super::*;
 
     /// Answers each connection in turn: with the text, or for an empty one by closing it. Returns the
@@ -97,7 +98,8 @@ mod tests {
     }
 
     async fn posted(url: &str, path: &str) -> Result<Response, Error> {
-        let request = reqwest::Client::new().post(format!("{url}{path}")).json(&json!({}));
+        let request = trust::http(trust::tls(url, None).unwrap()).unwrap();
+        let request = request.post(format!("{url}{path}")).json(&json!({}));
         send(request, &format!("POST {path}"), Duration::from_secs(20)).await
     }
 

@@ -30,7 +30,7 @@ async fn keys_and_lock_need_neither_a_service_nor_a_rig() {
         ("lock", "ben (local)", true),
         local("unlock", true),
         local("revoke_key", true),
-        local("revoke_key", true),
+        local("revoke_key", false),
     ];
     assert_eq!(shown, all);
     store.close().await;

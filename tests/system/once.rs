@@ -5,13 +5,13 @@ use std::time::Duration;
 use reqwest::Response;
 use serde_json::json;
 
-use super::bench::{LIMIT, Lab, rig_args, tell};
+use super::bench::{LIMIT, Lab, http, rig_args, tell};
 
 /// Requests a jog of x with a key.
 async fn jog(lab: &Lab, key: &str, to_mm: f64) -> Response {
     let url = format!("{}/api/v1/rig/actions", lab.service.url());
     let body = json!({ "action": "jog", "axis": "x", "to_mm": to_mm, "who": "test" });
-    let request = reqwest::Client::new().post(url).header("idempotency-key", key).json(&body);
+    let request = http().post(url).header("idempotency-key", key).json(&body);
     request.send().await.unwrap()
 }
 

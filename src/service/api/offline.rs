@@ -60,8 +60,11 @@ impl Offline {
     /// # Errors
     /// As [`KeyRing::revoke`].
     pub async fn revoke_key(&self, id: i64) -> Result<bool, StoreError> {
+        let key = format!("key {id}");
         let revoked = self.keys.revoke(id).await;
-        self.logged("revoke_key", None, Some(&format!("key {id}")), revoked).await
+        let accepted = matches!(revoked, Ok(true));
+        self.log("revoke_key", None, Some(&key), accepted, revoked.as_ref().err()).await;
+        revoked
     }
 
     /// Returns the operator lock.
@@ -97,6 +100,18 @@ impl Offline {
         why: Option<&str>,
         outcome: Result<T, StoreError>,
     ) -> Result<T, StoreError> {
+        self.log(action, who, why, outcome.is_ok(), outcome.as_ref().err()).await;
+        outcome
+    }
+
+    async fn log(
+        &self,
+        action: &str,
+        who: Option<&str>,
+        why: Option<&str>,
+        accepted: bool,
+        error: Option<&StoreError>,
+    ) {
         let new = NewAction {
             at: Timestamp::now(),
             run: None,
@@ -104,12 +119,11 @@ impl Offline {
             who: self.caller.name(who),
             key_id: None,
             why: why.map(Into::into),
-            accepted: outcome.is_ok(),
-            detail: outcome.as_ref().err().map(ToString::to_string),
+            accepted,
+            detail: error.map(ToString::to_string),
         };
         if let Err(error) = self.store.log_action(new).await {
             tracing::error!(error = error_chain(&error), action, "an action is not logged");
         }
-        outcome
     }
 }

@@ -138,6 +138,10 @@ async fn every_answer_is_one_that_the_description_states() {
         let mut command = Command::new(Path::new(&python).with_file_name("schemathesis"));
         command
             .current_dir(folder.path(""))
+            .args([
+                "--config-file",
+                concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/contract/schemathesis.toml"),
+            ])
             .args(["run", DESCRIPTION, "--url", &lab.url(""), "-H", &header])
             .args(["--max-examples", &examples, "--seed", "1", "--no-color"])
             .args(["--checks", "all", "--exclude-checks", "positive_data_acceptance"])
