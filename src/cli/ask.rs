@@ -8,9 +8,9 @@ use clap::Args;
 use serde_json::{Value, json};
 use tokio::time::Instant;
 
-use super::client::Client;
+use super::client::{Client, key};
 use super::error::CliError;
-use super::output::{counted, duration, say, say_json};
+use super::output::{counted, duration, note, say, say_json};
 use super::view::{RunView, StatusView};
 use super::{At, embed};
 use crate::campaign::bench::stopping::StoppingDistance;
@@ -127,19 +127,35 @@ pub async fn abort(args: &AbortArgs) -> Result<(), CliError> {
 /// # Errors
 /// `CliError` if the request for the stop fails; the acknowledgement is only reported.
 pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
-    // The server is not probed first: the stop must be the first request.
-    let clients = embed::clients(&args.at)?;
-    let mut tries = 0;
+    // The server is not probed first: the stop must be the first request. On the loopback it needs no
+    // key: one that cannot be read, or that is refused, must not prevent it.
+    let key = key().unwrap_or_else(|error| {
+        note(format_args!("the stop is requested without a key: {error}"));
+        None
+    });
+    let mut clients = embed::clients_with(&args.at, key.clone())?;
+    if key.is_some() {
+        clients.extend(embed::clients_with(&args.at, None)?);
+    }
+    let (mut tries, mut refused) = (0, None);
     let (client, answer): (&Client, Value) = loop {
         let client = &clients[tries % clients.len()];
         let body = json!({ "why": args.why, "who": client.who() });
         match client.post("/api/v1/estop", &body).await {
+            Ok(answer) => break (client, answer),
             // A stop may be repeated: a crowded service may close a connection unanswered.
-            Err(CliError::NoServer { .. } | CliError::Http { .. }) if tries < ESTOP_AGAIN => {
+            Err(CliError::NoServer { .. } | CliError::Http { .. } | CliError::Untrusted { .. })
+                if tries < ESTOP_AGAIN =>
+            {
                 tries += 1;
                 tokio::time::sleep(LOOK).await;
             }
-            outcome => break (client, outcome?),
+            // Another client may have no key, or another address.
+            Err(error @ CliError::Refused { status: 401, .. }) if tries + 1 < clients.len() => {
+                refused = refused.or(Some(error));
+                tries += 1;
+            }
+            Err(error) => return Err(refused.unwrap_or(error)),
         }
     };
     let asked = Instant::now();

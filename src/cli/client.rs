@@ -18,7 +18,7 @@ use tokio_tungstenite::{Connector, connect_async_tls_with_config};
 
 use super::error::CliError;
 use super::repeat;
-use super::trust;
+use super::trust::{self, Certificates};
 use super::view::{ArmedView, EventView, StatusView, TakenUpView};
 use crate::api::{Page, Summary, warn_if_others_may_read};
 use crate::ids::RunUid;
@@ -70,25 +70,16 @@ pub fn who() -> String {
 }
 
 impl Client {
-    /// Client of the service at a URL, with the key of the environment. `ca`: file with the certificate
-    /// of the service or of its authority.
+    /// Client of the service at a URL. `ca`: the certificate of the service or of its authority.
     ///
     /// # Errors
-    /// `CliError::Http` if the HTTP client cannot be created; `File`, `Problems` or `Tls` if the file or
-    /// that of the key cannot be used.
-    pub fn new(url: &str, ca: Option<&Path>) -> Result<Self, CliError> {
-        Self::with(url, ca, key()?)
-    }
-
-    /// Client of a service in this process, which needs no key.
-    ///
-    /// # Errors
-    /// `CliError::Http` if the HTTP client cannot be created.
-    pub fn of_own(url: &str) -> Result<Self, CliError> {
-        Self::with(url, None, None)
-    }
-
-    fn with(url: &str, ca: Option<&Path>, key: Option<String>) -> Result<Self, CliError> {
+    /// `CliError::Http` if the HTTP client cannot be created; `Problems` or `Tls` if the certificate
+    /// cannot be used.
+    pub fn new(
+        url: &str,
+        ca: Option<&Certificates>,
+        key: Option<String>,
+    ) -> Result<Self, CliError> {
         let tls = trust::tls(url, ca)?;
         let http = trust::http(tls.clone())
             .map_err(|source| CliError::Http { operation: "HTTP client".into(), source })?;
@@ -447,8 +438,11 @@ impl Client {
     }
 }
 
-/// The key of the environment, or of the file that it names.
-fn key() -> Result<Option<String>, CliError> {
+/// Returns the key of the environment, or of the file that it names.
+///
+/// # Errors
+/// `CliError::File` or `Problems` if the file cannot be read or has no key.
+pub fn key() -> Result<Option<String>, CliError> {
     let of = |variable| std::env::var_os(variable).filter(|value| !value.is_empty());
     if let Some(key) = of(KEY_VARIABLE) {
         return Ok(key.into_string().ok());

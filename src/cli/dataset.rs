@@ -175,6 +175,7 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
     let mut found: Value = client.get("/api/v1/datasets?limit=1").await?;
     let made: Vec<Value> = client.all("/api/v1/datasets?").await?;
     found["items"] = made.clone().into();
+    found.as_object_mut().map(|page| page.remove("next"));
     if json {
         say_json(&found);
         return Ok(());

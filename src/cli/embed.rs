@@ -7,10 +7,11 @@ use std::path::PathBuf;
 
 use tokio::sync::oneshot;
 
-use super::client::Client;
+use super::client::{Client, key};
 use super::error::CliError;
 use super::files::{RigFiles, read_sensor_text};
 use super::running::Running;
+use super::trust::Certificates;
 use super::{At, DEFAULT_URL};
 use crate::api::{ServeOptions, Service};
 
@@ -22,18 +23,26 @@ pub const TWIN_WORKERS: usize = 1;
 /// otherwise the one whose address is in the data folder, then the one at the default address.
 ///
 /// # Errors
-/// As [`Client::new`].
+/// As [`key`] and [`Client::new`]; `CliError::File` if the file of `--ca` cannot be read.
 pub fn clients(at: &At) -> Result<Vec<Client>, CliError> {
-    let ca = at.ca();
-    let ca = ca.as_deref();
+    clients_with(at, key()?)
+}
+
+/// As [`clients`], with this key.
+///
+/// # Errors
+/// As [`Client::new`]; `CliError::File` if the file of `--ca` cannot be read.
+pub fn clients_with(at: &At, key: Option<String>) -> Result<Vec<Client>, CliError> {
+    let ca = at.ca().as_deref().map(Certificates::read).transpose()?;
+    let ca = ca.as_ref();
     if let Some(url) = at.url() {
-        return Ok(vec![Client::new(&url, ca)?]);
+        return Ok(vec![Client::new(&url, ca, key)?]);
     }
     let recorded = Running::read(&at.data()).and_then(|Running { url, certificate }| {
-        // A killed service may have left a file that names a certificate which no longer exists.
-        Client::new(&url, Some(ca.unwrap_or(&certificate))).ok()
+        let shown = Certificates { name: url.clone(), pem: certificate.into_bytes() };
+        Client::new(&url, Some(ca.unwrap_or(&shown)), key.clone()).ok()
     });
-    Ok(recorded.into_iter().chain([Client::new(DEFAULT_URL, ca)?]).collect())
+    Ok(recorded.into_iter().chain([Client::new(DEFAULT_URL, ca, key)?]).collect())
 }
 
 /// Returns the server that the options name, or the one on this machine, if it answers.
@@ -42,14 +51,19 @@ pub fn clients(at: &At) -> Result<Vec<Client>, CliError> {
 /// `CliError::NoServer` if a named server does not answer; otherwise as [`clients`] and
 /// [`Client::is_there`].
 pub async fn find(at: &At) -> Result<Option<Client>, CliError> {
+    let mut untrusted = None;
     for client in clients(at)? {
-        if client.is_there().await? {
-            return Ok(Some(client));
+        match client.is_there().await {
+            Ok(true) => return Ok(Some(client)),
+            Ok(false) => {}
+            // A killed service may have left the address of what is now another program.
+            Err(error) => untrusted = untrusted.or(Some(error)),
         }
     }
-    match at.url() {
-        Some(url) => Err(CliError::NoServer { url }),
-        None => Ok(None),
+    match (untrusted, at.url()) {
+        (Some(error), _) => Err(error),
+        (None, Some(url)) => Err(CliError::NoServer { url }),
+        (None, None) => Ok(None),
     }
 }
 
@@ -112,7 +126,7 @@ where
     T: Send + 'static,
 {
     let service = Service::start(options).await?;
-    let client = match Client::of_own(&service.url()) {
+    let client = match Client::new(&service.url(), None, None) {
         Ok(client) => client,
         Err(error) => {
             service.shutdown().await;

@@ -12,7 +12,7 @@ use tracing::Dispatch;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::MakeWriter;
 
-use crate::plain::escaped_lines;
+use crate::plain::escaped;
 
 /// Help on the variables of the environment.
 pub const HELP: &str = "\
@@ -116,14 +116,16 @@ const COLOUR: &str = "\u{1b}[";
 /// and messages, not those of fields with `%`.
 fn safe(line: &[u8]) -> String {
     let line = String::from_utf8_lossy(line);
+    let (line, end) = line.strip_suffix('\n').map_or((&*line, ""), |line| (line, "\n"));
     let mut pieces = line.split(COLOUR);
-    let mut safe = escaped_lines(pieces.next().unwrap_or_default()).into_owned();
+    let mut safe = escaped(pieces.next().unwrap_or_default()).into_owned();
     for piece in pieces {
         let code = piece.trim_start_matches(|c: char| c.is_ascii_digit() || c == ';');
         let start = if code.starts_with('m') { COLOUR } else { "\\u{1b}[" };
         safe.push_str(start);
-        safe.push_str(&escaped_lines(piece));
+        safe.push_str(&escaped(piece));
     }
+    safe.push_str(end);
     safe
 }
 
@@ -276,8 +278,9 @@ mod tests {
 
     #[test]
     fn a_line_sets_colours_and_nothing_else_of_the_terminal() {
-        let line = "\u{1b}[2mINFO\u{1b}[0m who=\u{1b}]0;title\u{7} \u{1b}[2J \u{9b}2J\n";
-        let shown = "\u{1b}[2mINFO\u{1b}[0m who=\\u{1b}]0;title\\u{7} \\u{1b}[2J \\u{9b}2J\n";
+        let line = "\u{1b}[2mINFO\u{1b}[0m who=\u{1b}]0;title\u{7} \u{1b}[2J \u{9b}2J\nX\n";
+        let shown =
+            "\u{1b}[2mINFO\u{1b}[0m who=\\u{1b}]0;title\\u{7} \\u{1b}[2J \\u{9b}2J\\u{a}X\n";
         assert_eq!(safe(line.as_bytes()), shown);
     }
 

@@ -18,6 +18,9 @@ const PAUSES: [Duration; 3] =
 /// Pause while the first request is in progress.
 const IN_PROGRESS: Duration = Duration::from_secs(1);
 
+/// The stop, which is not looked up among all operations first.
+const STOP: &str = "POST /api/v1/estop";
+
 /// Operations that a service carries out once per `Idempotency-Key`, such as `POST /api/v1/queue`.
 static ONCE: LazyLock<HashSet<String>> = LazyLock::new(|| {
     let once = operations().into_iter().filter(|(.., needs)| needs.once);
@@ -37,7 +40,7 @@ pub async fn send(
     operation: &str,
     within: Duration,
 ) -> Result<Response, Error> {
-    let once = ONCE.contains(operation);
+    let once = operation != STOP && ONCE.contains(operation);
     if once {
         request = request.header("idempotency-key", Uuid::now_v7().to_string());
     }

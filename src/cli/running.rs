@@ -4,21 +4,26 @@
 
 use std::io;
 use std::net::IpAddr;
-use std::path::{Path, PathBuf};
+use std::os::unix::fs::MetadataExt;
+use std::path::Path;
 
 use reqwest::Url;
 use serde::{Deserialize, Serialize};
 
+use crate::new_file;
+
 /// Name of the file.
 const FILE: &str = "server.json";
+/// Rights of the group and of others to write.
+const OTHERS_WRITE: u32 = 0o022;
 
 /// Address and certificate of a running service.
 #[derive(Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Running {
     /// URL on the loopback.
     pub url: String,
-    /// Path of its certificate, absolute.
-    pub certificate: PathBuf,
+    /// The certificate that it shows, PEM: its file may be renewed while the service runs.
+    pub certificate: String,
 }
 
 impl Running {
@@ -27,7 +32,7 @@ impl Running {
     /// # Errors
     /// If it cannot be written.
     pub fn write(&self, data: &Path) -> io::Result<()> {
-        std::fs::write(data.join(FILE), serde_json::to_vec(self)?)
+        new_file::write(data, FILE, &serde_json::to_string(self)?).map(drop)
     }
 
     /// Removes the file, if there is one.
@@ -36,11 +41,23 @@ impl Running {
         let _ = std::fs::remove_file(data.join(FILE));
     }
 
-    /// Reads the file. Only an address on the loopback is believed: a key is sent to it.
+    /// Reads the file. A key is sent to its address: so only an address on the loopback is believed,
+    /// and only of a file that no other user than root can have written.
     pub fn read(data: &Path) -> Option<Self> {
-        let read: Self = serde_json::from_slice(&std::fs::read(data.join(FILE)).ok()?).ok()?;
+        let path = data.join(FILE);
+        if !is_ours(data) || !is_ours(&path) {
+            return None;
+        }
+        let read: Self = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
         is_loopback(&read.url).then_some(read)
     }
+}
+
+/// Whether only this user, or root, can change a file or folder.
+fn is_ours(path: &Path) -> bool {
+    let me = rustix::process::geteuid().as_raw();
+    path.metadata()
+        .is_ok_and(|found| [me, 0].contains(&found.uid()) && found.mode() & OTHERS_WRITE == 0)
 }
 
 /// Whether a URL names a loopback address.
@@ -52,6 +69,8 @@ fn is_loopback(url: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
     use super::*;
 
     #[test]
@@ -66,10 +85,15 @@ mod tests {
             ("https://127.0.0.1@evil.example", false),
             ("https://10.0.0.5:8080", false),
         ] {
-            let running = Running { url: url.into(), certificate: "/c.pem".into() };
+            let running = Running { url: url.into(), certificate: "PEM".into() };
             running.write(&folder).unwrap();
             assert_eq!(Running::read(&folder), found.then_some(running), "{url}");
         }
+        let running = Running { url: "https://[::1]:1".into(), certificate: "PEM".into() };
+        running.write(&folder).unwrap();
+        let everybody = std::fs::Permissions::from_mode(0o666);
+        std::fs::set_permissions(folder.join(FILE), everybody).unwrap();
+        assert_eq!(Running::read(&folder), None, "anybody may have written it");
         Running::remove(&folder);
         assert_eq!(Running::read(&folder), None);
         std::fs::remove_dir_all(&folder).unwrap();

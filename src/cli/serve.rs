@@ -97,7 +97,7 @@ fn announce(data: &Path, service: &Service, tls: Option<&Tls>) {
     let Some(Tls { certificate, .. }) = tls else {
         return Running::remove(data);
     };
-    let written = std::path::absolute(certificate)
+    let written = std::fs::read_to_string(certificate)
         .and_then(|certificate| Running { url: service.local_url(), certificate }.write(data));
     if let Err(error) = written {
         tracing::warn!(%error, "commands on this machine need --url and --ca");

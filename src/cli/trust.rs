@@ -8,7 +8,7 @@ use std::sync::Arc;
 use rustls::client::WebPkiServerVerifier;
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
 use rustls::crypto::{CryptoProvider, ring, verify_tls12_signature, verify_tls13_signature};
-use rustls::pki_types::pem::{self, PemObject};
+use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, ServerName, UnixTime};
 use rustls::{ClientConfig, DigitallySignedStruct, Error, RootCertStore, SignatureScheme};
 use rustls_platform_verifier::Verifier;
@@ -16,13 +16,42 @@ use rustls_platform_verifier::Verifier;
 use super::error::CliError;
 use crate::problem::Problem;
 
-/// TLS for the server at a URL. With a file only its certificates are trusted, as those of the server or
-/// of its authority; without one the authorities of the system. Nothing is read for `http://`.
+/// Certificates in PEM, with a name for messages.
+#[derive(Debug, Clone)]
+pub struct Certificates {
+    /// Name of their file.
+    pub name: String,
+    /// PEM.
+    pub pem: Vec<u8>,
+}
+
+impl Certificates {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// `CliError::File` if it cannot be read.
+    pub fn read(path: &Path) -> Result<Self, CliError> {
+        let pem = std::fs::read(path);
+        let pem = pem.map_err(|source| CliError::File { path: path.into(), source })?;
+        Ok(Self { name: path.display().to_string(), pem })
+    }
+
+    fn parse(&self) -> Result<Vec<CertificateDer<'static>>, CliError> {
+        let invalid = |words: String| CliError::Problems(vec![Problem::whole(&self.name, words)]);
+        match CertificateDer::pem_slice_iter(&self.pem).collect() {
+            Err(error) => Err(invalid(format!("must be PEM: {error}"))),
+            Ok(none) if Vec::is_empty(&none) => Err(invalid("has no certificate".into())),
+            Ok(some) => Ok(some),
+        }
+    }
+}
+
+/// TLS for the server at a URL. With certificates only these are trusted, as those of the server or of
+/// its authority; without them the authorities of the system. Nothing is read for `http://`.
 ///
 /// # Errors
-/// `CliError::File` or `Problems` if the file cannot be read or has no certificate; `Tls` if the system
-/// has no authorities.
-pub fn tls(url: &str, ca: Option<&Path>) -> Result<ClientConfig, CliError> {
+/// `CliError::Problems` if there is no certificate; `Tls` if the system has no authorities.
+pub fn tls(url: &str, ca: Option<&Certificates>) -> Result<ClientConfig, CliError> {
     let provider = Arc::new(ring::default_provider());
     let builder = ClientConfig::builder_with_provider(provider.clone())
         .with_safe_default_protocol_versions()?;
@@ -30,7 +59,7 @@ pub fn tls(url: &str, ca: Option<&Path>) -> Result<ClientConfig, CliError> {
         return Ok(builder.with_root_certificates(RootCertStore::empty()).with_no_client_auth());
     }
     let verifier: Arc<dyn ServerCertVerifier> = match ca {
-        Some(file) => Arc::new(Known::new(certificates(file)?, provider)?),
+        Some(ca) => Arc::new(Known::new(ca.parse()?, provider)?),
         None => Arc::new(Verifier::new(provider)?),
     };
     Ok(builder.dangerous().with_custom_certificate_verifier(verifier).with_no_client_auth())
@@ -56,19 +85,6 @@ pub fn refused(error: &(dyn std::error::Error + 'static)) -> Option<String> {
         let tls = inner.downcast_ref::<Error>();
         tls.filter(|tls| matches!(tls, Error::InvalidCertificate(_))).map(ToString::to_string)
     })
-}
-
-fn certificates(file: &Path) -> Result<Vec<CertificateDer<'static>>, CliError> {
-    let invalid = |words: String| {
-        CliError::Problems(vec![Problem::whole(&file.display().to_string(), words)])
-    };
-    let read = CertificateDer::pem_file_iter(file).and_then(Iterator::collect);
-    match read {
-        Err(pem::Error::Io(source)) => Err(CliError::File { path: file.into(), source }),
-        Err(error) => Err(invalid(format!("must be PEM: {error}"))),
-        Ok(none) if Vec::is_empty(&none) => Err(invalid("has no certificate".into())),
-        Ok(some) => Ok(some),
-    }
 }
 
 /// Trusts the servers that show one of these certificates, whatever its name and date, and those whose

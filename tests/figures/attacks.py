@@ -5,11 +5,13 @@
     python3 tests/figures/attacks.py http://127.0.0.1:8473 PID
 
 The rig must not be connected: the e-stop is pressed ten times a second. The folder needs one run that
-has ended (`run-1`).
+has ended (`run-1`). With an address of `https://`, everything goes over TLS, and handshakes are one more
+attack.
 """
 
 import json
 import socket
+import ssl
 import sys
 import threading
 import time
@@ -20,6 +22,13 @@ from urllib.parse import urlsplit
 URL, PID = sys.argv[1], int(sys.argv[2])
 AT = (urlsplit(URL).hostname, urlsplit(URL).port)
 PIECE = b"a" * 65536
+# The certificate is not what is measured.
+TLS = ssl._create_unverified_context() if URL.startswith("https:") else None
+
+
+def connect(timeout: float) -> socket.socket:
+    wire = socket.create_connection(AT, timeout=timeout)
+    return TLS.wrap_socket(wire) if TLS else wire
 
 
 def rss_mb() -> int:
@@ -33,7 +42,7 @@ def ask(method: str, path: str, body: dict | None = None) -> tuple[int, bytes, f
     request = urllib.request.Request(URL + path, data, {"Content-Type": "application/json"}, method=method)
     start = time.time()
     try:
-        with urllib.request.urlopen(request, timeout=30) as answer:
+        with urllib.request.urlopen(request, timeout=30, context=TLS) as answer:
             return answer.status, answer.read(), time.time() - start
     except urllib.error.HTTPError as error:
         return error.code, error.read(), time.time() - start
@@ -86,7 +95,7 @@ def send_until_closed(wire: socket.socket, length: int) -> int:
 
 def part(name: str, length: int) -> str:
     head = f'--XX\r\nContent-Disposition: form-data; name="{name}"\r\n\r\n'
-    wire = socket.create_connection(AT, timeout=10)
+    wire = connect(10)
     wire.sendall(
         f"POST /api/v1/imports HTTP/1.1\r\nhost: localhost\r\ncontent-type: multipart/form-data; boundary=XX\r\n"
         f"content-length: {len(head) + length}\r\n\r\n{head}".encode()
@@ -102,7 +111,7 @@ def part(name: str, length: int) -> str:
 def sockets(count: int, length: int) -> str:
     wires, sent = [], 0
     for _ in range(count):
-        wire = socket.create_connection(AT, timeout=5)
+        wire = connect(5)
         wire.sendall(
             b"GET /api/v1/frames/live HTTP/1.1\r\nhost: localhost\r\nupgrade: websocket\r\nconnection: upgrade\r\n"
             b"sec-websocket-version: 13\r\nsec-websocket-key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
@@ -122,7 +131,7 @@ def streams(count: int) -> str:
     key = made["secret"].encode()
     wires, codes = [], {}
     for _ in range(count):
-        wire = socket.create_connection(AT, timeout=10)
+        wire = connect(10)
         wire.sendall(
             b"GET /api/v1/events?since=-30 HTTP/1.1\r\nhost: localhost\r\nauthorization: Bearer " + key
             + b"\r\naccept: text/event-stream\r\n\r\n"
@@ -143,7 +152,7 @@ def wrong_keys(loops: int, seconds: float) -> str:
         end = time.time() + seconds
         while time.time() < end:
             try:
-                with socket.create_connection(AT, timeout=10) as wire:
+                with connect(10) as wire:
                     wire.sendall(b"GET /api/v1/status HTTP/1.1\r\nhost: localhost\r\nauthorization: Bearer x\r\n\r\n")
                     wire.recv(100)
             except OSError:
@@ -157,6 +166,29 @@ def wrong_keys(loops: int, seconds: float) -> str:
     return f"{(count() - before) / seconds:.0f} per second refused"
 
 
+def handshakes(loops: int, seconds: float) -> str:
+    """TLS handshakes without a request, one after the other in each loop; the others never end."""
+    done, unfinished = [], []
+
+    def loop() -> None:
+        end = time.time() + seconds
+        while time.time() < end:
+            try:
+                unfinished.append(socket.create_connection(AT, timeout=10))
+                unfinished[-1].sendall(bytes([22, 3, 1, 2, 0, 1]))
+                connect(10).close()
+                done.append(time.time())
+            except OSError:
+                pass
+
+    threads = [threading.Thread(target=loop) for _ in range(loops)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return f"{len(done) / seconds:.0f} per second, {len(unfinished) / seconds:.0f} unfinished"
+
+
 rows = "/api/v1/datasets/run-1/rows"
 measured("none, 3 s", lambda: time.sleep(3))
 measured("part `who` of 1 GB", lambda: part("who", 1 << 30))
@@ -168,3 +200,5 @@ measured("20 WebSockets, a message of 60 MB each", lambda: sockets(20, 60 << 20)
 measured("note of 1.5 MB", lambda: ask("PUT", "/api/v1/lock", {"note": "x" * 1_500_000})[0])
 measured("300 event streams of one viewer", lambda: streams(300))
 measured("wrong keys, 60 loops, 4 s", lambda: wrong_keys(60, 4))
+if TLS:
+    measured("TLS handshakes, 30 loops, 4 s", lambda: handshakes(30, 4))

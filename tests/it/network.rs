@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use futures::StreamExt;
 use palpate::api::Tls;
-use palpate::cli::trust;
+use palpate::cli::trust::{self, Certificates};
 use rcgen::{BasicConstraints, CertificateParams, IsCa, Issuer, KeyPair};
 use reqwest::{Client, StatusCode};
 use serde_json::{Value, json};
@@ -50,7 +50,11 @@ async fn serve(name: &str, tls: impl FnOnce(&Path) -> Tls) -> (Filled, PathBuf) 
 
 /// A client that trusts the certificates in a file only.
 fn trusting(file: &Path) -> Client {
-    trust::http(trust::tls("https:", Some(file)).unwrap()).unwrap()
+    trust::http(trust::tls("https:", Some(&certificates(file))).unwrap()).unwrap()
+}
+
+fn certificates(file: &Path) -> Certificates {
+    Certificates::read(file).unwrap()
 }
 
 /// Why a GET has no answer: the certificate.
@@ -60,12 +64,13 @@ async fn untrusted(client: &Client, url: &str) -> String {
 }
 
 /// Opens a WebSocket at a URL of HTTP; its status.
-async fn socket(url: &str, file: &Path, headers: &[(&'static str, &str)]) -> u16 {
+async fn socket(url: &str, file: Option<&Path>, headers: &[(&'static str, &str)]) -> u16 {
     let mut request = url.replacen("http", "ws", 1).into_client_request().unwrap();
     for (name, value) in headers {
         request.headers_mut().insert(*name, value.parse().unwrap());
     }
-    let tls = Connector::Rustls(Arc::new(trust::tls(url, Some(file)).unwrap()));
+    let ca = file.map(certificates);
+    let tls = Connector::Rustls(Arc::new(trust::tls(url, ca.as_ref()).unwrap()));
     let connecting = connect_async_tls_with_config(request, None, false, Some(tls));
     match timeout(LIMIT, connecting).await.unwrap() {
         Ok((_, answer)) => answer.status().as_u16(),
@@ -102,7 +107,7 @@ async fn a_service_with_tls_answers_those_who_trust_its_certificate() {
         let answer = client.get(&status).header("origin", origin).send().await.unwrap();
         assert_eq!(answer.status(), code, "{origin}");
         let live = lab.url("/api/v1/frames/live");
-        let opened = socket(&live, &certificate, &[("origin", origin)]).await;
+        let opened = socket(&live, Some(&certificate), &[("origin", origin)]).await;
         assert_eq!(opened, if code == 200 { 101 } else { 403 }, "{origin}");
     }
     // HTTP without TLS has no answer, and the connection ends.
@@ -262,14 +267,44 @@ async fn who_comes_through_a_proxy_is_nobody_on_this_machine() {
         let with_key = lab.http.get(&status).header(header, "for=10.0.0.7").bearer_auth(&secret);
         let with_key = with_key.header("host", "rig.example.org");
         assert_eq!(with_key.send().await.unwrap().status(), 200);
-        let opened = socket(&live, Path::new("/unused"), &[(header, "for=10.0.0.7")]).await;
+        let opened = socket(&live, None, &[(header, "for=10.0.0.7")]).await;
         assert_eq!(opened, 401);
-        let stop = lab.http.post(lab.url("/api/v1/estop")).header(header, "for=10.0.0.7");
-        assert_eq!(stop.send().await.unwrap().status(), 200, "a stop needs nothing on loopback");
+        let stop = || lab.http.post(lab.url("/api/v1/estop")).header(header, "for=10.0.0.7");
+        assert_eq!(stop().send().await.unwrap().status(), 401);
+        assert_eq!(stop().bearer_auth(&secret).send().await.unwrap().status(), 200);
     }
     // A name that an attacker's DNS points to this machine.
     let rebound = lab.http.get(&status).header("host", "rig.example.org").send().await.unwrap();
     assert_eq!(rebound.status(), 403);
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stop_on_this_machine_needs_no_key_wherever_the_service_listens() {
+    let lab = Filled::serve(folder("everywhere")).await;
+    key(&lab, "ada", "operator").await;
+    let data = lab.end().await;
+    let lab = Filled::serve_as(data, |options| options.bind = "0.0.0.0:0".parse().unwrap()).await;
+    let port = lab.url("").rsplit(':').next().unwrap().to_owned();
+    let here = format!("http://127.0.0.1:{port}");
+    let status = lab.http.get(format!("{here}/api/v1/status")).send().await.unwrap();
+    assert_eq!(status.status(), 401);
+    let stop = |host: &'static str| {
+        lab.http.post(format!("{here}/api/v1/estop")).header("host", host).send()
+    };
+    assert_eq!(stop("rig.example.org").await.unwrap().status(), 403, "a name of somebody else");
+    assert_eq!(stop("localhost").await.unwrap().status(), 200);
+    // The command needs neither a key nor one that is valid or can be read.
+    for (variable, value) in
+        [("PALPATE_KEY", "palpate_00"), ("PALPATE_KEY_FILE", "/nonexistent"), ("PALPATE_KEY", "")]
+    {
+        let here = here.clone();
+        let stopped = tokio::task::spawn_blocking(move || {
+            command(&["estop", "--url", &here, "--json"], &[(variable, value)])
+        });
+        let stopped = stopped.await.unwrap();
+        assert!(stopped.status.success(), "{variable}={value}: {}", text(&stopped.stderr));
+    }
     lab.close().await;
 }
 
@@ -359,7 +394,8 @@ async fn the_manuals_nginx_passes_everything_on() {
     assert!(!first.is_empty());
     let bearer = format!("Bearer {admin}");
     let headers = [("authorization", bearer.as_str()), ("origin", url.as_str())];
-    let opened = socket(&format!("{url}/api/v1/frames/live"), &tls.certificate, &headers).await;
+    let opened =
+        socket(&format!("{url}/api/v1/frames/live"), Some(&tls.certificate), &headers).await;
     assert_eq!(opened, 101);
     let stop = own(client.post(format!("{url}/api/v1/estop"))).send().await.unwrap();
     let stopped: Value = stop.json().await.unwrap();

@@ -227,7 +227,7 @@ impl Operator {
             return Ok(());
         }
         let why = self.do_by_hand(&wish).await?;
-        self.confirm(&run.uid, &why).await?;
+        self.confirm(&run.uid, &wish, &why).await?;
         self.confirmed = Some((run.uid, wish, Instant::now()));
         Ok(())
     }
@@ -250,10 +250,14 @@ impl Operator {
         }
     }
 
-    async fn confirm(&self, uid: &str, why: &str) -> Result<(), HandError> {
+    async fn confirm(&self, uid: &str, wish: &Wish, why: &str) -> Result<(), HandError> {
         let base = self.args.url.trim_end_matches('/');
         let url = format!("{base}/api/v1/runs/{uid}/actions");
-        let body = json!({ "action": "confirm", "who": self.args.who, "why": why });
+        let mut body = json!({ "action": "confirm", "who": self.args.who, "why": why });
+        match wish {
+            Wish::Tips(tips) => body["tips"] = (*tips).into(),
+            Wish::Weights { trial, .. } => body["trial"] = (*trial).into(),
+        }
         let answer = self.with_key(self.client.post(url)).json(&body).send().await?;
         let status = answer.status();
         if status.is_success() {
@@ -379,10 +383,10 @@ mod tests {
             heard,
             [
                 json!({ "cmd": "place", "weights": [weight] }),
-                json!({ "action": "confirm", "who": who, "why": placed }),
+                json!({ "action": "confirm", "who": who, "why": placed, "trial": 12 }),
                 json!({ "cmd": "clear" }),
                 json!({ "cmd": "mount", "tips": 4 }),
-                json!({ "action": "confirm", "who": who, "why": "mounted 4 tips" }),
+                json!({ "action": "confirm", "who": who, "why": "mounted 4 tips", "tips": 4 }),
             ]
         );
     }

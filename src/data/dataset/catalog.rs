@@ -357,10 +357,13 @@ impl Catalog {
         if let Some(file) = existing() {
             return Ok(file);
         }
-        self.check_space(Product::Export, rows.count(), &rows.schema(), format).await?;
         let folder = self.exports();
-        trim(&folder, EXPORTS_BYTES)
+        let needed = rows.count().saturating_mul(space::row_bytes(&rows.schema(), format));
+        let free = self.inner.store.free_bytes().await?;
+        // Old exports make room for a new one.
+        trim(&folder, EXPORTS_BYTES, space::lacking(needed, free))
             .map_err(DatasetError::file("removing old exports in", &folder))?;
+        space::check(Product::Export, needed, self.inner.store.free_bytes().await?)?;
         let failed = DatasetError::file("writing", &digest);
         let writing = background(move || {
             let finished = export::write(&rows, format, &folder, &name, &progress)?;
@@ -468,8 +471,9 @@ impl Catalog {
     }
 }
 
-/// Removes the oldest files of a folder until their total size is at most `bytes`.
-fn trim(folder: &Path, bytes: u64) -> std::io::Result<()> {
+/// Removes the oldest files of a folder until their total size is at most `bytes` and at least `lacking`
+/// bytes are removed.
+fn trim(folder: &Path, bytes: u64, lacking: u64) -> std::io::Result<()> {
     let entries = match std::fs::read_dir(folder) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),
         entries => entries?,
@@ -482,6 +486,8 @@ fn trim(folder: &Path, bytes: u64) -> std::io::Result<()> {
     }
     files.sort();
     let mut held: u64 = files.iter().map(|(_, bytes, _)| bytes).sum();
+    // If removing all files would not be enough, none is removed for it.
+    let bytes = held.checked_sub(lacking).map_or(bytes, |kept| bytes.min(kept));
     for (_, length, path) in files {
         if held <= bytes {
             break;

@@ -34,6 +34,9 @@ pub enum DatasetError {
          /api/v1/datasets"
     )]
     NotMade(String),
+    /// The file was imported before, with the same name, label and sensor. Holds the scan id of the run.
+    #[error("this file was imported as run {0}, with the same name, label and sensor")]
+    Imported(i64),
     /// A definition names a run that does not exist.
     #[error("runs = {0}: no run has this uid, scan id or experiment")]
     NoRun(String),

@@ -28,6 +28,11 @@ pub fn check(product: Product, needed: u64, free: u64) -> Result<(), DatasetErro
     Err(DatasetError::DiskFull { product, needed, free, kept })
 }
 
+/// Number of bytes that must become free for `needed` bytes; 0 if there is room. `free`: as in [`check`].
+pub fn lacking(needed: u64, free: u64) -> u64 {
+    needed.saturating_add(KEPT_FREE_BYTES).saturating_sub(free)
+}
+
 /// Upper estimate of the size of a row in a file, bytes.
 pub fn row_bytes(schema: &Schema, format: Format) -> u64 {
     let as_text = matches!(format, Format::Csv | Format::Ndjson);
@@ -80,6 +85,7 @@ mod tests {
         assert!(refused.starts_with("an import of about 1001 bytes: 2147484648 bytes are free"));
         check(Product::Import, 0, KEPT_FREE_BYTES - 1).unwrap_err();
         check(Product::Export, u64::MAX, u64::MAX).unwrap_err();
+        assert_eq!((lacking(1000, free), lacking(1001, free)), (0, 1));
     }
 
     #[test]

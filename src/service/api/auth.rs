@@ -84,22 +84,33 @@ impl Caller {
 /// 401 without a valid key; on loopback a key is only needed if the service requires one, or if a
 /// proxy has forwarded the request. 403 on loopback for a foreign host or origin.
 pub fn identify(app: &App, headers: &HeaderMap) -> Result<Caller, ApiError> {
-    identify_with(app, headers, || needs_key(app.facts.require_key, headers))
+    identify_with(app, headers, app.loopback(), || needs_key(app.facts.require_key, headers))
 }
 
-/// Determines the caller of the e-stop: on loopback it never needs a key.
+/// Address from which a request came, as far as it is known.
+#[derive(Debug, Clone, Copy)]
+pub struct Peer(pub IpAddr);
+
+/// Determines the caller of the e-stop: whoever is on this machine needs no key, whatever the options
+/// of the service.
 ///
 /// # Errors
-/// 401 for an invalid key, or, except on loopback, without one; 403 on loopback for a foreign host
-/// or origin.
-pub fn identify_stop(app: &App, headers: &HeaderMap) -> Result<Caller, ApiError> {
-    identify_with(app, headers, || Ok(()))
+/// 401 for an invalid key, or without one from another machine, also through a proxy on this one;
+/// 403 without one for a foreign host or origin.
+pub fn identify_stop(
+    app: &App,
+    headers: &HeaderMap,
+    peer: Option<Peer>,
+) -> Result<Caller, ApiError> {
+    let is_here = peer.map_or(app.loopback(), |Peer(ip)| ip.to_canonical().is_loopback());
+    identify_with(app, headers, is_here, || needs_key(false, headers))
 }
 
-/// Determines the caller; `local` decides whether a caller on loopback needs no key.
+/// Determines the caller; `local` decides whether a caller who `is_here`, on this machine, needs no key.
 fn identify_with(
     app: &App,
     headers: &HeaderMap,
+    is_here: bool,
     local: impl Fn() -> Result<(), ApiError>,
 ) -> Result<Caller, ApiError> {
     if let Some(secret) = secret(headers)? {
@@ -108,7 +119,7 @@ fn identify_with(
         own_origin(app, headers)?;
         return Ok(Caller { role: key.role, key: Some(key) });
     }
-    if !app.loopback() {
+    if !is_here {
         return Err(unauthorized("no key: send the header Authorization: Bearer KEY"));
     }
     local()?;

@@ -13,6 +13,8 @@ use crate::new_file::make_folder;
 const OTHERS: u32 = 0o077;
 /// Only the owner of a file may remove it: the folder is shared, as `/tmp` is.
 const STICKY: u32 = 0o1000;
+/// New files get the group of the folder: it is meant for that group.
+const SET_GROUP: u32 = 0o2000;
 
 /// Returns the path of the database in a data folder.
 pub fn database(data: &Path) -> PathBuf {
@@ -24,9 +26,13 @@ pub fn database(data: &Path) -> PathBuf {
 /// # Errors
 /// `ServeError::Data` if the folder cannot be created or changed, `Locked` if another process uses it.
 pub fn open(data: &Path) -> Result<LockFile, ServeError> {
-    make_folder(data)
-        .and_then(|()| make_private(data))
-        .map_err(|source| ServeError::Data { path: data.to_owned(), source })?;
+    let was_there = data.is_dir();
+    let make = || -> io::Result<()> {
+        make_folder(data)?;
+        // A folder that holds no database is not a data folder yet: it may be a person's home.
+        if was_there && !database(data).exists() { warn_if_open(data) } else { make_private(data) }
+    };
+    make().map_err(|source| ServeError::Data { path: data.to_owned(), source })?;
     Ok(LockFile::of_data(data)?)
 }
 
@@ -50,10 +56,18 @@ fn make_private(data: &Path) -> io::Result<()> {
             }
             Rights::NotOurs => {
                 let owner = found.uid();
-                let words = "this is shared or of another user, who may read the data";
+                let words = "this is of another user, or shared with others, who may read the data";
                 tracing::warn!(?path, owner, "{words}: use a data folder of your own");
             }
         }
+    }
+    Ok(())
+}
+
+/// Warns if other users may open the folder.
+fn warn_if_open(data: &Path) -> io::Result<()> {
+    if data.metadata()?.mode() & OTHERS != 0 {
+        tracing::warn!(?data, "other users may open this folder: use one of your own, chmod 700");
     }
     Ok(())
 }
@@ -71,7 +85,7 @@ enum Rights {
 
 fn rights(mode: u32, owner: u32, me: u32) -> Rights {
     match mode {
-        mode if owner != me || mode & STICKY != 0 => Rights::NotOurs,
+        mode if owner != me || mode & (STICKY | SET_GROUP) != 0 => Rights::NotOurs,
         mode if mode & OTHERS == 0 => Rights::Private,
         mode => Rights::Narrow(mode & !OTHERS),
     }
@@ -85,7 +99,7 @@ mod tests {
     fn only_own_folders_are_narrowed() {
         assert_eq!(rights(0o700, 5, 5), Rights::Private);
         assert_eq!(rights(0o755, 5, 5), Rights::Narrow(0o700));
-        assert_eq!(rights(0o2770, 5, 5), Rights::Narrow(0o2700));
+        assert_eq!(rights(0o2770, 5, 5), Rights::NotOurs);
         assert_eq!(rights(0o644, 5, 5), Rights::Narrow(0o600));
         assert_eq!(rights(0o755, 0, 5), Rights::NotOurs);
         assert_eq!(rights(0o1777, 0, 0), Rights::NotOurs, "/tmp, as root");

@@ -37,6 +37,7 @@ use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
 use tokio_rustls::TlsAcceptor;
 use tower_service::Service;
 
+use super::auth::Peer;
 use super::limits::{HYPER_FIELDS, YOUNG};
 use super::line::{Line, Sent};
 use super::problem::ApiError;
@@ -167,33 +168,44 @@ async fn attend(
 ) {
     // Without it responses are only delayed slightly.
     let _ = stream.set_nodelay(true);
+    let peer = stream.peer_addr().ok().map(|address| Peer(address.ip()));
     let line = Line::new(stream, seat.clone());
     let Some(tls) = handlers.tls.clone() else {
-        return converse(line, seat, handlers, ending).await;
+        return converse(line, peer, seat, handlers, ending).await;
     };
-    // Until its first request the connection is idle: who does not complete the handshake is closed
-    // like one who does not complete the head of a request.
+    // The cryptography of a handshake takes up to a millisecond: other threads do it. Until its first
+    // request the connection is idle: who does not complete the handshake is closed like one who does
+    // not complete the head of a request.
+    let mut shaking = JoinSet::new();
+    shaking.spawn_on(tls.accept(line), &handlers.threads);
     let shaken = tokio::select! {
         biased;
-        shaken = tls.accept(line) => shaken,
+        Some(shaken) = shaking.join_next() => shaken,
         () = seat.closed() => return,
         () = ended(&mut ending) => return,
     };
     match shaken {
-        Ok(line) => converse(line, seat, handlers, ending).await,
-        Err(error) => tracing::trace!(%error, "a TLS handshake failed"),
+        Ok(Ok(line)) => converse(line, peer, seat, handlers, ending).await,
+        Ok(Err(error)) => tracing::trace!(%error, "a TLS handshake failed"),
+        Err(error) => tracing::error!(%error, "a TLS handshake panicked"),
     }
 }
 
 /// Answers the requests of a connection.
 async fn converse(
     line: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    peer: Option<Peer>,
     seat: Arc<Seat>,
     handlers: Handlers,
     mut ending: watch::Receiver<bool>,
 ) {
     let answering = seat.clone();
-    let service = service_fn(move |request| answer(handlers.clone(), answering.clone(), request));
+    let service = service_fn(move |mut request: Request<Incoming>| {
+        if let Some(peer) = peer {
+            request.extensions_mut().insert(peer);
+        }
+        answer(handlers.clone(), answering.clone(), request)
+    });
     let mut http = http1::Builder::new();
     http.max_headers(HYPER_FIELDS);
     let connection = http.serve_connection(TokioIo::new(line), service);

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use axum::Json;
 use axum::body::Body;
 use axum::extract::{MatchedPath, Request, State};
-use axum::http::{HeaderMap, header};
+use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use futures::StreamExt;
 use serde::Serialize;
@@ -46,7 +46,7 @@ pub struct Latched {
         (status = 401, body = ProblemBody, description = "the key is missing, unknown or revoked")))]
 pub async fn estop(State(app): State<App>, request: Request) -> Response {
     let began = Instant::now();
-    let latched = latch(&app, request.headers());
+    let latched = latch(&app, &request);
     let latched_after = began.elapsed();
     // The stop is latched. From here on nothing can delay it.
     let id = RequestId::of(request.headers());
@@ -83,8 +83,9 @@ pub async fn estop(State(app): State<App>, request: Request) -> Response {
 ///
 /// # Errors
 /// As [`auth::identify_stop`]; nothing is latched then.
-fn latch(app: &App, headers: &HeaderMap) -> Result<Caller, ApiError> {
-    let caller = auth::identify_stop(app, headers)?;
+fn latch(app: &App, request: &Request) -> Result<Caller, ApiError> {
+    let peer = request.extensions().get().copied();
+    let caller = auth::identify_stop(app, request.headers(), peer)?;
     let name = cut(&caller.name(None), WHO_MAX_CHARS);
     app.campaign.estop(&format!("emergency stop ({name})"));
     Ok(caller)

@@ -126,7 +126,7 @@ async fn carry_out(
         Ok(request) => once::carry_out(&app, needs, act.caller(), request, next).await,
         Err(refused) => refused.into_response(),
     };
-    if is_logged(act.caller(), response.status()) && !once::is_replayed(&response) {
+    if is_logged(act.caller(), response.status()) && !once::is_repetition(&response) {
         let outcome = Outcome::of(&response);
         act.log(&app, outcome).await;
     }

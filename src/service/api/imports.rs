@@ -69,6 +69,9 @@ struct Parts {
     responses((status = 201, body = ImportOut, headers(("Location", description = "the run"))),
         (status = 400, body = ProblemBody,
             description = "a part of the form, the sensor file or a value of the file is invalid"),
+        (status = 409, body = ProblemBody,
+            description = "the file was imported before with the same name, label and sensor, or another \
+                           person holds the operator lock"),
         (status = 507, body = ProblemBody, description = "the disk has no room for the trials")))]
 pub async fn add(
     State(app): State<App>,

@@ -24,6 +24,8 @@ use crate::rig::config::{LineConfig, RigConfig};
 const SHARED: [&str; 2] = ["/run/lock", "/tmp"];
 /// Rights of a folder in which every user may create files and remove only own ones.
 const STICKY_FOR_ALL: u32 = 0o1002;
+/// Rights of the lock of a rig.
+const SHARED_MODE: u32 = 0o666;
 /// Longest note of a holder that is shown, bytes.
 const HOLDER_MAX_BYTES: u64 = 60;
 
@@ -98,7 +100,7 @@ impl LockFile {
         };
         let folder = SHARED.into_iter().find(is_shared).unwrap_or("/tmp");
         let path = Path::new(folder).join(format!("palpate-rig-{}.lock", &digest[..12]));
-        Self::take(&path, &format!("the rig {}", rig.name), 0o666)
+        Self::take(&path, &format!("the rig {}", rig.name), SHARED_MODE)
     }
 
     fn take(path: &Path, what: &str, mode: u32) -> Result<Self, LockFileError> {
@@ -136,7 +138,8 @@ fn open(path: &Path, mode: u32) -> io::Result<File> {
     let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed();
     let file = options.custom_flags(flags).open(path)?;
     let found = file.metadata()?;
-    if !found.is_file() || found.nlink() != 1 {
+    // A copy of a data folder by hard links is legitimate; in a shared folder another name is an attack.
+    if !found.is_file() || mode == SHARED_MODE && found.nlink() != 1 {
         return Err(io::Error::other("must be an ordinary file with one name: remove it"));
     }
     Ok(file)

@@ -90,16 +90,20 @@ async fn keyed(
     let (request, sha256) = digest(request).await?;
     let _turn = match app.facts.running.begin(&key, &sha256) {
         Ok(turn) => turn,
-        Err(running) if running == sha256 => return Ok(in_progress()),
-        Err(_) => return Err(other_request()),
+        Err(running) if running == sha256 => return Ok(repeated(in_progress())),
+        Err(_) => return Ok(repeated(other_request())),
     };
     // From here on an entry without a response is one whose outcome nobody knows.
     if let Some(first) = app.store.begin_once(&key, &sha256, ONCE_KEPT, ONCE_MAX).await? {
-        return repetition(&sha256, first);
+        return Ok(repeated(repetition(&sha256, first).unwrap_or_else(ApiError::into_response)));
     }
     let (response, read) = read(edited::carry_out(app, needs, request, next).await).await?;
+    // After a refusal nothing was done, and the cause may pass.
+    let refused = response.status().is_client_error()
+        || [StatusCode::SERVICE_UNAVAILABLE, StatusCode::INSUFFICIENT_STORAGE]
+            .contains(&response.status());
     let stored = match read {
-        _ if response.status().is_client_error() => app.store.end_once(&key, None).await,
+        _ if refused => app.store.end_once(&key, None).await,
         Some(read) => app.store.end_once(&key, Some(read)).await,
         None => Ok(()),
     };
@@ -110,9 +114,19 @@ async fn keyed(
     Ok(response)
 }
 
-/// True if a response was given before: nothing was done for it.
-pub fn is_replayed(response: &Response) -> bool {
-    response.headers().contains_key(REPLAYED)
+/// Mark of a response to a repetition: nothing was done for it.
+#[derive(Debug, Clone, Copy)]
+struct Repetition;
+
+/// True if a request was a repetition: nothing was done for it.
+pub fn is_repetition(response: &Response) -> bool {
+    response.extensions().get::<Repetition>().is_some()
+}
+
+fn repeated(response: impl IntoResponse) -> Response {
+    let mut response = response.into_response();
+    response.extensions_mut().insert(Repetition);
+    response
 }
 
 /// Returns the key that the headers state.
@@ -289,11 +303,10 @@ mod tests {
     async fn a_repetition_gets_the_first_response() {
         let response = (StatusCode::CREATED, [(header::LOCATION, "/runs/7")], "made");
         let (response, stored) = read(response.into_response()).await.unwrap();
-        assert!(!is_replayed(&response));
         let began_at = "2026-11-20T18:00:00Z".parse().unwrap();
         let first = OnceRow { request: "one".into(), began_at, response: stored };
         let again = repetition("one", first.clone()).unwrap();
-        assert!(is_replayed(&again));
+        assert_eq!(again.headers()[REPLAYED], "true");
         assert_eq!(
             (again.status(), &again.headers()["location"]),
             (response.status(), &response.headers()["location"])

@@ -191,7 +191,8 @@ impl From<DatasetError> for ApiError {
             | DatasetError::Channels { .. }
             | DatasetError::Models { .. }
             | DatasetError::Changed
-            | DatasetError::NotEnded(_) => StatusCode::CONFLICT,
+            | DatasetError::NotEnded(_)
+            | DatasetError::Imported(_) => StatusCode::CONFLICT,
             DatasetError::Shards(ShardsError::None(_)) => StatusCode::NOT_FOUND,
             DatasetError::DiskFull { .. } => StatusCode::INSUFFICIENT_STORAGE,
             _ => StatusCode::INTERNAL_SERVER_ERROR,

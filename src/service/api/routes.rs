@@ -33,7 +33,7 @@ pub struct Needs {
     pub socket: bool,
     /// Whether it is carried out once per `Idempotency-Key`: it creates or starts something. Not those
     /// that must not wait for a write (actions on runs, the e-stop), whose responses must not be stored
-    /// (keys, tickets), that are uploads with unique names, or that have the same effect when repeated.
+    /// (keys, tickets), that are uploads, which are refused or without effect when repeated, or that have the same effect when repeated.
     pub once: bool,
     /// What it shows (GET) or changes (other methods), with an entity tag.
     pub edited: Option<Edited>,

@@ -15,6 +15,7 @@ use super::pages::{Page, PageParams, PageRequest};
 use super::problem::{ApiError, Body, Path, ProblemBody};
 use crate::campaign::STOPS;
 use crate::campaign::shown::command::Request;
+use crate::campaign::shown::status::Done;
 use crate::conductor::{Armed, Started};
 use crate::ids::RunUid;
 use crate::journal::Journal;
@@ -52,6 +53,11 @@ pub struct ActionRequest {
     pub when: Option<When>,
     /// For `start`: the code that arming returned.
     pub code: Option<String>,
+    /// For `confirm`: index of the placement that was made. A run that waits for something else refuses
+    /// it, so that a confirmation sent twice confirms one placement.
+    pub trial: Option<u32>,
+    /// For `confirm`: number of tips that were mounted, as `trial`.
+    pub tips: Option<u8>,
     /// Name of the person, for the log of actions.
     pub who: Option<String>,
     /// Reason, for the log of actions.
@@ -328,7 +334,10 @@ async fn request_action(
         Action::Resume | Action::Start => Request::Resume,
         Action::Stop => Request::Stop,
         Action::Abort => Request::Abort,
-        Action::Confirm => Request::Confirm { who: act.name() },
+        Action::Confirm => {
+            let done = Done { trial: asked.trial, tips: asked.tips };
+            Request::Confirm { who: act.name(), done }
+        }
         Action::Repeat => Request::Repeat { why: asked.why.unwrap_or_default() },
     };
     app.campaign.ask(request).await?;

@@ -9,6 +9,12 @@ use utoipa::ToSchema;
 use super::columns::Columns;
 use super::keys::{KEYLESS, KEYLESS_SUFFIX};
 use super::{During, Store, StoreError};
+use crate::plain::violated;
+
+/// Longest name of a holder, with the mark of one without a key.
+const HOLDER_MAX_CHARS: usize = 120;
+/// Longest note.
+const NOTE_MAX_CHARS: usize = 500;
 
 /// The operator lock while a person holds it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -38,9 +44,17 @@ impl Store {
     /// Takes the lock, or changes the note if `holder` already holds it.
     ///
     /// # Errors
-    /// `LockHeld` if another person holds it; `Sql`, `Late` or `Closed` if the write fails.
+    /// `Refused` if holder or note is too long or has control characters; `LockHeld` if another person
+    /// holds it; `Sql`, `Late` or `Closed` if the write fails.
     pub async fn set_lock(&self, holder: &str, note: &str) -> Result<LockRow, StoreError> {
         const OPERATION: &str = "taking the operator lock";
+        for (text, max_chars) in [(holder, HOLDER_MAX_CHARS), (note, NOTE_MAX_CHARS)] {
+            if violated(text, max_chars).is_some() {
+                let limit = "must be short (a name 120, a note 500 characters) and without control characters";
+                let field = "holder or note";
+                return Err(StoreError::Refused { operation: OPERATION, field, limit });
+            }
+        }
         let (holder, note, now) = (holder.to_owned(), note.to_owned(), self.now_text());
         self.inner
             .writer

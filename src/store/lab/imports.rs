@@ -76,6 +76,26 @@ impl Store {
             .await
     }
 
+    /// Returns the number of the ended run that an import of this file, as hashed in `new`, made with the
+    /// same name, label and sensor.
+    ///
+    /// # Errors
+    /// `Sql` if the read fails.
+    pub async fn imported_as(&self, new: &NewRun) -> Result<Option<i64>, StoreError> {
+        sqlx::query_scalar(
+            "SELECT scan_id FROM runs WHERE kind = ?1 AND state = 'ended'
+                 AND experiment = ?2 AND label = ?3 AND sensor = ?4 AND definition = ?5",
+        )
+        .bind(new.kind.as_str())
+        .bind(&new.experiment)
+        .bind(new.label.as_str())
+        .bind(&new.sensor)
+        .bind(&new.definition)
+        .fetch_optional(&self.inner.readers)
+        .await
+        .during(STORING)
+    }
+
     /// Stores a batch of trials of an import in one transaction. `model` is the model of their simulated
     /// frames.
     ///

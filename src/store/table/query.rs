@@ -63,7 +63,8 @@ pub struct TrialQuery {
     pub after: Option<TrialId>,
     /// Order of the trials; the cursor follows it.
     pub order: Order,
-    /// Largest number of trials of the page; at most [`MAX_PAGE`], and one more to see whether others\n    /// follow.
+    /// Largest number of trials of the page; at most [`MAX_PAGE`], and one more to see whether
+    /// others follow.
     pub limit: u32,
     /// Whether the rows hold their voltages.
     pub with_voltages: bool,

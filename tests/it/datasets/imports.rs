@@ -91,6 +91,10 @@ async fn another_skins_trials_are_a_run_like_any_other() {
         (&"imported".into(), &"measured".into())
     );
     let run = made["run"]["scan_id"].as_i64().unwrap();
+    // The same upload again, after a lost answer, doubles nothing.
+    let (status, again) = import(&lab, parquet(good()), PAD).await;
+    let words = again["detail"].as_str().unwrap();
+    assert!(status == 409 && words.contains(&format!("imported as run {run}")), "{again}");
     let page = lab.get(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
     let trials = page["items"].as_array().unwrap();
     assert_eq!(trials.len(), 3);

@@ -13,7 +13,7 @@ use tracing::Span;
 
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::run::job::Job;
-use crate::campaign::shown::status::Status;
+use crate::campaign::shown::status::{Done, Status};
 use crate::rig::traits::Frame;
 
 /// Capacity of the request queue.
@@ -66,6 +66,8 @@ pub enum Request {
     Confirm {
         /// Name of the person.
         who: String,
+        /// What was done, as far as it was stated.
+        done: Done,
     },
     /// Withdraw the last manual trial and repeat it.
     Repeat {

@@ -156,6 +156,27 @@ pub enum Wanted {
     },
 }
 
+/// What a person says to have done. A confirmation that is sent twice must not confirm what the run waits
+/// for next.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Done {
+    /// Index of the placement; `None` if not stated.
+    pub trial: Option<u32>,
+    /// Number of mounted tips; `None` if not stated.
+    pub tips: Option<u8>,
+}
+
+impl Done {
+    /// Whether it is what the run waits for, as far as it is stated.
+    pub fn fits(self, wanted: &Wanted) -> bool {
+        let (trial, tips) = match wanted {
+            Wanted::Tips { tips } => (None, Some(*tips)),
+            Wanted::Placement { trial, .. } => (Some(*trial), None),
+        };
+        (self.trial.is_none() || self.trial == trial) && (self.tips.is_none() || self.tips == tips)
+    }
+}
+
 /// Activity of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
@@ -191,4 +212,27 @@ pub struct Eta {
     pub low_s: f64,
     /// Upper end of the band.
     pub high_s: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_confirmation_fits_only_what_it_states() {
+        let placement = Wanted::Placement { trial: 7, contacts: Vec::new() };
+        let tips = Wanted::Tips { tips: 4 };
+        let done = |trial, tips| Done { trial, tips };
+        assert!(Done::default().fits(&placement) && Done::default().fits(&tips));
+        assert!(done(Some(7), None).fits(&placement) && done(None, Some(4)).fits(&tips));
+        for (done, wanted) in [
+            (done(Some(6), None), &placement),
+            (done(None, Some(4)), &placement),
+            (done(Some(7), Some(4)), &placement),
+            (done(None, Some(3)), &tips),
+            (done(Some(7), None), &tips),
+        ] {
+            assert!(!done.fits(wanted), "{done:?} {wanted:?}");
+        }
+    }
 }

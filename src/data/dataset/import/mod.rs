@@ -63,7 +63,7 @@ pub struct Imported {
 ///
 /// # Errors
 /// `DatasetError::Problems` if sensor file, columns or values are invalid, or the file has no
-/// trials; `DiskFull` if its trials would need the space that is reserved for runs; `File` or
+/// trials; `Imported` if it was imported before; `DiskFull` if its trials would need the space that is reserved for runs; `File` or
 /// `Parquet` if the file cannot be read; `Store` if the store fails.
 pub async fn import(
     store: &Store,
@@ -77,7 +77,11 @@ pub async fn import(
         let (path, file, sensor) = (path.to_owned(), import.file.clone(), sensor.clone());
         background(move || check(&path, &file, &sensor, free)).await??
     };
-    let run = store.begin_import(new_run(&import, &sensor, &checked)).await?;
+    let new = new_run(&import, &sensor, &checked);
+    if let Some(run) = store.imported_as(&new).await? {
+        return Err(DatasetError::Imported(run));
+    }
+    let run = store.begin_import(new).await?;
     let model = match checked.simulated {
         true => Some(model(store, &checked.sha256, &run).await?),
         false => None,

@@ -12,7 +12,7 @@ use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunAction, RunEvent, RunState};
 use crate::campaign::safe_end::Height;
 use crate::campaign::shown::command::{Envelope, Refusal, Request};
-use crate::campaign::shown::status::{Phase, Wanted};
+use crate::campaign::shown::status::{Done, Phase, Wanted};
 use crate::ids::TrialKey;
 use crate::journal::error_chain;
 use crate::schedule::plan::Kind;
@@ -179,8 +179,8 @@ impl Engine {
                 let _ = answer.send(resumed);
                 waited
             }
-            Request::Confirm { who } if needs_person => {
-                let checked = self.check_confirmed(&who).await;
+            Request::Confirm { who, done } if needs_person => {
+                let checked = self.check_confirmed(&who, done).await;
                 let waited = checked.is_ok().then_some(Waited::Confirmed(who));
                 let _ = answer.send(checked);
                 waited
@@ -254,10 +254,14 @@ impl Engine {
         }
     }
 
-    /// Accepts a confirmed tip change only if the cells do not contradict it.
-    async fn check_confirmed(&mut self, who: &str) -> Result<(), Refusal> {
+    /// Accepts the confirmation of what the run waits for, of a tip change only if the cells do not
+    /// contradict it.
+    async fn check_confirmed(&mut self, who: &str, done: Done) -> Result<(), Refusal> {
         let wanted = self.control.inbox.status.borrow().run.as_ref().and_then(|r| r.wanted.clone());
         match wanted {
+            Some(wanted) if !done.fits(&wanted) => Err(Refusal::State(
+                "the run waits for another confirmation: read the status".into(),
+            )),
             Some(Wanted::Tips { tips }) => self.mounted(tips, who).await,
             Some(Wanted::Placement { .. }) => Ok(()),
             None => Err(Refusal::State("the run waits for no confirmation".into())),
