@@ -6,6 +6,7 @@
 //! A test here has its own folders (`support::Folder`) and port 0, changes neither the environment nor
 //! the current folder, and counts nothing of the process.
 
+mod attacks;
 mod calibration;
 mod contract;
 mod datasets;
