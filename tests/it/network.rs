@@ -293,6 +293,9 @@ async fn a_stop_on_this_machine_needs_no_key_wherever_the_service_listens() {
         lab.http.post(format!("{here}/api/v1/estop")).header("host", host).send()
     };
     assert_eq!(stop("rig.example.org").await.unwrap().status(), 403, "a name of somebody else");
+    let page =
+        lab.http.post(format!("{here}/api/v1/estop")).header("origin", "http://evil.example");
+    assert_eq!(page.send().await.unwrap().status(), 403, "a page of another site");
     assert_eq!(stop("localhost").await.unwrap().status(), 200);
     // The command needs neither a key nor one that is valid or can be read.
     for (variable, value) in
