@@ -8,8 +8,9 @@ use clap::Args;
 use serde_json::{Value, json};
 use tokio::time::Instant;
 
-use super::client::{Client, key};
+use super::client::Client;
 use super::error::CliError;
+use super::key::key;
 use super::output::{counted, duration, note, say, say_json};
 use super::view::{RunView, StatusView};
 use super::{At, embed};

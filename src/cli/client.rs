@@ -20,15 +20,11 @@ use super::error::CliError;
 use super::repeat;
 use super::trust::{self, Certificates};
 use super::view::{ArmedView, EventView, StatusView, TakenUpView};
-use crate::api::{Page, Summary, warn_if_others_may_read};
+use crate::api::{Page, Summary};
 use crate::ids::RunUid;
 use crate::problem::Problem;
 use crate::store::RunRow;
 
-/// Environment variable with the API key.
-pub const KEY_VARIABLE: &str = "PALPATE_KEY";
-/// Environment variable with the path of a file with the API key, if the other one is not set.
-const KEY_FILE_VARIABLE: &str = "PALPATE_KEY_FILE";
 /// Longest wait for an answer; connecting a rig takes longest.
 const ANSWER: Duration = Duration::from_secs(60);
 /// Longest wait when probing for a server.
@@ -438,32 +434,6 @@ impl Client {
     }
 }
 
-/// Returns the key of the environment, or of the file that it names.
-///
-/// # Errors
-/// `CliError::File` or `Problems` if the file cannot be read or has no key.
-pub fn key() -> Result<Option<String>, CliError> {
-    let of = |variable| std::env::var_os(variable).filter(|value| !value.is_empty());
-    if let Some(key) = of(KEY_VARIABLE) {
-        return Ok(key.into_string().ok());
-    }
-    of(KEY_FILE_VARIABLE).map(|path| key_of(Path::new(&path))).transpose()
-}
-
-/// The key in a file: its first line.
-fn key_of(path: &Path) -> Result<String, CliError> {
-    let text = std::fs::read_to_string(path);
-    let text = text.map_err(|source| CliError::File { path: path.into(), source })?;
-    warn_if_others_may_read(path);
-    match text.lines().next().map(str::trim) {
-        Some(key) if !key.is_empty() => Ok(key.into()),
-        _ => {
-            let words = "must have the key in its first line";
-            Err(CliError::Problems(vec![Problem::whole(&path.display().to_string(), words)]))
-        }
-    }
-}
-
 /// Converts a problem body to an error: values outside their limits are bad input.
 fn refusal(operation: String, status: u16, body: &Value) -> CliError {
     let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
@@ -505,17 +475,5 @@ mod tests {
         assert_eq!(error.to_string(), "POST /q: run 3 is ended");
         let error = refusal("POST /q".into(), 502, &Value::Null);
         assert!(error.to_string().contains("502"));
-    }
-
-    #[test]
-    fn a_key_is_the_first_line_of_its_file() {
-        let path = std::env::temp_dir().join(format!("palpate-key-{}", std::process::id()));
-        for (text, key) in [("palpate_0\n", Some("palpate_0")), ("k", Some("k")), ("\nk", None)] {
-            std::fs::write(&path, text).unwrap();
-            assert_eq!(key_of(&path).ok().as_deref(), key, "{text:?}");
-        }
-        std::fs::remove_file(&path).unwrap();
-        let missing = key_of(&path).unwrap_err().to_string();
-        assert!(missing.contains(&path.display().to_string()), "{missing}");
     }
 }

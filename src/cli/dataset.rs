@@ -172,12 +172,10 @@ pub async fn dataset(args: DatasetArgs) -> Result<(), CliError> {
 }
 
 async fn list(client: &Client, json: bool) -> Result<(), CliError> {
-    let mut found: Value = client.get("/api/v1/datasets?limit=1").await?;
+    let found: Value = client.get("/api/v1/datasets?limit=1").await?;
     let made: Vec<Value> = client.all("/api/v1/datasets?").await?;
-    found["items"] = made.clone().into();
-    found.as_object_mut().map(|page| page.remove("next"));
     if json {
-        say_json(&found);
+        say_json(&json!({ "items": made, "definitions": found["definitions"] }));
         return Ok(());
     }
     for row in &made {

@@ -7,9 +7,10 @@ use std::path::PathBuf;
 
 use tokio::sync::oneshot;
 
-use super::client::{Client, key};
+use super::client::Client;
 use super::error::CliError;
 use super::files::{RigFiles, read_sensor_text};
+use super::key::key;
 use super::running::Running;
 use super::trust::Certificates;
 use super::{At, DEFAULT_URL};

@@ -25,6 +25,7 @@ mod evaluate;
 mod files;
 mod follow;
 mod infer;
+mod key;
 pub mod log;
 mod model;
 mod output;

@@ -13,9 +13,9 @@ use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{Child, ChildStdout, Command};
 use tokio::time::timeout;
 
-use super::client::KEY_VARIABLE;
 use super::error::CliError;
 use super::files::{DEFAULT_GAP, RigFiles, write};
+use super::key::KEY_VARIABLE;
 use crate::new_file;
 use crate::rig::config::Label;
 

@@ -147,17 +147,14 @@ def streams(count: int) -> str:
     return str(codes)
 
 
-def wrong_keys(loops: int, seconds: float) -> str:
-    count = lambda: json.loads(ask("GET", "/api/v1/status")[1])["service"]["wrong_keys"]
-    before = count()
+def in_loops(loops: int, seconds: float, work) -> None:
+    """Repeats some work in several threads; a connection that fails is not an error."""
 
     def loop() -> None:
         end = time.time() + seconds
         while time.time() < end:
             try:
-                with connect(10) as wire:
-                    wire.sendall(b"GET /api/v1/status HTTP/1.1\r\nhost: localhost\r\nauthorization: Bearer x\r\n\r\n")
-                    wire.recv(100)
+                work()
             except OSError:
                 pass
 
@@ -166,6 +163,18 @@ def wrong_keys(loops: int, seconds: float) -> str:
         thread.start()
     for thread in threads:
         thread.join()
+
+
+def wrong_keys(loops: int, seconds: float) -> str:
+    count = lambda: json.loads(ask("GET", "/api/v1/status")[1])["service"]["wrong_keys"]
+    before = count()
+
+    def work() -> None:
+        with connect(10) as wire:
+            wire.sendall(b"GET /api/v1/status HTTP/1.1\r\nhost: localhost\r\nauthorization: Bearer x\r\n\r\n")
+            wire.recv(100)
+
+    in_loops(loops, seconds, work)
     return f"{(count() - before) / seconds:.0f} per second refused"
 
 
@@ -173,22 +182,14 @@ def handshakes(loops: int, seconds: float) -> str:
     """TLS handshakes without a request, one after the other in each loop; the others never end."""
     done, unfinished = [], []
 
-    def loop() -> None:
-        end = time.time() + seconds
-        while time.time() < end:
-            try:
-                unfinished.append(socket.create_connection(AT, timeout=10))
-                unfinished[-1].sendall(bytes([22, 3, 1, 2, 0, 1]))
-                connect(10).close()
-                done.append(time.time())
-            except OSError:
-                pass
+    def work() -> None:
+        wire = socket.create_connection(AT, timeout=10)
+        unfinished.append(wire)
+        wire.sendall(bytes([22, 3, 1, 2, 0, 1]))
+        connect(10).close()
+        done.append(wire)
 
-    threads = [threading.Thread(target=loop) for _ in range(loops)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    in_loops(loops, seconds, work)
     return f"{len(done) / seconds:.0f} per second, {len(unfinished) / seconds:.0f} unfinished"
 
 

@@ -7,7 +7,7 @@
 //! ```text
 //! this thread:    accept -> seat -> TLS -> hyper -> router: the e-stop
 //!                                             |
-//! other threads:                              +---> router: all other requests (`work`)
+//! other threads:            handshakes         +---> router: all other requests (`work`)
 //! ```
 //! If all seats are taken, the connection that has been idle for longest is closed (`seat`). If all
 //! connections are busy, a limited number of further ones is accepted, for the e-stop and /health

@@ -113,7 +113,7 @@ impl<S: Send + Sync> FromRequestParts<S> for PageRequest {
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
         let Query(pairs) = Query::<Vec<(String, String)>>::from_request_parts(parts, state).await?;
-        let cursors = Cursors::from_request_parts(parts, state).await?;
+        let cursors = Cursors::of(parts.uri.clone(), &pairs);
         let limit = match pairs.iter().find(|(key, _)| key == "limit") {
             None => LIST_PAGE,
             Some((_, text)) => match text.parse() {

@@ -106,7 +106,7 @@ async fn page(
             (next, send::in_format(format, Body::from_stream(pieces)))
         }
         None => {
-            let Page { items, next } = whole_trials(app, query, &wanted).await?;
+            let (items, next) = whole_trials(app, query, &wanted).await?;
             let next = next.map(|id| cursors.cursor(id));
             (next.clone(), Page { items, next }.into_response())
         }
@@ -123,12 +123,12 @@ struct Table {
     next: Option<i64>,
 }
 
-/// A page of whole trials.
+/// The whole trials of a page, and the id of the last of them if more trials follow.
 async fn whole_trials(
     app: &App,
     query: TrialQuery,
     wanted: &Wanted,
-) -> Result<Page<TrialRow>, ApiError> {
+) -> Result<(Vec<TrialRow>, Option<i64>), ApiError> {
     let selects = [("columns", !wanted.columns.is_empty()), ("slice", wanted.slice.is_some())];
     if let Some((key, _)) = selects.into_iter().find(|(_, given)| *given) {
         let limit = "must be absent for JSON, which holds whole trials: add format=ndjson";
@@ -146,7 +146,7 @@ async fn whole_trials(
     if query.order == Order::NewestFirst {
         trials.reverse();
     }
-    Ok(Page { items: trials, next: next.map(|id| id.to_string()) })
+    Ok((trials, next))
 }
 
 /// The ids of a page, and the last of them if more trials follow.
