@@ -28,7 +28,8 @@ Use: `program` is linked into the binary; `build` runs only during the build (ma
 `GPU` is added by the features `cuda` and `wgpu`. Crates that only tests use are not listed.
 
 Some crates contain C sources under another licence: `libsqlite3-sys` contains SQLite (public domain),
-`zstd-sys` Zstandard (BSD-3-Clause; its authors offer GPL-2.0 as the alternative).
+`zstd-sys` Zstandard (BSD-3-Clause; its authors offer GPL-2.0 as the alternative). The scripts of other
+authors that browsers load are listed in [web/vendor](web/vendor/README.md).
 
 | crate | version | licence | use |
 |---|---|---|---|"""

@@ -74,15 +74,20 @@ pub struct Lab {
 impl Lab {
     /// Switches everything on.
     pub async fn open(name: &str, args: RigArgs) -> Self {
-        let turn = turn().await;
         let speed = args.speed.unwrap();
+        let lab = Self::open_without_operator(name, args).await;
+        lab.call_operator(speed);
+        lab
+    }
+
+    /// Switches everything on; nobody mounts tips or places weights.
+    pub async fn open_without_operator(name: &str, args: RigArgs) -> Self {
+        let turn = turn().await;
         let rig = VirtualRig::switch_on(&args).await.unwrap();
         let data = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("system-{name}"));
         std::fs::remove_dir_all(&data).ok();
         let service = Service::start(options(&rig, &data)).await.unwrap();
-        let lab = Self { rig, service, data, http: http(), turn };
-        lab.call_operator(speed);
-        lab
+        Self { rig, service, data, http: http(), turn }
     }
 
     fn call_operator(&self, speed: f64) {

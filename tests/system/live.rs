@@ -41,6 +41,12 @@ async fn trained(lab: &Lab, job: &str) -> String {
     job["result"]["model"].as_str().unwrap().to_owned()
 }
 
+/// Trains a net as small as it can be, with the name `small`, and does not promote it.
+pub async fn small_net(lab: &Lab) {
+    let job = queue(lab, "small", 1).await;
+    trained(lab, &job).await;
+}
+
 /// What `fast` answers live, while something else is done.
 async fn followed(lab: &Lab, meanwhile: impl Future<Output = ()>) -> Vec<Value> {
     let url = lab.service.url().replacen("http", "ws", 1);

@@ -5,6 +5,7 @@
 //! machine for itself: they take turns (`bench::turn`), and no other test may run at the same time.
 
 mod bench;
+mod browser;
 mod campaign;
 mod live;
 mod once;

@@ -60,7 +60,6 @@ mod lock_file;
 mod models;
 mod once;
 mod offline;
-mod page;
 mod pages;
 mod params;
 mod people;
@@ -78,6 +77,7 @@ mod tls;
 mod trace;
 mod trials;
 mod twins;
+mod web;
 mod work;
 
 pub use edited::Edited;
@@ -273,9 +273,9 @@ fn router(app: App) -> axum::Router {
     of(|access| matches!(access, Access::From(_)))
         .route_layer(from_fn_with_state(app.clone(), guard::admit))
         .merge(of(|access| access == Access::Open))
-        .merge(page::routes())
-        .fallback(page::unknown)
-        .method_not_allowed_fallback(page::wrong_method)
+        .merge(web::routes())
+        .fallback(web::unknown)
+        .method_not_allowed_fallback(web::wrong_method)
         .layer(from_fn(guard::short_head))
         .layer(from_fn(guard::harden))
         .layer(from_fn(trace::follow))

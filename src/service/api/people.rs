@@ -155,6 +155,23 @@ pub struct Ticket {
     pub valid_s: u64,
 }
 
+/// Who asks, and with which rights.
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct CallerOut {
+    /// Name of the key; absent for a caller on this machine without one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Rights.
+    pub role: Role,
+}
+
+/// Returns name and role of the caller, so that an interface offers only what is allowed.
+#[utoipa::path(get, path = "/api/v1/caller", tag = "people",
+    responses((status = 200, body = CallerOut)))]
+pub async fn caller(Extension(caller): Extension<Caller>) -> Json<CallerOut> {
+    Json(CallerOut { name: caller.key.map(|key| key.name), role: caller.role })
+}
+
 /// Creates a ticket with which one WebSocket may be opened.
 ///
 /// A browser's WebSocket sends no header with a key, and no address may hold a key. The ticket has

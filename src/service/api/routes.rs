@@ -187,6 +187,7 @@ pub fn table() -> Vec<Operation> {
         (READS.role(Admin), routes!(people::keys)),
         (acts("key").role(Admin).lock(Lock::Ignored), routes!(people::create_key)),
         (acts("revoke_key").role(Admin).lock(Lock::Ignored), routes!(people::revoke_key)),
+        (READS, routes!(people::caller)),
         (READS, routes!(people::ticket)),
         (READS, routes!(people::actions)),
         (READS, routes!(health::metrics)),

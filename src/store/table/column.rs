@@ -126,26 +126,26 @@ pub static TABLE: [Column; 34] = [
     c("tips", "", Of::Few(|t| t.tips), "t.tips", "attached tips, or placed contacts"),
     c("contact_count", "", Of::Few(|t| t.contact_count), "t.contact_count", "number of contacts, by the deadband of the run or of the dataset"),
     c("max_force_n", "N", Of::Single(|t| t.max_force_n), "t.max_force_n", "largest raw force, also below the deadband"),
-    c("contacts", "", Of::Contacts, "", "place, force and diameter of each contact"),
-    c("forces_n", "N", Of::Forces, "", "raw forces of arms 1 to 6; absent where no tip is attached"),
-    c("voltages_v", "V", Of::Measured(|t| t.voltages_v.as_deref()), "", "mean of the measured frames, injection-major"),
+    c("contacts", "", Of::Contacts, "", "`x_mm`, `y_mm` from the corner of the skin, `force_n` and `diameter_mm` of each contact; empty: untouched"),
+    c("forces_n", "N", Of::Forces, "", "raw forces of arms 1 to 6; null for an arm without a tip"),
+    c("voltages_v", "V", Of::Measured(|t| t.voltages_v.as_deref()), "", "mean of the measured frames, injection-major: `v[28 k + j] = V_j - V_(j+1 mod 28)` with electrode k the sink"),
     c("sim_voltages_v", "V", Of::Simulated(|t| t.sim_voltages_v.as_deref()), "", "frame of the newest simulated twin, injection-major"),
     c("sim_model", "", Of::Text(|t| t.sim_model.clone()), "m.hash", "model of that twin"),
     c("rmse_v", "V", Of::Number(|t| t.rmse_v), "w.rmse_v", "root of the mean squared difference to that twin"),
     c("fvu", "", Of::Number(|t| t.fvu), "w.fvu", "fraction of variance unexplained by that twin (paper, Eq. 2)"),
-    c("flags", "", Of::Flags, "", "what may be wrong with the trial"),
+    c("flags", "", Of::Flags, "", "possible faults: `unsettled`, `saturated_channels`, `injection_sum`, `dropped_frames`, `depth_missed`, `still_cell`, `silent_skin`"),
     c("saturated_channels", "", Of::Count(|t| t.quality.saturated_channels), "t.saturated_channels", "channels at the converter's end"),
-    c("stuck_channels", "", Of::Count(|t| t.quality.stuck_channels), "t.stuck_channels", "channels with the same count in every trial"),
+    c("stuck_channels", "", Of::Count(|t| t.quality.stuck_channels), "t.stuck_channels", "channels with the same count in 12 consecutive trials"),
     c("missing_channels", "", Of::Count(|t| t.quality.missing_channels), "t.missing_channels", "channels without a value"),
-    c("injection_sum_v", "V", Of::Number(|t| t.quality.injection_sum_v), "t.injection_sum_v", "largest sum over the voltages of an injection"),
+    c("injection_sum_v", "V", Of::Number(|t| t.quality.injection_sum_v), "t.injection_sum_v", "largest sum over the voltages of an injection; zero up to noise"),
     c("dropped_packets", "", Of::Count(|t| t.quality.dropped_packets), "t.dropped_packets", "packets lost or garbled while the frames were read"),
     c("depth_error_mm", "mm", Of::Number(TrialRow::depth_error_mm), "(t.reached_z_mm - t.target_z_mm)", "measured z minus its target"),
     c("settle_ms", "ms", Of::Number(|t| t.settle_ms), "t.settle_ms", "time between the end of motion and the measurement, process clock"),
     c("overshoot_n", "N", Of::Number(|t| t.scalars.overshoot_n), "t.overshoot_n", "largest force while approaching and settling minus the measured one"),
-    c("frame_count", "", Of::Count(|t| Some(t.frame_count)), "t.frame_count", "raw frames kept"),
+    c("frame_count", "", Of::Count(|t| Some(t.frame_count)), "t.frame_count", "raw frames in the mean"),
     c("started_at", "", Of::Time(|t| t.started_at), "t.started_at", "start of its motion"),
     c("measured_at", "", Of::Time(|t| t.measured_at), "t.measured_at", "time of its last frame"),
-    c("split", "", Of::Part, "", "part of the dataset: `train`, `test` ..."),
+    c("split", "", Of::Part, "", "part of the dataset: `train`, `validation` or `test`"),
 ];
 
 /// Returns the names of the selected columns, separated by commas, for messages and descriptions.
@@ -168,11 +168,44 @@ mod tests {
         }
     }
 
-    #[test]
-    fn the_manual_explains_every_column() {
-        let manual = include_str!("../../../docs/how-to/datasets.md");
-        for column in &TABLE {
-            assert!(manual.contains(&format!("`{}`", column.name)), "{} is missing", column.name);
+    /// Type of a column in Parquet and Arrow.
+    fn type_name(of: &Of) -> &'static str {
+        match of {
+            Of::Id(_) => "int64",
+            Of::Count(_) => "uint32",
+            Of::Few(_) => "uint8",
+            Of::Number(_) => "float64",
+            Of::Single(_) => "float32",
+            Of::Text(_) | Of::Part => "string",
+            Of::Time(_) => "timestamp[ms, UTC]",
+            Of::Drawn => "uint64",
+            Of::Contacts => "list of struct",
+            Of::Forces => "float32[6]",
+            Of::Flags => "list of string",
+            Of::Measured(_) | Of::Simulated(_) => "float32[784]",
         }
+    }
+
+    /// The committed page equals the table; `UPDATE=1` writes it.
+    #[test]
+    fn the_page_of_columns_is_what_the_code_says() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/columns.md");
+        let line = |column: &Column| {
+            let Column { name, unit, of, about, .. } = column;
+            format!("| `{name}` | {} | {unit} | {about} |\n", type_name(of))
+        };
+        let lines: String = TABLE.iter().map(line).collect();
+        let page = format!(
+            "# Columns of trials and datasets\n\nGenerated from `src/store/table/column.rs`. A value that is \
+             unknown is null, never zero; quality numbers are also null for trials\nthat were stored before these \
+             numbers were recorded. With a force map ([how](how-to/datasets.md)) a table also has\n\
+             `force_map_n`, float32[pixels], N, row by row, row 0 at y = -40 mm.\n\n\
+             | column | type | unit | |\n|---|---|---|---|\n{lines}"
+        );
+        if std::env::var_os("UPDATE").is_some() {
+            std::fs::write(path, &page).unwrap();
+        }
+        let committed = std::fs::read_to_string(path).unwrap_or_default();
+        assert!(committed == page, "docs/columns.md is old: UPDATE=1 cargo test page_of_columns");
     }
 }

@@ -1,0 +1,166 @@
+// The shell: top bar with the stop, links, the key, and the page of the address. Knows no data.
+
+import { door, estop, giveKey, keep } from './lib/api.js'
+import { actOnRig, actor, outcome } from './lib/actions.js'
+import { button, el, fill, link, note, say } from './lib/dom.js'
+import { capital, clock, count, moment, percent, plain, span } from './lib/format.js'
+import { live, start } from './lib/live.js'
+import { TONE, WAITS } from './lib/words.js'
+import { FIRST, PAGES } from './pages.js'
+
+const $ = id => document.getElementById(id)
+
+// Pages: the address is the whole state. A page is a module with `show(root, context)`, called
+// again with new parameters only if it returns no `update`; `signal` aborts when it is left.
+let leaving = new AbortController(), present = null
+
+/** Goes to an address of the dashboard; `replace` keeps the history as it is. */
+export function go(href, { replace = false } = {}) {
+  history[replace ? 'replaceState' : 'pushState'](null, '', href)
+  open()
+}
+
+async function open() {
+  const name = location.pathname.slice(1) || FIRST, page = PAGES.find(page => page.name === name)
+  const query = Object.fromEntries(new URLSearchParams(location.search))
+  for (const one of document.querySelectorAll('#links a')) {
+    if (one.dataset.page === name) one.ariaCurrent = 'page'
+    else one.removeAttribute('aria-current')
+  }
+  if (present?.name === name && present.update) return present.update(query)
+  leaving.abort()
+  leaving = new AbortController()
+  present = { name }
+  const { signal } = leaving, root = $('main')
+  document.title = `${page?.title ?? 'Unknown page'} · Palpate`
+  document.body.dataset.page = name
+  if (!page) return fill(root, el('section', {}, el('h1', {}, 'No such page'), el('p', {}, link('/', 'The night'), ' is where to begin.')))
+  try {
+    const module = await import(`./pages/${name}.js`)
+    if (signal.aborted) return undefined
+    const head = el('div', { className: 'page-head' }, el('h1', {}, page.title), el('p', { className: 'soft' }, page.about))
+    const body = el('div', { className: `page page-${name}` })
+    fill(root, head, body)
+    scrollTo(0, 0)
+    const { update } = await module.show(body, { query, signal, go, set: (changes, options) => go(withState(changes), { replace: true, ...options }) }) ?? {}
+    if (!signal.aborted) present = { name, update }
+  } catch (error) {
+    if (!signal.aborted) fill(root, el('section', {}, el('h1', {}, page.title), el('p', { className: 'bad' }, `This page could not be shown: ${error.message}`), button('Try again', () => { present = null; open() })))
+  }
+  return undefined
+}
+
+/** The present address with some parameters changed; null removes one. */
+function withState(changes) {
+  const query = new URLSearchParams(location.search)
+  for (const [key, value] of Object.entries(changes)) value == null || value === '' ? query.delete(key) : query.set(key, value)
+  return `${location.pathname}${query.size ? `?${query}` : ''}`
+}
+
+document.addEventListener('click', event => {
+  const a = event.target.closest?.('a[href^="/"]')
+  if (!a || a.target || a.download || event.metaKey || event.ctrlKey || event.shiftKey || event.button) return
+  const name = new URL(a.href).pathname.slice(1) || FIRST
+  if (!PAGES.some(page => page.name === name)) return
+  event.preventDefault()
+  go(a.getAttribute('href'))
+})
+addEventListener('popstate', open)
+
+// Links and keys: g then a letter opens a page, ? lists them. No key stops or starts anything.
+let group = ''
+fill($('links'), PAGES.map(page => {
+  const begins = page.group !== group
+  group = page.group
+  return el('a', { href: page.name === FIRST ? '/' : `/${page.name}`, title: page.about, data: { page: page.name, begins: begins ? 'yes' : 'no' } }, page.title)
+}))
+let chord = 0
+document.addEventListener('keydown', event => {
+  if (event.target.closest?.('input, select, textarea, dialog') || event.metaKey || event.ctrlKey || event.altKey) return
+  const page = Date.now() - chord < 1500 && PAGES.find(page => page.key === event.key)
+  chord = event.key === 'g' ? Date.now() : 0
+  if (page) go(page.name === FIRST ? '/' : `/${page.name}`)
+  if (event.key === '?') help()
+})
+function help() {
+  const box = el('dialog', { 'aria-label': 'Keys', onclose: () => box.remove() }, el('h2', {}, 'Keys'),
+    el('dl', { className: 'keys' }, PAGES.map(page => el('div', {}, el('dt', {}, el('kbd', {}, 'g'), ' ', el('kbd', {}, page.key)), el('dd', {}, page.title))), el('div', {}, el('dt', {}, el('kbd', {}, '?')), el('dd', {}, 'this list'))),
+    el('p', { className: 'soft' }, 'No key stops the rig: use the stop button, or the one on the rig.'), button('Close', () => box.close()))
+  document.body.append(box)
+  box.showModal()
+}
+
+// The stop: asks nothing, says what came of it, and what state was reached.
+$('stop').onclick = async () => {
+  note($('stop-said'), 'Stopping …')
+  const { words } = await estop()
+  note($('stop-said'), words)
+}
+
+// The key: a form in place of the page, until one is given.
+door.addEventListener('locked', ({ detail }) => {
+  if ($('key-form')) return
+  const input = el('input', { id: 'key', type: 'password', autocomplete: 'off', required: true })
+  const form = el('form', { id: 'key-form', className: 'notice', onsubmit: event => { event.preventDefault(); form.remove(); giveKey(input.value); present = null; open() } },
+    el('label', { htmlFor: 'key' }, `${detail} Key of this service:`), el('div', { className: 'row' }, input, el('button', { className: 'main' }, 'Continue')))
+  document.querySelector('header').append(form)
+})
+
+// The top bar: the state on every page.
+const said = outcome()
+const repair = el('div', { className: 'row' })
+function etaWords(run, at) {
+  if (!run?.eta || run.trials_stored + run.trials_skipped >= run.trials_planned) return ''
+  const { remaining_s, low_s, high_s } = run.eta
+  if (!['running', 'pausing'].includes(run.state)) return `about ${span(remaining_s)} to go`
+  const [likely, low, high] = [remaining_s, low_s, high_s].map(s => moment(at + s * 1e3, high_s < 900))
+  return `done about ${likely}${low === high ? '' : ` (${low} to ${high})`}`
+}
+live.on('status', ({ status, at }) => {
+  const { rig, run, lock } = status
+  if (rig.state !== 'tripped' && $('stop-said').textContent.startsWith('Emergency stop latched')) note($('stop-said'), '')
+  $('virtual').hidden = rig.label !== 'virtual'
+  const word = run ? plain(run.state) : plain(rig.state)
+  const wish = { paused: ', pause requested', idle: ', end requested' }[run?.requested_state] ?? ''
+  say($('rig-name'), rig.name)
+  say($('bar-state'), `${run ? '' : 'Rig '}${word}${wish}${run ? ` · ${run.experiment}` : ''}`)
+  $('bar-state').className = `bar-state ${TONE[run?.state ?? rig.state] ?? ''}`
+  say($('bar-count'), run ? `${count(run.trials_stored)} of ${count(run.trials_planned)}` : '')
+  $('bar-count').title = run ? percent(run.trials_stored, run.trials_planned) : ''
+  say($('bar-eta'), etaWords(run, at))
+  document.title = `${run ? `${run.state} ${percent(run.trials_stored, run.trials_planned)}` : plain(rig.state)} · ${PAGES.find(p => p.name === document.body.dataset.page)?.title ?? ''} · Palpate`
+  needs(rig, run, lock)
+})
+
+/** The one thing that a person must do, above everything else. */
+function needs(rig, run) {
+  const words = []
+  if (run?.state === 'panicked') words.push('The tips could not be raised: check the rig.')
+  else if (rig.safe_end?.tips === 'not_raised') words.push(`The tips are NOT raised: ${rig.safe_end.why}`)
+  if (rig.trip) {
+    const moving = rig.estop_stops.filter(stop => stop.acknowledged_ms == null).map(stop => stop.axis)
+    const reached = rig.trip.kind !== 'estop' ? '' : rig.estop_acknowledged_ms != null ? ` Every axis stopped after ${rig.estop_acknowledged_ms.toFixed(1)} ms.` : moving.length ? ` NOT ACKNOWLEDGED by ${moving.join(', ')}: the stop is sent again until it is.` : ''
+    words.push(`Tripped (${plain(rig.trip.kind)}): ${rig.trip.detail}.${reached} Clear the cause, reset, then home.`)
+  }
+  const waits = [WAITS[run?.paused_why], run?.waiting_for].filter(Boolean).join(': ')
+  if (['tip_change', 'manual_trial'].includes(run?.paused_why)) words.push(capital(waits) + '.')
+  else if (run?.paused_why && run.paused_why !== 'operator') words.push(`The run waits: ${waits}.`)
+  const box = $('needs'), text = words.join(' ')
+  const buttons = rig.trip ? 'reset' : rig.state === 'disarmed' && run?.paused_why === 'trip' ? 'home' : run?.paused_why === 'manual_trial' ? 'place' : ''
+  if (box.dataset.text !== text + buttons) {
+    box.dataset.text = text + buttons
+    box.className = `notice ${rig.trip || run?.state === 'panicked' ? 'bad' : 'warn'}`
+    fill(repair, buttons === 'reset' && actor('Reset', said, () => actOnRig('reset')), buttons === 'home' && actor('Home', said, () => actOnRig('home')), buttons === 'place' && link('/place', 'Go to the weights'))
+    fill(box, el('p', {}, text), repair, said.node)
+  }
+  box.hidden = !text
+}
+
+live.on('fresh', ({ fresh, why, at, status }) => {
+  document.documentElement.dataset.live = fresh ? 'yes' : 'no'
+  note($('gone'), fresh || !why ? '' : `${why} since ${clock(at || Date.now())}.${status ? ' What is shown is old.' : ''} Trying again.`)
+})
+
+keep('localStorage', 'palpate-seen', new Date().toISOString())
+start()
+open()

@@ -1,0 +1,51 @@
+// The log of actions: who asked for what, when, and whether it was accepted. Paged by the cursor.
+
+import { get } from './api.js'
+import { button, el, panel, say } from './dom.js'
+import { clock, moment, plain } from './format.js'
+import { table } from './table.js'
+
+const PAGE = 50, MOST = 2000, LONG = 160
+
+// A refused file may be quoted whole: its begin is enough, the rest opens.
+const short = words => words.length <= LONG ? words : el('details', {}, el('summary', {}, `${words.slice(0, LONG)} …`), words)
+
+/** Rows in which the same person did the same again and again, as a jog does, become one with a number. */
+function joined(items) {
+  const rows = [], same = (a, b) => ['who', 'action', 'accepted', 'why', 'detail', 'run'].every(key => a[key] === b[key])
+  for (const item of items) {
+    if (rows.length && same(rows.at(-1), item)) rows.at(-1).times += 1
+    else rows.push({ ...item, times: 1 })
+  }
+  return rows
+}
+
+/** Makes the panel of the log; `run` limits it to a run. */
+export function actionLog(signal) {
+  let items = [], next = null, of = ''
+  const told = el('p', { className: 'soft' }), more = button('More', () => load(), { hidden: true })
+  const rows = table({
+    empty: 'No action yet.',
+    columns: [{ head: 'When', cell: one => el('span', { className: 'nowrap', title: one.at },
+      `${moment(one.at).replace(/\d\d:\d\d$/, '')}${clock(one.at)}`) }, { head: 'Who', left: true, cell: one => one.who },
+      { head: 'Action', left: true, cell: one => `${plain(one.action)}${one.times > 1 ? `, ${one.times} times` : ''}` },
+      { head: 'Result', left: true, cell: one => el('span', { className: one.accepted ? '' : 'warn' }, one.accepted ? 'accepted' : 'refused') },
+        { head: 'Why', left: true, cell: one => short([one.why, one.detail].filter(Boolean).join('. ')) }],
+  })
+  const node = panel('Log of actions', {}, rows.node, el('div', { className: 'row' }, more, told))
+  async function load({ run = of, again = false } = {}) {
+    if (again || run !== of) { items = []; next = null }
+    of = run
+    more.disabled = true
+    try {
+      const page = await get('/actions', { run: of, limit: PAGE, cursor: next }, { signal })
+      items.push(...page.items)
+      next = page.next
+      rows.show(joined(items))
+      say(told, next ? `${items.length} actions shown` : items.length ? 'All are shown.' : '')
+      more.hidden = !next || items.length >= MOST
+    } catch (error) { if (!signal.aborted) say(told, `The log could not be read: ${error.message}`) }
+    more.disabled = false
+  }
+  return { node, load }
+}

@@ -1,0 +1,102 @@
+// Actions: who does them, what was refused. Every button of every page acts through here.
+
+import { Refused, once, person, send } from './api.js'
+import { button, el, fill, note } from './dom.js'
+import { live, who } from './live.js'
+
+/** Asks for the name that actions are logged with, once per browser; resolves to false if it is refused. */
+export function named() {
+  if (who()) return Promise.resolve(true)
+  return new Promise(resolve => {
+    const input = el('input', { autocomplete: 'name', maxLength: 80, required: true, id: 'who-input' })
+    const box = el('dialog', { 'aria-labelledby': 'who-title', onclose: () => { box.remove(); resolve(Boolean(who())) } },
+      el('form', { method: 'dialog', onsubmit: () => { person.name = input.value } },
+        el('h2', { id: 'who-title' }, 'Your name'), el('p', { className: 'soft' }, 'It is logged with every action. This browser keeps it.'),
+        el('label', { htmlFor: 'who-input' }, 'Name'), input,
+        el('div', { className: 'row' }, el('button', { className: 'main' }, 'Continue'), button('Cancel', () => box.close(), { className: 'plain' }))))
+    document.body.append(box)
+    box.showModal()
+  })
+}
+
+/** Asks before something that cannot be undone; resolves to whether it was confirmed. Never for a stop. */
+export function confirm(title, words, verb = 'Continue') {
+  return new Promise(resolve => {
+    let sure = false
+    const box = el('dialog', { 'aria-label': title, onclose: () => { box.remove(); resolve(sure) } }, el('h2', {}, title),
+      [words].flat().map(text => typeof text === 'string' ? el('p', {}, text) : text),
+      el('div', { className: 'row' }, button(verb, () => { sure = true; box.close() }, { className: 'main' }), button('Cancel', () => box.close(), { className: 'plain' })))
+    document.body.append(box)
+    box.showModal()
+  })
+}
+
+/** A line that says what became of the last action: `outcome()` returns { node, tell, run }. */
+export function outcome() {
+  const node = el('p', { className: 'said', role: 'status', hidden: true })
+  const tell = (words, tone = 'soft') => { note(node, words); node.className = `said ${tone}` }
+  /** Runs an action; a refusal becomes words. Resolves to its result, or undefined. */
+  const run = async (words, work) => {
+    tell(`${words} …`)
+    try {
+      const result = await work()
+      tell(`${words}: done.`)
+      return result
+    } catch (error) {
+      if (error.name === 'AbortError') return undefined
+      tell(error instanceof Refused ? `${words}: refused. ${error.message}` : `${words}: no answer (${error.message}).`, 'bad')
+      return undefined
+    }
+  }
+  return { node, tell, run }
+}
+
+/** Makes a button that asks for the name, acts, tells what came of it, and is hidden from those who may not. */
+export function actor(words, said, work, { role = 'operator', ...props } = {}) {
+  const node = button(words, async () => {
+    if (!await named()) return
+    node.disabled = true
+    try { await said.run(props.what ?? words, work) } finally { node.disabled = false }
+  }, props)
+  return only(role, node)
+}
+
+/** Hides a control from callers who may not use it. */
+export function only(role, node) {
+  node.dataset.role = role
+  node.classList.toggle('denied', !live.may(role))
+  return node
+}
+live.addEventListener('caller', () => document.querySelectorAll('[data-role]').forEach(node => node.classList.toggle('denied', !live.may(node.dataset.role))))
+
+/** An action on a run. */
+export const actOnRun = (run, action, more = {}) => send(`/runs/${run}/actions`, { action, who: who(), ...more }, { wait: 15_000 })
+/** An action on the rig. */
+export const actOnRig = (action, more = {}) => once('/rig/actions', { action, who: who(), ...more }, { wait: 15_000 })
+
+/** The buttons of a run, for its present state: pause, resume, stop, abort, or what the person did; `without` leaves some out. */
+export function runButtons(said, { without = [] } = {}) {
+  const node = el('div', { className: 'row' })
+  let shown = ''
+  const act = (words, action, more, props) => actor(words, said, () => actOnRun(live.status.run.uid, action, more?.()), props)
+  const SETS = {
+    pause: () => act('Pause', 'pause', () => ({ when: 'checkpoint' }), { role: 'viewer', title: 'Finish the trial, raise the tips, wait' }),
+    resume: () => act('Resume', 'resume', null, { className: 'main' }),
+    confirm: () => act('Done, continue', 'confirm', () => { const { trial, tips } = live.status.run?.wanted ?? {}; return { trial, tips } }, { className: 'main' }),
+    stop: () => act('End run', 'stop', null, { role: 'viewer', title: 'Finish the trial, raise the tips, end the run' }),
+    abort: () => button('Abort', async () => {
+      const sure = await confirm('Abort the run?', 'The tips are raised now and the run ends. The present trial is not stored; stored trials stay.', 'Abort the run')
+      if (sure && await named()) said.run('Abort', () => actOnRun(live.status.run.uid, 'abort'))
+    }, { title: 'Raise the tips now, end the run' }),
+  }
+  const show = ({ status, fresh }) => {
+    const { run, rig } = status ?? {}, state = run?.state
+    const waits = ['tip_change', 'manual_trial'].includes(run?.paused_why), ends = ['running', 'pausing', 'suspending', 'paused'].includes(state)
+    const wanted = run && [state === 'running' && 'pause', waits && state === 'paused' && 'confirm',
+      !waits && (state === 'pausing' || state === 'paused' && !['tripped', 'disconnected'].includes(rig.state)) && 'resume', ends && 'stop', ends && 'abort'].filter(name => name && !without.includes(name))
+    const names = (wanted || []).join()
+    if (shown !== names) { shown = names; fill(node, (wanted || []).map(name => SETS[name]())) }
+    for (const one of node.children) one.inert = !fresh
+  }
+  return { node, show }
+}

@@ -1,0 +1,158 @@
+// The service: requests with a key and a deadline, pages, streams. Knows no page.
+
+import { clock } from './format.js'
+import { sleep } from './dom.js'
+
+// A browser may forbid storage: the dashboard works without.
+export const keep = (at, name, value) => {
+  try { return value == null ? window[at].getItem(name) ?? '' : (window[at].setItem(name, value), value) } catch { return '' }
+}
+let secret = keep('sessionStorage', 'palpate-key')
+
+/** Dispatches `locked` when the service asks for a key, `key` when one was given. */
+export const door = new EventTarget()
+export const hasKey = () => secret !== ''
+
+/** Takes a key; it stays in this tab's storage and in no address. */
+export function giveKey(text) {
+  secret = text
+  keep('sessionStorage', 'palpate-key', text)
+  door.dispatchEvent(new Event('key'))
+}
+
+/** A refusal, in the service's own words. */
+export class Refused extends Error {
+  constructor(status, words, problem = {}) {
+    super(words)
+    Object.assign(this, { status, problem })
+  }
+}
+
+/** Sends a request and returns the response. Throws `Refused` with the words of the problem. */
+export async function ask(path, { body, method = body === undefined ? 'GET' : 'POST', wait = 8000, accept = 'application/json', signal, headers = {} } = {}) {
+  const limit = wait ? AbortSignal.timeout(wait) : null
+  const until = [signal, limit].filter(Boolean)
+  const form = body instanceof FormData || body instanceof Blob
+  const response = await fetch(path, {
+    method, cache: 'no-store', body: form || body === undefined ? body : JSON.stringify(body),
+    headers: { accept, ...(secret && { authorization: `Bearer ${secret}` }), ...(body !== undefined && !form && { 'content-type': 'application/json' }), ...headers },
+    signal: until.length ? AbortSignal.any(until) : undefined,
+  })
+  if (response.ok || response.status === 304) return response
+  const problem = await response.json().catch(() => ({}))
+  const values = (problem.errors ?? []).map(e => [[e.key, e.value].filter(x => x != null && x !== '').join(' = '), e.limit].filter(Boolean).join(': '))
+  const detail = problem.detail ?? problem.title ?? `the service answered ${response.status}`
+  const words = [detail, ...values.filter(text => !detail.includes(text))].join('; ')
+  if (response.status === 401) door.dispatchEvent(new CustomEvent('locked', { detail: secret ? 'That key was refused.' : 'This service asks for a key.' }))
+  throw new Refused(response.status, words, problem)
+}
+
+/** GET as JSON; `query` becomes the parameters, null ones are left out. */
+export async function get(path, query = {}, options = {}) {
+  return (await ask(withQuery(`/api/v1${path}`, query), options)).json()
+}
+
+/** POST (or another method) as JSON; returns the body of the answer, or null. */
+export async function send(path, body = {}, options = {}) {
+  const response = await ask(`/api/v1${path}`, { body, wait: 30_000, ...options })
+  return response.status === 204 ? null : response.json().catch(() => null)
+}
+
+/** Sends a request that starts something: with an Idempotency-Key, repeated if the connection fails. */
+export async function once(path, body = {}, options = {}) {
+  const headers = { ...options.headers, 'idempotency-key': crypto.randomUUID() }
+  for (let attempt = 0; ; attempt += 1) {
+    try { return await send(path, body, { ...options, headers }) } catch (error) {
+      if (error instanceof Refused || attempt === 2) throw error
+      await sleep(500)
+    }
+  }
+}
+
+/** All items of a list, page by page, up to `most`. */
+export async function all(path, query = {}, { most = 1000, ...options } = {}) {
+  const items = []
+  for (let cursor; ;) {
+    const page = await get(path, { limit: Math.min(most, 1000), ...query, cursor }, options)
+    items.push(...page.items)
+    cursor = page.next
+    if (!cursor || items.length >= most) return items
+  }
+}
+
+export function withQuery(path, query) {
+  const pairs = Object.entries(query).filter(([, value]) => value != null && value !== '')
+  return pairs.length ? `${path}?${new URLSearchParams(pairs)}` : path
+}
+
+/**
+ * Opens a WebSocket; with a key a ticket stands for it. Reconnects until `signal` aborts. `raw` gives
+ * the texts unparsed; with `rest` it is closed while the page is hidden.
+ */
+export async function socket(path, { onmessage, onstate = () => {}, query = {}, signal, raw = false, rest = false }) {
+  for (let wait = 500; !signal.aborted; wait = Math.min(2 * wait, 5000)) {
+    while (rest && document.hidden && !signal.aborted) await sleep(500, signal)
+    try {
+      const ticket = hasKey() ? (await send('/tickets', undefined, { method: 'POST', signal })).ticket : null
+      const url = new URL(withQuery(`/api/v1${path}`, { ...query, ticket }), location.href.replace(/^http/, 'ws'))
+      await new Promise(resolve => {
+        const open = new WebSocket(url)
+        const end = () => open.close(), hide = () => rest && document.hidden && end()
+        signal.addEventListener('abort', end, { once: true })
+        document.addEventListener('visibilitychange', hide)
+        open.onmessage = ({ data }) => { wait = 500; onstate(true); onmessage(raw ? data : JSON.parse(data)) }
+        open.onclose = () => { signal.removeEventListener('abort', end); document.removeEventListener('visibilitychange', hide); resolve() }
+      })
+    } catch { /* Tried again below. */ }
+    onstate(false)
+    await sleep(wait, signal)
+  }
+}
+
+/** Follows the events from `since` (negative: that many of the newest). Reconnects with the last id. */
+export async function follow(since, { onevent, onstate = () => {}, signal }) {
+  let last = since
+  for (let wait = 1000; !signal.aborted; wait = Math.min(2 * wait, 10_000)) {
+    while (document.hidden && !signal.aborted) await sleep(500, signal)
+    const cut = new AbortController(), hide = () => document.hidden && cut.abort()
+    document.addEventListener('visibilitychange', hide) // Six connections a browser: a hidden page holds none.
+    try {
+      const { body } = await ask(withQuery('/api/v1/events', { since: last }), { accept: 'text/event-stream', wait: 0, signal: AbortSignal.any([signal, cut.signal]) })
+      onstate(true)
+      const reader = body.pipeThrough(new TextDecoderStream()).getReader()
+      for (let text = '', part; !(part = await reader.read()).done;) {
+        const lines = (text + part.value).split(/\r?\n/)
+        text = lines.pop()
+        for (const line of lines.filter(line => line.startsWith('data:'))) {
+          const event = JSON.parse(line.slice(5))
+          last = event.seq
+          wait = 500
+          onevent(event)
+        }
+      }
+    } catch { /* Tried again below. */ }
+    document.removeEventListener('visibilitychange', hide)
+    if (!document.hidden) onstate(false)
+    await sleep(wait, signal)
+  }
+}
+
+/** The name that actions are logged with; asked for once, kept in this browser. */
+export const person = { get name() { return keep('localStorage', 'palpate-who') }, set name(text) { keep('localStorage', 'palpate-who', text.trim()) } }
+
+/** Presses the stop: asks nothing, tries five times, returns what came of it. */
+export async function estop() {
+  const why = person.name ? `pressed on the page by ${person.name}` : 'pressed on the page'
+  let reason = 'it did not latch'
+  for (let attempt = 0; attempt < 5; attempt += 1) {
+    try {
+      const { latched } = await (await ask('/api/v1/estop', { body: { why }, wait: 1000 })).json()
+      if (latched) return { latched: true, words: `Emergency stop latched at ${clock(Date.now())}.` }
+    } catch (error) {
+      reason = error.status ? error.message : 'no answer'
+      if (error.status < 500) break
+    }
+    await sleep(200)
+  }
+  return { latched: false, words: `The stop is NOT confirmed (${reason}). Use the button on the rig.` }
+}

@@ -1,0 +1,89 @@
+// How a run begins: wires, homing, arming, start. The queue and the night begin runs here.
+// The service asks for two steps, arming and starting, so that a person sees the preflight between them.
+
+import { actOnRig, actOnRun, actor, confirm, named } from './actions.js'
+import { get, once, send } from './api.js'
+import { facts } from './dom.js'
+import { bytes, count, counted, span } from './format.js'
+import { live, who } from './live.js'
+
+const CONNECT_S = 30, HOME_S = 180
+
+/** Resolves when the status meets `test`; rejects after `seconds`, or if the rig trips. */
+function until(test, seconds, what) {
+  return new Promise((resolve, reject) => {
+    const cut = new AbortController()
+    const end = error => { cut.abort(); clearTimeout(timer); error ? reject(error) : resolve() }
+    const timer = setTimeout(() => end(new Error(`${what} took more than ${seconds} s`)), 1e3 * seconds)
+    live.on('status', ({ status }) => {
+      if (test(status)) queueMicrotask(end)
+      else if (status.rig.trip) queueMicrotask(() => end(new Error(`the rig tripped: ${status.rig.trip.detail}`)))
+    }, cut.signal)
+  })
+}
+
+/** Connects and homes the rig if its state needs it; `step` is told what is being done. */
+export async function readyRig(step = () => {}) {
+  const state = () => live.status?.rig.state
+  if (live.status?.run) return // A run holds the rig: what is started now waits for its end.
+  if (state() === 'tripped') throw new Error('the rig is tripped: clear the cause, reset, then home')
+  if (state() === 'disconnected') {
+    step('Opening the wires')
+    await actOnRig('connect')
+    await until(({ rig }) => rig.state !== 'disconnected', CONNECT_S, 'connecting')
+  }
+  if (state() === 'disarmed' && live.status.rig.has_stage !== false) {
+    step('Homing the axes')
+    await actOnRig('home')
+    await until(({ rig }) => rig.state === 'homed', HOME_S, 'homing')
+  }
+}
+
+/** What a preflight says, for the person who starts the run. */
+export function preflightWords(preflight) {
+  const { trials, duration_s, duration_low_s, duration_high_s, waits_for_person, disk_bytes } = preflight
+  return [
+    facts([['Trials', count(trials)], ['Duration', `${span(duration_s)} (${span(duration_low_s)} to ${span(duration_high_s)})`], ['Disk', bytes(disk_bytes)]]),
+    waits_for_person ? `It waits for a person ${counted(waits_for_person, 'time')}: tips to change, or weights to place.` : 'It needs no person until its end.',
+  ]
+}
+
+/**
+ * Begins a queued or interrupted run ({ uid, scan_id, experiment }): readies the rig, arms, shows the
+ * preflight unless `ask` is false, starts. `said` is an `outcome()`. Resolves to 'running', 'waiting',
+ * or undefined if it did not begin.
+ */
+export async function beginRun(run, said, { ask = true } = {}) {
+  if (!await named()) return undefined
+  const title = `Run ${run.scan_id}, ${run.experiment}`
+  try {
+    await readyRig(words => said.tell(`${words} …`))
+    said.tell(`Checking ${title} …`)
+    const { code, preflight } = await send(`/runs/${run.uid}/arm`, { who: who() })
+    if (ask && !await confirm(`Start ${title}?`, [...preflightWords(preflight), 'The rig moves as soon as you start it.'], 'Start')) {
+      said.tell('Not started. The run stays in the queue.')
+      return undefined
+    }
+    said.tell(`Starting ${title} …`)
+    const waits = Boolean(live.status?.run)
+    await actOnRun(run.uid, 'start', { code })
+    said.tell(waits ? `${title} is started and waits for its turn.` : `${title} is started.`, 'good')
+    return waits ? 'waiting' : 'running'
+  } catch (error) {
+    if (error.name !== 'AbortError') said.tell(`${title} did not start: ${error.message}`, 'bad')
+    return undefined
+  }
+}
+
+/** Makes a button that begins a run; `beginRun` tells each step and the result. */
+export const beginButton = (words, run, said, props = {}) => actor(words, { run: (_, work) => work() }, () => beginRun(run, said), props)
+
+/** Queues an experiment, by its text; returns the run. Services that carry the sensor file need no text of it. */
+export const queueText = (file, definition, more = {}) => once('/queue', { file, definition, who: who(), ...more })
+
+/** Queues an experiment that the program carries, by name; returns the run. */
+export async function queueCarried(name) {
+  const { items } = await get('/experiments'), found = items.find(item => item.name === name)
+  if (!found) throw new Error(`the program carries no experiment ${name}`)
+  return queueText(found.file, found.text)
+}

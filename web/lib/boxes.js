@@ -1,0 +1,84 @@
+// Box plots side by side: median, quartiles, whiskers, and the share of values beyond them.
+
+import { colour, el, onLook, soon } from './dom.js'
+import { about, count, percent } from './format.js'
+import { picture } from './picture.js'
+
+/**
+ * Makes a box plot. `set([{ name, trials, low, q1, median, q3, high, outliers }])`. `paper`: a published
+ * value, drawn as a dashed line.
+ */
+export function boxes({ title, unit = '', factor = 1, paper, query, label, signal, height = 200 }) {
+  const canvas = el('canvas', { role: 'img', className: 'boxes', style: { height: `${height}px` } })
+  let items = []
+  const draw = soon(() => {
+    const width = canvas.clientWidth, ratio = window.devicePixelRatio || 1, pen = canvas.getContext('2d')
+    if (!width) return
+    Object.assign(canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) })
+    pen.setTransform(ratio, 0, 0, ratio, 0, 0)
+    pen.font = '12px system-ui, sans-serif'
+    const top = nice(Math.max(...items.map(item => item.high * factor), paper ?? 0, 1e-9)), left = 50, foot = 36, head = 10
+    const y = value => height - foot - (height - foot - head) * value / top
+    grid(pen, { top, left, width, y })
+    items.forEach((item, i) => one(pen, item, left + (width - left) * (i + 0.5) / items.length, Math.min(46, (width - left) / items.length * 0.5), y))
+    if (paper) dashed(pen, { left, width, y: y(paper) })
+    const words = item => `${item.name}: median ${about(item.median * factor, unit)}, quartiles ${about(item.q1 * factor)} to ${about(item.q3 * factor, unit)}`
+    canvas.ariaLabel = `${title}: ${items.map(item => `${words(item)}, ${count(item.trials)} trials`).join('; ')}`
+  })
+  function grid(pen, { top, left, width, y }) {
+    pen.textBaseline = 'middle'
+    for (let k = 0; k <= 4; k += 1) {
+      pen.strokeStyle = colour('--line')
+      pen.fillStyle = colour('--soft')
+      pen.textAlign = 'right'
+      pen.beginPath()
+      pen.moveTo(left, y(top * k / 4))
+      pen.lineTo(width, y(top * k / 4))
+      pen.stroke()
+      pen.fillText(k ? about(top * k / 4) : `0 ${unit}`, left - 6, y(top * k / 4))
+    }
+  }
+  function one(pen, item, x, wide, y) {
+    const [low, q1, median, q3, high] = [item.low, item.q1, item.median, item.q3, item.high].map(v => y(v * factor))
+    pen.strokeStyle = colour('--c1')
+    pen.lineWidth = 1.5
+    pen.beginPath()
+    for (const [from, to] of [[low, q1], [q3, high]]) { pen.moveTo(x, from); pen.lineTo(x, to) }
+    for (const end of [low, high]) { pen.moveTo(x - wide / 4, end); pen.lineTo(x + wide / 4, end) }
+    pen.stroke()
+    pen.fillStyle = `${colour('--c1')}30`
+    pen.fillRect(x - wide / 2, q3, wide, q1 - q3)
+    pen.strokeRect(x - wide / 2, q3, wide, q1 - q3)
+    pen.lineWidth = 3
+    pen.beginPath()
+    pen.moveTo(x - wide / 2, median)
+    pen.lineTo(x + wide / 2, median)
+    pen.stroke()
+    pen.lineWidth = 1
+    pen.textAlign = 'center'
+    pen.fillStyle = colour('--ink')
+    pen.fillText(item.name, x, height - 25)
+    pen.fillStyle = colour('--soft')
+    pen.fillText(`n ${count(item.trials)}`, x, height - 9)
+  }
+  function dashed(pen, { left, width, y }) {
+    pen.strokeStyle = colour('--soft')
+    pen.setLineDash([5, 4])
+    pen.beginPath()
+    pen.moveTo(left, y)
+    pen.lineTo(width, y)
+    pen.stroke()
+    pen.setLineDash([])
+  }
+  onLook(canvas, draw, signal)
+  const data = () => ({ heads: ['group', 'trials', 'low', 'q1', 'median', 'q3', 'high', 'share beyond'],
+    rows: items.map(item => [item.name, item.trials, item.low, item.q1, item.median, item.q3, item.high, percent(item.outliers, 1)]) })
+  const node = picture({ title, query, label, data, canvas: () => canvas }, canvas)
+  return { node, set(next) { items = next; draw() } }
+}
+
+/** A round number at least as large, that four parts divide well. */
+function nice(x) {
+  const ten = 10 ** Math.floor(Math.log10(x))
+  return [1, 2, 4, 6, 8, 10].map(n => n * ten).find(n => n >= x * 0.999)
+}

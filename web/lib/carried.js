@@ -1,0 +1,37 @@
+// The experiments that the program carries: the list that the queue and the plan offer.
+
+import { get } from './api.js'
+import { el, link } from './dom.js'
+import { count } from './format.js'
+import { table } from './table.js'
+
+let asked = null
+
+/** Experiments that the program carries; asked for once. */
+export function carried() {
+  asked ??= get('/experiments').then(page => page.items)
+  asked.catch(() => {
+    asked = null
+  })
+  return asked
+}
+
+/** A table of them; `href(item)` is where a choice leads. */
+export async function carriedTable(href) {
+  try {
+    const { node } = table({
+      rows: await carried(),
+      caption: 'Experiments that the program carries',
+      empty: 'This program carries no experiments.',
+      columns: [
+        { head: 'Name', left: true, cell: item => link(href(item), item.name) },
+        { head: 'Trials', cell: item => count(item.trials) },
+        { head: 'What it does', left: true, cell: item => item.about },
+      ],
+    })
+    node.classList.add('stack', 'carried')
+    return node
+  } catch (error) {
+    return el('p', { className: 'soft' }, `The list of carried experiments has no answer: ${error.message}. Choose a file instead.`)
+  }
+}

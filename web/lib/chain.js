@@ -1,0 +1,94 @@
+// The rig as a chain from wire to tip: each device with its last word and what is wrong with it.
+
+import { el, fill, say } from './dom.js'
+import { NONE, about, count, counted, fixed, moment, percent, span } from './format.js'
+import { perMinute } from './rates.js'
+
+const BAD = [['timeouts', 'reply did not arrive in time', 'replies did not arrive in time'], ['garbled', 'reply was damaged', 'replies were damaged'],
+  ['reconnects', 'reopening', 'reopenings'], ['retries', 'repeated request', 'repeated requests']]
+
+/** A wire in words: { tone, words, figures }. */
+export function wireWords(wire, rate) {
+  const wrong = rate ? BAD.filter(([key]) => rate.change[key] > 0) : []
+  const bad = wrong.some(([key]) => key !== 'retries')
+  const total = [counted(wire.requests, 'request'), counted(wire.timeouts, 'timeout'), `${count(wire.garbled)} garbled`, counted(wire.reconnects, 'reopening')]
+  const found = wrong.map(([key, one, more]) => `${count(rate.change[key])} ${rate.change[key] === 1 ? one : more}`).join(', ')
+  const words = !rate ? 'Counting …' : found ? `In the last ${span(rate.seconds)}: ${found}. Check its cable and its plug.`
+    : rate.change.requests ? 'Every request of the last minute was answered.' : 'Open; nothing was asked in the last minute.'
+  return { tone: bad ? 'bad' : wrong.length ? 'warn' : '', words,
+    figures: [['Requests', perMinute(rate, 'requests') == null ? NONE : `${about(perMinute(rate, 'requests'))} per min`],
+    ['Last round trip', about(wire.last_round_trip_us, 'µs')]],
+    since: `Since opened: ${total.join(', ')}.` }
+}
+
+/** The voltage stream in words. */
+export function streamWords(stream, rate, rig) {
+  if (!stream.frames) return { tone: rig.state === 'disconnected' ? '' : 'bad', words: rig.state === 'disconnected' ? 'Closed.'
+    : 'No frame has arrived: check the readout and its cable.', figures: [] }
+  const { frames = 0, missed = 0, garbled = 0 } = rate?.change ?? {}
+  const silent = rate && rate.seconds > 3 && frames === 0
+  const harm = rig.clock_rate > 1 ? `: a rig that runs ${about(rig.clock_rate)} times as fast as the clock skips frames, no fault`
+    : '. A trial waits for the frames that it needs'
+  const words = !rate ? 'Counting …' : silent ? 'Silent: no frame arrives. Check the readout and its cable.' : garbled
+    ? `${counted(garbled, 'damaged packet')} in the last ${span(rate.seconds)}: check the cable and the earth.`
+    : missed ? `${percent(missed, frames + missed)} of the frames of the last ${span(rate.seconds)} are missing${harm}.`
+      : 'No frame of the last minute is missing.'
+  return { tone: silent ? 'bad' : garbled || missed && rig.clock_rate <= 1 ? 'warn' : '', words,
+    figures: [['Frame rate', rate ? about(frames / rate.seconds, 'Hz') : NONE],
+    ['Newest frame', stream.age_ms == null ? NONE : `${count(stream.age_ms)}\u202fms old`]],
+    since: `Since opened: ${[counted(stream.frames, 'frame'), `${percent(stream.missed, stream.frames + stream.missed)} missed`,
+      `${count(stream.garbled)} garbled`].join(', ')}.` }
+}
+
+/** Time and travel of a stop, in words. */
+export function stoppingWords(stopping) {
+  if (!stopping) return { tone: '', words: 'Known while a run presses or after one.', figures: [] }
+  const { travel_mm, added_n, margin_n, measured_ms, measured_mm, sample_to_stop_ms, stops } = stopping
+  const measured = [fixed(measured_ms, 2, 'ms'), measured_mm != null && fixed(measured_mm, 2, 'mm')].filter(Boolean).join(', ')
+  const over = added_n > margin_n * 1.000001
+  return { tone: over ? 'bad' : '', words: over ? 'A stop may add more force than the margin allows: press more slowly.'
+    : `A stop adds at most ${fixed(added_n, 1, 'N')} to a tip; ${fixed(margin_n, 1, 'N')} are allowed.`,
+    figures: [['Travel until still', fixed(travel_mm, 2, 'mm')], ['Sample to stop', `${fixed(sample_to_stop_ms, 1, 'ms')} at most`],
+      ['Measured', measured_ms == null ? 'never yet' : `${measured} in ${counted(stops, 'stop')}`]] }
+}
+
+/** Latency of the last stop that every axis acknowledged. */
+export function stopWords(rig) {
+  const moving = rig.estop_stops.filter(stop => stop.acknowledged_ms == null).map(stop => stop.axis)
+  const last = rig.estop_stops.length ? rig.estop_stops : rig.safe_end?.stops ?? []
+  const slowest = last.length && last.every(stop => stop.acknowledged_ms != null) ? Math.max(...last.map(stop => stop.acknowledged_ms)) : null
+  const words = moving.length ? `NOT ACKNOWLEDGED by ${moving.join(', ')}: use the button on the rig.` : slowest == null
+    ? 'No stop has been sent since the wires were opened.' : `Every axis acknowledged the last stop within ${fixed(slowest, 2, 'ms')}.`
+  return { tone: moving.length ? 'bad' : '', words, figures: last.map(stop => [stop.axis, stop.acknowledged_ms == null ? stop.error ?? 'no answer'
+    : fixed(stop.acknowledged_ms, 2, 'ms')]) }
+}
+
+/** Makes a chain; `show([{ name, tone, words, figures, inside }])` draws it and changes only what differs. */
+export function chain() {
+  const node = el('ol', { className: 'chain' }), known = new Map()
+  const link = name => {
+    const words = el('span'), since = el('span', { className: 'soft since' }), figures = el('dl', { className: 'facts' }), more = el('div')
+    return { node: el('li', {}, el('h3', {}, name), el('p', {}, words, ' ', since), figures, more), words, since, figures, more }
+  }
+  function show(items) {
+    const names = items.map(item => item.name).join('|')
+    if (node.dataset.names !== names) {
+      node.dataset.names = names
+      fill(node, items.map(({ name }) => { if (!known.has(name)) known.set(name, link(name)); return known.get(name).node }))
+    }
+    for (const { name, tone = '', words, since = '', figures = [], inside } of items) {
+      const one = known.get(name), text = JSON.stringify(figures)
+      one.node.className = tone
+      say(one.words, words)
+      say(one.since, since)
+      one.words.className = tone || 'soft'
+      if (one.figures.dataset.text !== text) { one.figures.dataset.text = text;
+        fill(one.figures, figures.map(([key, value]) => el('div', {}, el('dt', {}, key), el('dd', {}, value)))) }
+      if (inside && one.more.firstChild !== inside) fill(one.more, inside)
+    }
+  }
+  return { node, show }
+}
+
+/** What a device last said, from the events: words with the time. */
+export const lastWord = event => event ? `When the wires were opened, ${moment(event.at)}: ${event.data.found}` : ''

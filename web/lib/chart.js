@@ -1,0 +1,59 @@
+// Charts of numbers over time or over another number, by uPlot.
+
+import uPlot from '../vendor/uPlot.js'
+import { colour, dark, el } from './dom.js'
+import { fixed } from './format.js'
+import { picture } from './picture.js'
+
+const COLOURS = ['--c1', '--c2', '--c3', '--c4', '--c5', '--c6']
+
+/**
+ * Makes a chart. `series`: [{ name, unit?, digits?, colour?, points?, line?, axis?: 'right', dash? }],
+ * drawn from `set([x, y1, y2, …])`; x in Unix seconds if `time`. `marks(u)` may draw over it.
+ * `range`: [low, high] of y, fixed, or a function (low, high) => [low, high].
+ * `whole`: x is marked at whole numbers only. Ends with `signal`.
+ */
+export function chart({ title, x = 'Time', xUnit, y = '', unit = '', series, time = true, height = 180, range, marks, query, label, signal, log = false, right, onselect, whole = false }) {
+  const holder = el('div', { className: 'chart' })
+  let data = [[], ...series.map(() => [])], plot = null
+  const pen = (name, i) => colour(name ?? COLOURS[i % COLOURS.length])
+  const text = (value, of) => value == null ? '–' : fixed(value, of?.digits ?? 2, of?.unit ?? unit)
+  const spread = (low, high) => {
+    if (typeof range === 'function') return range(low, high)
+    if (range) return range
+    if (low == null || !Number.isFinite(low)) return [0, 1]
+    const room = (high - low || Math.abs(high) || 1) * 0.08
+    return [low >= 0 && low - room < 0 ? 0 : low - room, high + room]
+  }
+  const axis = more => ({ stroke: colour('--soft'), grid: { stroke: colour('--line'), width: 1 }, ticks: { show: false }, font: '12px system-ui, sans-serif', ...more })
+  function make() {
+    plot?.destroy()
+    const clock = t => new Date(t * 1e3).toLocaleTimeString('en-GB')
+    plot = new uPlot({
+      width: Math.max(120, holder.clientWidth), height, padding: [8, 12, 0, 0],
+      scales: { x: { time }, y: { range: (_, low, high) => spread(low, high), ...(log && { distr: 3, range: undefined }) }, ...(right && { right: { range: right.range ?? ((_, low, high) => spread(low, high)) } }) },
+      axes: [axis({ size: time ? 28 : 44, space: time ? 76 : 50, ...(time && { values: (_, ts) => ts.map((t, i) => clock(t).slice(0, ts.length > 1 && ts[1] - ts[0] < 60 ? 8 : 5)) }), ...(whole && { incrs: [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000] }), ...(!time && { label: `${x}${xUnit ? `, ${xUnit}` : ''}`, labelSize: 18, labelFont: '12px system-ui, sans-serif' }) }),
+        axis({ size: 52, ...(y && { label: `${y}${unit ? `, ${unit}` : ''}`, labelSize: 16, labelFont: '12px system-ui, sans-serif' }) }),
+        ...(right ? [axis({ side: 1, scale: 'right', size: 46, grid: { show: false }, label: right.label, labelSize: 16, labelFont: '12px system-ui, sans-serif' })] : [])],
+      series: [{ label: x, value: (_, v) => v == null ? '–' : time ? clock(v) : fixed(v, 2, xUnit) },
+        ...series.map((one, i) => ({
+          label: one.name, scale: one.axis === 'right' ? 'right' : 'y', stroke: pen(one.colour, i), width: one.line === false ? 0 : 1.5, dash: one.dash,
+          points: { show: one.points ?? false, size: 4, fill: pen(one.colour, i) }, fill: one.fill ? `${pen(one.colour, i)}30` : undefined, paths: one.bars ? uPlot.paths.bars({ size: [0.9, 40] }) : one.steps ? uPlot.paths.stepped({ align: 1 }) : undefined,
+          value: (_, v) => text(v, one), spanGaps: one.gaps ?? false,
+        }))],
+      cursor: { drag: { x: Boolean(time || onselect), y: false } },
+      hooks: { draw: marks ? [marks] : [], setSelect: onselect ? [u => { if (u.select.width > 4) onselect(u.posToVal(u.select.left, 'x'), u.posToVal(u.select.left + u.select.width, 'x')) }] : [] },
+      legend: { live: true },
+    }, data, holder)
+    holder.querySelector('canvas')?.setAttribute('aria-hidden', 'true')
+  }
+  const sizes = new ResizeObserver(() => { if (!holder.clientWidth) return; plot ? plot.setSize({ width: holder.clientWidth, height }) : make() })
+  sizes.observe(holder)
+  dark.addEventListener('change', () => plot && make(), { signal })
+  signal?.addEventListener('abort', () => { sizes.disconnect(); plot?.destroy() })
+  const node = picture({
+    title, label, query, canvas: () => holder.querySelector('canvas'),
+    data: () => ({ heads: [`${x}${xUnit ? `, ${xUnit}` : ''}`, ...series.map(one => `${one.name}, ${one.unit ?? unit}`)], rows: data[0].map((v, i) => data.map((column, k) => k === 0 && time ? new Date(v * 1e3).toISOString() : column[i])) }),
+  }, holder)
+  return { node, set(columns) { data = columns; plot?.setData(data) }, get plot() { return plot } }
+}

@@ -1,0 +1,82 @@
+// When queued runs begin and end: a prediction from their preflights, and a line of time that shows it.
+
+import { el, fill } from './dom.js'
+import { clock, moment } from './format.js'
+
+/**
+ * Predicted begin and end of queued runs, ms. `rows` in the order of the queue, `estimates` a Map from
+ * uid to a preflight, `free` when the rig is free: { likely, low, high }. A run whose start time has
+ * not come lets others pass. A run without an estimate ends the prediction for those behind it.
+ */
+export function predict(rows, estimates, free) {
+  const times = new Map()
+  const open = [...rows]
+  let at = { ...free }
+  const early = row => (row.not_before ? Date.parse(row.not_before) : 0)
+  while (open.length) {
+    const due = open.find(row => early(row) <= at.likely)
+    const next = due ?? open.reduce((a, b) => (early(b) < early(a) ? b : a))
+    const p = estimates.get(next.uid)
+    if (!p) break
+    open.splice(open.indexOf(next), 1)
+    const begin = Math.max(at.likely, early(next))
+    at = {
+      likely: begin + p.duration_s * 1e3,
+      low: Math.max(at.low, early(next)) + p.duration_low_s * 1e3,
+      high: Math.max(at.high, early(next)) + p.duration_high_s * 1e3,
+    }
+    times.set(next.uid, { begin, end: at.likely, low: at.low, high: at.high })
+  }
+  return times
+}
+
+const STEPS_MIN = [1, 2, 5, 10, 15, 30, 60, 120, 180, 360, 720, 1440, 2880, 10_080]
+
+/** Full steps of local time between two moments, at most eight. */
+function ticks(from, to) {
+  const step = (STEPS_MIN.find(min => (to - from) / (min * 6e4) <= 8) ?? 10_080) * 6e4
+  const zone = new Date(from).getTimezoneOffset() * 6e4
+  const all = []
+  for (let t = Math.ceil((from - zone) / step) * step + zone; t < to; t += step) all.push(t)
+  return all
+}
+
+/** A line of time: `show(now, bars)`, bars [{ name, href, begin, end, tone? }] in order. */
+export function clockline() {
+  const track = el('div', { className: 'clock-track' })
+  const scale = el('div', { className: 'clock-scale', 'aria-hidden': 'true' })
+  const node = el('div', { className: 'clockline live', role: 'group', 'aria-label': 'Predicted times of the runs' }, track, scale)
+  function show(now, bars) {
+    node.hidden = !bars.length
+    if (!bars.length) return
+    const from = now
+    const to = Math.max(...bars.map(bar => bar.end)) + Math.max(60_000, (Math.max(...bars.map(bar => bar.end)) - now) * 0.03)
+    const part = t => `${Math.max(0, Math.min(100, ((t - from) / (to - from)) * 100))}%`
+    const wide = bar => (bar.end - bar.begin) / (to - from) > 0.06
+    fill(
+      track,
+      bars.map((bar, i) =>
+        el(
+          'a',
+          {
+            href: bar.href,
+            className: `clock-bar ${bar.tone ?? (i % 2 ? 'even' : 'odd')}`,
+            'aria-label': `${bar.name}: ${moment(bar.begin)} to ${moment(bar.end)}`,
+            title: `${bar.name}: ${moment(bar.begin)} to ${moment(bar.end)}`,
+            style: { left: part(bar.begin), width: `max(3px, calc(${part(bar.end)} - ${part(bar.begin)}))` },
+          },
+          wide(bar) ? bar.name : '',
+        ),
+      ),
+    )
+    const days = to - from > 864e5
+    const last = t => t === from
+    fill(
+      scale,
+      [from, ...ticks(from, to).filter(t => (t - from) / (to - from) > 0.06 && (t - from) / (to - from) < 0.96)].map(t =>
+        el('span', { style: { left: part(t) } }, last(t) ? 'now' : days ? moment(t).replace('tomorrow ', 'tom. ') : clock(t).slice(0, 5)),
+      ),
+    )
+  }
+  return { node, show }
+}

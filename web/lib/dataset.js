@@ -1,0 +1,241 @@
+// One dataset in full: what is in it, whether it is current, how to load it, columns, lineage and card.
+
+import { all, ask, get, hasKey, once } from './api.js'
+import { actor, outcome } from './actions.js'
+import { el, facts, fill, link, note, panel } from './dom.js'
+import { bytes, count, counted, moment, percent, plain } from './format.js'
+import { FORMATS } from './exports.js'
+import { lineageWalk } from './lineage.js'
+import { markdown } from './markdown.js'
+import { copyable, save } from './save.js'
+import { table } from './table.js'
+
+/** Heads of the paper's Table I, by number of contacts. */
+export const NUMBERS = ['None', 'Single', 'Double', 'Triple', 'Quadruple', 'Quintuple', 'Sextuple']
+
+/** Parts of a dataset as text. */
+export const partsWords = report =>
+  ['train', 'validation', 'test']
+    .filter(part => report.parts?.[part] != null)
+    .map(part => `${count(report.parts[part])} ${part}`)
+    .join(', ') || 'not split'
+
+/** Rows by number of contacts, as in Table I; columns for `table`. */
+export const contactColumns = NUMBERS.map((head, n) => ({ head, cell: item => count(item.report.contact_counts?.[n] ?? 0) }))
+
+function lines(item) {
+  const at = `${location.origin}/api/v1/data/${item.name}.parquet`
+  const key = hasKey(),
+    bearer = '{"Authorization": "Bearer " + os.environ["PALPATE_KEY"]}'
+  return [
+    [
+      'pandas',
+      key ? `import os, pandas as pd; df = pd.read_parquet("${at}", storage_options=${bearer})` : `import pandas as pd; df = pd.read_parquet("${at}")`,
+    ],
+    [
+      'polars',
+      key
+        ? `import io, os, polars as pl, urllib.request as r; df = pl.read_parquet(io.BytesIO(r.urlopen(r.Request("${at}", headers=${bearer})).read()))`
+        : `import polars as pl; df = pl.scan_parquet("${at}").collect()`,
+    ],
+    ['DuckDB', `SELECT contact_count, count(*) FROM read_parquet('${at}') GROUP BY 1`],
+    ['curl', `curl -OJ ${key ? '-H "Authorization: Bearer $PALPATE_KEY" ' : ''}${at}`],
+  ]
+}
+
+function definitionWords({ definition: d }) {
+  const words = [
+    `Task ${d.task}`,
+    d.runs?.length ? `runs ${d.runs.join(', ')}` : 'all ended runs of the task',
+    d.label && `only ${d.label}`,
+    d.deadband_n != null && `contacts from ${d.deadband_n} N`,
+    d.flagged === 'leave-out' ? 'flagged trials excluded' : d.flagged && `flagged trials: ${plain(d.flagged)}`,
+    d.untouched === 'leave-out' ? 'untouched excluded' : d.untouched && `untouched: ${plain(d.untouched)}`,
+    d.contact_counts?.length && `contacts ${d.contact_counts.join(', ')}`,
+    d.where?.length && `where ${d.where.join(' and ')}`,
+    d.sim_random?.length && `Sim-Random ${d.sim_random.join(', ')}`,
+    d.split?.by &&
+      d.split.by !== 'none' &&
+      `split by ${d.split.by} ${d.split.ratio.join(':')}, seed ${d.split.seed}${d.split.stratify ? ', stratified' : ''}`,
+  ]
+  return `${words.filter(Boolean).join('; ')}.`
+}
+
+/** Makes the view of one dataset; `onmade(item)` after it was made again. */
+export function datasetView({ signal, go, onmade, onexport }) {
+  const node = el('div', { className: 'dataset' })
+  let ending = new AbortController()
+  signal.addEventListener('abort', () => ending.abort())
+  let name = null,
+    walk = null
+  async function show(query) {
+    const wanted = query.dataset
+    if (wanted === name) {
+      walk?.show(query)
+      return
+    }
+    name = wanted
+    ending.abort() // What the one before drew on and listened to.
+    ending = new AbortController()
+    walk = null
+    node.hidden = !wanted
+    if (!wanted) {
+      fill(node)
+      return
+    }
+    fill(node, el('section', {}, el('p', { className: 'soft' }, `Reading ${wanted} …`)))
+    const path = `/datasets/${encodeURIComponent(wanted)}`
+    try {
+      const [item, lineage, nets] = await Promise.all([
+        get(path, {}, { signal }),
+        get(`${path}/lineage`, {}, { signal }),
+        all('/models', {}, { most: 200, signal }).catch(() => []),
+      ])
+      const card = await ask(`/api/v1${path}/card`, { accept: 'text/markdown', signal }).then(
+        answer => answer.text(),
+        error => `The card cannot be read: ${error.message}`
+      )
+      if (name !== wanted || signal.aborted) return
+      draw(
+        item,
+        lineage.lineage,
+        nets.filter(net => net.manifest.datasets?.includes(item.id)),
+        card,
+        query
+      )
+    } catch (error) {
+      if (name === wanted && !signal.aborted)
+        fill(node, el('section', {}, el('h2', { className: 'big' }, wanted), el('p', { className: 'bad' }, error.message), link('/data', 'All datasets')))
+    }
+  }
+
+  function draw(item, lineage, nets, card, query) {
+    const said = outcome(),
+      { report } = item,
+      labels = [...new Set(lineage.runs.map(run => run.label))]
+    const label = labels.join(' and ') || 'simulated'
+    const again = actor(
+      'Make again',
+      said,
+      async () => {
+        const named = item.name
+        const made = await once('/datasets', /^run-\d+$/.test(named) || lineageIsNamed(item) ? { name: named } : { definition: item.definition })
+        said.tell(made.id === item.id ? 'Made again: the same rows, so the same dataset.' : `Made again: ${made.id} has ${counted(made.rows, 'row')}.`)
+        onmade(made)
+        return made
+      },
+      { what: `Make ${item.name} again` }
+    )
+    const current =
+      item.is_current === true
+        ? el('p', {}, el('span', { className: 'good' }, 'Current.'), ' No trial and no twin was stored since it was made.')
+        : item.is_current === false
+          ? el(
+              'div',
+              {},
+              el(
+                'p',
+                {},
+                el('span', { className: 'warn' }, 'Not current.'),
+                ' Trials or twins were stored since it was made. This id keeps its rows; making it again gives a new id.'
+              ),
+              el('div', { className: 'row' }, again)
+            )
+          : el('p', { className: 'soft' }, 'Whether it is current is not known.')
+    const head = el(
+      'section',
+      { 'aria-label': item.name },
+      el(
+        'div',
+        { className: 'row spread' },
+        el('h2', { className: 'big' }, el('span', {}, item.name, ' ', el('span', { className: 'soft small' }, item.id))),
+        link('/data', 'Close')
+      ),
+      el('p', {}, definitionWords(item)),
+      current,
+      said.node,
+      facts([
+        ['Rows', count(item.rows)],
+        ['Size', bytes(item.bytes)],
+        ['Label', el('span', { className: label === 'virtual' ? 'virtual-word' : '' }, label)],
+        ['Made', moment(item.created_at)],
+        ['Channels', count(report.channels)],
+      ]),
+      el('p', {}, `Parts: ${partsWords(report)}.`)
+    )
+    const counts = panel(
+      'Rows by number of contacts',
+      { aside: el('span', {}, 'as in the paper\u2019s Table I') },
+      table({
+        columns: [{ head: 'Dataset', cell: one => one.name, left: true }, ...contactColumns, { head: 'Total', cell: one => count(one.rows) }],
+        rows: [item],
+      }).node,
+      excluded(report, item.rows)
+    )
+    const files = panel(
+      'Load it',
+      {},
+      el(
+        'div',
+        { className: 'chips downloads' },
+        Object.entries(FORMATS).map(([format, words]) => save(words, `/api/v1/data/${item.id}.${format}`, `${item.id}.${format}`)),
+        el(
+          'a',
+          {
+            href: '#exports',
+            onclick: event => {
+              event.preventDefault()
+              onexport(item.name)
+            },
+          },
+          'With force maps or a selection'
+        )
+      ),
+      lines(item).map(([words, text]) => copyable(words, text)),
+      el(
+        'p',
+        { className: 'soft small' },
+        hasKey() ? 'The lines read the key from PALPATE_KEY; DuckDB takes it by CREATE SECRET (TYPE http, BEARER_TOKEN …). ' : '',
+        `The name stands for the newest dataset made with it; ${item.id} always refers to these rows.`
+      )
+    )
+    const heads = table({
+      columns: [
+        { head: 'Column', cell: one => el('code', {}, one.name), left: true },
+        { head: 'Type', cell: one => one.type, left: true },
+        { head: 'Unit', cell: one => one.unit ?? '', left: true },
+        { head: 'In conditions', cell: one => (one.filterable ? 'yes' : 'no'), left: true },
+      ],
+      rows: report.columns,
+    }).node
+    heads.classList.add('tall-table')
+    const columns = panel('Columns', { aside: el('span', {}, counted(report.columns.length, 'column')) }, heads)
+    walk = lineageWalk({ dataset: item, lineage, nets, label: label === 'virtual' ? 'virtual' : '', signal: ending.signal, set: go })
+    const graph = panel('What it was made from', { aside: el('span', {}, 'dataset, runs, trials, frame') }, walk.node)
+    const about = panel(
+      'Card',
+      { aside: save('Save as Markdown', `/api/v1/datasets/${item.id}/card`, `${item.id}.md`) },
+      el('details', { className: 'card' }, el('summary', {}, 'Read the card'), markdown(card))
+    )
+    fill(node, head, counts, el('div', { className: 'columns two' }, files, columns), graph, about)
+    walk.show(query)
+  }
+  return {
+    node,
+    show,
+    forget() {
+      name = null
+    },
+  }
+}
+
+/** Whether the name alone makes it: a built-in definition, without what a file of its own would add. */
+const lineageIsNamed = ({ definition: d }) => !d.runs?.length && !d.where?.length && !d.contact_counts?.length && !d.label
+
+function excluded(report, rows) {
+  const out = Object.entries(report.left_out ?? {}),
+    whole = rows + out.reduce((sum, [, n]) => sum + n, 0)
+  const node = el('p', { className: 'soft' })
+  note(node, out.length ? `Excluded: ${out.map(([why, n]) => `${count(n)} ${plain(why)} (${percent(n, whole)})`).join(', ')}.` : 'No trial was excluded.')
+  return node
+}

@@ -1,0 +1,107 @@
+// Elements: how all modules make and change them. Uses the DOM alone.
+
+/** Makes an element: properties that exist are set, functions named on… listen, others are attributes. */
+export function el(tag, props = {}, ...inside) {
+  const node = document.createElement(tag)
+  set(node, props)
+  node.append(...inside.flat(3).filter(child => child != null && child !== false))
+  return node
+}
+
+/** Sets properties of an element; see `el`. */
+export function set(node, props) {
+  for (const [key, value] of Object.entries(props)) {
+    if (value == null || value === undefined) continue
+    if (key.startsWith('on') && typeof value === 'function') node.addEventListener(key.slice(2), value)
+    else if (key === 'style') Object.assign(node.style, value)
+    else if (key === 'data') Object.assign(node.dataset, value)
+    else if (key in node && !key.startsWith('aria')) node[key] = value
+    else if (value === false && !key.startsWith('aria')) node.removeAttribute(key)
+    else node.setAttribute(key, value)
+  }
+  return node
+}
+
+/** Replaces what is in an element. */
+export function fill(node, ...inside) {
+  node.replaceChildren(...inside.flat(3).filter(child => child != null && child !== false))
+  return node
+}
+
+/** Sets a text only if it differs, so that a screen reader is not told again. */
+export function say(node, text) {
+  const words = text == null ? '' : String(text)
+  if (node.textContent !== words) node.textContent = words
+  return node
+}
+
+/** Shows a text, or hides the element if there is none. */
+export function note(node, text) {
+  say(node, text)
+  node.hidden = !text
+}
+
+/** Makes a section with a heading: `panel('Forces', {}, …)`. `props.aside` stands beside the heading. */
+export function panel(title, { aside, ...props } = {}, ...inside) {
+  const heading = el('h2', {}, el('span', {}, title), aside ?? '')
+  return el('section', { 'aria-label': title, ...props }, heading, ...inside)
+}
+
+/** Makes a section without a heading, for pictures that have their own. */
+export const pane = (...inside) => el('section', {}, inside)
+
+/** Makes a list of facts: `facts([['Age', node or text], …])`. */
+export function facts(rows, props = {}) {
+  const row = ([name, value]) => el('div', {}, el('dt', {}, name), el('dd', {}, value))
+  return el('dl', { className: 'facts', ...props }, rows.filter(Boolean).map(row))
+}
+
+/** Makes a button. `props.title` says what it does where its word alone does not. */
+export function button(words, onclick, props = {}) {
+  return el('button', { type: 'button', onclick, ...props }, words)
+}
+
+/** Makes a link to a page of the dashboard. */
+export const link = (href, ...inside) => el('a', { href }, ...inside)
+
+/** Makes a select: `choices` are texts or [value, words]. */
+export function select(choices, value, onchange, props = {}) {
+  const option = choice => {
+    const [of, words] = Array.isArray(choice) ? choice : [choice, choice]
+    return el('option', { value: of, selected: String(of) === String(value) }, words)
+  }
+  return el('select', { onchange: event => onchange(event.target.value), ...props }, choices.map(option))
+}
+
+/** Calls `draw` once before the next picture, however often it is asked for. */
+export function soon(draw) {
+  let asked = 0
+  return () => { asked ||= requestAnimationFrame(() => { asked = 0; draw() }) }
+}
+
+/** Calls `then` whenever light changes to dark, or the size of `node`; ends with `signal`. */
+export function onLook(node, then, signal) {
+  const sizes = new ResizeObserver(then)
+  sizes.observe(node)
+  dark.addEventListener('change', then, { signal })
+  signal?.addEventListener('abort', () => sizes.disconnect())
+}
+
+/** Whether the page is dark. */
+export const dark = matchMedia('(prefers-color-scheme: dark)')
+
+/** Value of a colour of app.css: `colour('--live')`. */
+export const colour = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim()
+
+/** Waits. */
+export const sleep = (ms, signal) => new Promise(resolve => {
+  const timer = setTimeout(resolve, ms)
+  signal?.addEventListener('abort', () => { clearTimeout(timer); resolve() }, { once: true })
+})
+
+/** Gives a file to the browser. */
+export function download(name, content, type) {
+  const url = URL.createObjectURL(content instanceof Blob ? content : new Blob([content], { type }))
+  el('a', { href: url, download: name }).click()
+  setTimeout(() => URL.revokeObjectURL(url), 10_000)
+}

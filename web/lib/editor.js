@@ -1,0 +1,158 @@
+// The editor of an experiment: its text, a form for its keys, what the service finds wrong, and what it will take.
+// Nothing is queued before a person asks for it.
+
+import { Refused, get, keep, once, send } from './api.js'
+import { actor, outcome } from './actions.js'
+import { button, el, fill, sleep } from './dom.js'
+import { fields } from './fields.js'
+import { live, who } from './live.js'
+import { partsBar, planFacts, problemList } from './preflight.js'
+
+const REST_MS = 400
+let schemaAsked = null
+
+/** JSON schema of an experiment file, asked for once; null where the service has none. */
+export function schema() {
+  schemaAsked ??= get('/experiments/schema').catch(() => {
+    schemaAsked = null
+    return null
+  })
+  return schemaAsked
+}
+
+const local = at => (at ? new Date(new Date(at) - new Date(at).getTimezoneOffset() * 6e4).toISOString().slice(0, 16) : '')
+
+/**
+ * Makes the editor of `draft` { name, text, file, sensor?, notBefore?, run? }: a run that is edited, or
+ * none. `ifMatch()` is the entity tag of the queue; `ondone(row)` follows what was queued or changed.
+ */
+export function editor({ draft, ifMatch, ondone, onclose, signal }) {
+  const said = outcome()
+  const { run } = draft
+  const stored = `palpate-draft-${draft.name}`
+  const kept = keep('sessionStorage', stored)
+  const state = { ...draft, ...(kept && JSON.parse(kept)) }
+  const body = () => ({ file: state.file, definition: state.text, sensor: state.sensor ?? undefined })
+  const forget = () => keep('sessionStorage', stored, '')
+
+  const area = el('textarea', { id: 'definition', spellcheck: false, wrap: 'off', rows: 18, className: 'code', value: state.text })
+  const form = fields({
+    schema: null,
+    onchange: text => {
+      area.value = text
+      changed(text)
+    },
+  })
+  const found = el('div', { className: 'found', 'aria-live': 'polite' })
+  const start = el('input', { id: 'not-before', type: 'datetime-local', value: local(state.notBefore), min: local(new Date()) })
+  area.addEventListener('input', () => changed(area.value))
+  start.addEventListener('change', () => {
+    state.notBefore = start.value ? new Date(start.value).toISOString() : null
+    remember()
+  })
+  const remember = () =>
+    keep('sessionStorage', stored, JSON.stringify({ text: state.text, notBefore: state.notBefore, sensor: state.sensor, file: state.file }))
+
+  let asking = new AbortController()
+  function changed(text) {
+    state.text = text
+    remember()
+    form.show(text)
+    check()
+  }
+  /** The preflight, after a rest: problems stand next to their keys. */
+  async function check() {
+    asking.abort()
+    asking = new AbortController()
+    const until = AbortSignal.any([asking.signal, signal])
+    if (!live.may('operator'))
+      return fill(found, el('p', { className: 'soft' }, 'A key with the role operator is needed to check and to queue an experiment.'))
+    await sleep(REST_MS, until)
+    if (until.aborted) return undefined
+    try {
+      const p = await send('/preflight', body(), { signal: until })
+      const problems = form.show(state.text, p.problems)
+      save.disabled = p.problems.length > 0
+      const words = p.problems.length
+        ? el('p', { className: 'bad' }, 'This bench cannot run it. Change the values that are marked, or the rig file.')
+        : el('p', { className: 'good' }, 'This bench can run it.')
+      return fill(found, words, problemList(problems), planFacts(p), el('details', {}, el('summary', {}, 'Time by activity'), partsBar(p.parts)))
+    } catch (error) {
+      if (until.aborted) return undefined
+      const errors = error.problem?.errors
+      const problems = form.show(state.text, errors ?? [])
+      save.disabled = error.status === 422
+      return fill(
+        found,
+        el('p', { className: 'bad' }, errors ? 'The file is refused: change the values that are marked.' : `Not checked: ${error.message}`),
+        problemList(problems),
+      )
+    }
+  }
+
+  async function submit() {
+    const more = { ...body(), who: who(), not_before: state.notBefore ?? undefined }
+    const row = run ? await put(more) : await once('/queue', more)
+    forget()
+    ondone(row)
+  }
+  async function put(more) {
+    try {
+      return await send(`/queue/${run.uid}`, more, { method: 'PUT', headers: ifMatch() ? { 'if-match': ifMatch() } : {} })
+    } catch (error) {
+      if (error.status === 412)
+        throw new Refused(412, 'the queue has changed since it was shown. It is shown as it is now: save again if your change still fits', error.problem)
+      throw error
+    }
+  }
+  const save = actor(run ? 'Save changes' : 'Add to queue', said, submit, { className: 'main' })
+
+  const node = el(
+    'div',
+    { className: 'editor' },
+    el(
+      'div',
+      { className: 'editor-form' },
+      el('h3', {}, 'Keys'),
+      el('p', { className: 'soft small' }, 'They write into the text. A key that is absent has its default.'),
+      form.node,
+    ),
+    el(
+      'div',
+      { className: 'editor-text' },
+      el('label', { htmlFor: 'definition' }, `Text of ${state.file}`),
+      area,
+      state.sensor
+        ? el('p', { className: 'soft small' }, run || draft.from ? 'The sensor file is that of the run.' : 'The sensor file is the one that you chose.')
+        : null,
+      found,
+      el('label', { htmlFor: 'not-before' }, 'Earliest start (optional; the time of this computer)'),
+      start,
+      el('p', { className: 'soft small' }, 'The run begins at this time or later, once it is armed and started, and when no other run is active.'),
+      el(
+        'div',
+        { className: 'row' },
+        save,
+        button(
+          'Close',
+          () => {
+            forget()
+            onclose()
+          },
+          { className: 'plain' },
+        ),
+      ),
+      said.node,
+    ),
+  )
+  form.show(state.text)
+  schema().then(known => {
+    if (known && !signal.aborted) {
+      form.setSchema(known)
+      check()
+    }
+  })
+  live.addEventListener('caller', check, { signal })
+  check()
+  return { node }
+}

@@ -1,0 +1,72 @@
+// The forces of a plan: its limits, and what an earlier run on the same skin pressed at most.
+
+import { get } from './api.js'
+import { el, facts, fill, link, panel } from './dom.js'
+import { schema } from './editor.js'
+import { count, counted, fixed } from './format.js'
+import { live } from './live.js'
+import { largest, median } from './runwords.js'
+import { table } from './table.js'
+import { raw } from './toml.js'
+
+const RUNS = 20
+
+/** The newest run before `run` that pressed the same skin, with its forces: { run, settings: [{ tips, configurations, median, most }] }, or null. */
+async function earlier(run, signal) {
+  const { items } = await get('/runs', { limit: RUNS }, { signal })
+  const alike = one => one.kind === 'real-hex' && one.started_at && one.uid !== run?.uid && (!run || one.sensor_sha256 === run.sensor_sha256)
+  const found = items.find(alike)
+  if (!found) return null
+  const [tour, progress] = await Promise.all(['tour', 'progress'].map(part => get(`/runs/${found.scan_id}/${part}`, {}, { signal, wait: 20_000 })))
+  const forces = new Map()
+  tour.steps.tips.forEach((tips, i) => {
+    const force = progress.largest_force_n[i]
+    if (force != null) forces.set(tips, [...(forces.get(tips) ?? []), force])
+  })
+  const settings = [...forces].sort(([a], [b]) => a - b).map(([tips, all]) => ({ tips, configurations: all.length, median: median(all), most: largest(all) }))
+  return settings.length ? { run: found, deepest_mm: tour.depths_mm.at(-1), settings } : null
+}
+
+function seen({ run, deepest_mm, settings }) {
+  const words = [
+    'Largest force of a configuration in ',
+    link(`/runs?run=${run.scan_id}`, `run ${run.scan_id}, ${run.experiment}`),
+    `, the newest on this skin, down to ${fixed(deepest_mm, 2, 'mm')}:`,
+  ]
+  const columns = [
+    { head: 'Setting', left: true, cell: one => counted(one.tips, 'tip') },
+    { head: 'Configurations', cell: one => count(one.configurations) },
+    { head: 'Median', cell: one => fixed(one.median, 1, 'N') },
+    { head: 'Largest', cell: one => fixed(one.most, 1, 'N') },
+  ]
+  return [el('p', { className: 'soft' }, words), table({ rows: settings, columns }).node]
+}
+
+/** Makes the panel. `p` is the preflight or null, `text` the experiment file, `run` the stored run or null, `depths` of its tour. */
+export async function forcesPanel({ p, text, run, depths = [], signal }) {
+  const known = await schema()
+  const rig = live.status?.rig
+  const limit = key => Number(raw(text, 'limits', key) ?? known?.properties?.limits?.properties?.[key]?.default ?? NaN)
+  const before = el('div', {}, el('p', { className: 'soft' }, 'Looking for an earlier run on this skin …'))
+  const list = facts([
+    ['Limit on one tip', fixed(limit('force_n'), 0, 'N')],
+    ['Limit on all tips', fixed(limit('force_sum_n'), 0, 'N')],
+    ['Limit of the rig', fixed(rig?.force_limit_n, 0, 'N')],
+    depths.length > 0 && ['Depths', String(depths.length)],
+    depths.length > 0 && ['Deepest', fixed(depths.at(-1), 2, 'mm')],
+  ])
+  const silent = p?.if_silent ? el('p', { className: 'said' }, `If the service stops during a press: ${p.if_silent}.`) : null
+  if (p?.kind !== 'real-random') {
+    earlier(run, signal).then(
+      found =>
+        fill(
+          before,
+          found
+            ? seen(found)
+            : el('p', { className: 'soft' }, 'No earlier run pressed this skin: its forces are not known. Beyond a limit the rig trips and raises the tips.'),
+        ),
+      error => signal.aborted || fill(before, el('p', { className: 'soft' }, `Earlier forces have no answer: ${error.message}.`)),
+    )
+  } else fill(before, el('p', { className: 'soft' }, 'Weights press with their own force; each is in the experiment file.'))
+  return panel('Forces', {}, list, before, silent)
+}

@@ -1,0 +1,131 @@
+// Exports: a dataset in a format, written by the service, with progress. Polled while one is under way.
+
+import { get, once } from './api.js'
+import { actor, outcome } from './actions.js'
+import { button, el, panel, select, sleep } from './dom.js'
+import { bytes, count, moment, percent, plain } from './format.js'
+import { save } from './save.js'
+import { table } from './table.js'
+import { TONE } from './words.js'
+
+/** Formats of files, as the API names them. */
+export const FORMATS = { parquet: 'Parquet', arrow: 'Arrow', csv: 'CSV', ndjson: 'NDJSON', npz: 'NumPy (npz)' }
+const MAPS = [
+  ['', 'none'],
+  ['4x20', '4 mm pixels, 20 mm'],
+  ['10x30', '10 mm pixels, 30 mm'],
+  ['20x60', '20 mm pixels, 60 mm'],
+]
+const busy = one => ['waiting', 'running'].includes(one.state)
+
+/** Makes the panel of the exports; `choose(name)` sets the dataset of the form. */
+export function exportsPanel({ signal }) {
+  const said = outcome(),
+    dataset = el('input', { id: 'ex-dataset', required: true, placeholder: 'name or id' })
+  const format = select(Object.entries(FORMATS), 'parquet', () => {}, { id: 'ex-format' }),
+    map = select(MAPS, '', () => {}, { id: 'ex-map' })
+  const where = el('input', { id: 'ex-where', placeholder: 'split=train, max_force_n__gt=10' }),
+    columns = el('input', { id: 'ex-columns', placeholder: 'all' })
+  const field = (words, node) => el('div', {}, el('label', { htmlFor: node.id }, words), node)
+  const list = text =>
+    text
+      .split(',')
+      .map(word => word.trim())
+      .filter(Boolean)
+  const asks = actor(
+    'Export',
+    said,
+    async () => {
+      const body = {
+        dataset: dataset.value.trim(),
+        format: format.value,
+        ...(map.value && { map: map.value }),
+        ...(where.value && { where: list(where.value) }),
+        ...(columns.value && { columns: list(columns.value) }),
+      }
+      const made = await once('/exports', body)
+      await read()
+      return made
+    },
+    { role: 'viewer', className: 'main', what: 'Export' }
+  )
+  const state = one =>
+    el(
+      'span',
+      { className: TONE[one.state] ?? '' },
+      one.state === 'failed'
+        ? `failed: ${one.error}`
+        : one.state === 'running'
+          ? `${percent(one.rows_done, one.rows_total)}, ${count(one.rows_done)} of ${count(one.rows_total)} rows`
+          : plain(one.state)
+    )
+  const what = one =>
+    [
+      FORMATS[one.request.format] ?? one.request.format,
+      one.request.map && `with force maps ${one.request.map}`,
+      one.request.where?.length && `where ${one.request.where.join(' and ')}`,
+      one.request.columns?.length && `${one.request.columns.length} columns`,
+    ]
+      .filter(Boolean)
+      .join(', ')
+  const rows = table({
+    empty: 'No export yet. Small datasets need none: they download at once, above.',
+    columns: [
+      { head: 'Dataset', cell: one => one.request.dataset, left: true },
+      { head: 'File', cell: what, left: true },
+      { head: 'State', cell: state, left: true },
+      { head: 'Size', cell: one => (one.bytes == null ? null : bytes(one.bytes)) },
+      { head: 'Requested', cell: one => `${moment(one.created_at)} by ${one.asked_by}` },
+      { head: 'Save', cell: one => one.url && save('Save', one.url, `${one.dataset ?? one.request.dataset}.${one.request.format}`) },
+    ],
+  })
+  let items = [],
+    next = null
+  const more = button('More', () => read(next), { hidden: true })
+  async function read(cursor) {
+    const page = await get('/exports', { limit: 20, cursor }, { signal }).catch(() => null)
+    if (!page || signal.aborted) return
+    items = cursor ? [...items, ...page.items] : page.items
+    next = page.next
+    more.hidden = !next || items.length >= 200
+    rows.show(items)
+  }
+  async function watch() {
+    await read()
+    while (!signal.aborted) {
+      await sleep(1500, signal)
+      if (!signal.aborted && !document.hidden && items.some(busy)) await read()
+    }
+  }
+  watch()
+  const node = panel(
+    'Exports',
+    { id: 'exports', className: 'live' },
+    el('p', { className: 'soft' }, 'A large dataset, a selection or force maps: the service writes the file, also across a restart.'),
+    el(
+      'form',
+      {
+        className: 'form',
+        onsubmit: event => {
+          event.preventDefault()
+          asks.click()
+        },
+      },
+      field('Dataset', dataset),
+      field('Format', format),
+      field('Force maps', map),
+      field('Conditions', where),
+      field('Columns', columns)
+    ),
+    el('div', { className: 'row' }, asks),
+    said.node,
+    rows.node,
+    more
+  )
+  return {
+    node,
+    choose(name) {
+      dataset.value = name
+    },
+  }
+}

@@ -1,0 +1,126 @@
+// Forces: six bars that move with every sample, with the limit; force and depth over the last minutes.
+
+import { colour, el, say, soon } from './dom.js'
+import { clock, fixed } from './format.js'
+import { chart } from './chart.js'
+import { live, samples } from './live.js'
+
+const ARMS = [0, 1, 2, 3, 4, 5], PEAK_MS = 30_000, BINS = 360, DRAW_MS = 480, OLD_MS = 5000
+const OVER = 1.1 // A bar's end in limits: the rule of app.css draws the limit at 1 / 1.1.
+const SHOWN_MM = 6 // The depth is drawn near the surface only: a raised tip would hide it.
+
+/** Index of the first sample at or after a time. */
+function from(at) {
+  let low = 0, high = samples.at_ms.length
+  while (low < high) {
+    const mid = low + high >> 1
+    if (samples.at_ms[mid] < at) low = mid + 1
+    else high = mid
+  }
+  return low
+}
+
+/** Makes the bars. A missing cell has a dashed line; the thin mark is the largest force of the last 30 s. */
+export function forceBars({ signal }) {
+  const rows = ARMS.map(arm => {
+    const bar = el('i'), peak = el('u'), text = el('b', {}, '–')
+    const track = el('span', { className: 'track limited' }, bar, peak)
+    return { bar, peak, text, track, node: el('li', {}, el('span', {}, el('i', { className: `arm arm-${arm + 1}` }), `Arm ${arm + 1}`), track, text) }
+  })
+  const note = el('p', { className: 'soft small' })
+  const node = el('div', {}, el('ul', { className: 'bars' }, rows.map(row => row.node)), note)
+  const draw = soon(() => {
+    const { rig } = live.status ?? {}
+    if (!rig) return
+    const limit = rig.force_limit_n, last = samples.at_ms.length - 1
+    const recent = last >= 0 && Date.now() - samples.at_ms[last] < 5000
+    const forces = recent ? samples.forces_n[last] : rig.forces_n, begin = recent ? from(samples.at_ms[last] - PEAK_MS) : 0
+    rows.forEach(({ bar, peak, text, track }, arm) => {
+      const force = forces?.[arm] ?? null
+      let most = force ?? 0
+      if (recent) for (let i = begin; i <= last; i += 1) most = Math.max(most, samples.forces_n[i]?.[arm] ?? 0)
+      const part = newtons => Math.max(0, Math.min(1, newtons / (OVER * (limit ?? 100))))
+      const share = part(force ?? 0)
+      bar.style.transform = `scaleX(${share.toFixed(4)})`
+      peak.style.left = `${(100 * part(most)).toFixed(2)}%`
+      peak.hidden = force == null || most < 1
+      track.className = `track limited${force == null ? ' off' : limit != null && force >= limit ? ' bad' : ''}`
+      say(text, force == null ? 'no cell' : fixed(force, 1, 'N'))
+    })
+    say(note, limit == null ? 'This rig has no load cells.' : `Red line: limit ${fixed(limit, 0, 'N')} on one cell. Thin mark: largest of the last 30 s.`)
+  })
+  live.on('status', draw, signal)
+  live.on('samples', draw, signal)
+  return node
+}
+
+/** Makes the chart of the last `minutes`: force of each arm, depth below the surface; redrawn twice per second. */
+export function forceChart({ signal, height = 150, minutes = 2, label }) {
+  const view = chart({
+    title: 'Force and depth', x: 'Time', y: 'Force', unit: 'N', height, signal, label, query: () => `/api/v1/rig/samples?minutes=${Math.min(30, minutes)}`,
+    series: [...ARMS.map(arm => ({ name: `arm ${arm + 1}`, digits: 1 })),
+      { name: 'depth', unit: 'mm', digits: 2, axis: 'right', colour: '--soft', dash: [3, 3] }],
+    range: () => [0, OVER * (live.status?.rig.force_limit_n ?? 100)], right: { range: () => [-SHOWN_MM, SHOWN_MM], label: 'Depth, mm' },
+    marks: u => limitLine(u, live.status?.rig.force_limit_n),
+  })
+  const old = el('p', { className: 'soft small' })
+  let drawn = 0, heard = 0
+  const draw = soon(() => {
+    if (!samples.at_ms.length || document.hidden) return
+    drawn = Date.now()
+    view.set(columns(minutes, live.status?.rig.surface?.surface_z_mm))
+  })
+  live.on('samples', () => {
+    heard = Date.now()
+    if (heard - drawn > DRAW_MS) draw()
+  }, signal)
+  live.on('status', () => {
+    const last = samples.at_ms.at(-1)
+    const words = last ? `No new samples: the last is of ${clock(last)}.` : 'No samples yet: they come while the rig is connected.'
+    say(old, Date.now() - heard < OLD_MS ? '' : words)
+  }, signal)
+  draw()
+  return { node: el('div', { className: 'force-chart' }, view.node, old), minutes(next) { minutes = next; draw() } }
+}
+
+// The window in at most BINS columns, each with its largest forces and depth: no peak is lost.
+function columns(minutes, surface_z_mm) {
+  const end = samples.at_ms.at(-1), begin = end - 60e3 * minutes, step = 60e3 * minutes / BINS
+  const out = Array.from({ length: 8 }, () => [])
+  let bin = -1
+  for (let i = from(begin); i < samples.at_ms.length; i += 1) {
+    const at = Math.floor((samples.at_ms[i] - begin) / step)
+    if (at !== bin) {
+      // A gap of more than a second is drawn as one.
+      const before = samples.at_ms[i - 1], gap = bin >= 0 && samples.at_ms[i] - before > Math.max(1500, 2 * step)
+      if (gap) out.forEach((column, k) => column.push(k ? null : (before + 1) / 1e3))
+      bin = at
+      out.forEach((column, k) => column.push(k ? null : samples.at_ms[i] / 1e3))
+    }
+    const to = out[0].length - 1, z = samples.z_mm[i]
+    for (const arm of ARMS) {
+      const force = samples.forces_n[i]?.[arm]
+      if (force != null && (out[arm + 1][to] == null || force > out[arm + 1][to])) out[arm + 1][to] = force
+    }
+    const depth = z == null || surface_z_mm == null ? null : z - surface_z_mm
+    if (depth != null && depth > -SHOWN_MM && (out[7][to] == null || depth > out[7][to])) out[7][to] = depth
+  }
+  return out
+}
+
+/** Draws a limit over a chart, as a red line with its value. */
+export function limitLine(u, limit) {
+  if (limit == null) return
+  const y = u.valToPos(limit, 'y', true), { left, width, top, height } = u.bbox
+  if (y < top || y > top + height) return
+  const pen = u.ctx, ratio = window.devicePixelRatio || 1
+  pen.save()
+  pen.strokeStyle = colour('--bad')
+  pen.setLineDash([])
+  pen.lineWidth = ratio
+  pen.beginPath()
+  pen.moveTo(left, y)
+  pen.lineTo(left + width, y)
+  pen.stroke()
+  pen.restore()
+}

@@ -1,0 +1,64 @@
+// Numbers, times and words as texts. No DOM.
+
+/** Shown for what is not known. */
+export const NONE = '–'
+
+/** 12,481 */
+export const count = n => n == null ? NONE : n.toLocaleString('en-US')
+
+/** A number with fixed digits and its unit; a true minus sign. */
+export const fixed = (x, digits, unit = '') => x == null || Number.isNaN(x) ? NONE
+  : x.toFixed(digits).replace(/^-(?=.*[1-9])/, '\u2212').replace('-', '') + (unit && `\u202f${unit}`)
+
+/** A number with three significant digits. */
+export const about = (x, unit = '') => {
+  if (x == null || Number.isNaN(x)) return NONE
+  const size = Math.abs(x), digits = size >= 100 || size === 0 ? 0 : size >= 10 ? 1 : size >= 1 ? 2 : Math.min(6, 2 - Math.floor(Math.log10(size)))
+  return fixed(x, digits, unit)
+}
+
+/** 1.2 GB */
+export function bytes(n) {
+  if (n == null) return NONE
+  const step = Math.min(4, n < 1 ? 0 : Math.floor(Math.log10(n) / 3))
+  const value = n / 1000 ** step
+  return `${step && value < 100 ? value.toFixed(1) : Math.round(value)}\u202f${['B', 'kB', 'MB', 'GB', 'TB'][step]}`
+}
+
+/** 14:03:59 */
+export const clock = t => new Date(t).toLocaleTimeString('en-GB')
+
+/** 14:03, with the day if it is not today. */
+export function moment(t, seconds = false) {
+  if (t == null) return NONE
+  const day = x => new Date(x).setHours(0, 0, 0, 0)
+  const days = Math.round((day(t) - day(Date.now())) / 864e5)
+  const words = days === 0 ? '' : days === 1 ? 'tomorrow ' : days === -1 ? 'yesterday '
+    : `${new Date(t).toLocaleDateString('en-GB', { day: 'numeric', month: 'short' })} `
+  return words + clock(t).slice(0, seconds ? 8 : 5)
+}
+
+/** 5 s, 12 min, 3 h 04 min */
+export function span(s) {
+  if (s == null) return NONE
+  if (s < 10) return `${s.toFixed(1)}\u202fs`
+  if (s < 60) return `${Math.round(s)}\u202fs`
+  if (s < 3600) return `${Math.floor(s / 60)}\u202fmin`
+  if (s < 172_800) return `${Math.floor(s / 3600)}\u202fh ${String(Math.floor(s % 3600 / 60)).padStart(2, '0')}\u202fmin`
+  return `${Math.floor(s / 86_400)} days`
+}
+
+/** Age of a moment, s. */
+export const age = t => t == null ? null : Math.max(0, (Date.now() - new Date(t)) / 1e3)
+
+/** 37.8 % of a whole, rounded down: 100 % is said only at the end. */
+export const percent = (n, of) => n == null || !of ? NONE : `${(Math.floor(n / of * 1000) / 10).toFixed(1)}\u202f%`
+
+/** tip_change -> tip change */
+export const plain = x => typeof x === 'string' ? x.replaceAll('_', ' ') : JSON.stringify(x)
+
+/** First letter in capitals. */
+export const capital = text => text && text[0].toUpperCase() + text.slice(1)
+
+/** 1 trial, 2 trials */
+export const counted = (n, word, words = `${word}s`) => `${count(n)} ${n === 1 ? word : words}`

@@ -1,0 +1,147 @@
+// The course of a run: trials per hour, retries, force and fit over the night, states as a band, events as
+// marks that open their text, and how good the predictions of its end were. The night and the runs show it.
+
+import { get } from './api.js'
+import { chart } from './chart.js'
+import { button, colour, el, fill, panel, say, select } from './dom.js'
+import { count, fixed, moment, plain, span } from './format.js'
+import { LOUD, TONE, WAITS, sentence } from './words.js'
+
+const TONES = { good: '--live', warn: '--warn', bad: '--bad' }
+const ms = text => text == null ? null : Date.parse(text)
+const seconds = text => ms(text) / 1e3
+
+/** How the predicted end compares with the actual one, or with the newest estimate: a sentence, '' without any. */
+export function predictionWords({ predicted_s, elapsed_s, predictions = [], from }, endedAt, eta_s) {
+  if (predicted_s == null) return ''
+  const planned = ms(from) + 1e3 * predicted_s, end = endedAt ?? (eta_s == null ? null : Date.now() + 1e3 * eta_s)
+  const words = [`Predicted when it was armed: ${span(predicted_s)}, until ${moment(planned)}.`]
+  if (end != null) {
+    const late = (end - planned) / 60e3, verb = endedAt ? 'It ended' : 'It now ends about'
+    words.push(Math.abs(late) < 1 ? `${verb} as predicted.` : `${verb} ${span(60 * Math.abs(late))} ${late > 0 ? 'later' : 'earlier'}.`)
+  } else if (elapsed_s != null) words.push(`Elapsed: ${span(elapsed_s)}.`)
+  if (predictions.length > 2) {
+    const ends = predictions.map(p => ms(p.end))
+    words.push(`Estimates since then: ${moment(Math.min(...ends))} to ${moment(Math.max(...ends))}.`)
+  }
+  return words.join(' ')
+}
+
+/**
+ * Makes the panel. `state` is { from, to, night, event } of the address, `set` changes it. `show(run, extra)`
+ * reads the history of a run and draws it; `update(state)` follows the address.
+ */
+export function history({ title = 'The night', state, set, signal, label, height = 170 }) {
+  let data = null, run = null, facts = {}, shown = ''
+  const words = el('p', { className: 'soft small' }), text = el('p', { className: 'event-text', role: 'status' }), band = el('p', { className: 'legend' })
+  const whole = button('Whole run', () => set({ from: null, to: null }), { className: 'plain', hidden: !state.from })
+  const query = () => `/api/v1/runs/${run?.scan_id}/history?bins=${bins()}`
+  const bins = () => state.from ? 1000 : 120
+  const onselect = (low, high) => set({ from: Math.round(low), to: Math.round(high) })
+  const marks = u => drawMarks(u, data)
+  const shared = { height, signal, label, query, onselect, marks }
+  const rate = chart({ ...shared, title: 'Trials per hour', y: 'Per hour', range: (_, high) => [0, Math.max(10, 1.15 * (high || 1))],
+    series: [{ name: 'trials', digits: 0, steps: true, fill: true }, { name: 'failed attempts', digits: 0, steps: true, colour: '--bad' }] })
+  const fit = chart({ ...shared, title: 'Largest force and fit of the twins', y: 'Force', unit: 'N',
+    series: [{ name: 'largest force', digits: 1, colour: '--c3' }, { name: 'median FVU', unit: '', digits: 3, axis: 'right', colour: '--c2' }],
+    range: (_, high) => [0, Math.max(20, 1.15 * (high || 1))], right: { range: (_, low, high) => [0, Math.max(0.1, 1.15 * (high || 0))], label: 'FVU' } })
+  const end = chart({ ...shared, title: 'Predicted end, against the actual or newest one', y: 'Later', unit: 'min',
+    series: [{ name: 'likely', digits: 0 }, ...['early', 'late'].map(name => ({ name, digits: 0, colour: '--grey', dash: [3, 3] }))] })
+  const second = el('div'), choice = select([['fit', 'Force and fit'], ['end', 'Predicted end']], state.night ?? 'fit',
+    night => set({ night: night === 'fit' ? null : night }), { 'aria-label': 'Second chart' })
+  const charts = el('div', { className: 'pair' }, rate.node, second)
+  const aside = el('span', { className: 'row tight' }, whole, choice)
+  const node = panel(title, { className: 'live', aside }, charts, el('div', { className: 'night-said' }, band, text), words)
+
+  for (const one of [rate, fit, end]) one.node.addEventListener('click', event => pick(one.plot, event))
+  function pick(u, event) {
+    if (!u || !data) return
+    const x = event.clientX - u.over.getBoundingClientRect().left
+    const near = data.events.map(e => ({ e, d: Math.abs(u.valToPos(seconds(e.at), 'x') - x) })).sort((a, b) => a.d - b.d)[0]
+    if (near?.d < 9) set({ event: near.e.seq })
+  }
+  async function openEvent() {
+    const seq = state.event
+    if (!seq) return say(text, data?.events.length ? 'Choose a mark to read what happened.' : '')
+    try {
+      const { items } = await get('/events', { since: seq - 1, limit: 1 }, { signal })
+      const found = items.find(event => event.seq === Number(seq))
+      return say(text, found ? `${moment(found.at, true)}: ${sentence(found)}` : 'This event is no longer stored.')
+    } catch (error) { return signal.aborted ? null : say(text, `The event could not be read: ${error.message}`) }
+  }
+
+  function draw() {
+    if (!data) return
+    const first = seconds(data.from), low = Number(state.from) || -Infinity, high = Number(state.to) || Infinity
+    const kept = data.trials.map((_, i) => i).filter(i => { const t = first + i * data.bin_s; return t + data.bin_s >= low && t <= high })
+    const x = kept.map(i => first + i * data.bin_s), per = 3600 / data.bin_s
+    const column = (values, scale = 1) => kept.map(i => values[i] == null ? null : scale * values[i])
+    rate.set([x, column(data.trials, per), column(data.attempts_failed, per)])
+    fit.set([x, column(data.largest_force_n), column(data.fvu)])
+    const told = data.predictions.filter(p => seconds(p.at) >= low && seconds(p.at) <= high)
+    const aim = facts.endedAt ?? ms(data.predictions.at(-1)?.end)
+    end.set([told.map(p => seconds(p.at)), ...['end', 'low', 'high'].map(key => told.map(p => (ms(p[key]) - aim) / 60e3))])
+    whole.hidden = !state.from
+    say(words, predictionWords(data, facts.endedAt, facts.eta_s))
+    const kinds = [...new Set(data.states.map(s => s.state))]
+    const lasted = kind => data.states.filter(s => s.state === kind).reduce((sum, s) => sum + ((ms(s.to) ?? ms(data.to)) - ms(s.from)) / 1e3, 0)
+    fill(band, kinds.map(kind => el('span', {}, el('i', { className: `tone-${TONE[kind] ?? 'none'}` }), `${plain(kind)} ${span(lasted(kind))}`)),
+      data.events.length > 0 && el('span', {}, `${count(data.events.length)} ${data.events.length === 1 ? 'mark' : 'marks'}`))
+  }
+  function place() {
+    const wanted = state.night === 'end' ? end.node : fit.node
+    if (second.firstChild !== wanted) fill(second, wanted)
+    if (choice.value !== (state.night ?? 'fit')) choice.value = state.night ?? 'fit'
+  }
+  place()
+  return {
+    node,
+    /** Body of the newest history, or null. */
+    data: () => data,
+    async show(next, more = {}) {
+      run = next
+      facts = more
+      try {
+        data = await get(`/runs/${run.scan_id}/history`, { bins: bins() }, { signal })
+        draw()
+        if (shown !== state.event) { shown = state.event; openEvent() } else if (!state.event) openEvent()
+      } catch (error) { if (!signal.aborted) say(words, `The history of this run could not be read: ${error.message}`) }
+    },
+    update(next) {
+      const zoomed = next.from !== state.from || next.to !== state.to, opened = next.event !== state.event
+      state = next
+      place()
+      if (opened) { shown = state.event; openEvent() }
+      if (run && zoomed) { draw(); this.show(run, facts) }
+    },
+  }
+}
+
+// States as a strip under the curves, waits shaded over the whole height, events as triangles above.
+function drawMarks(u, data) {
+  if (!data) return
+  const pen = u.ctx, ratio = window.devicePixelRatio || 1, { left, top, width, height } = u.bbox
+  const x = t => Math.max(left, Math.min(left + width, u.valToPos(t / 1e3, 'x', true)))
+  pen.save()
+  for (const one of data.states) {
+    const from = x(ms(one.from)), to = x(ms(one.to) ?? ms(data.to)), tone = TONE[one.state]
+    if (to <= from) continue
+    pen.fillStyle = colour(TONES[tone] ?? '--grey')
+    pen.fillRect(from, top + height - 4 * ratio, to - from, 4 * ratio)
+    if (tone && tone !== 'good') { pen.globalAlpha = 0.12; pen.fillRect(from, top, to - from, height); pen.globalAlpha = 1 }
+  }
+  for (const one of data.events) {
+    const at = u.valToPos(seconds(one.at), 'x', true)
+    if (at < left || at > left + width) continue
+    pen.fillStyle = colour(TONES[LOUD[one.kind]] ?? '--soft')
+    pen.beginPath()
+    pen.moveTo(at - 5 * ratio, top)
+    pen.lineTo(at + 5 * ratio, top)
+    pen.lineTo(at, top + 9 * ratio)
+    pen.fill()
+  }
+  pen.restore()
+}
+
+/** A state with its reason, for a list. */
+export const stateWords = ({ state, why }) => `${plain(state)}${why ? ` (${WAITS[why] ?? plain(why)})` : ''}`

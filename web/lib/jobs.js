@@ -1,0 +1,215 @@
+// Trainings and evaluations as jobs: the list, and one with its progress, losses and result. Polled each 2 s while one runs.
+
+import { get, send } from './api.js'
+import { confirm, named } from './actions.js'
+import { button, el, facts, fill, link, panel, say, sleep } from './dom.js'
+import { capital, count, counted, fixed, moment, percent, plain, span } from './format.js'
+import { live } from './live.js'
+import { losses } from './losses.js'
+import { reportView } from './scores.js'
+import { table } from './table.js'
+import { raw } from './toml.js'
+import { TONE } from './words.js'
+
+/** Whether a job has not ended. */
+export const busy = job => ['waiting', 'running'].includes(job.state)
+const recipeName = job => (raw(job.request.recipe ?? '', '', 'name') ?? '').replace(/"/g, '') || 'a recipe'
+
+/** What a job is, in a few words. */
+export const jobWords = job =>
+  job.kind === 'training'
+    ? `training of ${recipeName(job)}`
+    : `evaluation of ${job.request.scored} on ${job.request.dataset}${job.request.part ? `, ${job.request.part}` : ''}`
+
+function stateWords(job) {
+  const p = job.progress
+  if (job.state === 'failed') return `failed: ${job.error}`
+  if (job.state !== 'running' || !p) return plain(job.state)
+  return [
+    p.phase,
+    p.epoch != null && `epoch ${count(p.epoch)}`,
+    p.total > 0 && percent(p.done, p.total),
+    p.left_s != null && `${span(p.left_s)} to go in this phase`,
+  ]
+    .filter(Boolean)
+    .join(', ')
+}
+const took = job => (job.started_at ? ((job.finished_at ? new Date(job.finished_at) : Date.now()) - new Date(job.started_at)) / 1e3 : null)
+const state = job => el('span', { className: TONE[job.state] ?? '' }, stateWords(job))
+
+/** Makes the list. `onchange(jobs, ended)` after each reading; `ended`: whether one ended since the last. */
+export function jobsPanel({ signal, href, current, onchange }) {
+  const rows = table({
+    href: job => href(job.id),
+    current: job => job.id === current(),
+    empty: 'No training and no evaluation yet: start one below.',
+    columns: [
+      { head: 'Job', left: true, cell: job => capital(jobWords(job)) },
+      { head: 'State', left: true, cell: state },
+      { head: 'Requested', left: true, cell: job => `${moment(job.created_at, true)} by ${job.asked_by}` },
+      { head: 'Took', cell: job => span(took(job)) },
+      {
+        head: 'Result',
+        left: true,
+        cell: job =>
+          job.result?.model ? link(`/nets?model=${job.result.model}`, job.result.name) : job.result?.scored ? counted(job.result.rows, 'row') : null,
+      },
+    ],
+  })
+  const more = button('More', () => read(next), { hidden: true }),
+    node = panel('Jobs', { className: 'live' }, rows.node, el('div', { className: 'row' }, more))
+  let jobs = [],
+    next = null,
+    before = ''
+  async function read(cursor) {
+    const page = await get('/jobs', { limit: cursor ? 50 : 25, cursor }, { signal }).catch(() => null)
+    if (!page || signal.aborted) return
+    // The first page is read again and again: what was read beyond it stays.
+    const fresh = new Set(page.items.map(job => job.id))
+    const had = jobs.length > page.items.length || cursor
+    jobs = cursor
+      ? [...jobs, ...page.items.filter(job => !jobs.some(one => one.id === job.id))]
+      : [...page.items, ...jobs.filter(job => !fresh.has(job.id))]
+    if (cursor || !had) next = page.next
+    more.hidden = !next || jobs.length >= 500
+    rows.show(jobs)
+    const ended = jobs
+        .filter(job => !busy(job))
+        .map(job => job.id)
+        .join(),
+      changed = before !== '' && before !== ended
+    before = ended || '-'
+    onchange(jobs, changed)
+  }
+  async function watch() {
+    for (let wait = 0; !signal.aborted; wait = jobs.some(busy) ? 2000 : 10_000) {
+      await sleep(wait, signal)
+      if (!signal.aborted && !document.hidden) await read()
+    }
+  }
+  watch()
+  return { node, read: () => read(), redraw: () => rows.show(jobs), all: () => jobs }
+}
+
+/** Makes the view of one job; ends what it began when another one is shown. */
+export function jobView({ signal, said, models, onstopped }) {
+  const node = el('div', { className: 'job' })
+  let shown = null,
+    ending = new AbortController()
+  signal.addEventListener('abort', () => ending.abort())
+
+  async function show(id) {
+    if (id === shown) return
+    shown = id
+    ending.abort()
+    ending = new AbortController()
+    node.hidden = !id
+    fill(node)
+    if (!id) return
+    const mine = ending.signal,
+      title = el('span', {}),
+      words = el('p', {}),
+      bar = el('progress', { max: 1, value: 0, 'aria-label': 'Progress of this phase' }),
+      numbers = el('div'),
+      result = el('div'),
+      controls = el('div', { className: 'row' })
+    fill(
+      node,
+      el(
+        'section',
+        { className: 'live', 'aria-label': 'Job' },
+        el('div', { className: 'row spread' }, el('h2', { className: 'big' }, title), link('/nets', 'Close')),
+        words,
+        bar,
+        numbers,
+        controls
+      ),
+      result
+    )
+    let job = null,
+      curves = null,
+      drawn = ''
+    const stop = button(
+      'Stop the job',
+      async () => {
+        const sure = await confirm('Stop this job?', 'A stopped training keeps no model. It can be requested again.', 'Stop the job')
+        if (sure && (await named())) {
+          await said.run('Stop the job', () => send(`/jobs/${id}/stop`, undefined, { method: 'POST' }))
+          onstopped()
+        }
+      },
+      { className: 'danger' }
+    )
+    stop.dataset.role = 'operator'
+    stop.classList.toggle('denied', !live.may('operator'))
+    const draw = () => {
+      say(title, capital(jobWords(job)))
+      fill(
+        words,
+        state(job),
+        job.state === 'waiting' ? '. Jobs run one after the other; this one begins by itself.' : '.',
+        job.dataset ? [' Dataset: ', link(`/data?dataset=${job.dataset}`, job.dataset), '.'] : ''
+      )
+      bar.hidden = job.state !== 'running'
+      bar.value = job.progress?.total ? job.progress.done / job.progress.total : 0
+      const p = job.progress
+      fill(
+        numbers,
+        facts(
+          [
+            ['Requested', moment(job.created_at, true)],
+            ['By', job.asked_by],
+            ['Took', span(took(job))],
+            p?.total > 0 && ['Done', `${count(p.done)} of ${count(p.total)}`],
+            p?.per_second != null && ['Rate', `${count(Math.round(p.per_second))} per s`],
+            p?.train_loss != null && ['Train loss', fixed(p.train_loss, 5)],
+            p?.validation_loss != null && ['Validation loss', fixed(p.validation_loss, 5)],
+          ].map(fact => fact || null)
+        )
+      )
+      fill(controls, busy(job) && stop)
+      if (job.kind === 'training' && job.state !== 'waiting' && !curves) {
+        curves = losses({ path: `/jobs/${id}/losses`, signal: mine, live: () => job.state === 'running' })
+        node.append(el('section', {}, curves.node))
+      }
+      if (drawn !== job.state) {
+        drawn = job.state
+        if (job.result?.scored) fill(result, panel('Result', {}, reportView(job.result, models())))
+        else if (job.result?.model)
+          fill(
+            result,
+            panel(
+              'Result',
+              {},
+              el(
+                'p',
+                {},
+                'The model ',
+                link(`/nets?model=${job.result.model}`, `${job.result.name} (${job.result.model})`),
+                ' is stored. Evaluate it, then promote it.'
+              )
+            )
+          )
+        else if (job.kind === 'training') fill(result, panel('Recipe', {}, el('pre', { tabIndex: 0 }, job.request.recipe.trim())))
+      }
+    }
+    while (!mine.aborted) {
+      try {
+        job = await get(`/jobs/${id}`, {}, { signal: mine })
+        if (mine.aborted) return
+        draw()
+        if (!busy(job)) return
+      } catch (error) {
+        if (mine.aborted) return
+        if (!job) {
+          say(title, id)
+          fill(words, el('span', { className: 'bad' }, error.message))
+          if (error.status) return
+        }
+      }
+      await sleep(2000, mine)
+      while (document.hidden && !mine.aborted) await sleep(500, mine)
+    }
+  }
+  return { node, show }
+}

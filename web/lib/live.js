@@ -1,0 +1,111 @@
+// The state of rig and run as all pages share it: one socket, or polling where there is none.
+// Old is known to be old: `live.fresh` is false within 3 s after the last answer.
+
+import { ask, door, get, keep, person, socket } from './api.js'
+import { sleep } from './dom.js'
+
+const OLD_MS = 2600
+
+/** The newest status; dispatches `status`, `samples`, `fresh` and `caller`. */
+class Live extends EventTarget {
+  /** Body of `GET /status`; null before the first one. */
+  status = null
+  /** Whether the status is at most 3 s old. */
+  fresh = false
+  /** Time of the newest status, ms. */
+  at = 0
+  /** Why there is no fresh status. */
+  why = ''
+  /** Name and role of the caller; null while unknown. */
+  caller = null
+
+  /** Calls `then` now and on each change, until `signal` aborts. */
+  on(kind, then, signal) {
+    this.addEventListener(kind, () => then(this), { signal })
+    if (this.status || kind === 'fresh') then(this)
+  }
+
+  /** Whether the caller may do what needs this role. */
+  may(role) {
+    const order = ['viewer', 'operator', 'admin']
+    return order.indexOf(this.caller?.role ?? 'viewer') >= order.indexOf(role)
+  }
+
+  take(status) {
+    this.status = status
+    this.at = Date.now()
+    this.state(true, '')
+    this.dispatchEvent(new Event('status'))
+  }
+
+  state(fresh, why) {
+    const changed = this.fresh !== fresh || this.why !== why
+    this.fresh = fresh
+    this.why = why
+    if (changed) this.dispatchEvent(new Event('fresh'))
+  }
+}
+export const live = new Live()
+
+// Samples of force and depth, of the last minutes: three columns of one length, oldest first.
+const KEPT_MS = 15 * 60_000
+export const samples = { at_ms: [], z_mm: [], forces_n: [] }
+function addSamples(more) {
+  if (!more?.at_ms?.length) return
+  const last = samples.at_ms.at(-1) ?? 0
+  const from = more.at_ms.findIndex(at => at > last)
+  if (from < 0) return
+  for (const key of Object.keys(samples)) samples[key].push(...more[key].slice(from))
+  const old = samples.at_ms.findIndex(at => at > samples.at_ms.at(-1) - KEPT_MS)
+  if (old > 2000) for (const key of Object.keys(samples)) samples[key].splice(0, old)
+  live.dispatchEvent(new Event('samples'))
+}
+
+async function caller() {
+  try {
+    live.caller = await get('/caller')
+    live.dispatchEvent(new Event('caller'))
+  } catch { /* A page without it offers what a viewer may do. */ }
+}
+
+function lost(error) {
+  live.state(false, error?.status === 401 ? 'No key, so no status' : error?.status ? `No status (${error.message})` : 'No connection')
+}
+
+async function poll(signal) {
+  for (let begun; !signal.aborted; await sleep(Math.max(100, begun + 500 - Date.now()), signal)) {
+    begun = Date.now()
+    if (socketAt > begun - 2000) continue
+    try { live.take(await (await ask('/api/v1/status', { wait: 2000 })).json()) } catch (error) { lost(error) }
+  }
+}
+
+let socketAt = 0
+async function listen(signal) {
+  await get('/rig/samples', { minutes: 10 }).then(addSamples, () => {})
+  socket('/status/live', {
+    signal, onmessage(message) {
+      socketAt = Date.now()
+      addSamples(message.samples)
+      if (message.status) live.take(message.status)
+    },
+  })
+}
+
+/** Starts; a new key starts again. */
+export function start() {
+  let ending = new AbortController()
+  const begin = () => {
+    ending.abort()
+    ending = new AbortController()
+    socketAt = 0
+    for (const run of [caller, poll, listen]) run(ending.signal)
+  }
+  door.addEventListener('key', begin)
+  setInterval(() => { if (live.fresh && Date.now() - live.at > OLD_MS) lost() }, 250)
+  begin()
+}
+
+/** Name for the log of actions; a remembered one, else that of the key. */
+export const who = () => person.name || live.caller?.name || ''
+export { keep }

@@ -1,0 +1,45 @@
+// The event log: newest first, what matters marked, followed live.
+
+import { follow } from './api.js'
+import { el, fill, panel, say, select, soon } from './dom.js'
+import { clock, moment } from './format.js'
+import { LOUD, sentence } from './words.js'
+
+const KEPT = 400, SHOWN = 80
+const MATTERS = new Set([...Object.keys(LOUD), 'ended', 'not_begun', 'recovering', 'repeat', 'placed', 'tips'])
+
+/** Whether a person must not miss an event. */
+export function matters({ kind, data }) {
+  if (kind === 'safe_end') return data?.tips === 'not_raised'
+  if (kind === 'state') return ['paused', 'panicked', 'interrupted'].includes(data?.state)
+  return MATTERS.has(kind)
+}
+
+const tone = event => event.kind === 'safe_end' && matters(event) ? 'bad' : LOUD[event.kind] ?? ''
+
+/** Makes the log. `state.log` is 'all' or absent (only what matters). */
+export function eventLog({ state, set, signal, since = -200 }) {
+  const kept = [], list = el('ol', { className: 'events scroll', tabIndex: 0, 'aria-label': 'Events, newest first' }), line = el('p',
+    { className: 'soft small' })
+  const choice = select([['', 'Only what matters'], ['all', 'All events']], state.log ?? '', value => set({ log: value }), { 'aria-label': 'Which events' })
+  const row = event => el('li', { className: tone(event) }, el('time', { dateTime: event.at, title: moment(event.at, true) },
+    Date.now() - Date.parse(event.at) < 64_800e3 ? clock(event.at) : moment(event.at)), el('span', {}, sentence(event)))
+  const draw = soon(() => {
+    const wanted = state.log === 'all' ? kept : kept.filter(matters), last = wanted.slice(-SHOWN).reverse()
+    fill(list, last.map(row))
+    if (last.length) say(line, wanted.length > SHOWN ? `The newest ${SHOWN} events.` : '')
+    else say(line, kept.length ? 'Nothing that matters happened. All events are one choice away.' : 'No events yet.')
+  })
+  follow(since, {
+    signal, onevent(event) {
+      kept.push(event)
+      if (kept.length > KEPT) kept.splice(0, kept.length - KEPT)
+      draw()
+    },
+  })
+  draw()
+  return {
+    node: panel('Events', { className: 'live log', aside: choice }, list, line),
+    update(next) { state = next; choice.value = state.log ?? ''; draw() },
+  }
+}

@@ -1,0 +1,184 @@
+// One model in full: what it learned from, its losses, its scores, the residuals of a Transfer-Net, its file.
+
+import { Refused, ask, get } from './api.js'
+import { button, el, facts, fill, link, note, panel, pane } from './dom.js'
+import { bytes, count, counted, fixed, moment } from './format.js'
+import { frame } from './frame.js'
+import { live } from './live.js'
+import { losses } from './losses.js'
+import { save } from './save.js'
+import { contactTable, voltageTable } from './scores.js'
+import { slotOf } from './serving.js'
+
+/** What each task maps to what. */
+export const TASKS = {
+  transfer: 'measured to simulated voltages',
+  recon: 'simulated voltages to a force map',
+  'end-to-end': 'measured voltages to a force map',
+  points: 'voltages to points and forces',
+}
+
+/** Makes the view of one model; ends what it began when another one is shown. `promote(id, slot)` asks and acts. */
+export function netView({ signal, models, promote }) {
+  const node = el('div', { className: 'net' })
+  let shown = null,
+    ending = new AbortController()
+  signal.addEventListener('abort', () => ending.abort())
+
+  async function show(id) {
+    if (id === shown) return
+    shown = id
+    ending.abort()
+    ending = new AbortController()
+    node.hidden = !id
+    fill(node)
+    if (!id) return
+    const mine = ending.signal
+    try {
+      const model = await get(`/models/${encodeURIComponent(id)}`, {}, { signal: mine })
+      if (!mine.aborted) draw(model, mine)
+    } catch (error) {
+      if (!mine.aborted)
+        fill(node, el('section', {}, el('h2', { className: 'big' }, id), el('p', { className: 'bad' }, error.message), link('/nets', 'All nets')))
+    }
+  }
+
+  function draw(model, mine) {
+    const { manifest } = model,
+      label = () => (manifest.label === 'virtual' ? 'virtual' : ''),
+      learned = manifest.trained_on ?? {}
+    const size = el('span', {}, '…'),
+      promoting = button('Promote', () => promote(model.id, slotOf(model.task)), { className: 'main' })
+    promoting.dataset.role = 'operator'
+    promoting.classList.toggle('denied', !live.may('operator'))
+    ask(`/api/v1/models/${model.id}/onnx`, { method: 'HEAD', accept: '*/*', signal: mine }).then(
+      answer => {
+        size.textContent = bytes(Number(answer.headers.get('content-length')) || null)
+      },
+      () => {
+        size.textContent = '–'
+      }
+    )
+    const range = [
+      learned.contact_counts?.length && `${learned.contact_counts.join(', ')} contacts`,
+      learned.max_force_n != null && `up to ${fixed(learned.max_force_n, 1, 'N')}`,
+      learned.max_norm_v != null && `frames up to ${fixed(learned.max_norm_v, 1, 'V')}`,
+    ]
+      .filter(Boolean)
+      .join(', ')
+    const head = el(
+      'section',
+      { 'aria-label': model.name },
+      el(
+        'div',
+        { className: 'row spread' },
+        el('h2', { className: 'big' }, el('span', {}, model.name, ' ', el('span', { className: 'soft small' }, model.id))),
+        link('/nets', 'Close')
+      ),
+      el(
+        'p',
+        {},
+        `From ${TASKS[model.task] ?? model.task}; learned on ${manifest.label} data of ${manifest.sensor}. `,
+        model.serves ? el('span', { className: 'good' }, 'It serves.') : 'It does not serve.'
+      ),
+      facts([
+        ['Trained', moment(model.created_at, true)],
+        ['Size', size],
+        ['Output', (manifest.output_shape ?? []).join(' x ')],
+        manifest.force_map && ['Force map, mm', manifest.force_map],
+        ['Channels', count(manifest.channels)],
+      ]),
+      el(
+        'p',
+        {},
+        'Datasets: ',
+        manifest.datasets?.length
+          ? manifest.datasets.map((id, i) => [i ? ', ' : '', link(`/data?dataset=${id}`, id)])
+          : 'none, simulations made during the training',
+        '. ',
+        range && `Trained range: ${range}; a frame outside it is answered, and the answer says so.`
+      ),
+      el(
+        'p',
+        { className: 'soft small' },
+        [
+          manifest.simulation && `Twins: ${manifest.simulation}.`,
+          manifest.calibration && `Calibration: ${manifest.calibration}.`,
+          manifest.code && `Code: ${manifest.code}.`,
+        ]
+          .filter(Boolean)
+          .join(' ')
+      ),
+      el(
+        'div',
+        { className: 'row' },
+        !model.serves && promoting,
+        save('ONNX file', `/api/v1/models/${model.id}/onnx`, `${model.name}-${model.id}.onnx`),
+        el('a', { href: `/api/v1/models/${model.id}`, target: '_blank', rel: 'noopener' }, 'JSON')
+      )
+    )
+    const curves = losses({ path: `/models/${model.id}/losses`, label, signal: mine })
+    const recipe = panel(
+      'Recipe',
+      {},
+      manifest.recipe ? el('pre', { tabIndex: 0 }, manifest.recipe.trim()) : el('p', { className: 'soft' }, 'It was added from a file: no recipe is known.')
+    )
+    const volts = model.scores.filter(report => report.voltages),
+      touch = model.scores.filter(report => report.contacts)
+    const scores = panel(
+      'Scores',
+      { aside: el('span', {}, counted(model.scores.length, 'evaluation')) },
+      volts.length ? voltageTable(volts, models()) : '',
+      touch.length ? contactTable(touch, models()) : '',
+      model.scores.length ? '' : el('p', { className: 'soft' }, 'It was not evaluated yet: start an evaluation below.')
+    )
+    fill(
+      node,
+      head,
+      el('div', { className: 'columns two' }, pane(curves.node), recipe),
+      scores,
+      model.task === 'transfer' ? residuals(model, label, mine) : ''
+    )
+  }
+  return {
+    node,
+    show,
+    forget() {
+      shown = undefined
+    },
+  }
+}
+
+const mv = volts => fixed(volts * 1e3, 1, 'mV')
+
+/** Fig. 10A: mean and standard deviation of the transfer error, channel by channel. */
+function residuals(model, label, signal) {
+  const said = el('p', { className: 'soft' }, 'Computing the residuals …'),
+    path = `/models/${model.id}/residuals`
+  const pictures = el('div', { className: 'pair residuals', hidden: true })
+  get(path, {}, { signal, wait: 120_000 }).then(
+    ({ mean_v, sd_v, trials }) => {
+      const size = Math.round(Math.sqrt(mean_v.length)),
+        top = values => values.reduce((a, v) => Math.max(a, Math.abs(v)), 0),
+        rms = Math.sqrt(sd_v.reduce((sum, v, i) => sum + v * v + mean_v[i] ** 2, 0) / sd_v.length)
+      for (const [title, values] of [
+        ['Mean of the transfer error', mean_v],
+        ['Standard deviation', sd_v],
+      ]) {
+        const one = frame({ title, size, name: `${model.id}-${title === 'Standard deviation' ? 'sd' : 'mean'}`, label, query: `/api/v1${path}`, signal })
+        pictures.append(one.node)
+        one.show(values)
+      }
+      pictures.hidden = false
+      note(
+        said,
+        `Over ${counted(trials, 'trial')} outside its training part. Largest mean ${mv(top(mean_v))}, largest standard deviation ${mv(top(sd_v))}, ` +
+          `root mean square ${mv(rms)}. This is the noise that a Recon-Net is trained with.`
+      )
+    },
+    error => {
+      if (!signal.aborted) note(said, error instanceof Refused ? `No residuals: ${error.message}` : 'The residuals could not be read.')
+    }
+  )
+  return panel('Residuals', { aside: el('span', {}, 'as in the paper\u2019s Fig. 10A') }, said, pictures)
+}

@@ -1,0 +1,33 @@
+// The small menu of every picture: its numbers (CSV), the picture (PNG), the request behind it.
+
+import { button, download, el } from './dom.js'
+import { csv } from './table.js'
+
+/**
+ * Makes a figure: heading, picture, menu. `data()` returns { heads, rows } for the CSV; `canvas()`
+ * the canvas for the PNG; `query` the address of the numbers in the API.
+ */
+export function picture({ title, name, label, data, canvas, query, props = {} }, ...inside) {
+  const file = `${name ?? title.toLowerCase().replace(/[^a-z0-9]+/g, '-')}`
+  const items = [
+    data && button('Numbers (CSV)', () => { const { heads, rows } = data(); download(`${file}.csv`, csv(heads, rows), 'text/csv') }),
+    canvas && button('Picture (PNG)', () => labelled(canvas(), [title, label?.()].filter(Boolean).join(' · ')).toBlob(blob => download(`${file}.png`, blob))),
+    query && el('a', { href: typeof query === 'function' ? '#' : query, onclick: event => { if (typeof query === 'function') { event.currentTarget.href = query() } }, target: '_blank', rel: 'noopener' }, 'Request behind it'),
+  ].filter(Boolean)
+  const menu = items.length ? el('details', { className: 'menu' }, el('summary', { 'aria-label': `${title}: save` }, '⋯'), el('div', {}, items)) : null
+  return el('figure', { className: 'picture', ...props }, el('figcaption', {}, el('span', {}, title), menu), ...inside)
+}
+
+/** The picture with its title and label written above it: a figure says by itself what was virtual. */
+function labelled(from, words) {
+  const scale = window.devicePixelRatio || 1, top = Math.round(26 * scale)
+  const to = el('canvas', { width: from.width, height: from.height + top }), pen = to.getContext('2d')
+  const style = getComputedStyle(document.body)
+  pen.fillStyle = style.getPropertyValue('--panel') || '#fff'
+  pen.fillRect(0, 0, to.width, to.height)
+  pen.fillStyle = style.color
+  pen.font = `${Math.round(14 * scale)}px system-ui, sans-serif`
+  pen.fillText(words, 8 * scale, 18 * scale)
+  pen.drawImage(from, 0, top)
+  return to
+}

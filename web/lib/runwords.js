@@ -1,0 +1,94 @@
+// What runs are called in lists and reports: state, end, kind; and what is computed from their summaries. No DOM.
+
+import { count, fixed, moment, plain, span } from './format.js'
+import { WAITS } from './words.js'
+
+const ENDS = { success: 'finished', abort: 'aborted', fail: 'failed' }
+const CHOICES = {
+  begun: r => !['queued', 'removed'].includes(r.state),
+  active: r => isActive(r),
+  interrupted: r => r.state === 'interrupted',
+  queued: r => r.state === 'queued',
+  removed: r => r.state === 'removed',
+  all: () => true,
+  success: r => r.exit_status === 'success',
+  abort: r => r.exit_status === 'abort',
+  fail: r => r.exit_status === 'fail',
+}
+
+/** Choices of the filter by state: value and words. */
+export const STATES = [
+  ['', 'that began'],
+  ['active', 'active'],
+  ['interrupted', 'interrupted'],
+  ['success', 'finished'],
+  ['abort', 'aborted'],
+  ['fail', 'failed'],
+  ['queued', 'queued'],
+  ['removed', 'removed from the queue'],
+  ['all', 'all'],
+]
+
+/** Whether a run holds the rig. */
+export const isActive = run => !['queued', 'removed', 'ended', 'interrupted'].includes(run.state)
+
+/** Whether a run is in the selection of the address { label, kind, state }. */
+export const isWanted = (run, { label, kind, state }) =>
+  (!label || run.label === label) && (!kind || run.kind === kind) && (CHOICES[state || 'begun'] ?? CHOICES.all)(run)
+
+/** State or end in one word. */
+export const endWord = run => (run.state === 'ended' ? (ENDS[run.exit_status] ?? plain(run.exit_status ?? 'ended')) : plain(run.state))
+
+/** Tone of a run: success is quiet. */
+export const runTone = run =>
+  run.exit_status === 'fail' ? 'bad' : run.exit_status === 'abort' || run.state === 'interrupted' ? 'warn' : isActive(run) ? 'good' : ''
+
+/** One sentence: what state a run is in, why, and what follows. */
+export function runSentence(run) {
+  if (run.state === 'ended')
+    return `It ${ENDS[run.exit_status] ?? 'ended'}${run.ended_at ? ` ${moment(run.ended_at)}` : ''}${run.reason ? `: ${run.reason}` : ''}.`
+  if (run.state === 'interrupted') return 'It was interrupted: its trials are stored. Resume it to take those that are missing, or abort it.'
+  if (run.state === 'queued') return run.waiting_since ? 'It is started and waits for its turn.' : 'It is queued: it begins when a person arms and starts it.'
+  if (run.state === 'removed') return 'It was removed from the queue before it began.'
+  return `It is ${plain(run.state)}${run.paused_why ? `: ${WAITS[run.paused_why] ?? plain(run.paused_why)}` : ''}.`
+}
+
+/** Trials stored in an hour, from start to end, with all waits; null before the end. */
+export const perHour = summary => (summary.duration_s > 0 ? (summary.trials_stored / summary.duration_s) * 3600 : null)
+
+/** Median of the values that are known, or null. */
+export function median(values) {
+  const known = (values ?? []).filter(v => v != null).sort((a, b) => a - b)
+  const half = known.length >> 1
+  return !known.length ? null : known.length % 2 ? known[half] : (known[half - 1] + known[half]) / 2
+}
+
+/** Largest of the values that are known, or null. */
+export const largest = values => (values ?? []).reduce((most, v) => (v == null || most > v ? most : v), null)
+
+/** What two runs are compared by: [name, text] rows of one of them. */
+export function runRows({ run, summary, progress, fit }) {
+  const rate = perHour(summary)
+  return [
+    ['Experiment', run.experiment],
+    ['Kind', run.kind],
+    ['Label', run.label],
+    ['Seed', run.seed == null ? 'none' : String(run.seed)],
+    ['End', endWord(run)],
+    ['Planned', count(run.trials_planned)],
+    ['Stored', count(summary.trials_stored)],
+    ['Trials of skipped configurations', count(summary.trials_skipped)],
+    ['Failed attempts', count(summary.retries)],
+    ['Duration', span(summary.duration_s)],
+    ['Trials per hour', count(rate && Math.round(rate))],
+    ['Largest force', fixed(largest(progress?.largest_force_n), 1, 'N')],
+    ['Median FVU', fixed(fit?.median_fvu, 3)],
+    ['Median RMSE', fixed(fit?.median_rmse_v && fit.median_rmse_v * 1e3, 2, 'mV')],
+    ['Deadband', fixed(run.deadband_n, 1, 'N')],
+    ['Calibration', run.calibration_id ?? 'that of the sensor file'],
+    ['Rig file', run.rig_sha256?.slice(0, 8) ?? 'none'],
+    ['Sensor file', run.sensor_sha256.slice(0, 8)],
+    ['Version', run.version],
+    ['Commit', run.git_commit?.slice(0, 8) ?? 'unknown'],
+  ]
+}

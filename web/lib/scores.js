@@ -1,0 +1,179 @@
+// Scores of evaluations as the paper's tables: voltages (Table III), contacts (Table IV). Side by side, and one by contacts.
+
+import { el, facts, link } from './dom.js'
+import { NONE, count, counted, fixed, percent } from './format.js'
+import { table } from './table.js'
+
+const ROMAN = ['none', 'I', 'II', 'III', 'IV', 'V', 'VI']
+const spread = (mean, digits, unit = '') =>
+  mean ? `${fixed(mean.mean, digits)}${mean.sd == null ? '' : ` ± ${fixed(mean.sd, digits)}`}${unit && `\u202f${unit}`}` : NONE
+const share = mean => (mean ? `${fixed(mean.mean * 100, 0)}` : NONE)
+const fit = score => (score ? `${fixed(score.rmse_v, 4)} / ${fixed(score.fvu * 100, 1)}` : NONE)
+
+/** Nets of an evaluation, by name where they are known. */
+export const nets = (report, models) =>
+  report.models?.map(id => models.find(model => model.id === id)?.name ?? id).join(' + ') ||
+  report.calibration ||
+  (report.scored === 'voltages' ? 'no net: measured as they are' : 'sensor file')
+const rows = report => [
+  report.part ? `${report.part} of` : 'all of',
+  el('a', { href: `/data?dataset=${report.dataset}` }, report.asked ?? report.dataset),
+  report.where?.length ? ` where ${report.where.join(' and ')}` : '',
+]
+
+/** Columns that say what was scored. */
+const what = (models, href) => [
+  {
+    head: 'Scored',
+    left: true,
+    cell: one =>
+      one.perfectOf
+        ? el('span', { className: 'soft' }, `perfect map ${one.map ?? ''}`)
+        : one.job && href
+          ? el('a', { href: href(one.job) }, one.scored === 'voltages' ? nets(one, models) : one.scored)
+          : one.scored,
+  },
+  { head: 'Nets', left: true, cell: one => (one.perfectOf || one.scored === 'voltages' ? '' : nets(one, models)) },
+  {
+    head: 'Rows',
+    left: true,
+    cell: one =>
+      one.perfectOf
+        ? ''
+        : el(
+            'span',
+            {},
+            `${count(one.rows)}, `,
+            rows(one).map((part, i) => (i ? [' ', part] : part))
+          ),
+  },
+  { head: 'Held out', cell: one => (one.perfectOf ? '' : one.held_out === false ? el('span', { className: 'warn' }, 'no') : 'yes') },
+  { head: 'Label', left: true, cell: one => (one.perfectOf ? '' : one.label) },
+]
+
+/** Metrics of contacts, as in Table IV and beyond it. */
+const METRICS = [
+  { head: 'Number error', unit: '%', cell: s => spread(s.number_percent, 0) },
+  { head: 'Location error', unit: 'mm', cell: s => spread(s.location_mm, 1) },
+  {
+    head: 'Closest distance',
+    unit: 'mm',
+    cell: s => (s.closest_mm ? `${spread(s.closest_mm, 1)}${s.closest_mm.n < s.contacts ? ` of ${percent(s.closest_mm.n, s.contacts)}` : ''}` : NONE),
+  },
+  { head: 'Force error', unit: '%', cell: s => spread(s.force_percent, 0) },
+  { head: 'Diameter error', unit: '%', cell: s => spread(s.diameter_percent, 0) },
+  { head: 'Right count', unit: '%', cell: s => share(s.exact_rate) },
+  { head: 'Ghosts', unit: 'per trial', cell: s => (s.ghosts_per_trial ? fixed(s.ghosts_per_trial.mean, 2) : NONE) },
+]
+
+/** Evaluations of voltages side by side, as Table III: RMSE in V / FVU in %, by number of contacts. */
+export function voltageTable(reports, models, { href, current } = {}) {
+  return table({
+    current,
+    caption: 'Voltages against the simulated ones, as the paper\u2019s Table III: RMSE in V / FVU in %, by number of contacts.',
+    rows: reports,
+    columns: [
+      ...what(models, href).filter(column => column.head !== 'Nets'),
+      ...[1, 2, 3, 4, 5, 6].map(n => ({ head: ROMAN[n], cell: one => fit(one.voltages.by_contacts.find(score => score.contacts === n)) })),
+      { head: 'All', cell: one => fit(one.voltages.all) },
+    ],
+  }).node
+}
+
+/** Evaluations of contacts side by side, as Table IV: mean ± standard deviation; each above its perfect map. */
+export function contactTable(reports, models, { href, current } = {}) {
+  const lines = reports.flatMap(report => [report, ...(report.perfect ? [{ perfectOf: report, contacts: report.perfect, map: report.map }] : [])])
+  return table({
+    current,
+    caption: 'Contacts, as the paper\u2019s Table IV: mean ± standard deviation. Below each its perfect map, which shows the error of the rule alone.',
+    rows: lines,
+    columns: [
+      ...what(models, href).filter(column => column.head !== 'Label'),
+      ...METRICS.map(metric => ({ ...metric, cell: one => metric.cell(one.contacts.all) })),
+      { head: 'Answer after', unit: 'ms', cell: one => (one.latency_ms ? `${fixed(one.latency_ms[0], 1)}` : one.perfectOf ? '' : NONE) },
+    ],
+  }).node
+}
+
+/** One evaluation in full. */
+export function reportView(report, models) {
+  const by = report.contacts
+    ? [...report.contacts.by_contacts.map(one => ({ ...one, name: one.contacts })), { name: 'all', score: report.contacts.all }]
+    : []
+  const perfect = report.perfect
+    ? [
+        ...report.perfect.by_contacts.map(one => ({ ...one, name: `${one.contacts}, perfect map` })),
+        { name: 'all, perfect map', score: report.perfect.all },
+      ]
+    : []
+  const volts = report.voltages ? [...report.voltages.by_contacts, { ...report.voltages.all, contacts: 'all' }] : []
+  return el(
+    'div',
+    {},
+    el(
+      'p',
+      {},
+      `By ${nets(report, models)}, on `,
+      link(`/data?dataset=${report.dataset}`, report.dataset),
+      report.where?.length ? `, where ${report.where.join(' and ')}.` : '.'
+    ),
+    facts([
+      ['Scored', report.scored],
+      ['Rows', count(report.rows)],
+      ['Part', report.part ?? 'all'],
+      ['Label', report.label],
+      ['Held out', report.held_out === false ? el('span', { className: 'warn' }, 'no') : 'yes'],
+      report.scored !== 'voltages' && ['Least peak', fixed(report.threshold_n, 1, 'N')],
+      report.place_sd_mm && ['Only known to', fixed(report.place_sd_mm, 0, 'mm')],
+      report.latency_ms && ['Answer after', fixed(report.latency_ms[0], 1, 'ms')],
+      report.latency_ms && ['99 % after', fixed(report.latency_ms[1], 1, 'ms')],
+    ]),
+    report.notes?.length
+      ? el(
+          'ul',
+          { className: 'warn' },
+          report.notes.map(words => el('li', {}, words))
+        )
+      : '',
+    volts.length
+      ? table({
+          rows: volts,
+          columns: [
+            { head: 'Contacts', left: true, cell: one => ROMAN[one.contacts] ?? one.contacts },
+            { head: 'Trials', cell: one => count(one.trials) },
+            { head: 'RMSE', unit: 'mV', cell: one => fixed(one.rmse_v * 1e3, 2) },
+            { head: 'FVU', unit: '%', cell: one => fixed(one.fvu * 100, 1) },
+            { head: 'Median FVU', unit: '%', cell: one => fixed(one.median_fvu * 100, 1) },
+          ],
+        }).node
+      : '',
+    by.length
+      ? table({
+          rows: [...by, ...perfect],
+          columns: [
+            { head: 'Contacts', left: true, cell: one => one.name },
+            { head: 'Trials', cell: one => count(one.score.trials) },
+            { head: 'Estimates / true', cell: one => `${count(one.score.estimates)} / ${count(one.score.contacts)}` },
+            ...METRICS.map(metric => ({ ...metric, cell: one => metric.cell(one.score) })),
+          ],
+        }).node
+      : ''
+  )
+}
+
+/** The score of a model in a few words. */
+export function shortScore(report) {
+  const of = `${report.part ?? 'all'}, ${counted(report.rows, 'row')}`
+  if (report.voltages)
+    return `FVU ${fixed(report.voltages.all.fvu * 100, 1)}\u202f%, median ${fixed(report.voltages.all.median_fvu * 100, 1)}\u202f% (${of})`
+  const all = report.contacts?.all
+  return all
+    ? [
+        all.closest_mm && fixed(all.closest_mm.mean, 1, 'mm'),
+        all.exact_rate && `${fixed(all.exact_rate.mean * 100, 0, '%')} right count`,
+        `(${report.scored}, ${of})`,
+      ]
+        .filter(Boolean)
+        .join(' ')
+    : of
+}

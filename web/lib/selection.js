@@ -1,0 +1,133 @@
+// The selection of trials: conditions of the address as controls, and as chips those that have none.
+
+import { button, el, fill, panel, select } from './dom.js'
+import { plain } from './format.js'
+
+/** What each flag of a trial means. */
+export const FLAGS = {
+  unsettled: 'The forces still changed when the longest settling time ended.',
+  saturated_channels: 'A voltage channel was saturated.',
+  injection_sum: 'An injection sum is not zero within noise.',
+  dropped_frames: 'Frames were lost between the raw frames of this trial.',
+  depth_missed: 'The measured depth differs from its target by more than the tolerance.',
+  still_cell: 'An attached cell measured no force where its tip must press.',
+  silent_skin: 'The cells measure a load to which the skin does not respond.',
+  placed_anyway: 'It was stored although the skin felt a weight in another place.',
+}
+
+/** Parameters of the page that are no condition on trials. */
+const OWN = ['trial', 'sort', 'scale']
+const COMPARES = { eq: '=', gt: '>', gte: '≥', lt: '<', lte: '≤', in: 'one of' }
+
+/** The conditions of an address, as the API takes them. */
+export function conditions(query) {
+  return Object.fromEntries(Object.entries(query).filter(([key, value]) => !OWN.includes(key) && value !== ''))
+}
+
+/** A condition as text: `fvu__gte`, 0.5 -> "FVU ≥ 0.5". */
+export function condition(key, value) {
+  const [column, compare = 'eq'] = key.split('__')
+  return key === 'where' ? value : `${plain(column)} ${COMPARES[compare] ?? compare} ${value}`
+}
+
+/**
+ * Makes the controls. `set(changes)` puts them into the address; `show(query, runs)` shows what the
+ * address has. A condition without a control is a chip that a click removes.
+ */
+export function selection({ set, said }) {
+  const change =
+    (key, also = {}) =>
+    value =>
+      set({ ...also, [key]: value || null, trial: null })
+  const labelled = (words, node) => {
+    node.id = `f-${words.toLowerCase().replace(/[^a-z]+/g, '-')}`
+    return el('div', {}, el('label', { htmlFor: node.id }, words), node)
+  }
+  const number = (key, props = {}) =>
+    el('input', { type: 'number', step: 'any', inputMode: 'decimal', name: key, ...props, onchange: event => change(key)(event.target.value) })
+  const choice = (key, choices) => select(choices, '', change(key), { name: key })
+  const counts = [['', 'any'], ['0', 'none'], ...[1, 2, 3, 4, 5, 6].map(n => [String(n), String(n)])]
+  const controls = {
+    scan_id: choice('scan_id', [['', 'all']]),
+    contact_count: choice('contact_count', counts),
+    max_force_n__gte: number('max_force_n__gte'),
+    max_force_n__lte: number('max_force_n__lte'),
+    depth_mm__gte: number('depth_mm__gte', { min: 0 }),
+    depth_mm__lte: number('depth_mm__lte', { min: 0 }),
+    fvu__gte: number('fvu__gte', { min: 0 }),
+    label: choice('label', [['', 'any'], 'measured', 'virtual']),
+  }
+  const flags = select(
+    [
+      ['', 'any'],
+      ['flagged=true', 'with a flag'],
+      ['flagged=false', 'without a flag'],
+      ...Object.keys(FLAGS)
+        .slice(0, 7)
+        .map(flag => [`flag=${flag}`, plain(flag)]),
+    ],
+    '',
+    value => {
+      const [key, wanted] = value.split('=')
+      set({ flag: null, flagged: null, trial: null, ...(key && { [key]: wanted }) })
+    }
+  )
+  const order = select(
+    [
+      ['', 'newest first'],
+      ['trial_id', 'oldest first'],
+    ],
+    '',
+    value => set({ sort: value || null })
+  )
+  const chips = el('div', { className: 'chips', role: 'group', 'aria-label': 'Conditions' })
+  const form = el(
+    'div',
+    { className: 'form trial-filters' },
+    labelled('Run', controls.scan_id),
+    labelled('Contacts', controls.contact_count),
+    labelled('Largest force from, N', controls.max_force_n__gte),
+    labelled('to, N', controls.max_force_n__lte),
+    labelled('Depth from, mm', controls.depth_mm__gte),
+    labelled('to, mm', controls.depth_mm__lte),
+    labelled('FVU at least', controls.fvu__gte),
+    labelled('Flags', flags),
+    labelled('Label', controls.label),
+    labelled('Order', order)
+  )
+  const node = panel('Selection', {}, form, chips, said)
+  let known = ''
+  return {
+    node,
+    show(query, runs) {
+      const names = runs.map(run => run.uid).join()
+      if (known !== names) {
+        known = names
+        fill(
+          controls.scan_id,
+          el('option', { value: '' }, 'all'),
+          runs.map(run => el('option', { value: String(run.scan_id) }, `${run.scan_id} · ${run.experiment}`))
+        )
+      }
+      for (const [key, control] of Object.entries(controls)) {
+        const value = query[key] ?? ''
+        if (control.tagName === 'SELECT' && ![...control.options].some(option => option.value === value)) control.append(el('option', { value }, value))
+        if (document.activeElement !== control || control.tagName === 'SELECT') control.value = value
+      }
+      flags.value = query.flag ? `flag=${query.flag}` : query.flagged ? `flagged=${query.flagged}` : ''
+      order.value = query.sort === 'trial_id' ? 'trial_id' : ''
+      const all = Object.entries(conditions(query))
+      const rest = all.filter(([key]) => !(key in controls) && !['flag', 'flagged'].includes(key))
+      const chip = ([key, value]) =>
+        button([condition(key, value), ' ×'].join(''), () => set({ [key]: null, trial: null }), {
+          className: 'chip',
+          'aria-label': `Remove the condition ${condition(key, value)}`,
+        })
+      fill(
+        chips,
+        rest.map(chip),
+        all.length > 0 && button('Clear all', () => set(Object.fromEntries([...all.map(([key]) => [key, null]), ['trial', null]])), { className: 'plain' })
+      )
+    },
+  }
+}

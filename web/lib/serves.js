@@ -1,0 +1,53 @@
+// What serves: which method has its models, and how to get one where none has. Live and the nets ask this.
+
+import { el, facts, fill, link, panel } from './dom.js'
+import { plain } from './format.js'
+
+/** The methods, the best last: what each needs, and what it is. */
+export const METHODS = [
+  { name: 'paper', needs: ['map'], about: 'the paper’s: force map of a net, and its peaks' },
+  { name: 'fast', needs: ['points'], about: 'candidates of a Point-Net' },
+  { name: 'exact', needs: ['skin'], about: 'contacts fitted through the model of this skin, with their uncertainty' },
+]
+
+/** What each slot holds. */
+export const SLOTS = { transfer: 'Transfer-Net', map: 'net with force maps', points: 'Point-Net', skin: 'calibration of this skin' }
+
+/** Slots that a method needs and that are empty; `serving` is the body of GET /serving. */
+export const lacks = (method, serving) => method.needs.filter(slot => !serving?.serves.find(one => one.slot === slot)?.what)
+
+/** The best method that has all its models, or null. */
+export const bestMethod = serving => METHODS.findLast(method => !lacks(method, serving).length) ?? null
+
+/** needs a Point-Net */
+export const needWords = (method, serving) => `needs a ${lacks(method, serving).map(slot => SLOTS[slot]).join(' and a ')}`
+
+/** Makes a panel of what serves, and one (`none`) that says how to get a model while there is none. */
+export function servingPart() {
+  const list = el('div'), none = el('div')
+  let shown = ''
+  const row = (method, serving) => {
+    const ready = !lacks(method, serving).length
+    return el('li', { className: ready ? '' : 'soft' }, el('b', {}, method.name), `, ${method.about}: `, ready ? 'serves' : needWords(method, serving))
+  }
+  return {
+    node: panel('What serves', {}, list), none,
+    show(serving) {
+      const text = JSON.stringify(serving.serves)
+      if (text === shown) return
+      shown = text
+      const filled = serving.serves.filter(one => one.what)
+      const models = filled.map(one => [SLOTS[one.slot] ?? plain(one.slot), link('/nets', one.what)])
+      fill(list, el('ul', {}, METHODS.map(method => row(method, serving))), facts(models))
+      fill(none, !bestMethod(serving) && howTo())
+    },
+    failed(error) { shown = ''; fill(list, el('p', { className: 'soft' }, `It is not known what serves: ${error.message}`)) },
+  }
+}
+
+const howTo = () => panel('No model serves yet', { className: 'welcome' },
+  el('p', {}, 'The frames come, but nothing says yet what touches the skin. There are two ways to get it:'),
+  el('ol', { className: 'steps' },
+    el('li', {}, 'Fit the model to this skin from a stored run with ', el('code', {}, 'palpate calibrate skin --run 1 --out skin.toml'),
+      ', then add and promote the file. The method exact then works, and knows its uncertainty.'),
+    el('li', {}, 'Train a net on a dataset and promote it: ', link('/nets', 'the nets'), '. The methods fast and paper then work.')))

@@ -1,0 +1,150 @@
+// What serves: the slots of the methods, promotion and roll-back, and the record of both.
+
+import { ask, once } from './api.js'
+import { actor, confirm, named } from './actions.js'
+import { button, el, fill, link, panel } from './dom.js'
+import { moment } from './format.js'
+import { live, who } from './live.js'
+import { table } from './table.js'
+
+const SLOTS = {
+  transfer: ['Transfer-Net', 'paper: measured to simulated voltages'],
+  map: ['Force map', 'paper: voltages to a force map'],
+  points: ['Point-Net', 'fast, and the start of exact'],
+  skin: ['Calibrated skin', 'exact'],
+}
+/** Slot that a model of a task serves in. */
+export const slotOf = task => (task === 'transfer' ? 'transfer' : task === 'points' ? 'points' : 'map')
+
+/** Makes the panel; `name(id)` gives a model's name. `promote(what, slot)` asks first. */
+export function servingPanel({ signal, said, name, onchange }) {
+  let etag = null,
+    serves = [],
+    history = []
+  const slots = table({ columns: [], rows: [] }),
+    past = table({ columns: [], rows: [] })
+  const holder = el('div', {}, slots.node),
+    record = el('div', {}, past.node)
+  const words = id =>
+    id == null
+      ? el('span', { className: 'soft' }, 'nothing')
+      : id.startsWith('mdl-')
+        ? el('span', {}, link(`/nets?model=${id}`, name(id)), ' ', el('span', { className: 'soft small' }, id))
+        : id
+  const change = async (what, path, body) => {
+    await said.run(what, () => once(path, { ...body, who: who() }, { headers: etag ? { 'if-match': etag } : {}, wait: 120_000 }))
+    await read()
+    onchange()
+  }
+  const since = slot => history.find(one => one.slot === slot)
+  function before(slot) {
+    const now = serves.find(one => one.slot === slot)?.what,
+      mine = history.filter(one => one.slot === slot)
+    return mine.slice(1).find(one => one.what && one.what !== now)?.what ?? null
+  }
+  async function rollBack(slot) {
+    const now = serves.find(one => one.slot === slot)?.what,
+      to = before(slot)
+    const sure = await confirm(
+      `Roll back ${SLOTS[slot][0]}?`,
+      [
+        `Serves now: ${name(now)} (${now}).`,
+        to
+          ? `The service restores what served before it, most likely ${name(to)} (${to}).`
+          : 'Nothing is known to have served before it: the slot may become empty.',
+        'It is loaded before it serves: no frame is dropped.',
+      ],
+      'Roll back'
+    )
+    if (sure && (await named())) change(`Roll back ${slot}`, '/serving/roll-back', { slot })
+  }
+  async function promote(what, slot) {
+    const now = serves.find(one => one.slot === slot)?.what
+    const sure = await confirm(
+      `Promote ${name(what)}?`,
+      [
+        `Slot: ${SLOTS[slot][0]} (${SLOTS[slot][1]}).`,
+        now ? `It replaces ${name(now)} (${now}), which roll back restores.` : 'The slot is empty now.',
+        'Live contacts and /infer use it from the next frame on. It is loaded and warmed up first: no frame is dropped.',
+      ],
+      'Promote'
+    )
+    if (sure && (await named())) await change(`Promote ${name(what)}`, '/serving', { what })
+  }
+  const may = node => {
+    node.dataset.role = 'operator'
+    node.classList.toggle('denied', !live.may('operator'))
+    return node
+  }
+  function draw() {
+    const shown = table({
+      rows: serves,
+      columns: [
+        { head: 'Slot', left: true, cell: one => SLOTS[one.slot]?.[0] ?? one.slot },
+        { head: 'Used by', left: true, cell: one => SLOTS[one.slot]?.[1] ?? '' },
+        { head: 'Serves', left: true, cell: one => words(one.what) },
+        { head: 'Since', left: true, cell: one => (one.what && since(one.slot) ? `${moment(since(one.slot).at)} by ${since(one.slot).who}` : null) },
+        {
+          head: 'Change',
+          cell: one => (one.what ? may(button('Roll back', () => rollBack(one.slot), { 'aria-label': `Roll back ${SLOTS[one.slot]?.[0]}` })) : ''),
+        },
+      ],
+    })
+    fill(holder, shown.node)
+    fill(
+      record,
+      table({
+        rows: history.slice(0, 20),
+        empty: 'Nothing was promoted yet.',
+        columns: [
+          { head: 'When', left: true, cell: one => moment(one.at, true) },
+          { head: 'What', left: true, cell: one => (one.rolled_back ? `rolled back to ${one.what ?? 'nothing'}` : `promoted ${one.what}`) },
+          { head: 'Slot', left: true, cell: one => one.slot },
+          { head: 'Who', left: true, cell: one => one.who },
+          { head: 'Why', left: true, cell: one => one.why },
+        ],
+      }).node
+    )
+  }
+  async function read() {
+    try {
+      const answer = await ask('/api/v1/serving', { signal })
+      etag = answer.headers.get('etag')
+      ;({ serves, history } = await answer.json())
+      draw()
+    } catch (error) {
+      if (!signal.aborted) fill(holder, el('p', { className: 'bad' }, `What serves cannot be read: ${error.message}`))
+    }
+  }
+
+  // A calibration is a file: it is added here, and promoted by its id.
+  const file = el('input', { id: 'cal-file', type: 'file', accept: '.toml,.txt' })
+  const add = actor(
+    'Add and promote',
+    said,
+    async () => {
+      if (!file.files[0]) throw new Error('choose the file that palpate calibrate skin wrote')
+      const id = await (
+        await ask('/api/v1/calibrations', { method: 'POST', body: new Blob([await file.files[0].text()], { type: 'text/plain' }), wait: 30_000 })
+      ).json()
+      await promote(id, 'skin')
+      return id
+    },
+    { what: 'Add the calibration' }
+  )
+  const node = panel(
+    'What serves',
+    { className: 'live' },
+    holder,
+    el('details', {}, el('summary', {}, 'History of promotions'), record),
+    el(
+      'details',
+      {},
+      el('summary', {}, 'Add a calibration of the skin'),
+      el('label', { htmlFor: 'cal-file' }, 'File of palpate calibrate skin'),
+      file,
+      el('div', { className: 'row' }, add)
+    )
+  )
+  return { node, read, draw, promote, serves: () => serves }
+}

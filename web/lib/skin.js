@@ -1,0 +1,98 @@
+// The skin, drawn to scale and always the same way up: outline, electrodes, ruler, and what a page draws on it.
+
+import { colour, el, onLook, say, soon } from './dom.js'
+import { get } from './api.js'
+import { picture } from './picture.js'
+
+const known = new Map()
+
+/** Geometry of the sensor of a run, or of the one under the rig; asked for once. */
+export function sensor(run) {
+  const key = run ?? ''
+  if (!known.has(key)) {
+    const asked = get('/sensor', { run })
+    known.set(key, asked)
+    asked.catch(() => known.delete(key))
+  }
+  return known.get(key)
+}
+
+/**
+ * Makes a drawing of the skin. `draw(pen, view)` draws over outline and electrodes, in pixels:
+ * `view.x(mm)`, `view.y(mm)`, `view.scale` (pixels per mm), `view.colour(name)`. `onpick(mm, event)`
+ * and `onhover(mm | null)` get positions on the skin; `describe()` returns the words for a reader.
+ * `redraw()` draws again; `geometry(sensor)` gives the sensor.
+ */
+export function skin({ title = 'Skin', draw = () => {}, onpick, onhover, ondrag, describe = () => title, points = false, label, query, data, signal, tall = false }) {
+  const canvas = el('canvas', { className: `skin${onpick || ondrag ? ' picks' : ''}`, role: 'img', 'aria-label': title, ...(onpick && { tabIndex: 0 }) })
+  const words = el('p', { className: 'soft hover' })
+  let shape = null, view = null
+  const redraw = soon(() => {
+    const width = canvas.clientWidth, height = canvas.clientHeight
+    if (!shape || !width) return
+    const ratio = window.devicePixelRatio || 1, pen = canvas.getContext('2d')
+    if (canvas.width !== Math.round(width * ratio)) { canvas.width = Math.round(width * ratio); canvas.height = Math.round(height * ratio) }
+    const room = 16, foot = 26
+    const scale = Math.min((width - 2 * room) / shape.width_mm, (height - room - foot) / shape.height_mm)
+    const left = (width - scale * shape.width_mm) / 2, top = room
+    view = { scale, width, height, colour, x: mm => left + mm * scale, y: mm => top + (shape.height_mm - mm) * scale, back: (px, py) => [(px - left) / scale, shape.height_mm - (py - top) / scale] }
+    pen.setTransform(ratio, 0, 0, ratio, 0, 0)
+    pen.clearRect(0, 0, width, height)
+    pen.lineJoin = 'round'
+    pen.fillStyle = colour('--skin')
+    pen.strokeStyle = colour('--line')
+    pen.lineWidth = 1.5
+    pen.beginPath()
+    const outline = shape.outline_mm?.length ? shape.outline_mm : [[0, 0], [shape.width_mm, 0], [shape.width_mm, shape.height_mm], [0, shape.height_mm]]
+    outline.forEach(([x, y]) => pen.lineTo(view.x(x), view.y(y)))
+    pen.closePath()
+    pen.fill()
+    pen.stroke()
+    if (points) {
+      pen.fillStyle = colour('--track')
+      for (const [x, y] of shape.points_mm) { pen.beginPath(); pen.arc(view.x(x), view.y(y), Math.max(1, 1.6 * scale), 0, 7); pen.fill() }
+    }
+    pen.fillStyle = colour('--electrode')
+    for (const { x_mm, y_mm } of shape.electrodes) { pen.beginPath(); pen.arc(view.x(x_mm), view.y(y_mm), Math.max(2, 4 * scale), 0, 7); pen.fill() }
+    draw(pen, view, shape)
+    ruler(pen)
+    canvas.ariaLabel = describe()
+  })
+  function ruler(pen) {
+    const y = view.height - 9, from = view.x(0), to = view.x(100)
+    pen.strokeStyle = pen.fillStyle = colour('--soft')
+    pen.lineWidth = 1
+    pen.beginPath()
+    for (let mm = 0; mm <= 100; mm += 20) { pen.moveTo(view.x(mm), y - (mm % 100 ? 3 : 6)); pen.lineTo(view.x(mm), y) }
+    pen.moveTo(from, y)
+    pen.lineTo(to, y)
+    pen.stroke()
+    pen.font = '11px system-ui, sans-serif'
+    pen.textBaseline = 'alphabetic'
+    pen.textAlign = 'left'
+    pen.fillText('100 mm', to + 5, y)
+  }
+  const place = event => {
+    const box = canvas.getBoundingClientRect()
+    return view && view.back(event.clientX - box.left, event.clientY - box.top)
+  }
+  if (onpick) canvas.addEventListener('click', event => { const mm = place(event); if (mm) onpick(mm, event) })
+  if (onhover) {
+    canvas.addEventListener('pointermove', event => { const mm = place(event); if (mm) say(words, onhover(mm) ?? '') })
+    canvas.addEventListener('pointerleave', () => say(words, onhover(null) ?? ''))
+  }
+  if (ondrag) for (const kind of ['pointerdown', 'pointermove', 'pointerup']) canvas.addEventListener(kind, event => { const mm = place(event); if (mm) ondrag(kind.slice(7), mm, event) })
+  onLook(canvas, redraw, signal)
+  const node = picture({ title, label, query, data, canvas: () => canvas, props: { className: `picture skin-box${tall ? ' tall' : ''}` } }, canvas, words)
+  return { node, canvas, redraw, geometry(next) { shape = next; canvas.style.aspectRatio = `${next.width_mm + 20} / ${next.height_mm + 30}`; redraw() }, get shape() { return shape } }
+}
+
+/** Draws tips to scale. */
+export function tips(pen, view, contacts, diameter, { fill, stroke, width = 1.5 } = {}) {
+  for (const [x, y] of contacts) {
+    pen.beginPath()
+    pen.arc(view.x(x), view.y(y), Math.max(2, diameter / 2 * view.scale), 0, 7)
+    if (fill) { pen.fillStyle = fill; pen.fill() }
+    if (stroke) { pen.strokeStyle = stroke; pen.lineWidth = width; pen.stroke() }
+  }
+}

@@ -1,0 +1,180 @@
+// The tour of a plan, drawn on the skin: a thin line in the order of driving, coloured from first to last, and a
+// position that walks along it with its tips to scale.
+
+import { button, dark, el, fill, say } from './dom.js'
+import { count, counted, fixed } from './format.js'
+import { sequential } from './frame.js'
+import { skin, tips } from './skin.js'
+
+const BINS = 96
+const TRAIL = 10
+
+const middle = contacts => contacts.reduce(([x, y], c) => [x + c[0] / contacts.length, y + c[1] / contacts.length], [0, 0])
+
+/**
+ * Makes the drawing. `show(tour, sensor, { tips, step })`: `tips` keeps one setting, `step` (from 0) is
+ * an index into the whole tour. `onstep(step)` is called when a person has chosen one.
+ */
+export function tourView({ onstep, label, query, signal }) {
+  let tour = null
+  let shape = null
+  let kept = []
+  let middles = []
+  let at = 0
+  let bitmap = null
+  let drawn = ''
+  const shades = () => {
+    const all = sequential()
+    return i => all[Math.round(56 + i * 198)]
+  }
+
+  const view = skin({
+    title: 'Tour',
+    label,
+    query,
+    signal,
+    draw,
+    tall: true,
+    describe: () => (tour ? `Tour of ${counted(kept.length, 'step')} over the skin; ${words()}` : 'Tour'),
+    data: () => ({
+      heads: ['step', 'configuration', 'tips', 'x_mm', 'y_mm'],
+      rows: kept.flatMap(i => tour.steps.contacts_mm[i].map(([x, y]) => [i + 1, tour.steps.configuration[i], tour.steps.tips[i], x, y])),
+    }),
+    onhover: mm => (mm && kept.length ? describe(nearest(mm)) : ''),
+    onpick: mm => {
+      if (kept.length) {
+        walk(nearest(mm))
+        onstep(kept[at])
+      }
+    },
+  })
+  const slider = el('input', { type: 'range', id: 'tour-step', min: 0, max: 0, value: 0, 'aria-describedby': 'tour-words' })
+  const told = el('p', { id: 'tour-words' })
+  const colours = el('canvas', { width: 255, height: 1, className: 'colours', 'aria-hidden': 'true' })
+  slider.addEventListener('input', () => walk(Number(slider.value)))
+  slider.addEventListener('change', () => onstep(kept[at]))
+  const by = n => {
+    walk(at + n)
+    onstep(kept[at])
+  }
+  const node = el(
+    'div',
+    { className: 'tour' },
+    view.node,
+    el(
+      'div',
+      { className: 'tour-scale soft small' },
+      el('span', {}, 'first'),
+      colours,
+      el('span', {}, 'last'),
+      el('span', {}, 'The line joins the middles of the contacts.'),
+    ),
+    el('label', { htmlFor: 'tour-step' }, 'Step of the tour'),
+    slider,
+    el(
+      'div',
+      { className: 'row' },
+      button('Back', () => by(-1)),
+      button('Forward', () => by(1)),
+      told,
+    ),
+  )
+
+  const nearest = ([x, y]) => {
+    let best = 0
+    let least = Infinity
+    kept.forEach((step, i) => {
+      for (const [cx, cy] of tour.steps.contacts_mm[step]) {
+        const d = (cx - x) ** 2 + (cy - y) ** 2
+        if (d < least) {
+          least = d
+          best = i
+        }
+      }
+    })
+    return best
+  }
+  function describe(i) {
+    const step = kept[i]
+    const contacts = tour.steps.contacts_mm[step]
+    const places = contacts.map(([x, y]) => `${fixed(x, 0)}, ${fixed(y, 0)}`).join('; ')
+    const what = counted(contacts.length, tour.kind === 'real-random' ? 'weight' : 'tip')
+    return `step ${count(step + 1)} of ${count(tour.steps.tips.length)}: configuration ${tour.steps.configuration[step]}, ${what} at ${places} mm`
+  }
+  const words = () => (kept.length ? describe(at) : 'no step')
+  function walk(i) {
+    at = Math.max(0, Math.min(kept.length - 1, i))
+    slider.value = at
+    slider.setAttribute('aria-valuetext', words())
+    say(told, words())
+    view.redraw()
+  }
+
+  // The whole line once as a bitmap: the walk draws only what moves.
+  function line(width, height, v) {
+    const ratio = window.devicePixelRatio || 1
+    const name = `${width} ${height} ${dark.matches} ${kept.length} ${kept[0]}`
+    if (drawn === name && bitmap) return bitmap
+    drawn = name
+    bitmap = el('canvas', { width: Math.round(width * ratio), height: Math.round(height * ratio) })
+    const pen = bitmap.getContext('2d')
+    const shade = shades()
+    pen.setTransform(ratio, 0, 0, ratio, 0, 0)
+    pen.lineWidth = kept.length > 2000 ? 0.35 : kept.length > 300 ? 0.7 : 1.2
+    pen.lineJoin = 'round'
+    const each = Math.max(1, Math.ceil(kept.length / BINS))
+    for (let from = 0; from < kept.length; from += each) {
+      pen.strokeStyle = `rgb(${shade(from / kept.length)})`
+      pen.beginPath()
+      for (let i = from; i <= Math.min(from + each, kept.length - 1); i += 1) pen.lineTo(v.x(middles[i][0]), v.y(middles[i][1]))
+      pen.stroke()
+      if (kept.length > 600) continue
+      pen.fillStyle = pen.strokeStyle
+      for (let i = from; i < Math.min(from + each, kept.length); i += 1) {
+        pen.beginPath()
+        pen.arc(v.x(middles[i][0]), v.y(middles[i][1]), 2.2, 0, 7)
+        pen.fill()
+      }
+    }
+    const strip = colours.getContext('2d')
+    const image = new ImageData(255, 1)
+    for (let i = 0; i < 255; i += 1) image.data.set([...shade(i / 254), 255], 4 * i)
+    strip.putImageData(image, 0, 0)
+    return bitmap
+  }
+  function draw(pen, v) {
+    if (!kept.length) return
+    pen.drawImage(line(v.width, v.height, v), 0, 0, v.width, v.height)
+    // The way that led here, fading.
+    pen.strokeStyle = v.colour('--ink')
+    pen.lineWidth = 1.4
+    for (let i = Math.max(1, at - TRAIL); i <= at; i += 1) {
+      pen.globalAlpha = 0.15 + 0.85 * (1 - (at - i) / TRAIL) ** 2
+      pen.beginPath()
+      pen.moveTo(v.x(middles[i - 1][0]), v.y(middles[i - 1][1]))
+      pen.lineTo(v.x(middles[i][0]), v.y(middles[i][1]))
+      pen.stroke()
+    }
+    pen.globalAlpha = 1
+    tips(pen, v, tour.steps.contacts_mm[kept[at]], shape.tip_diameter_mm, { fill: v.colour('--next'), stroke: v.colour('--panel') })
+  }
+
+  return {
+    node,
+    show(next, sensor, { tips: only, step } = {}) {
+      tour = next
+      shape = sensor
+      kept = tour.steps.tips.map((n, i) => i).filter(i => only == null || tour.steps.tips[i] === only)
+      middles = kept.map(i => middle(tour.steps.contacts_mm[i]))
+      slider.max = Math.max(0, kept.length - 1)
+      slider.disabled = kept.length < 2
+      view.geometry(sensor)
+      walk(step == null ? 0 : Math.max(0, kept.indexOf(step)))
+      return fill(told, words())
+    },
+    go: step => {
+      const i = kept.indexOf(step)
+      if (i >= 0 && i !== at) walk(i)
+    },
+  }
+}

@@ -1,0 +1,287 @@
+// One trial in full: skin with tips and forces, frame beside twin and difference, forces over depth, what was reached.
+
+import { chart } from './chart.js'
+import { colour, el, facts, fill, note, panel, pane, select } from './dom.js'
+import { NONE, about, capital, count, counted, fixed, moment, plain, span } from './format.js'
+import { frame, round125 } from './frame.js'
+import { FLAGS } from './selection.js'
+import { sensor, skin, tips } from './skin.js'
+import { table } from './table.js'
+
+const ARMS = [1, 2, 3, 4, 5, 6]
+const minus = (a, b) => (a && b ? a.map((v, i) => (v == null || b[i] == null ? null : v - b[i])) : null)
+const largest = values => (values ?? []).reduce((top, v) => Math.max(top, Math.abs(v ?? 0)), 1e-4)
+
+const armWords = arm => `arm ${arm.arm} at ${fixed(arm.x_mm, 0)}, ${fixed(arm.y_mm, 0, 'mm')}: ${fixed(arm.force_n, 1, 'N')}`
+
+/** The trial as one sentence. */
+export function trialWords(row) {
+  const place =
+    row.kind === 'real-random'
+      ? `Placement ${row.configuration + 1}`
+      : `Configuration ${row.configuration}, depth ${fixed(row.depth_mm, 2, 'mm')}, ${counted(row.tips, 'tip')}`
+  const contacts = row.contact_count ? counted(row.contact_count, 'contact') : 'no contact'
+  return `${place}, ${contacts} by its labels, ${row.label}. Run ${row.scan_id}, ${row.experiment}.`
+}
+
+/** Makes the view of one trial; `show(row, { siblings, untouched, deepest })` draws it. */
+export function trialView({ signal, href, onscale }) {
+  let row = null,
+    diameter = 20
+  const label = () => (row?.label === 'virtual' ? 'virtual' : '')
+  const picture = (title, name) => frame({ title, name, signal, label, query: () => `/api/v1/trials/${row.trial_id}` })
+  const shown = {
+    measured: picture('Measured frame', 'measured'),
+    twin: picture('Simulated twin', 'twin'),
+    rest: picture('Measured minus twin', 'residual'),
+    touch: picture('Measured minus untouched', 'touch'),
+  }
+  const why = { twin: el('p', { className: 'soft small' }), touch: el('p', { className: 'soft small' }) }
+  const scale = select(
+    [
+      ['', 'this trial'],
+      ['configuration', 'the deepest trial of its configuration'],
+    ],
+    '',
+    onscale,
+    { id: 'trial-scale' }
+  )
+  const scaleWords = el('span')
+  const map = skin({
+    title: 'Skin: tips to scale, forces in N',
+    signal,
+    label,
+    query: () => `/api/v1/trials/${row.trial_id}`,
+    draw: drawTips,
+    describe: () => (row ? `Skin with ${counted(row.arms.length, 'tip')}: ${row.arms.map(armWords).join('; ')}` : 'Skin'),
+    data: () => ({ heads: ['arm', 'x_mm', 'y_mm', 'force_n'], rows: (row?.arms ?? []).map(arm => [arm.arm, arm.x_mm, arm.y_mm, arm.force_n]) }),
+  })
+  const depths = chart({
+    title: 'Forces over depth, this configuration',
+    x: 'Depth',
+    xUnit: 'mm',
+    y: 'Force',
+    unit: 'N',
+    time: false,
+    height: 210,
+    signal,
+    label,
+    series: ARMS.map(arm => ({ name: `arm ${arm}`, digits: 1, points: true, colour: `--c${arm}` })),
+    marks: markDepth,
+    query: () => `/api/v1/trials?scan_id=${row.scan_id}&configuration=${row.configuration}`,
+  })
+  const steps = el('div', { className: 'chips trial-steps', role: 'navigation', 'aria-label': 'Depths of this configuration' })
+  const fit = el('div'),
+    quality = el('div'),
+    verdict = el('div'),
+    poses = el('div')
+  const alone = el('p', { className: 'soft' })
+  const node = el(
+    'div',
+    { className: 'trial' },
+    el(
+      'div',
+      { className: 'columns two trial-top' },
+      el('div', { className: 'column' }, pane(map.node), el('section', {}, depths.node, alone, steps)),
+      el(
+        'section',
+        {},
+        el(
+          'div',
+          { className: 'pair trial-frames' },
+          shown.measured.node,
+          el('div', {}, shown.twin.node, why.twin),
+          shown.rest.node,
+          el('div', {}, shown.touch.node, why.touch)
+        ),
+        el('p', { className: 'soft small row' }, el('label', { className: 'inline', htmlFor: 'trial-scale' }, 'Colours by ', scale), scaleWords)
+      )
+    ),
+    el(
+      'div',
+      { className: 'columns three' },
+      panel('Fit and times', {}, fit),
+      panel('Reached against target', {}, poses),
+      panel('Quality', {}, verdict, quality)
+    )
+  )
+
+  function drawTips(pen, view) {
+    if (!row) return
+    for (const { x_mm, y_mm, force_n, arm } of row.arms) {
+      const felt = row.contacts.some(contact => Math.hypot(contact.x_mm - x_mm, contact.y_mm - y_mm) < 1),
+        ink = view.colour(`--c${arm}`)
+      tips(pen, view, [[x_mm, y_mm]], diameter, { fill: felt ? `${ink}55` : undefined, stroke: ink, width: 2 })
+      write(pen, view, x_mm, y_mm, fixed(force_n, 1), `arm ${arm}`)
+    }
+    if (!row.arms.length)
+      for (const { x_mm, y_mm, force_n, diameter_mm } of row.contacts) {
+        if (x_mm == null) continue
+        tips(pen, view, [[x_mm, y_mm]], diameter_mm ?? diameter, { fill: `${view.colour('--c1')}55`, stroke: view.colour('--c1'), width: 2 })
+        write(pen, view, x_mm, y_mm, fixed(force_n, 2), '')
+      }
+  }
+  function write(pen, view, x, y, force, arm) {
+    // Away from the other tips: these may be close to each other.
+    const places = row.arms.length ? row.arms : row.contacts,
+      middle = places.reduce((sum, one) => sum + one.x_mm, 0) / places.length
+    const px0 = view.x(x),
+      gap = (diameter / 2) * view.scale + 5,
+      left = px0 > view.width - 70 || (x < middle - 1 && px0 > 70)
+    pen.textBaseline = 'middle'
+    pen.textAlign = left ? 'right' : 'left'
+    pen.lineWidth = 4
+    pen.strokeStyle = view.colour('--skin')
+    pen.font = '600 14px system-ui, sans-serif'
+    const px = px0 + (left ? -gap : gap),
+      py = view.y(y)
+    pen.strokeText(force, px, py)
+    pen.fillStyle = view.colour('--ink')
+    pen.fillText(force, px, py)
+    if (!arm || view.width < 340) return
+    pen.font = '11px system-ui, sans-serif'
+    pen.strokeText(arm, px, py + 14)
+    pen.fillStyle = view.colour('--soft')
+    pen.fillText(arm, px, py + 14)
+  }
+  function markDepth(u) {
+    if (row?.depth_mm == null) return
+    const at = u.valToPos(row.depth_mm, 'x', true)
+    u.ctx.save()
+    u.ctx.strokeStyle = colour('--ink')
+    u.ctx.lineWidth = 2
+    u.ctx.setLineDash([6, 4])
+    u.ctx.beginPath()
+    u.ctx.moveTo(at, u.bbox.top)
+    u.ctx.lineTo(at, u.bbox.top + u.bbox.height)
+    u.ctx.stroke()
+    u.ctx.restore()
+  }
+
+  function frames({ untouched, deepest }) {
+    const { voltages_v: v, sim_voltages_v: s } = row
+    const wide = scale.value ? (deepest ?? row) : row
+    const end = round125(Math.max(largest(wide.voltages_v), largest(wide.sim_voltages_v)))
+    shown.measured.show(v, { scale: end })
+    for (const [kind, values] of [
+      ['twin', s],
+      ['rest', minus(v, s)],
+      ['touch', minus(v, untouched?.voltages_v)],
+    ]) {
+      shown[kind].node.classList.toggle('absent', !values)
+      shown[kind].show(values ?? new Array(784).fill(null), { scale: end })
+    }
+    note(why.twin, s ? '' : 'No twin yet: the service simulates it after the trial was stored.')
+    note(why.touch, untouched ? untouched.words : 'No untouched frame is known for this trial.')
+    note(scaleWords, `All four end at ±${about(end, 'V')}: linear up to 15\u202f% of it, logarithmic beyond.`)
+  }
+
+  function curves(siblings) {
+    const one = siblings.length < 2
+    depths.node.hidden = one
+    note(alone, one ? 'This configuration has one trial: there is no curve over depth.' : '')
+    const rows = [...siblings].sort((a, b) => a.depth_mm - b.depth_mm)
+    depths.set([rows.map(r => r.depth_mm), ...ARMS.map((_, i) => rows.map(r => r.forces_n[i] ?? null))])
+    fill(
+      steps,
+      one
+        ? []
+        : rows.map(r =>
+            el(
+              'a',
+              { className: 'chip', href: href(r.trial_id), title: `trial ${r.trial_id}`, ...(r.trial_id === row.trial_id && { 'aria-current': 'page' }) },
+              fixed(r.depth_mm, 1)
+            )
+          ),
+      !one && el('span', { className: 'soft small' }, 'mm')
+    )
+  }
+
+  function words() {
+    fill(
+      fit,
+      facts([
+        ['FVU', fixed(row.fvu, 3)],
+        ['RMSE', row.rmse_v == null ? NONE : fixed(row.rmse_v * 1e3, 2, 'mV')],
+        ['Largest force', fixed(row.max_force_n, 1, 'N')],
+        ['Settled after', row.settle_ms == null ? NONE : span(row.settle_ms / 1e3)],
+        ['Overshoot', fixed(row.overshoot_n, 2, 'N')],
+        ['Attempt', count(row.attempt)],
+        ['Measured', moment(row.measured_at, true)],
+        row.placed_by && ['Placed by', row.placed_by],
+        [
+          'Raw frames',
+          row.kind === 'imported'
+            ? 'none: imported'
+            : row.frame_count
+              ? el('a', { href: `/api/v1/trials/${row.trial_id}/frames`, target: '_blank', rel: 'noopener' }, count(row.frame_count))
+              : 'none',
+        ],
+      ]),
+      row.sim_model ? el('p', { className: 'soft small' }, 'Twin by model ', el('code', {}, row.sim_model), '.') : ''
+    )
+    const axes = [
+      ['x_mm', 'x'],
+      ['y_mm', 'y'],
+      ['z_mm', 'z'],
+      ['radius_mm', 'Radius'],
+    ]
+    fill(
+      poses,
+      row.target || row.reached
+        ? table({
+            columns: [
+              { head: 'Axis', cell: r => r[1], left: true },
+              { head: 'Target', unit: 'mm', cell: r => fixed(row.target?.[r[0]], 3) },
+              { head: 'Reached', unit: 'mm', cell: r => fixed(row.reached?.[r[0]], 3) },
+              { head: 'Difference', unit: 'mm', cell: r => (row.target && row.reached ? fixed(row.reached[r[0]] - row.target[r[0]], 3) : NONE) },
+            ],
+            rows: axes,
+          }).node
+        : el(
+            'p',
+            { className: 'soft' },
+            row.kind === 'real-random' ? 'Weights were placed by a person: no axis moved.' : 'No pose was stored with this trial.'
+          )
+    )
+    fill(
+      verdict,
+      row.flags.length
+        ? el(
+            'ul',
+            {},
+            row.flags.map(flag => el('li', { className: 'warn' }, `${capital(plain(flag))}. `, el('span', { className: 'soft' }, FLAGS[flag] ?? '')))
+          )
+        : el('p', {}, 'No flag: nothing in this trial looks faulty.')
+    )
+    fill(
+      quality,
+      facts([
+        ['Dropped packets', count(row.dropped_packets)],
+        ['Missing channels', count(row.missing_channels)],
+        ['Stuck channels', count(row.stuck_channels)],
+        ['Saturated channels', count(row.saturated_channels)],
+        ['Injection sum, largest', row.injection_sum_v == null ? NONE : fixed(row.injection_sum_v * 1e3, 2, 'mV')],
+      ])
+    )
+  }
+
+  return {
+    node,
+    async show(next, { siblings = [], untouched = null, deepest = null } = {}, by = '') {
+      row = next
+      scale.value = by
+      words()
+      curves(siblings)
+      frames({ untouched, deepest })
+      map.redraw()
+      const shape = await sensor(row.scan_id).catch(() => sensor().catch(() => null))
+      if (signal.aborted || row !== next) return
+      if (shape) {
+        diameter = shape.tip_diameter_mm ?? 20
+        if (map.shape !== shape) map.geometry(shape)
+      }
+      map.redraw()
+    },
+  }
+}

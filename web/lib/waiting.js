@@ -1,0 +1,189 @@
+// The waiting runs: their order, predicted times, and what may be done with each. Rows are dragged or moved by buttons.
+
+import { ask, get, send, withQuery } from './api.js'
+import { actor, confirm, named, only } from './actions.js'
+import { beginRun } from './begin.js'
+import { clockline, predict } from './clockline.js'
+import { button, el, panel, say } from './dom.js'
+import { NONE, capital, count, counted, moment, plain, span } from './format.js'
+import { live, who } from './live.js'
+import { dragRows } from './drag.js'
+import { table } from './table.js'
+
+const MOST_ESTIMATES = 50
+
+const until = ({ end, low, high }) => (moment(low) === moment(high) ? moment(end) : `${moment(end)} (${moment(low)} to ${moment(high)})`)
+const name = row => `${row.scan_id} ${row.experiment}`
+
+function summary(run, rows, last, partial) {
+  const first = run ? `Run ${run.scan_id} is ${plain(run.state)}.` : 'No run is active.'
+  if (!rows.length) return `${first} Nothing waits.`
+  const end = last > 0 ? `the queue ends ${partial ? 'after' : 'about'} ${moment(last)}` : 'the end is not known yet'
+  return `${first} ${counted(rows.length, 'run')} ${rows.length === 1 ? 'waits' : 'wait'}; ${end}.`
+}
+
+function conditions(rows, rig) {
+  const held = rows.filter(row => !row.waiting_since).length
+  if (!rows.length) return ''
+  const open = held === rows.length ? 'None of these runs is' : `${count(held)} of these runs ${held === 1 ? 'is' : 'are'} not`
+  return [
+    held > 0 && `${open} started yet: the times hold if each is started before its turn.`,
+    'Work of persons (tips, weights) is not in the times.',
+    rig?.label === 'virtual' && 'The rig is virtual: durations are at the speed of its clock.',
+  ]
+    .filter(Boolean)
+    .join(' ')
+}
+
+/** Makes the panel: { node, refresh, tag }. `said` tells what became of an action, `go` leads to the editor. */
+export function waiting({ said, go, signal }) {
+  const line = clockline()
+  const estimates = new Map()
+  const cells = new Map()
+  let rows = []
+  let tag = ''
+  let pressed = ''
+
+  const head = el('p', { className: 'big live' }, 'Loading …')
+  const hint = el('p', { className: 'soft said' })
+  const list = table({
+    columns: [
+      { head: 'Run', left: true, cell: name },
+      { head: 'Trials', cell: row => count(row.trials_planned) },
+      { head: 'Duration', cell: row => cell(row, 'duration') },
+      { head: 'Begins', cell: row => cell(row, 'begins') },
+      { head: 'Ends', cell: row => cell(row, 'ends') },
+      { head: 'State', left: true, cell: row => cell(row, 'state') },
+      { head: 'Queued by', left: true, cell: row => `${row.submitted_by}, ${moment(row.created_at)}` },
+      { head: 'Change', left: true, cell: buttons },
+    ],
+    empty: 'Choose an experiment below, or drop an experiment file on this page.',
+    href: row => `/plan?run=${row.scan_id}`,
+  })
+  list.node.classList.add('queue-table', 'stack')
+  const drag = dragRows(list.node, { rows: () => rows, move: (row, position) => said.run(`Move run ${row.scan_id}`, () => move(row, position)) })
+
+  function cell(row, part) {
+    const key = `${row.uid} ${part}`
+    if (!cells.has(key)) cells.set(key, el('span', {}, NONE))
+    return cells.get(key)
+  }
+
+  function buttons(row) {
+    const at = rows.indexOf(row)
+    const run = `run ${row.scan_id}`
+    const mine = (words, work, props) => {
+      const node = actor(words, said, work, { what: `${words} ${run}`, ...props })
+      node.dataset.key = `${words} ${row.uid}`
+      return node
+    }
+    const other = (words, work, props) => only('operator', button(words, work, { 'aria-label': `${words} ${run}`, ...props }))
+    return el(
+      'div',
+      { className: 'row tight' },
+      !row.waiting_since && other('Arm and start', () => beginRun(row, said).then(refresh), { className: at ? '' : 'main' }),
+      mine('Up', () => move(row, at), { disabled: at === 0, 'aria-label': `Move ${run} up` }),
+      mine('Down', () => move(row, at + 2), { disabled: at === rows.length - 1, 'aria-label': `Move ${run} down` }),
+      other('Edit', () => go(`/queue?edit=${row.scan_id}`)),
+      other('Copy', () => go(`/queue?copy=${row.scan_id}`)),
+      other('Remove', () => remove(row), { className: 'danger' }),
+    )
+  }
+  const match = () => (tag ? { 'if-match': tag } : {})
+
+  async function move(row, position) {
+    pressed = `${position > rows.indexOf(row) + 1 ? 'Down' : 'Up'} ${row.uid}`
+    try {
+      await send(`/queue/${row.uid}/move`, { position, who: who() }, { headers: match() })
+    } catch (error) {
+      if (error.status === 412) error.message = 'the queue has changed since it was shown. It is shown as it is now'
+      throw error
+    } finally {
+      await refresh()
+    }
+  }
+  async function remove(row) {
+    const words = `${row.experiment} is taken from the queue. Its number is not used again; the experiment can be queued again.`
+    if (!(await confirm(`Remove run ${row.scan_id}?`, words, 'Remove')) || !(await named())) return
+    const path = withQuery(`/queue/${row.uid}`, { who: who() })
+    await said.run(`Remove run ${row.scan_id}`, () => send(path, undefined, { method: 'DELETE', headers: match() }))
+    await refresh()
+  }
+
+  // The rows: read with the tag of what is shown, drawn again only if they changed.
+  let reading = null
+  let fails = ''
+  const refresh = () =>
+    (reading ??= read().finally(() => {
+      reading = null
+    }))
+  async function read() {
+    try {
+      const answer = await ask('/api/v1/queue', { signal, headers: tag ? { 'if-none-match': tag } : {} })
+      fails = ''
+      if (answer.status === 304) return times()
+      tag = answer.headers.get('etag') ?? ''
+      rows = (await answer.json()).items
+      const focus = pressed || document.activeElement?.dataset.key // An action disables its button, which loses the focus.
+      pressed = ''
+      list.show(rows)
+      drag.attach()
+      if (focus) list.node.querySelector(`[data-key="${focus}"]`)?.focus()
+      times()
+      for (const row of rows.slice(0, MOST_ESTIMATES)) await estimate(row)
+    } catch (error) {
+      if (signal.aborted) return
+      fails = `The queue could not be read: ${error.message}.`
+    }
+    times()
+  }
+  async function estimate(row) {
+    const known = estimates.get(row.uid)
+    if (known?.plan === row.plan_sha256 || signal.aborted) return
+    try {
+      estimates.set(row.uid, { ...(await get(`/runs/${row.uid}/preflight`, {}, { signal, wait: 20_000 })), plan: row.plan_sha256 })
+    } catch (error) {
+      estimates.set(row.uid, { plan: row.plan_sha256, refused: error.message })
+    }
+    times()
+  }
+
+  function stateOf(row, now) {
+    const p = estimates.get(row.uid)
+    const early = row.not_before && Date.parse(row.not_before) > now ? `not before ${moment(row.not_before)}` : ''
+    const bad = p?.problems?.length ? `refused: ${p.problems[0].key}` : p?.refused ? `refused: ${p.refused}` : ''
+    const words = row.waiting_since ? 'started, waits for its turn' : 'to be started by a person'
+    return { words: capital([bad, words, early].filter(Boolean).join(', ')), tone: bad ? 'bad' : row.waiting_since ? 'good' : 'warn' }
+  }
+
+  function times() {
+    const now = Date.now()
+    const { run, rig } = live.status ?? {}
+    const eta = run?.eta
+    const after = s => now + (s ?? 0) * 1e3
+    const free = { likely: after(eta?.remaining_s), low: after(eta?.low_s), high: after(eta?.high_s) }
+    const predicted = predict(rows, new Map([...estimates].filter(([, p]) => p.duration_s != null)), free)
+    for (const row of rows) {
+      const p = estimates.get(row.uid)
+      const t = predicted.get(row.uid)
+      say(cell(row, 'duration'), p?.duration_s == null ? NONE : span(p.duration_s))
+      say(cell(row, 'begins'), t ? moment(t.begin) : NONE)
+      say(cell(row, 'ends'), t ? until(t) : NONE)
+      const { words, tone } = stateOf(row, now)
+      say(cell(row, 'state'), words)
+      cell(row, 'state').className = tone
+    }
+    const active = run && eta ? [{ name: name(run), href: '/', begin: now, end: free.likely, tone: 'now' }] : []
+    const bar = row => ({ name: name(row), href: `/plan?run=${row.scan_id}`, ...predicted.get(row.uid) })
+    const bars = rows.filter(row => predicted.has(row.uid)).map(bar)
+    line.show(now, [...active, ...bars.sort((a, b) => a.begin - b.begin)])
+    const last = Math.max(0, ...[...active, ...bars].map(one => one.end))
+    say(head, fails || summary(run, rows, last, rows.length > predicted.size))
+    head.className = `big live ${fails ? 'bad' : ''}`
+    say(hint, conditions(rows, rig))
+  }
+
+  live.addEventListener('caller', drag.attach, { signal })
+  const node = panel('In this order', { className: 'queue' }, head, line.node, list.node, said.node, hint)
+  return { node, refresh, tag: () => tag }
+}

@@ -1,0 +1,149 @@
+// Presses on each place of the skin: coloured discs with a legend, the places by number of presses, the most pressed ones.
+
+import { chart } from './chart.js'
+import { button, dark, el, facts, fill, pane } from './dom.js'
+import { NONE, count, counted, fixed } from './format.js'
+import { round125, sequential } from './frame.js'
+import { median } from './runwords.js'
+import { skin } from './skin.js'
+import { table } from './table.js'
+
+const MOST_PRESSED = 8
+const NEAR_MM = 12
+const DISC_MM = 7.4
+const BARS_MOST = 40
+// The first shades are those of the ground: a place that was pressed once must differ from it.
+const FIRST_SHADE = 20
+const shadeOf = u => Math.round(FIRST_SHADE + (254 - FIRST_SHADE) * u)
+
+/** Makes the map: { map, most, spread } are sections; `show(points, shape)` draws, `choose(x, y)` marks a place. */
+export function wearMap({ onchoose, label, signal }) {
+  let points = { x_mm: [], y_mm: [], presses: [] }
+  let order = []
+  let marked = null
+  const query = '/api/v1/wear'
+  const legend = el('p', { className: 'legend' })
+  const chosen = el('p', { className: 'picked' })
+  const most = el('section')
+  const at = i => [points.x_mm[i], points.y_mm[i], points.presses[i]]
+  const top = () => points.presses[order[0]] ?? 0
+  const end = () => round125(Math.max(1, top()))
+
+  const view = skin({
+    title: 'Presses on each place',
+    signal,
+    label,
+    query,
+    draw,
+    describe,
+    onhover: mm => (mm ? words(near(mm)) : ''),
+    onpick: mm => pick(near(mm)),
+    data: () => ({ heads: ['x_mm', 'y_mm', 'presses'], rows: order.map(at) }),
+  })
+  const series = [{ name: 'places', digits: 0, bars: true, fill: true, colour: '--c1' }]
+  const range = (_, high) => [0, Math.max(1, (high || 1) * 1.1)]
+  const spread = chart({ title: 'Places by their presses', time: false, x: 'Presses', y: 'Places', height: 170, signal, label, query, series, range })
+  dark.addEventListener('change', tellLegend, { signal })
+
+  function describe() {
+    if (!order.length) return 'Presses on the skin'
+    return `Presses on ${count(order.length)} places of the skin: most ${count(top())}, median ${count(median(points.presses))}; see the table.`
+  }
+  function words(i) {
+    if (i == null) return ''
+    const [x, y, n] = at(i)
+    return `x ${fixed(x, 0)}, y ${fixed(y, 0, 'mm')}: ${counted(n, 'press', 'presses')}, place ${order.indexOf(i) + 1} of ${count(order.length)}`
+  }
+  function near([x, y]) {
+    let best = null
+    let least = NEAR_MM ** 2
+    for (const i of order) {
+      const d = (points.x_mm[i] - x) ** 2 + (points.y_mm[i] - y) ** 2
+      if (d < least) {
+        least = d
+        best = i
+      }
+    }
+    return best
+  }
+  const pick = i => (i == null ? onchoose(null, null) : onchoose(Math.round(at(i)[0]), Math.round(at(i)[1])))
+
+  function disc(pen, v, [x, y], radius) {
+    pen.beginPath()
+    pen.arc(v.x(x), v.y(y), radius, 0, 7)
+  }
+  function draw(pen, v) {
+    const shades = sequential()
+    const radius = Math.max(1.5, DISC_MM * v.scale)
+    pen.strokeStyle = v.colour('--line')
+    pen.lineWidth = 1
+    for (const i of order) {
+      disc(pen, v, at(i), radius)
+      if (points.presses[i] > 0) {
+        pen.fillStyle = `rgb(${shades[shadeOf(points.presses[i] / end())]})`
+        pen.fill()
+      } else pen.stroke()
+    }
+    if (marked == null) return
+    pen.strokeStyle = v.colour('--ink')
+    pen.lineWidth = 2.5
+    disc(pen, v, at(marked), radius + 2)
+    pen.stroke()
+  }
+  function tellLegend() {
+    const bar = el('canvas', { width: 255, height: 1, className: 'shades', 'aria-hidden': 'true' })
+    const image = new ImageData(255, 1)
+    const shades = sequential()
+    for (let i = 0; i < 255; i += 1) image.data.set([...shades[shadeOf(i / 254)], 255], 4 * i)
+    bar.getContext('2d').putImageData(image, 0, 0)
+    fill(legend, el('span', {}, '1'), bar, el('span', {}, counted(end(), 'press', 'presses')), el('span', {}, el('i', { className: 'none' }), 'never'))
+  }
+
+  function tellMost() {
+    const used = points.presses.filter(n => n > 0)
+    const usual = median(used)
+    const where = i => `x ${fixed(at(i)[0], 0)}, y ${fixed(at(i)[1], 0, 'mm')}`
+    const find = i => button('On the skin', () => pick(i), { className: 'plain small', 'aria-label': `Show the place at ${where(i)}` })
+    const columns = [
+      { head: 'Place', left: true, cell: where },
+      { head: 'Presses', cell: i => count(points.presses[i]) },
+      { head: 'Of the median', cell: i => (usual ? `${fixed(points.presses[i] / usual, 1)}\u202f×` : NONE) },
+      { head: 'Show', cell: find },
+    ]
+    const list = facts([
+      ['Presses in all', count(points.presses.reduce((a, b) => a + b, 0))],
+      ['Places', count(order.length)],
+      ['Never pressed', count(order.length - used.length)],
+      ['Median of the others', count(usual)],
+      ['Most', count(top())],
+    ])
+    const rows = order.slice(0, MOST_PRESSED).filter(i => points.presses[i] > 0)
+    fill(most, el('h2', {}, 'The most pressed places'), list, table({ rows, columns, empty: 'No place has been pressed yet.' }).node)
+  }
+  function drawSpread() {
+    const width = Math.max(1, Math.ceil(end() / BARS_MOST))
+    const bins = new Array(Math.floor(end() / width) + 1).fill(0)
+    for (const n of points.presses) bins[Math.floor(n / width)] += 1
+    spread.set([
+      [-width, ...bins.map((_, i) => i * width), bins.length * width],
+      [null, ...bins, null],
+    ])
+  }
+
+  function choose(x, y) {
+    marked = x == null ? null : near([x, y])
+    fill(chosen, marked == null ? '' : `Chosen: ${words(marked)}.`)
+    view.redraw()
+  }
+  function show(next, shape) {
+    points = next
+    order = points.presses.map((_, i) => i).sort((a, b) => points.presses[b] - points.presses[a])
+    tellMost()
+    drawSpread()
+    if (shape) {
+      tellLegend()
+      view.geometry(shape)
+    } else fill(legend, 'The service does not describe the sensor, so the skin cannot be drawn.')
+  }
+  return { map: pane(view.node, legend, chosen), most, spread: pane(spread.node), show, choose }
+}

@@ -1,0 +1,155 @@
+// The datasets: "What can I load?" The list as the paper's Table I, one opened above it, exports below.
+
+import { get, once } from '../lib/api.js'
+import { actor, outcome } from '../lib/actions.js'
+import { button, el, fill, note, panel } from '../lib/dom.js'
+import { bytes, count, counted, moment } from '../lib/format.js'
+import { contactColumns, datasetView, partsWords } from '../lib/dataset.js'
+import { exportsPanel } from '../lib/exports.js'
+import { table } from '../lib/table.js'
+
+const ABOUT = {
+  real: 'Real-Hex with contacts: measured voltages to force map (Table II)',
+  'real-untouched': 'Real-Hex where no tip pressed',
+  'r2s-transfer': 'measured to simulated voltages (Table II)',
+  'r2s-transfer-by-trial': 'the same, split by trial as in the paper',
+  's2s-recon': 'simulated voltages to force map (Table II)',
+  'real-unseen': 'Real-Random: the test with weights (Table II)',
+}
+const EXAMPLE = 'name = "strong"\ntask = "real"\nwhere = ["max_force_n__gt=20"]\n\n[split]\nratio = [3, 1, 1]\nseed = 1\n'
+
+/** Shows the page. */
+export async function show(root, { query, signal, set, go }) {
+  let items = [],
+    next = null,
+    names = []
+  const labels = new Map()
+  const said = outcome(),
+    files = exportsPanel({ signal }),
+    told = el('span'),
+    trouble = el('p', { className: 'bad', role: 'status', hidden: true })
+  const view = datasetView({
+    signal,
+    go: set,
+    onmade: made,
+    onexport: name => {
+      files.choose(name)
+      files.node.scrollIntoView({ block: 'start' })
+      files.node.querySelector('select').focus()
+    },
+  })
+  const newest = item => items.find(one => one.name === item.name) === item
+  const list = table({
+    href: item => `/data?dataset=${newest(item) ? item.name : item.id}`,
+    current: item => item.id === query.dataset || (item.name === query.dataset && newest(item)),
+    empty: 'No dataset yet. A run gives one when it ends; the definitions below make the others.',
+    columns: [
+      { head: 'Dataset', cell: item => item.name, left: true },
+      { head: 'Label', cell: item => labels.get(item.id), left: true },
+      ...contactColumns,
+      { head: 'Total', cell: item => count(item.rows) },
+      { head: 'Parts', cell: item => partsWords(item.report), left: true },
+      { head: 'Size', cell: item => bytes(item.bytes) },
+      { head: 'Made', cell: item => el('span', {}, moment(item.created_at), newest(item) ? '' : el('span', { className: 'soft' }, ' (older)')) },
+    ],
+  })
+  const more = button('More', () => read(next), { hidden: true }),
+    offered = el('div', { className: 'offers' })
+
+  // Making one: by a name, or by the text of a definition.
+  const text = el('textarea', { id: 'ds-text', rows: 9, spellcheck: false, value: EXAMPLE })
+  const file = el('input', {
+    id: 'ds-file',
+    type: 'file',
+    accept: '.toml',
+    onchange: async () => {
+      if (file.files[0]) text.value = await file.files[0].text()
+    },
+  })
+  const make = (words, body, props) =>
+    actor(
+      words,
+      said,
+      async () => {
+        const item = await once('/datasets', body())
+        made(item)
+        return item
+      },
+      props
+    )
+  const own = el(
+    'details',
+    {},
+    el('summary', {}, 'A definition of your own'),
+    el(
+      'p',
+      { className: 'soft small' },
+      'Keys: name, task (trials, real, r2s-transfer, s2s-recon, real-unseen), runs, label, deadband_n, flagged, untouched, ',
+      'contact_counts, where, sim_random, [split].'
+    ),
+    el('label', { htmlFor: 'ds-text' }, 'Definition (TOML)'),
+    text,
+    el('label', { htmlFor: 'ds-file' }, 'or a file'),
+    file,
+    el(
+      'div',
+      { className: 'row' },
+      make('Make the dataset', () => ({ toml: text.value }), { className: 'main' })
+    )
+  )
+  const listPanel = panel('Datasets', { aside: told }, trouble, list.node, el('div', { className: 'row' }, more))
+  const makePanel = panel('Make one of the trials stored now', {}, offered, own, said.node)
+  root.append(view.node, listPanel, makePanel, files.node)
+
+  function made(item) {
+    read()
+    view.forget()
+    go(`/data?dataset=${item.name}`, { replace: query.dataset === item.name })
+  }
+  async function read(cursor) {
+    try {
+      const page = await get('/datasets', { limit: 50, cursor }, { signal })
+      items = cursor ? [...items, ...page.items] : page.items
+      next = page.next
+      names = page.definitions
+      note(trouble, '')
+    } catch (error) {
+      if (!signal.aborted) note(trouble, `The datasets cannot be read: ${error.message}`)
+    }
+    if (signal.aborted) return
+    more.hidden = !next
+    fill(told, items.length ? `${next ? 'first ' : ''}${counted(items.length, 'dataset')}, newest first` : '')
+    list.show(items)
+    const line = name => {
+      const there = items.some(item => item.name === name)
+      return el(
+        'li',
+        {},
+        el('code', {}, name),
+        el('span', { className: 'soft' }, ABOUT[name] ?? 'a definition of this service'),
+        make(there ? 'Make again' : 'Make', () => ({ name }), { what: `Make ${name}`, 'aria-label': `${there ? 'Make again' : 'Make'}: ${name}` })
+      )
+    }
+    fill(offered, el('ul', {}, names.map(line)))
+    label()
+  }
+  /** The label is in the lineage alone: read for the rows on the page, one after the other. */
+  async function label() {
+    for (const item of items.slice(0, 50)) {
+      if (signal.aborted) return
+      if (labels.has(item.id)) continue
+      const found = await get(`/datasets/${item.id}/lineage`, {}, { signal }).catch(() => null)
+      if (found) labels.set(item.id, [...new Set(found.lineage.runs.map(run => run.label))].join(' and ') || 'simulated')
+    }
+    if (!signal.aborted) list.show(items)
+  }
+  function update(changed) {
+    query = changed
+    view.show(query)
+    list.show(items)
+  }
+  files.choose(query.dataset ?? 'real')
+  view.show(query)
+  read()
+  return { update }
+}

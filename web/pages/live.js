@@ -1,0 +1,181 @@
+// Live: what is touching the skin? Contacts of the live frames at up to 30 per second, how sure they are, which
+// model answers; a recording of the raw frames. Its address: method, scale.
+
+import { get, socket } from '../lib/api.js'
+import { changing } from '../lib/changing.js'
+import { chart } from '../lib/chart.js'
+import { el, fill, panel, say, select, sleep } from '../lib/dom.js'
+import { counted, fixed } from '../lib/format.js'
+import { round125 } from '../lib/frame.js'
+import { live } from '../lib/live.js'
+import { recorder } from '../lib/recording.js'
+import { METHODS, bestMethod, lacks, needWords, servingPart } from '../lib/serves.js'
+import { sensor } from '../lib/skin.js'
+import { table } from '../lib/table.js'
+import { numbered, touchMap } from '../lib/touchmap.js'
+
+const SCALES = [['5', '5 N'], ['20', '20 N'], ['', '50 N'], ['100', '100 N']]
+const DRAW_MS = 30, TELL_MS = 250, TRACE_MS = 100, TRACED = 600, SERVING_MS = 10_000, STALE_MS = 2000
+const FRAME_MISFIT_LIMIT = 3 // Beyond it a fit does not explain the frame; the service says so in `outside`.
+
+/** How sure an answer is: { tone, words }. */
+export function sureness(answer, old) {
+  if (!answer) return { tone: 'soft', words: 'No answer yet: frames come while the rig is connected.' }
+  if (answer.error) return { tone: 'bad', words: `The method failed: ${answer.error}` }
+  if (old) return { tone: 'warn', words: 'Old: no answer has come for some seconds.' }
+  if (answer.outside?.length) return { tone: 'warn', words: `Unsure: ${answer.outside.join('; ')}.` }
+  const misfit = answer.misfit == null ? '' : ` The fit leaves ${fixed(answer.misfit, 1)} times the noise (limit ${FRAME_MISFIT_LIMIT}).`
+  return { tone: 'good', words: `${answer.contacts.length ? counted(answer.contacts.length, 'contact') : 'Nothing touches the skin'}.${misfit}` }
+}
+
+/** Shows the page. */
+export async function show(root, { query, signal, set }) {
+  let state = query, serving = null, cut = null, open = '' // The socket and its method.
+  let newest = null, answer = null, at = 0, asked = false, drawn = 0 // The newest message, and what was drawn of it.
+  let arrived = 0, drawings = 0, since = performance.now(), rates = {}
+  const latencies = [], trace = { at: [], total: [], from: 0 }
+  const label = () => live.status?.rig.label
+  const chosen = () => METHODS.find(one => one.name === state.method) ?? bestMethod(serving)
+
+  const map = touchMap({ signal, label, query: '/api/v1/serving' })
+  const scales = select(SCALES, state.scale ?? '', value => set({ scale: value }), { 'aria-label': 'Force at the end of the colours' })
+  const methods = select([['', 'Best that serves'], ...METHODS.map(one => [one.name, one.name])], state.method ?? '', value => set({ method: value }),
+    { 'aria-label': 'Method' })
+  const sure = el('p', { className: 'answer sure' }), numbers = el('div'), serves = servingPart()
+  const columns = [
+    { head: 'Contact', cell: c => String(c.number) }, { head: 'x', unit: 'mm', cell: c => spread(c.x_mm, c.x_sd_mm) },
+    { head: 'y', unit: 'mm', cell: c => spread(c.y_mm, c.y_sd_mm) }, { head: 'Force', unit: 'N', cell: c => spread(c.force_n, c.force_sd_n) },
+  ]
+  const presence = { head: 'Presence', unit: '%', cell: c => c.presence == null ? '–' : fixed(100 * c.presence, 0) }
+  const [placed, proposed] = [columns, [...columns, presence]].map(columns => table({ caption: 'Contacts', empty: 'Nothing touches the skin.', columns }))
+  const lists = el('div')
+  const total = chart({ title: 'Total force, last minute', y: 'Force', unit: 'N', height: 130, signal, label,
+    series: [{ name: 'total', digits: 1, fill: true }], range: (_, high) => [0, round125(Math.max(5, high || 0))] })
+  const now = panel('Now', { className: 'live touch', aside: methods }, sure, numbers, lists)
+  const colours = el('label', { className: 'inline' }, 'Colours up to', scales)
+  const picture = el('section', { className: 'live' }, el('div', { className: 'row tight' }, colours), map.node)
+  const beside = el('div', { className: 'column' }, now, el('section', { className: 'live' }, total.node), serves.node, recorder({ signal }))
+  const page = el('div', { className: 'columns live-columns' }, picture, beside)
+  fill(root, serves.none, page)
+
+  // One socket for the chosen method; the map is asked for where the contacts do not say it all.
+  function listen() {
+    const method = chosen(), ready = method && !lacks(method, serving).length, wanted = ready ? method.name : ''
+    if (wanted === open) return
+    open = wanted
+    cut?.abort()
+    answer = newest = null
+    map.show(null)
+    if (!wanted) return
+    cut = new AbortController()
+    const until = AbortSignal.any([signal, cut.signal])
+    socket('/live', { signal: until, raw: true, rest: true, query: { method: wanted, map: wanted === 'paper' || null }, onmessage(text) {
+      if (until.aborted) return
+      newest = text
+      arrived += 1
+      if (!asked) { asked = true; requestAnimationFrame(frame) }
+    } })
+  }
+
+  // At most 30 drawings per second, each of the newest answer; what is not drawn is not even read.
+  function frame(time) {
+    asked = false
+    if (signal.aborted || !newest) return
+    if (time - drawn < DRAW_MS) { asked = true; requestAnimationFrame(frame); return }
+    drawn = time
+    drawings += 1
+    const read = JSON.parse(newest)
+    newest = null
+    at = Date.now()
+    if (read.error) { answer = { ...read, contacts: [] } } else {
+      numbered(read.contacts, answer?.contacts ?? [])
+      answer = read
+      latencies.push(read.latency_us)
+      if (latencies.length > 60) latencies.shift()
+      keep(read)
+    }
+    map.show(answer)
+  }
+
+  function keep({ contacts }) {
+    if (at - trace.from < TRACE_MS) return
+    trace.from = at
+    let sum = 0
+    for (const contact of contacts) sum += contact.force_n ?? 0
+    trace.at.push(at / 1e3)
+    trace.total.push(sum)
+    if (trace.at.length > TRACED) { trace.at.shift(); trace.total.shift() }
+  }
+
+  // Words and numbers four times per second: faster cannot be read.
+  function tell() {
+    const old = answer && Date.now() - at > STALE_MS, method = chosen(), words = open || !serving ? sureness(answer, old) : missing(method)
+    say(sure, words.words)
+    sure.className = `answer sure ${words.tone}`
+    picture.classList.toggle('old', Boolean(old))
+    const seconds = (performance.now() - since) / 1e3
+    if (seconds >= 1) {
+      const sorted = [...latencies].sort((a, b) => a - b), latency = sorted[sorted.length >> 1]
+      const per = n => `${fixed(n / seconds, 0)} per s`
+      rates = { latency: latency == null || old ? '–' : fixed(latency / 1e3, 1, 'ms'), answers: per(arrived), drawn: per(drawings) }
+      arrived = drawings = 0
+      since = performance.now()
+    }
+    const sum = answer?.contacts.reduce((newtons, c) => newtons + (c.force_n ?? 0), 0)
+    changing(numbers, [
+      ['Contacts', answer ? String(answer.contacts.length) : '–'], ['Total force', fixed(sum, 1, 'N')],
+      ['Averaged', answer?.averaged == null ? '–' : counted(Math.round(answer.averaged), 'frame')],
+      ['Latency', rates.latency], ['Answers', rates.answers], ['Drawn', rates.drawn],
+    ])
+    lists.hidden = !answer
+    const list = answer?.method === 'fast' ? proposed : placed
+    if (lists.firstChild !== list.node) fill(lists, list.node)
+    list.show([...answer?.contacts ?? []].sort((a, b) => a.number - b.number))
+    if (trace.at.length) total.set([trace.at, trace.total])
+  }
+  const missing = method => method ? { tone: 'warn', words: `${method.name} ${needWords(method, serving)} that serves.` }
+    : { tone: 'soft', words: 'No model serves, so nothing is known of contacts.' }
+
+  function tellServing() {
+    serves.show(serving)
+    page.classList.toggle('waiting', !bestMethod(serving))
+    const best = bestMethod(serving)?.name
+    say(methods.options[0], best ? `Best that serves (${best})` : 'Best that serves')
+  }
+
+  async function look() {
+    while (!signal.aborted) {
+      if (!document.hidden) {
+        try {
+          serving = await get('/serving', {}, { signal })
+          tellServing()
+          listen()
+        } catch (error) { if (!signal.aborted) serves.failed(error) }
+      }
+      await sleep(SERVING_MS, signal)
+    }
+  }
+  map.scale(Number(state.scale) || 50)
+  look()
+  const timer = setInterval(() => { if (!document.hidden) tell() }, TELL_MS)
+  signal.addEventListener('abort', () => clearInterval(timer))
+  tell()
+  try { map.geometry(await sensor()) } catch (error) { picture.prepend(el('p', { className: 'bad' }, `The skin cannot be drawn: ${error.message}`)) }
+
+  return {
+    update(next) {
+      state = next
+      methods.value = state.method ?? ''
+      scales.value = state.scale ?? ''
+      map.scale(Number(state.scale) || 50)
+      listen()
+      tell()
+    },
+  }
+}
+
+/** A value with its standard deviation, where there is one. */
+function spread(value, sd) {
+  if (value == null || sd == null) return fixed(value, 1)
+  return el('span', { className: 'nowrap' }, `${fixed(value, 1)} ± ${fixed(sd, 1)}`)
+}

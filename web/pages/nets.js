@@ -1,0 +1,162 @@
+// The nets: "What has learned, and is it better?" Serving, models, evaluations side by side, jobs, and the forms that start them.
+
+import { all, get } from '../lib/api.js'
+import { outcome } from '../lib/actions.js'
+import { button, el, fill, panel } from '../lib/dom.js'
+import { counted, fixed, moment } from '../lib/format.js'
+import { jobView, jobsPanel } from '../lib/jobs.js'
+import { TASKS, netView } from '../lib/net.js'
+import { evaluationForm, trainingForm } from '../lib/requests.js'
+import { contactTable, shortScore, voltageTable } from '../lib/scores.js'
+import { servingPanel, slotOf } from '../lib/serving.js'
+import { table } from '../lib/table.js'
+import { live } from '../lib/live.js'
+
+/** Shows the page. */
+export async function show(root, { query, signal, go }) {
+  let models = [],
+    next = null,
+    datasets = []
+  const said = outcome(),
+    asked = outcome()
+  const name = id => models.find(model => model.id === id)?.name ?? id
+  const serving = servingPanel({
+    signal,
+    said,
+    name,
+    onchange: () => {
+      readModels()
+      view.forget()
+      view.show(query.model)
+    },
+  })
+  const view = netView({ signal, models: () => models, promote: serving.promote })
+  const work = jobView({ signal, said, models: () => models, onstopped: () => jobs.read() })
+  const href = id => `/nets?job=${id}`
+
+  const may = node => {
+    node.dataset.role = 'operator'
+    node.classList.toggle('denied', !live.may('operator'))
+    return node
+  }
+  const list = table({
+    href: model => `/nets?model=${model.id}`,
+    current: model => [model.id, model.name].includes(query.model),
+    empty: 'No model yet. Start a training below, or add one with palpate model add.',
+    columns: [
+      { head: 'Model', left: true, cell: model => model.name },
+      { head: 'Id', left: true, cell: model => el('code', {}, model.id) },
+      { head: 'Learned', left: true, cell: model => TASKS[model.task] ?? model.task },
+      { head: 'From', left: true, cell: model => [...(model.manifest.datasets ?? [])].join(', ') || 'simulations' },
+      { head: 'Label', left: true, cell: model => model.manifest.label },
+      { head: 'Contacts', cell: model => model.manifest.trained_on?.contact_counts?.join(', ') },
+      { head: 'Up to', unit: 'N', cell: model => fixed(model.manifest.trained_on?.max_force_n, 0) },
+      { head: 'Newest score', left: true, cell: model => (model.scores[0] ? shortScore(model.scores[0]) : 'not evaluated') },
+      { head: 'Trained', cell: model => moment(model.created_at) },
+      {
+        head: 'Serves',
+        cell: model =>
+          model.serves
+            ? el('span', { className: 'good' }, 'serves')
+            : may(button('Promote', () => serving.promote(model.id, slotOf(model.task)), { 'aria-label': `Promote ${model.name}, ${model.id}` })),
+      },
+    ],
+  })
+  const more = button('More', () => readModels(next), { hidden: true }),
+    told = el('span')
+  const modelsPanel = panel('Models', { aside: told }, list.node, el('div', { className: 'row' }, more))
+
+  // Evaluations side by side: what has ended, newest first.
+  const scores = el('div')
+  const scoresPanel = panel('Evaluations side by side', { aside: el('span', {}, 'as the paper\u2019s Tables III and IV') }, scores)
+  function drawScores(jobs) {
+    const reports = jobs.filter(job => job.result?.scored).map(job => ({ ...job.result, job: job.id, asked: job.request.dataset })),
+      current = one => one.job != null && one.job === query.job
+    const volts = reports.filter(one => one.voltages),
+      touch = reports.filter(one => one.contacts)
+    fill(
+      scores,
+      reports.length
+        ? [volts.length ? voltageTable(volts, models, { href, current }) : '', touch.length ? contactTable(touch, models, { href, current }) : '']
+        : el('p', { className: 'soft' }, 'No evaluation has ended yet: start one below.')
+    )
+  }
+  let seen = ''
+  const jobs = jobsPanel({
+    signal,
+    href,
+    current: () => query.job,
+    onchange: (found, ended) => {
+      const key = found
+        .filter(job => job.result)
+        .map(job => job.id)
+        .join()
+      if (key !== seen) {
+        seen = key
+        drawScores(found)
+      }
+      if (ended) readModels()
+    },
+  })
+  const onstart = job => {
+    jobs.read()
+    go(href(job.id))
+  }
+  const training = trainingForm({ said: asked, onstart }),
+    evaluation = evaluationForm({ said: asked, onstart })
+
+  async function readModels(cursor) {
+    try {
+      const page = await get('/models', { limit: 50, cursor }, { signal })
+      models = cursor ? [...models, ...page.items] : page.items
+      next = page.next
+    } catch (error) {
+      if (!signal.aborted) said.tell(`The models cannot be read: ${error.message}`, 'bad')
+    }
+    if (signal.aborted) return
+    more.hidden = !next
+    fill(told, models.length ? `${next ? 'first ' : ''}${counted(models.length, 'model')}, newest first` : '')
+    list.show(models)
+    serving.draw()
+    drawScores(jobs.all())
+    evaluation.knows({ datasets, models })
+  }
+  function update(changed) {
+    query = changed
+    view.show(query.model)
+    work.show(query.job)
+    list.show(models)
+    jobs.redraw()
+    drawScores(jobs.all())
+    if (query.model || query.job) scrollTo(0, 0)
+  }
+
+  root.append(
+    el('section', { className: 'asked' }, said.node),
+    view.node,
+    work.node,
+    serving.node,
+    modelsPanel,
+    scoresPanel,
+    jobs.node,
+    el('section', { className: 'asked' }, asked.node),
+    el('div', { className: 'columns two' }, training.node, evaluation.node)
+  )
+  /** Names of datasets for the forms: made ones first, then what can be made. */
+  async function readDatasets() {
+    const found = await all('/datasets', {}, { most: 200, signal }).catch(() => [])
+    const built = await get('/datasets', { limit: 1 }, { signal }).then(
+      page => page.definitions,
+      () => []
+    )
+    datasets = [...new Set([...found.map(item => item.name), ...built])]
+    if (signal.aborted) return
+    training.knows({ datasets })
+    evaluation.knows({ datasets, models })
+  }
+  view.show(query.model)
+  serving.read()
+  readDatasets()
+  readModels().then(() => !signal.aborted && work.show(query.job)) // A result names its nets.
+  return { update }
+}

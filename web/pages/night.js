@@ -1,0 +1,249 @@
+// Night: is it safe, is it on time, are the data good? One screen for the active run, or for the last one.
+// Uses the parts in lib/. Its address: colour, configuration, frame, scale, minutes, night, from, to, event, log.
+
+import { outcome, runButtons } from '../lib/actions.js'
+import { get } from '../lib/api.js'
+import { changing } from '../lib/changing.js'
+import { dataView } from '../lib/dataview.js'
+import { el, fill, panel, pane, say, select, sleep } from '../lib/dom.js'
+import { ended } from '../lib/ended.js'
+import { forceBars, forceChart } from '../lib/forces.js'
+import { age, bytes, capital, count, counted, fixed, moment, percent, plain, span } from '../lib/format.js'
+import { history } from '../lib/history.js'
+import { live } from '../lib/live.js'
+import { eventLog } from '../lib/log.js'
+import { sensor } from '../lib/skin.js'
+import { COLOURINGS, tourMap } from '../lib/tourmap.js'
+import { backlog, good, onTime, safe, watched } from '../lib/verdicts.js'
+import { welcome } from '../lib/welcome.js'
+import { PHASES, RIG, TONE, WAITS } from '../lib/words.js'
+
+const MINUTES = [['1', '1 min'], ['', '2 min'], ['5', '5 min'], ['15', '15 min']]
+const TWINS_MS = 5000, QUEUE_MS = 10_000, HISTORY_MS = 30_000, PROGRESS_MS = 3000, LONG_TOUR = 5000
+
+const SAYS = {
+  idle: 'It is about to begin.', pausing: 'It ends the present trial, raises the tips, then waits.',
+    stopping: 'It ends the present trial, raises the tips, then ends.',
+  aborting: 'The tips are raised now; then it ends.', suspending: 'It was suspended: the tips are raised.',
+    panicked: 'The tips could not be raised. Check the rig, then reset.',
+}
+const RESUMES = { operator: 'Resume continues with the next trial.', suspender: 'Resume continues if the cause is gone.',
+  trip: 'Clear the cause, reset, home, then resume.' }
+
+/** What a run does, as one sentence. */
+function stateWords(run) {
+  if (run.state === 'running') return `It is ${PHASES[run.phase] ?? plain(run.phase)}.`
+  if (run.state === 'paused') return [run.paused_why && `It waits: ${WAITS[run.paused_why] ?? plain(run.paused_why)}.`,
+    run.waiting_for && `${capital(run.waiting_for)}.`, RESUMES[run.paused_why]].filter(Boolean).join(' ')
+  return SAYS[run.state] ?? ''
+}
+
+/** Calls `work` every `ms` while the page is seen. */
+async function every(ms, work, signal) {
+  while (!signal.aborted) {
+    if (!document.hidden) await work()
+    await sleep(typeof ms === 'function' ? ms() : ms, signal)
+  }
+}
+
+/** Shows the page. */
+export async function show(root, { query, signal, set }) {
+  let state = query, run = null, last = null, tour = null, progress = null, shape = null, twins = null, queue = [], seen = {}, course = null, mode = ''
+  const label = () => (run ?? last)?.label ?? live.status?.rig.label
+  const said = outcome()
+
+  // Parts.
+  const answers = ['Is it safe?', 'Is it on time?', 'Are the data good?'].map(title => ({ title, node: el('p', { className: 'answer' }) }))
+  const strip = el('div'), verdicts = el('section', { className: 'verdicts live', 'aria-label': 'The night in three answers' },
+    answers.map(({ title, node }) => el('div', {}, el('h2', {}, title), node)), strip)
+  const map = tourMap({
+    signal, label, query: () => `/api/v1/runs/${(run ?? last)?.scan_id}/progress`, href: n => `/trials?run=${(run ?? last)?.scan_id}&configuration=${n}`,
+    onselect: i => set({ configuration: i == null ? null : tour.steps.configuration[i] }), forceLimit: () => live.status?.rig.force_limit_n ?? null,
+  })
+  const colours = select(COLOURINGS, state.colour ?? 'progress', value => set({ colour: value === 'progress' ? null : value }),
+    { 'aria-label': 'What the colours show' })
+  const skinWords = el('p', { className: 'soft small' }), skinPart = pane(map.node, skinWords)
+  map.beside(colours)
+  skinPart.classList.add('live', 'tour')
+
+  const headline = el('p', { className: 'state' }), why = el('p', { className: 'why' }), step = el('p', { className: 'soft' })
+  const bar = el('progress', { 'aria-label': 'Trials stored' }), runFacts = el('div')
+  const buttons = runButtons(said), active = el('div', {}, el('div', { className: 'headline' }, headline, why), bar, step, runFacts, buttons.node)
+  const over = ended({ said, signal }), nowBody = el('div', { className: 'now-body' })
+  const low = innerWidth >= 1240 && innerHeight < 1200 // A wall shows all without scrolling.
+  const bars = forceBars({ signal }), chart = forceChart({ signal, label, height: low ? 118 : 150, minutes: Number(state.minutes) || 2 })
+  const minutes = select(MINUTES, state.minutes ?? '', value => set({ minutes: value }), { 'aria-label': 'Time that the chart shows' })
+  const nowPart = panel('Now', { className: 'live now', aside: minutes }, nowBody, said.node, bars, chart.node)
+
+  const data = dataView({ state, set, signal, label, onfacts: more => { seen = { ...seen, ...more } } })
+  const dataFacts = el('div'), watch = el('div'), dataPart = panel('Data', { className: 'live data', aside: data.controls }, data.node, dataFacts, watch)
+  const nightPart = history({ state, set, signal, label, height: low ? 108 : 170 })
+  const log = eventLog({ state, set, signal })
+  const hello = welcome({ said })
+
+  function arrange() {
+    const next = run || last ? 'run' : 'welcome'
+    if (mode === next) return
+    mode = next
+    if (mode === 'welcome') fill(root, hello.node, el('div', { className: 'columns two' }, dataPart, log.node))
+    else {
+      fill(root, verdicts, el('div', { className: 'columns night-top' }, skinPart, nowPart, dataPart),
+        el('div', { className: 'columns night-foot' }, nightPart.node, log.node))
+    }
+  }
+
+  // What follows the status: at most ten times per second, text only where it differs.
+  function tell({ status, at, fresh }) {
+    if (status.run?.uid !== run?.uid || (!status.run && run)) change()
+    const verdict = [safe(status), onTime(status, at, course, queue[0]), good(status, twins, seen)]
+    answers.forEach(({ node }, i) => { say(node, verdict[i].words); node.className = `answer ${verdict[i].tone}` })
+    tellStrip(status)
+    if (status.run) tellRun(status.run, fresh)
+    buttons.show(live)
+  }
+
+  function tellStrip({ run, disk, last_trial_at, lock, queue_length, rig }) {
+    const trialAt = last_trial_at ?? seen.trial?.measured_at
+    changing(strip, [
+      ['Last trial stored', trialAt ? `${span(age(trialAt))} ago` : 'none yet'],
+      ['Disk, free of needed', disk ? `${bytes(disk.free_bytes)} of ${bytes(disk.needed_bytes)}` : 'not reported'],
+      ['Queue', queue_length ? counted(queue_length, 'run') : 'empty'],
+      ['Operator lock', lock ? `${lock.holder}, since ${moment(lock.since)}: ${lock.note}` : 'free'],
+      !run && ['Rig', RIG[rig.state] ?? `${capital(plain(rig.state))}.`],
+    ])
+  }
+
+  function tellRun(now, fresh) {
+    const wish = { paused: ', pause requested', idle: ', end requested' }[now.requested_state] ?? ''
+    say(headline, `${plain(now.state)}${wish}`)
+    headline.className = `state ${TONE[now.state] ?? ''}`
+    say(why, stateWords(now))
+    const index = now.current_step?.index ?? progress?.current, of = now.current_step?.of ?? tour?.steps.configuration.length
+    const depth = now.trial && tour?.depths_mm[now.trial.depth_index]
+    const thing = tour?.kind === 'real-random' ? 'Placement' : 'Configuration'
+    const where = index != null && of ? `${thing} ${count(index + 1)} of ${count(of)}`
+      : now.trial ? `${thing} ${count(now.trial.configuration)}` : 'Between configurations'
+    const deep = depth == null || !now.trial ? '' : `, depth ${now.trial.depth_index + 1} of ${tour.depths_mm.length}: ${fixed(depth, 1, 'mm')}`
+    say(step, where + deep)
+    bar.max = now.trials_planned || 1
+    bar.value = now.trials_stored
+    map.now(now.current_step?.index ?? null)
+    changing(runFacts, [
+      ['Stored', `${count(now.trials_stored)} of ${count(now.trials_planned)}`], ['Share', percent(now.trials_stored, now.trials_planned)],
+      ['Skipped', counted(now.trials_skipped, 'trial')], ['Failed attempts', count(now.retries)],
+    ])
+    active.inert = !fresh
+  }
+
+  function tellData() {
+    const rolling = twins?.pool.rolling, limit = live.status?.suspenders?.find(one => /fvu|twin|fit/i.test(one.name))
+    const broken = seen.stuck ? `${seen.stuck.length} stuck, ${seen.saturated?.length ?? 0} saturated` : 'not reported'
+    changing(dataFacts, [
+      ['Rolling FVU', rolling ? `${fixed(rolling.median_fvu, 3)}${limit ? ` of ${fixed(limit.threshold, 2)}` : ''}` : 'none yet'],
+      ['Twins', backlog(twins, (run ?? last)?.uid) ?? 'none'], ['Channels', broken],
+    ])
+    tellSuspenders()
+  }
+
+  // Everything that may suspend the run, with its value and since when it is beyond.
+  function tellSuspenders() {
+    const rows = live.status?.suspenders
+    const text = JSON.stringify(rows ?? null)
+    if (watch.dataset.text === text) return
+    watch.dataset.text = text
+    if (!rows?.length) return void fill(watch, rows && el('p', { className: 'soft small' }, 'Nothing watches this run.'))
+    const cell = (value, unit) => value == null ? 'not measured' : `${fixed(value, Math.abs(value) < 10 ? 2 : 0)}${unit ? `\u202f${unit}` : ''}`
+    fill(watch, el('div', { className: 'table' }, el('table', {}, el('caption', {}, 'What may suspend the run'),
+      el('thead', {}, el('tr', {}, ['Watches', 'Value', 'Threshold', 'Beyond since'].map(head => el('th', { scope: 'col' }, head)))),
+      el('tbody', {}, rows.map(s => el('tr', { className: s.since ? s.suspends ? 'bad' : 'warn' : '' }, el('th', { scope: 'row' },
+        capital(watched(s.name))), el('td', {}, cell(s.value, s.unit)), el('td', {}, cell(s.threshold, s.unit)), el('td', {},
+        s.since ? `${moment(s.since)}${s.suspends ? '' : ', only warns'}` : 'no')))))))
+  }
+
+  // What is asked for: the run's tour once, its progress while trials are stored, its course each half minute.
+  let changes = 0
+  async function change() {
+    const mine = changes += 1, left = () => signal.aborted || mine !== changes
+    run = live.status?.run ?? null
+    try {
+      const { items } = await get('/runs', { limit: 20 }, { signal })
+      last = items.find(one => one.uid === run?.uid) ?? items.find(one => !['queued', 'removed'].includes(one.state)) ?? null
+    } catch (error) {
+      if (!mode && !left()) fill(root, pane(el('p', { className: 'bad' }, `The runs could not be read: ${error.message}. Trying again.`)))
+      return
+    }
+    if (left()) return
+    arrange()
+    const of = run ?? last
+    fill(nowBody, run ? active : last ? over.node : '')
+    nowPart.classList.toggle('over', !run)
+    say(nowPart.querySelector('h2 > span'), run ? 'Now' : 'The last run')
+    if (!of) return void hello.show(queue[0] ?? null)
+    tour = progress = null
+    data.run(of.uid)
+    await Promise.allSettled([readTour(of), readShape(of), readCourse()])
+    if (left()) return
+    if (!tour) map.set(null, null, shape, !run)
+    await readProgress()
+    if (left()) return
+    if (!run && last) { over.show(last, progress); over.next(queue[0]) }
+  }
+  async function readTour(of) {
+    try {
+      const read = await get(`/runs/${of.scan_id}/tour`, {}, { signal, wait: 20_000 })
+      if (of.uid !== (run ?? last)?.uid) return
+      tour = read
+      say(skinWords, '')
+    } catch (error) { say(skinWords, `There is no tour to draw: ${error.message}.`) }
+  }
+  async function readShape(of) {
+    try { shape = await sensor(of.scan_id) } catch { shape = await sensor().catch(() => null) }
+  }
+  let storedThen = -1
+  async function readProgress() {
+    const of = run ?? last
+    if (!of || !tour) return
+    try {
+      progress = await get(`/runs/${of.scan_id}/progress`, {}, { signal, wait: 20_000 })
+      storedThen = live.status?.run?.trials_stored ?? -1
+    } catch (error) { if (!signal.aborted) say(skinWords, `The progress could not be read: ${error.message}`) }
+    if (signal.aborted || !tour || of.uid !== (run ?? last)?.uid) return
+    map.set(tour, progress, shape, !run)
+    const chosen = state.configuration == null ? -1 : tour.steps.configuration.indexOf(Number(state.configuration))
+    map.choose(chosen < 0 ? null : chosen)
+  }
+  async function readCourse() {
+    const of = run ?? last
+    if (!of) return
+    await nightPart.show(of, { endedAt: !run && last?.ended_at ? Date.parse(last.ended_at) : null, eta_s: live.status?.run?.eta?.remaining_s ?? null })
+    course = nightPart.data()
+  }
+
+  map.colouring(state.colour ?? 'progress')
+  live.on('status', tell, signal)
+  live.addEventListener('fresh', () => live.status && tell(live), { signal })
+  every(TWINS_MS, async () => { try { twins = await get('/twins', {}, { signal }); tellData() } catch { /* Old values keep their age. */ } }, signal)
+  every(QUEUE_MS, async () => {
+    try { queue = (await get('/queue', {}, { signal })).items } catch { return }
+    if (!mode) await change()
+    if (!run && last) over.next(queue[0])
+    if (mode === 'welcome') hello.show(queue[0] ?? null)
+  }, signal)
+  every(() => (tour?.steps.configuration.length ?? 0) > LONG_TOUR ? 5 * PROGRESS_MS : PROGRESS_MS,
+    async () => { if (run && live.status?.run?.trials_stored !== storedThen) await readProgress() }, signal)
+  every(HISTORY_MS, async () => { if (run) await readCourse() }, signal)
+  await change()
+
+  return {
+    update(next) {
+      state = next
+      colours.value = state.colour ?? 'progress'
+      map.colouring(colours.value)
+      minutes.value = state.minutes ?? ''
+      chart.minutes(Number(state.minutes) || 2)
+      for (const part of [data, nightPart, log]) part.update(state)
+      const chosen = state.configuration == null || !tour ? -1 : tour.steps.configuration.indexOf(Number(state.configuration))
+      map.choose(chosen < 0 ? null : chosen)
+    },
+  }
+}

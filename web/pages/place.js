@@ -1,0 +1,204 @@
+// Manual trials: which weight goes where, now? One instruction, read from beside the rig, and what the
+// skin feels of it. Confirmed by a key or a foot switch; a press confirms the shown placement alone.
+
+import { all, get, person } from '../lib/api.js'
+import { actOnRun, confirm, named, outcome, runButtons } from '../lib/actions.js'
+import { button, el, fill, note, pane, say, sleep } from '../lib/dom.js'
+import { count, counted } from '../lib/format.js'
+import { live, who } from '../lib/live.js'
+import { manual } from '../lib/manual.js'
+import { overlay } from '../lib/overlay.js'
+import { STAGES, drawPlacement, feltOf, isRead, kilograms, newtons, notYet, ofStatus, present, rest, spot, verdict } from '../lib/placing.js'
+import { sensor, skin } from '../lib/skin.js'
+
+const PERIOD_MS = 333
+const KEYS = ['Enter', ' ', 'PageDown']
+
+/** Shows the page. */
+export async function show(root, { signal }) {
+  const idle = manual(outcome(), { signal }), work = placing(signal)
+  let shown = null
+  const view = placement => {
+    const wanted = placement ? work : idle
+    if (wanted !== shown) {
+      shown = wanted
+      fill(root, wanted.node)
+      if (wanted === idle) idle.load()
+      else if (live.may('operator')) named().then(work.draw)
+    }
+    placement ? work.take(placement) : idle.tell(live.status?.run)
+  }
+  watch(view, signal)
+  live.on('fresh', work.draw, signal)
+}
+
+/** Asks for the placement while a manual run is active, three times a second; calls `take` with it or null. */
+async function watch(take, signal) {
+  const kinds = new Map()
+  let absent = false
+  for (let begun = 0; !signal.aborted; await sleep(Math.max(100, begun + PERIOD_MS - Date.now()), signal)) {
+    begun = Date.now()
+    const run = live.status?.run
+    if (document.hidden || !live.fresh) continue
+    if (!run) { take(null); continue }
+    try {
+      if (run.wanted?.trial == null && !kinds.has(run.uid)) kinds.set(run.uid, (await get(`/runs/${run.uid}`, {}, { signal })).kind)
+      if (run.wanted?.trial == null && kinds.get(run.uid) !== 'real-random') { take(null); continue }
+      take(absent ? ofStatus(run) : await get('/placement', {}, { signal, wait: 2000 }))
+    } catch (error) {
+      // 404: nothing is asked, or a service that does not judge placements.
+      absent ||= error.message?.includes('unknown address')
+      if (error.status === 404 && !signal.aborted) take(ofStatus(live.status?.run))
+    }
+  }
+}
+
+/** The placement at work: skin, instruction, and the one button. */
+function placing(signal) {
+  const said = outcome(), state = { placement: null, open: false, sent: null, sentAt: 0, unrestSince: 0, chosen: null, refused: '', repeats: null }
+  const view = skin({ title: 'Skin', tall: true, signal, label: () => live.status?.rig.label ?? '', describe, draw: (pen, scale, shape) => state.placement
+    && drawPlacement(pen, scale, shape, state.placement, now()) })
+  const head = el('span', { className: 'big' }), resting = el('span', { className: 'soft' }), bar = el('progress'), weights = el('ol', { className: 'weights' })
+  const words = el('p', { className: 'verdict', role: 'status' }), refusal = el('p', { className: 'verdict bad', role: 'alert', hidden: true }),
+    hint = el('p', { className: 'soft' })
+  const done = button('Done', () => press(false), { className: 'main done' })
+  const anyway = button('Store anyway', storeAnyway, { className: 'danger', hidden: true })
+  const again = button('Repeat the last one', repeat)
+  const by = el('p', { className: 'soft small' }), buttons = runButtons(said, { without: ['confirm'] })
+  const node = el('div', { className: 'placing live' }, pane(view.node), el('section', { 'aria-label': 'What to do now' },
+    el('div', { className: 'row spread' }, head, resting), bar, weights, words, refusal,
+    el('div', { className: 'row' }, done, anyway), hint,
+    el('div', { className: 'row' }, again, buttons.node), said.node, by,
+    el('details', {}, el('summary', {}, 'Overlay to print'), overlay(said))))
+  const now = () => state.placement?.contacts.find(({ number }) => number === (state.chosen ?? present(state.placement)))
+  live.on('status', buttons.show, signal)
+
+  function describe() {
+    const { placement } = state
+    if (!placement) return 'Skin'
+    const each = placement.contacts.map(c => `${c.number}: ${kilograms(c.force_n)} at ${spot(c)}`)
+    return `Skin with ${counted(each.length, 'weight')}: ${each.join('; ')}`
+  }
+
+  function take(placement) {
+    const other = placement.trial !== state.placement?.trial || placement.run !== state.placement?.run
+    if (placement.run !== state.placement?.run) begin(placement)
+    if (other) Object.assign(state, { chosen: null, refused: '' })
+    if (other || placement.stage !== 'place' || Date.now() - state.sentAt > 5000) state.sent = null
+    if (placement.verdict?.kind !== 'wrong') state.refused = ''
+    if (other || isRead(placement)) state.unrestSince = Date.now()
+    state.placement = placement
+    draw()
+  }
+
+  /** What is known of a run as a whole: the skin and the number of repetitions. */
+  function begin(placement) {
+    sensor(placement.run).catch(() => sensor()).then(view.geometry, () => {})
+    state.repeats = null
+    all('/actions', { run: placement.run }, { most: 2000,
+      signal }).then(items => { state.repeats = items.filter(one => one.action === 'repeat' && one.accepted).length; draw() }, () => {})
+  }
+
+  function draw() {
+    const { placement } = state
+    if (!placement || signal.aborted) return
+    const why = notYet(placement, { ...state, fresh: live.fresh }), busy = placement.stage !== 'place'
+    say(head, `Trial ${count(placement.done + 1)} of ${count(placement.of)}${state.repeats ? `, ${state.repeats} repeated` : ''}`)
+    say(resting, rest(placement))
+    Object.assign(bar, { max: placement.of, value: placement.done, ariaLabel: `${placement.done} of ${placement.of} trials stored` })
+    drawWeights(placement)
+    const { words: judged, tone } = busy ? { words: STAGES[placement.stage] ?? '', tone: '' } : verdict(placement)
+    say(words, judged)
+    words.className = `verdict ${tone}`
+    note(refusal, state.refused && !judged.includes(state.refused) ? state.refused : '')
+    done.disabled = Boolean(why) || busy
+    anyway.hidden = !state.refused && placement.verdict?.kind !== 'wrong' || busy
+    anyway.disabled = done.disabled
+    for (const one of [done, anyway, again]) one.classList.toggle('denied', !live.may('operator'))
+    say(hint, !live.may('operator') ? 'You see what is asked. To confirm it you need the key of an operator.' : why
+      || (busy ? 'The next placement appears by itself.' : `${STAGES.place} Keys: Enter, Space, Page Down.`))
+    again.disabled = !placement.last || busy || state.open
+    again.title = placement.last ? `Withdraws trial ${placement.last.trial + 1} and asks for it again` : 'No trial of this run can be repeated yet'
+    say(by, `Placed by ${who() || 'a name that is asked for at the first press'}. The run waits as long as you need.`)
+    view.redraw()
+  }
+
+  function drawWeights(placement) {
+    const chosen = now()?.number
+    const key = JSON.stringify([placement.trial, placement.run, chosen, placement.stage,
+      placement.contacts.map(({ number }) => Math.round(feltOf(placement, number)?.distance_mm ?? -1)), placement.verdict?.kind, Boolean(placement.felt)])
+    if (weights.dataset.key === key) return
+    weights.dataset.key = key
+    fill(weights, placement.contacts.map(contact => {
+      const felt = feltOf(placement, contact.number), judged = placement.felt && placement.verdict?.kind !== 'unknown'
+      const state_ = !judged ? '' : felt ? felt.contact.force_n == null ? `felt ${Math.round(felt.distance_mm)} mm away`
+        : `felt ${Math.round(felt.distance_mm)} mm away, ${newtons(felt.contact.force_n)}` : 'not felt'
+      return el('li', { 'aria-current': contact.number === chosen ? 'step' : 'false', className: contact.number === chosen ? 'now' : '' },
+        el('button', { type: 'button', className: 'weight', 'aria-label': `Weight ${contact.number}: ${kilograms(contact.force_n)} at ${spot(contact)}`,
+          onclick: () => { state.chosen = contact.number; draw() } },
+          el('span', { className: 'number-badge' }, String(contact.number)),
+            el('span', { className: 'mass' }, kilograms(contact.force_n).split('\u202f')[0], el('span', { className: 'unit' }, '\u202fkg')),
+            el('span', { className: 'point' }, spot(contact))),
+        el('p', { className: 'soft' }, [newtons(contact.force_n), contact.point && `x ${contact.x_mm.toFixed(0)}, y ${contact.y_mm.toFixed(0)} mm`,
+          state_].filter(Boolean).join(' · ')))
+    }))
+  }
+
+  async function press(sure) {
+    const { placement } = state
+    if (done.disabled || !placement || !live.may('operator') || notYet(placement, { ...state, fresh: live.fresh })) return
+    state.open = true
+    draw()
+    try {
+      if (!await named()) return
+      await actOnRun(placement.run, 'confirm', { trial: placement.trial, ...(sure && { anyway: true }) })
+      Object.assign(state, { sent: placement.trial, sentAt: Date.now(), refused: '' })
+      said.tell('')
+    } catch (error) {
+      state.refused = error.status ? error.message : `Not confirmed: no answer (${error.message}). Press again.`
+    } finally {
+      state.open = false
+      draw()
+    }
+  }
+
+  async function storeAnyway() {
+    const { placement } = state
+    const sure = await confirm('Store this placement although it is felt as wrong?',
+      [verdict(placement).words, 'The trial is stored with what was asked as its truth, and with a flag that says it was doubted.'], 'Store anyway')
+    // What was confirmed is what was shown: not a placement that came meanwhile.
+    if (sure && state.placement.trial === placement.trial) press(true)
+  }
+
+  async function repeat() {
+    const { last, run } = state.placement
+    if (!await named() || !await confirm(`Repeat trial ${last.trial + 1}?`, 'Its stored measurement is withdrawn, and the same weights are asked again.',
+      'Repeat it')) return
+    const why = `repeated on the page by ${person.name || who()}`
+    if (await said.run('Repeat', async () => { await actOnRun(run, 'repeat', { trial: last.trial, why });
+      return true })) state.repeats = (state.repeats ?? 0) + 1
+    draw()
+  }
+
+  // A foot switch is a keyboard: no button may keep the focus after a click, or it would get the press.
+  addEventListener('keydown', event => {
+    if (!node.isConnected || event.ctrlKey || event.metaKey || event.altKey) return
+    const at = event.target.closest?.('input, select, textarea, dialog, a, summary, button')
+    if (at && at !== done || document.querySelector('dialog[open]')) return
+    const step = { ArrowDown: 1, ArrowUp: -1 }[event.key], numbers = state.placement?.contacts.map(c => c.number) ?? []
+    if (KEYS.includes(event.key)) {
+      event.preventDefault()
+      if (!event.repeat) press(false)
+    } else if (step && numbers.length) {
+      event.preventDefault()
+      state.chosen = numbers[(numbers.indexOf(now()?.number) + step + numbers.length) % numbers.length]
+      draw()
+    } else if (numbers.includes(Number(event.key))) {
+      state.chosen = Number(event.key)
+      draw()
+    }
+  }, { signal })
+  addEventListener('keyup', event => { if (event.target === done && KEYS.includes(event.key)) event.preventDefault() }, { signal })
+  node.addEventListener('click', event => { if (event.detail > 0) event.target.closest('button')?.blur() })
+  return { node, take, draw }
+}

@@ -1,0 +1,196 @@
+// Plan: what will a run do, and what forbids it? The tour on the skin, time by activity, forces, disk, and
+// what is refused and why. `run=N` is a stored run, `experiment=NAME` one that the program carries.
+
+import { get, send } from '../lib/api.js'
+import { actor, only, outcome } from '../lib/actions.js'
+import { beginRun, queueText } from '../lib/begin.js'
+import { carried, carriedTable } from '../lib/carried.js'
+import { button, el, fill, link, pane, panel, select } from '../lib/dom.js'
+import { forcesPanel } from '../lib/expected.js'
+import { capital, counted, fixed, moment, plain, span } from '../lib/format.js'
+import { live } from '../lib/live.js'
+import { partsBar, planFacts, problemList, settingsTable } from '../lib/preflight.js'
+import { sensor } from '../lib/skin.js'
+import { tourView } from '../lib/tour.js'
+
+const ENDED = ['ended', 'removed']
+const FIRST_STATUS_MS = 1500
+const settled = promise =>
+  promise.then(
+    p => ({ p }),
+    error => ({ error }),
+  )
+
+/** Shows the page. */
+export async function show(root, { query, signal, go, set }) {
+  let shown = ''
+  let state = query
+  let tour = null
+  let view = null
+  let geometry = null
+  const said = outcome()
+
+  async function open(query) {
+    state = query
+    const wanted = `${query.run ?? ''} ${query.experiment ?? ''}`
+    if (wanted === shown) return turn(query)
+    shown = wanted
+    tour = view = null
+    fill(root, panel('Plan', {}, el('p', { className: 'soft' }, 'Loading …')))
+    const chosen = await choose(query)
+    if (signal.aborted || wanted !== shown) return undefined
+    if (!chosen) return empty()
+    return chosen.run ? planned(chosen.run, query) : offered(chosen.item)
+  }
+
+  /** The run or the carried experiment of the address, else the next run of the queue, else the active or newest one. */
+  async function choose({ run, experiment }) {
+    if (experiment) return { item: (await carried()).find(item => item.name === experiment) ?? { name: experiment } }
+    if (run) return { run: await get(`/runs/${encodeURIComponent(run)}`, {}, { signal }) }
+    const next = (await get('/queue', {}, { signal })).items[0]
+    if (next) return { run: next }
+    const [newest] = (await get('/runs', { limit: 1 }, { signal })).items
+    return live.status?.run ? { run: await get(`/runs/${live.status.run.uid}`, {}, { signal }) } : newest && { run: newest }
+  }
+
+  const choices = () => carriedTable(item => `/plan?experiment=${encodeURIComponent(item.name)}`)
+  async function empty() {
+    fill(root, panel('No plan yet', {}, el('p', {}, 'No run is queued or stored. Choose an experiment to see what it will do.'), await choices()))
+  }
+
+  // An experiment that is not queued has a preflight; its tour is drawn when it is queued.
+  async function offered(item) {
+    if (!item.text) return fill(root, panel(item.name, {}, el('p', { className: 'bad' }, `The program carries no experiment ${item.name}.`), await choices()))
+    const answer = await settled(send('/preflight', { file: item.file, definition: item.text }, { signal }))
+    if (signal.aborted) return undefined
+    const add = async () => go(`/plan?run=${(await queueText(item.file, item.text)).scan_id}`)
+    const queue = actor('Queue it', said, add, { className: 'main', disabled: !answer.p || answer.p.problems.length > 0 })
+    const words = pane(
+      el('h2', {}, el('span', {}, item.name), link('/plan', 'The next run')),
+      el('p', {}, item.about),
+      el('p', { className: 'soft' }, 'It is not queued. Its tour over the skin is drawn once it is.'),
+      verdict(answer),
+      el('div', { className: 'row' }, queue, link(`/queue?add=${encodeURIComponent(item.name)}`, 'Change it first')),
+      said.node,
+      el('details', {}, el('summary', {}, 'Experiment file'), el('pre', { tabIndex: 0 }, item.text)),
+      el('h3', { className: 'said' }, 'Others'),
+      await choices(),
+    )
+    return fill(root, el('div', { className: 'columns two' }, words, await details(answer.p, item.text, null)))
+  }
+
+  function verdict({ p, error }) {
+    const errors = error?.problem?.errors
+    if (error)
+      return el(
+        'div',
+        {},
+        el('p', { className: 'bad' }, errors ? 'The experiment file is refused:' : capital(`${error.message}.`)),
+        problemList(errors ?? []),
+      )
+    if (p.problems.length) return el('div', {}, el('p', { className: 'bad' }, 'This bench cannot run it:'), problemList(p.problems))
+    return el('p', { className: 'good' }, 'This bench can run it.')
+  }
+
+  async function planned(run, query) {
+    const [answer, drawn, shape] = await Promise.all([
+      settled(get(`/runs/${run.uid}/preflight`, {}, { signal, wait: 20_000 })),
+      get(`/runs/${run.scan_id}/tour`, {}, { signal, wait: 30_000 }).catch(() => null),
+      sensor(run.scan_id).catch(() => null),
+    ])
+    if (signal.aborted) return
+    tour = drawn
+    geometry = shape
+    const waits = run.state === 'queued' || run.state === 'interrupted'
+    const may = answer.p && !answer.p.problems.length
+    const begin = async () => {
+      if (!(await beginRun(run, said))) return
+      shown = ''
+      await open(state)
+    }
+    const start = only('operator', button(run.state === 'interrupted' ? 'Resume' : 'Arm and start', begin, { className: 'main', disabled: !may }))
+    const facing = pane(
+      el('h2', {}, el('span', {}, `Run ${run.scan_id}, ${run.experiment}`), run.label === 'virtual' ? el('span', { className: 'badge' }, 'virtual') : ''),
+      el('p', {}, standing(run)),
+      waits || answer.error ? verdict(answer) : null,
+      el(
+        'div',
+        { className: 'row' },
+        waits && !run.waiting_since && start,
+        run.state === 'queued' && link(`/queue?edit=${run.scan_id}`, 'Edit'),
+        link(`/queue?copy=${run.scan_id}`, 'Copy it'),
+        ENDED.includes(run.state) && link(`/runs?run=${run.scan_id}`, 'Its results'),
+        link('/queue', 'The queue'),
+      ),
+      said.node,
+    )
+    const picture = el('section', {}, await drawing(run, query))
+    fill(
+      root,
+      el('div', { className: 'columns two plan' }, el('div', { className: 'column' }, facing, picture), await details(answer.p, run.definition, run)),
+    )
+  }
+
+  function standing(run) {
+    if (run.state === 'queued') {
+      const early = run.not_before ? `, to start at ${moment(run.not_before)} or later` : ''
+      const next = run.waiting_since ? 'It is started and waits for its turn.' : 'It begins when a person arms and starts it.'
+      return `Queued by ${run.submitted_by}, ${moment(run.created_at)}, in place ${run.queue_position}${early}. ${next}`
+    }
+    if (run.state === 'interrupted') return 'Interrupted: what is stored stays. Resume continues with the trials that are missing.'
+    if (run.state === 'ended')
+      return `Ended ${moment(run.ended_at)}: ${run.exit_status}, ${run.reason}. This is what it was planned to do; durations are those of the present rig.`
+    return `${capital(plain(run.state))}. This is what it does; durations are for the whole plan.`
+  }
+
+  async function drawing(run, query) {
+    if (!tour) return el('p', { className: 'soft' }, run.kind === 'imported' ? 'An imported run has no plan.' : 'The service has no tour of this run.')
+    if (!geometry) return el('p', { className: 'soft' }, 'The service does not describe the sensor of this run, so the skin cannot be drawn.')
+    const counts = [...new Set(tour.steps.tips)]
+    const label = () => (run.label === 'virtual' ? 'virtual' : '')
+    view = tourView({ onstep: step => set({ step: step || null }), label, query: `/api/v1/runs/${run.scan_id}/tour`, signal })
+    turn(query)
+    if (counts.length < 2) return view.node
+    const choices = [['', 'all settings'], ...counts.map(n => [n, counted(n, tour.kind === 'real-random' ? 'weight' : 'tip')])]
+    const choice = select(choices, query.tips ?? '', tips => set({ tips: tips || null, step: null }))
+    return [el('p', { className: 'row' }, el('label', { className: 'inline' }, 'Setting', choice)), view.node]
+  }
+
+  let setting = null
+  function turn(query) {
+    if (!view) return
+    const next = `${shown} ${query.tips ?? ''}`
+    const step = query.step == null ? null : Number(query.step)
+    if (setting === next && step != null && view.seen) return view.go(step)
+    setting = next
+    view.seen = true
+    view.show(tour, geometry, { tips: query.tips ? Number(query.tips) : null, step })
+  }
+
+  async function details(p, text, run) {
+    await firstStatus()
+    const forces = await forcesPanel({ p, text, run, depths: tour?.depths_mm, signal })
+    if (!p) return el('div', { className: 'column' }, forces)
+    const rate = live.status?.rig.clock_rate ?? 1
+    const real = `The clock of this virtual rig runs ${fixed(rate, 0)} times faster: a real one takes about ${span(p.duration_s * rate)}.`
+    const speed = rate === 1 ? null : el('p', { className: 'soft' }, real)
+    const parts = [panel('What it takes', {}, planFacts(p), speed), panel('Time by activity', {}, partsBar(p.parts)), panel('Settings', {}, settingsTable(p))]
+    return el('div', { className: 'column' }, parts, forces)
+  }
+
+  const failed = error => {
+    const words = el('p', { className: 'bad' }, capital(`${error.message}.`))
+    if (!signal.aborted) fill(root, panel('Plan', {}, words, link('/plan', 'The next run')))
+  }
+  const update = next => open(next).catch(failed)
+  await update(query)
+  return { update }
+}
+
+/** Waits for the first status, shortly: limits and speed of the rig come from it. */
+const firstStatus = () =>
+  live.status ??
+  new Promise(resolve => {
+    live.addEventListener('status', resolve, { once: true })
+    setTimeout(resolve, FIRST_STATUS_MS)
+  })

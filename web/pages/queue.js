@@ -1,0 +1,109 @@
+// Queue: what comes next, and when does it end? Runs in their order with predicted times, changed by
+// dragging or by buttons; an editor for a new run, a copy, or a change.
+
+import { get, keep } from '../lib/api.js'
+import { only, outcome } from '../lib/actions.js'
+import { carried, carriedTable } from '../lib/carried.js'
+import { button, el, fill, link, panel } from '../lib/dom.js'
+import { editor } from '../lib/editor.js'
+import { readExperiment, takeDrops } from '../lib/filedrop.js'
+import { capital, plain } from '../lib/format.js'
+import { live } from '../lib/live.js'
+import { waiting } from '../lib/waiting.js'
+
+const EVERY_MS = 5000
+
+/** What is open in the editor, by the address: '' for nothing. */
+const wantedOf = ({ edit, copy, add }) => (edit ? `edit ${edit}` : copy ? `copy ${copy}` : add ? `add ${add}` : '')
+const titleOf = ({ edit, copy, add }) => (edit ? `Edit run ${edit}` : copy ? `A copy of run ${copy}` : `New run: ${add === 'file' ? 'from a file' : add}`)
+
+/** Shows the page. */
+export async function show(root, { query, signal, go }) {
+  const said = outcome()
+  const list = waiting({ said, go, signal })
+  const add = panel('Add an experiment', { id: 'add' })
+  const edit = panel('Experiment', { hidden: true, id: 'edit' })
+  let file = {}
+  root.append(list.node, edit, add)
+
+  async function take(files) {
+    try {
+      file = await readExperiment(files)
+      keep('sessionStorage', 'palpate-draft-file', JSON.stringify(file))
+      opened = null
+      go('/queue?add=file')
+    } catch (error) {
+      said.tell(error.message, 'bad')
+    }
+  }
+  takeDrops(root, take, signal)
+
+  // The editor: what it begins with, and what follows it.
+  async function drafted({ add, edit, copy }) {
+    if (add === 'file') return { name: 'file', ...file }
+    if (add) {
+      const item = (await carried()).find(item => item.name === add)
+      if (!item) throw new Error(`the program carries no experiment ${add}`)
+      return { name: item.name, text: item.text, file: item.file }
+    }
+    const run = await get(`/runs/${encodeURIComponent(edit ?? copy)}`, {}, { signal })
+    if (edit && run.state !== 'queued') throw new Error(`run ${run.scan_id} is ${plain(run.state)}: only a queued run can be edited. Copy it instead`)
+    const draft = { text: run.definition, file: `${run.experiment}.toml`, sensor: run.sensor, from: run.scan_id }
+    return edit ? { ...draft, name: `edit-${run.scan_id}`, run, notBefore: run.not_before } : { ...draft, name: `copy-${run.scan_id}` }
+  }
+  let opened = null
+  let closing = new AbortController()
+  async function editing(next) {
+    const wanted = wantedOf(next)
+    if (wanted === opened) return
+    opened = wanted
+    closing.abort()
+    closing = new AbortController()
+    edit.hidden = !wanted
+    if (!wanted) {
+      fill(edit)
+      return
+    }
+    const close = () => go('/queue', { replace: true })
+    const heading = el('h2', {}, el('span', {}, titleOf(next)), link('/queue', 'Close'))
+    const until = AbortSignal.any([signal, closing.signal])
+    try {
+      const draft = await drafted(next)
+      if (draft.text == null && !keep('sessionStorage', 'palpate-draft-file')) throw new Error('the file is no longer known: choose it again')
+      if (until.aborted) return
+      const ondone = row => {
+        said.tell(next.edit ? `Run ${row.scan_id} is changed: its plan is new, its place is kept.` : `Queued as run ${row.scan_id}.`, 'good')
+        close()
+        list.refresh()
+      }
+      fill(edit, heading, editor({ draft, ifMatch: list.tag, ondone, onclose: close, signal: until }).node)
+      edit.scrollIntoView({ block: 'start' })
+    } catch (error) {
+      if (!until.aborted) fill(edit, heading, el('p', { className: 'bad' }, `${capital(error.message)}.`), button('Close', close))
+    }
+  }
+
+  // A page that is hidden asks for nothing.
+  const timer = setInterval(() => document.hidden || list.refresh(), EVERY_MS)
+  signal.addEventListener('abort', () => clearInterval(timer))
+  let seen = ''
+  const changed = ({ status }) => {
+    const now = `${status.queue_length} ${status.run?.uid} ${status.run?.state}`
+    if (now !== seen) list.refresh()
+    seen = now
+  }
+  live.on('status', changed, signal)
+
+  const chooser = el('input', { id: 'file', type: 'file', accept: '.toml', multiple: true, onchange: event => take(event.target.files) })
+  const own = el('div', {}, el('label', { htmlFor: 'file' }, 'A file of yours (.toml; its sensor file too, if the program does not carry it)'), chooser)
+  const words = 'Choose one, or drop a file anywhere on this page. You see what it takes before it is queued.'
+  fill(
+    add,
+    el('h2', {}, 'Add an experiment'),
+    el('p', { className: 'soft' }, words),
+    only('operator', own),
+    await carriedTable(item => `/queue?add=${encodeURIComponent(item.name)}`),
+  )
+  await Promise.all([list.refresh(), editing(query)])
+  return { update: editing }
+}

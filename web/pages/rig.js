@@ -1,0 +1,225 @@
+// The rig: can it move, and what is wrong with it? Its devices in a chain from wire to tip, its actions with the
+// reason where one cannot be done, jog while a button is held, the check, and the pose to copy.
+
+import { once, get } from '../lib/api.js'
+import { actOnRig, actor, named, outcome } from '../lib/actions.js'
+import { chain, lastWord, stopWords, stoppingWords, streamWords, wireWords } from '../lib/chain.js'
+import { copyButton } from '../lib/copybutton.js'
+import { el, facts, fill, panel, say, select } from '../lib/dom.js'
+import { count, fixed, moment, plain } from '../lib/format.js'
+import { forceBars } from '../lib/forces.js'
+import { jog } from '../lib/jog.js'
+import { live, who } from '../lib/live.js'
+import { rates } from '../lib/rates.js'
+import { checkReport } from '../lib/rigcheck.js'
+import { entries } from '../lib/toml.js'
+import { RIG, TONE } from '../lib/words.js'
+
+const CHECK_MS = 120_000
+const ACTIONS = [['connect', 'Connect', 'Opens the wires and asks every device who it is.'],
+  ['home', 'Home', 'Gives each axis its zero, z first. The axes move.'],
+  ['tare', 'Tare', 'Takes the present output of the cells as zero: nothing may touch the tips.'],
+  ['reset', 'Reset', 'Acknowledges the trip after its cause is cleared. Nothing moves.'], ['disconnect', 'Disconnect', 'Closes the wires.']]
+
+const STAGE = ['home', 'tare', 'tips', 'jog']
+
+/** Why an action of the rig cannot be done now, as words; '' if it can. */
+function forbidden(action, { rig, run }, fresh) {
+  if (!fresh) return 'No connection.'
+  if (!live.may('operator')) return 'It needs the role operator.'
+  const { state } = rig, is = plain(state)
+  if (rig.has_stage === false && STAGE.includes(action)) return 'This rig is a skin and its readout alone: there is no stage.'
+  // A run that tripped waits for exactly these two.
+  const mends = action === 'reset' || action === 'home' && run?.paused_why === 'trip'
+  if (run && !mends) return `Run ${run.scan_id} holds the rig: end it, or wait for its end.`
+  const needs = { connect: ['disconnected'], home: ['disarmed', 'homed'], jog: ['homed'], reset: ['tripped'], check: ['disconnected'],
+    disconnect: ['disarmed', 'homed', 'tripped'], tare: ['disarmed', 'homed', 'tripped'], tips: ['disarmed', 'homed', 'tripped'] }[action]
+  if (needs.includes(state)) return ''
+  if (action === 'reset') return 'Nothing to reset: the rig is not tripped.'
+  if (action === 'connect') return 'The wires are open already.'
+  if (action === 'check') return 'The check opens the wires itself: disconnect first.'
+  if (state === 'disconnected') return 'Connect first.'
+  if (state === 'tripped') return 'The rig is tripped: clear the cause, then reset.'
+  if (state === 'disarmed') return 'Home first: the position of the axes is not known.'
+  return `Not while the rig is ${is}.`
+}
+
+/** Shows the page. */
+export async function show(root, { query, signal, set }) {
+  const state = { steps: { xy: query.step ?? '0.5', z: query.stepz ?? '0.1' }, found: {}, limits: null, shown: '' }
+  const said = outcome(), counters = rates(), links = chain()
+  const head = el('p', { className: 'state' }), sentence = el('p'), acts = el('ul', { className: 'acts' }), pose = el('div'),
+    copy = el('pre', { tabIndex: 0 }), limits = el('div'), trip = el('div', { className: 'trip', hidden: true })
+  const bars = forceBars({ signal })
+  const may = action => live.status ? forbidden(action, live.status, live.fresh) : 'No status yet.'
+  const pad = jog({ allowed: () => may('jog'), steps: () => state.steps, signal,
+    choose(change) {
+      const { xy, z } = Object.assign(state.steps, change)
+      set({ step: xy === '0.5' ? null : xy, stepz: z === '0.1' ? null : z })
+    } })
+
+  const rows = ACTIONS.map(([action, words, about]) => {
+    const why = el('span', { className: 'soft' }), one = actor(words, said, () => actOnRig(action))
+    return { action, about, why, one, node: el('li', {}, one, why) }
+  })
+  fill(acts, rows.map(row => row.node))
+
+  // Tips: the number that a person mounted, on arms 1 to n.
+  const tipsWhy = el('span', { className: 'soft' }), tipsChoice = select([0, 1, 2, 3, 4, 5, 6], live.status?.rig.tips ?? 0,
+    () => { tipsChoice.dataset.chosen = 'yes' }, { id: 'rig-tips' })
+  const tipsEnter = actor('Enter', said, () => actOnRig('tips', { tips: Number(tipsChoice.value) }), { what: 'Tips' })
+
+  // The check: a report of every device; the rig must be disconnected.
+  const report = el('div'), enable = el('input', { type: 'checkbox', id: 'rig-enable' }), checkWhy = el('span', { className: 'soft' })
+  const checkNow = actor('Check every device', said, async () => {
+    fill(report, el('p', { className: 'soft' }, 'Asking every device; this takes some seconds …'))
+    try {
+      fill(report, checkReport(await once('/rig/check', { enable: enable.checked, who: who() }, { wait: CHECK_MS, signal })))
+    } catch (error) {
+      fill(report)
+      throw error
+    }
+  }, { what: 'Check' })
+
+  const toCopy = copyButton(() => copy.textContent)
+
+  // What would be refused is not offered: a viewer sees the state alone.
+  const viewer = el('p', { className: 'soft' }, 'You see what the rig does. To act you need the key of an operator.')
+  const showRole = () => {
+    const still = live.status?.rig.has_stage === false
+    for (const node of [acts, pad.node, tips, checks]) node.hidden = !live.may('operator') || still && (node === pad.node || node === tips)
+    for (const row of rows) row.node.hidden = still && STAGE.includes(row.action)
+    viewer.hidden = live.may('operator')
+  }
+  const tips = panel('Tips', {}, el('div', { className: 'row' }, el('label', { className: 'inline', htmlFor: 'rig-tips' }, 'Mounted on arms 1 to'),
+    tipsChoice, tipsEnter), tipsWhy)
+  const checks = panel('Check', {}, el('p', {}, 'Asks every device, reads the cells and the stream, and moves nothing.'),
+    el('div', { className: 'row' }, checkNow, el('label', { className: 'inline', htmlFor: 'rig-enable' }, enable,
+      'also switch the servos on (they stay on)')), checkWhy, report)
+
+  root.append(el('div', { className: 'columns wide-right' },
+    el('div', { className: 'column' },
+      panel('Can it move?', { className: 'live' }, head, sentence, trip, viewer, acts, said.node),
+      panel('Jog', { className: 'live' }, pose, pad.node),
+      tips,
+      panel('Teach', {}, el('p', {}, 'The present pose in machine coordinates, to copy into the rig file.'), copy, toCopy),
+      panel('Test of the stop', {}, el('ol', { className: 'steps' },
+        ['Home the rig, and let it travel: jog x while somebody watches.', 'Press Stop in the top bar while it moves. It asks nothing.',
+        'Read here how long every axis took to acknowledge, and look whether it stands.',
+        'Reset, then home. Do the same with the button on the rig, which removes the power.'].map(words => el('li', {}, words))),
+          el('p', { className: 'soft' }, 'This stop is software: it asks the drives to stop. A rig that can hurt somebody needs the one in hardware.'))),
+    el('div', { className: 'column' }, panel('From wire to tip', { className: 'live' }, links.node),
+      checks,
+      panel('Limits', {}, limits))))
+
+  function gate(node, why, words) {
+    node.disabled = Boolean(why)
+    return words ? say(words, why) : undefined
+  }
+
+  function drawTrip(rig) {
+    trip.hidden = !rig.trip
+    if (rig.trip) fill(trip, el('p', { className: 'bad' }, `Tripped (${plain(rig.trip.kind)}): ${rig.trip.detail}.`),
+      el('p', {}, TRIPS[rig.trip.kind] ?? 'Clear the cause, reset, then home.'))
+  }
+
+  function draw({ status, fresh }) {
+    if (!status) return
+    const { rig, run } = status, { wires, stream } = rig
+    counters.add({ stream: { frames: stream.frames, missed: stream.missed, garbled: stream.garbled },
+      ...Object.fromEntries(wires.map(wire => [`wire ${wire.name}`, (({ name, last_round_trip_us, ...numbers }) => numbers)(wire)])) })
+    say(head, run ? `${plain(rig.state)}, run ${run.scan_id}` : plain(rig.state))
+    head.className = `state ${TONE[rig.state] ?? ''}`
+    say(sentence, run ? `${run.experiment} is ${plain(run.state)}${run.waiting_for ? `: ${run.waiting_for}` : ''}.` : rig.has_stage === false
+      && rig.state === 'disarmed' ? 'Connected. There is nothing to home: a run may start.' : RIG[rig.state] ?? '')
+    showRole()
+    drawTrip(rig)
+    for (const { action, about, why, one } of rows) gate(one, may(action), null) ?? say(why, may(action) || about)
+    gate(tipsEnter, may('tips'))
+    if (!tipsChoice.dataset.chosen && rig.tips != null) tipsChoice.value = rig.tips
+    say(tipsWhy, may('tips') || (rig.tips == null ? 'No number was entered since the start: without one the connected cells count.'
+      : `${rig.tips} entered; the cells must agree.`))
+    gate(checkNow, may('check'), checkWhy)
+    pad.gate()
+    drawPose(rig.pose)
+    links.show(devices(rig))
+    if (!fresh) return
+    drawLimits(rig)
+  }
+
+  function drawPose(at) {
+    const text = JSON.stringify(at ?? null)
+    if (state.shown === text) return
+    state.shown = text
+    fill(pose, facts(at ? [['x', fixed(at.x_mm, 2, 'mm')], ['y', fixed(at.y_mm, 2, 'mm')], ['z, downwards', fixed(at.z_mm, 2, 'mm')],
+      ['Radius', fixed(at.radius_mm, 2, 'mm')]] : [['Pose', 'not known while the wires are closed']]))
+    const keys = ['x_mm', 'y_mm', 'z_mm', 'radius_mm'].map(key => at && `${key} = ${at[key].toFixed(3)}`)
+    say(copy, at ? [`# pose of ${live.status.rig.name}, ${new Date().toISOString()}`, ...keys].join('\n') : '# connect first')
+    toCopy.disabled = !at
+  }
+
+  /** The chain: wires, stream, axes, stop, cells, tips, skin. */
+  function devices(rig) {
+    const closed = rig.state === 'disconnected', moves = rig.has_stage !== false
+    const wires = rig.wires.map(wire => ({ name: `Wire ${wire.name}`, ...wireWords(wire, counters.of(`wire ${wire.name}`)) }))
+    const axis = (name, key, unit = 'mm') => ({ name: key === 'radius' ? 'Arms (radial axis)' : `Axis ${name}`, words: closed ? 'Closed.'
+      : lastWord(state.found[name]) || 'No word yet.',
+      figures: rig.pose ? [['Position', fixed(rig.pose[`${key}_mm`], 2, unit)], ['Known', ['homed', 'armed'].includes(rig.state) ? 'homed' : 'not homed']]
+        : [] })
+    const dead = rig.forces_n.slice(0, rig.tips ?? 0).flatMap((force, i) => force == null ? [i + 1] : [])
+    const cells = { name: 'Load cells', inside: bars, tone: dead.length ? 'bad' : '', words: closed ? 'Closed.'
+      : [lastWord(state.found.cells), dead.length ? `no output on arm ${dead.join(', ')}: check its cable` : '', rig.live_cells == null ? ''
+      : `${rig.live_cells} of 6 connected`].filter(Boolean).join('; ') || 'No word yet.' }
+    const { surface } = rig
+    const tips = { name: 'Tips and surface', words: rig.tips == null ? 'No number of tips was entered.'
+      : `${count(rig.tips)} mounted${rig.tips ? ` on arms 1 to ${rig.tips}` : ''}.`, figures: surface
+      ? [['Surface', fixed(surface.surface_z_mm, 2, 'mm')], ['Found', `${moment(surface.at)} with ${surface.tips} tips`]]
+      : [['Surface', 'not searched for yet']] }
+    return [...wires, { name: 'Voltage stream', ...streamWords(rig.stream, counters.of('stream'), rig) },
+      ...(moves ? [axis('x', 'x'), axis('y', 'y'), axis('z', 'z'), axis('radial', 'radius'), { name: 'Stop', ...stopWords(rig) },
+        { name: 'Stopping distance', ...stoppingWords(rig.stopping) }, cells, tips] : [])]
+  }
+
+  /** Limits as the newest run stored them: the service has no request for its rig file. */
+  function drawLimits(rig) {
+    const rows = [rig.force_limit_n != null && ['Force on one cell', fixed(rig.force_limit_n, 0, 'N')], ...(state.limits?.rows ?? [])].filter(Boolean),
+      text = JSON.stringify(rows)
+    if (limits.dataset.text === text) return
+    limits.dataset.text = text
+    fill(limits, facts(rows), el('p', { className: 'soft' }, state.limits ? `From the rig file as run ${state.limits.run} stored it.`
+      : 'The other limits are in the rig file.'))
+  }
+
+  get('/runs', { limit: 1 }, { signal }).then(({ items: [run] }) => {
+    if (!run || run.rig == null) return
+    const found = new Map(entries(run.rig).map(e => [`${e.table}.${e.key}`, e.raw])), range = key => found.has(key)
+      ? found.get(key).replace(/[[\]]/g, '').replace(',', ' to') : null
+    const row = (words, key, unit) => range(key) && [words, `${range(key)}\u202f${unit}`]
+    state.limits = { run: run.scan_id, rows: [row('Sum of forces', 'limits.force_sum_n', 'N'), row('Margin for a stop', 'limits.force_margin_n', 'N'),
+      row('Drift of a tare', 'limits.tare_drift_n', 'N'), row('Age of a sample', 'limits.sample_age_ms', 'ms'),
+      row('Age of a frame', 'limits.frame_age_ms', 'ms'),
+      ...['x', 'y', 'z'].map(name => row(`Travel of ${name}`, `axes.${name}.travel_mm`, 'mm')), row('Radius', 'slot.radius_mm', 'mm'),
+        row('Surface', 'skin.surface_z_mm', 'mm'), row('Clearance', 'skin.clearance_mm', 'mm')].filter(Boolean) }
+    draw(live)
+  }, () => {})
+  get('/events', { since: -1000 }, { signal }).then(({ items }) => {
+    for (const event of items) if (event.kind === 'device') state.found[event.data.device] = event
+    draw(live)
+  }, () => {})
+  live.on('status', draw, signal)
+  live.on('fresh', draw, signal)
+  live.addEventListener('caller', () => { showRole(); draw(live) }, { signal })
+  showRole()
+  return { update: next => Object.assign(state.steps, { xy: next.step ?? '0.5', z: next.stepz ?? '0.1' }) }
+}
+
+const TRIPS = {
+  estop: 'Somebody pressed the stop. When nobody is in danger: reset, then home.',
+    force: 'A force was beyond its limit. Look for what the tip hit, then reset and home.',
+    cell: 'A load cell left its range. Check its cable and its supply, then reset and home.',
+  position: 'An axis is not where it should be. Check that nothing blocks it, then reset and home.',
+    wire: 'A wire failed. Check cable and power of its devices, then reset and home.',
+    device: 'A device reports a fault. Clear it at the device, then reset and home.',
+  stale: 'Samples or frames were too old. Check the wires and the load of the computer, then reset and home.',
+    service: 'The service itself failed. Read the event log, then reset and home.',
+}

@@ -1,0 +1,194 @@
+// Runs: what happened? The history, newest first; `run=N` opens the report of one, `with=M` compares two.
+
+import { get, withQuery } from '../lib/api.js'
+import { only, outcome } from '../lib/actions.js'
+import { beginRun } from '../lib/begin.js'
+import { compare } from '../lib/compare.js'
+import { button, el, fill, link, note, panel, select } from '../lib/dom.js'
+import { NONE, count, counted, moment, span } from '../lib/format.js'
+import { live } from '../lib/live.js'
+import { report } from '../lib/report.js'
+import { STATES, endWord, isWanted, runTone } from '../lib/runwords.js'
+import { table } from '../lib/table.js'
+
+const PAGE = 50
+const PAGES_MOST = 6
+const AT_ONCE = 3
+const EVERY_MS = 10_000
+
+/** Shows the page. */
+export async function show(root, { query, signal, go, set }) {
+  const said = outcome()
+  const summaries = new Map()
+  const list = el('div', { className: 'list' })
+  const body = el('div', { className: 'list' })
+  let runs = []
+  let next = null
+  let opened = ''
+  let view = null
+  let leaving = new AbortController()
+  root.append(list, body)
+
+  // The list.
+  const cells = new Map()
+  const told = el('p', { className: 'soft' })
+  const trouble = el('p', { className: 'bad', role: 'status', hidden: true })
+  const cell = (run, name, words) => {
+    const key = `${run.uid} ${name}`
+    if (!cells.has(key)) cells.set(key, el('span', {}, NONE))
+    const known = summaries.get(run.uid)
+    if (known) cells.get(key).textContent = words(known)
+    return cells.get(key)
+  }
+  const end = run =>
+    run.state === 'interrupted'
+      ? el('span', { className: 'row tight' }, el('span', { className: 'warn' }, 'interrupted'), resume(run))
+      : el('span', { className: runTone(run) }, endWord(run), run.reason && run.exit_status !== 'success' ? `: ${run.reason}` : '')
+  function resume(run) {
+    return only(
+      'operator',
+      button('Resume', () => beginRun(run, said).then(refresh), { 'aria-label': `Resume run ${run.scan_id}` }),
+    )
+  }
+  const rows = table({
+    href: run => withQuery('/runs', { ...kept(), run: run.scan_id }),
+    empty: 'No run is in this selection.',
+    columns: [
+      { head: 'Run', left: true, cell: run => `${run.scan_id} ${run.experiment}` },
+      { head: 'Data', left: true, cell: run => el('span', { className: run.label === 'virtual' ? 'virtual' : '' }, run.label) },
+      { head: 'Kind', left: true, cell: run => run.kind },
+      { head: 'Began', cell: run => moment(run.started_at) },
+      { head: 'By', left: true, cell: run => run.submitted_by },
+      {
+        head: 'Stored',
+        cell: run =>
+          el(
+            'span',
+            {},
+            cell(run, 'stored', s => count(s.trials_stored)),
+            ` of ${count(run.trials_planned)}`,
+          ),
+      },
+      { head: 'Skipped', cell: run => cell(run, 'skips', s => count(s.skips.length)) },
+      { head: 'Failed attempts', cell: run => cell(run, 'retries', s => count(s.retries)) },
+      { head: 'Duration', cell: run => cell(run, 'duration', s => span(s.duration_s)) },
+      { head: 'End', left: true, cell: end },
+    ],
+  })
+  rows.node.classList.add('stack')
+  const choice = (id, words, choices) =>
+    el(
+      'span',
+      { className: 'filter' },
+      el('label', { className: 'inline', htmlFor: id }, words),
+      select(choices, query[id] ?? '', value => set({ [id]: value || null }), { id }),
+    )
+  const filters = el(
+    'div',
+    { className: 'row' },
+    choice('state', 'Runs', STATES),
+    choice('kind', 'Kind', [['', 'any'], 'real-hex', 'real-random', 'imported']),
+    choice('label', 'Data', [['', 'any'], 'measured', 'virtual', 'simulated']),
+  )
+  const more = button('More', () => read(next).then(draw), { hidden: true })
+  list.append(panel('History', {}, filters, trouble, told, rows.node, el('div', { className: 'row' }, more)))
+  const kept = () => Object.fromEntries(['state', 'kind', 'label'].filter(key => query[key]).map(key => [key, query[key]]))
+
+  async function read(cursor) {
+    try {
+      const page = await get('/runs', { limit: PAGE, cursor }, { signal })
+      runs = cursor ? [...runs, ...page.items] : page.items
+      next = page.next ?? null
+      note(trouble, '')
+    } catch (error) {
+      if (!signal.aborted) note(trouble, `The runs could not be read: ${error.message}`)
+    }
+  }
+  async function draw() {
+    // Pages are read until the selection shows something; the rest comes by the button.
+    for (let pages = 1; next && pages < PAGES_MOST && !runs.some(run => isWanted(run, query)) && !signal.aborted; pages += 1) await read(next)
+    const wanted = runs.filter(run => isWanted(run, query))
+    for (const id of ['state', 'kind', 'label']) filters.querySelector(`#${id}`).value = query[id] ?? ''
+    more.hidden = !next
+    if (!runs.length) fill(told, 'No run yet. ', link('/queue', 'Queue one'), ' to begin.')
+    else fill(told, `${counted(wanted.length, 'run')} of ${next ? `the newest ${count(runs.length)}` : count(runs.length)}, newest first.`)
+    rows.show(wanted)
+    const open = wanted.filter(run => !summaries.has(run.uid) || !summaries.get(run.uid).run.ended_at)
+    const work = async () => {
+      for (let run; (run = open.shift()) && !signal.aborted && !query.run; ) await summary(run)
+    }
+    await Promise.all(Array.from({ length: AT_ONCE }, work))
+  }
+  async function summary(run) {
+    const found = await get(`/runs/${run.uid}/summary`, {}, { signal }).catch(() => null)
+    if (!found) return
+    summaries.set(run.uid, found)
+    cell(run, 'stored', s => count(s.trials_stored))
+    cell(run, 'skips', s => count(s.skips.length))
+    cell(run, 'retries', s => count(s.retries))
+    cell(run, 'duration', s => span(s.duration_s))
+  }
+  async function refresh() {
+    if (signal.aborted) return
+    if (query.run) {
+      await view?.refresh?.()
+    } else {
+      await read()
+      await draw()
+    }
+  }
+
+  // One run, or two.
+  async function open() {
+    const wanted = [query.run, query.with].filter(Boolean).join(' ')
+    list.hidden = Boolean(wanted)
+    body.hidden = !wanted
+    if (wanted === opened) return wanted ? view?.update?.(query) : draw()
+    opened = wanted
+    leaving.abort()
+    leaving = new AbortController()
+    view = null
+    if (!wanted) {
+      fill(body)
+      return draw()
+    }
+    const back = withQuery('/runs', kept())
+    const until = AbortSignal.any([signal, leaving.signal])
+    try {
+      if (query.with) await compare(body, { ...query, back, signal: until })
+      else {
+        const inside = el('div', { className: 'list' })
+        fill(body, el('section', { className: 'back' }, link(back, 'All runs')), inside)
+        view = report(inside, { state: query, set, go, said, others: () => runs, signal: until })
+        await view.open()
+      }
+    } catch (error) {
+      if (!until.aborted)
+        fill(body, panel('Run', {}, el('p', { className: 'bad' }, `Run ${opened} could not be shown: ${error.message}.`), link(back, 'All runs')))
+    }
+    return undefined
+  }
+
+  const timer = setInterval(() => {
+    if (!document.hidden && (query.run || live.status?.run)) refresh()
+  }, EVERY_MS)
+  signal.addEventListener('abort', () => clearInterval(timer))
+  let seen = null
+  live.on(
+    'status',
+    ({ status }) => {
+      const now = `${status.run?.uid} ${status.run?.state}`
+      if (seen != null && now !== seen) refresh()
+      seen = now
+    },
+    signal,
+  )
+  await read()
+  open()
+  return {
+    update: next => {
+      query = next
+      return open()
+    },
+  }
+}

@@ -1,0 +1,272 @@
+// The trials: "Show me that one." Conditions are in the address; one trial is opened above the list.
+
+import { all, get, withQuery } from '../lib/api.js'
+import { around } from '../lib/around.js'
+import { button, el, fill, link, note, panel } from '../lib/dom.js'
+import { count, counted, fixed, moment, plain } from '../lib/format.js'
+import { conditions, selection } from '../lib/selection.js'
+import { columnsOf, spread } from '../lib/spread.js'
+import { table } from '../lib/table.js'
+import { trialView, trialWords } from '../lib/trial.js'
+
+const PAGE = 50,
+  ROWS_MOST = 1000,
+  KEPT = 40
+
+/** In the API a run is its uid, its number is scan_id: a link with a number is put right. */
+const byNumber = ({ run }) => (/^\d+$/.test(run ?? '') ? { run: null, scan_id: run } : null)
+
+/** Shows the page. */
+export async function show(root, { query, signal, set, go }) {
+  if (byNumber(query)) return set(byNumber(query))
+  let state = query,
+    rows = [],
+    next = null,
+    runs = [],
+    asked = '',
+    listing = new AbortController(),
+    open = null,
+    looked = ''
+  const href = trial => withQuery('/trials', { ...state, trial })
+  const said = el('p', { className: 'bad', role: 'status', hidden: true })
+  const filters = selection({ set, said })
+  const charts = spread({ signal, label: () => (rows.some(row => row.label === 'virtual') ? 'virtual' : '') })
+  const view = trialView({ signal, href, onscale: value => set({ scale: value || null }) })
+
+  // The list.
+  const list = table({
+    href: row => href(row.trial_id),
+    current: row => String(row.trial_id) === state.trial,
+    empty: 'No trial meets these conditions. Every run stores its trials here: the queue starts one.',
+    columns: [
+      { head: 'Trial', cell: row => count(row.trial_id), left: true },
+      { head: 'Run', cell: row => `${row.scan_id} · ${row.experiment}`, left: true },
+      { head: 'Configuration', cell: row => count(row.configuration) },
+      { head: 'Depth', unit: 'mm', cell: row => fixed(row.depth_mm, 2) },
+      { head: 'Tips', cell: row => row.tips },
+      { head: 'Contacts', cell: row => row.contact_count },
+      { head: 'Largest force', unit: 'N', cell: row => fixed(row.max_force_n, 1) },
+      { head: 'FVU', cell: row => fixed(row.fvu, 3) },
+      { head: 'RMSE', unit: 'mV', cell: row => (row.rmse_v == null ? null : fixed(row.rmse_v * 1e3, 2)) },
+      { head: 'Settled after', unit: 's', cell: row => (row.settle_ms == null ? null : fixed(row.settle_ms / 1e3, 2)) },
+      { head: 'Flags', cell: row => (row.flags.length ? el('span', { className: 'warn' }, row.flags.map(plain).join(', ')) : 'none'), left: true },
+      { head: 'Measured', cell: row => moment(row.measured_at, true) },
+      { head: 'Label', cell: row => row.label, left: true },
+    ],
+  })
+  const more = button('More', () => load(), { hidden: true }),
+    told = el('span', { className: 'soft' })
+  const listPanel = panel(
+    'Trials',
+    { aside: told },
+    list.node,
+    el(
+      'div',
+      { className: 'row' },
+      more,
+      button(
+        'Read again',
+        () => {
+          asked = ''
+          reload()
+        },
+        { className: 'plain', title: 'Trials may have been stored since' }
+      )
+    )
+  )
+
+  async function load() {
+    more.disabled = true
+    const mine = listing
+    try {
+      const page = await get(
+        '/trials',
+        { sort: '-trial_id', ...conditions(state), ...(state.sort && { sort: state.sort }), limit: PAGE, cursor: next },
+        { signal: mine.signal }
+      )
+      if (mine.signal.aborted) return
+      rows = [...rows, ...page.items]
+      next = page.next
+      note(said, '')
+    } catch (error) {
+      if (mine.signal.aborted) return
+      note(said, `The selection was refused: ${error.message}`)
+      next = null
+    }
+    more.disabled = false
+    more.hidden = !next || rows.length >= ROWS_MOST
+    fill(
+      told,
+      rows.length
+        ? next
+          ? `first ${count(rows.length)}${rows.length >= ROWS_MOST ? ': narrow the selection to see the others' : ''}`
+          : counted(rows.length, 'trial')
+        : ''
+    )
+    list.show(rows)
+  }
+
+  async function drawCharts() {
+    const mine = listing
+    try {
+      const { rows: drawn, more: rest } = await columnsOf(
+        '/trials',
+        { sort: '-trial_id', ...conditions(state), ...(state.sort && { sort: state.sort }) },
+        ['trial_id', 'max_force_n', 'contact_count', 'fvu'],
+        { signal: mine.signal }
+      )
+      if (!mine.signal.aborted) charts.show(drawn, rest)
+    } catch {
+      if (!mine.signal.aborted) charts.show([], false)
+    }
+  }
+
+  /** Marks the open one; the rows themselves stay. */
+  function mark() {
+    list.node.querySelectorAll('tbody tr').forEach((line, i) => line.classList.toggle('current', String(rows[i]?.trial_id) === state.trial))
+  }
+
+  function reload() {
+    const key = JSON.stringify([conditions(state), state.sort])
+    if (key === asked) {
+      mark()
+      return
+    }
+    asked = key
+    listing.abort()
+    listing = new AbortController()
+    rows = []
+    next = null
+    load()
+    drawCharts()
+  }
+  signal.addEventListener('abort', () => listing.abort())
+
+  // One trial. Read ones are kept, neighbours are read ahead, so that a key answers at once.
+  const kept = new Map()
+  function read(id) {
+    const key = String(id)
+    if (!kept.has(key)) {
+      const asked = get(`/trials/${key}`, {}, { signal })
+      asked.catch(() => kept.delete(key))
+      kept.set(key, asked)
+      if (kept.size > KEPT) kept.delete(kept.keys().next().value)
+    }
+    return kept.get(key)
+  }
+  async function neighbour(id, later) {
+    const beyond = `trial_id__${later ? 'gt' : 'lt'}`,
+      given = conditions(state),
+      free = !('where' in given)
+    const page = await get(
+      '/trials',
+      { ...given, ...(free ? { where: `${beyond}=${id}` } : { [beyond]: id }), sort: later ? 'trial_id' : '-trial_id', limit: 1 },
+      { signal }
+    )
+    return page.items[0]?.trial_id ?? null
+  }
+  const sides = { earlier: null, later: null }
+  const to = id => id != null && set({ trial: id })
+  const previous = button('← Previous', () => to(sides.earlier), { title: 'The trial stored before, of this selection. Keys: k, arrow left' })
+  const following = button('Next →', () => to(sides.later), { title: 'The trial stored after, of this selection. Keys: j, arrow right' })
+  const words = el('p', {}),
+    links = el('span', { className: 'row' }),
+    name = el('span', {}),
+    trouble = el('p', { className: 'bad', role: 'alert', hidden: true })
+  const head = el(
+    'section',
+    { className: 'trial-head', 'aria-label': 'Trial' },
+    el(
+      'div',
+      { className: 'row spread' },
+      el('h2', { className: 'big' }, name),
+      el(
+        'span',
+        { className: 'row' },
+        previous,
+        following,
+        button('Close', () => go(withQuery('/trials', { ...state, trial: null })), { className: 'plain' })
+      )
+    ),
+    words,
+    links,
+    trouble
+  )
+  const detail = el('div', { className: 'trial-detail', hidden: true }, head, view.node)
+
+  async function showTrial() {
+    const id = state.trial
+    const look = `${id} ${state.scale ?? ''}`
+    if (looked === look) return
+    looked = look
+    const first = detail.hidden
+    open = id
+    detail.hidden = !id
+    if (!id) return
+    if (first) scrollTo(0, 0)
+    name.textContent = `Trial ${id}`
+    let row
+    try {
+      row = await read(id)
+    } catch (error) {
+      if (open === id && !signal.aborted) {
+        note(trouble, `Trial ${id} cannot be shown: ${error.message}`)
+        view.node.hidden = true
+        fill(words)
+        fill(links)
+        Object.assign(sides, { earlier: null, later: null })
+        previous.disabled = following.disabled = true
+      }
+      return
+    }
+    if (open !== id || signal.aborted) return
+    note(trouble, '')
+    view.node.hidden = false
+    words.textContent = trialWords(row)
+    fill(
+      links,
+      link(`/runs?run=${row.scan_id}`, `Run ${row.scan_id}`),
+      link(`/trials?scan_id=${row.scan_id}&configuration=${row.configuration}&sort=trial_id`, 'The same configuration'),
+      link(`/model?trial=${id}`, 'In the model'),
+      el('a', { href: `/api/v1/trials/${id}`, target: '_blank', rel: 'noopener' }, 'JSON')
+    )
+    const near = Promise.all([neighbour(id, false), neighbour(id, true)]).catch(() => [null, null])
+    const context = await around(row, read, { signal }).catch(() => ({}))
+    if (open !== id || signal.aborted) return
+    view.show(row, context, state.scale ?? '')
+    ;[sides.earlier, sides.later] = await near
+    if (open !== id || signal.aborted) return
+    previous.disabled = sides.earlier == null
+    following.disabled = sides.later == null
+    for (const side of [sides.later, sides.earlier]) if (side != null) read(side).catch(() => {})
+  }
+  document.addEventListener(
+    'keydown',
+    event => {
+      if (!state.trial || event.metaKey || event.ctrlKey || event.altKey || event.target.closest?.('input, select, textarea, dialog, [role=slider]')) return
+      if (['j', 'ArrowRight'].includes(event.key)) to(sides.later)
+      else if (['k', 'ArrowLeft'].includes(event.key)) to(sides.earlier)
+      else return
+      event.preventDefault()
+    },
+    { signal }
+  )
+
+  root.append(detail, filters.node, charts.node, listPanel)
+  function update(query) {
+    if (byNumber(query)) return set(byNumber(query))
+    state = query
+    filters.show(state, runs)
+    reload()
+    showTrial()
+  }
+  update(query)
+  all('/runs', {}, { most: 200, signal }).then(
+    found => {
+      runs = found
+      filters.show(state, runs)
+    },
+    () => {}
+  )
+  return { update }
+}

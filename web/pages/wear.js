@@ -1,0 +1,113 @@
+// Wear: what needs care? Presses on each place of the skin, travel of the axes, age of the cells' calibration,
+// last check, hours. Numbers only: what counts as much is not known.
+
+import { all, get } from '../lib/api.js'
+import { button, el, facts, fill, link, panel } from '../lib/dom.js'
+import { NONE, age, count, counted, fixed, moment } from '../lib/format.js'
+import { live } from '../lib/live.js'
+import { references } from '../lib/references.js'
+import { sensor } from '../lib/skin.js'
+import { table } from '../lib/table.js'
+import { wearMap } from '../lib/wearmap.js'
+
+const RUNS_MOST = 100
+
+/** Hours of runs that ended, from begin to end. */
+function hoursOf(runs) {
+  const ended = runs.filter(run => run.started_at && run.ended_at && run.kind !== 'imported')
+  return ended.reduce((sum, run) => sum + (Date.parse(run.ended_at) - Date.parse(run.started_at)) / 3.6e6, 0)
+}
+
+function summary(wear, runs) {
+  const hours = runs && hoursOf(runs)
+  const checked = wear.checked_at
+  const list = facts([
+    ['Trials', count(wear.trials)],
+    ['Runs', count(wear.runs)],
+    ['Since', moment(wear.since)],
+    ['Hours of runs', runs ? fixed(hours, hours < 10 ? 2 : 0, 'h') : NONE],
+    ['Last check', checked ? moment(checked) : 'none stored'],
+    ['Days since', checked ? count(Math.floor(age(checked) / 86_400)) : NONE],
+  ])
+  const which = runs?.length === RUNS_MOST ? `the newest ${RUNS_MOST} runs` : 'all ended runs'
+  return [list, el('p', { className: 'soft' }, `Hours are from begin to end of ${which}, with their waits.`)]
+}
+
+function axes(wear) {
+  const columns = [
+    { head: 'Axis', left: true, cell: a => a.axis },
+    { head: 'Travel', unit: 'm', cell: a => fixed(a.travel_m, 1) },
+  ]
+  const words = 'A lower bound: the sum over consecutive stored poses. Ways between them, homing and jogging are not in it.'
+  return panel('Axes', {}, table({ rows: wear.axes, columns, empty: 'No pose is stored yet.' }).node, el('p', { className: 'soft small said' }, words))
+}
+
+function cells(wear) {
+  const columns = [
+    { head: 'Arm', left: true, cell: c => String(c.arm) },
+    { head: 'Calibrated', cell: c => c.calibrated_on ?? 'not stated' },
+    { head: 'Age', unit: 'days', cell: c => count(c.age_days) },
+  ]
+  const unknown = wear.cells.filter(cell => cell.age_days == null).length
+  const which = unknown === wear.cells.length ? 'the cells were' : `${counted(unknown, 'cell')} ${unknown === 1 ? 'was' : 'were'}`
+  const words = unknown ? el('p', { className: 'soft small said' }, `The rig file does not state when ${which} calibrated.`) : null
+  return panel('Load cells', {}, table({ rows: wear.cells, columns, empty: 'This rig has no load cells.' }).node, words)
+}
+
+function whatToDo(wear) {
+  const check = wear.checked_at
+    ? 'Check every device again after any work on the rig: '
+    : 'No check of the devices is stored. Do one before the next long run: '
+  const lines = [
+    [check, link('/rig', 'rig'), '.'],
+    ['Look at the skin where it is pressed most: dents, cracks, loose layers. Choose a place in the table to see where it is.'],
+    ['Watch the reference presses: less force at the same place and depth, over weeks, is the first sign of a worn skin.'],
+    ['Then compare an early run with a late one: ', link('/runs', 'runs'), '.'],
+    ['Keep the dates of cell calibrations in the rig file, so that their age is shown here.'],
+  ]
+  const unknown =
+    'How many presses a skin withstands, and how far an axis may travel before it needs grease, is not known here: see the manuals of the makers.'
+  return panel(
+    'What to do',
+    {},
+    el(
+      'ul',
+      { className: 'todo' },
+      lines.map(line => el('li', {}, line)),
+    ),
+    el('p', { className: 'soft' }, unknown),
+  )
+}
+
+/** Shows the page. */
+export async function show(root, { query, signal, set }) {
+  const label = () => (live.status?.rig.label === 'virtual' ? 'virtual' : '')
+  const map = wearMap({ onchoose: (x, y) => set({ x, y }), label, signal })
+  const drift = references({ label, signal })
+  const top = el('section', {}, el('p', { className: 'soft' }, 'Loading …'))
+  const rest = el('div', { className: 'columns three' })
+  const middle = el('div', { className: 'columns two', hidden: true }, map.map, el('div', { className: 'column' }, map.most, map.spread))
+  root.append(top, middle, drift.node, rest)
+  const mark = ({ x, y }) => (x == null ? map.choose(null) : map.choose(Number(x), Number(y)))
+
+  async function read() {
+    try {
+      const [wear, shape] = await Promise.all([get('/wear', {}, { signal }), sensor().catch(() => null)])
+      middle.hidden = false
+      map.show(wear.points, shape)
+      mark(query)
+      fill(top, summary(wear, null))
+      fill(rest, axes(wear), cells(wear), whatToDo(wear))
+      const runs = await all('/runs', {}, { most: RUNS_MOST, signal }).catch(() => [])
+      if (signal.aborted) return
+      fill(top, summary(wear, runs))
+      await drift.show(runs)
+    } catch (error) {
+      if (signal.aborted) return
+      const words = el('p', { className: 'bad' }, `The wear of this rig has no answer: ${error.message}.`)
+      fill(top, words, el('div', { className: 'row' }, button('Try again', read)))
+    }
+  }
+  await read()
+  return { update: mark }
+}
