@@ -72,6 +72,7 @@ fn new_run(trials: u32) -> NewRun {
         tip_diameter_mm: Some(20.0),
         trials_planned: u64::from(trials),
         auto_resume: false,
+        not_before: None,
         submitted_by: "commit_rate".into(),
     }
 }

@@ -168,6 +168,7 @@ fn new_run(seed: u64, trials: u32, sensor: &Sensor) -> NewRun {
         tip_diameter_mm: Some(sensor.file.tip_diameter_mm),
         trials_planned: u64::from(trials),
         auto_resume: false,
+        not_before: None,
         submitted_by: "fill_database".into(),
     }
 }

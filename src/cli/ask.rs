@@ -208,7 +208,8 @@ fn status_words(status: &StatusView, twins: &Value) -> String {
         lines.push(format!("lock     {}: {}", lock.holder, lock.note));
     }
     lines.extend(status.run.as_ref().map_or(vec!["run      none".into()], run_words));
-    lines.push(format!("queue    {}", counted(status.queue_length as u64, "run", "runs")));
+    let waits = status.waiting_for.as_ref().map_or(String::new(), |words| format!("; {words}"));
+    lines.push(format!("queue    {}{waits}", counted(status.queue_length as u64, "run", "runs")));
     lines.extend(twin_words(twins));
     lines.push(format!("service  {}, {}", status.service.version, status.service.database));
     lines.join("\n")

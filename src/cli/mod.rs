@@ -38,6 +38,7 @@ mod run;
 mod running;
 mod serve;
 mod simulate;
+mod start_time;
 mod summary;
 mod train;
 pub mod trust;

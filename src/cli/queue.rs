@@ -1,9 +1,10 @@
 //! `palpate queue`: the runs that wait.
-//! Uses: `client`, `files`. Never: starting anything.
+//! Uses: `client`, `files`, `start_time`. Never: starting anything.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
+use reqwest::Method;
 use serde_json::{Value, json};
 
 use super::client::Client;
@@ -11,6 +12,7 @@ use super::error::CliError;
 use super::files::ExperimentFiles;
 use super::output::{say, say_json};
 use super::run::submission;
+use super::start_time::{StartTime, local};
 use super::{At, embed};
 use crate::api::Page;
 use crate::store::RunRow;
@@ -36,6 +38,20 @@ pub enum QueueCommand {
         /// Experiment file.
         #[arg(value_name = "EXPERIMENT.toml")]
         experiment: PathBuf,
+        /// Earliest start: 22:00 (the next one), 2026-11-24T22:00 (local time), or with an offset.
+        #[arg(long, value_name = "TIME")]
+        at: Option<StartTime>,
+    },
+    /// Replace the files and the start time of a queued run, which keeps its place.
+    Edit {
+        /// Uid or number of the run.
+        run: String,
+        /// Experiment file.
+        #[arg(value_name = "EXPERIMENT.toml")]
+        experiment: PathBuf,
+        /// Earliest start, as for `add`; without it any time.
+        #[arg(long, value_name = "TIME")]
+        at: Option<StartTime>,
     },
     /// Move a run to a position in the queue, from 1.
     Move {
@@ -60,10 +76,18 @@ pub async fn queue(args: QueueArgs) -> Result<(), CliError> {
     embed::with_server(&args.at, move |client| async move {
         match command {
             QueueCommand::List => {}
-            QueueCommand::Add { experiment } => {
-                let files = ExperimentFiles::read(&experiment)?;
+            QueueCommand::Add { experiment, at } => {
                 let run: RunRow =
-                    client.post("/api/v1/queue", &submission(&client, &files)).await?;
+                    client.post("/api/v1/queue", &body(&client, &experiment, at)?).await?;
+                if json {
+                    say_json(&run);
+                    return Ok(());
+                }
+            }
+            QueueCommand::Edit { run, experiment, at } => {
+                let body = body(&client, &experiment, at)?;
+                let path = format!("/api/v1/queue/{run}");
+                let run: RunRow = client.ask(Method::PUT, &path, Some(&body)).await?;
                 if json {
                     say_json(&run);
                     return Ok(());
@@ -82,6 +106,13 @@ pub async fn queue(args: QueueArgs) -> Result<(), CliError> {
     .await
 }
 
+/// Body of a request that queues an experiment or edits a queued one.
+fn body(client: &Client, experiment: &Path, at: Option<StartTime>) -> Result<Value, CliError> {
+    let mut body = submission(client, &ExperimentFiles::read(experiment)?);
+    body["not_before"] = json!(at.map(|StartTime(at)| at));
+    Ok(body)
+}
+
 async fn list(client: &Client, json: bool) -> Result<(), CliError> {
     let queue: Page<RunRow> = client.get("/api/v1/queue").await?;
     if json {
@@ -94,8 +125,9 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
     for run in queue.items {
         let place = run.queue_position.map_or("-".into(), |p| p.to_string());
         let (id, name, trials) = (run.scan_id, &run.experiment, run.trials_planned);
+        let start = run.not_before.map_or_else(String::new, |at| format!("  from {}", local(at)));
         say(format_args!(
-            "{place:>3}  run {id:<6} {name:<20} {trials:>7} trials  {}",
+            "{place:>3}  run {id:<6} {name:<20} {trials:>7} trials  {}{start}",
             run.submitted_by
         ));
     }

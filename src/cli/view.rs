@@ -28,6 +28,8 @@ pub struct StatusView {
     pub lock: Option<LockRow>,
     /// Number of runs that wait in the queue.
     pub queue_length: usize,
+    /// What the next started run waits for, as text.
+    pub waiting_for: Option<String>,
 }
 
 /// Rig part of the status.

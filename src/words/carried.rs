@@ -11,6 +11,25 @@ macro_rules! carried {
     };
 }
 
+/// The experiments; each is in the folder itself and names a sensor as `sensors/NAME.toml`.
+pub const EXPERIMENTS: &[(&str, &str)] = carried![
+    ".":
+    "quickstart",
+    "real-hex",
+    "real-hex-1",
+    "real-hex-2",
+    "real-hex-3",
+    "real-hex-4",
+    "real-hex-5",
+    "real-hex-6",
+    "real-random",
+    "touch-real-hex",
+    "touch-real-random",
+];
+
+/// The sensors.
+pub const SENSORS: &[(&str, &str)] = carried!["sensors": "ert-28"];
+
 /// The definitions of datasets.
 pub const DATASETS: &[(&str, &str)] = carried![
     "datasets":
@@ -37,6 +56,17 @@ pub fn text(files: &[(&str, &'static str)], name: &str) -> Option<&'static str> 
     files.iter().find(|(known, _)| *known == name).map(|(_, text)| *text)
 }
 
+/// Returns the text of the sensor file that an experiment names, if the program carries it.
+pub fn sensor(named: &str) -> Option<&'static str> {
+    text(SENSORS, named.strip_prefix("sensors/")?.strip_suffix(".toml")?)
+}
+
+/// Returns the comment at the start of a file, as one line; empty without one.
+pub fn about(text: &str) -> String {
+    let lines = text.lines().map_while(|line| line.strip_prefix('#'));
+    lines.map(str::trim).collect::<Vec<_>>().join(" ")
+}
+
 /// Returns the names of files, in the order of their list.
 pub fn names(files: &'static [(&'static str, &'static str)]) -> impl Iterator<Item = &'static str> {
     files.iter().map(|(name, _)| *name)
@@ -51,14 +81,38 @@ mod tests {
 
     #[test]
     fn every_file_of_a_folder_is_in_its_list() {
-        for (folder, files) in [("datasets", DATASETS), ("recipes", RECIPES)] {
+        let folders = [
+            (".", EXPERIMENTS),
+            ("sensors", SENSORS),
+            ("datasets", DATASETS),
+            ("recipes", RECIPES),
+        ];
+        for (folder, files) in folders {
             let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../experiments").join(folder);
             let found = std::fs::read_dir(path).unwrap().map(|entry| entry.unwrap().path());
-            let found: BTreeSet<String> =
-                found.map(|file| file.file_stem().unwrap().to_string_lossy().into()).collect();
+            let found: BTreeSet<String> = found
+                .filter(|file| file.extension().is_some_and(|extension| extension == "toml"))
+                .map(|file| file.file_stem().unwrap().to_string_lossy().into())
+                .collect();
             let listed: BTreeSet<String> = names(files).map(str::to_owned).collect();
             assert_eq!(found, listed, "{folder}");
             assert_eq!(listed.len(), files.len(), "{folder}: a name is listed twice");
+        }
+    }
+
+    #[test]
+    fn every_experiment_says_what_it_is_and_names_a_sensor_that_is_carried() {
+        for (name, text) in EXPERIMENTS {
+            assert!(about(text).ends_with('.') && !about(text).contains('#'), "{name}");
+            let named = text.lines().find_map(|line| line.strip_prefix("sensor = \""));
+            assert!(sensor(named.unwrap().trim_end_matches('"')).is_some(), "{name}");
+        }
+        assert_eq!(about("# One.\n#  Two.\nname = 1 # three\n"), "One. Two.");
+        assert_eq!(about("name = 1\n# no\n"), "");
+        for other in
+            ["ert-28.toml", "sensors/ert-28", "other/ert-28.toml", "sensors/../ert-28.toml"]
+        {
+            assert_eq!(sensor(other), None, "{other}");
         }
     }
 }

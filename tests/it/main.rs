@@ -10,6 +10,7 @@ mod attacks;
 mod calibration;
 mod contract;
 mod datasets;
+mod desk;
 mod edited;
 mod evaluate;
 mod experiments;

@@ -107,6 +107,7 @@ async fn open_with_run(path: &Path) -> Store {
         tip_diameter_mm: None,
         trials_planned: 0,
         auto_resume: true,
+        not_before: None,
         submitted_by: "test".into(),
     };
     if store.run(run_uid()).await.unwrap().is_none() {

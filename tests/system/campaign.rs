@@ -2,12 +2,13 @@
 
 use std::collections::BTreeSet;
 
+use jiff::{SignedDuration, Timestamp};
 use palpate::digest::sha256_hex;
 use serde_json::{Value, json};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
 
-use super::bench::{Lab, rig_args};
+use super::bench::{Lab, SENSOR, rig_args};
 
 /// Two settings of three configurations and four depths: 24 trials.
 const SMALL: &str = "name = 'small'\nseed = 5\nsensor = 's'\n[real_hex]\ntips = [1, 4]\n\
@@ -232,6 +233,48 @@ async fn a_run_that_waits_for_its_turn_keeps_it_through_a_restart() {
     let lab = lab.restart().await;
     complete(&lab, &first).await;
     complete(&lab, &second).await;
+    lab.close().await;
+}
+
+/// Queues a run with a start in some seconds, and starts it.
+async fn started_early(lab: &Lab, seconds: i64) -> String {
+    let not_before = (Timestamp::now() + SignedDuration::from_secs(seconds)).to_string();
+    let body = json!({ "file": "test.toml", "definition": SMALL, "sensor": SENSOR,
+        "not_before": not_before });
+    let run = lab.posted("/api/v1/queue", body).await["uid"].as_str().unwrap().to_owned();
+    lab.start(&run).await;
+    let words = lab.get("/api/v1/status").await["waiting_for"].clone();
+    assert!(words.as_str().is_some_and(|words| words.ends_with("or later")), "{words}");
+    run
+}
+
+async fn began_in_time(lab: &Lab, run: &str) {
+    let row = complete(lab, run).await["run"].clone();
+    let time = |key: &str| row[key].as_str().unwrap().parse::<Timestamp>().unwrap();
+    assert!(time("started_at") >= time("not_before"), "{row:#}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_begins_when_its_time_has_come_and_holds_up_no_other() {
+    let lab = Lab::open("early", rig_args("virtual", SPEED)).await;
+    lab.home().await;
+    let early = started_early(&lab, 4).await;
+    let next = lab.queue(SMALL).await;
+    lab.start(&next).await;
+    complete(&lab, &next).await;
+    began_in_time(&lab, &early).await;
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn after_a_restart_the_rig_is_brought_up_when_a_run_is_due() {
+    let lab = Lab::open("early-restart", rig_args("virtual", SPEED)).await;
+    lab.home().await;
+    let early = started_early(&lab, 12).await;
+    let lab = lab.restart().await;
+    let status = lab.get("/api/v1/status").await;
+    assert_eq!(status["rig"]["state"], "disconnected", "{status:#}");
+    began_in_time(&lab, &early).await;
     lab.close().await;
 }
 

@@ -1,10 +1,15 @@
 //! An experiment file as checked types: positions, repetitions, depths and policy.
 //! PURE. Uses: `problem`. Never: files (the text is passed in), the rig, the clock.
 //!
+//! The limits are stated twice: for the schema at the fields, and in `check`, which refuses values beyond
+//! them; tests of `schema` compare the two.
+//!
 //! Paper: Real-Hex IV-A, Real-Random II-C and IV-A, Table I.
 
 use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
+use super::schema::{counts, radii, weights};
 use crate::plain::violated;
 use crate::problem::{Checks, Problem};
 use crate::syntax::syntax_problem;
@@ -13,96 +18,126 @@ use crate::syntax::syntax_problem;
 pub const NAME_MAX_CHARS: usize = 200;
 
 /// Contents of an experiment file.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Experiment {
     /// Name of the experiment, at most 200 characters, stored with runs and datasets.
+    #[schema(max_length = 200)]
     pub name: String,
     /// Seed of all random draws.
+    #[schema(minimum = 0)]
     pub seed: u64,
     /// Path of the sensor file, relative to the experiment file.
     pub sensor: String,
     /// Campaign with the multi-point indenter; exactly one of this and `real_random`.
+    #[schema(inline, nullable = false)]
     pub real_hex: Option<RealHex>,
     /// Campaign with manual indenters.
+    #[schema(inline, nullable = false)]
     pub real_random: Option<RealRandom>,
     /// Parameters of the measurement of a trial.
     #[serde(default)]
+    #[schema(inline)]
     pub measure: Measure,
     /// Retries, skips and automatic resumes that a run allows.
     #[serde(default)]
+    #[schema(inline)]
     pub policy: Policy,
     /// Limits of the fit of the simulated twins.
     #[serde(default)]
+    #[schema(inline)]
     pub twins: TwinLimits,
     /// Force limits of this experiment; the limits of the rig apply too.
     #[serde(default)]
+    #[schema(inline)]
     pub limits: Limits,
 }
 
 /// Real-Hex: configurations x depths for each number of tips (paper IV-A).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RealHex {
     /// Numbers of tips, in mounting order; each is one setting.
+    #[schema(schema_with = counts)]
     pub tips: Vec<u8>,
     /// Number of configurations drawn for each setting.
+    #[schema(minimum = 1, maximum = 1000000)]
     pub configurations: u32,
     /// Smallest and largest radius, in pitches of the point lattice.
     #[serde(default = "default_radius_pitches")]
+    #[schema(schema_with = radii)]
     pub radius_pitches: [u32; 2],
     /// Depth of step 0, mm, measured from `standoff_mm` above the surface.
     #[serde(default)]
+    #[schema(minimum = 0, maximum = 8, default = 0.0)]
     pub first_depth_mm: f64,
     /// Distance between steps, mm.
     #[serde(default = "default_depth_step_mm")]
+    #[schema(minimum = 0.01, maximum = 8, default = default_depth_step_mm)]
     pub depth_step_mm: f64,
-    /// Number of steps.
+    /// Number of steps; the deepest is at most 8 mm.
     #[serde(default = "default_depths")]
+    #[schema(minimum = 1, maximum = 1000, default = default_depths)]
     pub depths: u32,
     /// Height of depth 0 above the surface found by touch-off, mm.
     #[serde(default = "default_standoff_mm")]
+    #[schema(minimum = 0, maximum = 5, default = default_standoff_mm)]
     pub standoff_mm: f64,
     /// Number of configurations in a randomised block; the tour within a block is short.
     #[serde(default = "default_block")]
+    #[schema(minimum = 1, maximum = 1000, default = default_block)]
     pub block: u32,
     /// Number of configurations between two reference presses, with one before the first; 0: none.
     #[serde(default = "default_reference_every")]
+    #[schema(minimum = 0, default = default_reference_every)]
     pub reference_every: u32,
     /// Depth of a reference press, mm, measured like the steps.
     #[serde(default = "default_reference_depth_mm")]
+    #[schema(minimum = 0, maximum = 8, default = default_reference_depth_mm)]
     pub reference_depth_mm: f64,
 }
 
 /// Real-Random: weights placed manually on random points (paper II-C).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RealRandom {
     /// Numbers of contacts, 1 to 6.
+    #[schema(schema_with = counts)]
     pub contacts: Vec<u8>,
     /// Number of trials for each number of contacts.
+    #[schema(minimum = 1, maximum = 1000000)]
     pub trials_each: u32,
     /// Forces of the weights, N.
+    #[schema(schema_with = weights)]
     pub weights_n: Vec<f64>,
 }
 
 /// Parameters of the measurement of a trial.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
+#[schema(default)]
 pub struct Measure {
     /// Number of raw frames stored with a trial.
+    #[schema(minimum = 1, maximum = 1000)]
     pub frames_per_trial: u32,
     /// Shortest wait after a motion, process ms.
+    #[schema(minimum = 0, maximum = 600000)]
     pub settle_ms: f64,
     /// Largest change of a force between samples at which forces count as settled, N.
+    #[schema(minimum = 0, maximum = 50)]
     pub settle_n: f64,
-    /// Longest wait, process ms; a trial measured after it is flagged `unsettled`.
+    /// Longest wait, process ms, at least `settle_ms`; a trial measured after it is flagged
+    /// `unsettled`.
+    #[schema(minimum = 0, maximum = 3600000)]
     pub settle_max_ms: f64,
     /// Number of samples averaged for a tare.
+    #[schema(minimum = 1, maximum = 1000)]
     pub tare_samples: u32,
     /// Force below which contacts are removed from the labels, N (paper III-D, IV-A).
+    #[schema(minimum = 0, maximum = 100)]
     pub deadband_n: f64,
     /// Largest injection sum that counts as noise, V.
+    #[schema(minimum = 0, maximum = 100)]
     pub injection_sum_v: f64,
 }
 
@@ -123,18 +158,23 @@ impl Default for Measure {
 }
 
 /// Retries, skips and automatic resumes that a run allows.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
+#[schema(default)]
 pub struct Policy {
     /// Number of attempts of a configuration after the first.
+    #[schema(minimum = 0, maximum = 100)]
     pub retries: u32,
     /// Number of configurations that may be skipped before the run ends as failed.
+    #[schema(minimum = 0)]
     pub max_skipped: u32,
     /// Whether the run resumes without a person after a transient trip or a restart.
     pub auto_resume: bool,
     /// Number of automatic resumes allowed in one run.
+    #[schema(minimum = 0)]
     pub max_auto_resumes: u32,
     /// Wait before an automatic resume, wall s.
+    #[schema(minimum = 0, maximum = 86400)]
     pub auto_resume_after_s: f64,
 }
 
@@ -151,20 +191,26 @@ impl Default for Policy {
 }
 
 /// Limits of the fit of a run's simulated twins.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
+#[schema(default)]
 pub struct TwinLimits {
     /// Number of the last trials that are evaluated together.
+    #[schema(minimum = 2, maximum = 10000)]
     pub window: u32,
     /// Largest force of a trial below which it is not evaluated, N: near the deadband, noise alone
     /// leaves the variance unexplained (paper, Fig. 7E).
+    #[schema(minimum = 0, maximum = 1000)]
     pub min_force_n: f64,
     /// Median FVU of the window above which the run warns.
+    #[schema(minimum = 0, maximum = 1000000)]
     pub warn_fvu: f64,
     /// Median FVU of the window above which the run is suspended; absent: never.
+    #[schema(minimum = 0, maximum = 1000000, nullable = false)]
     pub suspend_fvu: Option<f64>,
     /// FVU of a pair of neighbouring electrodes, over window and sinks, above which the run warns.
     /// At 1 the model explains its readings no better than their means.
+    #[schema(minimum = 0, maximum = 1000000)]
     pub pair_warn_fvu: f64,
 }
 
@@ -181,12 +227,15 @@ impl Default for TwinLimits {
 }
 
 /// Force limits of an experiment.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
+#[schema(default)]
 pub struct Limits {
     /// Limit of the force on one tip, N.
+    #[schema(minimum = 0.5, maximum = 1000)]
     pub force_n: f64,
     /// Limit of the sum over the tips, N.
+    #[schema(minimum = 0.5, maximum = 6000)]
     pub force_sum_n: f64,
 }
 
@@ -218,6 +267,18 @@ impl Experiment {
             toml::from_str(text).map_err(|e| vec![syntax_problem(file, text, &e)])?;
         experiment.check(file)?;
         Ok(experiment)
+    }
+
+    /// Number of trials that the experiment plans.
+    pub fn trials(&self) -> u64 {
+        let hex = self.real_hex.as_ref().map_or(0, |hex| {
+            hex.tips.len() as u64 * u64::from(hex.configurations) * u64::from(hex.depths)
+        });
+        let random = self
+            .real_random
+            .as_ref()
+            .map_or(0, |random| random.contacts.len() as u64 * u64::from(random.trials_each));
+        hex + random
     }
 
     fn check(&self, file: &str) -> Result<(), Vec<Problem>> {

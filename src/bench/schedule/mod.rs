@@ -1,6 +1,7 @@
 //! From an experiment file to a plan in which everything is decided before the run.
 //! PURE: no async, files, clock or unseeded chance. Uses: `problem`, sim-core's sensor.
 
+pub mod schema;
 pub mod experiment;
 pub mod configuration;
 pub mod order;

@@ -1,4 +1,5 @@
-//! A contacts file: one line of JSON per trial, read one at a time.
+//! Contacts from outside: their limits, and a contacts file, one line of JSON per trial, read one at a
+//! time.
 //! Uses: sim-core's sensor, `problem`. Never: the model; more of the file in memory than a line.
 //!
 //! `{"contacts":[{"x_mm":270,"y_mm":280,"force_n":20}]}`; an empty list is an untouched skin.
@@ -31,6 +32,26 @@ struct WrittenContact {
     force_n: f64,
 }
 
+/// How hard a contact presses.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Load {
+    /// Its force, N.
+    ForceN(f64),
+    /// Compression of the foam under the rim of the tip, mean, mm.
+    DepthMm(f64),
+}
+
+/// A contact as it is requested.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RequestedContact {
+    /// Position on the skin along x, mm.
+    pub x_mm: f64,
+    /// Position on the skin along y, mm.
+    pub y_mm: f64,
+    /// How hard it presses.
+    pub load: Load,
+}
+
 /// Limits of contacts.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
@@ -38,6 +59,8 @@ pub struct Limits {
     pub contacts_max: usize,
     /// Range of a tip's centre, mm: `[from, to]` along x and y.
     centre_mm: [[f64; 2]; 2],
+    /// Thickness of the foam, mm.
+    foam_mm: f64,
 }
 
 impl Limits {
@@ -46,7 +69,35 @@ impl Limits {
         let radius = sensor.file.tip_diameter_mm / 2.0;
         let inside = |extent: f64| [radius, extent - radius];
         let centre_mm = [inside(sensor.file.width_mm), inside(sensor.file.height_mm)];
-        Self { contacts_max, centre_mm }
+        Self { contacts_max, centre_mm, foam_mm: sensor.file.layers.foam.thickness_mm }
+    }
+
+    /// Checks contacts; `file` names them in the problems.
+    ///
+    /// # Errors
+    /// All values outside their limits, each with its field.
+    pub fn check(&self, file: &str, contacts: &[RequestedContact]) -> Result<(), Vec<Problem>> {
+        if contacts.len() > self.contacts_max {
+            let limit = format!("must be at most {} contacts", self.contacts_max);
+            let found = format!("{} contacts", contacts.len());
+            return Err(vec![Problem::new(file, "contacts", found, limit)]);
+        }
+        let mut found = Vec::new();
+        for (i, c) in contacts.iter().enumerate() {
+            let [x, y] = self.centre_mm;
+            let skin = " mm: a tip must be wholly on the skin";
+            let (field, value, range, unit) = match c.load {
+                Load::ForceN(force_n) => ("force_n", force_n, [0.0, FORCE_MAX_N], " N"),
+                Load::DepthMm(depth_mm) => {
+                    let unit = " mm, the thickness of the foam";
+                    ("depth_mm", depth_mm, [0.0, self.foam_mm], unit)
+                }
+            };
+            let checks = [("x_mm", c.x_mm, x, skin), ("y_mm", c.y_mm, y, skin)];
+            let checks = checks.into_iter().chain([(field, value, range, unit)]);
+            found.extend(checks.filter_map(|check| outside(file, i, check)));
+        }
+        if found.is_empty() { Ok(()) } else { Err(found) }
     }
 }
 
@@ -109,34 +160,28 @@ pub fn parse(text: &str, file: &str, limits: &Limits) -> Result<Vec<Contact>, Pr
     let line: Line = serde_path_to_error::deserialize(&mut reader)
         .map_err(|e| syntax_problem(text, file, &e.path().to_string(), e.inner()))?;
     reader.end().map_err(|e| syntax_problem(text, file, "", &e))?;
-    if line.contacts.len() > limits.contacts_max {
-        let limit = format!("must be at most {} contacts", limits.contacts_max);
-        let found = format!("{} contacts", line.contacts.len());
-        return Err(Problem::new(file, "contacts", found, limit));
-    }
-    for (i, c) in line.contacts.iter().enumerate() {
-        let [x, y] = limits.centre_mm;
-        within(file, i, "x_mm", c.x_mm, x, " mm: a tip must be wholly on the skin")?;
-        within(file, i, "y_mm", c.y_mm, y, " mm: a tip must be wholly on the skin")?;
-        within(file, i, "force_n", c.force_n, [0.0, FORCE_MAX_N], " N")?;
-    }
+    let placed = |c: &WrittenContact| RequestedContact {
+        x_mm: c.x_mm,
+        y_mm: c.y_mm,
+        load: Load::ForceN(c.force_n),
+    };
+    let placed: Vec<RequestedContact> = line.contacts.iter().map(placed).collect();
+    limits.check(file, &placed).map_err(|mut found| found.swap_remove(0))?;
     let contact = |c: &WrittenContact| Contact { x_mm: c.x_mm, y_mm: c.y_mm, force_n: c.force_n };
     Ok(line.contacts.iter().map(contact).collect())
 }
 
-fn within(
+/// The problem of a field whose value is not within its range.
+fn outside(
     file: &str,
     contact: usize,
-    field: &str,
-    value: f64,
-    [from, to]: [f64; 2],
-    unit: &str,
-) -> Result<(), Problem> {
+    (field, value, [from, to], unit): (&str, f64, [f64; 2], &str),
+) -> Option<Problem> {
     if (from..=to).contains(&value) {
-        return Ok(());
+        return None;
     }
     let key = format!("contacts[{contact}].{field}");
-    Err(Problem::new(file, &key, value, format!("must be from {from} to {to}{unit}")))
+    Some(Problem::new(file, &key, value, format!("must be from {from} to {to}{unit}")))
 }
 
 /// Converts a parser's error, with the field and the value at which it stopped.

@@ -2,6 +2,8 @@
 //! Uses: sim-core. Never: the rig, the database, HTTP.
 
 pub mod contacts;
+pub mod dent;
+pub mod pressed;
 pub mod model;
 pub mod picture;
 pub mod export;

@@ -16,6 +16,11 @@ pub fn body(operation: &str) -> Option<Value> {
         "arm_run" => json!({ "who": "Ada", "why": "overnight run" }),
         "check_rig" => json!({ "enable": false, "who": "Ada" }),
         "create_key" => json!({ "name": "Ada", "role": "operator" }),
+        "edit_run" => {
+            let mut body = submission();
+            body["not_before"] = "2026-11-23T21:00:00Z".into();
+            body
+        }
         "evaluate" => {
             json!({ "scored": "exact", "dataset": "real", "where": ["contact_count__lte=2"], "limit": 20 })
         }
@@ -37,6 +42,12 @@ pub fn body(operation: &str) -> Option<Value> {
         "roll_back" => json!({ "slot": "transfer", "why": "too many ghosts", "who": "Ada" }),
         "run_action" => {
             json!({ "action": "pause", "when": "checkpoint", "why": "lunch", "who": "Ada" })
+        }
+        "simulate" => {
+            json!({ "contacts": [
+                { "x_mm": 270.0, "y_mm": 280.0, "force_n": 20.0 },
+                { "x_mm": 180.0, "y_mm": 160.0, "depth_mm": 1.5 },
+            ] })
         }
         "take_lock" => json!({ "note": "hands in the rig" }),
         "train" => json!({ "recipe": text(RECIPES, "transfer-net")? }),

@@ -21,7 +21,7 @@ use super::auth::Caller;
 use super::guard::Place;
 use super::limits::{
     EXACT_MAX, FIT_REQUESTS, FRAME_CLIENTS, FRAMES_MAX, LIVE_CLIENTS, MAPS_MAX, MESSAGE_MAX_BYTES,
-    NET_REQUESTS, PREFLIGHTS, TURN,
+    NET_REQUESTS, PREFLIGHTS, SIMULATIONS, TURN,
 };
 use super::problem::{ApiError, Params, ProblemBody, Upgrade};
 use crate::clock::Clock;
@@ -281,7 +281,7 @@ pub async fn live(
     }))
 }
 
-/// Limits of concurrent inferences, so that enough processor time remains for the campaign.
+/// Limits of concurrent inferences and simulations, so that enough processor time remains for the campaign.
 #[derive(Clone)]
 pub struct Turns {
     answers: Arc<Semaphore>,
@@ -291,6 +291,8 @@ pub struct Turns {
     pub(super) frames: Arc<Semaphore>,
     /// Preflights of submissions.
     pub(super) preflights: Arc<Semaphore>,
+    /// Simulations of contacts.
+    pub(super) simulations: Arc<Semaphore>,
 }
 
 impl Default for Turns {
@@ -302,6 +304,7 @@ impl Default for Turns {
             live: of(LIVE_CLIENTS),
             frames: of(FRAME_CLIENTS),
             preflights: of(PREFLIGHTS),
+            simulations: of(SIMULATIONS),
         }
     }
 }

@@ -28,8 +28,12 @@ pub const UPLOAD_WITHIN: Duration = Duration::from_secs(6 * 3600);
 pub const CALLER_REQUESTS: usize = 128;
 /// Preflights of submissions in progress.
 pub const PREFLIGHTS: usize = 2;
-/// Longest wait for a preflight's or an inference's turn.
+/// Longest wait for the turn of a preflight, a simulation or an inference.
 pub const TURN: Duration = Duration::from_secs(10);
+/// Simulations in progress; further ones wait.
+pub const SIMULATIONS: usize = 2;
+/// Contacts of one simulation.
+pub const SIMULATED_CONTACTS: usize = 6;
 /// Frames of one inference.
 pub const FRAMES_MAX: usize = 2_000;
 /// Frames of one inference by `exact`: a fit takes about 0.1 s.
@@ -65,7 +69,7 @@ pub const TICKET: Duration = Duration::from_secs(30);
 pub const WRONG_KEY_DELAY: Duration = Duration::from_millis(250);
 /// Responses that are delayed at once; further ones are not, so that they keep no connection busy.
 pub const DELAYED: usize = 32;
-/// Largest body of an action, bytes.
+/// Largest body of an action or a simulation, bytes.
 pub const ACTION_BODY_MAX_BYTES: usize = 64 << 10;
 /// Largest body of a submission, a recipe, a definition or a calibration, bytes.
 pub const BODY_MAX_BYTES: usize = 2 << 20;
@@ -111,6 +115,7 @@ mod tests {
     use crate::dataset::import::extent::TRIALS_MAX;
     use crate::dataset::space::KEPT_FREE_BYTES;
     use crate::schedule::experiment::NAME_MAX_CHARS;
+    use crate::simulate::contacts::FORCE_MAX_N;
     use crate::store::MAX_PAGE;
 
     const HEAD_BEYOND: &str = "431, except of the e-stop; beyond 417792 bytes or 256 fields, of every request, without a body";
@@ -153,7 +158,10 @@ mod tests {
             line("response: time in which the client takes no byte", seconds(SEND_STALL), "the connection is closed"),
             line("requests in progress of one key, or of all clients without a key; streams count", n(CALLER_REQUESTS), "429 with Retry-After"),
             line("preflights in progress", n(PREFLIGHTS), "the request waits, then 503"),
-            line("wait for the turn of a preflight or an inference", seconds(TURN), "503"),
+            line("simulations in progress", n(SIMULATIONS), "the request waits, then 503"),
+            line("contacts of a simulation", n(SIMULATED_CONTACTS), "422"),
+            line("force of a contact of a simulation", format!("{FORCE_MAX_N} N"), "422"),
+            line("wait for the turn of a preflight, a simulation or an inference", seconds(TURN), "503"),
             line("inferences by nets in progress", n(NET_REQUESTS), "the request waits, then 503"),
             line("inferences by `exact` in progress", n(FIT_REQUESTS), "the request waits, then 503"),
             line("frames of an inference", n(FRAMES_MAX), "422"),
@@ -170,7 +178,7 @@ mod tests {
             line("headers of a request", bytes(HEADERS_MAX_BYTES), HEAD_BEYOND),
             line("header fields of a request", n(FIELDS_MAX), HEAD_BEYOND),
             line("parts of a file that `Range` selects, after merging", n(RANGES_MAX), "200 with the whole file"),
-            line("body of an action", bytes(ACTION_BODY_MAX_BYTES), "413"),
+            line("body of an action or a simulation", bytes(ACTION_BODY_MAX_BYTES), "413"),
             line("body of a submission, recipe, definition, calibration, and of any other request", bytes(BODY_MAX_BYTES), "413"),
             line("body with frames", bytes(FRAMES_MAX_BYTES), "413"),
             line("form with a model", bytes(MODEL_MAX_BYTES), "413"),

@@ -30,6 +30,7 @@ use crate::infer::registry::Registry;
 use crate::infer::serving::Serving;
 use crate::jobs::Jobs;
 use crate::journal::error_chain;
+use crate::schedule::experiment::Experiment;
 use crate::simulate::model::sweep_partial;
 use crate::store::{KeyRing, Soundness, Store, StoreError};
 use crate::twins::TwinPool;
@@ -45,6 +46,7 @@ mod estop;
 mod evaluation;
 mod events;
 mod examples;
+mod experiments;
 mod exports;
 mod finished;
 mod form;
@@ -72,6 +74,7 @@ mod routes;
 mod runs;
 mod seat;
 mod send;
+mod simulations;
 mod status;
 mod tls;
 mod trace;
@@ -234,13 +237,16 @@ impl App {
 
 /// Description of all routes; `openapi.yaml` is generated from it.
 #[derive(OpenApi)]
-#[openapi(info(
-    title = "Palpate",
-    description = "Presses a tactile robot skin with a rig, trains models on the measured trials, \
+#[openapi(
+    components(schemas(Experiment)),
+    info(
+        title = "Palpate",
+        description = "Presses a tactile robot skin with a rig, trains models on the measured trials, \
                    and estimates position and force of contacts. Units are in the names; times are \
                    RFC 3339 in UTC; errors are RFC 9457 problem bodies. What may change within v1, \
                    repetitions, entity tags and limits: docs/api.md of the source."
-))]
+    )
+)]
 struct Description;
 
 /// Operations of the table that `of` selects.

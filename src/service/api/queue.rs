@@ -4,6 +4,7 @@
 use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
+use jiff::Timestamp;
 use serde::Deserialize;
 use tokio::time::timeout;
 use utoipa::{IntoParams, ToSchema};
@@ -15,11 +16,11 @@ use super::pages::Page;
 use super::problem::{ApiError, Body, Params, Path, ProblemBody};
 use super::runs::find;
 use super::send::Created;
-use crate::conductor::Submission;
+use crate::conductor::{Submission, Terms};
 use crate::schedule::preflight::Preflight;
 use crate::store::RunRow;
 
-/// Request to queue a run.
+/// Request to queue a run, or to replace a queued one.
 #[derive(Debug, Deserialize, ToSchema)]
 pub struct QueueRequest {
     /// Text and names of the files.
@@ -29,6 +30,15 @@ pub struct QueueRequest {
     pub who: Option<String>,
     /// True if the run may resume automatically; absent: as in the policy of the experiment.
     pub auto_resume: Option<bool>,
+    /// Earliest start, at most 366 days ahead; absent or in the past: any time.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub not_before: Option<Timestamp>,
+}
+
+impl QueueRequest {
+    fn terms(&self) -> Terms {
+        Terms { auto_resume: self.auto_resume, not_before: self.not_before }
+    }
 }
 
 /// Parameters of a request that only names the person.
@@ -66,9 +76,34 @@ pub async fn add(
     Body(item): Body<QueueRequest>,
 ) -> Result<Created<RunRow>, ApiError> {
     act.stated(item.who.as_deref(), None);
-    let row = app.conductor.enqueue(item.submission, act.name(), item.auto_resume).await?;
+    let terms = item.terms();
+    let row = app.conductor.enqueue(item.submission, act.name(), terms).await?;
     act.on(row.uid);
     Ok(Created::at(format!("/api/v1/runs/{}", row.uid), row))
+}
+
+/// Replaces the files and the start time of a queued run.
+///
+/// The run gets a new plan and keeps its number, its uid and its place. It must be armed and started
+/// again if it was.
+#[utoipa::path(put, operation_id = "edit_run",
+    path = "/api/v1/queue/{run}", tag = "queue", request_body = QueueRequest,
+    params(("run" = String, Path, description = "uid or scan_id")),
+    responses((status = 200, body = RunRow),
+        (status = 409, body = ProblemBody,
+            description = "the run is not queued, or another person holds the operator lock"),
+        (status = 422, body = ProblemBody, description = "a file of the submission is invalid")))]
+pub async fn edit(
+    State(app): State<App>,
+    act: Act,
+    Path(run): Path<String>,
+    Body(item): Body<QueueRequest>,
+) -> Result<Json<RunRow>, ApiError> {
+    act.stated(item.who.as_deref(), None);
+    let run = find(&app, &run).await?;
+    act.on(run.uid);
+    let terms = item.terms();
+    Ok(Json(app.conductor.edit(&run, item.submission, terms).await?))
 }
 
 /// Removes a run from the queue.

@@ -13,8 +13,8 @@ use super::limits::{
     ACTION_BODY_MAX_BYTES, BODY_MAX_BYTES, FRAMES_MAX_BYTES, IMPORT_MAX_BYTES, MODEL_MAX_BYTES,
 };
 use super::{
-    App, datasets, estop, evaluation, events, exports, health, imports, infer, jobs, live, models,
-    people, queue, rig, runs, status, trials, twins,
+    App, datasets, estop, evaluation, events, experiments, exports, health, imports, infer, jobs,
+    live, models, people, queue, rig, runs, simulations, status, trials, twins,
 };
 use crate::store::Role;
 
@@ -125,9 +125,13 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(status::status)),
         (READS.of(Edited::Queue), routes!(queue::list)),
         (acts("queue").body(BODY_MAX_BYTES).once().of(Edited::Queue), routes!(queue::add)),
+        (acts("edit").body(BODY_MAX_BYTES).of(Edited::Queue), routes!(queue::edit)),
         (acts("remove").of(Edited::Queue), routes!(queue::remove)),
         (acts("move").of(Edited::Queue), routes!(queue::shift)),
         (READS.role(Role::Operator), routes!(queue::preflight)),
+        (READS, routes!(experiments::list)),
+        (READS, routes!(experiments::schema)),
+        (READS.body(ACTION_BODY_MAX_BYTES), routes!(simulations::simulate)),
         (READS, routes!(runs::list)),
         (READS, routes!(runs::one)),
         (READS, routes!(runs::summary)),

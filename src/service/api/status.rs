@@ -24,6 +24,9 @@ pub struct ServiceStatus {
     pub lock: Option<LockRow>,
     /// Number of runs in the queue.
     pub queue_length: usize,
+    /// What the next run that was started waits for, as text: its start time, or the active run;
+    /// absent if none waits.
+    pub waiting_for: Option<String>,
 }
 
 /// Version and process of the service.
@@ -63,5 +66,7 @@ pub async fn status(State(app): State<App>) -> Result<Json<ServiceStatus>, ApiEr
     };
     let lock = app.store.lock().await?;
     let queue_length = app.store.queue().await?.len();
-    Ok(Json(ServiceStatus { campaign: app.campaign.status(), service, lock, queue_length }))
+    let waiting_for = app.conductor.waiting_for().await?;
+    let campaign = app.campaign.status();
+    Ok(Json(ServiceStatus { campaign, service, lock, queue_length, waiting_for }))
 }

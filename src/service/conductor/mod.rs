@@ -9,30 +9,32 @@ use std::time::Duration;
 use jiff::Timestamp;
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
-use serde_json::json;
 use sim_core::calibration::Calibration;
 use tokio::sync::Notify;
 use tracing::Instrument;
 use utoipa::ToSchema;
 
-use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::command::{Handle, Refusal, Request};
 use crate::campaign::spans::run_span;
-use crate::ids::{CalibrationId, RunUid};
+use crate::ids::RunUid;
 use crate::journal::{ExitStatus, Journal, error_chain};
 use crate::rig::config::RigConfig;
 use crate::schedule::preflight::Preflight;
 use crate::state::StoredState;
-use crate::store::{NewRun, RunRow, Soundness, Store};
+use crate::store::{RunRow, Soundness, Store};
 
 mod error;
+mod follow;
 mod prepare;
+mod queue;
 mod restart;
 mod take_over;
+mod turn;
 
 pub use error::ConductorError;
 use prepare::Prepared;
 pub use prepare::Submission;
+pub use queue::Terms;
 
 /// Time for which a code from arming is valid, wall.
 const CODE_VALID: Duration = Duration::from_secs(600);
@@ -74,6 +76,25 @@ struct Inner {
 struct Arming {
     code: String,
     expires_at: Timestamp,
+    edition: Edition,
+}
+
+/// What an edit of a queued run may change: a person arms one edition.
+#[derive(Debug, Clone, PartialEq)]
+struct Edition {
+    files_sha256: [String; 2],
+    auto_resume: bool,
+    not_before: Option<Timestamp>,
+}
+
+impl Edition {
+    fn of(run: &RunRow) -> Self {
+        Self {
+            files_sha256: [run.definition_sha256.clone(), run.sensor_sha256.clone()],
+            auto_resume: run.auto_resume,
+            not_before: run.not_before,
+        }
+    }
 }
 
 /// Result of arming: the preflight, and the code that starts the run.
@@ -94,7 +115,7 @@ pub struct Armed {
 pub enum Started {
     /// The run is active.
     Running,
-    /// The run starts when the one before it has ended.
+    /// The run starts when the one before it has ended and its own time has come.
     Waiting,
 }
 
@@ -120,50 +141,6 @@ impl Conductor {
         Ok(self.prepare(submission).await?.preflight)
     }
 
-    /// Queues a run.
-    ///
-    /// # Errors
-    /// `ConductorError::Problems` if the files or the preflight have problems; `Store` if the store
-    /// fails.
-    pub async fn enqueue(
-        &self,
-        submission: Submission,
-        who: String,
-        auto_resume: Option<bool>,
-    ) -> Result<RunRow, ConductorError> {
-        let files = submission.clone();
-        let prepared = self.prepare(submission).await?.sound()?;
-        let experiment = &prepared.experiment;
-        let new = NewRun {
-            uid: RunUid::new(),
-            experiment: experiment.name.clone(),
-            kind: prepared.run_kind(),
-            definition: files.definition,
-            seed: Some(experiment.seed),
-            rig: Some(self.inner.rig.text.clone()),
-            sensor: files.sensor,
-            calibration_id: self.calibration_of(&prepared.sensor_name),
-            label: prepared.label,
-            version: env!("CARGO_PKG_VERSION").into(),
-            git_commit: crate::commit::known().map(Into::into),
-            deadband_n: experiment.measure.deadband_n,
-            tip_diameter_mm: Some(prepared.tip_diameter_mm),
-            plan: Some(prepared.plan_text.clone()),
-            trials_planned: prepared.preflight.trials,
-            auto_resume: auto_resume.unwrap_or(experiment.policy.auto_resume),
-            submitted_by: who,
-        };
-        Ok(self.inner.store.enqueue(new).await?)
-    }
-
-    fn calibration_of(&self, sensor_name: &str) -> Option<CalibrationId> {
-        let calibration = self.inner.calibration.as_ref();
-        calibration
-            .filter(|c| c.sensor == sensor_name)
-            .and_then(|c| c.id().ok())
-            .map(CalibrationId::unchecked)
-    }
-
     /// Returns the preflight of a stored run on this rig.
     ///
     /// # Errors
@@ -184,20 +161,24 @@ impl Conductor {
         // The tail of a v7 uuid is random.
         let code: String = RunUid::new().0.simple().to_string()[26..].into();
         let expires_at = Timestamp::now() + CODE_VALID;
-        self.armings().insert(run.uid, Arming { code: code.clone(), expires_at });
+        let edition = Edition::of(run);
+        self.armings().insert(run.uid, Arming { code: code.clone(), expires_at, edition });
         Ok(Armed { code, expires_at, preflight })
     }
 
-    /// Second step: starts the run, or lets it wait for the active one.
+    /// Second step: starts the run, or lets it wait for the active one or for its time.
     ///
     /// # Errors
     /// `ConductorError::Forbidden` if the run is not startable, the code is invalid or the store is
     /// damaged; `Refused` if the campaign refuses.
     pub async fn start(&self, run: &RunRow, code: &str) -> Result<Started, ConductorError> {
         startable(run)?;
-        self.check_code(run.uid, code)?;
-        if self.inner.campaign.status().run.is_some() {
+        self.check_code(run, code)?;
+        let is_early = !turn::is_due(run, Timestamp::now());
+        if is_early || self.inner.campaign.status().run.is_some() {
+            let _one_at_a_time = self.inner.beginning.lock().await;
             self.require_sound_store()?;
+            self.unedited(run).await?;
             self.inner.store.set_waiting(run.uid).await?;
             self.let_wait([run.uid]);
             return Ok(Started::Waiting);
@@ -231,8 +212,18 @@ impl Conductor {
         now.ok_or_else(|| ConductorError::NoRun(run.uid.to_string()))
     }
 
-    fn check_code(&self, run: RunUid, code: &str) -> Result<(), ConductorError> {
-        let armings = self.armings();
+    /// The row of a run as it is stored now, unless it was edited since `run` was read.
+    async fn unedited(&self, run: &RunRow) -> Result<RunRow, ConductorError> {
+        let now = self.present(run).await?;
+        if Edition::of(&now) == Edition::of(run) {
+            return Ok(now);
+        }
+        let words = format!("run {} was edited meanwhile: arm and start it again", run.scan_id);
+        Err(ConductorError::Forbidden(words))
+    }
+
+    fn check_code(&self, row: &RunRow, code: &str) -> Result<(), ConductorError> {
+        let (run, armings) = (row.uid, self.armings());
         let forbidden = |words: String| Err(ConductorError::Forbidden(words));
         match armings.get(&run) {
             None => forbidden(format!("run {run} has not been armed")),
@@ -241,6 +232,9 @@ impl Conductor {
             }
             Some(arming) if arming.code != code => {
                 forbidden(format!("code = {code}: not the code from arming run {run}"))
+            }
+            Some(arming) if arming.edition != Edition::of(row) => {
+                forbidden(format!("run {run} was edited after it was armed: arm it again"))
             }
             Some(_) => Ok(()),
         }
@@ -263,9 +257,9 @@ impl Conductor {
             let _one_at_a_time = self.inner.beginning.lock().await;
             self.require_sound_store()?;
             // It may have been aborted while the rig was homed.
-            let state = self.present(run).await?.state;
-            if matches!(state, StoredState::Ended | StoredState::Removed) {
-                let words = format!("run {} is {state}: it cannot be driven", run.scan_id);
+            let run = &self.unedited(run).await?;
+            if matches!(run.state, StoredState::Ended | StoredState::Removed) {
+                let words = format!("run {} is {}: it cannot be driven", run.scan_id, run.state);
                 return Err(ConductorError::Forbidden(words));
             }
             let job = self.prepare_stored(run).await?.job(run);
@@ -275,59 +269,6 @@ impl Conductor {
             Ok(())
         };
         beginning.instrument(run_span(run.uid, run.scan_id)).await
-    }
-
-    /// Follows the campaign: a run that was started while another was active begins when the rig is
-    /// free. Ends with the campaign's thread.
-    pub async fn follow(self) {
-        let mut status = self.inner.campaign.watch_status();
-        loop {
-            tokio::select! {
-                changed = status.changed() => if changed.is_err() { return },
-                () = self.inner.look.notified() => {}
-            }
-            let free = {
-                let now = status.borrow_and_update();
-                now.run.is_none() && now.rig.state == RigState::Homed
-            };
-            if free && let Err(error) = self.begin_next().await {
-                tracing::warn!(error = error_chain(&error), "the next run did not start");
-            }
-        }
-    }
-
-    /// Begins the first waiting run. A run that cannot begin must be started again; an event
-    /// reports it.
-    async fn begin_next(&self) -> Result<(), ConductorError> {
-        if self.waiting().is_empty() {
-            return Ok(());
-        }
-        for run in self.inner.store.waiting_runs().await? {
-            if !self.waiting().contains(&run.uid) {
-                continue;
-            }
-            match self.begin(&run).await {
-                Ok(()) => return Ok(()),
-                // Another run was started first: this one continues to wait.
-                Err(_) if self.inner.campaign.status().run.is_some() => return Ok(()),
-                Err(error) => self.drop_waiting(&run, &error.to_string()).await?,
-            }
-        }
-        Ok(())
-    }
-
-    fn let_wait(&self, runs: impl IntoIterator<Item = RunUid>) {
-        self.waiting().extend(runs);
-        self.inner.look.notify_one();
-    }
-
-    async fn drop_waiting(&self, run: &RunRow, why: &str) -> Result<(), ConductorError> {
-        run_span(run.uid, run.scan_id)
-            .in_scope(|| tracing::warn!(why, "a waiting run does not begin"));
-        self.waiting().remove(&run.uid);
-        self.inner.store.clear_waiting(run.uid).await?;
-        self.say(run, "not_begun", json!({ "why": why })).await;
-        Ok(())
     }
 
     async fn say(&self, run: &RunRow, kind: &str, data: serde_json::Value) {

@@ -7,6 +7,7 @@ use utoipa::ToSchema;
 
 use super::{ConductorError, RigFile};
 use crate::campaign::run::job::Job;
+use crate::carried;
 use crate::problem::Problem;
 use crate::rig::config;
 use crate::rig::reach::{bench, reach};
@@ -24,8 +25,9 @@ pub struct Submission {
     pub file: String,
     /// Text of the experiment file.
     pub definition: String,
-    /// Text of the sensor file that it names.
-    pub sensor: String,
+    /// Text of the sensor file that it names; absent: the program carries that file.
+    #[serde(default)]
+    pub sensor: Option<String>,
 }
 
 impl Submission {
@@ -34,7 +36,7 @@ impl Submission {
         Self {
             file: format!("{}.toml", run.experiment),
             definition: run.definition.clone(),
-            sensor: run.sensor.clone(),
+            sensor: Some(run.sensor.clone()),
         }
     }
 }
@@ -49,6 +51,8 @@ pub struct Prepared {
     pub plan_text: String,
     /// Preflight on this rig, for the person who arms the run.
     pub preflight: Preflight,
+    /// Text of the sensor file.
+    pub sensor_text: String,
     /// Name of the sensor.
     pub sensor_name: String,
     /// Diameter of a tip, mm.
@@ -66,7 +70,11 @@ impl Prepared {
     pub fn of(submission: &Submission, rig: &RigFile) -> Result<Self, Vec<Problem>> {
         let file = &submission.file;
         let experiment = Experiment::from_toml(file, &submission.definition)?;
-        let sensor = Sensor::from_toml(&submission.sensor)
+        let sensor_text = match &submission.sensor {
+            Some(text) => text.clone(),
+            None => carried_sensor(file, &experiment.sensor)?,
+        };
+        let sensor = Sensor::from_toml(&sensor_text)
             .map_err(|e| vec![Problem::whole(&experiment.sensor, e.to_string())])?;
         let problems = lint(file, &experiment, &sensor, &reach(&rig.file, &rig.config));
         let plan = Plan::of(file, &experiment, &sensor)?;
@@ -84,6 +92,7 @@ impl Prepared {
             plan,
             plan_text,
             preflight,
+            sensor_text,
             sensor_name,
             tip_diameter_mm,
             label,
@@ -143,4 +152,17 @@ impl Prepared {
             plan: self.plan,
         }
     }
+}
+
+/// Text of the sensor file that an experiment names.
+fn carried_sensor(file: &str, named: &str) -> Result<String, Vec<Problem>> {
+    carried::sensor(named).map(Into::into).ok_or_else(|| {
+        let known: Vec<String> =
+            carried::names(carried::SENSORS).map(|name| format!("sensors/{name}.toml")).collect();
+        let limit = format!(
+            "must be a file that the program carries ({}), or its text must be in the request",
+            known.join(", ")
+        );
+        vec![Problem::new(file, "sensor", named, limit)]
+    })
 }

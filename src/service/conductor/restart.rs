@@ -53,12 +53,17 @@ fn was_driven(run: &RunRow) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::ids::RunUid;
     use crate::store::{Label, RunKind};
 
-    fn run(state: StoredState, paused_why: Option<PausedWhy>, auto_resume: bool) -> RunRow {
+    /// A stored run.
+    pub(in super::super) fn run(
+        state: StoredState,
+        paused_why: Option<PausedWhy>,
+        auto_resume: bool,
+    ) -> RunRow {
         RunRow {
             uid: RunUid::new(),
             scan_id: 1,
@@ -79,6 +84,7 @@ mod tests {
             tip_diameter_mm: None,
             trials_planned: 1,
             auto_resume,
+            not_before: None,
             plan_sha256: None,
             state,
             requested_state: None,

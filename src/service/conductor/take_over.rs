@@ -3,11 +3,12 @@
 
 use std::time::Duration;
 
+use jiff::Timestamp;
 use serde_json::json;
 use tracing::Instrument;
 
 use super::restart::TakenOver;
-use super::{Conductor, ConductorError};
+use super::{Conductor, ConductorError, turn};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::spans::run_span;
@@ -42,24 +43,52 @@ impl Conductor {
         for (run, why) in &dropped {
             self.drop_waiting(run, why).await?;
         }
-        let outcome = match driven.as_ref().or(waiting.first()) {
-            Some(first) => {
-                self.go_on_with(first).instrument(run_span(first.uid, first.scan_id)).await
-            }
-            None => return Ok(()),
+        let was_driven = driven.is_some();
+        let first = match driven {
+            Some(run) => run,
+            None => match self.first_due(waiting).await? {
+                Some(run) => run,
+                None => return Ok(()),
+            },
         };
-        if driven.is_some() && !matches!(outcome, Ok(true)) {
+        let outcome = self.go_on_with(&first).instrument(run_span(first.uid, first.scan_id)).await;
+        let begun = matches!(outcome, Ok(true));
+        if was_driven && !begun {
             store.interrupt_open_runs(None).await?;
         }
-        let begun = usize::from(driven.is_none() && matches!(outcome, Ok(true)));
+        let mut waiting = store.waiting_runs().await?;
+        waiting.retain(|run| !(begun && run.uid == first.uid));
         if self.inner.campaign.status().rig.state == RigState::Tripped {
-            for run in &waiting[begun..] {
+            for run in &waiting {
                 self.drop_waiting(run, "the rig tripped during the start").await?;
             }
         } else {
-            self.let_wait(waiting[begun..].iter().map(|run| run.uid));
+            self.let_wait(waiting.iter().map(|run| run.uid));
         }
         outcome.map(|_| ())
+    }
+
+    /// Waits until one of the waiting runs is due, for which the rig must be brought up. `None` if none
+    /// waits any more, or if a person has brought the rig up: then the run begins as any other.
+    async fn first_due(&self, waiting: Vec<RunRow>) -> Result<Option<RunRow>, ConductorError> {
+        self.let_wait(waiting.iter().map(|run| run.uid));
+        loop {
+            let (waiting, now) = (self.still_waiting().await?, Timestamp::now());
+            if let Some(due) = waiting.iter().find(|run| turn::is_due(run, now)) {
+                let status = self.inner.campaign.status();
+                let is_up = status.run.is_some() || status.rig.state == RigState::Homed;
+                if is_up {
+                    return Ok(None);
+                }
+                // None of them begins by itself as soon as the rig is up.
+                self.waiting().retain(|uid| waiting.iter().all(|run| run.uid != *uid));
+                return Ok(Some(due.clone()));
+            }
+            match turn::decide_again(&waiting, now) {
+                Some(pause) => tokio::time::sleep(pause).await,
+                None => return Ok(None),
+            }
+        }
     }
 
     /// Drives a run again; returns `false` if the rig could not be reached.

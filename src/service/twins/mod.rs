@@ -6,6 +6,7 @@
 //! workers and stored in one transaction; then the priority is determined again.
 
 pub mod drift;
+pub mod skins;
 
 use std::collections::{HashMap, HashSet};
 use std::path::PathBuf;
@@ -22,6 +23,7 @@ use tracing::{Instrument, Span};
 use utoipa::ToSchema;
 
 use self::drift::{DriftWatch, Level, Pairing, RollingFit};
+use self::skins::{SkinError, Source, WarmSkins};
 use crate::campaign::shown::command::{Handle, Request};
 use crate::campaign::spans::{run_span, trial_span};
 use crate::dataset::pressed::contacts;
@@ -30,7 +32,6 @@ use crate::journal::error_chain;
 use crate::rig::config::RigConfig;
 use crate::schedule::experiment::Experiment;
 use crate::simulate::compare::difference;
-use crate::simulate::model::load_or_build;
 use crate::store::{
     IMPORTED_MODEL, NewTwinModel, RunKind, RunRow, Store, StoreError, TrialRow, Twin, TwinCount,
     TwinModelId, TwinOutcome,
@@ -70,8 +71,9 @@ pub struct TwinPool {
 struct Inner {
     store: Store,
     campaign: Handle,
-    calibration: Option<Calibration>,
-    cache_dir: PathBuf,
+    /// Calibration of the service with its id.
+    calibration: Option<(CalibrationId, Arc<Calibration>)>,
+    skins: WarmSkins,
     workers: usize,
     status: Mutex<PoolStatus>,
     models: Mutex<HashMap<RunUid, TwinModelId>>,
@@ -103,8 +105,6 @@ enum PoolError {
 #[derive(Default)]
 struct Progress {
     recipes: HashMap<RunUid, Recipe>,
-    /// Models by the text of their sensor file.
-    skins: HashMap<String, Arc<ForwardModel>>,
     /// The last trial that was read, per run.
     passed: HashMap<RunUid, TrialId>,
     /// Runs without pending trials.
@@ -126,8 +126,22 @@ impl TwinPool {
     ) -> Self {
         let status = Mutex::new(PoolStatus { workers, ..PoolStatus::default() });
         let models = Mutex::default();
-        let inner = Inner { store, campaign, calibration, cache_dir, workers, status, models };
+        let with_id = |c: Calibration| Some((CalibrationId::unchecked(c.id().ok()?), Arc::new(c)));
+        let calibration = calibration.and_then(with_id);
+        let skins = WarmSkins::new(cache_dir);
+        let inner = Inner { store, campaign, calibration, skins, workers, status, models };
         Self { inner: Arc::new(inner) }
+    }
+
+    /// The models that the pool keeps warm.
+    pub fn skins(&self) -> &WarmSkins {
+        &self.inner.skins
+    }
+
+    /// The calibration of the service, if it applies to a sensor, with its id.
+    pub fn calibration_of(&self, sensor_name: &str) -> Option<(CalibrationId, Source)> {
+        let own = self.inner.calibration.as_ref().filter(|(_, c)| c.sensor == sensor_name)?;
+        Some((own.0.clone(), Source::Here(own.1.clone())))
     }
 
     /// Current status of the pool.
@@ -249,14 +263,7 @@ impl TwinPool {
         if row.kind == RunKind::Imported && self.is_foreign(&row).await? {
             return Err(PoolError::Foreign(row.scan_id));
         }
-        let model = match progress.skins.get(&row.sensor) {
-            Some(model) => model.clone(),
-            None => {
-                let model = self.skin(&row).await?;
-                progress.skins.insert(row.sensor.clone(), model.clone());
-                model
-            }
-        };
+        let model = self.skin(&row).await?;
         let new = NewTwinModel {
             hash: model.model_hash().to_owned(),
             sensor_sha256: row.sensor_sha256.clone(),
@@ -288,22 +295,14 @@ impl TwinPool {
     }
 
     async fn skin(&self, row: &RunRow) -> Result<Arc<ForwardModel>, PoolError> {
-        let (text, cache_dir, scan_id) =
-            (row.sensor.clone(), self.inner.cache_dir.clone(), row.scan_id);
-        let unusable = move |why: String| PoolError::File { run: scan_id, file: "sensor", why };
-        let calibration = self.inner.calibration.clone();
-        let span = run_span(row.uid, scan_id);
-        let built = tokio::task::spawn_blocking(move || {
-            let _inside = span.entered();
-            let sensor = Sensor::from_toml(&text).map_err(|e| e.to_string())?;
-            let sensor = match calibration.filter(|c| c.sensor == sensor.file.name) {
-                Some(calibration) => calibration.apply(&sensor).map_err(|e| e.to_string())?,
-                None => sensor.into(),
-            };
-            load_or_build(sensor, &cache_dir).map_err(|e| e.to_string())
-        });
-        let built = built.await.map_err(|_| PoolError::Worker)?;
-        built.map(Arc::new).map_err(unusable)
+        let unusable = |why: String| PoolError::File { run: row.scan_id, file: "sensor", why };
+        let sensor = Sensor::from_toml(&row.sensor).map_err(|e| unusable(e.to_string()))?;
+        let built = self.inner.skins.of(&row.sensor, self.calibration_of(&sensor.file.name));
+        match built.instrument(run_span(row.uid, row.scan_id)).await {
+            Ok(skin) => Ok(skin.model.clone()),
+            Err(SkinError::Worker) => Err(PoolError::Worker),
+            Err(error) => Err(unusable(error.to_string())),
+        }
     }
 
     /// Updates the rolling fit of the active run, which may warn or suspend it.

@@ -58,6 +58,23 @@ impl Store {
     }
 }
 
+/// Removes a plan that no run has.
+pub(super) async fn discard(
+    connection: &mut SqliteConnection,
+    sha256: &str,
+    operation: &'static str,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "DELETE FROM plans
+         WHERE sha256 = ?1 AND NOT EXISTS (SELECT 1 FROM runs WHERE plan_sha256 = ?1)",
+    )
+    .bind(sha256)
+    .execute(connection)
+    .await
+    .during(operation)?;
+    Ok(())
+}
+
 /// Stores a plan unless an equal one is stored; mends a stored one that was damaged. Returns its
 /// sha256.
 pub(super) async fn keep(

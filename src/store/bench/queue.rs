@@ -23,6 +23,19 @@ impl Store {
         Ok(self.keep_facts(self.inner.writer.run(OPERATION, insert).await?))
     }
 
+    /// Replaces the inputs of the queued run with the uid of `new`. It keeps its number, its place, its
+    /// creation and its submitter, and must be armed and started again.
+    ///
+    /// # Errors
+    /// `NotQueued` if the run is not in the queue; others as [`Self::enqueue`].
+    pub async fn replace_queued(&self, new: NewRun) -> Result<RunRow, StoreError> {
+        const OPERATION: &str = "editing a queued run";
+        let now = self.now_text();
+        let replace =
+            async move |c: &mut SqliteConnection| run_row::replace(c, new, now, OPERATION).await;
+        Ok(self.keep_facts(self.inner.writer.run(OPERATION, replace).await?))
+    }
+
     /// Returns the queued runs, the next one first.
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-//! The row of a run: its inputs, its state and its end; inserting and decoding it.
+//! The row of a run: its inputs, its state and its end; inserting, replacing and decoding it.
 //! Uses: `core`, `plans`, `journal`, `state`. Never: a change of a state (`run_state`).
 
 use jiff::Timestamp;
@@ -7,7 +7,7 @@ use sqlx::sqlite::{SqliteConnection, SqliteRow};
 use utoipa::ToSchema;
 
 use super::plans;
-use crate::core::columns::Columns;
+use crate::core::columns::{Columns, time_text};
 use crate::core::facts::{Label, RunKind};
 use crate::core::{During, StoreError};
 use crate::digest::sha256_hex;
@@ -50,6 +50,8 @@ pub struct NewRun {
     pub trials_planned: u64,
     /// Whether it may resume automatically after a restart.
     pub auto_resume: bool,
+    /// Earliest start, wall time; absent if it may start at any time.
+    pub not_before: Option<Timestamp>,
     /// Person or key that submitted it.
     pub submitted_by: String,
 }
@@ -95,6 +97,9 @@ pub struct RunRow {
     pub trials_planned: u64,
     /// Whether it may resume automatically after a restart.
     pub auto_resume: bool,
+    /// Earliest start, wall time; absent if it may start at any time.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub not_before: Option<Timestamp>,
     /// sha256 of its plan; absent for an import, and for a run of an older version that has not been
     /// armed since.
     pub plan_sha256: Option<String>,
@@ -158,6 +163,7 @@ impl RunRow {
             tip_diameter_mm: c.get("tip_diameter_mm")?,
             trials_planned: c.whole("trials_planned")?,
             auto_resume: c.get("auto_resume")?,
+            not_before: c.time_or_none("not_before")?,
             plan_sha256: c.get("plan_sha256")?,
             state: c.word("state")?,
             requested_state: c.word_or_none("requested_state")?,
@@ -174,6 +180,20 @@ impl RunRow {
     }
 }
 
+/// Inserts a run.
+macro_rules! inserting {
+    () => {
+        "INSERT INTO runs (uid, experiment, kind, definition, definition_sha256, seed, rig,
+             rig_sha256, sensor, sensor_sha256, calibration_id, label, version, git_commit,
+             deadband_n, tip_diameter_mm, trials_planned, auto_resume, state, queue_position,
+             created_at, submitted_by, plan_sha256, not_before)
+         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18,
+             ?19, CASE WHEN ?19 = 'queued'
+                  THEN (SELECT coalesce(max(queue_position), 0) + 1 FROM runs) END,
+             ?20, ?21, ?22, ?23)"
+    };
+}
+
 /// Inserts a run, at the end of the queue if `queued`, and returns its row. `now` is its time of
 /// creation.
 ///
@@ -182,6 +202,58 @@ impl RunRow {
 /// the statement fails.
 pub(crate) async fn insert(
     connection: &mut SqliteConnection,
+    new: NewRun,
+    queued: bool,
+    now: String,
+    operation: &'static str,
+) -> Result<RunRow, StoreError> {
+    let statement = concat!(inserting!(), " RETURNING *");
+    write(connection, statement, new, queued, now, operation).await
+}
+
+/// Replaces the inputs of the queued run with the uid of `new`, and returns its row; number, place,
+/// creation and submitter stay. It is no longer started: what was armed was the earlier run.
+///
+/// # Errors
+/// `NotQueued` if the run is not in the queue; others as [`insert`].
+pub(crate) async fn replace(
+    connection: &mut SqliteConnection,
+    new: NewRun,
+    now: String,
+    operation: &'static str,
+) -> Result<RunRow, StoreError> {
+    let uid = new.uid;
+    let queued: Option<Option<String>> =
+        sqlx::query_scalar("SELECT plan_sha256 FROM runs WHERE uid = ?1 AND state = 'queued'")
+            .bind(uid.to_string())
+            .fetch_optional(&mut *connection)
+            .await
+            .during(operation)?;
+    let earlier_plan = queued.ok_or(StoreError::NotQueued(uid))?;
+    let statement = concat!(
+        inserting!(),
+        " ON CONFLICT (uid) DO UPDATE SET experiment = excluded.experiment, kind = excluded.kind,
+             definition = excluded.definition, definition_sha256 = excluded.definition_sha256,
+             seed = excluded.seed, rig = excluded.rig, rig_sha256 = excluded.rig_sha256,
+             sensor = excluded.sensor, sensor_sha256 = excluded.sensor_sha256,
+             calibration_id = excluded.calibration_id, label = excluded.label,
+             version = excluded.version, git_commit = excluded.git_commit,
+             deadband_n = excluded.deadband_n, tip_diameter_mm = excluded.tip_diameter_mm,
+             trials_planned = excluded.trials_planned, auto_resume = excluded.auto_resume,
+             plan_sha256 = excluded.plan_sha256, not_before = excluded.not_before,
+             waiting_since = NULL
+         RETURNING *"
+    );
+    let row = write(&mut *connection, statement, new, true, now, operation).await?;
+    if let Some(sha256) = earlier_plan {
+        plans::discard(connection, &sha256, operation).await?;
+    }
+    Ok(row)
+}
+
+async fn write(
+    connection: &mut SqliteConnection,
+    statement: &'static str,
     new: NewRun,
     queued: bool,
     now: String,
@@ -199,42 +271,33 @@ pub(crate) async fn insert(
         Some(plan) => Some(plans::keep(&mut *connection, plan, operation).await?),
         None => None,
     };
-    let row = sqlx::query(
-        "INSERT INTO runs (uid, experiment, kind, definition, definition_sha256, seed, rig,
-             rig_sha256, sensor, sensor_sha256, calibration_id, label, version, git_commit,
-             deadband_n, tip_diameter_mm, trials_planned, auto_resume, state, queue_position,
-             created_at, submitted_by, plan_sha256)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18,
-             ?19, CASE WHEN ?19 = 'queued'
-                  THEN (SELECT coalesce(max(queue_position), 0) + 1 FROM runs) END,
-             ?20, ?21, ?22)
-         RETURNING *",
-    )
-    .bind(new.uid.to_string())
-    .bind(&new.experiment)
-    .bind(new.kind.as_str())
-    .bind(&new.definition)
-    .bind(sha256_hex(&new.definition))
-    .bind(seed)
-    .bind(&new.rig)
-    .bind(new.rig.as_deref().map(sha256_hex))
-    .bind(&new.sensor)
-    .bind(sha256_hex(&new.sensor))
-    .bind(new.calibration_id.as_ref().map(CalibrationId::as_str))
-    .bind(new.label.as_str())
-    .bind(&new.version)
-    .bind(&new.git_commit)
-    .bind(new.deadband_n)
-    .bind(new.tip_diameter_mm)
-    .bind(planned)
-    .bind(new.auto_resume)
-    .bind(if queued { StoredState::Queued } else { StoredState::Idle }.as_str())
-    .bind(now)
-    .bind(&new.submitted_by)
-    .bind(plan_sha256)
-    .fetch_one(connection)
-    .await
-    .during(operation)?;
+    let row = sqlx::query(statement)
+        .bind(new.uid.to_string())
+        .bind(&new.experiment)
+        .bind(new.kind.as_str())
+        .bind(&new.definition)
+        .bind(sha256_hex(&new.definition))
+        .bind(seed)
+        .bind(&new.rig)
+        .bind(new.rig.as_deref().map(sha256_hex))
+        .bind(&new.sensor)
+        .bind(sha256_hex(&new.sensor))
+        .bind(new.calibration_id.as_ref().map(CalibrationId::as_str))
+        .bind(new.label.as_str())
+        .bind(&new.version)
+        .bind(&new.git_commit)
+        .bind(new.deadband_n)
+        .bind(new.tip_diameter_mm)
+        .bind(planned)
+        .bind(new.auto_resume)
+        .bind(if queued { StoredState::Queued } else { StoredState::Idle }.as_str())
+        .bind(now)
+        .bind(&new.submitted_by)
+        .bind(plan_sha256)
+        .bind(new.not_before.map(time_text))
+        .fetch_one(connection)
+        .await
+        .during(operation)?;
     RunRow::read(&row, operation)
 }
 

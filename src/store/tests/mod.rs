@@ -78,6 +78,7 @@ fn new_run(kind: RunKind) -> NewRun {
         tip_diameter_mm: Some(20.0),
         trials_planned: 22,
         auto_resume: true,
+        not_before: None,
         submitted_by: "local".into(),
     }
 }

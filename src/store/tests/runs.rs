@@ -5,7 +5,7 @@ use super::{Folder, hex_trial, new_run, now, open, time};
 use crate::ids::RunUid;
 use crate::journal::{ExitStatus, Journal};
 use crate::state::{PausedWhy, StateChange, StoredState};
-use crate::{RunKind, Soundness, StoreError};
+use crate::{NewRun, RunKind, Soundness, StoreError};
 
 #[tokio::test]
 async fn a_run_keeps_its_provenance() {
@@ -131,6 +131,47 @@ async fn the_queue_is_in_the_order_that_was_asked_for() {
     assert!(store.run_state(c, StateChange::to(StoredState::Running), now()).await.is_err());
     store.run_state(b, StateChange::to(StoredState::Running), now()).await.unwrap();
     assert_eq!(store.next_queued().await.unwrap().unwrap().uid, a);
+}
+
+#[tokio::test]
+async fn an_edited_run_keeps_number_place_and_submitter_and_is_no_longer_started() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let planned = |plan: &str| NewRun { plan: Some(plan.into()), ..new_run(RunKind::RealHex) };
+    let before = store.enqueue(planned("one")).await.unwrap();
+    let other = store.enqueue(planned("two")).await.unwrap();
+    store.set_waiting(before.uid).await.unwrap();
+    let edit = NewRun {
+        uid: before.uid,
+        experiment: "night".into(),
+        definition: "name = \"night\"\n".into(),
+        not_before: Some(time("2026-11-24T21:00:00Z")),
+        auto_resume: false,
+        deadband_n: 4.0,
+        trials_planned: 7,
+        submitted_by: "somebody else".into(),
+        ..planned("two")
+    };
+    let after = store.replace_queued(edit.clone()).await.unwrap();
+    assert_eq!(store.run(before.uid).await.unwrap().unwrap(), after);
+    let kept = |run: &crate::RunRow| {
+        (run.uid, run.scan_id, run.queue_position, run.created_at, run.submitted_by.clone())
+    };
+    assert_eq!(kept(&after), kept(&before));
+    assert_eq!((after.experiment.as_str(), after.trials_planned), ("night", 7));
+    assert_eq!((after.not_before, after.waiting_since), (edit.not_before, None));
+    assert!(!after.auto_resume && after.definition_sha256 != before.definition_sha256);
+    assert_eq!(after.plan_sha256, other.plan_sha256);
+    assert_eq!(store.plan_of(before.uid).await.unwrap().as_deref(), Some("two"));
+    // A plan is removed with the last run that has it.
+    store.replace_queued(NewRun { uid: other.uid, ..planned("three") }).await.unwrap();
+    assert_eq!(store.plan_of(before.uid).await.unwrap().as_deref(), Some("two"));
+    store.run_state(before.uid, StateChange::to(StoredState::Running), now()).await.unwrap();
+    for uid in [before.uid, RunUid::new()] {
+        let refused = store.replace_queued(NewRun { uid, ..planned("four") }).await;
+        assert!(matches!(refused, Err(StoreError::NotQueued(u)) if u == uid));
+    }
+    assert_eq!(store.runs(10, None).await.unwrap().runs.len(), 2);
 }
 
 #[tokio::test]

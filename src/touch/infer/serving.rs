@@ -16,7 +16,7 @@ use tokio::sync::watch;
 use super::error::InferError;
 use super::methods::Method;
 use super::methods::exact::ExactSkin;
-use super::methods::exact::skins::Skins;
+use super::methods::exact::skins::{Skins, StoredCalibration};
 use super::pipeline::Pipeline;
 use super::registry::{Model, Registry};
 use super::slot::Slot;
@@ -87,6 +87,19 @@ impl Serving {
     /// Sensor of this rig.
     pub fn sensor(&self) -> &Sensor {
         &self.inner.sensor
+    }
+
+    /// Text of the file of this rig's sensor.
+    pub fn sensor_text(&self) -> &str {
+        &self.inner.sensor_text
+    }
+
+    /// Finds the file of a stored calibration.
+    ///
+    /// # Errors
+    /// `InferError::NoSkin` if there is no such calibration.
+    pub fn stored_calibration(&self, id: &CalibrationId) -> Result<StoredCalibration, InferError> {
+        self.inner.skins.stored(id)
     }
 
     /// The current pipeline.

@@ -64,6 +64,7 @@ fn new_run(kind: RunKind, experiment: &str) -> NewRun {
         tip_diameter_mm: Some(20.0),
         trials_planned: 1,
         auto_resume: false,
+        not_before: None,
         submitted_by: "test".into(),
     }
 }

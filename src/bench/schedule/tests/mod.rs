@@ -2,6 +2,7 @@
 
 mod plans;
 mod predictions;
+mod schema;
 
 use sim_core::sensor::Sensor;
 

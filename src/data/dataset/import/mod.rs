@@ -185,6 +185,7 @@ fn new_run(import: &Import, sensor: &ImportedSensor, checked: &Checked) -> NewRu
         plan: None,
         trials_planned: checked.trials,
         auto_resume: false,
+        not_before: None,
         submitted_by: import.submitted_by.clone(),
     }
 }

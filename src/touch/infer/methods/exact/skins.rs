@@ -34,6 +34,22 @@ const KNOWN_FORCE_N: f64 = 40.0;
 /// Version of the estimation of errors: part of the cache's key.
 const ERRORS_VERSION: &str = "2";
 
+/// The file of a stored calibration.
+#[derive(Debug, Clone)]
+pub struct StoredCalibration(PathBuf);
+
+impl StoredCalibration {
+    /// Reads it: large for a skin, so not on a thread that answers requests.
+    ///
+    /// # Errors
+    /// `InferError::File` if the file cannot be read; `Calibration` if it is invalid.
+    pub fn read(&self) -> Result<Calibration, InferError> {
+        let text = std::fs::read_to_string(&self.0);
+        let text = text.map_err(InferError::file("reading", &self.0))?;
+        Ok(Calibration::from_toml(&text)?)
+    }
+}
+
 /// The calibrations of a service and their skins.
 pub struct Skins {
     store: Store,
@@ -133,17 +149,13 @@ impl Skins {
         &self,
         calibration: Option<&CalibrationId>,
     ) -> Result<ForwardModel, InferError> {
-        let path = calibration.map(|id| self.path_of(id)).transpose()?;
+        let calibration = calibration.map(|id| self.stored(id)).transpose()?;
         let (sensor, cache) = (self.sensor.clone(), self.data.join("cache"));
         let span = Span::current();
         let building = tokio::task::spawn_blocking(move || {
             let _inside = span.entered();
-            let sensor = match path {
-                Some(path) => {
-                    let text = std::fs::read_to_string(&path);
-                    let text = text.map_err(InferError::file("reading", &path))?;
-                    Calibration::from_toml(&text)?.apply(&sensor)?
-                }
+            let sensor = match calibration {
+                Some(stored) => stored.read()?.apply(&sensor)?,
                 None => sensor.into(),
             };
             Ok(load_or_build(sensor, &cache)?)
@@ -166,15 +178,18 @@ impl Skins {
         Ok(id)
     }
 
-    /// Path of the file of a calibration; an id cannot address other files.
-    fn path_of(&self, id: &CalibrationId) -> Result<PathBuf, InferError> {
+    /// Finds the file of a calibration; an id cannot address other files.
+    ///
+    /// # Errors
+    /// `InferError::NoSkin` if there is no such calibration.
+    pub fn stored(&self, id: &CalibrationId) -> Result<StoredCalibration, InferError> {
         let digits = id
             .as_str()
             .strip_prefix("cal-")
             .filter(|digits| !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_hexdigit()));
         let path = self.calibrations().join(format!("{id}.toml"));
         let is_here = digits.is_some() && path.is_file();
-        is_here.then_some(path).ok_or_else(|| InferError::NoSkin(id.clone()))
+        is_here.then_some(StoredCalibration(path)).ok_or_else(|| InferError::NoSkin(id.clone()))
     }
 
     fn calibrations(&self) -> PathBuf {

@@ -1,0 +1,62 @@
+//! The experiments that the program carries, and the schema of an experiment file.
+//! Uses: `carried`, `schedule::experiment`. Never: files, a plan.
+
+use axum::Json;
+use serde::Serialize;
+use serde_json::Value;
+use utoipa::{PartialSchema, ToSchema};
+
+use super::pages::Page;
+use super::problem::ApiError;
+use crate::carried::{EXPERIMENTS, about};
+use crate::schedule::experiment::Experiment;
+
+/// An experiment that the program carries.
+#[derive(Debug, Clone, Serialize, ToSchema)]
+pub struct CarriedExperiment {
+    /// Name of the experiment.
+    pub name: String,
+    /// Name of its file.
+    pub file: String,
+    /// The comment at the start of the file.
+    pub about: String,
+    /// Text of the file, for the queue. The program carries the sensor file that it names, too.
+    pub text: String,
+    /// Number of trials; null if the file cannot be read.
+    pub trials: Option<u64>,
+}
+
+/// Returns the experiments that the program carries.
+#[utoipa::path(get, operation_id = "list_experiments",
+    path = "/api/v1/experiments", tag = "queue",
+    responses((status = 200, body = Page<CarriedExperiment>)))]
+pub async fn list() -> Result<Page<CarriedExperiment>, ApiError> {
+    let carried = |(name, text): &(&str, &str)| {
+        let file = format!("{name}.toml");
+        let parsed = Experiment::from_toml(&file, text);
+        CarriedExperiment {
+            name: (*name).into(),
+            about: about(text),
+            text: (*text).into(),
+            trials: parsed.ok().map(|experiment| experiment.trials()),
+            file,
+        }
+    };
+    Ok(Page::whole(EXPERIMENTS.iter().map(carried).collect()))
+}
+
+/// Returns the JSON schema of an experiment file, which the component `Experiment` of this description
+/// equals.
+///
+/// It states the limits of every rig. Those of the rig, and limits between keys, are in the preflight.
+#[utoipa::path(get, operation_id = "experiment_schema",
+    path = "/api/v1/experiments/schema", tag = "queue",
+    responses((status = 200, body = Object, description = "the schema of `Experiment`")))]
+pub async fn schema() -> Result<Json<Value>, ApiError> {
+    let failed = |error: serde_json::Error| {
+        ApiError::new(axum::http::StatusCode::INTERNAL_SERVER_ERROR, error.to_string())
+    };
+    let mut schema = serde_json::to_value(Experiment::schema()).map_err(failed)?;
+    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema".into();
+    Ok(Json(schema))
+}

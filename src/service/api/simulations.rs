@@ -1,0 +1,243 @@
+//! What the model says of contacts: the frame and the dent.
+//! Uses: `simulate::pressed`, the models that `twins` keeps warm. Never: the rig, a stored frame.
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::StatusCode;
+use serde::{Deserialize, Serialize};
+use sim_core::forward::Workspace;
+use sim_core::sensor::Sensor;
+use tokio::time::timeout;
+use utoipa::ToSchema;
+
+use super::App;
+use super::limits::{SIMULATED_CONTACTS, TURN};
+use super::problem::{ApiError, Body, ProblemBody};
+use super::runs::find;
+use crate::clock::Clock;
+use crate::dataset::background::background;
+use crate::ids::CalibrationId;
+use crate::problem::Problem;
+use crate::simulate::contacts::{Limits, Load, RequestedContact};
+use crate::simulate::dent::Dent;
+use crate::simulate::pressed::{Pressed, PressedError, pressed};
+use crate::twins::skins::{SkinError, Source};
+
+/// Name of the body in problems.
+const BODY: &str = "request";
+
+/// Request to simulate contacts.
+#[derive(Debug, Deserialize, ToSchema)]
+pub struct SimulationRequest {
+    /// Contacts; none: the untouched skin.
+    #[schema(max_items = 6)]
+    pub contacts: Vec<GivenContact>,
+    /// uid or scan_id of a run whose sensor and calibration are used; absent or null: the sensor under
+    /// the rig, with the promoted calibration of the skin, or else that of the service.
+    pub run: Option<String>,
+}
+
+/// A contact, with exactly one of `depth_mm` and `force_n`.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct GivenContact {
+    /// Position on the skin along x, mm; the whole tip is on the skin.
+    pub x_mm: f64,
+    /// Position on the skin along y, mm; the whole tip is on the skin.
+    pub y_mm: f64,
+    /// Mean compression of the foam under the rim of the tip, mm, from 0 to the thickness of the foam.
+    pub depth_mm: Option<f64>,
+    /// Force, N, from 0 to 1000.
+    pub force_n: Option<f64>,
+}
+
+/// A simulated contact.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct PressedContact {
+    /// Position on the skin along x, mm.
+    pub x_mm: f64,
+    /// Position on the skin along y, mm.
+    pub y_mm: f64,
+    /// Mean compression of the foam under the rim of the tip, mm. Under other contacts it may be
+    /// larger than the requested one.
+    pub depth_mm: f64,
+    /// Force, N.
+    pub force_n: f64,
+}
+
+/// Compression of the foam on a grid over the skin.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct DentMap {
+    /// Number of places along x.
+    pub columns: usize,
+    /// Number of places along y.
+    pub rows: usize,
+    /// Distance of neighbouring places, mm.
+    pub pitch_mm: f64,
+    /// Position of the first place along x, mm.
+    pub x0_mm: f64,
+    /// Position of the first place along y, mm.
+    pub y0_mm: f64,
+    /// Compression, mm, rounded to 0.001: `rows` times `columns` values, row by row from `y0_mm` on.
+    pub values: Vec<f64>,
+}
+
+/// The skin under contacts, as the model computes it.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct Simulation {
+    /// Frame, V, 784 for the paper's skin, injection-major.
+    pub voltages_v: Vec<f64>,
+    /// Frame of the untouched skin, V.
+    pub untouched_v: Vec<f64>,
+    /// The contacts, in the order of the request.
+    pub contacts: Vec<PressedContact>,
+    /// Compression of the foam.
+    pub dent_mm: DentMap,
+    /// Id of the calibration of the model, or `sensor file`.
+    pub model: String,
+    /// Time of the simulation, ms.
+    pub took_ms: f64,
+}
+
+/// Simulates contacts on the skin: the frame, the dent, and the force of a depth or the depth of a force.
+///
+/// The first request for a skin builds its model, which takes seconds.
+#[utoipa::path(post, operation_id = "simulate",
+    path = "/api/v1/simulations", tag = "simulation", request_body = SimulationRequest,
+    responses((status = 200, body = Simulation),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id"),
+        (status = 409, body = ProblemBody, description = "there is no model of the run's skin"),
+        (status = 422, body = ProblemBody, description = "a contact is outside its limits"),
+        (status = 503, body = ProblemBody, description = "too many simulations are in progress")))]
+pub async fn simulate(
+    State(app): State<App>,
+    Body(asked): Body<SimulationRequest>,
+) -> Result<Json<Simulation>, ApiError> {
+    let skin = Skin::of(&app, asked.run.as_deref()).await?;
+    let contacts = requested(&asked.contacts).map_err(ApiError::problems)?;
+    Limits::of(&skin.sensor, SIMULATED_CONTACTS)
+        .check(BODY, &contacts)
+        .map_err(ApiError::problems)?;
+    let Ok(Ok(turn)) = timeout(TURN, app.turns.simulations.clone().acquire_owned()).await else {
+        let words = "too many simulations: none could be started within 10 s; retry";
+        return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
+    };
+    let model = skin.calibration.as_ref().map_or("sensor file".into(), |(id, _)| id.to_string());
+    let warm = app.twins.skins().of(&skin.sensor_text, skin.calibration).await?;
+    let clock = Clock::new(1.0);
+    let work = move || {
+        let _turn = turn;
+        let started_s = clock.process_s();
+        let found = pressed(&warm.model, &contacts, &mut Workspace::default());
+        let took_ms = 1e3 * (clock.process_s() - started_s);
+        found.map(|found| answer(found, warm.untouched_v.clone(), model, took_ms))
+    };
+    // Low priority: the campaign and the live frames come first.
+    let simulation = background(work).await.map_err(|_| SkinError::Worker)?;
+    let asked = asked.contacts;
+    Ok(Json(simulation.map_err(|error| refused(&error, &asked))?))
+}
+
+/// The skin of a request.
+struct Skin {
+    sensor: Sensor,
+    sensor_text: String,
+    calibration: Option<(CalibrationId, Source)>,
+}
+
+impl Skin {
+    async fn of(app: &App, run: Option<&str>) -> Result<Self, ApiError> {
+        let Some(run) = run else {
+            let (sensor, text) = (app.serving.sensor().clone(), app.serving.sensor_text());
+            let calibration = match app.serving.promoted_skin().await? {
+                Some(id) => {
+                    let file = app.serving.stored_calibration(&id)?;
+                    Some((id, Source::Stored(file)))
+                }
+                None => app.twins.calibration_of(&sensor.file.name),
+            };
+            return Ok(Self { sensor, sensor_text: text.into(), calibration });
+        };
+        let run = find(app, run).await?;
+        let sensor = Sensor::from_toml(&run.sensor).map_err(|error| {
+            let words = format!("run {}: there is no model of its skin: {error}", run.scan_id);
+            ApiError::new(StatusCode::CONFLICT, words)
+        })?;
+        let own = app.twins.calibration_of(&sensor.file.name);
+        let calibration = match run.calibration_id {
+            Some(id) if own.as_ref().is_some_and(|(own, _)| *own == id) => own,
+            // Without its file the answer says that it is the sensor file's.
+            Some(id) => {
+                app.serving.stored_calibration(&id).ok().map(|file| (id, Source::Stored(file)))
+            }
+            None => None,
+        };
+        Ok(Self { sensor, sensor_text: run.sensor, calibration })
+    }
+}
+
+/// Reads the loads of contacts: each has exactly one.
+fn requested(contacts: &[GivenContact]) -> Result<Vec<RequestedContact>, Vec<Problem>> {
+    let (mut read, mut found) =
+        (Vec::with_capacity(contacts.len().min(SIMULATED_CONTACTS)), vec![]);
+    // More contacts are one problem, whatever they are.
+    for (index, contact) in contacts.iter().enumerate() {
+        let load = match (contact.depth_mm, contact.force_n) {
+            (Some(depth_mm), None) => Load::DepthMm(depth_mm),
+            (None, Some(force_n)) => Load::ForceN(force_n),
+            (given, _) => {
+                let given = if given.is_some() { "both" } else { "none" };
+                let limit = "must have exactly one of depth_mm and force_n";
+                found.push(Problem::new(BODY, &format!("contacts[{index}]"), given, limit));
+                continue;
+            }
+        };
+        read.push(RequestedContact { x_mm: contact.x_mm, y_mm: contact.y_mm, load });
+    }
+    if found.is_empty() { Ok(read) } else { Err(found) }
+}
+
+fn answer(found: Pressed, untouched_v: Vec<f64>, model: String, took_ms: f64) -> Simulation {
+    let Dent { columns, rows, pitch_mm, x0_mm, y0_mm, values_mm } = found.dent;
+    let contacts = found.contacts.iter().zip(&found.depths_mm).map(|(c, &depth_mm)| {
+        PressedContact { x_mm: c.x_mm, y_mm: c.y_mm, depth_mm, force_n: c.force_n }
+    });
+    Simulation {
+        voltages_v: found.voltages_v,
+        untouched_v,
+        contacts: contacts.collect(),
+        dent_mm: DentMap { columns, rows, pitch_mm, x0_mm, y0_mm, values: values_mm },
+        model,
+        took_ms,
+    }
+}
+
+/// The refusal of contacts that the model rejects; positions and forces were checked before.
+fn refused(error: &PressedError, asked: &[GivenContact]) -> ApiError {
+    match error {
+        PressedError::Contact(error) => {
+            ApiError::problems(vec![Problem::whole(BODY, error.to_string())])
+        }
+        PressedError::TooDeep { contact, deepest_mm } => {
+            let depth_mm = asked.get(*contact).and_then(|c| c.depth_mm).unwrap_or_default();
+            let limit = format!(
+                "must be at most {deepest_mm:.3} mm here, where {} N press to",
+                crate::simulate::contacts::FORCE_MAX_N
+            );
+            let key = format!("contacts[{contact}].depth_mm");
+            ApiError::problems(vec![Problem::new(BODY, &key, depth_mm, limit)])
+        }
+    }
+}
+
+impl From<SkinError> for ApiError {
+    fn from(error: SkinError) -> Self {
+        match error {
+            SkinError::Stored(error) => error.into(),
+            SkinError::Sensor(_) | SkinError::Calibration(_) => {
+                Self::new(StatusCode::CONFLICT, format!("there is no model of this skin: {error}"))
+            }
+            _ => Self::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()),
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! Decides which of the runs that were started and wait may begin, and when to decide again.
+//! PURE. Uses: `problem`, `store` (its rows). Never: the clock (the time is passed in), a request.
+
+use std::time::Duration;
+
+use jiff::{SignedDuration, Timestamp};
+
+use crate::problem::Problem;
+use crate::store::RunRow;
+
+/// Longest time between two decisions: the wall clock may be set, and the machine may sleep.
+const DECIDE_AGAIN: Duration = Duration::from_secs(30);
+/// Largest distance of a start time from now; a later one is assumed to be an error.
+const AHEAD_MAX_DAYS: i64 = 366;
+
+/// Whether a run may begin.
+pub(super) fn is_due(run: &RunRow, now: Timestamp) -> bool {
+    run.not_before.is_none_or(|at| at <= now)
+}
+
+/// Time after which to decide again, because a run may be due then; `None` if no run is early.
+pub(super) fn decide_again(waiting: &[RunRow], now: Timestamp) -> Option<Duration> {
+    let early = waiting.iter().filter_map(|run| run.not_before).filter(|at| *at > now);
+    let left = early.min()?.duration_since(now);
+    Some(Duration::try_from(left).unwrap_or_default().min(DECIDE_AGAIN))
+}
+
+/// What the next of the waiting runs waits for, as text; `None` if none waits. `is_busy`: another
+/// run is active.
+pub(super) fn waits_for(waiting: &[RunRow], is_busy: bool, now: Timestamp) -> Option<String> {
+    let next = waiting.iter().find(|run| is_due(run, now));
+    let first = next.or_else(|| waiting.iter().min_by_key(|run| run.not_before))?;
+    let run = format!("run {} ({})", first.scan_id, first.experiment);
+    Some(match first.not_before.filter(|at| *at > now) {
+        Some(at) => format!("{run} starts at {at:.0} or later"),
+        None if is_busy => format!("{run} starts when the active run has ended"),
+        None => format!("{run} starts when the rig is homed"),
+    })
+}
+
+/// Checks a requested start time. A time in the past means: at once.
+///
+/// # Errors
+/// A problem if it is too far ahead.
+pub(super) fn check(not_before: Option<Timestamp>, now: Timestamp) -> Result<(), Vec<Problem>> {
+    let ahead =
+        |at: Timestamp| at.duration_since(now) > SignedDuration::from_hours(24 * AHEAD_MAX_DAYS);
+    match not_before.filter(|at| ahead(*at)) {
+        None => Ok(()),
+        Some(at) => {
+            let limit = format!("must be at most {AHEAD_MAX_DAYS} days ahead");
+            Err(vec![Problem::new("request", "not_before", at, limit)])
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::restart::tests::run;
+    use super::*;
+    use crate::state::StoredState;
+
+    const NOW_S: i64 = 1_795_000_000;
+
+    fn at(seconds: i64) -> Timestamp {
+        Timestamp::from_second(NOW_S + seconds).unwrap()
+    }
+
+    /// Waiting runs with these start times, in seconds from now.
+    fn waiting(starts: &[Option<i64>]) -> Vec<RunRow> {
+        let one = |(start, scan_id): (&Option<i64>, i64)| RunRow {
+            not_before: start.map(at),
+            scan_id,
+            ..run(StoredState::Queued, None, true)
+        };
+        starts.iter().zip(1..).map(one).collect()
+    }
+
+    fn due(starts: &[Option<i64>]) -> Vec<i64> {
+        let runs = waiting(starts);
+        runs.iter().filter(|run| is_due(run, at(0))).map(|run| run.scan_id).collect()
+    }
+
+    #[test]
+    fn a_run_is_due_from_its_time_on_and_holds_up_no_other() {
+        assert_eq!(due(&[None, Some(-1), Some(0), Some(1)]), [1, 2, 3]);
+        assert_eq!(due(&[Some(3600), None]), [2]);
+        assert_eq!(due(&[]), [0_i64; 0]);
+    }
+
+    #[test]
+    fn the_next_decision_is_when_the_first_early_run_is_due_or_soon() {
+        let again = |starts: &[Option<i64>]| decide_again(&waiting(starts), at(0));
+        assert_eq!(again(&[None, Some(-5), Some(0)]), None);
+        assert_eq!(again(&[Some(20), None, Some(7)]), Some(Duration::from_secs(7)));
+        assert_eq!(again(&[Some(7200)]), Some(DECIDE_AGAIN));
+    }
+
+    #[test]
+    fn the_status_names_the_next_run_and_its_reason() {
+        let words = |starts: &[Option<i64>], busy| waits_for(&waiting(starts), busy, at(0));
+        assert_eq!(words(&[], true), None);
+        let homed = "run 1 (quickstart) starts when the rig is homed";
+        assert_eq!(words(&[Some(-1), None], false).unwrap(), homed);
+        let ended = "run 2 (quickstart) starts when the active run has ended";
+        assert_eq!(words(&[Some(60), None], true).unwrap(), ended);
+        let later = "run 2 (quickstart) starts at 2026-11-18T11:07:40Z or later";
+        assert_eq!(words(&[Some(90), Some(60)], false).unwrap(), later);
+    }
+
+    #[test]
+    fn a_start_in_another_year_is_an_error_and_one_in_the_past_is_none() {
+        let day = 86_400;
+        for sound in [None, Some(at(-9 * day)), Some(at(0)), Some(at(366 * day))] {
+            assert_eq!(check(sound, at(0)), Ok(()));
+        }
+        let problem = &check(Some(at(366 * day + 1)), at(0)).unwrap_err()[0];
+        assert_eq!((problem.key.as_str(), problem.file.as_str()), ("not_before", "request"));
+    }
+}
