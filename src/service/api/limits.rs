@@ -44,6 +44,14 @@ pub const FIT_REQUESTS: usize = 2;
 pub const FRAME_CLIENTS: usize = 64;
 /// Clients of the live contacts.
 pub const LIVE_CLIENTS: usize = 8;
+/// Tours that are kept in memory.
+pub const TOURS_MAX: usize = 8;
+/// Time for which a tour is kept in memory.
+pub const TOUR_KEPT: Duration = Duration::from_secs(24 * 3600);
+/// Runs whose progress, and histories that are kept in memory.
+pub const KEPT_RUNS: usize = 8;
+/// Time for which the stored part of a progress is not read again.
+pub const PROGRESS_KEPT: Duration = Duration::from_secs(2);
 /// Largest message of a WebSocket from a client, bytes.
 pub const MESSAGE_MAX_BYTES: usize = 4096;
 /// Tickets of one key for WebSockets that wait to be used.

@@ -25,13 +25,14 @@ use crate::clock::Clock;
 use crate::conductor::{Conductor, RigFile};
 use crate::dataset::catalog::Catalog;
 use crate::dataset::error::DatasetError;
+use crate::ids::RunUid;
 use crate::infer::error::InferError;
 use crate::infer::registry::Registry;
 use crate::infer::serving::Serving;
 use crate::jobs::Jobs;
 use crate::journal::error_chain;
 use crate::simulate::model::sweep_partial;
-use crate::store::{KeyRing, Soundness, Store, StoreError};
+use crate::store::{KeyRing, Soundness, Store, StoreError, StoredProgress};
 use crate::twins::TwinPool;
 
 mod audit;
@@ -53,6 +54,7 @@ mod health;
 mod imports;
 mod infer;
 mod jobs;
+mod kept;
 mod limits;
 mod line;
 mod live;
@@ -65,6 +67,7 @@ mod pages;
 mod params;
 mod people;
 mod problem;
+mod progress;
 mod query;
 mod queue;
 mod ranges;
@@ -73,8 +76,10 @@ mod routes;
 mod runs;
 mod seat;
 mod send;
+mod sensor;
 mod status;
 mod tls;
+mod tour;
 mod trace;
 mod trials;
 mod twins;
@@ -92,7 +97,9 @@ pub use routes::{Access, Lock, Needs};
 pub use runs::Summary;
 pub use tls::{Tls, TlsCause, TlsError, warn_if_others_may_read};
 
+use kept::Kept;
 use routes::AllNeeds;
+use tour::KeptTour;
 
 /// Number of newest trials whose checksums are verified at the start.
 const EXAMINED_TRIALS: u32 = 2000;
@@ -208,6 +215,9 @@ pub struct App {
     facts: Arc<Facts>,
 }
 
+/// Tours by run and plan.
+type Tours = Kept<(RunUid, Option<String>), Arc<KeptTour>>;
+
 struct Facts {
     bind: SocketAddr,
     started_at: Timestamp,
@@ -220,6 +230,8 @@ struct Facts {
     running: once::Running,
     edits: edited::Edits,
     tickets: auth::Tickets,
+    tours: Tours,
+    progress: Kept<RunUid, Arc<StoredProgress>>,
     wrong_keys: auth::WrongKeys,
     delayed: Semaphore,
     local_admin: bool,
@@ -350,6 +362,8 @@ impl Service {
             running: once::Running::default(),
             edits: edited::Edits::default(),
             tickets: auth::Tickets::default(),
+            tours: Kept::new(limits::TOUR_KEPT, limits::TOURS_MAX),
+            progress: Kept::new(limits::PROGRESS_KEPT, limits::KEPT_RUNS),
             wrong_keys: auth::WrongKeys::default(),
             delayed: Semaphore::new(limits::DELAYED),
             local_admin: options.local_admin,

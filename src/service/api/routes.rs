@@ -14,7 +14,7 @@ use super::limits::{
 };
 use super::{
     App, datasets, estop, evaluation, events, exports, health, imports, infer, jobs, live, models,
-    people, queue, rig, runs, status, trials, twins,
+    people, progress, queue, rig, runs, sensor, status, tour, trials, twins,
 };
 use crate::store::Role;
 
@@ -133,6 +133,9 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(runs::summary)),
         (READS, routes!(runs::preflight)),
         (READS, routes!(runs::plan)),
+        (READS, routes!(tour::of_run)),
+        (READS, routes!(progress::of_run)),
+        (READS, routes!(sensor::sensor)),
         (acts("arm"), routes!(runs::arm)),
         // Any valid key may stop a run.
         (acts("run_action").role(Viewer).lock(Lock::RefusesSome), routes!(runs::act)),
