@@ -37,6 +37,7 @@ pub use bench::actions::{ActionRow, NewAction};
 pub use bench::attempts::SkipRow;
 pub use bench::counts::SettingCount;
 pub use bench::run_row::{NewRun, RunPage, RunRow};
+pub use bench::wear::{PressedPoint, StoredWear};
 pub use lab::datasets::{DatasetRow, RunExtent};
 pub use lab::history::{BinTrials, Bins, StoredHistory};
 pub use lab::imports::{IMPORTED_CONTACTS_MAX, IMPORTED_MODEL, ImportedTrial};

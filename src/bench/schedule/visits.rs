@@ -20,6 +20,29 @@ pub struct Visits {
     pub contacts_mm: Vec<Vec<[f64; 2]>>,
 }
 
+/// Place of a configuration or manual placement in the tour of its run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct StepOfTour {
+    /// Index in the tour, from 0.
+    pub index: usize,
+    /// Number of configurations or placements of the tour.
+    pub of: usize,
+}
+
+impl StepOfTour {
+    /// Returns the place of a configuration; none if the plan lacks it.
+    pub fn of(plan: &Plan, configuration: u32) -> Option<Self> {
+        let visited = |step: &Step| match step {
+            Step::Configuration(c) => Some(c.index),
+            Step::Manual(placement) => Some(placement.index),
+            Step::TipChange { .. } | Step::TouchOff { .. } | Step::Reference(_) => None,
+        };
+        let all = plan.steps.iter().filter_map(visited);
+        let index = all.clone().position(|visited| visited == configuration)?;
+        Some(Self { index, of: all.count() })
+    }
+}
+
 /// The part of a stored plan that is read: plans of other versions may differ in the rest.
 #[derive(Debug, Deserialize)]
 struct KeptPlan {
@@ -91,6 +114,11 @@ mod tests {
                 assert!((shown[1] - tip[1]).abs() <= 0.005 + 1e-9, "{shown:?} {tip:?}");
             }
         }
+        for (index, configuration) in planned.iter().enumerate() {
+            let place = StepOfTour::of(&plan, *configuration);
+            assert_eq!(place, Some(StepOfTour { index, of: 14 }));
+        }
+        assert_eq!(StepOfTour::of(&plan, 14), None);
         assert!(Visits::of_text("{}").is_err());
     }
 }
