@@ -13,8 +13,9 @@ use super::limits::{
     ACTION_BODY_MAX_BYTES, BODY_MAX_BYTES, FRAMES_MAX_BYTES, IMPORT_MAX_BYTES, MODEL_MAX_BYTES,
 };
 use super::{
-    App, datasets, estop, evaluation, events, exports, health, imports, infer, jobs, live, models,
-    people, progress, queue, rig, runs, sensor, status, tour, trials, twins,
+    App, datasets, estop, evaluation, events, exports, health, history, imports, infer, jobs, live,
+    live_status, models, people, progress, queue, rig, runs, samples, sensor, status, tour, trials,
+    twins, untouched, wear,
 };
 use crate::store::Role;
 
@@ -123,6 +124,7 @@ pub fn table() -> Vec<Operation> {
     use Role::{Admin, Viewer};
     let rows: Vec<(Needs, UtoipaMethodRouter<App>)> = vec![
         (READS, routes!(status::status)),
+        (SOCKET, routes!(live_status::live)),
         (READS.of(Edited::Queue), routes!(queue::list)),
         (acts("queue").body(BODY_MAX_BYTES).once().of(Edited::Queue), routes!(queue::add)),
         (acts("remove").of(Edited::Queue), routes!(queue::remove)),
@@ -135,6 +137,7 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(runs::plan)),
         (READS, routes!(tour::of_run)),
         (READS, routes!(progress::of_run)),
+        (READS, routes!(history::of_run)),
         (READS, routes!(sensor::sensor)),
         (acts("arm"), routes!(runs::arm)),
         // Any valid key may stop a run.
@@ -180,6 +183,9 @@ pub fn table() -> Vec<Operation> {
         (SOCKET, routes!(infer::live)),
         (READS, routes!(events::events)),
         (SOCKET, routes!(live::frames)),
+        (READS, routes!(samples::last_minutes)),
+        (READS, routes!(untouched::untouched)),
+        (READS, routes!(wear::wear)),
         (acts("rig_action").once(), routes!(rig::act)),
         (acts("rig_check").once(), routes!(rig::check)),
         (READS.of(Edited::Lock), routes!(people::lock)),

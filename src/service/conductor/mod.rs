@@ -26,8 +26,10 @@ use crate::state::StoredState;
 use crate::store::{NewRun, RunRow, Soundness, Store};
 
 mod error;
+pub mod estimates;
 mod prepare;
 mod restart;
+pub mod room;
 mod take_over;
 
 pub use error::ConductorError;
