@@ -5,6 +5,7 @@
 use std::time::Duration;
 
 use clap::Args;
+use jiff::Timestamp;
 use serde_json::{Value, json};
 use tokio::time::Instant;
 
@@ -209,6 +210,7 @@ fn status_words(status: &StatusView, twins: &Value) -> String {
     }
     lines.extend(status.run.as_ref().map_or(vec!["run      none".into()], run_words));
     let waits = status.waiting_for.as_ref().map_or(String::new(), |words| format!("; {words}"));
+    lines.extend(status.care.lines(Timestamp::now()));
     lines.push(format!("queue    {}{waits}", counted(status.queue_length as u64, "run", "runs")));
     lines.extend(twin_words(twins));
     lines.push(format!("service  {}, {}", status.service.version, status.service.database));

@@ -17,6 +17,7 @@ use serde_json::json;
 mod access;
 mod ask;
 mod calibrate;
+mod care;
 mod client;
 mod dataset;
 mod embed;

@@ -1,4 +1,4 @@
-//! `palpate rig`: manual check, connection, homing, jog, tare and reset.
+//! `palpate rig`: manual check, connection, homing, jog, tare, reset, and wear.
 //! Uses: `client`; for a check of a file `api::LockFile` and `rig::check`. Never: motion in this
 //! process.
 
@@ -10,6 +10,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use serde_json::{Value, json};
 use tokio::time::{Instant, sleep};
 
+use super::care::wear_words;
 use super::client::Client;
 use super::error::CliError;
 use super::files::RigFiles;
@@ -85,6 +86,8 @@ pub enum RigCommand {
     },
     /// Acknowledge a trip.
     Reset,
+    /// Show presses on the skin, travel of the axes, age of the cells' calibrations, the last check.
+    Wear,
 }
 
 /// Axes of a jog.
@@ -133,6 +136,15 @@ pub async fn rig(args: RigArgs) -> Result<ExitCode, CliError> {
         };
     }
     let client = embed::server(&at).await?;
+    if let RigCommand::Wear = command {
+        let wear: Value = client.get("/api/v1/wear").await?;
+        if at.json {
+            say_json(&wear);
+        } else {
+            say(wear_words(&wear));
+        }
+        return Ok(ExitCode::SUCCESS);
+    }
     let status = by_hand(&client, command).await?;
     if at.json {
         let status: Value = client.get("/api/v1/status").await?;
@@ -145,7 +157,7 @@ pub async fn rig(args: RigArgs) -> Result<ExitCode, CliError> {
 
 async fn by_hand(client: &Client, command: RigCommand) -> Result<StatusView, CliError> {
     match command {
-        RigCommand::Check { .. } => client.status().await,
+        RigCommand::Check { .. } | RigCommand::Wear => client.status().await,
         RigCommand::Connect => {
             client.act_on_rig("connect", json!({})).await?;
             until_rig(client, "connecting", SOON, |s| s.rig.state != RigState::Disconnected).await

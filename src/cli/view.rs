@@ -4,6 +4,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use super::care::CareView;
 use crate::campaign::bench::estop::AxisStop;
 use crate::campaign::bench::interlock::Trip;
 use crate::campaign::bench::rig_state::RigState;
@@ -30,6 +31,9 @@ pub struct StatusView {
     pub queue_length: usize,
     /// What the next started run waits for, as text.
     pub waiting_for: Option<String>,
+    /// Disk, last trial, suspenders.
+    #[serde(flatten)]
+    pub care: CareView,
 }
 
 /// Rig part of the status.
@@ -196,6 +200,7 @@ impl EventView {
             "suspended" | "store" | "repeat" | "not_gone_on" | "not_begun" => {
                 Some(format!("{}: {}", self.kind.replace('_', " "), text("why")))
             }
+            "twins" => Some(format!("twins: {}", text("words"))),
             "recovering" => Some("recovering: checking whether the cause is gone".into()),
             "state" => self.state_words(),
             _ => None,
@@ -252,6 +257,8 @@ mod tests {
         assert_eq!(words("wanted", wanted).unwrap(), shown);
         assert_eq!(words("state", json!({ "state": "running" })), None);
         assert_eq!(words("touch_off", json!({})), None);
+        let twins = json!({ "level": "warn", "words": "median FVU 0.35, limit 0.30" });
+        assert_eq!(words("twins", twins).unwrap(), "twins: median FVU 0.35, limit 0.30");
     }
 
     #[test]

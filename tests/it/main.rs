@@ -20,6 +20,7 @@ mod independent_fit;
 mod network;
 #[cfg(feature = "train")]
 mod onnx;
+mod night;
 mod offline;
 mod old_data;
 mod once;

@@ -22,9 +22,9 @@ use crate::datasets::filled::Filled;
 use crate::support::Folder;
 
 /// Runs of the folder, by their order: the last was queued when the service was killed.
-const WHOLE: usize = 0;
-const HALF: usize = 1;
-const NEXT: usize = 2;
+pub const WHOLE: usize = 0;
+pub const HALF: usize = 1;
+pub const NEXT: usize = 2;
 
 const CHANNELS: usize = 784;
 
@@ -32,12 +32,12 @@ const CHANNELS: usize = 784;
 const LIMIT: Duration = Duration::from_secs(30);
 
 /// What was recorded when the folder was made.
-fn recorded() -> Value {
+pub fn recorded() -> Value {
     serde_json::from_str(include_str!("fixtures/expected.json")).unwrap()
 }
 
 /// A copy of the folder for one test.
-fn copy(name: &str) -> Folder {
+pub fn copy(name: &str) -> Folder {
     let copy = Folder::new(&format!("old-data-{name}"));
     unpack(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/fixtures/data")), &copy);
     copy
@@ -58,7 +58,7 @@ fn unpack(from: &Path, to: &Path) {
     }
 }
 
-async fn open(folder: &Folder) -> Store {
+pub async fn open(folder: &Folder) -> Store {
     Store::open(&folder.join("palpate.db"), Clock::new(1.0)).await.unwrap()
 }
 

@@ -20,6 +20,7 @@ const shadeOf = u => Math.round(FIRST_SHADE + (254 - FIRST_SHADE) * u)
 export function wearMap({ onchoose, label, signal }) {
   let points = { x_mm: [], y_mm: [], presses: [] }
   let order = []
+  let places = 0
   let marked = null
   const query = '/api/v1/wear'
   const legend = el('p', { className: 'legend' })
@@ -35,6 +36,7 @@ export function wearMap({ onchoose, label, signal }) {
     label,
     query,
     draw,
+    points: true,
     describe,
     onhover: mm => (mm ? words(near(mm)) : ''),
     onpick: mm => pick(near(mm)),
@@ -43,16 +45,17 @@ export function wearMap({ onchoose, label, signal }) {
   const series = [{ name: 'places', digits: 0, bars: true, fill: true, colour: '--c1' }]
   const range = (_, high) => [0, Math.max(1, (high || 1) * 1.1)]
   const spread = chart({ title: 'Places by their presses', time: false, x: 'Presses', y: 'Places', height: 170, signal, label, query, series, range })
-  dark.addEventListener('change', tellLegend, { signal })
+  const spreadPart = pane(spread.node)
+  dark.addEventListener('change', () => top() && tellLegend(), { signal })
 
   function describe() {
     if (!order.length) return 'Presses on the skin'
-    return `Presses on ${count(order.length)} places of the skin: most ${count(top())}, median ${count(median(points.presses))}; see the table.`
+    return `Presses on ${count(places)} places of the skin: most ${count(top())}, median ${count(median(points.presses))}; see the table.`
   }
   function words(i) {
     if (i == null) return ''
     const [x, y, n] = at(i)
-    return `x ${fixed(x, 0)}, y ${fixed(y, 0, 'mm')}: ${counted(n, 'press', 'presses')}, place ${order.indexOf(i) + 1} of ${count(order.length)}`
+    return `x ${fixed(x, 0)}, y ${fixed(y, 0, 'mm')}: ${counted(n, 'press', 'presses')}, place ${order.indexOf(i) + 1} of ${count(places)}`
   }
   function near([x, y]) {
     let best = null
@@ -112,8 +115,8 @@ export function wearMap({ onchoose, label, signal }) {
     ]
     const list = facts([
       ['Presses in all', count(points.presses.reduce((a, b) => a + b, 0))],
-      ['Places', count(order.length)],
-      ['Never pressed', count(order.length - used.length)],
+      ['Places', count(places)],
+      ['Never pressed', count(places - used.length)],
       ['Median of the others', count(usual)],
       ['Most', count(top())],
     ])
@@ -138,12 +141,16 @@ export function wearMap({ onchoose, label, signal }) {
   function show(next, shape) {
     points = next
     order = points.presses.map((_, i) => i).sort((a, b) => points.presses[b] - points.presses[a])
+    // A place that was never pressed may be absent.
+    places = Math.max(order.length, shape?.points_mm.length ?? 0)
     tellMost()
     drawSpread()
+    spreadPart.hidden = !top()
     if (shape) {
-      tellLegend()
+      if (top()) tellLegend()
+      else fill(legend, 'No place has been pressed yet: the first run colours this map.')
       view.geometry(shape)
     } else fill(legend, 'The service does not describe the sensor, so the skin cannot be drawn.')
   }
-  return { map: pane(view.node, legend, chosen), most, spread: pane(spread.node), show, choose }
+  return { map: pane(view.node, legend, chosen), most, spread: spreadPart, show, choose }
 }

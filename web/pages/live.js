@@ -131,7 +131,7 @@ export async function show(root, { query, signal, set }) {
     const list = answer?.method === 'fast' ? proposed : placed
     if (lists.firstChild !== list.node) fill(lists, list.node)
     list.show([...answer?.contacts ?? []].sort((a, b) => a.number - b.number))
-    if (trace.at.length) total.set([trace.at, trace.total])
+    if (trace.at.length > 5) total.set([trace.at, trace.total])
   }
   const missing = method => method ? { tone: 'warn', words: `${method.name} ${needWords(method, serving)} that serves.` }
     : { tone: 'soft', words: 'No model serves, so nothing is known of contacts.' }

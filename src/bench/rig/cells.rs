@@ -2,6 +2,7 @@
 //! working cell returns. One set of thresholds, for the rig check and for the interlocks of a run.
 //! PURE. Uses: `problem`, `device`. Never: ports, times, consequences of a finding (the caller decides).
 
+use jiff::civil::Date;
 use serde::{Deserialize, Serialize};
 
 use super::config::ARMS;
@@ -37,6 +38,9 @@ pub struct CellsConfig {
     /// hangs. 0 disables the check; absent: the value of the device.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub repeats_max: Option<u32>,
+    /// Days on which the cells of arms 1 to 6 were calibrated, as `2026-05-04`; absent: unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub calibrated_on: Option<[Date; ARMS]>,
 }
 
 impl CellsConfig {
@@ -109,6 +113,16 @@ mod tests {
         let cells = parsed("").unwrap();
         assert_eq!([0.0, 0.25, 0.26, 0.5].map(|v| cells.is_live(v)), [false, false, true, true]);
         assert_eq!([4.49, 4.5, 4.6].map(|v| cells.is_saturated(v)), [false, true, true]);
+    }
+
+    #[test]
+    fn the_days_of_calibration_are_known_for_all_cells_or_for_none() {
+        assert_eq!(parsed("").unwrap().calibrated_on, None);
+        let six = ["\"2026-05-04\""; ARMS].join(", ");
+        let known = parsed(&format!("calibrated_on = [{six}]")).unwrap().calibrated_on;
+        assert_eq!(known.map(|days| days[5].to_string()).as_deref(), Some("2026-05-04"));
+        assert!(parsed("calibrated_on = [\"2026-05-04\"]").is_err());
+        assert!(parsed(&format!("calibrated_on = [{}]", six.replace("-05-", "-13-"))).is_err());
     }
 
     #[test]

@@ -164,9 +164,16 @@ impl Frame {
             * f64::from(self.volts_per_count)
     }
 
+    /// Indices of the saturated channels.
+    pub fn saturated(&self) -> impl Iterator<Item = usize> {
+        let is_saturated =
+            |(channel, &c): (usize, &i16)| (c == i16::MAX || c == i16::MIN).then_some(channel);
+        self.counts.iter().enumerate().filter_map(is_saturated)
+    }
+
     /// Number of saturated channels.
     pub fn saturated_channels(&self) -> usize {
-        self.counts.iter().filter(|&&c| c == i16::MAX || c == i16::MIN).count()
+        self.saturated().count()
     }
 }
 

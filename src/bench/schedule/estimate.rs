@@ -25,6 +25,12 @@ pub fn fixed_bytes(plan: &Plan) -> u64 {
     LOG_BYTES + 4 * u64::from(plan.skin_nodes).pow(2)
 }
 
+/// Disk space of a stored trial with its twin, bytes.
+pub fn trial_bytes(channels: u64, frames_per_trial: u32) -> u64 {
+    let (frame, voltages) = (FRAME_BYTES + 2 * channels, VOLTAGES_BYTES + 4 * channels);
+    TRIAL_BYTES + u64::from(frames_per_trial) * frame + 2 * voltages
+}
+
 /// Speed and acceleration of an axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Motion {
@@ -374,9 +380,7 @@ impl<'a> Walk<'a> {
     }
 
     fn trial_bytes(&self) -> u64 {
-        let channels = u64::from(self.plan.channels);
-        let (frame, voltages) = (FRAME_BYTES + 2 * channels, VOLTAGES_BYTES + 4 * channels);
-        TRIAL_BYTES + u64::from(self.plan.measure.frames_per_trial) * frame + 2 * voltages
+        trial_bytes(u64::from(self.plan.channels), self.plan.measure.frames_per_trial)
     }
 
     fn wall(&self, process_s: f64) -> f64 {

@@ -8,6 +8,7 @@ pub mod order;
 pub mod manual;
 pub mod plan;
 pub mod kept;
+pub mod visits;
 pub mod reach;
 pub mod lint;
 pub mod estimate;

@@ -21,7 +21,7 @@ use super::auth::Caller;
 use super::guard::Place;
 use super::limits::{
     EXACT_MAX, FIT_REQUESTS, FRAME_CLIENTS, FRAMES_MAX, LIVE_CLIENTS, MAPS_MAX, MESSAGE_MAX_BYTES,
-    NET_REQUESTS, PREFLIGHTS, SIMULATIONS, TURN,
+    NET_REQUESTS, PREFLIGHTS, SIMULATIONS, STATUS_CLIENTS, TURN,
 };
 use super::problem::{ApiError, Params, ProblemBody, Upgrade};
 use crate::clock::Clock;
@@ -289,6 +289,8 @@ pub struct Turns {
     live: Arc<Semaphore>,
     /// Clients of live frames.
     pub(super) frames: Arc<Semaphore>,
+    /// Clients of the live status.
+    pub(super) status: Arc<Semaphore>,
     /// Preflights of submissions.
     pub(super) preflights: Arc<Semaphore>,
     /// Simulations of contacts.
@@ -303,6 +305,7 @@ impl Default for Turns {
             fits: of(FIT_REQUESTS),
             live: of(LIVE_CLIENTS),
             frames: of(FRAME_CLIENTS),
+            status: of(STATUS_CLIENTS),
             preflights: of(PREFLIGHTS),
             simulations: of(SIMULATIONS),
         }

@@ -46,8 +46,28 @@ pub const NET_REQUESTS: usize = 4;
 pub const FIT_REQUESTS: usize = 2;
 /// Clients of the live frames.
 pub const FRAME_CLIENTS: usize = 64;
+/// Clients of the live status.
+pub const STATUS_CLIENTS: usize = 64;
+/// Time for which the stored part of the live status is not read again.
+pub const STORED_PART_KEPT: Duration = Duration::from_secs(1);
+/// Minutes of samples of the load cells that are kept.
+pub const SAMPLES_MINUTES: u32 = 30;
+/// Samples of the load cells of one response.
+pub const SAMPLES_MAX: usize = 3000;
 /// Clients of the live contacts.
 pub const LIVE_CLIENTS: usize = 8;
+/// Tours that are kept in memory.
+pub const TOURS_MAX: usize = 8;
+/// Time for which a tour is kept in memory.
+pub const TOUR_KEPT: Duration = Duration::from_secs(24 * 3600);
+/// Runs whose progress, and histories that are kept in memory.
+pub const KEPT_RUNS: usize = 8;
+/// Time for which the stored part of a progress is not read again.
+pub const PROGRESS_KEPT: Duration = Duration::from_secs(2);
+/// Time for which a history is not read again.
+pub const HISTORY_KEPT: Duration = Duration::from_secs(5);
+/// Time for which the wear, and the stored frame of the untouched skin, are not read again.
+pub const WEAR_KEPT: Duration = Duration::from_secs(60);
 /// Largest message of a WebSocket from a client, bytes.
 pub const MESSAGE_MAX_BYTES: usize = 4096;
 /// Tickets of one key for WebSockets that wait to be used.
@@ -168,6 +188,9 @@ mod tests {
             line("frames of an inference by `exact`", n(EXACT_MAX), "422"),
             line("frames of an inference with maps", n(MAPS_MAX), "422"),
             line("clients of live frames", n(FRAME_CLIENTS), "503"),
+            line("clients of the live status", n(STATUS_CLIENTS), "503"),
+            line("samples of the load cells in one response", n(SAMPLES_MAX), "extremes are kept"),
+            line("time for which samples of the load cells are kept", format!("{SAMPLES_MINUTES} min"), "older ones are forgotten"),
             line("clients of live contacts", n(LIVE_CLIENTS), "503"),
             line("message of a WebSocket client", bytes(MESSAGE_MAX_BYTES), "the socket is closed"),
             line("unused tickets of one key, or of all clients without a key, for WebSockets", n(TICKETS), "429"),

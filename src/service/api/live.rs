@@ -17,10 +17,14 @@ use super::auth::Caller;
 use super::guard::Place;
 use super::limits::{FRAME_CLIENTS, MESSAGE_MAX_BYTES};
 use super::problem::{ApiError, ProblemBody, Upgrade};
+use crate::campaign::bench::stuck::StuckChannels;
 use crate::rig::traits::Frame;
 
 /// Shortest time between two frames to one client: about 30 per second.
 const INTERVAL: Duration = Duration::from_millis(33);
+/// Number of equal counts after which a channel is shown as stuck: 2 s. In trials fewer suffice, because
+/// the skin is pressed in between; here it may be at rest, and a quiet channel repeats a count by chance.
+const STUCK_FRAMES: u32 = 60;
 /// Longest time for sending a frame; a slower client is disconnected.
 const SEND: Duration = Duration::from_secs(5);
 
@@ -35,6 +39,10 @@ pub struct LiveFrame {
     pub largest_injection_sum_v: f64,
     /// Voltages, V, 784, injection-major.
     pub voltages_v: Vec<f32>,
+    /// Indices of the channels that returned one count in the last 60 frames that were sent.
+    pub stuck: Vec<usize>,
+    /// Indices of the channels at the end of the converter's range.
+    pub saturated: Vec<usize>,
 }
 
 /// Streams live frames as JSON messages over a WebSocket.
@@ -65,6 +73,7 @@ pub async fn frames(
 async fn send(app: &App, mut socket: WebSocket) {
     let mut frames = app.campaign.watch_frames();
     let mut ending = app.facts.ending.clone();
+    let mut channels = StuckChannels::default();
     loop {
         tokio::select! {
             changed = frames.changed() => if changed.is_err() { return },
@@ -76,7 +85,7 @@ async fn send(app: &App, mut socket: WebSocket) {
         }
         let frame = frames.borrow_and_update().clone();
         let Some(frame) = frame else { continue };
-        let Ok(text) = serde_json::to_string(&shown(&frame)) else { return };
+        let Ok(text) = serde_json::to_string(&shown(&frame, &mut channels)) else { return };
         let sent = timeout(SEND, socket.send(Message::Text(text.into()))).await;
         if !matches!(sent, Ok(Ok(()))) {
             return;
@@ -85,8 +94,11 @@ async fn send(app: &App, mut socket: WebSocket) {
     }
 }
 
-fn shown(frame: &Frame) -> LiveFrame {
+fn shown(frame: &Frame, channels: &mut StuckChannels) -> LiveFrame {
+    channels.push(&frame.counts);
     LiveFrame {
+        stuck: channels.unchanged_in(STUCK_FRAMES),
+        saturated: frame.saturated().collect(),
         sequence: frame.sequence,
         device_time_us: frame.device_time_us,
         largest_injection_sum_v: frame.largest_injection_sum_v(),

@@ -21,18 +21,20 @@ use utoipa_axum::router::OpenApiRouter;
 
 use crate::campaign::run::engine;
 use crate::campaign::shown::command::{Handle, Request};
+use crate::campaign::shown::samples::Untouched;
 use crate::clock::Clock;
 use crate::conductor::{Conductor, RigFile};
 use crate::dataset::catalog::Catalog;
 use crate::dataset::error::DatasetError;
+use crate::ids::RunUid;
 use crate::infer::error::InferError;
 use crate::infer::registry::Registry;
 use crate::infer::serving::Serving;
 use crate::jobs::Jobs;
 use crate::journal::error_chain;
-use crate::schedule::experiment::Experiment;
+use crate::schedule::experiment::{Experiment, TwinLimits};
 use crate::simulate::model::sweep_partial;
-use crate::store::{KeyRing, Soundness, Store, StoreError};
+use crate::store::{KeyRing, Soundness, Store, StoreError, StoredProgress};
 use crate::twins::TwinPool;
 
 mod audit;
@@ -42,6 +44,7 @@ mod datasets;
 mod describe;
 mod door;
 mod edited;
+mod envelope;
 mod estop;
 mod evaluation;
 mod events;
@@ -52,12 +55,15 @@ mod finished;
 mod form;
 mod guard;
 mod health;
+mod history;
 mod imports;
 mod infer;
 mod jobs;
+mod kept;
 mod limits;
 mod line;
 mod live;
+mod live_status;
 mod lock_file;
 mod models;
 mod once;
@@ -66,21 +72,29 @@ mod pages;
 mod params;
 mod people;
 mod problem;
+mod progress;
 mod query;
 mod queue;
 mod ranges;
 mod rig;
 mod routes;
 mod runs;
+mod samples;
 mod seat;
 mod send;
 mod simulations;
+mod sensor;
+mod spans;
 mod status;
+mod suspenders;
 mod tls;
+mod tour;
 mod trace;
 mod trials;
 mod twins;
 mod web;
+mod untouched;
+mod wear;
 mod work;
 
 pub use edited::Edited;
@@ -95,7 +109,11 @@ pub use routes::{Access, Lock, Needs};
 pub use runs::Summary;
 pub use tls::{Tls, TlsCause, TlsError, warn_if_others_may_read};
 
+use kept::Kept;
 use routes::AllNeeds;
+use status::StoredPart;
+use suspenders::Beyond;
+use tour::KeptTour;
 
 /// Number of newest trials whose checksums are verified at the start.
 const EXAMINED_TRIALS: u32 = 2000;
@@ -211,6 +229,9 @@ pub struct App {
     facts: Arc<Facts>,
 }
 
+/// Tours by run and plan.
+type Tours = Kept<(RunUid, Option<String>), Arc<KeptTour>>;
+
 struct Facts {
     bind: SocketAddr,
     started_at: Timestamp,
@@ -223,6 +244,17 @@ struct Facts {
     running: once::Running,
     edits: edited::Edits,
     tickets: auth::Tickets,
+    tours: Tours,
+    limits: Kept<RunUid, Option<Arc<TwinLimits>>>,
+    beyond: Beyond,
+    histories: Kept<(RunUid, u32, bool), Arc<history::History>>,
+    untouched: Kept<(), Option<Arc<Untouched>>>,
+    wear: Kept<(), Arc<wear::Wear>>,
+    ended_wear: wear::EndedWear,
+    stored_part: Kept<(), StoredPart>,
+    live_status: live_status::Messages,
+    samples: samples::Ring,
+    progress: Kept<RunUid, Arc<StoredProgress>>,
     wrong_keys: auth::WrongKeys,
     delayed: Semaphore,
     local_admin: bool,
@@ -356,6 +388,17 @@ impl Service {
             running: once::Running::default(),
             edits: edited::Edits::default(),
             tickets: auth::Tickets::default(),
+            limits: Kept::new(limits::TOUR_KEPT, limits::KEPT_RUNS),
+            beyond: Beyond::default(),
+            histories: Kept::new(limits::HISTORY_KEPT, limits::KEPT_RUNS),
+            untouched: Kept::new(limits::WEAR_KEPT, 1),
+            wear: Kept::new(limits::WEAR_KEPT, 1),
+            ended_wear: wear::EndedWear::default(),
+            stored_part: Kept::new(limits::STORED_PART_KEPT, 1),
+            live_status: live_status::Messages::default(),
+            samples: samples::Ring::default(),
+            tours: Kept::new(limits::TOUR_KEPT, limits::TOURS_MAX),
+            progress: Kept::new(limits::PROGRESS_KEPT, limits::KEPT_RUNS),
             wrong_keys: auth::WrongKeys::default(),
             delayed: Semaphore::new(limits::DELAYED),
             local_admin: options.local_admin,
@@ -397,10 +440,13 @@ impl Service {
         };
         let tasks = vec![
             tokio::spawn(app.conductor.clone().follow()),
+            tokio::spawn(app.conductor.clone().note_estimates()),
             tokio::spawn(app.twins.clone().work()),
             tokio::spawn(app.datasets.clone().work()),
             tokio::spawn(app.jobs.clone().work()),
             tokio::spawn(finished::keep(app.clone())),
+            tokio::spawn(samples::keep(app.clone())),
+            tokio::spawn(live_status::publish(app.clone())),
             tokio::spawn(after_start(app.clone(), options.resume)),
             tokio::spawn(async move { serving.restore().await }),
         ];

@@ -13,8 +13,9 @@ use super::limits::{
     ACTION_BODY_MAX_BYTES, BODY_MAX_BYTES, FRAMES_MAX_BYTES, IMPORT_MAX_BYTES, MODEL_MAX_BYTES,
 };
 use super::{
-    App, datasets, estop, evaluation, events, experiments, exports, health, imports, infer, jobs,
-    live, models, people, queue, rig, runs, simulations, status, trials, twins,
+    App, datasets, estop, evaluation, events, experiments, exports, health, history, imports, infer,
+    jobs, live, live_status, models, people, progress, queue, rig, runs, samples, sensor,
+    simulations, status, tour, trials, twins, untouched, wear,
 };
 use crate::store::Role;
 
@@ -123,6 +124,7 @@ pub fn table() -> Vec<Operation> {
     use Role::{Admin, Viewer};
     let rows: Vec<(Needs, UtoipaMethodRouter<App>)> = vec![
         (READS, routes!(status::status)),
+        (SOCKET, routes!(live_status::live)),
         (READS.of(Edited::Queue), routes!(queue::list)),
         (acts("queue").body(BODY_MAX_BYTES).once().of(Edited::Queue), routes!(queue::add)),
         (acts("edit").body(BODY_MAX_BYTES).of(Edited::Queue), routes!(queue::edit)),
@@ -137,6 +139,10 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(runs::summary)),
         (READS, routes!(runs::preflight)),
         (READS, routes!(runs::plan)),
+        (READS, routes!(tour::of_run)),
+        (READS, routes!(progress::of_run)),
+        (READS, routes!(history::of_run)),
+        (READS, routes!(sensor::sensor)),
         (acts("arm"), routes!(runs::arm)),
         // Any valid key may stop a run.
         (acts("run_action").role(Viewer).lock(Lock::RefusesSome), routes!(runs::act)),
@@ -181,6 +187,9 @@ pub fn table() -> Vec<Operation> {
         (SOCKET, routes!(infer::live)),
         (READS, routes!(events::events)),
         (SOCKET, routes!(live::frames)),
+        (READS, routes!(samples::last_minutes)),
+        (READS, routes!(untouched::untouched)),
+        (READS, routes!(wear::wear)),
         (acts("rig_action").once(), routes!(rig::act)),
         (acts("rig_check").once(), routes!(rig::check)),
         (READS.of(Edited::Lock), routes!(people::lock)),

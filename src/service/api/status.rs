@@ -1,5 +1,7 @@
 //! `GET /api/v1/status`: snapshot of rig, run and service.
-//! Uses: `campaign::shown::status`, `store`. Never: a wait for the rig.
+//! Uses: `campaign::shown::status`, `suspenders`, `store`. Never: a wait for the rig.
+
+use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::State;
@@ -9,8 +11,12 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::problem::ApiError;
+use super::suspenders::{Readings, Suspender};
 use crate::campaign::shown::status::Status;
-use crate::store::LockRow;
+use crate::conductor::room;
+use crate::ids::RunUid;
+use crate::schedule::experiment::{Experiment, TwinLimits};
+use crate::store::{LockRow, StoreError};
 
 /// Status of rig, run and service.
 #[derive(Debug, Clone, Serialize, ToSchema)]
@@ -27,6 +33,35 @@ pub struct ServiceStatus {
     /// What the next run that was started waits for, as text: its start time, or the active run;
     /// absent if none waits.
     pub waiting_for: Option<String>,
+    /// Free space of the disk of the data folder; null if it is unknown.
+    pub disk: Option<DiskStatus>,
+    /// Time of measurement of the newest durable trial of the active run; null without one.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub last_trial_at: Option<Timestamp>,
+    /// What may suspend the active run; empty without one.
+    pub suspenders: Vec<Suspender>,
+}
+
+/// Space of the disk of the data folder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
+pub struct DiskStatus {
+    /// Free space, bytes.
+    pub free_bytes: u64,
+    /// Space that the active run and the queue still need, bytes.
+    pub needed_bytes: u64,
+}
+
+/// The part of the status that is stored.
+#[derive(Debug, Clone, Default)]
+pub(super) struct StoredPart {
+    lock: Option<LockRow>,
+    queue_length: usize,
+    waiting_for: Option<String>,
+    /// Space that the queued runs need, bytes.
+    queue_bytes: u64,
+    last_trial_at: Option<Timestamp>,
+    /// Limits of the fit of the active run; absent without one.
+    limits: Option<Arc<TwinLimits>>,
 }
 
 /// Version and process of the service.
@@ -54,19 +89,80 @@ pub struct ServiceInfo {
 #[utoipa::path(get, path = "/api/v1/status", tag = "status",
     responses((status = 200, body = ServiceStatus)))]
 pub async fn status(State(app): State<App>) -> Result<Json<ServiceStatus>, ApiError> {
-    let (wrong_keys, wrong_key_at) = app.facts.wrong_keys.count();
-    let service = ServiceInfo {
-        version: env!("CARGO_PKG_VERSION"),
-        git_commit: crate::commit::known(),
-        database: app.store.path().display().to_string(),
-        started_at: app.facts.started_at,
-        pid: std::process::id(),
-        wrong_keys,
-        wrong_key_at,
-    };
-    let lock = app.store.lock().await?;
-    let queue_length = app.store.queue().await?.len();
-    let waiting_for = app.conductor.waiting_for().await?;
-    let campaign = app.campaign.status();
-    Ok(Json(ServiceStatus { campaign, service, lock, queue_length, waiting_for }))
+    let stored = app.stored_part().await?;
+    Ok(Json(app.status_with(stored).await))
+}
+
+impl App {
+    /// Reads the part of the status that is stored.
+    ///
+    /// # Errors
+    /// Errors of the store.
+    pub(super) async fn stored_part(&self) -> Result<StoredPart, StoreError> {
+        let queue = self.store.queue().await?;
+        let channels = self.serving.sensor().channels() as u64;
+        let active = self.campaign.status().run.map(|run| run.uid);
+        let (last_trial_at, limits) = match active {
+            Some(run) => (self.store.last_trial_at(run).await?, self.limits_of(run).await?),
+            None => (None, None),
+        };
+        Ok(StoredPart {
+            lock: self.store.lock().await?,
+            queue_length: queue.len(),
+            waiting_for: self.conductor.waiting_for().await?,
+            queue_bytes: queue.iter().filter_map(|run| room::needed_bytes(run, channels)).sum(),
+            last_trial_at,
+            limits,
+        })
+    }
+
+    /// Limits of the fit of a run's twins; absent if its experiment file cannot be read.
+    async fn limits_of(&self, run: RunUid) -> Result<Option<Arc<TwinLimits>>, StoreError> {
+        let read = async {
+            let row = self.store.run(run).await?;
+            let experiment =
+                row.and_then(|row| Experiment::from_toml(&row.experiment, &row.definition).ok());
+            Ok(experiment.map(|experiment| Arc::new(experiment.twins)))
+        };
+        self.facts.limits.get(run, read).await
+    }
+
+    /// The status as it is now, with a stored part.
+    pub(super) async fn status_with(&self, stored: StoredPart) -> ServiceStatus {
+        let (wrong_keys, wrong_key_at) = self.facts.wrong_keys.count();
+        let service = ServiceInfo {
+            version: env!("CARGO_PKG_VERSION"),
+            git_commit: crate::commit::known(),
+            database: self.store.path().display().to_string(),
+            started_at: self.facts.started_at,
+            pid: std::process::id(),
+            wrong_keys,
+            wrong_key_at,
+        };
+        let campaign = self.campaign.status();
+        let free_bytes = self.store.free_bytes().await.ok();
+        let frame = self.campaign.watch_frames().borrow().clone();
+        let twins = self.twins.status();
+        let readings = campaign.run.as_ref().map(|run| Readings {
+            free_bytes,
+            needed_bytes: run.needed_bytes,
+            frame_age_ms: frame.map(|frame| frame.received.elapsed().as_secs_f64() * 1e3),
+            frame_age_limit_ms: self.facts.rig.config.limits.frame_age_ms,
+            fit: twins.rolling.as_ref(),
+            limits: stored.limits.as_deref(),
+        });
+        let suspenders = self.facts.beyond.suspenders(readings.as_ref(), Timestamp::now());
+        let of_run = campaign.run.as_ref().map_or(0, |run| run.needed_bytes);
+        let needed_bytes = of_run + stored.queue_bytes;
+        ServiceStatus {
+            campaign,
+            service,
+            lock: stored.lock,
+            queue_length: stored.queue_length,
+            waiting_for: stored.waiting_for,
+            disk: free_bytes.map(|free_bytes| DiskStatus { free_bytes, needed_bytes }),
+            last_trial_at: stored.last_trial_at,
+            suspenders,
+        }
+    }
 }

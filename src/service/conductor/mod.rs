@@ -25,9 +25,11 @@ use crate::store::{RunRow, Soundness, Store};
 
 mod error;
 mod follow;
+pub mod estimates;
 mod prepare;
 mod queue;
 mod restart;
+pub mod room;
 mod take_over;
 mod turn;
 

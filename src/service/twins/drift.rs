@@ -4,6 +4,7 @@
 use std::collections::VecDeque;
 
 use serde::Serialize;
+use serde_json::json;
 use sim_core::stats::median;
 use utoipa::ToSchema;
 
@@ -64,10 +65,30 @@ pub struct RollingFit {
 }
 
 impl RollingFit {
+    /// Data of the event that reports a change of the level: a sentence, and the numbers that decided.
+    pub fn event(&self, limits: &TwinLimits) -> serde_json::Value {
+        json!({
+            "level": self.level,
+            "words": self.describe(limits),
+            "median_fvu": self.median_fvu,
+            "warn_fvu": limits.warn_fvu,
+            "suspend_fvu": limits.suspend_fvu,
+            "trials": self.trials,
+            "pairs_over_limit": self.pairs_over_limit,
+            "pair_warn_fvu": limits.pair_warn_fvu,
+            "fit": self,
+        })
+    }
+
     /// Description as text, for events and for the reason of a suspended run.
     pub fn describe(&self, limits: &TwinLimits) -> String {
+        let (level, limit) = match (self.level, limits.suspend_fvu) {
+            (Level::Ok, _) => ("the model fits the skin again", limits.warn_fvu),
+            (Level::Suspend, Some(limit)) => ("the model does not fit the skin", limit),
+            (Level::Warn | Level::Suspend, _) => ("the model fits the skin badly", limits.warn_fvu),
+        };
         let mut words = format!(
-            "median FVU {:.2} over the last {} trials of at least {} N",
+            "{level}: median FVU {:.2} (limit {limit:.2}) over the last {} trials of at least {} N",
             self.median_fvu, self.trials, limits.min_force_n
         );
         if let Some(worst) = self.worst_pairs.first().filter(|_| self.pairs_over_limit > 0) {
@@ -174,6 +195,8 @@ impl DriftWatch {
 
 #[cfg(test)]
 mod tests {
+    use serde_json::json;
+
     use super::{DriftWatch, Level, Pairing};
     use crate::schedule::experiment::TwinLimits;
 
@@ -233,5 +256,9 @@ mod tests {
         assert_eq!((fit.level, fit.pairs_over_limit), (Level::Warn, 1));
         assert_eq!(fit.worst_pairs[0].electrodes, [1, 0]);
         assert!(fit.describe(&LIMITS).contains("worst 1 and 0"), "{}", fit.describe(&LIMITS));
+        let event = fit.event(&LIMITS);
+        let words = event["words"].as_str().unwrap();
+        assert!(words.starts_with("the model fits the skin badly: median FVU 0.10"), "{words}");
+        assert_eq!((&event["level"], &event["warn_fvu"]), (&json!("warn"), &json!(0.3)));
     }
 }

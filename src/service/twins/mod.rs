@@ -15,7 +15,6 @@ use std::time::{Duration, Instant};
 
 use parking_lot::Mutex;
 use serde::Serialize;
-use serde_json::json;
 use sim_core::calibration::Calibration;
 use sim_core::forward::{ForwardModel, Workspace};
 use sim_core::sensor::Sensor;
@@ -327,7 +326,7 @@ impl TwinPool {
             let changed = pairing(trial, twin).and_then(|pairing| watch.push(pairing));
             let Some(fit) = changed else { continue };
             let words = fit.describe(watch.limits());
-            let data = json!({ "level": fit.level, "fit": fit, "words": words });
+            let data = fit.event(watch.limits());
             if let Err(error) = self.inner.store.append_event(Some(run), "twins", data).await {
                 tracing::error!(error = error_chain(&error), "an event was not stored");
             }

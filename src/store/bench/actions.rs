@@ -142,4 +142,22 @@ impl Store {
             })
             .collect()
     }
+
+    /// Returns the time of the last accepted action with one of these names; `None` without one.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn last_accepted(&self, actions: &[&str]) -> Result<Option<Timestamp>, StoreError> {
+        const OPERATION: &str = "reading the last action of a kind";
+        let row = sqlx::query(
+            "SELECT at FROM actions
+             WHERE accepted = 1 AND action IN (SELECT value FROM json_each(?1))
+             ORDER BY id DESC LIMIT 1",
+        )
+        .bind(serde_json::json!(actions).to_string())
+        .fetch_optional(&self.inner.readers)
+        .await
+        .during(OPERATION)?;
+        row.map(|row| Columns::of(&row, OPERATION).time("at")).transpose()
+    }
 }

@@ -22,6 +22,8 @@ mod auxiliary;
 mod mountings;
 /// Progress of a run, and counts of its trials.
 pub(crate) mod counts;
+/// Wear, and trials of the untouched skin.
+pub(crate) mod wear;
 /// Events.
 mod events;
 /// The log of actions.

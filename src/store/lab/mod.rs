@@ -3,6 +3,10 @@
 
 /// Simulated twins of stored trials.
 pub(crate) mod twins;
+/// Progress of a run by configuration.
+pub(crate) mod progress;
+/// A run over time.
+pub(crate) mod history;
 /// Datasets.
 pub(crate) mod datasets;
 /// Trained nets, and promotions.

@@ -73,6 +73,11 @@ impl SkinWatch {
         Some(Self { untouched_v, noise_v, sequence: 0, unweighed: None })
     }
 
+    /// Mean voltages of the untouched skin, V, injection-major.
+    pub fn untouched_v(&self) -> Vec<f32> {
+        self.untouched_v.iter().map(|v| *v as f32).collect()
+    }
+
     /// RMS difference of a frame from the untouched skin over its channels, with the noise
     /// subtracted, V. Returns none if the number of channels differs.
     pub fn touch_v(&self, frame: &Frame) -> Option<f64> {

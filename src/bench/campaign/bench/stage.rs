@@ -19,6 +19,7 @@ use crate::campaign::bench::stuck::StuckChannels;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::safe_end::Height;
+use crate::campaign::shown::samples::{ForceSample, Samples};
 use crate::clock::Clock;
 use crate::record::{Pose, TouchOffRecord};
 use crate::rig::config::{ARMS, RigConfig};
@@ -70,6 +71,8 @@ pub struct Stage {
     pub peak_n: f64,
     /// Measured durations of polls and travels of stops.
     pub stopping: Stopping,
+    /// Where every sample of the cells is published.
+    pub samples: Samples,
     /// Last sample of the motion or hold that is watched.
     last_sample: Option<LastSample>,
     /// Time since which z has been held at rest under watch.
@@ -124,6 +127,7 @@ impl Stage {
             skin: None,
             peak_n: 0.0,
             stopping: Stopping::default(),
+            samples: Samples::default(),
             last_sample: None,
             held_since: None,
         }
@@ -223,6 +227,16 @@ impl Stage {
         Ok(reading)
     }
 
+    /// Publishes one sample, read with z at `z_mm` if z was read; waits for nobody.
+    pub(in crate::campaign) fn publish(&self, reading: &CellVolts, z_mm: Option<f64>) {
+        let age = self.clock.now().saturating_duration_since(reading.at);
+        let at = self.clock.timestamp() - age;
+        let (cells, forces) = (&self.config.cells, self.forces_n(&reading.volts));
+        let force = |i: usize| cells.is_live(reading.volts[i]).then_some(forces[i]);
+        let forces_n = std::array::from_fn(force);
+        self.samples.publish(ForceSample { at_ms: at.as_millisecond(), z_mm, forces_n });
+    }
+
     /// Begins a watched motion or hold: the gap between samples counts from here.
     pub(in crate::campaign) fn begin_watch(&mut self) {
         self.last_sample = None;
@@ -239,6 +253,7 @@ impl Stage {
     /// # Errors
     /// Trips on a stale sample, a limit, or a touch of the skin that no cell measures.
     pub(super) fn check(&mut self, reading: &CellVolts, z_mm: Option<f64>) -> Result<(), Halt> {
+        self.publish(reading, z_mm);
         let limit_ms = self.config.limits.sample_age_ms;
         let age = self.clock.now().saturating_duration_since(reading.at);
         let sample = LastSample { at: reading.at, z_mm };

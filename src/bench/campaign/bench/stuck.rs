@@ -28,6 +28,12 @@ impl StuckChannels {
         }
         stuck
     }
+
+    /// Indices of the channels that returned one count in the last `frames` frames.
+    pub fn unchanged_in(&self, frames: u32) -> Vec<usize> {
+        let unchanged = |(channel, repeats): (usize, &u32)| (*repeats >= frames).then_some(channel);
+        self.repeats.iter().enumerate().filter_map(unchanged).collect()
+    }
 }
 
 #[cfg(test)]
@@ -41,6 +47,8 @@ mod tests {
             assert_eq!(channels.push(&[7, trial]), 0);
         }
         assert_eq!(channels.push(&[7, 0]), 1);
+        assert_eq!(channels.unchanged_in(STUCK_AFTER), [0]);
         assert_eq!(channels.push(&[8, 0]), 0);
+        assert_eq!((channels.unchanged_in(2), channels.unchanged_in(1)), (vec![1], vec![0, 1]));
     }
 }

@@ -1,11 +1,14 @@
 //! Zeros of the cells and of the skin, measured in the air before each configuration, with limits.
 //! Uses: `campaign::bench::stage`. Never: storage.
 
+use std::sync::Arc;
+
 use crate::campaign::bench::evidence::SkinWatch;
 use crate::campaign::bench::interlock::{FOREIGN_N, TripKind};
 use crate::campaign::bench::stage::Stage;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
+use crate::campaign::shown::samples::Untouched;
 use crate::rig::config::{ARMS, RigConfig};
 
 /// Limit of the spread of a cell's readings in the air, as a multiple of its noise.
@@ -39,6 +42,15 @@ pub async fn tare_untouched(
     let zeros = zeros?;
     let frames = frames.map_err(|e| stage.no_frames(e))?;
     stage.skin = SkinWatch::untouched(&frames);
+    if let Some(watch) = &stage.skin {
+        let untouched = Untouched {
+            voltages_v: watch.untouched_v(),
+            at: stage.clock.timestamp(),
+            frames: frames.len(),
+            run: control.run_uid(),
+        };
+        control.inbox.untouched.send_replace(Some(Arc::new(untouched)));
+    }
     stage.begin_watch();
     Ok(zeros)
 }
@@ -60,7 +72,9 @@ pub async fn tare(
         // A module returns the same sample twice if it is read faster than it converts.
         stage.clock.sleep(stage.config.cells.update_ms / 1e3).await;
         control.attend()?;
-        readings.push(stage.bench.cells.read().await?.volts);
+        let reading = stage.bench.cells.read().await?;
+        stage.publish(&reading, None);
+        readings.push(reading.volts);
     }
     let last = LastTare { zeros_v: &stage.tare_v, accept };
     stage.tare_v = zeros(&stage.config, stage.tips, &last, &readings)?;

@@ -225,7 +225,10 @@ impl Stage {
         for _ in 0..ROUNDS {
             let began_s = self.clock.process_s();
             self.poll_pause().await;
-            self.poll(&z, true).await?;
+            let (statuses, reading) = self.poll(&z, true).await?;
+            if let Some(reading) = reading {
+                self.publish(&reading, statuses.first().map(|z| z.position));
+            }
             self.stopping.note_poll(self.clock.process_s() - began_s);
         }
         Ok(())

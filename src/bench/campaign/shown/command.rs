@@ -8,11 +8,12 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::{broadcast, mpsc, oneshot, watch};
 use tracing::Span;
 
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::run::job::Job;
+use crate::campaign::shown::samples::{ForceSample, Samples, Untouched};
 use crate::campaign::shown::status::{Done, Status};
 use crate::rig::traits::Frame;
 
@@ -109,6 +110,8 @@ pub struct Handle {
     requests: mpsc::Sender<Envelope>,
     status: watch::Receiver<Status>,
     frames: watch::Receiver<Option<Arc<Frame>>>,
+    samples: Samples,
+    untouched: watch::Receiver<Option<Arc<Untouched>>>,
     estop: StopSwitch,
 }
 
@@ -121,6 +124,10 @@ pub struct Inbox {
     pub status: watch::Sender<Status>,
     /// Channel for the newest frame.
     pub frames: watch::Sender<Option<Arc<Frame>>>,
+    /// Channel for every sample of the load cells.
+    pub samples: Samples,
+    /// Channel for the untouched skin.
+    pub untouched: watch::Sender<Option<Arc<Untouched>>>,
 }
 
 /// Creates a handle and the engine's side of it.
@@ -128,8 +135,14 @@ pub fn channel(estop: StopSwitch, status: Status) -> (Handle, Inbox) {
     let (requests_tx, requests) = mpsc::channel(QUEUE);
     let (status_tx, status) = watch::channel(status);
     let (frames_tx, frames) = watch::channel(None);
-    let handle = Handle { requests: requests_tx, status, frames, estop };
-    (handle, Inbox { requests, status: status_tx, frames: frames_tx })
+    let (untouched_tx, untouched) = watch::channel(None);
+    let samples = Samples::default();
+    let of_handle = samples.clone();
+    let handle =
+        Handle { requests: requests_tx, status, frames, samples: of_handle, untouched, estop };
+    let inbox =
+        Inbox { requests, status: status_tx, frames: frames_tx, samples, untouched: untouched_tx };
+    (handle, inbox)
 }
 
 impl Handle {
@@ -172,5 +185,15 @@ impl Handle {
     /// Subscribes to the newest frame; slow readers miss frames.
     pub fn watch_frames(&self) -> watch::Receiver<Option<Arc<Frame>>> {
         self.frames.clone()
+    }
+
+    /// Follows every sample of the load cells; slow readers miss samples.
+    pub fn follow_samples(&self) -> broadcast::Receiver<ForceSample> {
+        self.samples.follow()
+    }
+
+    /// Returns the frames of the untouched skin that were taken last; none before the first.
+    pub fn untouched(&self) -> Option<Arc<Untouched>> {
+        self.untouched.borrow().clone()
     }
 }

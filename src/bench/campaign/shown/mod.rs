@@ -5,5 +5,6 @@
 
 pub mod safe_end;
 pub mod status;
+pub mod samples;
 pub mod show;
 pub mod command;

@@ -64,12 +64,14 @@ pub fn started(job: &Job) -> RunStatus {
         waiting_for: None,
         wanted: None,
         phase: Phase::Next,
+        current_step: None,
         trial: None,
         trials_planned: job.plan.trials(),
         trials_stored: 0,
         trials_skipped: 0,
         retries: 0,
         eta: None,
+        needed_bytes: job.plan.trials() * job.bytes_per_trial,
     }
 }
 
@@ -92,6 +94,7 @@ pub fn progress(control: &Control, job: &Job, progress: &Progress, pace: &Pace) 
         run.trials_skipped = skipped;
         run.retries = run.retries.max(progress.retries);
         run.eta = Some(eta);
+        run.needed_bytes = left * job.bytes_per_trial;
     });
 }
 
@@ -100,6 +103,9 @@ pub async fn bench(control: &Control, stage: &Stage, open: &OpenBench) {
     let pose = stage.pose().await.ok();
     let reading = open.bench.cells.read().await.ok();
     let press = control.estop.pressed();
+    if let Some(reading) = &reading {
+        stage.publish(reading, pose.map(|pose| pose.z_mm));
+    }
     let live = reading.map(|r| {
         let cells = &stage.config.cells;
         let forces = stage.forces_n(&r.volts);

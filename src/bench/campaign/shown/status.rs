@@ -12,6 +12,7 @@ use crate::campaign::run::run_state::PausedWhy;
 use crate::campaign::shown::safe_end::SafeEnd;
 use crate::ids::{RunUid, TrialKey};
 use crate::record::{PlacedContact, Pose, TouchOffRecord};
+use crate::schedule::visits::StepOfTour;
 use crate::state::StoredState;
 
 /// Status of rig and run.
@@ -124,6 +125,9 @@ pub struct RunStatus {
     pub wanted: Option<Wanted>,
     /// Present activity of the run.
     pub phase: Phase,
+    /// Current or most recent configuration or placement in the tour of the run; null before the
+    /// first.
+    pub current_step: Option<StepOfTour>,
     /// Key of the current or most recent trial; null without one and in reference presses.
     pub trial: Option<TrialKey>,
     /// Number of trials in the plan.
@@ -136,6 +140,8 @@ pub struct RunStatus {
     pub retries: u64,
     /// Remaining time; null while it is unknown.
     pub eta: Option<Eta>,
+    /// Disk space that the remaining trials need, bytes.
+    pub needed_bytes: u64,
 }
 
 /// What a person must do before a run resumes.

@@ -145,7 +145,8 @@ impl Engine {
         }
         let found = open.bench.cells.prepare().await.map_err(fail)?;
         self.control.say("device", json!({ "device": "cells", "found": found }));
-        let stage = Stage::new(open.bench.clone(), self.config.clone(), clock);
+        let mut stage = Stage::new(open.bench.clone(), self.config.clone(), clock);
+        stage.samples = self.control.inbox.samples.clone();
         let estop = tokio::spawn(self.control.estop.clone().serve(open.bench.clone()));
         let frames = tokio::spawn(show::forward_frames(
             open.bench.skin.follow(),

@@ -27,6 +27,7 @@ use crate::campaign::trial::press::Pressing;
 use crate::ids::TrialKey;
 use crate::journal::{ExitStatus, Progress, error_chain};
 use crate::schedule::plan::{Kind, Step};
+use crate::schedule::visits::StepOfTour;
 
 impl Engine {
     /// Checks that a run may start, and arms the rig for it: at the measured pace of the wires, the
@@ -218,6 +219,8 @@ impl Engine {
                 Ok(0)
             }
             Step::Configuration(c) => {
+                let place = StepOfTour::of(&job.plan, c.index);
+                control.show_run(|run| run.current_step = place);
                 let pending = resume::pending_depths(c, job.plan.depths_mm.len(), progress);
                 let pressed = async {
                     let stored = pressing.configuration(stage, control, c, &pending).await?;
@@ -235,6 +238,8 @@ impl Engine {
             }
             Step::Manual(placement) => match attempts.confirmed_by.clone() {
                 Some((index, who)) if index == placement.index => {
+                    let place = StepOfTour::of(&job.plan, placement.index);
+                    control.show_run(|run| run.current_step = place);
                     let (skin, clock) = (stage.bench.skin.clone(), stage.clock.clone());
                     let (run, measure) = (job.run, &job.plan.measure);
                     let confirmed = manual::Confirmed { run, who, measure };

@@ -1,0 +1,269 @@
+//! A run over time: trials, forces, failures and fits in bins, its states, its predictions, and what an
+//! operator must see.
+//! Uses: `store`, `conductor::estimates` (the kind of its events). Never: a row for each trial.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::State;
+use jiff::{SignedDuration, Timestamp};
+use serde::{Deserialize, Serialize};
+use utoipa::{IntoParams, ToSchema};
+
+use super::App;
+use super::problem::{ApiError, Params, Path, ProblemBody};
+use super::runs::find;
+use super::spans::{StateSpan, restarts, spans};
+use crate::conductor::estimates::ESTIMATE;
+use crate::journal::Event;
+use crate::state::StoredState;
+use crate::store::{Bins, RunRow, StoreError, StoredHistory};
+
+/// Most bins of a history.
+const BINS_MAX: u32 = 1000;
+/// Events that an operator must see, and their largest number, the newest ones.
+const NOTABLE: [&str; 5] = ["trip", "suspended", "wanted", "skipped", "ended"];
+const NOTABLE_MAX: u32 = 500;
+/// Largest numbers of changes of state and of estimates, the newest ones.
+const STATES_MAX: u32 = 5000;
+const ESTIMATES_MAX: u32 = 5000;
+
+/// Selection of bins.
+#[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+pub struct HistoryParams {
+    /// Number of bins of equal length, 1 to 1000; 120 if absent.
+    #[serde(default = "default_bins")]
+    #[param(minimum = 1, maximum = 1000, default = 120)]
+    pub bins: u32,
+}
+
+fn default_bins() -> u32 {
+    120
+}
+
+/// A run over time. Lists of numbers have one entry per bin.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct History {
+    /// Start of the run and of the first bin; null if the run has not started.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub from: Option<Timestamp>,
+    /// End of the last bin: the end of the run, now if it is active, or its last record if it is
+    /// interrupted; null if the run has not started.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub to: Option<Timestamp>,
+    /// Length of a bin, s; null if the run has not started.
+    pub bin_s: Option<f64>,
+    /// Number of stored trials.
+    pub trials: Vec<u32>,
+    /// Number of failed attempts.
+    pub attempts_failed: Vec<u32>,
+    /// Largest force of the trials, N; null without a measured force.
+    pub largest_force_n: Vec<Option<f64>>,
+    /// Median FVU of the twins of the trials; null without twins.
+    pub fvu: Vec<Option<f64>>,
+    /// States of the run, oldest first.
+    pub states: Vec<StateSpan>,
+    /// Likely duration without the time of persons, as predicted at the start, wall s; null for a run
+    /// that an older version started.
+    pub predicted_s: Option<f64>,
+    /// Wall time from the start to `to`, s; null if the run has not started.
+    pub elapsed_s: Option<f64>,
+    /// What the estimate said through the run, oldest first; empty for a run that an older version
+    /// drove.
+    pub predictions: Vec<Prediction>,
+    /// Events that an operator must see, oldest first: trips, suspensions, waits for a person, skips,
+    /// the end; the newest 500.
+    pub events: Vec<NotableEvent>,
+}
+
+/// An estimate of the end of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, ToSchema)]
+pub struct Prediction {
+    /// Time of the estimate.
+    #[schema(value_type = String, format = DateTime)]
+    pub at: Timestamp,
+    /// Expected end.
+    #[schema(value_type = String, format = DateTime)]
+    pub end: Timestamp,
+    /// Early end of the band that contains 90 % of the ends.
+    #[schema(value_type = String, format = DateTime)]
+    pub low: Timestamp,
+    /// Late end of that band.
+    #[schema(value_type = String, format = DateTime)]
+    pub high: Timestamp,
+}
+
+/// An event that an operator must see; `GET /events` has its details.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct NotableEvent {
+    /// Number of the event.
+    pub seq: i64,
+    /// Time of the event.
+    #[schema(value_type = String, format = DateTime)]
+    pub at: Timestamp,
+    /// Kind of the event.
+    pub kind: String,
+}
+
+/// Returns the history of a run: trials, forces, failures and fits over time, its states, predictions
+/// and notable events.
+#[utoipa::path(get, operation_id = "run_history", path = "/api/v1/runs/{run}/history", tag = "runs",
+    params(("run" = String, Path, description = "uid or scan_id"), HistoryParams),
+    responses((status = 200, body = History),
+        (status = 400, body = ProblemBody, description = "`bins` is not 1 to 1000"),
+        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
+pub async fn of_run(
+    State(app): State<App>,
+    Path(run): Path<String>,
+    Params(params): Params<HistoryParams>,
+) -> Result<Json<Arc<History>>, ApiError> {
+    let bins = params.bins;
+    if !(1..=BINS_MAX).contains(&bins) {
+        return Err(ApiError::query("bins", bins, "must be 1 to 1000"));
+    }
+    let run = find(&app, &run).await?;
+    // The end of a run changes its history at once.
+    let key = (run.uid, bins, run.exit_status.is_some());
+    Ok(Json(app.facts.histories.get(key, read(&app, &run, bins)).await?))
+}
+
+async fn read(app: &App, run: &RunRow, bins: u32) -> Result<Arc<History>, StoreError> {
+    let store = &app.store;
+    let notable = store.events_of_kinds(run.uid, &NOTABLE, NOTABLE_MAX).await?;
+    let Some(from) = run.started_at else { return Ok(Arc::new(History::unstarted(notable))) };
+    let now = Timestamp::now();
+    let is_active = app.campaign.status().run.is_some_and(|active| active.uid == run.uid);
+    let to = match run.ended_at {
+        Some(ended) => ended,
+        None if is_active => now,
+        None => store.last_record_before(run.uid, now).await?.unwrap_or(from),
+    };
+    let range_s = to.duration_since(from).as_secs_f64().max(0.0);
+    let bin_s = (range_s / f64::from(bins)).max(1e-3);
+    let stored = store.history(run.uid, Bins { from, bin_s, count: bins }).await?;
+    let states = store.events_of_kinds(run.uid, &["state"], STATES_MAX).await?;
+    let mut last_records = Vec::new();
+    for restart in restarts(&states) {
+        last_records.push(store.last_record_before(run.uid, restart).await?.unwrap_or(restart));
+    }
+    let is_interrupted = run.state == StoredState::Interrupted;
+    let states = spans(&states, &last_records, run.ended_at, is_interrupted.then_some(to));
+    let estimates = store.events_of_kinds(run.uid, &[ESTIMATE], ESTIMATES_MAX).await?;
+    let (trials, attempts_failed, largest_force_n, fvu) = arranged(&stored, bins as usize);
+    Ok(Arc::new(History {
+        from: Some(from),
+        to: Some(to),
+        bin_s: Some(bin_s),
+        trials,
+        attempts_failed,
+        largest_force_n,
+        fvu,
+        states,
+        predicted_s: estimates.first().and_then(predicted_s),
+        elapsed_s: Some(range_s),
+        predictions: estimates.iter().filter_map(prediction).collect(),
+        events: notable.into_iter().map(NotableEvent::from).collect(),
+    }))
+}
+
+impl History {
+    fn unstarted(notable: Vec<Event>) -> Self {
+        Self {
+            from: None,
+            to: None,
+            bin_s: None,
+            trials: Vec::new(),
+            attempts_failed: Vec::new(),
+            largest_force_n: Vec::new(),
+            fvu: Vec::new(),
+            states: Vec::new(),
+            predicted_s: None,
+            elapsed_s: None,
+            predictions: Vec::new(),
+            events: notable.into_iter().map(NotableEvent::from).collect(),
+        }
+    }
+}
+
+impl From<Event> for NotableEvent {
+    fn from(event: Event) -> Self {
+        Self { seq: event.seq, at: event.at, kind: event.kind }
+    }
+}
+
+/// Numbers per bin: trials, failed attempts, largest force, median FVU.
+type PerBin = (Vec<u32>, Vec<u32>, Vec<Option<f64>>, Vec<Option<f64>>);
+
+/// Arranges what is stored by bin, of which there are `bins`.
+fn arranged(stored: &StoredHistory, bins: usize) -> PerBin {
+    let (mut trials, mut failed) = (vec![0; bins], vec![0; bins]);
+    let (mut forces, mut fvu) = (vec![None; bins], vec![None; bins]);
+    for bin in stored.trials.iter().filter(|bin| (bin.bin as usize) < bins) {
+        trials[bin.bin as usize] = bin.trials;
+        forces[bin.bin as usize] = bin.largest_force_n;
+    }
+    for (bin, count) in stored.attempts_failed.iter().filter(|(bin, _)| (*bin as usize) < bins) {
+        failed[*bin as usize] = *count;
+    }
+    for (bin, median) in stored.median_fvu.iter().filter(|(bin, _)| (*bin as usize) < bins) {
+        fvu[*bin as usize] = Some(*median);
+    }
+    (trials, failed, forces, fvu)
+}
+
+/// The prediction at the start, from the first estimate of a run: it was made before the first trial.
+fn predicted_s(first: &Event) -> Option<f64> {
+    let is_first = first.data["trials_stored"].as_u64() == Some(0);
+    first.data["remaining_s"].as_f64().filter(|_| is_first)
+}
+
+fn prediction(event: &Event) -> Option<Prediction> {
+    let after = |key: &str| {
+        let seconds = event.data[key].as_f64()?;
+        event.at.checked_add(SignedDuration::try_from_secs_f64(seconds).ok()?).ok()
+    };
+    Some(Prediction {
+        at: event.at,
+        end: after("remaining_s")?,
+        low: after("low_s")?,
+        high: after("high_s")?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::BinTrials;
+    use serde_json::json;
+
+    fn estimate(trials_stored: u64, remaining_s: f64) -> Event {
+        let data = json!({ "remaining_s": remaining_s, "low_s": remaining_s - 5.0,
+            "high_s": remaining_s + 5.0, "trials_stored": trials_stored });
+        Event { seq: 1, run: None, at: Timestamp::UNIX_EPOCH, kind: ESTIMATE.into(), data }
+    }
+
+    #[test]
+    fn the_first_estimate_of_a_run_is_its_prediction_unless_trials_were_stored_before() {
+        assert_eq!(predicted_s(&estimate(0, 100.0)), Some(100.0));
+        assert_eq!(predicted_s(&estimate(3, 100.0)), None);
+        let at = |s| Timestamp::from_second(s).unwrap();
+        let told = prediction(&estimate(3, 100.0)).unwrap();
+        assert_eq!((told.at, told.end, told.low, told.high), (at(0), at(100), at(95), at(105)));
+        let unreadable = Event { data: json!({}), ..estimate(0, 1.0) };
+        assert_eq!(prediction(&unreadable), None);
+    }
+
+    #[test]
+    fn bins_without_records_are_empty_and_a_value_that_was_not_measured_is_null() {
+        let bin = |bin, largest_force_n| BinTrials { bin, trials: 4, largest_force_n };
+        let stored = StoredHistory {
+            trials: vec![bin(0, Some(9.5)), bin(2, None), bin(7, None)],
+            attempts_failed: vec![(1, 2), (7, 1)],
+            median_fvu: vec![(2, 0.25), (7, 0.5)],
+        };
+        let (trials, failed, forces, fvu) = arranged(&stored, 3);
+        assert_eq!((trials, failed), (vec![4, 0, 4], vec![0, 2, 0]));
+        assert_eq!((forces, fvu), (vec![Some(9.5), None, None], vec![None, None, Some(0.25)]));
+    }
+}

@@ -1,0 +1,167 @@
+//! The status over a WebSocket, with every sample of the load cells: one message is made for all clients.
+//! Uses: `status`, the campaign's samples, `envelope`. Never: a queue (a slow client misses messages), a
+//! wait of the campaign.
+
+use std::time::Duration;
+
+use axum::Extension;
+use axum::extract::State;
+use axum::extract::ws::{Message, Utf8Bytes, WebSocket};
+use axum::http::StatusCode;
+use axum::response::Response;
+use serde::Serialize;
+use tokio::sync::broadcast::Sender;
+use tokio::sync::broadcast::error::RecvError;
+use tokio::time::{Instant, MissedTickBehavior, timeout};
+use utoipa::ToSchema;
+
+use super::App;
+use super::auth::Caller;
+use super::envelope::{SamplesOut, envelope};
+use super::guard::Place;
+use super::limits::{MESSAGE_MAX_BYTES, STATUS_CLIENTS};
+use super::problem::{ApiError, ProblemBody, Upgrade};
+use super::samples::drained;
+use super::status::{ServiceStatus, StoredPart};
+
+/// Shortest time between two messages.
+const INTERVAL: Duration = Duration::from_millis(100);
+/// Longest time between two messages, less an interval: a client that receives none for two seconds has
+/// lost its connection.
+const HEARTBEAT: Duration = Duration::from_millis(850);
+/// Longest wait for the stored part of the status; afterwards the last one is shown.
+const STORED_WAIT: Duration = Duration::from_millis(300);
+/// Most samples of a message.
+const SAMPLES_OF_MESSAGE: usize = 50;
+/// Longest time for sending a message; a slower client is disconnected.
+const SEND: Duration = Duration::from_secs(5);
+/// Messages that a client may be behind.
+const BEHIND: usize = 4;
+
+/// Message of the live status.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct LiveStatus {
+    /// Status of rig, run and service. What is stored of it (lock, queue, last trial) may be 1 s old.
+    pub status: ServiceStatus,
+    /// Samples of the load cells since the last message, at most 50 with all extremes.
+    pub samples: SamplesOut,
+}
+
+/// The messages for all clients.
+#[derive(Debug)]
+pub struct Messages(Sender<Utf8Bytes>);
+
+impl Default for Messages {
+    fn default() -> Self {
+        Self(Sender::new(BEHIND))
+    }
+}
+
+/// Streams the status with the samples of the load cells as JSON messages over a WebSocket.
+///
+/// A message is sent when the status has changed or samples have arrived, at most 10 per second and at
+/// least one per second.
+#[utoipa::path(get, operation_id = "live_status", path = "/api/v1/status/live", tag = "status",
+    params(("ticket" = Option<String>, Query,
+        description = "a ticket of `POST /api/v1/tickets`: a browser's WebSocket sends no header with a key")),
+    responses((status = 101, description = "WebSocket whose messages are LiveStatus", body = LiveStatus),
+        (status = 503, body = ProblemBody, description = "too many clients are connected")))]
+pub async fn live(
+    State(app): State<App>,
+    Extension(caller): Extension<Caller>,
+    Extension(counted): Extension<Option<Place>>,
+    Upgrade(upgrade): Upgrade,
+) -> Result<Response, ApiError> {
+    let place = app.turns.status.clone().try_acquire_owned().map_err(|_| {
+        let words = format!("{STATUS_CLIENTS} clients of the live status are connected, the limit");
+        ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words)
+    })?;
+    Ok(upgrade.max_message_size(MESSAGE_MAX_BYTES).on_upgrade(async move |socket| {
+        tokio::select! {
+            () = send(&app, socket) => {}
+            () = app.until_revoked(&caller) => {}
+        }
+        drop((place, counted));
+    }))
+}
+
+async fn send(app: &App, mut socket: WebSocket) {
+    let mut messages = app.facts.live_status.0.subscribe();
+    let mut ending = app.facts.ending.clone();
+    loop {
+        let text = tokio::select! {
+            message = messages.recv() => match message {
+                Ok(text) => text,
+                Err(RecvError::Lagged(_)) => continue,
+                Err(RecvError::Closed) => return,
+            },
+            _ = ending.wait_for(|e| *e) => return,
+            message = socket.recv() => match message {
+                Some(Ok(Message::Close(_)) | Err(_)) | None => return,
+                Some(Ok(_)) => continue,
+            },
+        };
+        if !matches!(timeout(SEND, socket.send(Message::Text(text))).await, Ok(Ok(()))) {
+            return;
+        }
+    }
+}
+
+/// Makes the messages until the service ends. Without clients only the times of the suspenders are
+/// followed.
+pub async fn publish(app: App) {
+    let mut changes = app.campaign.watch_status();
+    let mut follower = app.campaign.follow_samples();
+    let mut stored = StoredPart::default();
+    let mut sent = Instant::now();
+    let (mut clients, mut samples) = (0, Vec::new());
+    let mut tick = tokio::time::interval(INTERVAL);
+    tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        tick.tick().await;
+        samples.append(&mut drained(&mut follower));
+        let now = app.facts.live_status.0.receiver_count();
+        let is_new = now > std::mem::replace(&mut clients, now);
+        let has_changed = changes.has_changed().unwrap_or(false) || !samples.is_empty();
+        if !is_due(now > 0, is_new || has_changed, sent.elapsed()) {
+            continue;
+        }
+        sent = Instant::now();
+        changes.mark_unchanged();
+        let reading = app.facts.stored_part.get((), app.stored_part());
+        if let Ok(Ok(read)) = timeout(STORED_WAIT, reading).await {
+            stored = read;
+        }
+        let status = app.status_with(stored.clone()).await;
+        let samples = envelope(&std::mem::take(&mut samples), SAMPLES_OF_MESSAGE);
+        if now == 0 {
+            continue;
+        }
+        let samples = SamplesOut::of(&samples);
+        let message = LiveStatus { status, samples };
+        match serde_json::to_string(&message) {
+            // The last client may have left meanwhile.
+            Ok(text) => drop(app.facts.live_status.0.send(text.into())),
+            Err(error) => tracing::error!(%error, "a live status cannot be written"),
+        }
+    }
+}
+
+/// Whether a message is made now: at once for something new, otherwise as a heartbeat.
+fn is_due(has_clients: bool, is_new: bool, since_last: Duration) -> bool {
+    has_clients && is_new || since_last >= HEARTBEAT
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_message_is_due_for_something_new_and_at_least_once_per_second() {
+        let soon = INTERVAL;
+        assert!(is_due(true, true, soon));
+        assert!(!is_due(true, false, soon) && !is_due(false, true, soon));
+        assert!(is_due(true, false, HEARTBEAT) && is_due(false, false, HEARTBEAT));
+        assert!(HEARTBEAT + INTERVAL < Duration::from_secs(1));
+    }
+}

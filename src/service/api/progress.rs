@@ -1,0 +1,197 @@
+//! Progress of a run along its tour: what is stored, what failed, where it is and where it goes next.
+//! Uses: `tour`, `store`, `campaign::shown::status`. Never: a wait of the campaign.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::State;
+use jiff::Timestamp;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::App;
+use super::problem::{ApiError, Path, ProblemBody};
+use super::runs::find;
+use super::tour::Tour;
+use crate::campaign::shown::status::RunStatus;
+use crate::state::StoredState;
+use crate::store::StoredProgress;
+
+/// Progress of a run. Lists have one entry for each configuration of the tour, in its order.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct RunProgress {
+    /// Number of trials in the plan.
+    pub trials_planned: u64,
+    /// Number of stored trials.
+    pub trials_stored: u64,
+    /// Number of stored trials of each configuration.
+    pub stored: Vec<u16>,
+    /// Number of failed attempts at each configuration.
+    pub attempts_failed: Vec<u16>,
+    /// Indices in the tour of the configurations that were given up.
+    pub skipped: Vec<usize>,
+    /// Index in the tour of the configuration that is being driven; null without one.
+    pub current: Option<usize>,
+    /// Index in the tour of the next configuration; null if none remains or the run has ended.
+    pub next: Option<usize>,
+    /// Largest force of the trials of each configuration, N, rounded to 1 mN; null if none was measured.
+    pub largest_force_n: Vec<Option<f64>>,
+    /// Median FVU of the twins of each configuration, rounded to 0.0001; null without twins.
+    pub fvu: Vec<Option<f64>>,
+    /// Time of this progress; the stored part of it may be 2 s older, or more on a slow disk.
+    #[schema(value_type = String, format = DateTime)]
+    pub at: Timestamp,
+}
+
+/// Returns the progress of a run along its tour.
+#[utoipa::path(get, operation_id = "run_progress", path = "/api/v1/runs/{run}/progress", tag = "runs",
+    params(("run" = String, Path, description = "uid or scan_id")),
+    responses((status = 200, body = RunProgress),
+        (status = 404, body = ProblemBody,
+            description = "no run has this uid or scan_id, or it has no plan")))]
+pub async fn of_run(
+    State(app): State<App>,
+    Path(run): Path<String>,
+) -> Result<Json<RunProgress>, ApiError> {
+    let run = find(&app, &run).await?;
+    let kept = app.tour(&run).await?;
+    let reading = async { app.store.progress_by_configuration(run.uid).await.map(Arc::new) };
+    let stored = app.facts.progress.get(run.uid, reading).await?;
+    let active = app.campaign.status().run.filter(|active| active.uid == run.uid);
+    let now = Now {
+        trials_planned: run.trials_planned,
+        is_over: run.exit_status.is_some() || run.state == StoredState::Removed,
+        driven: active.as_ref().and_then(driven),
+        at: Timestamp::now(),
+    };
+    Ok(Json(progress(&kept.tour, &stored, now)))
+}
+
+/// State of a run.
+#[derive(Debug, Clone, Copy)]
+struct Now {
+    trials_planned: u64,
+    /// Whether nothing of it remains to be driven.
+    is_over: bool,
+    /// Configuration that is being driven.
+    driven: Option<u32>,
+    at: Timestamp,
+}
+
+/// Arranges what is stored in the order of the tour.
+fn progress(tour: &Tour, stored: &StoredProgress, now: Now) -> RunProgress {
+    let order = &tour.steps.configuration;
+    let index: HashMap<u32, usize> = order.iter().enumerate().map(|(i, c)| (*c, i)).collect();
+    let of = |configuration: &u32| index.get(configuration).copied();
+    let mut shown = RunProgress {
+        trials_planned: now.trials_planned,
+        trials_stored: stored.trials.iter().map(|c| u64::from(c.stored)).sum(),
+        stored: vec![0; order.len()],
+        attempts_failed: vec![0; order.len()],
+        skipped: stored.skipped.iter().filter_map(of).collect(),
+        current: None,
+        next: None,
+        largest_force_n: vec![None; order.len()],
+        fvu: vec![None; order.len()],
+        at: now.at,
+    };
+    shown.skipped.sort_unstable();
+    let count = |n: u32| u16::try_from(n).unwrap_or(u16::MAX);
+    for c in &stored.trials {
+        if let Some(i) = of(&c.configuration) {
+            shown.stored[i] = count(c.stored);
+            shown.largest_force_n[i] = c.largest_force_n.map(|f| rounded(f, 1e3));
+        }
+    }
+    for (configuration, failed) in &stored.attempts_failed {
+        if let Some(i) = of(configuration) {
+            shown.attempts_failed[i] = count(*failed);
+        }
+    }
+    for (configuration, fvu) in &stored.median_fvu {
+        if let Some(i) = of(configuration) {
+            shown.fvu[i] = Some(rounded(*fvu, 1e4));
+        }
+    }
+    shown.current = now.driven.as_ref().and_then(of);
+    if !now.is_over {
+        let is_open = |i: &usize| {
+            u32::from(shown.stored[*i]) < tour.trials_each()
+                && shown.current != Some(*i)
+                && shown.skipped.binary_search(i).is_err()
+        };
+        shown.next = (0..order.len()).find(is_open);
+    }
+    shown
+}
+
+/// Configuration that a run is driving; none while it waits.
+fn driven(run: &RunStatus) -> Option<u32> {
+    match run.state {
+        StoredState::Running | StoredState::Pausing | StoredState::Stopping => {
+            run.trial.map(|key| key.configuration)
+        }
+        _ => None,
+    }
+}
+
+/// Rounds to a multiple of 1 / `per_unit`.
+fn rounded(value: f64, per_unit: f64) -> f64 {
+    (value * per_unit).round() / per_unit
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::schedule::visits::Visits;
+    use crate::store::{ConfigurationTrials, RunKind};
+
+    fn tour() -> Tour {
+        // Driven in another order than that of the indices.
+        let steps = Visits {
+            configuration: vec![2, 0, 1, 3],
+            tips: vec![1; 4],
+            contacts_mm: vec![vec![[0.0, 0.0]]; 4],
+        };
+        Tour {
+            scan_id: 1,
+            experiment: "t".into(),
+            kind: RunKind::RealHex,
+            depths_mm: vec![0.0, 0.5],
+            steps,
+        }
+    }
+
+    fn stored() -> StoredProgress {
+        let trials = |configuration, stored| ConfigurationTrials {
+            configuration,
+            stored,
+            largest_force_n: Some(1.23456),
+        };
+        StoredProgress {
+            trials: vec![trials(0, 1), trials(2, 2)],
+            attempts_failed: vec![(0, 3), (99, 1)],
+            skipped: vec![1],
+            median_fvu: vec![(2, 0.123456)],
+        }
+    }
+
+    #[test]
+    fn lists_are_in_the_order_of_the_tour() {
+        let at = Timestamp::UNIX_EPOCH;
+        let now = Now { trials_planned: 8, is_over: false, driven: Some(0), at };
+        let shown = progress(&tour(), &stored(), now);
+        assert_eq!(shown.stored, [2, 1, 0, 0]);
+        assert_eq!(shown.attempts_failed, [0, 3, 0, 0]);
+        assert_eq!(shown.skipped, [2]);
+        assert_eq!(shown.largest_force_n, [Some(1.235), Some(1.235), None, None]);
+        assert_eq!(shown.fvu, [Some(0.1235), None, None, None]);
+        assert_eq!((shown.current, shown.next, shown.trials_stored), (Some(1), Some(3), 3));
+        // A run that waits resumes at the incomplete configuration.
+        let shown = progress(&tour(), &stored(), Now { driven: None, ..now });
+        assert_eq!((shown.current, shown.next), (None, Some(1)));
+        let shown = progress(&tour(), &stored(), Now { driven: None, is_over: true, ..now });
+        assert_eq!((shown.current, shown.next), (None, None));
+    }
+}

@@ -1,0 +1,168 @@
+//! What may suspend a run: each monitor with its present value, its threshold, and since when the value
+//! is beyond it.
+//! PURE, except that `Beyond` remembers times that it is given. Uses: `twins::drift`, `schedule` (the
+//! limits). Never: a suspension (the campaign and the pool of twins request it).
+
+use std::collections::BTreeMap;
+
+use jiff::Timestamp;
+use parking_lot::Mutex;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::schedule::experiment::TwinLimits;
+use crate::twins::drift::RollingFit;
+
+/// A monitor that may suspend the active run, or that warns before.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Suspender {
+    /// Name: `disk` (free space below what the run needs), `frame_age` (age of the newest frame),
+    /// `twin_fvu` (median FVU of the last trials), `electrode_pairs` (FVU of the worst pair of
+    /// electrodes).
+    pub name: String,
+    /// Present value; null while it is unknown.
+    pub value: Option<f64>,
+    /// Threshold. `disk` is beyond it below, all others above.
+    pub threshold: f64,
+    /// Unit of value and threshold: `bytes`, `ms`, or `1` for a ratio.
+    pub unit: String,
+    /// Time since which the value is beyond the threshold; null while it is not.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub since: Option<Timestamp>,
+    /// Whether the run is suspended beyond the threshold; otherwise an event warns.
+    pub suspends: bool,
+}
+
+/// Present values of the active run.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Readings<'a> {
+    /// Free space of the disk of the data folder, bytes.
+    pub free_bytes: Option<u64>,
+    /// Space that the remaining trials need, bytes.
+    pub needed_bytes: u64,
+    /// Age of the newest frame, wall ms.
+    pub frame_age_ms: Option<f64>,
+    /// Limit of that age, wall ms.
+    pub frame_age_limit_ms: u64,
+    /// Fit of the last trials.
+    pub fit: Option<&'a RollingFit>,
+    /// Limits of the fit; absent if the experiment file cannot be read.
+    pub limits: Option<&'a TwinLimits>,
+}
+
+/// A value with its threshold.
+struct Row {
+    name: &'static str,
+    value: Option<f64>,
+    threshold: f64,
+    unit: &'static str,
+    suspends: bool,
+    is_beyond: bool,
+}
+
+impl Readings<'_> {
+    fn rows(&self) -> Vec<Row> {
+        let above = |name, value: Option<f64>, threshold, unit, suspends| {
+            let is_beyond = value.is_some_and(|value| value > threshold);
+            Row { name, value, threshold, unit, suspends, is_beyond }
+        };
+        let disk = Row {
+            name: "disk",
+            value: self.free_bytes.map(|bytes| bytes as f64),
+            threshold: self.needed_bytes as f64,
+            unit: "bytes",
+            suspends: true,
+            is_beyond: self.free_bytes.is_some_and(|free| free < self.needed_bytes),
+        };
+        let limit_ms = self.frame_age_limit_ms as f64;
+        let mut rows = vec![disk, above("frame_age", self.frame_age_ms, limit_ms, "ms", true)];
+        if let Some(limits) = self.limits {
+            let fit = self.fit.filter(|fit| fit.trials > 0);
+            let (fvu, threshold) =
+                (fit.map(|fit| fit.median_fvu), limits.suspend_fvu.unwrap_or(limits.warn_fvu));
+            let worst = fit.and_then(|fit| fit.worst_pairs.first()).map(|pair| pair.fvu);
+            rows.push(above("twin_fvu", fvu, threshold, "1", limits.suspend_fvu.is_some()));
+            rows.push(above("electrode_pairs", worst, limits.pair_warn_fvu, "1", false));
+        }
+        rows
+    }
+}
+
+/// Since when values are beyond their thresholds.
+#[derive(Debug, Default)]
+pub struct Beyond(Mutex<BTreeMap<&'static str, Timestamp>>);
+
+impl Beyond {
+    /// Returns the monitors of the active run at `now`; none without a run.
+    pub(super) fn suspenders(
+        &self,
+        readings: Option<&Readings<'_>>,
+        now: Timestamp,
+    ) -> Vec<Suspender> {
+        let rows = readings.map_or_else(Vec::new, Readings::rows);
+        let mut beyond = self.0.lock();
+        beyond.retain(|name, _| rows.iter().any(|row| row.name == *name && row.is_beyond));
+        let suspender = |row: Row| Suspender {
+            name: row.name.into(),
+            value: row.value,
+            threshold: row.threshold,
+            unit: row.unit.into(),
+            since: row.is_beyond.then(|| *beyond.entry(row.name).or_insert(now)),
+            suspends: row.suspends,
+        };
+        rows.into_iter().map(suspender).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::twins::drift::{Level, PairFit};
+
+    fn at(second: i64) -> Timestamp {
+        Timestamp::from_second(second).unwrap()
+    }
+
+    #[test]
+    fn a_value_is_beyond_its_threshold_since_the_first_time_until_it_returns() {
+        let beyond = Beyond::default();
+        let readings =
+            |free| Readings { free_bytes: Some(free), needed_bytes: 100, ..Readings::default() };
+        let disk = |free, now| beyond.suspenders(Some(&readings(free)), at(now))[0].clone();
+        assert_eq!(disk(100, 1).since, None);
+        assert_eq!(disk(99, 2).since, Some(at(2)));
+        assert_eq!(disk(50, 3).since, Some(at(2)));
+        assert_eq!((disk(500, 4).since, disk(0, 5).since), (None, Some(at(5))));
+        // Another run begins afresh.
+        assert_eq!(beyond.suspenders(None, at(6)), []);
+        assert_eq!(disk(0, 7).since, Some(at(7)));
+    }
+
+    #[test]
+    fn the_fit_suspends_only_if_the_experiment_says_so_and_is_unknown_before_the_first_twin() {
+        let (warns, beyond) = (TwinLimits::default(), Beyond::default());
+        let suspends = TwinLimits { suspend_fvu: Some(0.5), ..TwinLimits::default() };
+        let pair = PairFit { electrodes: [3, 4], fvu: 2.0 };
+        let fit = RollingFit {
+            level: Level::Warn,
+            trials: 9,
+            median_fvu: 0.4,
+            pairs_over_limit: 1,
+            worst_pairs: vec![pair],
+        };
+        let fits = |fit, limits| {
+            let readings = Readings { fit, limits: Some(limits), ..Readings::default() };
+            let rows = beyond.suspenders(Some(&readings), at(1));
+            rows[2..]
+                .iter()
+                .map(|r| (r.value, r.threshold, r.since.is_some(), r.suspends))
+                .collect()
+        };
+        let unknown: Vec<_> = fits(None, &warns);
+        assert_eq!(unknown, [(None, 0.3, false, false), (None, 1.0, false, false)]);
+        let over: Vec<_> = fits(Some(&fit), &warns);
+        assert_eq!(over, [(Some(0.4), 0.3, true, false), (Some(2.0), 1.0, true, false)]);
+        let below: Vec<_> = fits(Some(&fit), &suspends);
+        assert_eq!(below[0], (Some(0.4), 0.5, false, true));
+    }
+}

@@ -1,0 +1,131 @@
+//! The tour of a run: where its plan presses, in the order of driving.
+//! Uses: `schedule`, `store`. Never: what was measured there (`progress` and the trials have it).
+
+use std::sync::Arc;
+
+use axum::body::Bytes;
+use axum::extract::State;
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use sim_core::sensor::Sensor;
+use utoipa::ToSchema;
+
+use super::App;
+use super::edited::lists;
+use super::problem::{ApiError, Path, ProblemBody};
+use super::runs::find;
+use crate::conductor::Submission;
+use crate::digest::sha256_hex;
+use crate::schedule::experiment::Experiment;
+use crate::schedule::plan::Plan;
+use crate::schedule::visits::Visits;
+use crate::store::{RunKind, RunRow};
+
+/// Where the plan of a run presses, in the order of driving.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Tour {
+    /// Number of the run.
+    pub scan_id: i64,
+    /// Name of the experiment.
+    pub experiment: String,
+    /// Kind of the experiment.
+    pub kind: RunKind,
+    /// Depths of each configuration, mm; empty for manual trials.
+    pub depths_mm: Vec<f64>,
+    /// The configurations or placements.
+    pub steps: Visits,
+}
+
+impl Tour {
+    /// Number of planned trials of each configuration.
+    pub(super) fn trials_each(&self) -> u32 {
+        // A manual trial has no depth.
+        self.depths_mm.len().max(1) as u32
+    }
+}
+
+/// A tour with its response.
+#[derive(Debug)]
+pub struct KeptTour {
+    /// The tour.
+    pub tour: Tour,
+    body: Bytes,
+    tag: String,
+}
+
+/// Returns the tour of a run: where its plan presses, in the planned order.
+///
+/// It changes only if a queued run is edited.
+#[utoipa::path(get, operation_id = "run_tour", path = "/api/v1/runs/{run}/tour", tag = "runs",
+    params(("run" = String, Path, description = "uid or scan_id"),
+        ("If-None-Match" = Option<String>, Header, description = "entity tags that the client has")),
+    responses((status = 200, body = Tour, headers(("ETag" = String, description = "entity tag"))),
+        (status = 304, description = "the client has it already"),
+        (status = 404, body = ProblemBody,
+            description = "no run has this uid or scan_id, or it has no plan")))]
+pub async fn of_run(
+    State(app): State<App>,
+    Path(run): Path<String>,
+    headers: HeaderMap,
+) -> Result<Response, ApiError> {
+    let run = find(&app, &run).await?;
+    let kept = app.tour(&run).await?;
+    let is_known = lists(&headers, &header::IF_NONE_MATCH, &kept.tag);
+    let mut response = match is_known {
+        true => StatusCode::NOT_MODIFIED.into_response(),
+        false => ([(header::CONTENT_TYPE, "application/json")], kept.body.clone()).into_response(),
+    };
+    if let Ok(tag) = HeaderValue::from_str(&kept.tag) {
+        response.headers_mut().insert(header::ETAG, tag);
+    }
+    let caching = HeaderValue::from_static("private, no-cache");
+    response.headers_mut().insert(header::CACHE_CONTROL, caching);
+    Ok(response)
+}
+
+impl App {
+    /// The tour of a run. A plan that was kept is read; the run of a version that kept none is planned
+    /// again from its files.
+    ///
+    /// # Errors
+    /// 404 if the run has no plan, or none that this version can read; errors of the store.
+    pub(super) async fn tour(&self, run: &RunRow) -> Result<Arc<KeptTour>, ApiError> {
+        let key = (run.uid, run.plan_sha256.clone());
+        self.facts.tours.get(key, read(self, run)).await
+    }
+}
+
+async fn read(app: &App, run: &RunRow) -> Result<Arc<KeptTour>, ApiError> {
+    let none = |why: &str| ApiError::not_found(format!("run {} has no plan: {why}", run.scan_id));
+    if run.kind == RunKind::Imported {
+        return Err(none("it was imported"));
+    }
+    let plan = app.store.plan_of(run.uid).await?;
+    let (scan_id, experiment, kind) = (run.scan_id, run.experiment.clone(), run.kind);
+    let files = Submission::of(run);
+    // A plan of 198,000 trials takes about 0.3 s: not on a thread that answers requests.
+    let reading = tokio::task::spawn_blocking(move || {
+        let (depths_mm, steps) = match plan {
+            Some(plan) => Visits::of_text(&plan).map_err(|e| e.to_string())?,
+            None => planned(&files)?,
+        };
+        let tour = Tour { scan_id, experiment, kind, depths_mm, steps };
+        let body = Bytes::from(serde_json::to_vec(&tour).map_err(|e| e.to_string())?);
+        let tag = format!("\"{}\"", sha256_hex(&body));
+        Ok(Arc::new(KeptTour { tour, body, tag }))
+    });
+    let read: Result<_, String> = reading.await.unwrap_or_else(|error| Err(error.to_string()));
+    read.map_err(|why| none(&why))
+}
+
+/// Plans an experiment. Returns its depths, mm, and its places.
+fn planned(files: &Submission) -> Result<(Vec<f64>, Visits), String> {
+    let first = |problems: Vec<crate::problem::Problem>| {
+        problems.first().map_or_else(String::new, ToString::to_string)
+    };
+    let experiment = Experiment::from_toml(&files.file, &files.definition).map_err(first)?;
+    let sensor = Sensor::from_toml(&files.sensor).map_err(|e| e.to_string())?;
+    let plan = Plan::of(&files.file, &experiment, &sensor).map_err(first)?;
+    Ok((plan.depths_mm.clone(), Visits::of(&plan)))
+}
