@@ -22,6 +22,7 @@ mod onnx;
 mod offline;
 mod old_data;
 mod once;
+mod overlay;
 mod requests;
 mod rights;
 mod rig_transcripts;

@@ -8,6 +8,7 @@ mod bench;
 mod campaign;
 mod live;
 mod once;
+mod placement;
 mod rig_contract;
 mod safety;
 mod stop;

@@ -14,7 +14,7 @@ use super::limits::{
 };
 use super::{
     App, datasets, estop, evaluation, events, exports, health, imports, infer, jobs, live, models,
-    people, queue, rig, runs, status, trials, twins,
+    overlay, people, placement, queue, rig, runs, status, trials, twins,
 };
 use crate::store::Role;
 
@@ -136,6 +136,8 @@ pub fn table() -> Vec<Operation> {
         (acts("arm"), routes!(runs::arm)),
         // Any valid key may stop a run.
         (acts("run_action").role(Viewer).lock(Lock::RefusesSome), routes!(runs::act)),
+        (READS, routes!(placement::placement)),
+        (READS, routes!(overlay::overlay)),
         (READS, routes!(trials::of_run)),
         (READS, routes!(trials::all)),
         (READS, routes!(trials::one)),

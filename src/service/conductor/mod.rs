@@ -15,12 +15,11 @@ use tokio::sync::Notify;
 use tracing::Instrument;
 use utoipa::ToSchema;
 
-use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::command::{Handle, Refusal, Request};
 use crate::campaign::spans::run_span;
 use crate::ids::{CalibrationId, RunUid};
 use crate::journal::{ExitStatus, Journal, error_chain};
-use crate::rig::config::RigConfig;
+use crate::rig::setup::RigSetup;
 use crate::schedule::preflight::Preflight;
 use crate::state::StoredState;
 use crate::store::{NewRun, RunRow, Soundness, Store};
@@ -45,7 +44,7 @@ pub struct RigFile {
     /// Text of the rig file, stored with every run.
     pub text: String,
     /// Parsed configuration.
-    pub config: RigConfig,
+    pub config: RigSetup,
 }
 
 /// Queue and campaign of one rig. Clones share it.
@@ -288,7 +287,7 @@ impl Conductor {
             }
             let free = {
                 let now = status.borrow_and_update();
-                now.run.is_none() && now.rig.state == RigState::Homed
+                now.run.is_none() && now.rig.is_ready()
             };
             if free && let Err(error) = self.begin_next().await {
                 tracing::warn!(error = error_chain(&error), "the next run did not start");
