@@ -14,9 +14,10 @@ const QUARTER: f64 = 0.552_284_75;
 /// Length of the ruler.
 const RULER_MM: f64 = 100.0;
 /// Height of the letters of a point's name.
-const LABEL_MM: f64 = 3.4;
-/// Radius of the disc of an electrode.
-const ELECTRODE_MM: f64 = 2.2;
+const LABEL_MM: f64 = 3.0;
+/// Radius of the disc of an electrode, and height of the letters in it.
+const ELECTRODE_MM: f64 = 2.6;
+const ELECTRODE_LABEL_MM: f64 = 2.2;
 /// Half length of a cross at a point, and of a mark for cutting.
 const CROSS_MM: f64 = 2.0;
 const MARK_MM: f64 = 4.0;
@@ -24,6 +25,7 @@ const MARK_MM: f64 = 4.0;
 const BLACK: [f32; 3] = [0.0, 0.0, 0.0];
 const GREY: [f32; 3] = [0.6, 0.6, 0.6];
 const PALE: [f32; 3] = [0.85, 0.85, 0.85];
+const WHITE: [f32; 3] = [1.0, 1.0, 1.0];
 const BLUE: [f32; 3] = [0.05, 0.3, 0.7];
 const RED: [f32; 3] = [0.8, 0.1, 0.1];
 
@@ -69,7 +71,7 @@ impl<'a> Pen<'a> {
         self.content.restore_state();
     }
 
-    /// Electrodes with their indices, which are above their discs: the names of points are below.
+    /// Electrodes with their indices in their discs: beside them are the names of points.
     fn electrodes(&mut self, sensor: &Sensor, tiling: &Tiling, sheet: &Sheet) {
         for (index, &[x, y]) in sensor.electrodes_mm().iter().enumerate() {
             if !tiling.shows(sheet, [x, y], 2.0 * LABEL_MM) {
@@ -78,8 +80,8 @@ impl<'a> Pen<'a> {
             let [r, g, b] = BLUE;
             self.content.set_fill_rgb(r, g, b);
             self.circle([x, y], ELECTRODE_MM).content.fill_nonzero();
-            let above = [x, y + ELECTRODE_MM + 0.8];
-            self.text(&format!("E{index}"), above, LABEL_MM, BLUE, Align::Middle);
+            let inside = [x, y - 0.36 * ELECTRODE_LABEL_MM];
+            self.text(&format!("E{index}"), inside, ELECTRODE_LABEL_MM, WHITE, Align::Middle);
         }
     }
 
@@ -134,13 +136,15 @@ impl<'a> Pen<'a> {
         for at in corners {
             self.cross(at, MARK_MM, RED, 0.3);
         }
-        self.ruler([margin + 30.0, margin + 3.0]);
+        // In the strip that is cut off, if a sheet is below this one.
+        self.ruler([margin + 30.0, margin + 0.7]);
     }
 
     /// A ruler with a tick at every 10 mm: a print at another scale is found with it.
     fn ruler(&mut self, [x, y]: [f64; 2]) {
         self.content.set_fill_rgb(1.0, 1.0, 1.0);
-        self.content.rect(x as f32 - 3.0, y as f32 - 1.2, 172.0, 7.0).fill_nonzero();
+        let height = OVERLAP_MM as f32 / 2.0;
+        self.content.rect(x as f32 - 3.0, y as f32 - 0.7, 172.0, height).fill_nonzero();
         self.stroke(RED, 0.3).line([x, y], [x + RULER_MM, y]);
         for tick in 0..=10 {
             let long = if tick % 5 == 0 { 4.0 } else { 2.5 };
