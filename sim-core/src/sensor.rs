@@ -151,6 +151,14 @@ pub struct Point {
     pub y_mm: f64,
 }
 
+impl Point {
+    /// Name of the point, as on the printed overlay: row and column from 1, such as `R7 C12`. Row 1
+    /// has the smallest y, column 1 the smallest x.
+    pub fn label(&self) -> String {
+        format!("R{} C{}", self.row + 1, self.column + 1)
+    }
+}
+
 /// A checked sensor: the file, and the points and electrodes that follow from it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sensor {
@@ -233,6 +241,12 @@ impl Sensor {
     pub fn point_near(&self, at_mm: [f64; 2], tolerance_mm: f64) -> Option<usize> {
         let [x_mm, y_mm] = at_mm;
         self.points.iter().position(|p| (p.x_mm - x_mm).hypot(p.y_mm - y_mm) <= tolerance_mm)
+    }
+
+    /// The point nearest to a position. A sensor has at least one point.
+    pub fn nearest_point(&self, [x_mm, y_mm]: [f64; 2]) -> Option<&Point> {
+        let distance = |p: &&Point| (p.x_mm - x_mm).hypot(p.y_mm - y_mm);
+        self.points.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)))
     }
 
     /// Whether a tip centred at a position is wholly on the skin.
@@ -342,6 +356,19 @@ mod tests {
         assert_eq!(s.electrodes_mm().len(), 28);
         assert_eq!(s.channels(), 784);
         assert!((s.first_column_x_mm() - 49.1635).abs() < 1e-4);
+    }
+
+    #[test]
+    fn a_point_is_named_by_its_row_and_column_from_1() {
+        let s = paper();
+        let p = s.points()[0];
+        assert_eq!(p.label(), "R1 C1");
+        let near = s.nearest_point([p.x_mm + 3.0, p.y_mm - 2.0]).unwrap();
+        assert_eq!(near.label(), "R1 C1");
+        let mut labels: Vec<String> = s.points().iter().map(Point::label).collect();
+        labels.sort();
+        labels.dedup();
+        assert_eq!(labels.len(), 804);
     }
 
     #[test]

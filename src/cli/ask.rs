@@ -1,4 +1,4 @@
-//! `palpate status`, `pause`, `resume`, `stop`, `abort`, `confirm`, `repeat`, `estop`: questions
+//! `palpate status`, `pause`, `resume`, `stop`, `abort`, `estop`: questions
 //! and requests to the server that drives the rig.
 //! Uses: `client`. Never: a server in this process (it would have no rig and no run).
 
@@ -200,8 +200,7 @@ fn status_words(status: &StatusView, twins: &Value) -> String {
     }
     let forces: Vec<String> =
         rig.forces_n.iter().map(|f| f.map_or("-".into(), |f| format!("{f:.2}"))).collect();
-    if !forces.is_empty() {
-        let limit_n = rig.force_limit_n;
+    if let Some(limit_n) = rig.force_limit_n.filter(|_| !forces.is_empty()) {
         lines.push(format!("forces   {} N (limit {limit_n:.0})", forces.join("  ")));
     }
     lines.extend(rig.stopping.as_ref().map(stopping_words));

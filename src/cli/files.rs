@@ -9,8 +9,8 @@ use sim_core::sensor::{Sensor, SensorError, SensorFile};
 use super::error::CliError;
 use crate::digest::sha256_hex;
 use crate::problem::Problem;
-use crate::rig::config::RigConfig;
 use crate::rig::reach::{bench, reach};
+use crate::rig::setup::RigSetup;
 use crate::schedule::experiment::Experiment;
 use crate::schedule::lint::lint;
 use crate::schedule::plan::Plan;
@@ -54,7 +54,7 @@ pub struct RigFiles {
     /// Text of the rig file.
     pub text: String,
     /// Parsed configuration.
-    pub config: RigConfig,
+    pub config: RigSetup,
 }
 
 impl ExperimentFiles {
@@ -108,7 +108,7 @@ impl RigFiles {
     /// # Errors
     /// `CliError::Problems` with all problems of the text.
     pub fn parse(file: String, text: String) -> Result<Self, CliError> {
-        let config = RigConfig::from_toml(&file, &text).map_err(CliError::Problems)?;
+        let config = RigSetup::from_toml(&file, &text).map_err(CliError::Problems)?;
         Ok(Self { file, text, config })
     }
 }
@@ -219,7 +219,7 @@ mod tests {
     #[test]
     fn the_carried_files_are_sound() {
         let rig = RigFiles::read(None).unwrap();
-        assert_eq!(rig.config.label.as_str(), "virtual");
+        assert_eq!(rig.config.label().as_str(), "virtual");
         assert_eq!(parse_sensor("s", DEFAULT_SENSOR).unwrap().electrodes_mm().len(), 28);
     }
 

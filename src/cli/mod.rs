@@ -30,6 +30,7 @@ mod key;
 pub mod log;
 mod model;
 mod output;
+mod placement;
 mod plan;
 mod progress;
 mod queue;
@@ -37,6 +38,7 @@ mod repeat;
 mod rig;
 mod run;
 mod running;
+mod sensor;
 mod serve;
 mod simulate;
 mod start_time;
@@ -143,9 +145,15 @@ pub enum Command {
     #[command(after_help = STOPS)]
     Abort(ask::AbortArgs),
     /// Confirm that the requested work is done.
-    Confirm(ask::ActArgs),
-    /// Repeat the last manual trial, which was faulty.
-    Repeat(ask::ActArgs),
+    ///
+    /// A placement of weights that the skin contradicts is refused with the reasons, unless --anyway.
+    Confirm(placement::ConfirmArgs),
+    /// Repeat a manual trial that was faulty, the last one by default; its data is kept as an attempt.
+    Repeat(placement::RepeatArgs),
+    /// Show the weights that a run asks for, and what the skin feels of them.
+    Placement(At),
+    /// Print the overlay of a sensor.
+    Sensor(sensor::SensorArgs),
     /// Emergency stop: every axis stops at once, until a reset.
     #[command(after_help = STOPS)]
     Estop(ask::ActArgs),
@@ -213,8 +221,10 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
         Command::Resume(args) => ask::act(&args, "resume", none()).await?,
         Command::Stop(args) => ask::act(&args, "stop", none()).await?,
         Command::Abort(args) => ask::abort(&args).await?,
-        Command::Confirm(args) => ask::act(&args, "confirm", none()).await?,
-        Command::Repeat(args) => ask::act(&args, "repeat", none()).await?,
+        Command::Confirm(args) => placement::confirm(&args).await?,
+        Command::Repeat(args) => placement::repeat(&args).await?,
+        Command::Placement(at) => placement::placement(&at).await?,
+        Command::Sensor(args) => sensor::sensor(&args)?,
         Command::Estop(args) => ask::estop(&args).await?,
         Command::Lock(args) => access::lock(args).await?,
         Command::Key(args) => access::key(args).await?,

@@ -294,7 +294,10 @@ fn report_words(report: &Value) -> String {
         ));
     }
     let (cells, stream) = (&report["cells"], &report["stream"]);
-    lines.push(format!("  cells   {} live, {}", text(&cells["live"]), text(&cells["identity"])));
+    if !cells.is_null() {
+        let (live, identity) = (text(&cells["live"]), text(&cells["identity"]));
+        lines.push(format!("  cells   {live} live, {identity}"));
+    }
     let (rate, noise) = (text(&stream["frame_rate_hz"]), text(&stream["noise_sd_v"]));
     lines.push(format!("  ert     {rate} frames/s, noise sd {noise} V"));
     for (mark, list) in [("WRONG", "problems"), ("NOT CHECKED", "unchecked")] {

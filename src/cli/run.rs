@@ -25,7 +25,7 @@ use crate::campaign::bench::rig_state::RigState;
 use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
 use crate::problem::Problem;
-use crate::rig::config::RigConfig;
+use crate::rig::setup::RigSetup;
 use crate::state::StoredState;
 use crate::store::RunRow;
 
@@ -283,7 +283,7 @@ async fn begin(client: &Client, order: &Order) -> Result<Begun, CliError> {
     }
 }
 
-/// Connects and homes the rig, if it is not connected or homed.
+/// Connects and homes the rig, if it is not connected or homed. A skin alone has nothing to home.
 async fn bring_up(client: &Client, order: &Order) -> Result<StatusView, CliError> {
     let mut status = client.status().await?;
     if status.run.is_some() {
@@ -298,6 +298,9 @@ async fn bring_up(client: &Client, order: &Order) -> Result<StatusView, CliError
     }
     if status.rig.state == RigState::Tripped {
         return Err(CliError::Tripped { detail: status.rig.trip_words() });
+    }
+    if !status.rig.has_stage {
+        return Ok(status);
     }
     if status.rig.state == RigState::Disarmed {
         confirm_motion(order, &status).await?;
@@ -349,9 +352,9 @@ async fn resumable(
                 && run
                     .rig
                     .as_deref()
-                    .and_then(|text| RigConfig::from_toml("", text).ok())
+                    .and_then(|text| RigSetup::from_toml("", text).ok())
                     .is_some_and(|rig| {
-                        rig.name == status.rig.name && rig.label.as_str() == status.rig.label
+                        rig.name() == status.rig.name && rig.label().as_str() == status.rig.label
                     })
         })
         .await

@@ -80,7 +80,7 @@ pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
     let data = options.data.clone();
     let service = Service::start(options).await?;
     announce(&data, &service, tls.as_ref());
-    let (url, name) = (service.url(), rig.config.name);
+    let (url, name) = (service.url(), rig.config.name().to_owned());
     let (version, folder) = (env!("CARGO_PKG_VERSION"), data.display());
     say(format_args!("palpate {version} at {url}, data in {folder}, rig {name}"));
     service

@@ -43,6 +43,8 @@ pub struct RigView {
     pub name: String,
     /// `measured` or `virtual`.
     pub label: String,
+    /// Whether the rig has a stage and load cells.
+    pub has_stage: bool,
     /// State of the rig.
     pub state: RigState,
     /// Latched trip, if any.
@@ -53,8 +55,8 @@ pub struct RigView {
     pub pose: Option<Pose>,
     /// Forces of attached arms, N.
     pub forces_n: Vec<Option<f64>>,
-    /// Limit on the force of one cell, N.
-    pub force_limit_n: f64,
+    /// Limit on the force of one cell, N; absent without cells.
+    pub force_limit_n: Option<f64>,
     /// Number of mounted tips, as stated by a person.
     pub tips: Option<u8>,
     /// Time from an e-stop until every axis had acknowledged, ms.

@@ -125,7 +125,7 @@ fn rig_command(options: &BenchOptions, folder: &Path, served: &Path) -> Result<C
     let (rig, sensor) = (folder.join("rig.toml"), folder.join("sensor.toml"));
     // Data of a virtual rig must not be labelled as measured.
     let mut config = options.rig.config.clone();
-    config.label = Label::Virtual;
+    config.set_label(Label::Virtual);
     write(&rig, &toml::to_string(&config)?)?;
     write(&sensor, &options.sensor_text)?;
     let gap = match &options.gap {

@@ -1,9 +1,10 @@
-//! The service: what runs next, the simulated twins of stored trials, and HTTP.
+//! The service: what runs next, the simulated twins of stored trials, what the skin feels of manual
+//! trials, and HTTP.
 //! Uses: all chapters before it. Never: motion but by asking the campaign for it.
 
 use palpate_bench::{campaign, rig, schedule};
 use palpate_data::dataset;
-use palpate_model::simulate;
+use palpate_model::{overlay, simulate};
 use palpate_store as store;
 use palpate_touch::{evaluate, infer, jobs, learn};
 use palpate_words::{
@@ -12,4 +13,5 @@ use palpate_words::{
 
 pub mod conductor;
 pub mod twins;
+pub mod placement;
 pub mod api;

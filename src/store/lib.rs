@@ -36,6 +36,7 @@ pub use crate::core::store::{Soundness, Store};
 pub use bench::actions::{ActionRow, NewAction};
 pub use bench::attempts::SkipRow;
 pub use bench::counts::SettingCount;
+pub use bench::placed::LastPlaced;
 pub use bench::run_row::{NewRun, RunPage, RunRow};
 pub use bench::wear::{PressedPoint, StoredWear};
 pub use lab::datasets::{DatasetRow, RunExtent};

@@ -156,6 +156,8 @@ pub enum Flag {
     StillCell,
     /// The cells measure a load to which the skin does not respond.
     SilentSkin,
+    /// The skin contradicted the placement of the weights, and a person stored it anyway.
+    Doubted,
 }
 
 impl Flag {
@@ -169,6 +171,7 @@ impl Flag {
             Self::DepthMissed => "depth_missed",
             Self::StillCell => "still_cell",
             Self::SilentSkin => "silent_skin",
+            Self::Doubted => "doubted",
         }
     }
 }

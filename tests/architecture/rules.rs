@@ -13,10 +13,10 @@ pub const CHAPTERS: [(&str, &[&str]); 9] = [
     ("words", &VOCABULARY),
     ("bench", &["schedule", "rig", "campaign"]),
     ("store", &["store"]),
-    ("model", &["calibrate", "simulate"]),
+    ("model", &["calibrate", "simulate", "overlay"]),
     ("data", &["dataset"]),
     ("touch", &["learn", "infer", "evaluate", "jobs"]),
-    ("service", &["conductor", "twins", "api"]),
+    ("service", &["conductor", "twins", "placement", "api"]),
     ("studies", &STUDIES),
     ("cli", &["cli"]),
 ];

@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 use palpate::dataset::definition::Definition;
 use palpate::problem::Problem;
-use palpate::rig::config::RigConfig;
 use palpate::rig::reach::{bench, reach};
+use palpate::rig::setup::RigSetup;
 use palpate::schedule::experiment::Experiment;
 use palpate::schedule::lint::lint;
 use palpate::schedule::plan::Plan;
@@ -46,8 +46,8 @@ fn plan(name: &str) -> Plan {
     Plan::of(name, &experiment(name), &sensor()).unwrap()
 }
 
-fn virtual_rig() -> RigConfig {
-    RigConfig::from_toml("rigs/virtual.toml", &read("rigs/virtual.toml")).unwrap()
+fn virtual_rig() -> RigSetup {
+    RigSetup::from_toml("rigs/virtual.toml", &read("rigs/virtual.toml")).unwrap()
 }
 
 fn preflight(name: &str) -> Preflight {
@@ -170,12 +170,12 @@ fn unreachable(keys: &str, change: impl FnOnce(&mut Reach)) -> String {
 #[test]
 fn an_unreachable_radius_is_one_error() {
     assert_eq!(
-        unreachable("", |r| r.radius_mm = [31.0, 200.0]),
+        unreachable("", |r| r.stage.as_mut().unwrap().radius_mm = [31.0, 200.0]),
         "real-hex.toml: real_hex.radius_pitches = 12: radius 207.85 mm is outside slot.radius_mm \
          [31, 200] of rigs/virtual.toml"
     );
     assert_eq!(
-        unreachable("", |r| r.backlash_mm = 4.0),
+        unreachable("", |r| r.stage.as_mut().unwrap().backlash_mm = 4.0),
         "real-hex.toml: real_hex.radius_pitches = 2: radius 34.64 mm cannot be approached from \
          slot.backlash_mm = 4 below within slot.radius_mm [31, 210] of rigs/virtual.toml"
     );
@@ -184,29 +184,31 @@ fn an_unreachable_radius_is_one_error() {
 #[test]
 fn an_unreachable_centre_is_one_error() {
     assert_eq!(
-        unreachable("", |r| r.x_travel_mm = [0.0, 440.0]),
+        unreachable("", |r| r.stage.as_mut().unwrap().x_travel_mm = [0.0, 440.0]),
         "rigs/virtual.toml: axes.x.travel_mm = [0, 440]: must hold machine x 59.16 to 466.20 mm, \
          the positions of real-hex.toml: 509 of its 24563 configurations are out of reach"
     );
     assert!(
-        unreachable("", |r| r.skin_origin_mm[1] = -80.0).contains("axes.y.travel_mm = [0, 580]")
+        unreachable("", |r| r.stage.as_mut().unwrap().skin_origin_mm[1] = -80.0)
+            .contains("axes.y.travel_mm = [0, 580]")
     );
 }
 
 #[test]
 fn an_unreachable_depth_is_one_error() {
     assert_eq!(
-        unreachable("", |r| r.z_travel_mm = [0.0, 73.5]),
+        unreachable("", |r| r.stage.as_mut().unwrap().z_travel_mm = [0.0, 73.5]),
         "real-hex.toml: real_hex.depths = 11: pressing 5 mm where the skin is lowest needs machine \
          z 73.65 mm, beyond axes.z.travel_mm [0, 73.5] of rigs/virtual.toml"
     );
     assert_eq!(
-        unreachable("reference_depth_mm = 6.0\n", |r| r.z_travel_mm = [0.0, 74.5]),
+        unreachable("reference_depth_mm = 6.0\n", |r| r.stage.as_mut().unwrap().z_travel_mm =
+            [0.0, 74.5]),
         "real-hex.toml: real_hex.reference_depth_mm = 6: pressing 6 mm where the skin is lowest \
          needs machine z 74.65 mm, beyond axes.z.travel_mm [0, 74.5] of rigs/virtual.toml"
     );
     assert_eq!(
-        unreachable("", |r| r.clearance_mm = 0.8),
+        unreachable("", |r| r.stage.as_mut().unwrap().clearance_mm = 0.8),
         "real-hex.toml: real_hex.standoff_mm = 1.35: must not be above skin.clearance_mm = 0.8 of \
          rigs/virtual.toml"
     );
@@ -242,7 +244,7 @@ fn a_bench_that_cannot_measure_the_skin_is_one_error() {
          in rigs/virtual.toml"
     );
     assert_eq!(
-        unreachable("", |r| r.cell_update_ms = 4000.0),
+        unreachable("", |r| r.stage.as_mut().unwrap().cell_update_ms = 4000.0),
         "real-hex.toml: measure.settle_max_ms = 5000: must hold two samples of cells.update_ms = \
          4000 of rigs/virtual.toml"
     );

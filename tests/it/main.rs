@@ -24,6 +24,7 @@ mod night;
 mod offline;
 mod old_data;
 mod once;
+mod overlay;
 mod requests;
 mod rights;
 mod rig_transcripts;

@@ -75,13 +75,13 @@ impl Lab {
     /// Switches everything on.
     pub async fn open(name: &str, args: RigArgs) -> Self {
         let speed = args.speed.unwrap();
-        let lab = Self::open_without_operator(name, args).await;
+        let lab = Self::open_alone(name, args).await;
         lab.call_operator(speed);
         lab
     }
 
     /// Switches everything on; nobody mounts tips or places weights.
-    pub async fn open_without_operator(name: &str, args: RigArgs) -> Self {
+    pub async fn open_alone(name: &str, args: RigArgs) -> Self {
         let turn = turn().await;
         let rig = VirtualRig::switch_on(&args).await.unwrap();
         let data = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("system-{name}"));
@@ -91,11 +91,19 @@ impl Lab {
     }
 
     fn call_operator(&self, speed: f64) {
+        self.call_operator_who_errs(speed, 0.0);
+    }
+
+    /// Starts an operator who puts a weight on a wrong point at first, with this probability.
+    pub fn call_operator_who_errs(&self, speed: f64, mistakes: f64) {
         let args = OperatorArgs {
             url: self.service.url(),
             control: self.rig.ready.control.clone(),
             speed,
             who: "virtual operator".into(),
+            mistakes,
+            seed: 1,
+            sensor: Some(file("sensors/ert-28.toml")),
             with_parent: false,
         };
         std::thread::spawn(move || operator_main(args).unwrap());
@@ -213,12 +221,17 @@ impl Lab {
 
     /// The service ends and another starts on the same database, as after a reboot.
     pub async fn restart(self) -> Self {
+        let lab = self.restart_alone().await;
+        lab.call_operator(40.0);
+        lab
+    }
+
+    /// As [`Self::restart`], without an operator.
+    pub async fn restart_alone(self) -> Self {
         let Self { rig, service, data, http, turn } = self;
         service.shutdown().await;
         let service = Service::start(options(&rig, &data)).await.unwrap();
-        let lab = Self { rig, service, data, http, turn };
-        lab.call_operator(40.0);
-        lab
+        Self { rig, service, data, http, turn }
     }
 
     /// Switches everything off.

@@ -9,6 +9,7 @@ mod browser;
 mod campaign;
 mod live;
 mod once;
+mod placement;
 mod rig_contract;
 mod safety;
 mod stop;

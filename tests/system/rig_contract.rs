@@ -206,14 +206,15 @@ async fn a_check_ends_with_stops_when_the_emergency_stop_is_latched() {
     let _turn = turn().await;
     let latch = StopLatch::new();
     let (rig, config, _open, _clock) = rig("virtual", &latch).await;
+    let setup = config.into();
     let pressed = async {
         tokio::time::sleep(Duration::from_millis(400)).await;
         latch.latch();
     };
-    let (checked, ()) = tokio::join!(run_on(&config, &latch, Scope::Look), pressed);
+    let (checked, ()) = tokio::join!(run_on(&setup, &latch, Scope::Look), pressed);
     assert!(matches!(checked, Err(RigError::Latched { .. })), "{checked:?}");
     assert_eq!(tell(&rig, json!({ "cmd": "status" })).await["stops"], 4);
-    let again = run_on(&config, &latch, Scope::Look).await;
+    let again = run_on(&setup, &latch, Scope::Look).await;
     assert!(matches!(again, Err(RigError::Latched { .. })), "{again:?}");
 }
 
@@ -224,7 +225,7 @@ fn a_rig_that_somebody_has_is_not_checked_by_another_process() {
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("held.toml");
     std::fs::write(&path, &text).unwrap();
     let config = RigConfig::from_toml("held.toml", &text).unwrap();
-    let _held = LockFile::of_rig(&config).unwrap();
+    let _held = LockFile::of_rig(&config.into()).unwrap();
     let palpate = env!("CARGO_BIN_EXE_palpate");
     let refused = Command::new(palpate).args(["rig", "check"]).arg(&path).output().unwrap();
     let said = String::from_utf8_lossy(&refused.stderr);

@@ -49,13 +49,70 @@ pub enum ConfigError {
     },
 }
 
+/// Sections that only a bench has.
+const OF_A_BENCH: [&str; 5] = ["lines", "axes", "slot", "skin", "cells"];
+
+/// What stands in for the bench of a file that describes a skin alone: no wire leads to it, its tips stay
+/// up.
+const BARE: &str = r#"
+[slot]
+radius_at_zero_mm = 30.0
+mm_per_deg = 1.0
+backlash_mm = 0.0
+[skin]
+origin_x_mm = 0.0
+origin_y_mm = 0.0
+surface_z_mm = [50.0, 60.0]
+[cells]
+device = "adam_6017"
+line = ""
+unit = 1
+channels = [0, 1, 2, 3, 4, 5]
+update_ms = 100.0
+supply_v = 5.0
+full_scale_n = 220.0
+[axes.x]
+device = "iai"
+line = ""
+unit = 1
+counts_per_unit = 100.0
+travel = [0.0, 600.0]
+speed = 100.0
+acceleration = 1000.0
+[axes.y]
+device = "iai"
+line = ""
+unit = 2
+counts_per_unit = 100.0
+travel = [0.0, 600.0]
+speed = 100.0
+acceleration = 1000.0
+[axes.z]
+device = "iai"
+line = ""
+unit = 3
+counts_per_unit = 100.0
+travel = [0.0, 100.0]
+speed = 100.0
+acceleration = 1000.0
+[axes.radial]
+device = "iai"
+line = ""
+unit = 4
+counts_per_unit = 100.0
+travel = [0.0, 300.0]
+speed = 100.0
+acceleration = 1000.0
+"#;
+
 /// Contents of a rig file, as far as the virtual rig needs them.
 #[derive(Debug, Clone, Deserialize)]
 pub struct RigFile {
     /// Process seconds per wall second; the command line can override it.
     #[serde(default = "one")]
     pub clock_rate: f64,
-    /// Wires by name.
+    /// Wires by name; none for a skin alone.
+    #[serde(default)]
     pub lines: BTreeMap<String, Line>,
     /// The four actuators.
     pub axes: Axes,
@@ -252,7 +309,12 @@ impl RigFile {
     /// # Errors
     /// `ConfigError` for the first problem.
     pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
-        let file: Self = toml::from_str(text)?;
+        let mut table: toml::Table = toml::from_str(text)?;
+        if OF_A_BENCH.iter().all(|key| !table.contains_key(*key)) {
+            let bare: toml::Table = toml::from_str(BARE)?;
+            table.extend(bare);
+        }
+        let file: Self = table.try_into()?;
         file.check()?;
         Ok(file)
     }
@@ -269,6 +331,9 @@ impl RigFile {
 
     /// All Modbus devices.
     pub fn devices(&self) -> Vec<Device<'_>> {
+        if self.lines.is_empty() {
+            return Vec::new();
+        }
         let axis = |&name: &AxisName| {
             let axis = self.axis(name);
             Device { key: format!("axes.{}", name.as_str()), line: &axis.line, unit: axis.unit }
@@ -343,6 +408,14 @@ mod tests {
         let file = RigFile::from_toml(VIRTUAL).unwrap();
         assert_eq!(file.axes.radial.counts_per_unit, 100.0);
         assert_eq!(file.devices().len(), 5);
+    }
+
+    #[test]
+    fn a_skin_alone_has_no_devices() {
+        let text = include_str!("../../experiments/rigs/skin-only.toml");
+        let file = RigFile::from_toml(text).unwrap();
+        assert!(file.devices().is_empty() && file.lines.is_empty());
+        assert_eq!(file.ert.electrodes(), 28);
     }
 
     #[test]

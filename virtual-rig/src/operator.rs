@@ -3,14 +3,18 @@
 //! Uses: reqwest, the control socket of the rig. Never: internals of the service, wires of the rig.
 
 use std::io;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use clap::Args;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use rustls::crypto::ring;
 use rustls::{ClientConfig, RootCertStore};
 use serde::Deserialize;
 use serde_json::{Value, json};
+use sim_core::sensor::Sensor;
 use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
 use tokio::net::TcpStream;
 use tokio::time::timeout;
@@ -28,6 +32,10 @@ const LOOK_MIN: Duration = Duration::from_millis(5);
 const AWAY_MAX: Duration = Duration::from_secs(10);
 /// Longest wait for one reply of the service or of the control socket.
 const ANSWER: Duration = Duration::from_secs(5);
+/// Least distance of a wrong point from every point that was asked, mm: a mistake, not a neighbour.
+const MISTAKE_MM: f64 = 60.0;
+/// Refusals of one confirmation to which the operator reacts; later ones are reported.
+const REFUSALS_MAX: u32 = 2;
 /// Time after which a request that is still shown is handled again: the confirmation was lost, or
 /// the trial is repeated.
 const AGAIN: Duration = Duration::from_secs(1);
@@ -47,6 +55,15 @@ pub struct OperatorArgs {
     /// Name that is logged with its actions.
     #[arg(long, default_value = "virtual operator")]
     pub who: String,
+    /// Probability of placing one weight of a trial on a wrong point at first, 0 to 1.
+    #[arg(long, value_name = "P", default_value_t = 0.0)]
+    pub mistakes: f64,
+    /// Seed of the mistakes.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// Sensor file with the points for mistakes.
+    #[arg(long, value_name = "FILE")]
+    pub sensor: Option<PathBuf>,
     /// End when standard input closes, that is when the parent process ends.
     #[arg(long)]
     pub with_parent: bool,
@@ -58,6 +75,17 @@ pub enum OperatorError {
     /// The runtime or the signal handlers could not be created.
     #[error(transparent)]
     Start(#[from] RunError),
+    /// The probability of mistakes is invalid, or no sensor file names the points.
+    #[error("--mistakes {0}: must be from 0 to 1, with --sensor FILE")]
+    Mistakes(f64),
+    /// The sensor file cannot be read.
+    #[error("{path}: {why}", path = path.display())]
+    Sensor {
+        /// Path of the file.
+        path: PathBuf,
+        /// Why it cannot be read.
+        why: String,
+    },
     /// TLS could not be set up.
     #[error("TLS: {0}")]
     Tls(#[source] rustls::Error),
@@ -149,6 +177,50 @@ pub fn operator_main(args: OperatorArgs) -> Result<(), OperatorError> {
     })
 }
 
+/// The hand of the operator: where it puts weights.
+struct Hand {
+    mistakes: f64,
+    points_mm: Vec<[f64; 2]>,
+    chance: ChaCha8Rng,
+}
+
+impl Hand {
+    fn of(args: &OperatorArgs) -> Result<Self, OperatorError> {
+        let points_mm = match &args.sensor {
+            Some(path) => {
+                let failed = |why: String| OperatorError::Sensor { path: path.clone(), why };
+                let text = std::fs::read_to_string(path).map_err(|e| failed(e.to_string()))?;
+                let sensor = Sensor::from_toml(&text).map_err(|e| failed(e.to_string()))?;
+                sensor.points().iter().map(|p| [p.x_mm, p.y_mm]).collect()
+            }
+            None => Vec::new(),
+        };
+        let is_share = (0.0..=1.0).contains(&args.mistakes);
+        if !is_share || args.mistakes > 0.0 && points_mm.is_empty() {
+            return Err(OperatorError::Mistakes(args.mistakes));
+        }
+        let chance = ChaCha8Rng::seed_from_u64(args.seed);
+        Ok(Self { mistakes: args.mistakes, points_mm, chance })
+    }
+
+    /// Places weights as asked, or one of them on a point that is far from all that were asked.
+    fn places(&mut self, asked: &[Weight]) -> Vec<Weight> {
+        let mut placed = asked.to_vec();
+        if placed.is_empty() || !self.chance.random_bool(self.mistakes) {
+            return placed;
+        }
+        let far = |p: &&[f64; 2]| {
+            asked.iter().all(|w| (w.x_mm - p[0]).hypot(w.y_mm - p[1]) >= MISTAKE_MM)
+        };
+        let wrong: Vec<&[f64; 2]> = self.points_mm.iter().filter(far).collect();
+        if let Some([x_mm, y_mm]) = wrong.get(self.chance.random_range(0..wrong.len().max(1))) {
+            let slip = self.chance.random_range(0..placed.len());
+            (placed[slip].x_mm, placed[slip].y_mm) = (*x_mm, *y_mm);
+        }
+        placed
+    }
+}
+
 struct Operator {
     args: OperatorArgs,
     key: Option<String>,
@@ -156,6 +228,9 @@ struct Operator {
     control: Option<BufReader<TcpStream>>,
     weights_down: bool,
     confirmed: Option<(String, Wish, Instant)>,
+    hand: Hand,
+    /// A confirmation that was refused, and how often.
+    refused: Option<(Wish, u32)>,
 }
 
 impl Operator {
@@ -168,7 +243,9 @@ impl Operator {
             .with_no_client_auth();
         let client = reqwest::Client::builder().tls_backend_preconfigured(tls).timeout(ANSWER);
         let client = client.build().map_err(OperatorError::Client)?;
-        Ok(Self { args, key, client, control: None, weights_down: false, confirmed: None })
+        let hand = Hand::of(&args)?;
+        let (control, confirmed, refused) = (None, None, None);
+        Ok(Self { args, key, client, control, weights_down: false, confirmed, hand, refused })
     }
 
     /// Checks and acts until the service has not replied for `away_max`.
@@ -226,13 +303,25 @@ impl Operator {
         {
             return Ok(());
         }
-        let why = self.do_by_hand(&wish).await?;
-        self.confirm(&run.uid, &wish, &why).await?;
+        // After a first refusal the weights are placed as asked; after a second one they are right, and
+        // the skin is wrong.
+        let refusals = self.refused.as_ref().filter(|(w, _)| *w == wish).map_or(0, |(_, n)| *n);
+        let why = self.do_by_hand(&wish, refusals).await?;
+        match self.confirm(&run.uid, &wish, &why, refusals > 1).await {
+            Err(HandError::Refused { status, .. })
+                if status == reqwest::StatusCode::CONFLICT && refusals < REFUSALS_MAX =>
+            {
+                self.refused = Some((wish, refusals + 1));
+                return Ok(());
+            }
+            outcome => outcome?,
+        }
+        self.refused = None;
         self.confirmed = Some((run.uid, wish, Instant::now()));
         Ok(())
     }
 
-    async fn do_by_hand(&mut self, wish: &Wish) -> Result<String, HandError> {
+    async fn do_by_hand(&mut self, wish: &Wish, refusals: u32) -> Result<String, HandError> {
         match wish {
             Wish::Tips(tips) => {
                 if self.weights_down {
@@ -243,20 +332,33 @@ impl Operator {
                 Ok(format!("mounted {tips} tips"))
             }
             Wish::Weights { trial, contacts } => {
-                self.tell_rig(&json!({ "cmd": "place", "weights": contacts })).await?;
+                let placed = match refusals {
+                    0 => self.hand.places(contacts),
+                    _ => contacts.clone(),
+                };
+                self.tell_rig(&json!({ "cmd": "place", "weights": placed })).await?;
                 self.weights_down = !contacts.is_empty();
                 Ok(format!("placed {} weights for trial {trial}", contacts.len()))
             }
         }
     }
 
-    async fn confirm(&self, uid: &str, wish: &Wish, why: &str) -> Result<(), HandError> {
+    async fn confirm(
+        &self,
+        uid: &str,
+        wish: &Wish,
+        why: &str,
+        anyway: bool,
+    ) -> Result<(), HandError> {
         let base = self.args.url.trim_end_matches('/');
         let url = format!("{base}/api/v1/runs/{uid}/actions");
         let mut body = json!({ "action": "confirm", "who": self.args.who, "why": why });
         match wish {
             Wish::Tips(tips) => body["tips"] = (*tips).into(),
             Wish::Weights { trial, .. } => body["trial"] = (*trial).into(),
+        }
+        if anyway {
+            body["anyway"] = true.into();
         }
         let answer = self.with_key(self.client.post(url)).json(&body).send().await?;
         let status = answer.status();
@@ -370,7 +472,7 @@ mod tests {
         ];
         let url = service(wishes, Arc::clone(&heard)).await;
         let who = "virtual operator".to_owned();
-        let args = OperatorArgs { url, control, speed: 20.0, who, with_parent: false };
+        let args = OperatorArgs { speed: 20.0, who, ..args(url, control) };
         let mut operator = Operator::new(args, Some("k".into())).unwrap();
         let work = operator.work(Duration::from_millis(300));
         timeout(Duration::from_secs(10), work).await.unwrap();
@@ -389,6 +491,49 @@ mod tests {
                 json!({ "action": "confirm", "who": who, "why": "mounted 4 tips", "tips": 4 }),
             ]
         );
+    }
+
+    fn args(url: String, control: String) -> OperatorArgs {
+        OperatorArgs {
+            url,
+            control,
+            speed: 1.0,
+            who: "virtual operator".into(),
+            mistakes: 0.0,
+            seed: 1,
+            sensor: None,
+            with_parent: false,
+        }
+    }
+
+    #[test]
+    fn the_hand_slips_with_its_probability_and_the_same_seed_slips_again() {
+        let sensor =
+            PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../experiments/sensors/ert-28.toml");
+        let hand = |mistakes: f64| {
+            let none = String::new;
+            let args = args(none(), none());
+            Hand::of(&OperatorArgs { mistakes, sensor: Some(sensor.clone()), ..args }).unwrap()
+        };
+        let weight = |x_mm, y_mm| Weight { x_mm, y_mm, force_n: 4.905 };
+        let asked = [weight(100.0, 80.0), weight(300.0, 300.0)];
+        let (mut one, mut two) = (hand(0.3), hand(0.3));
+        let mut slips = 0;
+        for _ in 0..1000 {
+            let placed = one.places(&asked);
+            assert_eq!(placed, two.places(&asked));
+            let moved: Vec<_> = placed.iter().zip(&asked).filter(|(p, a)| p != a).collect();
+            assert!(moved.len() <= 1);
+            slips += moved.len();
+            for (placed, asked) in moved {
+                let far = (placed.x_mm - asked.x_mm).hypot(placed.y_mm - asked.y_mm);
+                assert!(far >= MISTAKE_MM && placed.force_n == asked.force_n);
+            }
+        }
+        assert!((230..370).contains(&slips), "{slips}");
+        assert_eq!(hand(0.0).places(&asked), asked);
+        let args = OperatorArgs { mistakes: 0.1, ..args(String::new(), String::new()) };
+        assert!(Hand::of(&args).is_err(), "no points");
     }
 
     #[test]

@@ -326,6 +326,14 @@ impl ErtConfig {
             }
         }
     }
+
+    /// Checks rate and electrodes.
+    pub(super) fn check(&self, c: &mut Checks<'_>) {
+        c.within("ert.frame_rate_hz", self.frame_rate_hz(), 0.1, 1000.0);
+        let electrodes = self.electrodes();
+        let ok = (2..=64).contains(&electrodes);
+        c.require(ok, "ert.electrodes", electrodes, "must be 2 to 64");
+    }
 }
 
 impl RigConfig {
@@ -429,15 +437,12 @@ impl RigConfig {
         }
         c.within("skin.clearance_mm", self.skin.clearance_mm, 0.5, 100.0);
         self.limits.check(&mut c, self.cells.full_scale_n);
-        c.within("ert.frame_rate_hz", self.ert.frame_rate_hz(), 0.1, 1000.0);
-        let electrodes = self.ert.electrodes();
-        let ok = (2..=64).contains(&electrodes);
-        c.require(ok, "ert.electrodes", electrodes, "must be 2 to 64");
+        self.ert.check(&mut c);
         c.done()
     }
 }
 
-fn one() -> f64 {
+pub(super) fn one() -> f64 {
     1.0
 }
 

@@ -70,13 +70,15 @@ impl RigLimits {
         let shown = format!("[{low}, {high}]");
         let ordered = low >= 0.0 && low < high && high.is_finite();
         c.require(ordered, "limits.corridor_n_per_mm", shown, "must be [lower, upper], from 0");
-        for (key, age_ms, least) in [
-            ("limits.frame_age_ms", self.frame_age_ms, 50),
-            ("limits.sample_age_ms", self.sample_age_ms, 20),
-        ] {
-            c.require(age_ms >= least, key, age_ms, &format!("must be at least {least}"));
-        }
+        check_frame_age(self.frame_age_ms, c);
+        let age_ms = self.sample_age_ms;
+        c.require(age_ms >= 20, "limits.sample_age_ms", age_ms, "must be at least 20");
     }
+}
+
+/// Checks the longest time without a frame.
+pub(super) fn check_frame_age(age_ms: u64, c: &mut Checks<'_>) {
+    c.require(age_ms >= 50, "limits.frame_age_ms", age_ms, "must be at least 50");
 }
 
 /// Response of the paper's skin to about 10 N on one tip: five times drift and noise.

@@ -6,6 +6,7 @@ pub mod cells;
 pub mod guard;
 pub mod limits;
 pub mod config;
+pub mod setup;
 pub mod reach;
 pub mod error;
 pub mod traits;

@@ -1,14 +1,19 @@
 //! Properties of a rig file that a plan needs: reach, force limits, speeds.
-//! PURE. Uses: `schedule::{reach, estimate}`, `rig::config`. Never: devices.
+//! PURE. Uses: `schedule::{reach, estimate}`, `rig::{config, setup}`. Never: devices.
 
 use super::config::{LinearAxis, RigConfig};
-use crate::schedule::estimate::{Bench, Motion};
-use crate::schedule::reach::Reach;
+use super::setup::RigSetup;
+use crate::schedule::estimate::{Bench, Motion, StageTimes};
+use crate::schedule::reach::{Reach, StageReach};
 
 /// Reach and limits of a rig; `file` is its name in problems.
-pub fn reach(file: &str, rig: &RigConfig) -> Reach {
-    Reach {
-        file: file.into(),
+pub fn reach(file: &str, rig: &RigSetup) -> Reach {
+    let stage = rig.bench().map(stage_reach);
+    Reach { file: file.into(), electrodes: rig.ert().electrodes().into(), stage }
+}
+
+fn stage_reach(rig: &RigConfig) -> StageReach {
+    StageReach {
         x_travel_mm: rig.axes.x.travel_mm,
         y_travel_mm: rig.axes.y.travel_mm,
         z_travel_mm: rig.axes.z.travel_mm,
@@ -20,18 +25,25 @@ pub fn reach(file: &str, rig: &RigConfig) -> Reach {
         force_n: rig.limits.force_n,
         force_sum_n: rig.limits.force_sum_n,
         cell_update_ms: rig.cells.update_ms,
-        electrodes: rig.ert.electrodes().into(),
     }
 }
 
 /// Properties that determine the duration of a plan.
-pub fn bench(rig: &RigConfig) -> Bench {
+pub fn bench(rig: &RigSetup) -> Bench {
+    Bench {
+        stage: rig.bench().map(stage_times),
+        frame_rate_hz: rig.ert().frame_rate_hz(),
+        clock_rate: rig.clock_rate(),
+    }
+}
+
+fn stage_times(rig: &RigConfig) -> StageTimes {
     let linear = |axis: &LinearAxis| Motion {
         speed_mm_s: axis.speed_mm_s,
         acceleration_mm_s2: axis.acceleration_mm_s2,
     };
     let per_deg = rig.slot.mm_per_deg.abs();
-    Bench {
+    StageTimes {
         x: linear(&rig.axes.x),
         y: linear(&rig.axes.y),
         z: linear(&rig.axes.z),
@@ -44,8 +56,6 @@ pub fn bench(rig: &RigConfig) -> Bench {
         surface_z_mm: rig.skin.surface_z_mm,
         backlash_mm: rig.slot.backlash_mm,
         cell_update_ms: rig.cells.update_ms,
-        frame_rate_hz: rig.ert.frame_rate_hz(),
-        clock_rate: rig.clock_rate,
         z_watchdog_ms: rig.axes.z.guard.watchdog_ms,
     }
 }

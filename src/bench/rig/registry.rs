@@ -13,6 +13,7 @@ use super::ert_stream::ErtStream;
 use super::link::{
     Framing, Line, LinePolicy, MotionGate, SerialSettings, StopLatch, serial_opener, tcp_opener,
 };
+use super::setup::SkinConfig;
 use super::station::Station;
 use super::traits::{Axis, Bench, SkinReader};
 use crate::clock::Clock;
@@ -71,6 +72,15 @@ pub fn open(config: &RigConfig, clock: &Clock, latch: &StopLatch) -> Result<Open
         skin: Arc::clone(&stream) as Arc<dyn SkinReader>,
     };
     Ok(OpenBench { bench, lines, stream })
+}
+
+/// Starts the reader of the stream of a skin alone. Its port is opened by the reader; nothing is sent.
+///
+/// # Errors
+/// `RigError::Start` if the reader cannot be started.
+pub fn open_skin(config: &SkinConfig, clock: &Clock) -> Result<Arc<ErtStream>, RigError> {
+    let frame_age = Duration::from_millis(config.limits.frame_age_ms);
+    Ok(Arc::new(ErtStream::open(&config.ert, frame_age, clock.clone())?))
 }
 
 fn find(

@@ -48,9 +48,20 @@ impl Motion {
     }
 }
 
-/// Properties of a bench that determine durations; filled in from the rig file.
+/// Properties of a rig that determine durations; filled in from the rig file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bench {
+    /// Those of its stage; absent for a skin alone.
+    pub stage: Option<StageTimes>,
+    /// `ert.frame_rate_hz` of the rig file, frames per process second.
+    pub frame_rate_hz: f64,
+    /// Process seconds per wall second.
+    pub clock_rate: f64,
+}
+
+/// Properties of a stage that determine durations.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StageTimes {
     /// Motion of `axes.x`.
     pub x: Motion,
     /// Motion of `axes.y`.
@@ -69,10 +80,6 @@ pub struct Bench {
     pub backlash_mm: f64,
     /// `cells.update_ms` of the rig file, process ms.
     pub cell_update_ms: f64,
-    /// `ert.frame_rate_hz` of the rig file, frames per process second.
-    pub frame_rate_hz: f64,
-    /// Process seconds per wall second.
-    pub clock_rate: f64,
     /// Watchdog time of z, wall ms: without a request for this duration z stops. Absent: z
     /// continues to its target.
     pub z_watchdog_ms: Option<u64>,
@@ -306,8 +313,10 @@ impl<'a> Walk<'a> {
     /// Duration of a press: travel, tare, approach, press and measurement at each depth, raise.
     fn press(&mut self, stand: &Stand, depths_mm: &[f64]) -> Parts {
         let mut parts = Parts::default();
-        self.travel(stand, &mut parts);
-        let (bench, measure) = (self.bench, &self.plan.measure);
+        // Without a stage the plan has a problem, and no press takes time.
+        let Some(bench) = &self.bench.stage else { return parts };
+        self.travel(bench, stand, &mut parts);
+        let measure = &self.plan.measure;
         let samples = f64::from(measure.tare_samples) + self.assumed.tare_samples;
         parts.tare_s = self.wall(samples * bench.cell_update_ms / 1e3);
         let lowered_mm = bench.clearance_mm - self.plan.standoff_mm;
@@ -333,10 +342,9 @@ impl<'a> Walk<'a> {
 
     /// Duration of x, y and radius together; a smaller radius is overshot and approached from
     /// below.
-    fn travel(&mut self, stand: &Stand, parts: &mut Parts) {
+    fn travel(&mut self, bench: &StageTimes, stand: &Stand, parts: &mut Parts) {
         let to = stand.place();
         let from = self.here.replace(to).unwrap_or(to);
-        let bench = self.bench;
         let lateral_s =
             bench.x.time_s(to.x_mm - from.x_mm).max(bench.y.time_s(to.y_mm - from.y_mm));
         let spread_mm = to.radius_mm - from.radius_mm;
@@ -353,14 +361,14 @@ impl<'a> Walk<'a> {
     /// Duration of a touch-off: the first place is searched from the top of the surface's range,
     /// the others from just above the surface.
     fn touch_off(&mut self, places: &[Stand]) -> f64 {
-        let bench = self.bench;
+        let Some(bench) = &self.bench.stage else { return 0.0 };
         let slow = Motion { speed_mm_s: bench.approach_mm_s, ..bench.z };
         let [top, bottom] = bench.surface_z_mm;
         let mut searched_mm = bench.clearance_mm + self.assumed.surface_at * (bottom - top);
         let mut total_s = 0.0;
         for stand in places {
             let mut parts = Parts::default();
-            self.travel(stand, &mut parts);
+            self.travel(bench, stand, &mut parts);
             let down_s = slow.time_s(searched_mm) + bench.z.time_s(bench.clearance_mm);
             total_s += parts.total_s() + self.wall(down_s) + 3.0 * self.assumed.command_ms / 1e3;
             searched_mm = bench.clearance_mm;
@@ -369,7 +377,8 @@ impl<'a> Walk<'a> {
     }
 
     fn settle_s(&self) -> f64 {
-        let more_ms = self.assumed.settle_samples * self.bench.cell_update_ms;
+        let update_ms = self.bench.stage.as_ref().map_or(0.0, |stage| stage.cell_update_ms);
+        let more_ms = self.assumed.settle_samples * update_ms;
         let measure = &self.plan.measure;
         self.wall((measure.settle_ms + more_ms).min(measure.settle_max_ms) / 1e3)
     }

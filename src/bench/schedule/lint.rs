@@ -8,7 +8,7 @@ use sim_core::sensor::Sensor;
 
 use super::configuration::Lattice;
 use super::experiment::{Experiment, RealHex, RealRandom};
-use super::reach::Reach;
+use super::reach::{Reach, StageReach};
 use crate::problem::Problem;
 
 /// Problems of an experiment on a bench; none if the bench meets all requirements. `file` is the
@@ -16,12 +16,19 @@ use crate::problem::Problem;
 pub fn lint(file: &str, experiment: &Experiment, sensor: &Sensor, reach: &Reach) -> Vec<Problem> {
     let mut lint = Lint { file, reach, found: Vec::new() };
     lint.readout(experiment, sensor);
-    if let Some(hex) = &experiment.real_hex {
-        lint.radii(hex, sensor);
-        lint.centres(hex, sensor);
-        lint.depths(hex);
-        lint.forces(experiment);
-        lint.settling(experiment);
+    match (&experiment.real_hex, &reach.stage) {
+        (Some(hex), Some(stage)) => {
+            lint.radii(hex, sensor, stage);
+            lint.centres(hex, sensor, stage);
+            lint.depths(hex, stage);
+            lint.forces(experiment, stage);
+            lint.settling(experiment, stage);
+        }
+        (Some(hex), None) => {
+            let limit = format!("needs a stage, which {} does not have", lint.rig());
+            lint.add("real_hex.configurations", hex.configurations, limit);
+        }
+        (None, _) => {}
     }
     if let Some(random) = &experiment.real_random {
         lint.weights(random, experiment);
@@ -50,9 +57,9 @@ impl Lint<'_> {
     }
 
     /// Checks every radius that a setting can draw: within the slot, and approachable from below.
-    fn radii(&mut self, hex: &RealHex, sensor: &Sensor) {
+    fn radii(&mut self, hex: &RealHex, sensor: &Sensor, stage: &StageReach) {
         let lattice = Lattice::of(sensor);
-        let [low, high] = self.reach.radius_mm;
+        let [low, high] = stage.radius_mm;
         for pitches in hex.radius_pitches[0]..=hex.radius_pitches[1] {
             let mm = sensor.pitch_mm() * f64::from(pitches);
             let drawn = hex.tips.iter().any(|&t| !lattice.pool(t, [pitches, pitches]).is_empty());
@@ -61,11 +68,11 @@ impl Lint<'_> {
                 let limit =
                     format!("radius {mm:.2} mm is outside slot.radius_mm [{low}, {high}] of {rig}");
                 self.add("real_hex.radius_pitches", pitches, limit);
-            } else if drawn && mm - self.reach.backlash_mm < low {
+            } else if drawn && mm - stage.backlash_mm < low {
                 let limit = format!(
                     "radius {mm:.2} mm cannot be approached from slot.backlash_mm = {} below within \
                      slot.radius_mm [{low}, {high}] of {}",
-                    self.reach.backlash_mm,
+                    stage.backlash_mm,
                     self.rig()
                 );
                 self.add("real_hex.radius_pitches", pitches, limit);
@@ -74,7 +81,7 @@ impl Lint<'_> {
     }
 
     /// Checks every centre that a setting can draw: within the travel of the stage.
-    fn centres(&mut self, hex: &RealHex, sensor: &Sensor) {
+    fn centres(&mut self, hex: &RealHex, sensor: &Sensor, stage: &StageReach) {
         let lattice = Lattice::of(sensor);
         let drawn: Vec<[f64; 2]> = hex
             .tips
@@ -83,9 +90,9 @@ impl Lint<'_> {
             .map(|c| sensor.points()[c.centre as usize])
             .map(|p| [p.x_mm, p.y_mm])
             .collect();
-        let travel = [("x", self.reach.x_travel_mm), ("y", self.reach.y_travel_mm)];
+        let travel = [("x", stage.x_travel_mm), ("y", stage.y_travel_mm)];
         for (axis, (name, [low, high])) in travel.into_iter().enumerate() {
-            let machine = |c: &[f64; 2]| c[axis] + self.reach.skin_origin_mm[axis];
+            let machine = |c: &[f64; 2]| c[axis] + stage.skin_origin_mm[axis];
             let out = drawn.iter().filter(|&c| !(low..=high).contains(&machine(c))).count();
             if out > 0 {
                 let first = drawn.iter().map(machine).fold(f64::INFINITY, f64::min);
@@ -105,18 +112,18 @@ impl Lint<'_> {
 
     /// Checks that depth 0 is not above the travelling height, and that the deepest press is within
     /// z where the skin is lowest.
-    fn depths(&mut self, hex: &RealHex) {
-        if hex.standoff_mm > self.reach.clearance_mm {
-            let (clearance, rig) = (self.reach.clearance_mm, self.rig());
+    fn depths(&mut self, hex: &RealHex, stage: &StageReach) {
+        if hex.standoff_mm > stage.clearance_mm {
+            let (clearance, rig) = (stage.clearance_mm, self.rig());
             let limit = format!("must not be above skin.clearance_mm = {clearance} of {rig}");
             self.add("real_hex.standoff_mm", hex.standoff_mm, limit);
         }
         let reference = if hex.reference_every > 0 { hex.reference_depth_mm } else { 0.0 };
         let pressed =
             [("real_hex.depths", hex.deepest_mm()), ("real_hex.reference_depth_mm", reference)];
-        let [top, bottom] = self.reach.z_travel_mm;
+        let [top, bottom] = stage.z_travel_mm;
         for (key, depth) in pressed {
-            let z = self.reach.surface_z_mm[1] - hex.standoff_mm + depth;
+            let z = stage.surface_z_mm[1] - hex.standoff_mm + depth;
             if z > bottom {
                 let limit = format!(
                     "pressing {depth} mm where the skin is lowest needs machine z {z:.2} mm, beyond \
@@ -129,11 +136,11 @@ impl Lint<'_> {
         }
     }
 
-    fn forces(&mut self, experiment: &Experiment) {
+    fn forces(&mut self, experiment: &Experiment, stage: &StageReach) {
         let limits = &experiment.limits;
         for (key, asked, rigs) in [
-            ("limits.force_n", limits.force_n, self.reach.force_n),
-            ("limits.force_sum_n", limits.force_sum_n, self.reach.force_sum_n),
+            ("limits.force_n", limits.force_n, stage.force_n),
+            ("limits.force_sum_n", limits.force_sum_n, stage.force_sum_n),
         ] {
             if asked > rigs {
                 let limit = format!("must not be above {key} = {rigs} of {}", self.rig());
@@ -143,8 +150,8 @@ impl Lint<'_> {
     }
 
     /// Checks that the longest wait contains two samples of the cells, which settling requires.
-    fn settling(&mut self, experiment: &Experiment) {
-        let (longest, update) = (experiment.measure.settle_max_ms, self.reach.cell_update_ms);
+    fn settling(&mut self, experiment: &Experiment, stage: &StageReach) {
+        let (longest, update) = (experiment.measure.settle_max_ms, stage.cell_update_ms);
         if longest < 2.0 * update {
             let rig = self.rig();
             let limit = format!("must hold two samples of cells.update_ms = {update} of {rig}");

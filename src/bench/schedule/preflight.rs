@@ -102,7 +102,7 @@ impl Preflight {
 /// Effect of a service that stops: without it, only the drive of z can stop the press.
 fn if_silent(plan: &Plan, bench: &Bench) -> String {
     let deepest_mm = plan.depths_mm.iter().copied().fold(0.0, f64::max) - plan.standoff_mm;
-    match bench.z_watchdog_ms {
+    match bench.stage.as_ref().and_then(|stage| stage.z_watchdog_ms) {
         Some(ms) => format!(
             "z stops after {ms} ms (watchdog of its drive); the tips stay pressed up to \
              {deepest_mm:.2} mm below the surface until a person raises them"

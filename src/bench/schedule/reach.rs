@@ -1,11 +1,20 @@
 //! Reach and force limits of a bench as plain values, so that a plan is checked without a rig.
 //! PURE. Uses: nothing. Never: the rig file (its reader fills this in).
 
-/// Reach and limits of a rig. Machine coordinates: z increases downward from the raised home.
+/// Reach and limits of a rig.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reach {
     /// Name of the rig file, for problems.
     pub file: String,
+    /// `ert.electrodes`: number of electrodes of the readout.
+    pub electrodes: u32,
+    /// Reach and limits of the stage; absent for a skin alone.
+    pub stage: Option<StageReach>,
+}
+
+/// Reach and limits of a stage. Machine coordinates: z increases downward from the raised home.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StageReach {
     /// `axes.x.travel_mm`, mm.
     pub x_travel_mm: [f64; 2],
     /// `axes.y.travel_mm`, mm.
@@ -28,6 +37,4 @@ pub struct Reach {
     pub force_sum_n: f64,
     /// `cells.update_ms`: actual update period of the load cells, process ms.
     pub cell_update_ms: f64,
-    /// `ert.electrodes`: number of electrodes of the readout.
-    pub electrodes: u32,
 }

@@ -26,7 +26,7 @@ use crate::calibrate::skin::{CalibratedSkin, Candidate, Choice, Source, calibrat
 use crate::calibrate::skin_plot;
 use crate::dataset::pressed::contacts;
 use crate::problem::Problem;
-use crate::rig::config::RigConfig;
+use crate::rig::setup::RigSetup;
 use crate::simulate::model::{ModelUnavailable, unit_responses};
 use crate::store::{RunKind, RunRow, TrialRow};
 
@@ -127,11 +127,10 @@ fn start(run: &RunRow, args: &SkinArgs) -> Result<(Sensor, Option<Calibration>),
 /// All trials of a run without a flag: positions of the tips, contacts.
 async fn candidates(client: &Client, run: &RunRow) -> Result<Vec<Candidate>, CliError> {
     let force_noise_n = match &run.rig {
-        Some(rig) => {
-            RigConfig::from_toml("rig", rig).map_err(CliError::Problems)?.cells.force_noise_n
-        }
-        None => 0.0,
+        Some(rig) => RigSetup::from_toml("rig", rig).map_err(CliError::Problems)?.force_noise_n(),
+        None => None,
     };
+    let force_noise_n = force_noise_n.unwrap_or(0.0);
     let path = format!("/api/v1/runs/{}/trials?flagged=false&limit={PAGE}", run.uid);
     let (mut candidates, mut cursor) = (Vec::new(), String::new());
     loop {

@@ -260,7 +260,7 @@ pub async fn live(
     let serving = app.serving.once_restored(options.method).await;
     let method = match options.method {
         Some(method) => method,
-        None => best(&serving).ok_or_else(|| {
+        None => serving.best().ok_or_else(|| {
             let words = "no model serves: train or add a model, then promote it";
             ApiError::new(StatusCode::CONFLICT, words)
         })?,
@@ -310,10 +310,6 @@ impl Default for Turns {
             simulations: of(SIMULATIONS),
         }
     }
-}
-
-fn best(pipeline: &Pipeline) -> Option<Method> {
-    Method::served().rev().find(|method| pipeline.ready(*method).is_ok())
 }
 
 async fn follow(app: &App, mut socket: WebSocket, method: Method, map: bool) {

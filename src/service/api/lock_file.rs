@@ -18,7 +18,8 @@ use std::path::{Path, PathBuf};
 use rustix::fs::OFlags;
 
 use crate::digest::sha256_hex;
-use crate::rig::config::{LineConfig, RigConfig};
+use crate::rig::config::{ErtConfig, LineConfig};
+use crate::rig::setup::RigSetup;
 
 /// Folders for the lock of a rig, in the order of preference. Not `TMPDIR`: users have different ones.
 const SHARED: [&str; 2] = ["/run/lock", "/tmp"];
@@ -83,15 +84,14 @@ impl LockFile {
     ///
     /// # Errors
     /// `LockFileError::Held` if another process holds it, `File` if the lock file cannot be used.
-    pub fn of_rig(rig: &RigConfig) -> Result<Self, LockFileError> {
-        let mut wires: Vec<&str> = rig
-            .lines
-            .values()
-            .map(|line| match line {
-                LineConfig::ModbusTcp { address, .. } => address.as_str(),
-                LineConfig::ModbusRtu { path, .. } => path.as_str(),
-            })
-            .collect();
+    pub fn of_rig(rig: &RigSetup) -> Result<Self, LockFileError> {
+        let mut wires: Vec<&str> = match rig {
+            RigSetup::Bench(bench) => bench.lines.values().map(wire).collect(),
+            RigSetup::Skin(skin) => match &skin.ert {
+                ErtConfig::Tcp { address, .. } => vec![address],
+                ErtConfig::Serial { path, .. } => vec![path],
+            },
+        };
         wires.sort_unstable();
         let digest = sha256_hex(wires.join("\n"));
         let is_shared = |folder: &&str| {
@@ -100,7 +100,7 @@ impl LockFile {
         };
         let folder = SHARED.into_iter().find(is_shared).unwrap_or("/tmp");
         let path = Path::new(folder).join(format!("palpate-rig-{}.lock", &digest[..12]));
-        Self::take(&path, &format!("the rig {}", rig.name), SHARED_MODE)
+        Self::take(&path, &format!("the rig {}", rig.name()), SHARED_MODE)
     }
 
     fn take(path: &Path, what: &str, mode: u32) -> Result<Self, LockFileError> {
@@ -119,6 +119,14 @@ impl LockFile {
         let user = rustix::process::geteuid().as_raw();
         writeln!(file, "{} of user {user}", std::process::id()).map_err(failed)?;
         Ok(Self { file })
+    }
+}
+
+/// Address of a wire.
+fn wire(line: &LineConfig) -> &str {
+    match line {
+        LineConfig::ModbusTcp { address, .. } => address,
+        LineConfig::ModbusRtu { path, .. } => path,
     }
 }
 

@@ -32,6 +32,7 @@ use crate::infer::registry::Registry;
 use crate::infer::serving::Serving;
 use crate::jobs::Jobs;
 use crate::journal::error_chain;
+use crate::placement::watch::PlacementWatch;
 use crate::schedule::experiment::{Experiment, TwinLimits};
 use crate::simulate::model::sweep_partial;
 use crate::store::{KeyRing, Soundness, Store, StoreError, StoredProgress};
@@ -67,10 +68,12 @@ mod live_status;
 mod lock_file;
 mod models;
 mod once;
+mod overlay;
 mod offline;
 mod pages;
 mod params;
 mod people;
+mod placement;
 mod problem;
 mod progress;
 mod query;
@@ -105,6 +108,7 @@ pub use models::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, Serving
 pub use offline::Offline;
 pub use pages::Page;
 pub use people::CreatedKey;
+pub use placement::{FeltOut, LastPlacement, PlacementOut, Stage};
 pub use routes::{Access, Lock, Needs};
 pub use runs::Summary;
 pub use tls::{Tls, TlsCause, TlsError, warn_if_others_may_read};
@@ -226,6 +230,8 @@ pub struct App {
     pub jobs: Jobs,
     /// Limits of concurrent inferences.
     pub turns: Turns,
+    /// What the skin feels of manual trials.
+    pub placement: PlacementWatch,
     facts: Arc<Facts>,
 }
 
@@ -344,7 +350,7 @@ impl Service {
     /// and there is none, `Bind` if the address is not available, `Datasets`, `Models` or `Thread` for
     /// a failed start of these parts.
     pub async fn start(options: ServeOptions) -> Result<Self, ServeError> {
-        let config = crate::rig::config::RigConfig::from_toml(&options.rig_file, &options.rig_text)
+        let config = crate::rig::setup::RigSetup::from_toml(&options.rig_file, &options.rig_text)
             .map_err(|problems| ServeError::Rig { problems })?;
         let tls = options.tls.as_ref().map(Tls::acceptor).transpose()?;
         let locks = [data_folder::open(&options.data)?, LockFile::of_rig(&config)?];
@@ -425,6 +431,7 @@ impl Service {
             serving.clone(),
             &options.data,
         );
+        let placement = PlacementWatch::new(campaign.clone(), serving.clone(), store.clone());
         let app = App {
             serving: serving.clone(),
             facts: Arc::new(facts),
@@ -437,11 +444,13 @@ impl Service {
             models,
             jobs,
             turns: Turns::default(),
+            placement,
         };
         let tasks = vec![
             tokio::spawn(app.conductor.clone().follow()),
             tokio::spawn(app.conductor.clone().note_estimates()),
             tokio::spawn(app.twins.clone().work()),
+            tokio::spawn(app.placement.clone().work()),
             tokio::spawn(app.datasets.clone().work()),
             tokio::spawn(app.jobs.clone().work()),
             tokio::spawn(finished::keep(app.clone())),

@@ -14,8 +14,8 @@ use super::limits::{
 };
 use super::{
     App, datasets, estop, evaluation, events, experiments, exports, health, history, imports, infer,
-    jobs, live, live_status, models, people, progress, queue, rig, runs, samples, sensor,
-    simulations, status, tour, trials, twins, untouched, wear,
+    jobs, live, live_status, models, overlay, people, placement, progress, queue, rig, runs, samples,
+    sensor, simulations, status, tour, trials, twins, untouched, wear,
 };
 use crate::store::Role;
 
@@ -146,6 +146,8 @@ pub fn table() -> Vec<Operation> {
         (acts("arm"), routes!(runs::arm)),
         // Any valid key may stop a run.
         (acts("run_action").role(Viewer).lock(Lock::RefusesSome), routes!(runs::act)),
+        (READS, routes!(placement::placement)),
+        (READS, routes!(overlay::overlay)),
         (READS, routes!(trials::of_run)),
         (READS, routes!(trials::all)),
         (READS, routes!(trials::one)),

@@ -12,6 +12,7 @@ use super::App;
 use super::audit::{Act, cut};
 use super::limits::WHO_MAX_CHARS;
 use super::pages::{Page, PageParams, PageRequest};
+use super::placement::confirmation;
 use super::problem::{ApiError, Body, Path, ProblemBody};
 use crate::campaign::STOPS;
 use crate::campaign::shown::command::Request;
@@ -54,10 +55,15 @@ pub struct ActionRequest {
     /// For `start`: the code that arming returned.
     pub code: Option<String>,
     /// For `confirm`: index of the placement that was made. A run that waits for something else refuses
-    /// it, so that a confirmation sent twice confirms one placement.
+    /// it, so that a confirmation sent twice confirms one placement. For `repeat`: index of the
+    /// placement to repeat; absent: the one that was measured last.
     pub trial: Option<u32>,
     /// For `confirm`: number of tips that were mounted, as `trial`.
     pub tips: Option<u8>,
+    /// For `confirm`: store the placement even if the skin contradicts it; its trial gets the flag
+    /// `doubted`.
+    #[serde(default)]
+    pub anyway: bool,
     /// Name of the person, for the log of actions.
     pub who: Option<String>,
     /// Reason, for the log of actions.
@@ -78,9 +84,11 @@ pub enum Action {
     Stop,
     /// Raise the tips now, end the run. An interrupted run ends without motion.
     Abort,
-    /// Confirm the work that the run waits for: a tip change or a placement.
+    /// Confirm the work that the run waits for: a tip change or a placement. A placement that the
+    /// skin contradicts is refused, unless `anyway` is true.
     Confirm,
-    /// Repeat the last manual trial.
+    /// Repeat a manual trial while the run waits for a placement: the stored trial is withdrawn (it
+    /// is kept with the failed attempts), and the run asks for its placement again before it continues.
     Repeat,
 }
 
@@ -285,7 +293,7 @@ pub async fn arm(
     params(("run" = String, Path, description = "uid or scan_id")),
     responses((status = 202, body = ActionAccepted),
         (status = 409, body = ProblemBody,
-            description = "the state of the run does not allow the action, or another person holds the lock")))]
+            description = "the state of the run does not allow the action, the skin contradicts a placement, or another person holds the lock")))]
 pub async fn act(
     State(app): State<App>,
     act: Act,
@@ -336,9 +344,11 @@ async fn request_action(
         Action::Abort => Request::Abort,
         Action::Confirm => {
             let done = Done { trial: asked.trial, tips: asked.tips };
-            Request::Confirm { who: act.name(), done }
+            confirmation(app, act.name(), done, asked.anyway).await?
         }
-        Action::Repeat => Request::Repeat { why: asked.why.unwrap_or_default() },
+        Action::Repeat => {
+            Request::Repeat { trial: asked.trial, why: asked.why.unwrap_or_default() }
+        }
     };
     app.campaign.ask(request).await?;
     Ok(None)

@@ -8,7 +8,6 @@ use serde_json::json;
 use tokio::time::Instant;
 
 use super::{Conductor, ConductorError, turn};
-use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::spans::run_span;
 use crate::ids::RunUid;
 use crate::journal::error_chain;
@@ -36,7 +35,7 @@ impl Conductor {
             }
             let free = {
                 let now = status.borrow_and_update();
-                now.run.is_none() && now.rig.state == RigState::Homed
+                now.run.is_none() && now.rig.is_ready()
             };
             if !free {
                 again = None;

@@ -18,7 +18,7 @@ use crate::campaign::shown::command::{Handle, Refusal, Request};
 use crate::campaign::spans::run_span;
 use crate::ids::RunUid;
 use crate::journal::{ExitStatus, Journal, error_chain};
-use crate::rig::config::RigConfig;
+use crate::rig::setup::RigSetup;
 use crate::schedule::preflight::Preflight;
 use crate::state::StoredState;
 use crate::store::{RunRow, Soundness, Store};
@@ -49,7 +49,7 @@ pub struct RigFile {
     /// Text of the rig file, stored with every run.
     pub text: String,
     /// Parsed configuration.
-    pub config: RigConfig,
+    pub config: RigSetup,
 }
 
 /// Queue and campaign of one rig. Clones share it.

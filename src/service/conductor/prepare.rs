@@ -79,11 +79,11 @@ impl Prepared {
         let problems = lint(file, &experiment, &sensor, &reach(&rig.file, &rig.config));
         let plan = Plan::of(file, &experiment, &sensor)?;
         let preflight = Preflight::of(&plan, &bench(&rig.config), problems);
-        let label = match rig.config.label {
+        let label = match rig.config.label() {
             config::Label::Measured => Label::Measured,
             config::Label::Virtual => Label::Virtual,
         };
-        let clock_rate = rig.config.clock_rate;
+        let clock_rate = rig.config.clock_rate();
         let tip_diameter_mm = sensor.file.tip_diameter_mm;
         let sensor_name = sensor.file.name;
         let plan_text = plan.text();

@@ -130,12 +130,15 @@ impl Conductor {
         Ok(false)
     }
 
-    /// Opens the wires and homes the rig, as needed. After a crash the first motion is z up, as in
+    /// Opens the wires and homes the rig, as needed; a skin alone has nothing to home. After a crash the first motion is z up, as in
     /// every homing.
     async fn bring_up(&self) -> Result<(), Refusal> {
         let campaign = &self.inner.campaign;
         if campaign.status().rig.state == RigState::Disconnected {
             campaign.ask(Request::Connect).await?;
+        }
+        if campaign.status().rig.is_ready() {
+            return Ok(());
         }
         if campaign.status().rig.state == RigState::Disarmed {
             campaign.ask(Request::Home).await?;

@@ -28,7 +28,7 @@ use crate::campaign::spans::{run_span, trial_span};
 use crate::dataset::pressed::contacts;
 use crate::ids::{CalibrationId, RunUid, TrialId, TrialKey};
 use crate::journal::error_chain;
-use crate::rig::config::RigConfig;
+use crate::rig::setup::RigSetup;
 use crate::schedule::experiment::Experiment;
 use crate::simulate::compare::difference;
 use crate::store::{
@@ -247,15 +247,13 @@ impl TwinPool {
         let row = self.row(run).await?;
         let unusable = |file, why: String| PoolError::File { run: row.scan_id, file, why };
         let force_noise_n = match &row.rig {
-            Some(rig) => {
-                RigConfig::from_toml("rig", rig)
-                    .map_err(|p| {
-                        let words = p.iter().map(ToString::to_string).collect::<Vec<_>>();
-                        unusable("rig", words.join("; "))
-                    })?
-                    .cells
-                    .force_noise_n
-            }
+            Some(rig) => RigSetup::from_toml("rig", rig)
+                .map_err(|p| {
+                    let words = p.iter().map(ToString::to_string).collect::<Vec<_>>();
+                    unusable("rig", words.join("; "))
+                })?
+                .force_noise_n()
+                .unwrap_or(0.0),
             // Contacts of an import are used as they are.
             None => 0.0,
         };

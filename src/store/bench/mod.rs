@@ -12,6 +12,8 @@ mod run_state;
 mod queue;
 /// Storing trials.
 pub(crate) mod trials;
+/// The placement that was stored last.
+pub(crate) mod placed;
 /// Discarding stored trials.
 mod discard;
 /// Failed attempts and skips.

@@ -95,6 +95,11 @@ impl Pipeline {
         Ok(ready)
     }
 
+    /// The best method for which models serve, if any.
+    pub fn best(&self) -> Option<Method> {
+        Method::served().rev().find(|method| self.ready(*method).is_ok())
+    }
+
     /// Answers frames (V, one after the other), each the mean of `averaged` frames.
     ///
     /// # Errors

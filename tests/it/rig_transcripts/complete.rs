@@ -4,6 +4,7 @@
 use std::path::Path;
 
 use palpate::rig::config::RigConfig;
+use palpate::rig::setup::RigSetup;
 
 use super::play::files;
 use super::scripts::{device_of, devices, script};
@@ -72,12 +73,13 @@ fn text(path: &str) -> Option<String> {
     std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).ok()
 }
 
+/// The carried rig files with a bench.
 fn rigs() -> Vec<(String, RigConfig)> {
     let parsed = |(name, text): (String, String)| {
-        let config = RigConfig::from_toml(&name, &text).unwrap_or_else(|p| panic!("{p:#?}"));
-        (name, config)
+        let setup = RigSetup::from_toml(&name, &text).unwrap_or_else(|p| panic!("{p:#?}"));
+        setup.bench().cloned().map(|config| (name, config))
     };
-    files("experiments/rigs", "toml").into_iter().map(parsed).collect()
+    files("experiments/rigs", "toml").into_iter().filter_map(parsed).collect()
 }
 
 /// The devices that a rig file names.

@@ -76,7 +76,7 @@ async fn a_run_is_checked_started_paused_stopped_at_once_and_finished() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_person_places_weights_as_the_page_says() {
     let Some(tools) = tools() else { return };
-    let lab = Lab::open_without_operator("browser-place", rig_args("virtual", 10.0)).await;
+    let lab = Lab::open_alone("browser-place", rig_args("virtual", 10.0)).await;
     plays(&lab, tools, "place").await;
     let trials = lab.get("/api/v1/trials").await;
     let by = |trial: &serde_json::Value| trial["placed_by"].as_str().unwrap_or_default().to_owned();

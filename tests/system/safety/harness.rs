@@ -56,7 +56,7 @@ impl Harness {
         let rig = VirtualRig::switch_on(&rig_args("virtual", SPEED)).await.unwrap();
         let config = RigConfig::from_toml("served.toml", &rig.rig_text).unwrap();
         let journal = Arc::new(Scripted::default());
-        let (handle, thread) = engine::spawn(config.clone(), journal.clone()).unwrap();
+        let (handle, thread) = engine::spawn(config.clone().into(), journal.clone()).unwrap();
         let harness = Self { rig, handle, journal, config, thread, _turn: turn };
         harness.ask(Request::Connect).await.unwrap();
         harness.home().await;

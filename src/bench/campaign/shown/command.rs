@@ -13,6 +13,7 @@ use tracing::Span;
 
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::run::job::Job;
+use crate::campaign::shown::placement::Confirmation;
 use crate::campaign::shown::samples::{ForceSample, Samples, Untouched};
 use crate::campaign::shown::status::{Done, Status};
 use crate::rig::traits::Frame;
@@ -65,13 +66,15 @@ pub enum Request {
     Abort,
     /// A person has done what a paused run waits for.
     Confirm {
-        /// Name of the person.
-        who: String,
         /// What was done, as far as it was stated.
         done: Done,
+        /// Who confirms it, and what the skin feels.
+        confirmation: Confirmation,
     },
-    /// Withdraw the last manual trial and repeat it.
+    /// Withdraw a manual trial and repeat it.
     Repeat {
+        /// Index of the placement; absent: the one that was measured last.
+        trial: Option<u32>,
         /// Reason for the repetition.
         why: String,
     },

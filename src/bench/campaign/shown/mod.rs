@@ -1,9 +1,10 @@
 //! The campaign seen from outside: the status and how it is filled, requests and their answers.
 //! Uses: `campaign::{bench, run}`. Never: decisions, HTTP.
 //!
-//! PURE: `status`.
+//! PURE: `status`, `placement`.
 
 pub mod safe_end;
+pub mod placement;
 pub mod status;
 pub mod samples;
 pub mod show;

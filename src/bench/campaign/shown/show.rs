@@ -1,6 +1,7 @@
 //! Fills the status from the readings of the bench and the contents of the store.
 //! Uses: `campaign::{run::control, bench::stage, shown::status}`, `rig`. Never: motion, decisions.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -15,10 +16,9 @@ use crate::campaign::shown::status::{
     Phase, RigStatus, RunStatus, Status, StreamStatus, WireStatus,
 };
 use crate::journal::Progress;
-use crate::rig::config::RigConfig;
-use crate::rig::link::LineCounts;
-use crate::rig::registry::OpenBench;
-use crate::rig::traits::Frame;
+use crate::rig::link::{Line, LineCounts};
+use crate::rig::setup::RigSetup;
+use crate::rig::traits::{Frame, SkinReader};
 use crate::state::StoredState;
 
 /// Shortest time between two frames of the live view, wall: less than one frame period of a rig at
@@ -26,17 +26,18 @@ use crate::state::StoredState;
 const FRAME_REST: Duration = Duration::from_millis(10);
 
 /// Status before any wire is open.
-pub fn closed(config: &RigConfig) -> Status {
+pub fn closed(config: &RigSetup) -> Status {
     Status {
         rig: RigStatus {
-            name: config.name.clone(),
-            label: config.label.as_str().into(),
+            name: config.name().into(),
+            label: config.label().as_str().into(),
+            has_stage: config.bench().is_some(),
             state: RigState::Disconnected,
             trip: None,
-            clock_rate: config.clock_rate,
+            clock_rate: config.clock_rate(),
             pose: None,
             forces_n: Vec::new(),
-            force_limit_n: config.limits.force_n,
+            force_limit_n: config.bench().map(|bench| bench.limits.force_n),
             tips: None,
             live_cells: None,
             surface: None,
@@ -99,9 +100,9 @@ pub fn progress(control: &Control, job: &Job, progress: &Progress, pace: &Pace) 
 }
 
 /// Publishes the readings of the bench, between runs.
-pub async fn bench(control: &Control, stage: &Stage, open: &OpenBench) {
+pub async fn bench(control: &Control, stage: &Stage) {
     let pose = stage.pose().await.ok();
-    let reading = open.bench.cells.read().await.ok();
+    let reading = stage.bench.cells.read().await.ok();
     let press = control.estop.pressed();
     if let Some(reading) = &reading {
         stage.publish(reading, pose.map(|pose| pose.z_mm));
@@ -113,7 +114,6 @@ pub async fn bench(control: &Control, stage: &Stage, open: &OpenBench) {
             .map(|i| cells.is_live(r.volts[i]).then_some(forces[i]))
             .collect::<Vec<_>>()
     });
-    counters(control, open);
     control.show(|status| {
         let rig = &mut status.rig;
         rig.pose = pose;
@@ -127,10 +127,10 @@ pub async fn bench(control: &Control, stage: &Stage, open: &OpenBench) {
 }
 
 /// Publishes the counters of the wires, without a request to any device.
-pub fn counters(control: &Control, open: &OpenBench) {
-    let latest = open.bench.skin.latest();
-    let counters = open.bench.skin.counters();
-    let wires = open.lines.iter().map(|(name, line)| wire(name, line.counts())).collect();
+pub fn counters(control: &Control, skin: &dyn SkinReader, lines: &BTreeMap<String, Arc<Line>>) {
+    let latest = skin.latest();
+    let counters = skin.counters();
+    let wires = lines.iter().map(|(name, line)| wire(name, line.counts())).collect();
     control.show(|status| {
         status.rig.stream = StreamStatus {
             frames: counters.frames,

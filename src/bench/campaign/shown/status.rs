@@ -33,6 +33,9 @@ pub struct RigStatus {
     pub name: String,
     /// Label of all data of this rig: `measured` or `virtual`.
     pub label: String,
+    /// Whether the rig has a stage and load cells; false for a skin and its board alone: nothing is
+    /// homed, and weights are placed by a person.
+    pub has_stage: bool,
     /// State of the rig.
     pub state: RigState,
     /// Cause of the latched trip; null if the rig is not tripped.
@@ -44,8 +47,8 @@ pub struct RigStatus {
     /// Forces of arms 1 to 6 after subtraction of the tare, N; null for arms whose cell is
     /// disconnected. Empty while unknown.
     pub forces_n: Vec<Option<f64>>,
-    /// Limit of the force on one cell, N.
-    pub force_limit_n: f64,
+    /// Limit of the force on one cell, N; null without cells.
+    pub force_limit_n: Option<f64>,
     /// Number of tips that a person has entered as mounted, on arms 1 to n; null if none was
     /// entered.
     pub tips: Option<u8>,
@@ -68,6 +71,17 @@ pub struct RigStatus {
     pub safe_end: Option<SafeEnd>,
     /// Bound of the force increase between a sample and the resulting stop: computed, and measured.
     pub stopping: Option<StoppingDistance>,
+}
+
+impl RigStatus {
+    /// Whether a run may begin: every axis is homed; a skin alone only needs its stream.
+    pub fn is_ready(&self) -> bool {
+        match self.state {
+            RigState::Homed => true,
+            RigState::Disarmed => !self.has_stage,
+            RigState::Disconnected | RigState::Armed | RigState::Tripped => false,
+        }
+    }
 }
 
 /// Counters of the voltage stream since the wires were opened.

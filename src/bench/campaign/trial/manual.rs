@@ -8,19 +8,16 @@ use std::sync::Arc;
 
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
+use crate::campaign::shown::placement::Confirmation;
 use crate::campaign::shown::status::Phase;
 use crate::campaign::trial::measure::{frame_flags, frame_quality, record};
+use crate::campaign::trial::rest::{WINDOW, Window};
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialKey};
 use crate::record::{Flag, FrameQuality, PlacedContact, TrialRecord, TrialScalars};
-use crate::rig::traits::{Frame, SkinReader};
+use crate::rig::traits::SkinReader;
 use crate::schedule::experiment::Measure;
 use crate::schedule::manual::PlannedPlacement;
-
-/// Frames per window; the means of two successive windows are compared.
-const WINDOW: usize = 10;
-/// Largest change between windows that counts as noise, as a multiple of the noise of their means.
-const NOISE_MULTIPLE: f64 = 1.5;
 
 /// Contacts of a placement, as stored and shown.
 pub fn contacts(placement: &PlannedPlacement) -> Vec<PlacedContact> {
@@ -36,10 +33,12 @@ pub fn contacts(placement: &PlannedPlacement) -> Vec<PlacedContact> {
 pub struct Confirmed<'a> {
     /// Run that asked for the placement.
     pub run: RunUid,
-    /// Name of the person.
-    pub who: String,
+    /// Who has placed the weights, and whether the skin feels the same.
+    pub confirmation: Confirmation,
     /// How the placement is measured.
     pub measure: &'a Measure,
+    /// Number of the attempt, from 1.
+    pub attempt: u32,
 }
 
 /// Measures a placement that a person has confirmed.
@@ -53,7 +52,7 @@ pub async fn measure(
     confirmed: Confirmed<'_>,
     placement: &PlannedPlacement,
 ) -> Result<(), Halt> {
-    let Confirmed { run, who, measure: plan_measure } = confirmed;
+    let Confirmed { run, confirmation, measure: plan_measure, attempt } = confirmed;
     let key = TrialKey { configuration: placement.index, depth_index: 0 };
     control.show_run(|run| run.trial = Some(key));
     control.phase(Phase::Settle);
@@ -72,17 +71,20 @@ pub async fn measure(
     if !at_rest {
         flags.push(Flag::Unsettled);
     }
+    if confirmation.is_doubted() {
+        flags.push(Flag::Doubted);
+    }
     let placed = contacts(placement);
     let trial = TrialRecord {
         key,
-        attempt: 1,
+        attempt,
         tips: placed.len() as u8,
         depth_mm: None,
         target: None,
         reached: None,
         arms: Vec::new(),
         placed,
-        placed_by: Some(who),
+        placed_by: Some(confirmation.who),
         frames: frames.iter().map(|f| record(f)).collect(),
         quality,
         flags,
@@ -116,72 +118,5 @@ async fn settle(
             return Ok((settle_ms, at_rest));
         }
         last = Some(window);
-    }
-}
-
-/// Mean of the frames of a window, and noise of one frame, V.
-struct Window {
-    mean_v: Vec<f64>,
-    noise_v: f64,
-    frames: f64,
-}
-
-impl Window {
-    fn of(frames: &[Arc<Frame>]) -> Self {
-        let n = frames.len() as f64;
-        let channels = frames.first().map_or(0, |f| f.counts.len());
-        let (mut mean_v, mut square) = (vec![0.0; channels], 0.0);
-        for f in frames {
-            for (m, v) in mean_v.iter_mut().zip(f.voltages_v()) {
-                *m += f64::from(v) / n;
-            }
-        }
-        for f in frames {
-            for (m, v) in mean_v.iter().zip(f.voltages_v()) {
-                square += (f64::from(v) - m).powi(2);
-            }
-        }
-        let noise_v = (square / ((n - 1.0).max(1.0) * channels.max(1) as f64)).sqrt();
-        Self { mean_v, noise_v, frames: n }
-    }
-
-    fn rests_after(&self, last: &Self) -> bool {
-        let square: f64 = self.mean_v.iter().zip(&last.mean_v).map(|(a, b)| (a - b).powi(2)).sum();
-        let change_v = (square / self.mean_v.len().max(1) as f64).sqrt();
-        let noise_v = self.noise_v.max(last.noise_v) * (2.0 / self.frames).sqrt();
-        change_v <= NOISE_MULTIPLE * noise_v
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use tokio::time::Instant;
-
-    fn frames(level: f64, drift: f64) -> Vec<Arc<Frame>> {
-        (0..WINDOW)
-            .map(|i| {
-                let counts = (0..784)
-                    .map(|c| {
-                        let noise = f64::from((c * 31 + i as i32 * 17) % 7 - 3);
-                        (level + drift * i as f64 + noise) as i16
-                    })
-                    .collect();
-                Arc::new(Frame {
-                    sequence: i as u32,
-                    device_time_us: 0,
-                    volts_per_count: 1e-3,
-                    counts,
-                    received: Instant::now(),
-                })
-            })
-            .collect()
-    }
-
-    #[test]
-    fn noise_alone_rests_and_a_creeping_signal_does_not() {
-        let still = Window::of(&frames(100.0, 0.0));
-        assert!(Window::of(&frames(100.0, 0.0)).rests_after(&still));
-        assert!(!Window::of(&frames(104.0, 0.0)).rests_after(&still));
     }
 }

@@ -3,4 +3,5 @@
 
 pub mod press;
 pub mod measure;
+pub mod rest;
 pub mod manual;

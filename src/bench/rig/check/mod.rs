@@ -15,8 +15,10 @@ pub use self::report::{AxisFound, CellsFound, CheckReport, LineFound, StreamFoun
 use crate::clock::Clock;
 use crate::rig::config::{ARMS, CellsConfig, RigConfig};
 use crate::rig::error::RigError;
+use crate::rig::ert_stream::ErtStream;
 use crate::rig::link::StopLatch;
 use crate::rig::registry::{self, OpenBench};
+use crate::rig::setup::{RigSetup, SkinConfig};
 use crate::rig::traits::{Axis, CellVolts};
 
 /// Number of timed round trips per axis.
@@ -45,15 +47,26 @@ pub enum Scope {
 /// # Panics
 /// Outside a tokio runtime.
 pub async fn run_on(
-    config: &RigConfig,
+    rig: &RigSetup,
     latch: &StopLatch,
     scope: Scope,
 ) -> Result<CheckReport, RigError> {
-    let latched = || RigError::Latched { device: config.name.clone(), operation: "check".into() };
+    let latched = || RigError::Latched { device: rig.name().into(), operation: "check".into() };
     if latch.is_latched() {
         return Err(latched());
     }
-    let clock = Clock::new(config.clock_rate);
+    let clock = Clock::new(rig.clock_rate());
+    let config = match rig {
+        RigSetup::Bench(config) => config.as_ref(),
+        RigSetup::Skin(skin) => {
+            let open = registry::open_skin(skin, &clock)?;
+            return tokio::select! {
+                biased;
+                () = pressed(latch) => Err(latched()),
+                report = check_skin(skin, &open, &clock) => Ok(report),
+            };
+        }
+    };
     let open = registry::open(config, &clock, latch)?;
     tokio::select! {
         biased;
@@ -67,6 +80,24 @@ pub async fn run_on(
             Err(latched())
         }
         report = check(config, &open, &clock, scope) => Ok(report),
+    }
+}
+
+/// Checks the stream of a skin alone.
+async fn check_skin(config: &SkinConfig, open: &ErtStream, clock: &Clock) -> CheckReport {
+    let mut problems = Vec::new();
+    let frame_age = Duration::from_millis(config.limits.frame_age_ms);
+    let stream = stream::check(&config.ert, frame_age, open, clock, &mut problems).await;
+    CheckReport {
+        rig: config.name.clone(),
+        label: config.label.as_str(),
+        enabled: false,
+        axes: Vec::new(),
+        cells: None,
+        stream,
+        lines: Vec::new(),
+        problems,
+        unchecked: Vec::new(),
     }
 }
 
@@ -103,8 +134,9 @@ pub async fn check(
         axes.push(check_axis(axis, unit, clock, scope, &mut words).await);
     }
     let Words { mut problems, unchecked } = words;
-    let cells = check_cells(config, open, clock, &mut problems).await;
-    let stream = stream::check(config, open, clock, &mut problems).await;
+    let cells = Some(check_cells(config, open, clock, &mut problems).await);
+    let frame_age = Duration::from_millis(config.limits.frame_age_ms);
+    let stream = stream::check(&config.ert, frame_age, &open.stream, clock, &mut problems).await;
     let lines = open
         .lines
         .iter()

@@ -17,10 +17,10 @@ pub struct CheckReport {
     pub label: &'static str,
     /// Whether control of the drives was taken and their servos switched on.
     pub enabled: bool,
-    /// Findings for the four axes.
+    /// Findings for the four axes; empty for a skin alone.
     pub axes: Vec<AxisFound>,
-    /// Findings for the load cells.
-    pub cells: CellsFound,
+    /// Findings for the load cells; absent for a skin alone.
+    pub cells: Option<CellsFound>,
     /// Findings for the voltage stream.
     pub stream: StreamFound,
     /// Counters of the wires.
@@ -116,33 +116,18 @@ pub struct LineFound {
 
 impl fmt::Display for CheckReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let scope = if self.enabled { "drives enabled" } else { "read only" };
+        let scope = match (&self.cells, self.enabled) {
+            (None, _) => "a skin alone",
+            (Some(_), true) => "drives enabled",
+            (Some(_), false) => "read only",
+        };
         writeln!(f, "rig {} ({}), {scope}\n", self.rig, self.label)?;
-        writeln!(
-            f,
-            "{:<8}{:>14}{:>8}{:>8}{:>12}  device",
-            "axis", "position", "homed", "alarm", "status"
-        )?;
-        for a in &self.axes {
-            let position = shown(a.position, |p| format!("{p:.3} {}", a.unit));
-            let homed = shown(a.homed, |h| if h { "yes".into() } else { "no".into() });
-            let alarm = shown(a.alarm, |c| format!("{c:X}"));
-            let status = shown(a.status_us, |t| format!("{t:.0} us"));
-            let device = shown(a.identity.as_deref(), str::to_owned);
-            writeln!(f, "{:<8}{position:>14}{homed:>8}{alarm:>8}{status:>12}  {device}", a.name)?;
+        if let Some(cells) = &self.cells {
+            self.fmt_bench(cells, f)?;
         }
-        self.fmt_cells(f)?;
         self.fmt_stream(f)?;
-        writeln!(
-            f,
-            "\n{:<12}{:>10}{:>9}{:>10}{:>12}{:>12}",
-            "line", "answered", "retries", "timeouts", "reconnects", "last"
-        )?;
-        for l in &self.lines {
-            let c = &l.counts;
-            let last = format!("{} us", c.last_round_trip_us);
-            let (n, r, t, o) = (c.answered, c.retries, c.timeouts, c.reconnects);
-            writeln!(f, "{:<12}{n:>10}{r:>9}{t:>10}{o:>12}{last:>12}", l.name)?;
+        if self.cells.is_some() {
+            self.fmt_lines(f)?;
         }
         writeln!(f)?;
         for problem in &self.problems {
@@ -160,8 +145,20 @@ impl fmt::Display for CheckReport {
 }
 
 impl CheckReport {
-    fn fmt_cells(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let c = &self.cells;
+    fn fmt_bench(&self, c: &CellsFound, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            f,
+            "{:<8}{:>14}{:>8}{:>8}{:>12}  device",
+            "axis", "position", "homed", "alarm", "status"
+        )?;
+        for a in &self.axes {
+            let position = shown(a.position, |p| format!("{p:.3} {}", a.unit));
+            let homed = shown(a.homed, |h| if h { "yes".into() } else { "no".into() });
+            let alarm = shown(a.alarm, |c| format!("{c:X}"));
+            let status = shown(a.status_us, |t| format!("{t:.0} us"));
+            let device = shown(a.identity.as_deref(), str::to_owned);
+            writeln!(f, "{:<8}{position:>14}{homed:>8}{alarm:>8}{status:>12}  {device}", a.name)?;
+        }
         let device = shown(c.identity.as_deref(), str::to_owned);
         let read = shown(c.read_us, |t| format!("{t:.0} us"));
         let live = shown(c.live, |n| format!("{n} of {ARMS}"));
@@ -172,6 +169,21 @@ impl CheckReport {
         for arm in 0..ARMS {
             let (v, n, sd) = (volts[arm], force[arm], noise[arm]);
             writeln!(f, "  arm {}  {v:>8.4} V  {n:>9.3} N  sd {sd:.3} N", arm + 1)?;
+        }
+        Ok(())
+    }
+
+    fn fmt_lines(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            f,
+            "\n{:<12}{:>10}{:>9}{:>10}{:>12}{:>12}",
+            "line", "answered", "retries", "timeouts", "reconnects", "last"
+        )?;
+        for l in &self.lines {
+            let c = &l.counts;
+            let last = format!("{} us", c.last_round_trip_us);
+            let (n, r, t, o) = (c.answered, c.retries, c.timeouts, c.reconnects);
+            writeln!(f, "{:<12}{n:>10}{r:>9}{t:>10}{o:>12}{last:>12}", l.name)?;
         }
         Ok(())
     }

@@ -1,6 +1,6 @@
 //! The rig check of the voltage stream: whether frames arrive, at which rate, and whether their
 //! signal can be that of a working skin.
-//! Uses: `registry`, `traits`, `config`, `clock`. Never: writes.
+//! Uses: `ert_stream`, `traits`, `config`, `clock`. Never: writes.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -10,9 +10,9 @@ use tokio::time::Instant;
 use super::mean_and_sd;
 use super::report::StreamFound;
 use crate::clock::Clock;
-use crate::rig::config::RigConfig;
-use crate::rig::registry::OpenBench;
-use crate::rig::traits::Frame;
+use crate::rig::config::ErtConfig;
+use crate::rig::ert_stream::ErtStream;
+use crate::rig::traits::{Frame, SkinReader};
 
 /// Minimum number of frames evaluated.
 const FRAMES: usize = 30;
@@ -26,8 +26,9 @@ const SUM_SIGMAS: f64 = 6.0;
 
 /// Evaluates the frames of the stream and reports problems.
 pub(super) async fn check(
-    config: &RigConfig,
-    open: &OpenBench,
+    config: &ErtConfig,
+    frame_age: Duration,
+    stream: &ErtStream,
     clock: &Clock,
     problems: &mut Vec<String>,
 ) -> StreamFound {
@@ -44,12 +45,12 @@ pub(super) async fn check(
         injection_sum_v: None,
         saturated_channels: None,
     };
-    let frames = collect(config, open, clock).await;
-    let counters = open.bench.skin.counters();
-    found.status_line = open.stream.status_line();
+    let frames = collect(config, frame_age, stream, clock).await;
+    let counters = stream.counters();
+    found.status_line = stream.status_line();
     (found.missed, found.garbled, found.frames) = (counters.missed, counters.garbled, frames.len());
     if frames.len() < FRAMES {
-        let why = open.stream.wire_trouble().unwrap_or_else(|| "the wire is open".into());
+        let why = stream.wire_trouble().unwrap_or_else(|| "the wire is open".into());
         problems.push(format!("ert: {} of {FRAMES} frames arrived ({why})", frames.len()));
     }
     let Some((first, last)) = frames.first().zip(frames.last()).filter(|_| frames.len() > 1) else {
@@ -59,7 +60,7 @@ pub(super) async fn check(
     if device_s > 0.0 {
         let rate = f64::from(last.sequence.wrapping_sub(first.sequence)) / device_s;
         found.frame_rate_hz = Some(rate);
-        let stated = config.ert.frame_rate_hz();
+        let stated = config.frame_rate_hz();
         if (rate / stated - 1.0).abs() > RATE_TOLERANCE {
             problems.push(format!("ert: {rate:.1} frames/s, but the rig file states {stated}"));
         }
@@ -102,11 +103,15 @@ fn device_rate(frames: &[Arc<Frame>]) -> Option<f64> {
 }
 
 /// Collects frames, for at most twice their duration plus the frame age plus a second.
-async fn collect(config: &RigConfig, open: &OpenBench, clock: &Clock) -> Vec<Arc<Frame>> {
-    let mut feed = open.stream.subscribe();
-    let needed = clock.wall(FRAMES as f64 / config.ert.frame_rate_hz());
-    let age = Duration::from_millis(config.limits.frame_age_ms);
-    let deadline: Instant = clock.now() + 2 * needed + age + Duration::from_secs(1);
+async fn collect(
+    config: &ErtConfig,
+    frame_age: Duration,
+    stream: &ErtStream,
+    clock: &Clock,
+) -> Vec<Arc<Frame>> {
+    let mut feed = stream.subscribe();
+    let needed = clock.wall(FRAMES as f64 / config.frame_rate_hz());
+    let deadline: Instant = clock.now() + 2 * needed + frame_age + Duration::from_secs(1);
     let mut frames: Vec<Arc<Frame>> = Vec::with_capacity(FRAMES);
     let enough = |frames: &[Arc<Frame>]| {
         let span = frames.first().zip(frames.last()).map(|(a, b)| b.received - a.received);

@@ -6,7 +6,7 @@ mod schema;
 
 use sim_core::sensor::Sensor;
 
-use super::estimate::{Bench, Motion};
+use super::estimate::{Bench, Motion, StageTimes};
 use super::experiment::Experiment;
 use super::plan::{Plan, Step};
 
@@ -29,7 +29,7 @@ pub(super) fn planned(experiment: &Experiment) -> Plan {
 /// Round numbers, so that times can be calculated manually.
 fn bench() -> Bench {
     let motion = |speed_mm_s, acceleration_mm_s2| Motion { speed_mm_s, acceleration_mm_s2 };
-    Bench {
+    let stage = StageTimes {
         x: motion(200.0, 1000.0),
         y: motion(200.0, 1000.0),
         z: motion(50.0, 1000.0),
@@ -39,10 +39,9 @@ fn bench() -> Bench {
         surface_z_mm: [50.0, 70.0],
         backlash_mm: 0.4,
         cell_update_ms: 100.0,
-        frame_rate_hz: 30.0,
-        clock_rate: 1.0,
         z_watchdog_ms: None,
-    }
+    };
+    Bench { stage: Some(stage), frame_rate_hz: 30.0, clock_rate: 1.0 }
 }
 
 fn references(plan: &Plan) -> usize {

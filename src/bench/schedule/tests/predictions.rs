@@ -66,7 +66,8 @@ fn an_accelerated_rig_shortens_processes_and_not_wires() {
 
 #[test]
 fn a_smaller_radius_costs_its_overshoot() {
-    let tight = Bench { backlash_mm: 0.0, ..bench() };
+    let mut tight = bench();
+    tight.stage.as_mut().unwrap().backlash_mm = 0.0;
     assert!(whole(&small(), &bench()).duration_s > whole(&small(), &tight).duration_s);
 }
 

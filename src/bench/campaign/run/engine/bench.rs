@@ -2,9 +2,12 @@
 //! has mounted.
 //! Uses: `campaign::{bench::stage, bench::travel, safe_end}`, `rig::registry`. Never: the plan.
 
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
 use serde_json::json;
 
-use super::{Connection, Engine, Owed, no_wires, trip_of};
+use super::{Connection, Engine, Owed, no_stage, no_wires, trip_of};
 use crate::campaign::bench::interlock::{self, Trip, TripKind};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
 use crate::campaign::bench::stage::{AxisName, Stage};
@@ -20,7 +23,10 @@ use crate::clock::Clock;
 use crate::journal::Mounting;
 use crate::rig::config::ARMS;
 use crate::rig::error::RigError;
+use crate::rig::link::Line;
 use crate::rig::registry;
+use crate::rig::setup::RigSetup;
+use crate::rig::traits::SkinReader;
 
 /// Samples of a tare on request.
 const TARE_SAMPLES: u32 = 4;
@@ -95,6 +101,13 @@ impl Engine {
         };
         let words =
             || format!("{} is not possible while the rig is {}", name(request), rig.as_str());
+        let needs_stage = matches!(
+            request,
+            Request::Home | Request::Jog { .. } | Request::Tare | Request::Mounted { .. }
+        );
+        if needs_stage && self.config.bench().is_none() {
+            return Err(no_stage());
+        }
         if ok { Ok(()) } else { Err(Refusal::State(words())) }
     }
 
@@ -114,7 +127,7 @@ impl Engine {
     /// First axis that has not acknowledged the e-stop, with the reason.
     fn not_acknowledged(&self) -> Option<String> {
         let stops = self.control.estop.pressed()?.stops();
-        if stops.is_empty() && self.connection.is_some() {
+        if stops.is_empty() && self.stage().is_some() {
             return Some("the stop has just been pressed".into());
         }
         let missing = stops.into_iter().find(|s| s.acknowledged_ms.is_none())?;
@@ -129,10 +142,16 @@ impl Engine {
     /// A wire does not open, a device does not reply or is not the one in the rig file, or the
     /// state does not allow it.
     pub(super) async fn connect(&mut self) -> Result<(), Refusal> {
-        let clock = Clock::new(self.config.clock_rate);
+        let clock = Clock::new(self.config.clock_rate());
         let fail = |e: RigError| Refusal::State(e.to_string());
-        let open =
-            registry::open(&self.config, &clock, &self.control.estop.latch()).map_err(fail)?;
+        let config = match &self.config {
+            RigSetup::Bench(config) => config.as_ref().clone(),
+            RigSetup::Skin(skin) => {
+                let skin = registry::open_skin(skin, &clock).map_err(fail)?;
+                return self.connected(skin, BTreeMap::new(), None, clock);
+            }
+        };
+        let open = registry::open(&config, &clock, &self.control.estop.latch()).map_err(fail)?;
         let mut alarms = Vec::new();
         for axis in open.bench.axes() {
             match axis.prepare().await {
@@ -145,25 +164,51 @@ impl Engine {
         }
         let found = open.bench.cells.prepare().await.map_err(fail)?;
         self.control.say("device", json!({ "device": "cells", "found": found }));
-        let mut stage = Stage::new(open.bench.clone(), self.config.clone(), clock);
+        let mut stage = Stage::new(open.bench.clone(), config, clock.clone());
         stage.samples = self.control.inbox.samples.clone();
-        let estop = tokio::spawn(self.control.estop.clone().serve(open.bench.clone()));
-        let frames = tokio::spawn(show::forward_frames(
-            open.bench.skin.follow(),
-            self.control.inbox.frames.clone(),
-        ));
-        self.connection = Some(Connection { open, stage, estop, frames });
+        self.connected(open.bench.skin, open.lines, Some(stage), clock)?;
+        if !alarms.is_empty() {
+            let detail = format!("{}; clear the cause, reset, home", alarms.join("; "));
+            self.control.latch(&Trip { kind: TripKind::Device, detail });
+        }
+        Ok(())
+    }
+
+    /// Keeps the open wires, and starts the tasks that use them.
+    fn connected(
+        &mut self,
+        skin: Arc<dyn SkinReader>,
+        lines: BTreeMap<String, Arc<Line>>,
+        stage: Option<Stage>,
+        clock: Clock,
+    ) -> Result<(), Refusal> {
+        let bench = stage.as_ref().map(|stage| stage.bench.clone());
+        let stop = self.control.estop.clone();
+        let estop = tokio::spawn(async move {
+            // A skin alone has no axis to stop.
+            if let Some(bench) = bench {
+                stop.serve(bench).await;
+            }
+        });
+        let frames = show::forward_frames(skin.follow(), self.control.inbox.frames.clone());
+        let frames = tokio::spawn(frames);
+        self.connection = Some(Connection { lines, skin, clock, stage, estop, frames });
         self.owed = Owed::Nothing;
         let last = self.control.inbox.status.borrow().rig.trip.clone();
         self.control.rig_event(RigEvent::Connected)?;
         if let Some(trip) = last {
             self.control.latch(&trip);
         }
-        if !alarms.is_empty() {
-            let detail = format!("{}; clear the cause, reset, home", alarms.join("; "));
-            self.control.latch(&Trip { kind: TripKind::Device, detail });
-        }
         Ok(())
+    }
+
+    fn stage(&self) -> Option<&Stage> {
+        self.connection.as_ref()?.stage.as_ref()
+    }
+
+    fn stage_mut(&mut self) -> Result<&mut Stage, Refusal> {
+        let connection = self.connection.as_mut().ok_or_else(no_wires)?;
+        connection.stage.as_mut().ok_or_else(no_stage)
     }
 
     /// Resets a trip: every axis must reply, alarms are cleared, drives are prepared again, and the
@@ -176,18 +221,20 @@ impl Engine {
         if let Some(axis) = self.not_acknowledged() {
             return Err(Refusal::State(format!("not reset: {axis}")));
         }
-        let connection = self.connection.as_mut().ok_or_else(no_wires)?;
-        let bench = connection.open.bench.clone();
+        let connection = self.connection.as_ref().ok_or_else(no_wires)?;
+        let bench = connection.stage.as_ref().map(|stage| stage.bench.clone());
         let fail = |e: RigError| Refusal::State(format!("not reset: {e}"));
         let press = self.control.estop.pressed().map(|press| press.at);
-        for axis in bench.axes() {
-            axis.status().await.map_err(fail)?;
+        if let Some(bench) = bench {
+            for axis in bench.axes() {
+                axis.status().await.map_err(fail)?;
+            }
+            for axis in bench.axes() {
+                axis.reset_alarm().await.map_err(fail)?;
+                axis.prepare().await.map_err(fail)?;
+            }
+            bench.cells.prepare().await.map_err(fail)?;
         }
-        for axis in bench.axes() {
-            axis.reset_alarm().await.map_err(fail)?;
-            axis.prepare().await.map_err(fail)?;
-        }
-        bench.cells.prepare().await.map_err(fail)?;
         if !self.control.estop.release(press) {
             return Err(Refusal::State("not reset: the stop was pressed again".into()));
         }
@@ -239,8 +286,10 @@ impl Engine {
             Box<dyn std::future::Future<Output = Result<(), Halt>> + 'a>,
         >,
     {
-        let Some(connection) = self.connection.as_mut() else { return false };
-        let outcome = motion(&mut connection.stage, &mut self.control).await;
+        let Some(stage) = self.connection.as_mut().and_then(|c| c.stage.as_mut()) else {
+            return false;
+        };
+        let outcome = motion(stage, &mut self.control).await;
         let Err(halt) = outcome else { return true };
         let requested = self.control.leaving() || matches!(halt, Halt::Asked);
         let trip = (!requested).then(|| trip_of(&halt));
@@ -249,14 +298,14 @@ impl Engine {
     }
 
     fn jog_target(&self, axis: &str, to_mm: f64) -> Result<Target, Refusal> {
-        let connection = self.connection.as_ref().ok_or_else(no_wires)?;
-        let axes = &self.config.axes;
-        let slot = &self.config.slot;
+        let stage = self.stage().ok_or_else(no_wires)?;
+        let axes = &stage.config.axes;
+        let slot = &stage.config.slot;
         let (name, target, [min, max]) = match axis {
             "x" => (AxisName::X, to_mm, axes.x.travel_mm),
             "y" => (AxisName::Y, to_mm, axes.y.travel_mm),
             // Jogging never moves into the skin: that is done by the touch-off.
-            "z" => (AxisName::Z, to_mm, [axes.z.travel_mm[0], connection.stage.clear_z_mm()]),
+            "z" => (AxisName::Z, to_mm, [axes.z.travel_mm[0], stage.clear_z_mm()]),
             "radius" => (AxisName::Radial, slot.angle_deg(to_mm), slot.radius_mm),
             other => {
                 let words = format!("axis = {other}: must be x, y, z or radius");
@@ -274,7 +323,7 @@ impl Engine {
     async fn tare(&mut self) -> Result<(), Refusal> {
         let mounted = self.mounting.as_ref().map(|(m, _)| m.tips);
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
-        let stage = &mut connection.stage;
+        let stage = connection.stage.as_mut().ok_or_else(no_stage)?;
         let tared = match stage.bench.cells.read().await {
             Ok(reading) => {
                 stage.tips = mounted.unwrap_or_else(|| leading_live(stage, &reading.volts));
@@ -301,16 +350,16 @@ impl Engine {
         if usize::from(tips) > ARMS {
             return Err(Refusal::Value(format!("tips = {tips}: must be 0 to {ARMS}")));
         }
-        let connection = self.connection.as_mut().ok_or_else(no_wires)?;
-        let reading = connection.stage.bench.cells.read().await;
+        let stage = self.stage_mut()?;
+        let reading = stage.bench.cells.read().await;
         let reading = reading.map_err(|e| Refusal::State(e.to_string()))?;
-        let live = interlock::live_cells(&self.config.cells, &reading.volts, tips);
+        let live = interlock::live_cells(&stage.config.cells, &reading.volts, tips);
         let live_cells = live.map_err(Refusal::State)?;
         let mounting = Mounting { tips, live_cells, who: who.into() };
         self.control.diary.note(Note::Mounted(mounting.clone()));
         self.control.say("tips", json!({ "tips": tips, "live_cells": live_cells, "who": who }));
         self.control.show(|status| status.rig.tips = Some(tips));
-        connection.stage.tips = tips;
+        self.stage_mut()?.tips = tips;
         self.mounting = Some((mounting, true));
         // The result of the touch-off may no longer be valid.
         self.prepared_setting = None;

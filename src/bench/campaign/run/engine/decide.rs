@@ -32,7 +32,14 @@ impl Engine {
         match halt {
             Halt::Asked => self.note_suspension(),
             Halt::Checkpoint => {}
-            Halt::Needs(wanted) => self.need(wanted),
+            Halt::Needs(wanted) => self.need(wanted, attempts.not_measured.take()),
+            // A placement is never given up: the person is asked again.
+            Halt::Failed(reason) if job.plan.kind == Kind::RealRandom => {
+                self.note_attempt(job, &reason, attempts);
+                attempts.of_configuration += 1;
+                attempts.confirmed = None;
+                attempts.not_measured = Some(reason);
+            }
             Halt::Failed(reason) if safe => return self.failed(job, reason, attempts),
             Halt::Failed(reason) => {
                 self.note_attempt(job, &reason, attempts);
@@ -104,13 +111,12 @@ impl Engine {
         let _ = self.control.run_event(RunEvent::Suspend(why));
     }
 
-    fn need(&mut self, wanted: Wanted) {
+    fn need(&mut self, wanted: Wanted, not_measured: Option<String>) {
         let (why, words) = match &wanted {
             Wanted::Tips { tips } => (PausedWhy::TipChange, tip_words(*tips)),
-            Wanted::Placement { trial, contacts } => (
-                PausedWhy::ManualTrial,
-                format!("place {} weights for trial {trial}, confirm", contacts.len()),
-            ),
+            Wanted::Placement { trial, contacts } => {
+                (PausedWhy::ManualTrial, placement_words(*trial, contacts.len(), not_measured))
+            }
         };
         let data = json!({ "why": why, "wanted": wanted, "words": words });
         self.control.show_run(|run| {
@@ -158,6 +164,17 @@ impl Engine {
             at: jiff::Timestamp::now(),
         };
         self.control.diary.note(Note::Attempt(job.run, record));
+    }
+}
+
+fn placement_words(trial: u32, weights: usize, not_measured: Option<String>) -> String {
+    let words = match weights {
+        1 => format!("place 1 weight for trial {trial}, confirm"),
+        n => format!("place {n} weights for trial {trial}, confirm"),
+    };
+    match not_measured {
+        Some(reason) => format!("trial {trial} was not measured ({reason}): {words} again"),
+        None => words,
     }
 }
 

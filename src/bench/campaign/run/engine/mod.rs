@@ -7,6 +7,7 @@
 //! (`docs/decisions/0002`). The plan determines the order of the steps, `resume` the remaining
 //! steps, `run_state` and `rig_state` the next state. This module executes them.
 
+use std::collections::BTreeMap;
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
@@ -28,11 +29,14 @@ use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunState};
 use crate::campaign::safe_end::{self, Height};
 use crate::campaign::shown::command::{Envelope, Handle, Refusal, Request, channel};
+use crate::campaign::shown::placement::Confirmation;
 use crate::campaign::shown::show;
 use crate::campaign::spans::run_span;
+use crate::clock::Clock;
 use crate::journal::{ExitStatus, Journal, Mounting, error_chain};
-use crate::rig::config::RigConfig;
-use crate::rig::registry::OpenBench;
+use crate::rig::link::Line;
+use crate::rig::setup::RigSetup;
+use crate::rig::traits::SkinReader;
 use crate::state::{StateChange, StoredState};
 
 mod bench;
@@ -55,7 +59,7 @@ const LONGEST_BACKOFF: Duration = Duration::from_secs(120);
 /// # Errors
 /// The operating system's error if the runtime or the thread cannot be created.
 pub fn spawn(
-    config: RigConfig,
+    config: RigSetup,
     journal: Arc<dyn Journal>,
 ) -> std::io::Result<(Handle, std::thread::JoinHandle<()>)> {
     let estop = StopSwitch::default();
@@ -77,10 +81,21 @@ pub fn spawn(
 
 /// Open wires and the tasks that use them.
 struct Connection {
-    open: OpenBench,
-    stage: Stage,
+    /// Modbus wires by their names in the rig file, for their counters.
+    lines: BTreeMap<String, Arc<Line>>,
+    skin: Arc<dyn SkinReader>,
+    clock: Clock,
+    /// The devices that move and measure forces; none for a skin alone.
+    stage: Option<Stage>,
     estop: JoinHandle<()>,
     frames: JoinHandle<()>,
+}
+
+impl Connection {
+    /// Publishes the counters of the wires, without a request to any device.
+    fn show_counters(&self, control: &Control) {
+        show::counters(control, self.skin.as_ref(), &self.lines);
+    }
 }
 
 impl Drop for Connection {
@@ -91,7 +106,7 @@ impl Drop for Connection {
 }
 
 struct Engine {
-    config: RigConfig,
+    config: RigSetup,
     control: Control,
     connection: Option<Connection>,
     prepared_setting: Option<u32>,
@@ -126,13 +141,15 @@ enum Next {
 /// Event that ended a wait.
 enum Waited {
     Resume,
-    Confirmed(String),
+    Confirmed(Confirmation),
+    /// The last placement was withdrawn: the plan asks for it again.
+    Repeat,
     Ended(ExitStatus),
     Left,
 }
 
 impl Engine {
-    fn new(config: RigConfig, control: Control) -> Self {
+    fn new(config: RigSetup, control: Control) -> Self {
         Self {
             config,
             control,
@@ -208,15 +225,18 @@ impl Engine {
     /// Executes the safe end, with or without a run. Returns true if nothing more can be done for
     /// the tips.
     async fn make_safe(&mut self, trip: Option<&Trip>, height: Height) -> bool {
-        let Some(connection) = self.connection.as_mut() else {
+        let Some(stage) = self.connection.as_mut().and_then(|c| c.stage.as_mut()) else {
+            // Nothing moves: a trip of a skin alone only latches.
+            if let Some(trip) = trip {
+                self.control.latch(trip);
+            }
             return true;
         };
-        let stage = &mut connection.stage;
         let end = safe_end::make_safe(&mut self.control, stage, trip, height).await;
         self.owed = match (end.is_safe(), end.is_acknowledged()) {
             (true, true) => Owed::Nothing,
             (true, false) => Owed::Wires(Instant::now()),
-            (false, _) if connection.stage.pose().await.is_err() => Owed::Wires(Instant::now()),
+            (false, _) if stage.pose().await.is_err() => Owed::Wires(Instant::now()),
             (false, _) => Owed::Person,
         };
         end.is_safe()
@@ -233,12 +253,16 @@ impl Engine {
         let Some(connection) = self.connection.as_ref() else { return };
         if let Owed::Wires(tried) = self.owed
             && tried.elapsed() > OWED_AGAIN
-            && connection.stage.pose().await.is_ok()
+            && let Some(stage) = &connection.stage
+            && stage.pose().await.is_ok()
         {
             self.make_safe(None, Height::Clear).await;
         }
         if let Some(connection) = self.connection.as_ref() {
-            show::bench(&self.control, &connection.stage, &connection.open).await;
+            connection.show_counters(&self.control);
+            if let Some(stage) = &connection.stage {
+                show::bench(&self.control, stage).await;
+            }
         }
     }
 
@@ -287,13 +311,35 @@ struct Attempts {
     configuration: Option<u32>,
     /// Number of configurations given up.
     skipped: u32,
-    /// Placement that a person has confirmed, and the name of that person.
-    confirmed_by: Option<(u32, String)>,
+    /// Placement that a person has confirmed, with that confirmation.
+    confirmed: Option<(u32, Confirmation)>,
+    /// The placement that was measured last.
+    last: Last,
+    /// Why the awaited placement was not measured; none if it was not tried.
+    not_measured: Option<String>,
+}
+
+/// The placement that was measured last in this session.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Last {
+    /// None yet: the one before the awaited one.
+    Unknown,
+    /// This one is stored.
+    Stored(u32),
+    /// It was withdrawn and is repeated now.
+    Withdrawn,
 }
 
 impl Default for Attempts {
     fn default() -> Self {
-        Self { of_configuration: 1, configuration: None, skipped: 0, confirmed_by: None }
+        Self {
+            of_configuration: 1,
+            configuration: None,
+            skipped: 0,
+            confirmed: None,
+            last: Last::Unknown,
+            not_measured: None,
+        }
     }
 }
 
@@ -310,6 +356,10 @@ fn trip_of(halt: &Halt) -> Trip {
 fn backoff(job: &Job, resumes: u32) -> Duration {
     let first = Duration::from_secs_f64(job.plan.policy.auto_resume_after_s);
     first.saturating_mul(1 << resumes.saturating_sub(1).min(6)).min(LONGEST_BACKOFF)
+}
+
+fn no_stage() -> Refusal {
+    Refusal::State("the rig is a skin alone: it has no stage and no cells".into())
 }
 
 fn no_wires() -> Refusal {

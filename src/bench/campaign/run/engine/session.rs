@@ -6,7 +6,7 @@ use serde_json::json;
 use tokio::time::Instant;
 use tracing::Instrument;
 
-use super::{Attempts, Engine, Next, no_wires, trip_of};
+use super::{Attempts, Engine, Last, Next, no_stage, no_wires, trip_of};
 use crate::campaign::bench::evidence::SilentArms;
 use crate::campaign::bench::interlock::{self, ForceLimits, TripKind};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
@@ -26,6 +26,7 @@ use crate::campaign::trial::manual;
 use crate::campaign::trial::press::Pressing;
 use crate::ids::TrialKey;
 use crate::journal::{ExitStatus, Progress, error_chain};
+use crate::schedule::manual::PlannedPlacement;
 use crate::schedule::plan::{Kind, Step};
 use crate::schedule::visits::StepOfTour;
 
@@ -38,17 +39,17 @@ impl Engine {
     /// state does not allow arming.
     pub(super) async fn arm(&mut self, job: &Job) -> Result<(), Refusal> {
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
-        let stage = &mut connection.stage;
         if job.plan.kind == Kind::RealHex {
+            let stage = connection.stage.as_mut().ok_or_else(no_stage)?;
             if self.control.rig() == RigState::Homed {
                 let timed = stage.time_polls().await;
                 timed.map_err(|halt| Refusal::State(trip_of(&halt).detail))?;
             }
             stage.stopping.begin();
-            let distance = stage.stopping.distance(&self.config, job.plan.most_tips());
+            let distance = stage.stopping.distance(&stage.config, job.plan.most_tips());
             let distance = distance.map_err(Refusal::Value)?;
             self.control.rig_event(RigEvent::Arm)?;
-            let (rig, run) = (&self.config.limits, &job.plan.limits);
+            let (rig, run) = (&stage.config.limits, &job.plan.limits);
             stage.limits = ForceLimits {
                 each_n: rig.force_n.min(run.force_n),
                 sum_n: rig.force_sum_n.min(run.force_sum_n),
@@ -84,16 +85,16 @@ impl Engine {
     }
 
     fn show_stopping(&mut self) {
-        let Some(connection) = &self.connection else { return };
-        let tips = connection.stage.tips.max(1);
-        if let Ok(distance) = connection.stage.stopping.distance(&self.config, tips) {
+        let Some(stage) = self.connection.as_ref().and_then(|c| c.stage.as_ref()) else { return };
+        let tips = stage.tips.max(1);
+        if let Ok(distance) = stage.stopping.distance(&stage.config, tips) {
             self.control.show(|status| status.rig.stopping = Some(distance));
         }
     }
 
     /// Executes a run to its end, through halts, pauses and resumes. Returns none if it stays open.
     async fn session(&mut self, job: &Job) -> Option<(ExitStatus, String)> {
-        let mut pace = Pace::predicted(job.predicted_trial_s / self.config.clock_rate);
+        let mut pace = Pace::predicted(job.predicted_trial_s / self.config.clock_rate());
         let mut attempts = Attempts::default();
         let mut auto_resumes = 0;
         loop {
@@ -164,13 +165,16 @@ impl Engine {
             let begun = Instant::now();
             let stored = self.take(job, step, progress, attempts).await?;
             if let Some(connection) = &self.connection {
-                show::counters(&self.control, &connection.open);
+                connection.show_counters(&self.control);
             }
             self.show_stopping();
             if stored > 0 {
                 pace.note(stored, begun.elapsed().as_secs_f64());
                 show::progress(&self.control, job, progress, pace);
                 attempts.of_configuration = 1;
+                if let Step::Manual(placement) = step {
+                    attempts.last = Last::Stored(placement.index);
+                }
             }
         }
         Ok(())
@@ -193,11 +197,17 @@ impl Engine {
         let Some(connection) = self.connection.as_mut() else {
             return Err(Halt::trip(TripKind::Wire, "no wires are open"));
         };
-        let (stage, control) = (&mut connection.stage, &mut self.control);
+        if let Step::Manual(placement) = step {
+            return self.take_placement(job, placement, progress, attempts).await;
+        }
+        let Some(stage) = connection.stage.as_mut() else {
+            return Err(Halt::trip(TripKind::Device, "the rig has no stage"));
+        };
+        let control = &mut self.control;
         let pressing =
             Pressing { run: job.run, plan: &job.plan, attempt: attempts.of_configuration };
         match step {
-            Step::TipChange { .. } => Ok(0),
+            Step::TipChange { .. } | Step::Manual(_) => Ok(0),
             Step::TouchOff { setting, places } => {
                 if self.prepared_setting == Some(*setting) {
                     return Ok(0);
@@ -236,25 +246,37 @@ impl Engine {
                 );
                 Ok(stored)
             }
-            Step::Manual(placement) => match attempts.confirmed_by.clone() {
-                Some((index, who)) if index == placement.index => {
-                    let place = StepOfTour::of(&job.plan, placement.index);
-                    control.show_run(|run| run.current_step = place);
-                    let (skin, clock) = (stage.bench.skin.clone(), stage.clock.clone());
-                    let (run, measure) = (job.run, &job.plan.measure);
-                    let confirmed = manual::Confirmed { run, who, measure };
-                    let key = TrialKey { configuration: placement.index, depth_index: 0 };
-                    let trial = manual::measure(&skin, &clock, control, confirmed, placement);
-                    trial.instrument(trial_span(key)).await?;
-                    progress.stored.insert(key);
-                    Ok(1)
-                }
-                _ => Err(Halt::Needs(Wanted::Placement {
-                    trial: placement.index,
-                    contacts: manual::contacts(placement),
-                })),
-            },
         }
+    }
+
+    /// Measures a placement if a person has confirmed it, and asks for it otherwise.
+    async fn take_placement(
+        &mut self,
+        job: &Job,
+        placement: &PlannedPlacement,
+        progress: &mut Progress,
+        attempts: &Attempts,
+    ) -> Result<u32, Halt> {
+        let Some(connection) = self.connection.as_ref() else {
+            return Err(Halt::trip(TripKind::Wire, "no wires are open"));
+        };
+        let confirmed = attempts.confirmed.clone().filter(|(index, _)| *index == placement.index);
+        let Some((_, confirmation)) = confirmed else {
+            return Err(Halt::Needs(Wanted::Placement {
+                trial: placement.index,
+                contacts: manual::contacts(placement),
+            }));
+        };
+        let (skin, clock) = (connection.skin.clone(), connection.clock.clone());
+        let (run, measure, attempt) = (job.run, &job.plan.measure, attempts.of_configuration);
+        let confirmed = manual::Confirmed { run, confirmation, measure, attempt };
+        let place = StepOfTour::of(&job.plan, placement.index);
+        self.control.show_run(|run| run.current_step = place);
+        let key = TrialKey { configuration: placement.index, depth_index: 0 };
+        let trial = manual::measure(&skin, &clock, &mut self.control, confirmed, placement);
+        trial.instrument(trial_span(key)).await?;
+        progress.stored.insert(key);
+        Ok(1)
     }
 
     /// Continues only if a person has entered these tips as mounted and the cells do not
@@ -264,9 +286,11 @@ impl Engine {
         let Some(connection) = self.connection.as_mut() else {
             return Err(Halt::trip(TripKind::Wire, "no wires are open"));
         };
-        let stage = &mut connection.stage;
+        let Some(stage) = connection.stage.as_mut() else {
+            return Err(Halt::trip(TripKind::Device, "the rig has no stage"));
+        };
         let volts = stage.bench.cells.read().await?.volts;
-        let live = interlock::live_cells(&self.config.cells, &volts, tips);
+        let live = interlock::live_cells(&stage.config.cells, &volts, tips);
         let goes_on = !progress.stored.is_empty();
         let said = self.mounting.as_ref().is_some_and(|(m, now)| {
             m.tips == tips && live == Ok(m.live_cells) && (*now || goes_on)

@@ -4,7 +4,7 @@
 use serde_json::json;
 use tokio::time::Instant;
 
-use super::{Attempts, Engine, IDLE_TICK, Next, Owed, Waited, backoff};
+use super::{Attempts, Engine, IDLE_TICK, Last, Next, Owed, Waited, backoff};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
 use crate::campaign::diary::Note;
 use crate::campaign::run::control::name;
@@ -47,7 +47,7 @@ impl Engine {
         loop {
             let waited = tokio::select! {
                 envelope = self.control.inbox.requests.recv() => match envelope {
-                    Some(envelope) => self.waiting_request(job, envelope).await,
+                    Some(envelope) => self.waiting_request(job, envelope, attempts.last).await,
                     None => Some(Waited::Left),
                 },
                 _ = tick.tick() => {
@@ -62,7 +62,7 @@ impl Engine {
                     } else if try_at.is_some_and(|at| Instant::now() >= at)
                         && matches!(self.control.run(), RunState::Paused(PausedWhy::Trip))
                     {
-                        let recovery = self.recover().await;
+                        let recovery = self.recover(job).await;
                         failures += 1;
                         let resumes = passing.as_deref_mut().map_or(0, |n| {
                             *n += u32::from(matches!(recovery, Recovery::Failed));
@@ -88,8 +88,19 @@ impl Engine {
             match waited {
                 None => {}
                 Some(Waited::Resume) => return Next::Again,
-                Some(Waited::Confirmed(who)) => {
-                    attempts.confirmed_by = self.wanted_trial().map(|t| (t, who));
+                Some(Waited::Confirmed(confirmation)) => {
+                    if let Some(trial) = self.wanted_trial() {
+                        self.control.say("placed", confirmation.event(trial));
+                        attempts.confirmed = Some((trial, confirmation));
+                    }
+                    let _ = self.control.run_event(RunEvent::Resume);
+                    return Next::Again;
+                }
+                Some(Waited::Repeat) => {
+                    attempts.last = Last::Withdrawn;
+                    attempts.confirmed = None;
+                    // A repetition is another attempt at its placement.
+                    attempts.of_configuration += 1;
                     let _ = self.control.run_event(RunEvent::Resume);
                     return Next::Again;
                 }
@@ -124,15 +135,23 @@ impl Engine {
     }
 
     /// Automatic resume after a trip that may pass: checks, resets, homes, arms and resumes.
-    async fn recover(&mut self) -> Recovery {
+    /// In a manual run nothing moves: a person's hands may be on the skin.
+    async fn recover(&mut self, job: &Job) -> Recovery {
         self.control.say("recovering", json!({}));
         let Some(connection) = self.connection.as_ref() else { return Recovery::NotYet };
-        let bench = connection.open.bench.clone();
-        if connection.stage.pose().await.is_err() || bench.cells.read().await.is_err() {
+        if let Some(stage) = &connection.stage
+            && (stage.pose().await.is_err() || stage.bench.cells.read().await.is_err())
+        {
             return Recovery::NotYet;
         }
-        if bench.skin.take(Instant::now(), 1).await.is_err() {
+        if connection.skin.take(Instant::now(), 1).await.is_err() {
             return Recovery::NotYet;
+        }
+        if job.plan.kind == Kind::RealRandom {
+            let tripped = self.control.rig() == RigState::Tripped;
+            let reset = !tripped || self.reset().await.is_ok();
+            let resumed = reset && self.control.run_event(RunEvent::Resume).is_ok();
+            return if resumed { Recovery::Done } else { Recovery::Failed };
         }
         let resumed = self.reset().await.is_ok() && self.home().await && self.resume().is_ok();
         if resumed { Recovery::Done } else { Recovery::Failed }
@@ -165,7 +184,12 @@ impl Engine {
     }
 
     /// Handles a request while a run waits.
-    async fn waiting_request(&mut self, job: &Job, envelope: Envelope) -> Option<Waited> {
+    async fn waiting_request(
+        &mut self,
+        job: &Job,
+        envelope: Envelope,
+        last: Last,
+    ) -> Option<Waited> {
         let why = self.control.run().why();
         let needs_person = matches!(why, Some(PausedWhy::TipChange | PausedWhy::ManualTrial));
         let Envelope { request, answer, asked_in } = envelope;
@@ -179,20 +203,16 @@ impl Engine {
                 let _ = answer.send(resumed);
                 waited
             }
-            Request::Confirm { who, done } if needs_person => {
-                let checked = self.check_confirmed(&who, done).await;
-                let waited = checked.is_ok().then_some(Waited::Confirmed(who));
+            Request::Confirm { done, confirmation } if needs_person => {
+                let checked = self.check_confirmed(&confirmation.who, done).await;
+                let waited = checked.is_ok().then_some(Waited::Confirmed(confirmation));
                 let _ = answer.send(checked);
                 waited
             }
-            Request::Repeat { why } => {
-                let repeated = self.repeat_last(job, &why).await;
-                let waited = repeated.is_ok().then_some(Waited::Confirmed(String::new()));
+            Request::Repeat { trial, why } => {
+                let repeated = self.repeat(job, trial, last, &why).await;
+                let waited = repeated.is_ok().then_some(Waited::Repeat);
                 let _ = answer.send(repeated);
-                // The awaited placement was not confirmed: it is requested again.
-                if waited.is_some() {
-                    self.control.show_run(|run| run.wanted = None);
-                }
                 waited
             }
             Request::Resume => {
@@ -268,23 +288,44 @@ impl Engine {
         }
     }
 
-    /// Withdraws the last manual trial.
-    async fn repeat_last(&mut self, job: &Job, why: &str) -> Result<(), Refusal> {
+    /// Withdraws a stored placement: the named one, otherwise the last one that was measured.
+    async fn repeat(
+        &mut self,
+        job: &Job,
+        trial: Option<u32>,
+        last: Last,
+        why: &str,
+    ) -> Result<(), Refusal> {
         let failed = |e| Refusal::State(error_chain(&e));
         let waiting = self.control.run().why() == Some(PausedWhy::ManualTrial);
+        let Some(awaited) = self.wanted_trial().filter(|_| waiting) else {
+            return Err(Refusal::State(
+                "repeat is not possible: the run awaits no placement".into(),
+            ));
+        };
+        let configuration = match (trial, last) {
+            (Some(trial), _) | (None, Last::Stored(trial)) => trial,
+            (None, Last::Unknown) => awaited.checked_sub(1).ok_or_else(nothing_to_repeat)?,
+            (None, Last::Withdrawn) => {
+                let words = format!("trial {awaited} is already repeated: name another one");
+                return Err(Refusal::State(words));
+            }
+        };
         self.control.flush().await.map_err(failed)?;
         let progress = self.control.journal.progress(job.run).await.map_err(failed)?;
-        let last = self
-            .wanted_trial()
-            .and_then(|next| next.checked_sub(1))
-            .map(|configuration| TrialKey { configuration, depth_index: 0 });
-        match last {
-            Some(key) if waiting && progress.stored.contains(&key) => {
-                self.control.diary.note(Note::Discard(job.run, key, why.into()));
-                self.control.say("repeat", json!({ "trial": key, "why": why }));
-                self.control.flush().await.map_err(failed)
-            }
-            _ => Err(Refusal::State("there is no trial to repeat".into())),
+        let key = TrialKey { configuration, depth_index: 0 };
+        if !progress.stored.contains(&key) {
+            return Err(match trial {
+                Some(trial) => Refusal::State(format!("trial {trial} is not stored")),
+                None => nothing_to_repeat(),
+            });
         }
+        self.control.diary.note(Note::Discard(job.run, key, why.into()));
+        self.control.say("repeat", json!({ "trial": key, "why": why }));
+        self.control.flush().await.map_err(failed)
     }
+}
+
+fn nothing_to_repeat() -> Refusal {
+    Refusal::State("there is no trial to repeat".into())
 }

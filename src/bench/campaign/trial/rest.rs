@@ -1,0 +1,86 @@
+//! Whether the signal of the skin is at rest: the means of two successive windows of frames differ by no
+//! more than their noise.
+//! PURE. Uses: `rig::traits` (a frame). Never: waiting, taking frames.
+
+use std::sync::Arc;
+
+use crate::rig::traits::Frame;
+
+/// Frames per window; the means of two successive windows are compared.
+pub const WINDOW: usize = 10;
+/// Largest change between windows that counts as noise, as a multiple of the noise of their means.
+const NOISE_MULTIPLE: f64 = 1.5;
+
+/// Mean of the frames of a window, and noise of one frame, V.
+#[derive(Debug, Clone)]
+pub struct Window {
+    /// Mean voltages, V.
+    pub mean_v: Vec<f64>,
+    noise_v: f64,
+    frames: f64,
+}
+
+impl Window {
+    /// Averages frames; all have the same number of channels.
+    pub fn of(frames: &[Arc<Frame>]) -> Self {
+        let n = frames.len() as f64;
+        let channels = frames.first().map_or(0, |f| f.counts.len());
+        let (mut mean_v, mut square) = (vec![0.0; channels], 0.0);
+        for f in frames {
+            for (m, v) in mean_v.iter_mut().zip(f.voltages_v()) {
+                *m += f64::from(v) / n;
+            }
+        }
+        for f in frames {
+            for (m, v) in mean_v.iter().zip(f.voltages_v()) {
+                square += (f64::from(v) - m).powi(2);
+            }
+        }
+        let noise_v = (square / ((n - 1.0).max(1.0) * channels.max(1) as f64)).sqrt();
+        Self { mean_v, noise_v, frames: n }
+    }
+
+    /// Whether the skin has not changed since an earlier window, as far as the noise permits to see.
+    pub fn rests_after(&self, last: &Self) -> bool {
+        if self.mean_v.len() != last.mean_v.len() {
+            return false;
+        }
+        let square: f64 = self.mean_v.iter().zip(&last.mean_v).map(|(a, b)| (a - b).powi(2)).sum();
+        let change_v = (square / self.mean_v.len().max(1) as f64).sqrt();
+        let noise_v = self.noise_v.max(last.noise_v) * (2.0 / self.frames).sqrt();
+        change_v <= NOISE_MULTIPLE * noise_v
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tokio::time::Instant;
+
+    fn frames(level: f64, drift: f64) -> Vec<Arc<Frame>> {
+        (0..WINDOW)
+            .map(|i| {
+                let counts = (0..784)
+                    .map(|c| {
+                        let noise = f64::from((c * 31 + i as i32 * 17) % 7 - 3);
+                        (level + drift * i as f64 + noise) as i16
+                    })
+                    .collect();
+                Arc::new(Frame {
+                    sequence: i as u32,
+                    device_time_us: 0,
+                    volts_per_count: 1e-3,
+                    counts,
+                    received: Instant::now(),
+                })
+            })
+            .collect()
+    }
+
+    #[test]
+    fn noise_alone_rests_and_a_creeping_signal_does_not() {
+        let still = Window::of(&frames(100.0, 0.0));
+        assert!(Window::of(&frames(100.0, 0.0)).rests_after(&still));
+        assert!(!Window::of(&frames(104.0, 0.0)).rests_after(&still));
+    }
+}

@@ -1,0 +1,69 @@
+//! `palpate sensor`: what follows from a sensor file alone.
+//! Uses: `overlay`, `files`. Never: the network, the rig.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand, ValueEnum};
+use serde_json::json;
+
+use super::At;
+use super::error::CliError;
+use super::files::{read_sensor, write_bytes};
+use super::output::{say, say_json};
+use crate::overlay::{self, Paper};
+
+/// Options of `sensor`.
+#[derive(Debug, Clone, Args)]
+pub struct SensorArgs {
+    #[command(subcommand)]
+    command: SensorCommand,
+    /// Data folder and output format.
+    #[command(flatten)]
+    at: At,
+}
+
+/// What is made from a sensor file.
+#[derive(Debug, Clone, Subcommand)]
+enum SensorCommand {
+    /// Write the overlay for placing weights as a PDF at true scale.
+    Overlay {
+        /// Paper: sheets of A4 that overlap, or one sheet as large as the skin.
+        #[arg(long, value_enum, default_value_t = PaperName::A4)]
+        paper: PaperName,
+        /// Sensor file [default: ert-28].
+        #[arg(long, value_name = "FILE")]
+        sensor: Option<PathBuf>,
+        /// File to write.
+        #[arg(long, value_name = "FILE.pdf")]
+        out: PathBuf,
+    },
+}
+
+/// Paper of an overlay.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum PaperName {
+    A4,
+    Sheet,
+}
+
+/// Runs `palpate sensor`.
+///
+/// # Errors
+/// `CliError` if the sensor file is invalid or the PDF cannot be written.
+pub fn sensor(args: &SensorArgs) -> Result<(), CliError> {
+    let SensorCommand::Overlay { paper, sensor, out } = &args.command;
+    let sensor = read_sensor(sensor.as_deref())?;
+    let paper = match paper {
+        PaperName::A4 => Paper::A4,
+        PaperName::Sheet => Paper::Sheet,
+    };
+    let pdf = overlay::pdf(&sensor, paper);
+    write_bytes(out, &pdf)?;
+    if args.at.json {
+        say_json(&json!({ "file": out, "bytes": pdf.len() }));
+    } else {
+        let out = out.display();
+        say(format_args!("{out} is written: print it at 100 %, and check its ruler of 100 mm"));
+    }
+    Ok(())
+}

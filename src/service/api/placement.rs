@@ -1,0 +1,181 @@
+//! `GET /api/v1/placement`: which weights a person is asked to place, and what the skin feels.
+//! Uses: `placement`, `campaign` (its status), `store`. Never: a wait for an inference.
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::StatusCode;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::App;
+use super::problem::{ApiError, ProblemBody};
+use crate::campaign::shown::command::Request;
+use crate::campaign::shown::placement::{Confirmation, VerdictKind};
+use crate::campaign::shown::status::{Done, Phase, RunStatus};
+use crate::ids::{RunUid, TrialId};
+use crate::infer::answer::FoundContact;
+use crate::infer::methods::Method;
+use crate::placement::verdict::{AskedContact, Verdict};
+use crate::placement::watch::{Awaited, Felt, Judged};
+use crate::store::LastPlaced;
+
+/// A placement of weights, and what the skin feels of it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct PlacementOut {
+    /// Uid of the run.
+    pub run: RunUid,
+    /// Number of the run, for people.
+    pub scan_id: i64,
+    /// Name of the experiment.
+    pub experiment: String,
+    /// Index of the placement in the plan.
+    pub trial: u32,
+    /// Number of placements in the plan.
+    pub of: u64,
+    /// Number of stored placements.
+    pub done: u64,
+    /// Weights to be placed.
+    pub contacts: Vec<AskedContact>,
+    /// What happens now.
+    pub stage: Stage,
+    /// Whether the skin is at rest; null until it was read.
+    pub at_rest: Option<bool>,
+    /// What the serving method feels; null before its first answer, or if no model serves.
+    pub felt: Option<FeltOut>,
+    /// Comparison of what is felt with what is asked.
+    pub verdict: Verdict,
+    /// The placement that was stored last; null before the first.
+    pub last: Option<LastPlacement>,
+}
+
+/// Stage of a placement.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Stage {
+    /// The run waits for a person.
+    Place,
+    /// The skin settles after the confirmation.
+    Settling,
+    /// Frames are taken and stored.
+    Measuring,
+    /// The trial is stored.
+    Stored,
+}
+
+/// What a method feels.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct FeltOut {
+    /// Method that was used.
+    pub method: Method,
+    /// Id of the model, or ids joined by `+`.
+    pub model: String,
+    /// The contacts, strongest first.
+    pub contacts: Vec<FoundContact>,
+}
+
+impl From<Felt> for FeltOut {
+    fn from(Felt { method, model, contacts }: Felt) -> Self {
+        Self { method, model, contacts }
+    }
+}
+
+/// A stored placement.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct LastPlacement {
+    /// Index of the placement in the plan.
+    pub trial: u32,
+    /// Id of the trial.
+    pub trial_id: TrialId,
+    /// Verdict with which it was confirmed; null if it is not known.
+    pub verdict: Option<VerdictKind>,
+}
+
+impl From<LastPlaced> for LastPlacement {
+    fn from(last: LastPlaced) -> Self {
+        let verdict = last.verdict.and_then(|word| serde_json::from_value(word.into()).ok());
+        Self { trial: last.trial, trial_id: last.trial_id, verdict }
+    }
+}
+
+/// Returns the placement that a run asks for, what the skin feels of it, and the verdict.
+///
+/// While the run waits, the frames are read continuously. The weights must not be touched when the skin
+/// is judged: `at_rest` says whether it has settled.
+#[utoipa::path(get, operation_id = "placement", path = "/api/v1/placement", tag = "runs",
+    responses((status = 200, body = PlacementOut),
+        (status = 404, body = ProblemBody, description = "no run asks for a placement")))]
+pub async fn placement(State(app): State<App>) -> Result<Json<PlacementOut>, ApiError> {
+    let none = || ApiError::not_found("no run asks for a placement");
+    let status = app.campaign.status();
+    let awaited = Awaited::of(&status);
+    let run = status.run.ok_or_else(none)?;
+    let judged = app.placement.judged().filter(|judged| judged.run == run.uid);
+    let (stage, judged) = match (awaited, judged) {
+        (Some(awaited), judged) => {
+            let same = judged.filter(|judged| judged.trial == awaited.trial);
+            (Stage::Place, same.unwrap_or_else(|| Judged::unread(&awaited)))
+        }
+        (None, Some(judged)) => (stage(&run, judged.trial).ok_or_else(none)?, judged),
+        (None, None) => return Err(none()),
+    };
+    let last = app.store.last_placed(run.uid).await?.map(LastPlacement::from);
+    Ok(Json(PlacementOut {
+        run: run.uid,
+        scan_id: run.scan_id,
+        experiment: run.experiment,
+        trial: judged.trial,
+        of: run.trials_planned,
+        done: run.trials_stored,
+        contacts: judged.asked,
+        stage,
+        at_rest: judged.at_rest,
+        felt: judged.felt.map(FeltOut::from),
+        verdict: judged.verdict,
+        last,
+    }))
+}
+
+/// Stage of a placement that was confirmed; `None` if the run does something else.
+fn stage(run: &RunStatus, trial: u32) -> Option<Stage> {
+    if run.trial.is_none_or(|key| key.configuration != trial) {
+        return None;
+    }
+    match run.phase {
+        Phase::Settle => Some(Stage::Settling),
+        Phase::Measure | Phase::Commit => Some(Stage::Measuring),
+        Phase::Next | Phase::Wait => Some(Stage::Stored),
+        Phase::TouchOff | Phase::Travel | Phase::Tare | Phase::Press | Phase::Raise => None,
+    }
+}
+
+/// The request that confirms what a run waits for. A placement is judged first.
+///
+/// # Errors
+/// 409 with the reasons if the skin contradicts the placement, unless `anyway`.
+pub async fn confirmation(
+    app: &App,
+    who: String,
+    mut done: Done,
+    anyway: bool,
+) -> Result<Request, ApiError> {
+    let status = app.campaign.status();
+    let wanted = status.run.as_ref().and_then(|run| run.wanted.clone());
+    let Some(awaited) = Awaited::of(&status).filter(|_| wanted.is_some_and(|w| done.fits(&w)))
+    else {
+        // A tip change, or a confirmation that the campaign refuses.
+        return Ok(Request::Confirm { done, confirmation: Confirmation::of(who) });
+    };
+    let verdict = app.placement.judge_now(awaited.run, awaited.trial).await;
+    if verdict.kind == VerdictKind::Wrong && !anyway {
+        let reasons = verdict.words.join("; ");
+        let words = format!(
+            "trial {} is not confirmed: {reasons}; correct it, or confirm it with `anyway`",
+            awaited.trial
+        );
+        return Err(ApiError::new(StatusCode::CONFLICT, words));
+    }
+    // The verdict holds for this placement only.
+    done.trial = Some(awaited.trial);
+    let confirmation = Confirmation { who, verdict: verdict.kind, anyway };
+    Ok(Request::Confirm { done, confirmation })
+}

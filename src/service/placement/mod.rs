@@ -1,0 +1,12 @@
+//! Manual trials (paper, II-C): whether the skin feels the weights where a person was asked to place
+//! them.
+//! Uses: `campaign` (its status and its frames), `infer`, `store`. Never: a delay of the campaign; a
+//! frame of a trial.
+//!
+//! ```text
+//! frames -> calm (windows at rest) -> mean -> the serving method -> verdict -> page, confirmation
+//! ```
+
+mod calm;
+pub mod verdict;
+pub mod watch;

@@ -1,0 +1,295 @@
+//! Manual trials on a skin alone: weights on wrong points are refused, placed anyway, repeated, and the run
+//! resumes where it stopped.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use serde_json::{Value, json};
+use sim_core::calibration::{Calibration, Fitted, PiezoCalibration};
+use sim_core::sensor::Sensor;
+use virtual_rig::run::RigArgs;
+
+use super::bench::{Lab, SENSOR, file, http, rig_args};
+
+/// Process seconds in a wall second.
+const SPEED: f64 = 10.0;
+const WHO: &str = "ada";
+
+/// Four placements of two weights.
+const FOUR: &str = "name = 'weights'\nseed = 2\nsensor = 's'\n[real_random]\ncontacts = [2]\n\
+    trials_each = 4\nweights_n = [4.905, 9.81]\n[measure]\nframes_per_trial = 5\n";
+
+/// A skin that is as its nominal model says, except for noise: what a calibrated one is to its model.
+fn gap_free() -> PathBuf {
+    let text = std::fs::read_to_string(file("gaps/gap-a.toml")).unwrap();
+    let line = |line: &str| {
+        let key = line.split(" = ").next().unwrap().to_owned();
+        match key.as_str() {
+            "noise_sd_mv" => line.to_owned(),
+            "limit_mm" => "limit_mm = 1000.0".into(),
+            "contact_ohm" => "contact_ohm = 1e-3".into(),
+            "lead_ohm" | "soft_compliance" | "softening" => format!("{key} = 0.0"),
+            key if key.contains("_sd") => format!("{key} = 0.0"),
+            _ => line.to_owned(),
+        }
+    };
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("gap-free.toml");
+    std::fs::write(&path, text.lines().map(line).collect::<Vec<_>>().join("\n")).unwrap();
+    path
+}
+
+fn skin_alone() -> RigArgs {
+    RigArgs { gap: gap_free(), ..rig_args("skin-only", SPEED) }
+}
+
+/// The calibration that states the nominal values.
+fn nominal() -> String {
+    let piezo = Sensor::from_toml(SENSOR).unwrap().file.piezo;
+    let exactly = |value| Fitted { value, low_95: value, high_95: value };
+    let piezo = PiezoCalibration {
+        data_sha256: "0".repeat(64),
+        rows: 10,
+        compression_mm: [0.1, 3.0],
+        residual_sd_ln: 0.01,
+        a_ohm: exactly(piezo.a_ohm),
+        b_per_mm: exactly(piezo.b_per_mm),
+        c_ohm: Some(exactly(piezo.c_ohm)),
+    };
+    let sensor = Sensor::from_toml(SENSOR).unwrap().file.name;
+    let (foam, voltage, skin) = (None, None, None);
+    Calibration { sensor, piezo: Some(piezo), foam, voltage, skin }.to_toml().unwrap()
+}
+
+/// Lets `exact` serve with the nominal skin.
+async fn serve_exact(lab: &Lab) {
+    let url = format!("{}/api/v1/calibrations", lab.service.url());
+    let added = http().post(url).body(nominal()).send().await.unwrap();
+    assert_eq!(added.status(), 201, "{}", added.text().await.unwrap());
+    let id: Value = added.json().await.unwrap();
+    let serves = lab.posted("/api/v1/serving", json!({ "what": id })).await;
+    assert_eq!(serves["slot"], "skin", "{serves}");
+}
+
+async fn connect(lab: &Lab) {
+    lab.posted("/api/v1/rig/actions", json!({ "action": "connect", "who": WHO })).await;
+}
+
+/// Waits until the run asks for a placement; returns it.
+async fn asked(lab: &Lab, trial: u64) -> Value {
+    let asks = |s: &Value| {
+        s["run"]["paused_why"] == "manual_trial" && s["run"]["wanted"]["trial"] == trial
+    };
+    lab.until("a placement", asks).await;
+    let page = lab.get("/api/v1/placement").await;
+    assert_eq!((&page["trial"], &page["stage"]), (&json!(trial), &json!("place")), "{page:#}");
+    page
+}
+
+/// Places the weights of a placement; `wrong`: the first one elsewhere, far from the others.
+async fn place(lab: &Lab, page: &Value, wrong: bool) {
+    let mut weights: Vec<Value> = page["contacts"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|c| json!({ "x_mm": c["x_mm"], "y_mm": c["y_mm"], "force_n": c["force_n"] }))
+        .collect();
+    if wrong {
+        let sensor = Sensor::from_toml(SENSOR).unwrap();
+        let far = |p: &&sim_core::sensor::Point| {
+            weights.iter().all(|w| {
+                let (x, y) = (w["x_mm"].as_f64().unwrap(), w["y_mm"].as_f64().unwrap());
+                (x - p.x_mm).hypot(y - p.y_mm) > 100.0
+            })
+        };
+        let p = sensor.points().iter().find(far).unwrap();
+        (weights[0]["x_mm"], weights[0]["y_mm"]) = (p.x_mm.into(), p.y_mm.into());
+    }
+    lab.tell_rig(json!({ "cmd": "place", "weights": weights })).await;
+}
+
+fn confirm(trial: u64) -> Value {
+    json!({ "action": "confirm", "trial": trial, "who": WHO })
+}
+
+/// Trials of a run by their index in the plan.
+async fn trials(lab: &Lab, run: &str) -> BTreeMap<u64, Value> {
+    let page = lab.get(&format!("/api/v1/runs/{run}/trials?limit=100")).await;
+    let trials = page["items"].as_array().unwrap().iter();
+    let trials: Vec<_> =
+        trials.map(|t| (t["configuration"].as_u64().unwrap(), t.clone())).collect();
+    let count = trials.len();
+    let by_index: BTreeMap<u64, Value> = trials.into_iter().collect();
+    assert_eq!(by_index.len(), count, "a trial is stored twice");
+    by_index
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes() {
+    let lab = Lab::open_alone("placement", skin_alone()).await;
+    serve_exact(&lab).await;
+    connect(&lab).await;
+    let status = lab.get("/api/v1/status").await;
+    assert_eq!(status["rig"]["has_stage"], false);
+    assert!(status["rig"]["force_limit_n"].is_null() && status["rig"]["pose"].is_null());
+    let home = json!({ "action": "home", "who": WHO });
+    assert_eq!(lab.post("/api/v1/rig/actions", home).await.0, 409, "there is nothing to home");
+    let run = lab.queue(FOUR).await;
+    lab.start(&run).await;
+
+    // Refused with the weight and where it is felt; nothing is stored.
+    let page = asked(&lab, 0).await;
+    assert_eq!((&page["of"], &page["done"], &page["last"]), (&json!(4), &json!(0), &Value::Null));
+    assert!(page["contacts"][0]["point"].as_str().unwrap().starts_with('R'), "{page:#}");
+    place(&lab, &page, true).await;
+    let (refused, problem) = lab.act(&run, confirm(0)).await;
+    let detail = problem["detail"].as_str().unwrap();
+    assert_eq!(refused, 409, "{problem:#}");
+    let point = page["contacts"][0]["point"].as_str().unwrap();
+    assert!(
+        detail.contains("weight 1 (") && detail.contains(&format!("asked at {point}")),
+        "{detail}"
+    );
+    assert!(detail.contains(" mm ") && detail.contains("near R"), "{detail}");
+    let page = asked(&lab, 0).await;
+    assert_eq!(page["verdict"]["kind"], "wrong", "{page:#}");
+    assert_eq!(page["felt"]["method"], "exact");
+    assert!(trials(&lab, &run).await.is_empty());
+
+    // Corrected.
+    place(&lab, &page, false).await;
+    let right = |page: &Value| page["verdict"]["kind"] == "right" && page["at_rest"] == true;
+    let page = lab.eventually("a right placement", "/api/v1/placement", right).await;
+    assert!(page["verdict"]["matches"][0]["distance_mm"].as_f64().unwrap() < 10.0, "{page:#}");
+    assert_eq!(lab.act(&run, confirm(0)).await.0, 202);
+    let page = asked(&lab, 1).await;
+    assert_eq!(page["last"]["trial"], 0, "{page:#}");
+    assert_eq!(page["last"]["verdict"], "right", "{page:#}");
+    assert_eq!(lab.act(&run, confirm(0)).await.0, 409, "it was confirmed");
+
+    // Anyway.
+    place(&lab, &page, true).await;
+    let mut anyway = confirm(1);
+    anyway["anyway"] = true.into();
+    assert_eq!(lab.act(&run, anyway).await.0, 202);
+    asked(&lab, 2).await;
+    let stored = trials(&lab, &run).await;
+    assert_eq!((&stored[&0]["flags"], &stored[&1]["flags"]), (&json!([]), &json!(["doubted"])));
+    assert_eq!(stored[&1]["placed_by"], format!("{WHO} (local)"));
+
+    // Repeated, once, although it is asked for twice; then an earlier one by its number.
+    let repeat = json!({ "action": "repeat", "who": WHO, "why": "wrong point" });
+    assert_eq!(lab.act(&run, repeat.clone()).await.0, 202);
+    let page = asked(&lab, 1).await;
+    assert_eq!(lab.act(&run, repeat).await.0, 409);
+    place(&lab, &page, false).await;
+    assert_eq!(lab.act(&run, confirm(1)).await.0, 202);
+    asked(&lab, 2).await;
+    let unknown = json!({ "action": "repeat", "trial": 3, "who": WHO });
+    assert_eq!(lab.act(&run, unknown).await.0, 409, "it is not stored");
+    let named = json!({ "action": "repeat", "trial": 0, "who": WHO });
+    assert_eq!(lab.act(&run, named).await.0, 202);
+    let page = asked(&lab, 0).await;
+    place(&lab, &page, false).await;
+    assert_eq!(lab.act(&run, confirm(0)).await.0, 202);
+    asked(&lab, 2).await;
+    let stored = trials(&lab, &run).await;
+    assert_eq!(stored.keys().copied().collect::<Vec<_>>(), [0, 1]);
+    for trial in stored.values() {
+        assert_eq!((&trial["flags"], &trial["attempt"]), (&json!([]), &json!(2)), "{trial:#}");
+    }
+
+    // The service ends and starts; the run goes on with the third placement, and an operator who always
+    // errs at first finishes it.
+    let lab = lab.restart_alone().await;
+    lab.posted("/api/v1/infer", json!({ "method": "exact", "frames": [vec![0.0; 784]] })).await;
+    connect(&lab).await;
+    assert_eq!(lab.get(&format!("/api/v1/runs/{run}")).await["state"], "interrupted");
+    lab.start(&run).await;
+    asked(&lab, 2).await;
+    lab.call_operator_who_errs(SPEED, 1.0);
+    let summary = lab.ended(&run).await;
+    assert_eq!(summary["run"]["exit_status"], "success", "{summary:#}");
+    assert_eq!(summary["retries"], 2, "two trials were withdrawn");
+    let stored = trials(&lab, &run).await;
+    assert_eq!(stored.keys().copied().collect::<Vec<_>>(), [0, 1, 2, 3]);
+    for trial in stored.values() {
+        assert_eq!(trial["flags"], json!([]), "{trial:#}");
+    }
+    let actions = lab.get(&format!("/api/v1/actions?run={run}&limit=1000")).await;
+    let refused = actions["items"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter(|a| a["who"] == "virtual operator (local)" && a["accepted"] == false);
+    assert_eq!(refused.count(), 2, "{actions:#}");
+    let events = lab.events().await;
+    let placed: Vec<_> = events
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter(|e| e["kind"] == "placed")
+        .map(|e| (e["data"]["trial"].as_u64().unwrap(), e["data"]["verdict"].clone()))
+        .collect();
+    let kinds = ["right", "wrong", "right", "right", "right", "right"].map(|kind| json!(kind));
+    let expected: Vec<_> = [0, 1, 1, 0, 2, 3].into_iter().zip(kinds).collect();
+    assert_eq!(placed, expected);
+    assert_eq!(lab.post("/api/v1/placement", json!({})).await.0, 405);
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_board_that_fails_or_a_stop_gives_up_no_placement() {
+    let lab = Lab::open_alone("placement-faults", skin_alone()).await;
+    connect(&lab).await;
+    let run = lab.queue(FOUR).await;
+    lab.start(&run).await;
+    let page = asked(&lab, 0).await;
+    assert_eq!(page["verdict"]["kind"], "unknown", "no model serves: {page:#}");
+    assert!(page["felt"].is_null());
+    place(&lab, &page, false).await;
+    // Without frames the trial is not measured, and the person is asked again.
+    lab.tell_rig(json!({ "cmd": "fault", "kind": "stall_stream", "device": "ert" })).await;
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    assert_eq!(lab.act(&run, confirm(0)).await.0, 202);
+    let again = |s: &Value| {
+        let words = s["run"]["waiting_for"].as_str().unwrap_or_default();
+        words.starts_with("trial 0 was not measured")
+    };
+    lab.until("the failure", again).await;
+    lab.tell_rig(json!({ "cmd": "mend" })).await;
+    let fresh = |s: &Value| s["rig"]["stream"]["age_ms"].as_u64().is_some_and(|age| age < 200);
+    lab.until("frames", fresh).await;
+    assert_eq!(lab.act(&run, confirm(0)).await.0, 202);
+    asked(&lab, 1).await;
+    // A stop latches, and after the reset the run asks for the same placement.
+    lab.posted("/estop", json!({ "why": "test" })).await;
+    lab.until("a trip", |s| s["rig"]["state"] == "tripped").await;
+    lab.posted("/api/v1/rig/actions", json!({ "action": "reset", "who": WHO })).await;
+    lab.until("the reset", |s| s["rig"]["state"] == "disarmed").await;
+    for trial in 1..4 {
+        asked(&lab, trial).await;
+        assert_eq!(lab.act(&run, confirm(trial)).await.0, 202);
+    }
+    let summary = lab.ended(&run).await;
+    assert_eq!(summary["run"]["exit_status"], "success", "{summary:#}");
+    assert_eq!((&summary["retries"], &summary["skips"]), (&json!(1), &json!([])));
+    assert_eq!(trials(&lab, &run).await.len(), 4);
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_skin_alone_presses_nothing_and_is_checked() {
+    let lab = Lab::open_alone("placement-check", skin_alone()).await;
+    let report = lab.posted("/api/v1/rig/check", json!({ "who": WHO })).await;
+    assert_eq!(report["problems"], json!([]), "{report:#}");
+    assert!(report["axes"] == json!([]) && report["cells"].is_null(), "{report:#}");
+    let definition = "name = 'hex'\nseed = 5\nsensor = 's'\n[real_hex]\ntips = [1]\n\
+        configurations = 1\n";
+    let body =
+        json!({ "file": "hex.toml", "definition": definition, "sensor": SENSOR, "who": WHO });
+    let (status, problem) = lab.post("/api/v1/queue", body).await;
+    assert_eq!(status, 422, "{problem:#}");
+    assert!(problem["detail"].as_str().unwrap().contains("needs a stage"), "{problem:#}");
+    lab.close().await;
+}
