@@ -37,6 +37,9 @@ export async function ask(path, { body, method = body === undefined ? 'GET' : 'P
     method, cache: 'no-store', body: form || body === undefined ? body : JSON.stringify(body),
     headers: { accept, ...(secret && { authorization: `Bearer ${secret}` }), ...(body !== undefined && !form && { 'content-type': 'application/json' }), ...headers },
     signal: until.length ? AbortSignal.any(until) : undefined,
+  }).catch(error => {
+    if (error.name !== 'AbortError') error = new Error(error.name === 'TimeoutError' ? 'no answer in time' : 'no connection', { cause: error })
+    throw error
   })
   if (response.ok || response.status === 304) return response
   const problem = await response.json().catch(() => ({}))

@@ -45,7 +45,7 @@ function ticks(from, to) {
 export function clockline() {
   const track = el('div', { className: 'clock-track' })
   const scale = el('div', { className: 'clock-scale', 'aria-hidden': 'true' })
-  const node = el('div', { className: 'clockline live', role: 'group', 'aria-label': 'Predicted times of the runs' }, track, scale)
+  const node = el('div', { className: 'clockline', role: 'group', 'aria-label': 'Predicted times of the runs' }, track, scale)
   function show(now, bars) {
     node.hidden = !bars.length
     if (!bars.length) return

@@ -69,7 +69,7 @@ export function dataView({ state, set, signal, label, onfacts = () => {} }) {
     if (!parsed) return 'No frame has come yet: connect the rig, or check the stream.'
     if (state.frame === 'voltages') return 'Voltages as they come.'
     if (!untouched) return `Voltages, since there is no untouched frame (${why || 'none yet'}).`
-    return `Untouched: ${counted(untouched.frames, 'frame')}, ${moment(untouched.at)}${untouched.run ? `, run ${untouched.run}` : ''}.`
+    return `Untouched: ${counted(untouched.frames, 'frame')}, ${moment(untouched.at)}${untouched.run && untouched.run === run ? ', in this run' : ''}.`
   }
   function trialWords(t) {
     const depth = t.depth_mm == null ? 'weights' : fixed(t.depth_mm, 1, 'mm')

@@ -32,7 +32,10 @@ export function editor({ draft, ifMatch, ondone, onclose, signal }) {
   const stored = `palpate-draft-${draft.name}`
   const kept = keep('sessionStorage', stored)
   const state = { ...draft, ...(kept && JSON.parse(kept)) }
-  const body = () => ({ file: state.file, definition: state.text, sensor: state.sensor ?? undefined })
+  // The text of a sensor file belongs to the name that the experiment had with it; another name is one that the program carries.
+  state.named ??= raw(state.text, '', 'sensor')
+  const sensor = () => (raw(state.text, '', 'sensor') === state.named ? state.sensor ?? undefined : undefined)
+  const body = () => ({ file: state.file, definition: state.text, sensor: sensor() })
   const forget = () => keep('sessionStorage', stored, '')
 
   const area = el('textarea', { id: 'definition', spellcheck: false, wrap: 'off', rows: 18, className: 'code', value: state.text })
@@ -51,7 +54,7 @@ export function editor({ draft, ifMatch, ondone, onclose, signal }) {
     remember()
   })
   const remember = () =>
-    keep('sessionStorage', stored, JSON.stringify({ text: state.text, notBefore: state.notBefore, sensor: state.sensor, file: state.file }))
+    keep('sessionStorage', stored, JSON.stringify({ text: state.text, notBefore: state.notBefore, sensor: state.sensor, named: state.named, file: state.file }))
 
   let asking = new AbortController()
   function changed(text) {

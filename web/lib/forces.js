@@ -95,15 +95,17 @@ function columns(minutes, surface_z_mm) {
       const before = samples.at_ms[i - 1], gap = bin >= 0 && samples.at_ms[i] - before > Math.max(1500, 2 * step)
       if (gap) out.forEach((column, k) => column.push(k ? null : (before + 1) / 1e3))
       bin = at
-      out.forEach((column, k) => column.push(k ? null : samples.at_ms[i] / 1e3))
+      out.forEach((column, k) => column.push(k === 7 ? undefined : k ? null : samples.at_ms[i] / 1e3)) // Undefined joins, null is a gap.
     }
     const to = out[0].length - 1, z = samples.z_mm[i]
     for (const arm of ARMS) {
       const force = samples.forces_n[i]?.[arm]
       if (force != null && (out[arm + 1][to] == null || force > out[arm + 1][to])) out[arm + 1][to] = force
     }
-    const depth = z == null || surface_z_mm == null ? null : z - surface_z_mm
-    if (depth != null && depth > -SHOWN_MM && (out[7][to] == null || depth > out[7][to])) out[7][to] = depth
+    if (z == null || surface_z_mm == null) continue // z is not read with every sample.
+    const depth = z - surface_z_mm
+    if (depth < -SHOWN_MM) out[7][to] ??= null
+    else if (out[7][to] == null || depth > out[7][to]) out[7][to] = depth
   }
   return out
 }

@@ -4,7 +4,7 @@
 import { get } from './api.js'
 import { chart } from './chart.js'
 import { button, colour, el, fill, panel, say, select } from './dom.js'
-import { count, fixed, moment, plain, span } from './format.js'
+import { counted, moment, plain, span } from './format.js'
 import { LOUD, TONE, WAITS, sentence } from './words.js'
 
 const TONES = { good: '--live', warn: '--warn', bad: '--bad' }
@@ -13,7 +13,7 @@ const seconds = text => ms(text) / 1e3
 
 /** How the predicted end compares with the actual one, or with the newest estimate: a sentence, '' without any. */
 export function predictionWords({ predicted_s, elapsed_s, predictions = [], from }, endedAt, eta_s) {
-  if (predicted_s == null) return ''
+  if (predicted_s == null || !from) return ''
   const planned = ms(from) + 1e3 * predicted_s, end = endedAt ?? (eta_s == null ? null : Date.now() + 1e3 * eta_s)
   const words = [`Predicted when it was armed: ${span(predicted_s)}, until ${moment(planned)}.`]
   if (end != null) {
@@ -71,7 +71,10 @@ export function history({ title = 'The night', state, set, signal, label, height
   }
 
   function draw() {
-    if (!data) return
+    if (!data?.from) {
+      if (data) say(words, 'This run has not started.')
+      return
+    }
     const first = seconds(data.from), low = Number(state.from) || -Infinity, high = Number(state.to) || Infinity
     const kept = data.trials.map((_, i) => i).filter(i => { const t = first + i * data.bin_s; return t + data.bin_s >= low && t <= high })
     const x = kept.map(i => first + i * data.bin_s), per = 3600 / data.bin_s
@@ -86,7 +89,7 @@ export function history({ title = 'The night', state, set, signal, label, height
     const kinds = [...new Set(data.states.map(s => s.state))]
     const lasted = kind => data.states.filter(s => s.state === kind).reduce((sum, s) => sum + ((ms(s.to) ?? ms(data.to)) - ms(s.from)) / 1e3, 0)
     fill(band, kinds.map(kind => el('span', {}, el('i', { className: `tone-${TONE[kind] ?? 'none'}` }), `${plain(kind)} ${span(lasted(kind))}`)),
-      data.events.length > 0 && el('span', {}, `${count(data.events.length)} ${data.events.length === 1 ? 'mark' : 'marks'}`))
+      data.events.length > 0 && el('span', {}, counted(data.events.length, 'mark')))
   }
   function place() {
     const wanted = state.night === 'end' ? end.node : fit.node
@@ -119,7 +122,7 @@ export function history({ title = 'The night', state, set, signal, label, height
 
 // States as a strip under the curves, waits shaded over the whole height, events as triangles above.
 function drawMarks(u, data) {
-  if (!data) return
+  if (!data?.from) return
   const pen = u.ctx, ratio = window.devicePixelRatio || 1, { left, top, width, height } = u.bbox
   const x = t => Math.max(left, Math.min(left + width, u.valToPos(t / 1e3, 'x', true)))
   pen.save()

@@ -25,7 +25,7 @@ export function onTime({ run }, at, history, next) {
   if (run.state === 'paused' && run.paused_why) return { tone: 'warn', words: `It waits: ${WAITS[run.paused_why] ?? plain(run.paused_why)}.` }
   if (!run.eta) return { tone: '', words: 'The end is not known yet.' }
   const { remaining_s, low_s, high_s } = run.eta, short = high_s < 900, [end, low, high] = [remaining_s, low_s, high_s].map(s => moment(at + 1e3 * s, short))
-  const planned = history?.predicted_s == null ? null : Date.parse(history.from) + 1e3 * history.predicted_s
+  const planned = history?.predicted_s == null || !history.from ? null : Date.parse(history.from) + 1e3 * history.predicted_s
   const late_s = planned == null ? null : (at + 1e3 * remaining_s - planned) / 1e3
   const than = late_s == null ? '' : Math.abs(late_s) < 60 ? ', as predicted' : `, ${span(Math.abs(late_s))} ${late_s > 0 ? 'late' : 'early'}`
   const slow = late_s != null && late_s > Math.max(SLOW_S, 0.1 * history.predicted_s)
@@ -35,8 +35,18 @@ export function onTime({ run }, at, history, next) {
 const unjudged = (run, trial) => run ? 'No twin to compare with yet.'
   : trial?.fvu != null ? `The last trial fits its twin with FVU ${fixed(trial.fvu, 3)}.` : 'Nothing to judge yet.'
 
+const WATCHED = { disk: 'free disk', frame_age: 'age of the newest frame', twin_fvu: 'fit of the twins (FVU)', electrode_pairs: 'worst electrode pair (FVU)' }
+
 /** Name of a suspender, as text. */
-export const watched = name => plain(name).replace(/\bfvu\b/i, 'FVU')
+export const watched = name => WATCHED[name] ?? plain(name)
+
+/** A value of a suspender with its unit. */
+export function watchedValue(value, unit) {
+  if (value == null) return 'not measured'
+  if (unit === 'bytes') return bytes(value)
+  if (unit === 'ms' && value >= 1000) return span(value / 1e3)
+  return fixed(value, unit === '1' ? 3 : Math.abs(value) < 10 ? 1 : 0, unit === '1' ? '' : unit)
+}
 
 /** Are the data good? `twins` is the body of GET /twins, `seen` what the live frames show. */
 export function good({ run, disk, suspenders }, twins, seen) {

@@ -44,7 +44,7 @@ export function waiting({ said, go, signal }) {
   let tag = ''
   let pressed = ''
 
-  const head = el('p', { className: 'big live' }, 'Loading …')
+  const head = el('p', { className: 'big' }, 'Loading …')
   const hint = el('p', { className: 'soft said' })
   const list = table({
     columns: [
@@ -179,11 +179,11 @@ export function waiting({ said, go, signal }) {
     line.show(now, [...active, ...bars.sort((a, b) => a.begin - b.begin)])
     const last = Math.max(0, ...[...active, ...bars].map(one => one.end))
     say(head, fails || summary(run, rows, last, rows.length > predicted.size))
-    head.className = `big live ${fails ? 'bad' : ''}`
+    head.className = `big ${fails ? 'bad' : ''}`
     say(hint, conditions(rows, rig))
   }
 
   live.addEventListener('caller', drag.attach, { signal })
-  const node = panel('In this order', { className: 'queue' }, head, line.node, list.node, said.node, hint)
+  const node = panel('In this order', { className: 'queue live' }, head, line.node, list.node, said.node, hint)
   return { node, refresh, tag: () => tag }
 }

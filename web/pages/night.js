@@ -14,7 +14,8 @@ import { live } from '../lib/live.js'
 import { eventLog } from '../lib/log.js'
 import { sensor } from '../lib/skin.js'
 import { COLOURINGS, tourMap } from '../lib/tourmap.js'
-import { backlog, good, onTime, safe, watched } from '../lib/verdicts.js'
+import { backlog, good, onTime, safe } from '../lib/verdicts.js'
+import { watching } from '../lib/watching.js'
 import { welcome } from '../lib/welcome.js'
 import { PHASES, RIG, TONE, WAITS } from '../lib/words.js'
 
@@ -76,7 +77,7 @@ export async function show(root, { query, signal, set }) {
   const nowPart = panel('Now', { className: 'live now', aside: minutes }, nowBody, said.node, bars, chart.node)
 
   const data = dataView({ state, set, signal, label, onfacts: more => { seen = { ...seen, ...more } } })
-  const dataFacts = el('div'), watch = el('div'), dataPart = panel('Data', { className: 'live data', aside: data.controls }, data.node, dataFacts, watch)
+  const dataFacts = el('div'), watch = watching(), dataPart = panel('Data', { className: 'live data', aside: data.controls }, data.node, dataFacts, watch.node)
   const nightPart = history({ state, set, signal, label, height: low ? 108 : 170 })
   const log = eventLog({ state, set, signal })
   const hello = welcome({ said })
@@ -98,6 +99,7 @@ export async function show(root, { query, signal, set }) {
     const verdict = [safe(status), onTime(status, at, course, queue[0]), good(status, twins, seen)]
     answers.forEach(({ node }, i) => { say(node, verdict[i].words); node.className = `answer ${verdict[i].tone}` })
     tellStrip(status)
+    watch.show(status.suspenders)
     if (status.run) tellRun(status.run, fresh)
     buttons.show(live)
   }
@@ -136,28 +138,12 @@ export async function show(root, { query, signal, set }) {
   }
 
   function tellData() {
-    const rolling = twins?.pool.rolling, limit = live.status?.suspenders?.find(one => /fvu|twin|fit/i.test(one.name))
+    const rolling = twins?.pool.rolling, limit = live.status?.suspenders?.find(one => one.name === 'twin_fvu' && one.suspends)
     const broken = seen.stuck ? `${seen.stuck.length} stuck, ${seen.saturated?.length ?? 0} saturated` : 'not reported'
     changing(dataFacts, [
       ['Rolling FVU', rolling ? `${fixed(rolling.median_fvu, 3)}${limit ? ` of ${fixed(limit.threshold, 2)}` : ''}` : 'none yet'],
       ['Twins', backlog(twins, (run ?? last)?.uid) ?? 'none'], ['Channels', broken],
     ])
-    tellSuspenders()
-  }
-
-  // Everything that may suspend the run, with its value and since when it is beyond.
-  function tellSuspenders() {
-    const rows = live.status?.suspenders
-    const text = JSON.stringify(rows ?? null)
-    if (watch.dataset.text === text) return
-    watch.dataset.text = text
-    if (!rows?.length) return void fill(watch, rows && el('p', { className: 'soft small' }, 'Nothing watches this run.'))
-    const cell = (value, unit) => value == null ? 'not measured' : `${fixed(value, Math.abs(value) < 10 ? 2 : 0)}${unit ? `\u202f${unit}` : ''}`
-    fill(watch, el('div', { className: 'table' }, el('table', {}, el('caption', {}, 'What may suspend the run'),
-      el('thead', {}, el('tr', {}, ['Watches', 'Value', 'Threshold', 'Beyond since'].map(head => el('th', { scope: 'col' }, head)))),
-      el('tbody', {}, rows.map(s => el('tr', { className: s.since ? s.suspends ? 'bad' : 'warn' : '' }, el('th', { scope: 'row' },
-        capital(watched(s.name))), el('td', {}, cell(s.value, s.unit)), el('td', {}, cell(s.threshold, s.unit)), el('td', {},
-        s.since ? `${moment(s.since)}${s.suspends ? '' : ', only warns'}` : 'no')))))))
   }
 
   // What is asked for: the run's tour once, its progress while trials are stored, its course each half minute.

@@ -125,7 +125,11 @@ export async function show(root, { query, signal, set }) {
 
   function draw({ status, fresh }) {
     if (!status) return
-    const { rig, run } = status, { wires, stream } = rig
+    const { run } = status, closed = status.rig.state === 'disconnected', { wires, stream } = status.rig
+    // The status keeps what was read last: with closed wires it is not the present pose.
+    const rig = closed ? { ...status.rig, pose: null, forces_n: [], live_cells: null, wires: [], stream: { ...stream, frames: 0 } } : status.rig
+    if (state.closed && !closed) listen()
+    bars.hidden = state.closed = closed
     counters.add({ stream: { frames: stream.frames, missed: stream.missed, garbled: stream.garbled },
       ...Object.fromEntries(wires.map(wire => [`wire ${wire.name}`, (({ name, last_round_trip_us, ...numbers }) => numbers)(wire)])) })
     say(head, run ? `${plain(rig.state)}, run ${run.scan_id}` : plain(rig.state))
@@ -151,8 +155,8 @@ export async function show(root, { query, signal, set }) {
     const text = JSON.stringify(at ?? null)
     if (state.shown === text) return
     state.shown = text
-    fill(pose, facts(at ? [['x', fixed(at.x_mm, 2, 'mm')], ['y', fixed(at.y_mm, 2, 'mm')], ['z, downwards', fixed(at.z_mm, 2, 'mm')],
-      ['Radius', fixed(at.radius_mm, 2, 'mm')]] : [['Pose', 'not known while the wires are closed']]))
+    fill(pose, !at ? el('p', { className: 'soft' }, 'The pose is not known while the wires are closed.')
+      : facts([['x', fixed(at.x_mm, 2, 'mm')], ['y', fixed(at.y_mm, 2, 'mm')], ['z, downwards', fixed(at.z_mm, 2, 'mm')], ['Radius', fixed(at.radius_mm, 2, 'mm')]]))
     const keys = ['x_mm', 'y_mm', 'z_mm', 'radius_mm'].map(key => at && `${key} = ${at[key].toFixed(3)}`)
     say(copy, at ? [`# pose of ${live.status.rig.name}, ${new Date().toISOString()}`, ...keys].join('\n') : '# connect first')
     toCopy.disabled = !at
@@ -202,10 +206,12 @@ export async function show(root, { query, signal, set }) {
         row('Surface', 'skin.surface_z_mm', 'mm'), row('Clearance', 'skin.clearance_mm', 'mm')].filter(Boolean) }
     draw(live)
   }, () => {})
-  get('/events', { since: -1000 }, { signal }).then(({ items }) => {
+  // What each device said when the wires were opened last.
+  const listen = () => get('/events', { since: -1000 }, { signal }).then(({ items }) => {
     for (const event of items) if (event.kind === 'device') state.found[event.data.device] = event
     draw(live)
   }, () => {})
+  listen()
   live.on('status', draw, signal)
   live.on('fresh', draw, signal)
   live.addEventListener('caller', () => { showRole(); draw(live) }, { signal })

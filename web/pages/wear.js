@@ -50,7 +50,7 @@ function cells(wear) {
   ]
   const unknown = wear.cells.filter(cell => cell.age_days == null).length
   const which = unknown === wear.cells.length ? 'the cells were' : `${counted(unknown, 'cell')} ${unknown === 1 ? 'was' : 'were'}`
-  const words = unknown ? el('p', { className: 'soft small said' }, `The rig file does not state when ${which} calibrated.`) : null
+  const words = unknown ? el('p', { className: 'soft small said' }, `The rig file does not state when ${which} calibrated (key cells.calibrated_on).`) : null
   return panel('Load cells', {}, table({ rows: wear.cells, columns, empty: 'This rig has no load cells.' }).node, words)
 }
 

@@ -116,6 +116,14 @@ impl RigSetup {
         }
     }
 
+    /// Longest time without a frame, wall ms.
+    pub fn frame_age_ms(&self) -> u64 {
+        match self {
+            Self::Bench(config) => config.limits.frame_age_ms,
+            Self::Skin(skin) => skin.limits.frame_age_ms,
+        }
+    }
+
     /// Noise of the load cells, N; `None` without load cells.
     pub fn force_noise_n(&self) -> Option<f64> {
         self.bench().map(|config| config.cells.force_noise_n)

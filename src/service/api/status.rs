@@ -147,7 +147,7 @@ impl App {
             free_bytes,
             needed_bytes: run.needed_bytes,
             frame_age_ms: frame.map(|frame| frame.received.elapsed().as_secs_f64() * 1e3),
-            frame_age_limit_ms: self.facts.rig.config.limits.frame_age_ms,
+            frame_age_limit_ms: self.facts.rig.config.frame_age_ms(),
             fit: twins.rolling.as_ref(),
             limits: stored.limits.as_deref(),
         });

@@ -15,7 +15,6 @@ use super::App;
 use super::edited::lists;
 use super::problem::{ApiError, Path, ProblemBody};
 use super::runs::find;
-use crate::conductor::Submission;
 use crate::digest::sha256_hex;
 use crate::schedule::experiment::Experiment;
 use crate::schedule::plan::Plan;
@@ -103,12 +102,12 @@ async fn read(app: &App, run: &RunRow) -> Result<Arc<KeptTour>, ApiError> {
     }
     let plan = app.store.plan_of(run.uid).await?;
     let (scan_id, experiment, kind) = (run.scan_id, run.experiment.clone(), run.kind);
-    let files = Submission::of(run);
+    let run = run.clone();
     // A plan of 198,000 trials takes about 0.3 s: not on a thread that answers requests.
     let reading = tokio::task::spawn_blocking(move || {
         let (depths_mm, steps) = match plan {
             Some(plan) => Visits::of_text(&plan).map_err(|e| e.to_string())?,
-            None => planned(&files)?,
+            None => planned(&run)?,
         };
         let tour = Tour { scan_id, experiment, kind, depths_mm, steps };
         let body = Bytes::from(serde_json::to_vec(&tour).map_err(|e| e.to_string())?);
@@ -120,12 +119,12 @@ async fn read(app: &App, run: &RunRow) -> Result<Arc<KeptTour>, ApiError> {
 }
 
 /// Plans an experiment. Returns its depths, mm, and its places.
-fn planned(files: &Submission) -> Result<(Vec<f64>, Visits), String> {
+fn planned(run: &RunRow) -> Result<(Vec<f64>, Visits), String> {
     let first = |problems: Vec<crate::problem::Problem>| {
         problems.first().map_or_else(String::new, ToString::to_string)
     };
-    let experiment = Experiment::from_toml(&files.file, &files.definition).map_err(first)?;
-    let sensor = Sensor::from_toml(&files.sensor).map_err(|e| e.to_string())?;
-    let plan = Plan::of(&files.file, &experiment, &sensor).map_err(first)?;
+    let experiment = Experiment::from_toml(&run.experiment, &run.definition).map_err(first)?;
+    let sensor = Sensor::from_toml(&run.sensor).map_err(|e| e.to_string())?;
+    let plan = Plan::of(&run.experiment, &experiment, &sensor).map_err(first)?;
     Ok((plan.depths_mm.clone(), Visits::of(&plan)))
 }

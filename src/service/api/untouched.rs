@@ -39,7 +39,7 @@ pub async fn untouched(State(app): State<App>) -> Result<Json<Arc<Untouched>>, A
 /// The mean frame of the newest stored trials of this rig in which the skin was untouched.
 async fn stored(app: &App) -> Result<Option<Arc<Untouched>>, StoreError> {
     let channels = app.serving.sensor().channels();
-    let label = app.facts.rig.config.label.as_str();
+    let label = app.facts.rig.config.label().as_str();
     for run in app.store.runs_with_trials().await?.into_iter().take(RUNS) {
         let row = app.store.run(run).await?;
         if row.is_none_or(|row| row.kind != RunKind::RealHex || row.label.as_str() != label) {

@@ -109,10 +109,11 @@ async fn read(app: &App) -> Result<Wear, StoreError> {
             break;
         }
     }
-    let calibrated_on = app.facts.rig.config.cells.calibrated_on;
     let today = Timestamp::now().to_zoned(TimeZone::UTC).date();
+    let bench = app.facts.rig.config.bench();
+    let cells = bench.map_or_else(Vec::new, |bench| cells(bench.cells.calibrated_on, today));
     let checked_at = app.store.last_accepted(&CHECKS).await?;
-    Ok(sum(&by_run, cells(calibrated_on, today), checked_at))
+    Ok(sum(&by_run, cells, checked_at))
 }
 
 /// Whether a run pressed the skin under the rig.
@@ -124,7 +125,7 @@ fn is_of_this_skin(app: &App, run: &RunRow) -> bool {
     }
     let name = toml::from_str::<Named>(&run.sensor).map(|sensor| sensor.name);
     run.kind != RunKind::Imported
-        && run.label.as_str() == app.facts.rig.config.label.as_str()
+        && run.label.as_str() == app.facts.rig.config.label().as_str()
         && name.is_ok_and(|name| name == app.serving.sensor().file.name)
 }
 

@@ -133,7 +133,7 @@ pub static TABLE: [Column; 34] = [
     c("sim_model", "", Of::Text(|t| t.sim_model.clone()), "m.hash", "model of that twin"),
     c("rmse_v", "V", Of::Number(|t| t.rmse_v), "w.rmse_v", "root of the mean squared difference to that twin"),
     c("fvu", "", Of::Number(|t| t.fvu), "w.fvu", "fraction of variance unexplained by that twin (paper, Eq. 2)"),
-    c("flags", "", Of::Flags, "", "possible faults: `unsettled`, `saturated_channels`, `injection_sum`, `dropped_frames`, `depth_missed`, `still_cell`, `silent_skin`"),
+    c("flags", "", Of::Flags, "", "possible faults: `unsettled`, `saturated_channels`, `injection_sum`, `dropped_frames`, `depth_missed`, `still_cell`, `silent_skin`, `doubted` (the skin contradicted a manual placement)"),
     c("saturated_channels", "", Of::Count(|t| t.quality.saturated_channels), "t.saturated_channels", "channels at the converter's end"),
     c("stuck_channels", "", Of::Count(|t| t.quality.stuck_channels), "t.stuck_channels", "channels with the same count in 12 consecutive trials"),
     c("missing_channels", "", Of::Count(|t| t.quality.missing_channels), "t.missing_channels", "channels without a value"),
