@@ -1,7 +1,7 @@
 // The shell: top bar with the stop, links, the key, and the page of the address. Knows no data.
 
 import { door, estop, giveKey, keep } from './lib/api.js'
-import { actOnRig, actor, outcome } from './lib/actions.js'
+import { actOnRig, actor, modal, outcome } from './lib/actions.js'
 import { button, el, fill, link, note, say } from './lib/dom.js'
 import { capital, clock, count, moment, percent, plain, span } from './lib/format.js'
 import { live, start } from './lib/live.js'
@@ -86,8 +86,7 @@ function help() {
   const box = el('dialog', { 'aria-label': 'Keys', onclose: () => box.remove() }, el('h2', {}, 'Keys'),
     el('dl', { className: 'keys' }, PAGES.map(page => el('div', {}, el('dt', {}, el('kbd', {}, 'g'), ' ', el('kbd', {}, page.key)), el('dd', {}, page.title))), el('div', {}, el('dt', {}, el('kbd', {}, '?')), el('dd', {}, 'this list'))),
     el('p', { className: 'soft' }, 'No key stops the rig: use the stop button, or the one on the rig.'), button('Close', () => box.close()))
-  document.body.append(box)
-  box.showModal()
+  modal(box)
 }
 
 // The stop: asks nothing, says what came of it, and what state was reached.

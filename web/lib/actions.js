@@ -4,6 +4,16 @@ import { Refused, once, person, send } from './api.js'
 import { button, el, fill, note } from './dom.js'
 import { live, who } from './live.js'
 
+/** Opens a dialog over the page; a press where the stop is still presses the stop. */
+export function modal(box) {
+  box.addEventListener('click', ({ target, clientX, clientY }) => {
+    const stop = document.getElementById('stop'), { left, right, top, bottom } = stop.getBoundingClientRect()
+    if (target === box && clientX >= left && clientX <= right && clientY >= top && clientY <= bottom) stop.click()
+  })
+  document.body.append(box)
+  box.showModal()
+}
+
 /** Asks for the name that actions are logged with, once per browser; resolves to false if it is refused. */
 export function named() {
   if (who()) return Promise.resolve(true)
@@ -14,8 +24,7 @@ export function named() {
         el('h2', { id: 'who-title' }, 'Your name'), el('p', { className: 'soft' }, 'It is logged with every action. This browser keeps it.'),
         el('label', { htmlFor: 'who-input' }, 'Name'), input,
         el('div', { className: 'row' }, el('button', { className: 'main' }, 'Continue'), button('Cancel', () => box.close(), { className: 'plain' }))))
-    document.body.append(box)
-    box.showModal()
+    modal(box)
   })
 }
 
@@ -26,8 +35,7 @@ export function confirm(title, words, verb = 'Continue') {
     const box = el('dialog', { 'aria-label': title, onclose: () => { box.remove(); resolve(sure) } }, el('h2', {}, title),
       [words].flat().map(text => typeof text === 'string' ? el('p', {}, text) : text),
       el('div', { className: 'row' }, button(verb, () => { sure = true; box.close() }, { className: 'main' }), button('Cancel', () => box.close(), { className: 'plain' })))
-    document.body.append(box)
-    box.showModal()
+    modal(box)
   })
 }
 

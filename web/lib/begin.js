@@ -4,7 +4,7 @@
 import { actOnRig, actOnRun, actor, confirm, named } from './actions.js'
 import { get, once, send } from './api.js'
 import { facts } from './dom.js'
-import { bytes, count, counted, span } from './format.js'
+import { bytes, capital, count, counted, span } from './format.js'
 import { live, who } from './live.js'
 
 const CONNECT_S = 30, HOME_S = 180
@@ -55,7 +55,7 @@ export function preflightWords(preflight) {
  */
 export async function beginRun(run, said, { ask = true } = {}) {
   if (!await named()) return undefined
-  const title = `Run ${run.scan_id}, ${run.experiment}`
+  const title = `run ${run.scan_id}, ${run.experiment}`
   try {
     await readyRig(words => said.tell(`${words} …`))
     said.tell(`Checking ${title} …`)
@@ -65,12 +65,11 @@ export async function beginRun(run, said, { ask = true } = {}) {
       return undefined
     }
     said.tell(`Starting ${title} …`)
-    const waits = Boolean(live.status?.run)
-    await actOnRun(run.uid, 'start', { code })
-    said.tell(waits ? `${title} is started and waits for its turn.` : `${title} is started.`, 'good')
-    return waits ? 'waiting' : 'running'
+    const { started } = await actOnRun(run.uid, 'start', { code }) ?? {}
+    said.tell(`${capital(title)} is started${started === 'waiting' ? ' and waits for its turn' : ''}.`, 'good')
+    return started ?? 'running'
   } catch (error) {
-    if (error.name !== 'AbortError') said.tell(`${title} did not start: ${error.message}`, 'bad')
+    if (error.name !== 'AbortError') said.tell(`${capital(title)} did not start: ${error.message}`, 'bad')
     return undefined
   }
 }

@@ -7,6 +7,7 @@ import { button, el, fill, sleep } from './dom.js'
 import { fields } from './fields.js'
 import { live, who } from './live.js'
 import { partsBar, planFacts, problemList } from './preflight.js'
+import { raw } from './toml.js'
 
 const REST_MS = 400
 let schemaAsked = null
@@ -23,7 +24,7 @@ export function schema() {
 const local = at => (at ? new Date(new Date(at) - new Date(at).getTimezoneOffset() * 6e4).toISOString().slice(0, 16) : '')
 
 /**
- * Makes the editor of `draft` { name, text, file, sensor?, notBefore?, run? }: a run that is edited, or
+ * Makes the editor of `draft` { name, text, file, sensor?, notBefore?, autoResume?, run? }: a run that is edited, or
  * none. `ifMatch()` is the entity tag of the queue; `ondone(row)` follows what was queued or changed.
  */
 export function editor({ draft, ifMatch, ondone, onclose, signal }) {
@@ -34,7 +35,7 @@ export function editor({ draft, ifMatch, ondone, onclose, signal }) {
   const state = { ...draft, ...(kept && JSON.parse(kept)) }
   // The text of a sensor file belongs to the name that the experiment had with it; another name is one that the program carries.
   state.named ??= raw(state.text, '', 'sensor')
-  const sensor = () => (raw(state.text, '', 'sensor') === state.named ? state.sensor ?? undefined : undefined)
+  const sensor = () => (raw(state.text, '', 'sensor') === state.named ? (state.sensor ?? undefined) : undefined)
   const body = () => ({ file: state.file, definition: state.text, sensor: sensor() })
   const forget = () => keep('sessionStorage', stored, '')
 
@@ -46,6 +47,12 @@ export function editor({ draft, ifMatch, ondone, onclose, signal }) {
       changed(text)
     },
   })
+  const begin = () => {
+    area.value = draft.text
+    again.hidden = true
+    changed(draft.text)
+  }
+  const again = el('p', { className: 'warn' }, 'Your changes of before are shown. ', button('Begin again', begin, { className: 'plain' }))
   const found = el('div', { className: 'found', 'aria-live': 'polite' })
   const start = el('input', { id: 'not-before', type: 'datetime-local', value: local(state.notBefore), min: local(new Date()) })
   area.addEventListener('input', () => changed(area.value))
@@ -54,7 +61,11 @@ export function editor({ draft, ifMatch, ondone, onclose, signal }) {
     remember()
   })
   const remember = () =>
-    keep('sessionStorage', stored, JSON.stringify({ text: state.text, notBefore: state.notBefore, sensor: state.sensor, named: state.named, file: state.file }))
+    keep(
+      'sessionStorage',
+      stored,
+      JSON.stringify({ text: state.text, notBefore: state.notBefore, sensor: state.sensor, named: state.named, file: state.file }),
+    )
 
   let asking = new AbortController()
   function changed(text) {
@@ -94,7 +105,9 @@ export function editor({ draft, ifMatch, ondone, onclose, signal }) {
   }
 
   async function submit() {
-    const more = { ...body(), who: who(), not_before: state.notBefore ?? undefined }
+    // What was said when the run was queued stays, unless the text says it.
+    const resumes = raw(state.text, 'policy', 'auto_resume') == null ? draft.autoResume : undefined
+    const more = { ...body(), who: who(), not_before: state.notBefore ?? undefined, auto_resume: resumes }
     const row = run ? await put(more) : await once('/queue', more)
     forget()
     ondone(row)
@@ -123,6 +136,7 @@ export function editor({ draft, ifMatch, ondone, onclose, signal }) {
     el(
       'div',
       { className: 'editor-text' },
+      again,
       el('label', { htmlFor: 'definition' }, `Text of ${state.file}`),
       area,
       state.sensor
@@ -148,6 +162,7 @@ export function editor({ draft, ifMatch, ondone, onclose, signal }) {
       said.node,
     ),
   )
+  again.hidden = draft.text == null || draft.text === state.text
   form.show(state.text)
   schema().then(known => {
     if (known && !signal.aborted) {

@@ -18,6 +18,8 @@ const TABLES = {
 
 /** Unit of a key, by its name. */
 const unitOf = key => UNITS[key.split('_').at(-1)] ?? ''
+/** Name of a key in words, with its unit in brackets instead of its suffix. */
+const word = key => (unitOf(key) ? `${plain(key.slice(0, key.lastIndexOf('_')))} (${unitOf(key)})` : plain(key))
 const of = (schema, table, key) => (table ? schema?.properties?.[table] : schema)?.properties?.[key]
 
 /** Limits and default of a key, as words. */
@@ -57,7 +59,6 @@ export function fields({ schema, onchange }) {
     const rule = of(schema, table, key)
     const kind = kindOf(raw)
     const whole = [rule?.type].flat().includes('integer')
-    const unit = unitOf(key)
     const typed = event => change(put(text, table, key, written(kind, event.target.value)))
     const about = rule?.description?.split('\n')[0] ?? ''
     const control =
@@ -85,7 +86,7 @@ export function fields({ schema, onchange }) {
       el(
         'div',
         { className: 'field-head' },
-        el('label', { htmlFor: id }, plain(key), unit ? ` (${unit})` : ''),
+        el('label', { htmlFor: id }, word(key)),
         optional &&
           button('Remove', () => change(put(text, table, key, null)), { className: 'plain small', 'aria-label': `Remove ${name}: the default applies` }),
       ),
@@ -99,7 +100,6 @@ export function fields({ schema, onchange }) {
   const absent = (table, present) =>
     Object.entries((table ? schema?.properties?.[table] : schema)?.properties ?? {}).filter(([key, rule]) => !rule.properties && !present.has(key))
   const first = rule => rule.default ?? rule.minimum ?? (rule.type === 'array' ? [1] : [rule.type].flat().includes('string') ? '' : 0)
-  const word = key => plain(key) + (unitOf(key) ? ` (${unitOf(key)})` : '')
   function more(id, tables) {
     if (!tables.some(([, keys]) => keys.length)) return null
     const add = event => {

@@ -22,8 +22,9 @@ export function fit({ choose, signal }) {
   let runs = null, shown = null
 
   async function show(wanted) {
-    try { runs ??= await all('/runs', {}, { most: 200, signal }) } catch (error) { return void say(told, `The runs could not be read: ${error.message}`) }
-    const run = runs.find(run => String(run.scan_id) === wanted || run.uid === wanted) ?? runs[0]
+    try { runs ??= (await all('/runs', {}, { most: 200, signal })).filter(run => run.started_at || run.kind === 'imported') } catch (error) { return void say(told, `The runs could not be read: ${error.message}`) }
+    const run = runs.find(run => String(run.scan_id) === wanted || run.uid === wanted)
+      ?? runs.find(run => run.ended_at) ?? runs[0]
     if (!run) return void say(told, 'No run is stored yet. After the first one, its trials are compared with their simulated twins here.')
     fill(picker, el('label', { className: 'inline' }, 'Run',
       select(runs.map(run => [run.scan_id, `${run.scan_id} ${run.experiment}${run.label === 'virtual' ? ' (virtual)' : ''}`]), run.scan_id, choose)))

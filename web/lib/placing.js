@@ -52,8 +52,8 @@ export function notYet(placement, { open, sent, fresh, unrestSince }) {
   if (!placement) return 'Nothing is asked.'
   if (placement.stage !== 'place') return ''
   if (sent === placement.trial) return 'Confirmed. Waiting for the service …'
-  if (!isRead(placement) && Date.now() - unrestSince < UNREST_MS) return placement.at_rest == null ? 'Reading the skin …' : 'Hands off: the signal still moves.'
-  return ''
+  if (isRead(placement) || Date.now() - unrestSince >= UNREST_MS) return ''
+  return placement.at_rest == null ? 'Reading the skin …' : 'Hands off: the signal still moves.'
 }
 
 /** One sentence for each stage. */

@@ -35,7 +35,7 @@ export function planFacts(p, more = []) {
     ['From, to', `${span(p.duration_low_s)} to ${span(p.duration_high_s)}`],
     ['Waits for a person', p.waits_for_person ? counted(p.waits_for_person, 'time') : 'never'],
     p.travel_mm > 0 && ['Travel across', metres(p.travel_mm)],
-    p.travel_ratio != null && ['Less than as drawn', percent(p.travel_random_order_mm - p.travel_mm, p.travel_random_order_mm)],
+    p.travel_ratio != null && ['Saved by the order', percent(p.travel_random_order_mm - p.travel_mm, p.travel_random_order_mm)],
     p.reference_presses > 0 && ['Reference presses', count(p.reference_presses)],
     ['Disk', bytes(p.disk_bytes)],
     ['Seed', String(p.seed)],

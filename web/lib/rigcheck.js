@@ -37,5 +37,6 @@ export function checkReport(report) {
         ['Largest injection sum', about((stream.injection_sum_v ?? NaN) * 1e3, 'mV')], ['Saturated channels', count(stream.saturated_channels)]],
     columns: [{ head: 'Quantity', cell: row => row[0] }, { head: 'Found', cell: row => row[1] }] }).node),
     lines.length > 0 && part('Wires', table({ rows: lines,
-      columns: [{ head: 'Wire', cell: l => l.name }, ...counters.map(key => ({ head: plain(key).replace(/ us$/, ', µs'), cell: l => count(l.counts[key]) }))] }).node))
+      columns: [{ head: 'Wire', cell: l => l.name }, ...counters.map(key => ({ head: plain(key).replace(/ us$/, ', µs'),
+        cell: l => count(l.counts[key]) }))] }).node))
 }

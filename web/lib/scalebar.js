@@ -13,5 +13,6 @@ export function scaleBar(words, signal) {
   }
   dark.addEventListener('change', paint, { signal })
   paint()
-  return { node: el('div', { className: 'scale' }, el('span', {}, words), bar, marks), ticks: texts => marks.replaceChildren(...texts.map(text => el('span', {}, text))) }
+  return { node: el('div', { className: 'scale' }, el('span', {}, words), bar, marks),
+    ticks: texts => marks.replaceChildren(...texts.map(text => el('span', {}, text))) }
 }

@@ -17,26 +17,37 @@ export function welcome({ said }) {
     el('p', {}, 'No run is stored here yet. The quickstart is a small campaign that shows all parts.'), steps, offer, said.node,
     el('p', { className: 'soft' }, 'Other experiments, or a file of your own: ', link('/queue', 'the queue'), '. What the rig reports: ', link('/rig',
       'the rig'), '.'))
-  const says = async () => {
-    const { items } = await get('/experiments').catch(() => ({ items: [] })), trials = items.find(item => item.name === QUICKSTART)?.trials
-    const isVirtual = live.status?.rig.label === 'virtual'
+  let made = null, trials = null, shown = ''
+  const tell = queued => {
+    const isVirtual = live.status?.rig.label === 'virtual', what = queued ? `Run ${queued.scan_id}, ${queued.experiment}, is` : 'The quickstart is queued,'
+    const size = queued?.trials_planned ?? trials
     fill(steps, [
       isVirtual ? 'The wires to the virtual rig are opened and its axes are homed, if they are not.'
         : 'The wires are opened and the axes of the rig are homed: keep hands and tools away from it.',
-      `The quickstart is queued, checked, armed and started${trials ? `: ${counted(trials, 'trial')}, with one tip and then with four` : ''}.`,
+      `${what} checked, armed and started${size ? `: ${counted(size, 'trial')}` : ''}.`,
       `The run waits when tips must be mounted, and this page says so${isVirtual ? '; the virtual operator, if one runs, mounts them' : ''}.`,
     ].map(words => el('li', {}, words)))
   }
+  // A second press after a refusal arms the run that the first one queued.
+  const begin = async queued => {
+    if (!queued && !made) said.tell('Queuing the quickstart …')
+    made = queued ?? made ?? await queueCarried(QUICKSTART)
+    return beginRun(made, said, { ask: live.status?.rig.label !== 'virtual' })
+  }
   return {
     node,
-    show(queued) {
-      says()
-      const work = async () => {
-        said.tell('Queuing the quickstart …')
-        return beginRun(queued ?? await queueCarried(QUICKSTART), said, { ask: live.status?.rig.label !== 'virtual' })
+    async show(queued) {
+      const key = [queued?.uid, live.may('operator'), live.status?.rig.label].join()
+      if (key === shown) return
+      shown = key
+      const words = queued ? `Arm and start ${queued.experiment}` : 'Run the quickstart'
+      fill(offer, el('div', { className: 'row' }, actor(words, quiet(said), () => begin(queued), { className: 'main large' })),
+        !live.may('operator') && el('p', { className: 'soft' }, 'Starting needs a key with the role operator: see ', link('/settings', 'the settings'), '.'))
+      tell(queued)
+      if (trials == null) {
+        trials = await get('/experiments').then(({ items }) => items.find(item => item.name === QUICKSTART)?.trials ?? null, () => null)
+        tell(queued)
       }
-      fill(offer, el('div', { className: 'row' }, actor(queued ? `Arm and start ${queued.experiment}` : 'Run the quickstart', quiet(said), work,
-        { className: 'main large' })))
     },
   }
 }

@@ -30,8 +30,9 @@ export async function show(root, { query, signal, set }) {
   const trialForm = el('form', { className: 'row', onsubmit: event => { event.preventDefault(); set({ trial: trialInput.value, contacts: null }) } })
   const trialInput = el('input', { type: 'number', min: 1, id: 'model-trial', className: 'short' }), trialWords = el('p', { className: 'soft' })
   const scatterPane = pane(against.node)
+  const without = button('Without', () => set({ trial: null }), { className: 'plain', hidden: true })
   trialForm.append(el('label', { className: 'inline', htmlFor: 'model-trial' }, 'Compare with stored trial'), trialInput, el('button', {}, 'Take it'),
-    button('Without', () => set({ trial: null }), { className: 'plain' }))
+    without)
   const below = fit({ choose: run => set({ fit: run }), signal })
 
   root.append(el('div', { className: 'columns two' },
@@ -169,6 +170,7 @@ export async function show(root, { query, signal, set }) {
     state.trialId = id
     state.trial = null
     trialInput.value = id
+    without.hidden = !id
     say(trialWords, '')
     if (!id) return
     try {

@@ -48,7 +48,7 @@ export async function show(root, { query, signal, go }) {
     }
     const run = await get(`/runs/${encodeURIComponent(edit ?? copy)}`, {}, { signal })
     if (edit && run.state !== 'queued') throw new Error(`run ${run.scan_id} is ${plain(run.state)}: only a queued run can be edited. Copy it instead`)
-    const draft = { text: run.definition, file: `${run.experiment}.toml`, sensor: run.sensor, from: run.scan_id }
+    const draft = { text: run.definition, file: `${run.experiment}.toml`, sensor: run.sensor, from: run.scan_id, autoResume: run.auto_resume }
     return edit ? { ...draft, name: `edit-${run.scan_id}`, run, notBefore: run.not_before } : { ...draft, name: `copy-${run.scan_id}` }
   }
   let opened = null

@@ -156,7 +156,8 @@ export async function show(root, { query, signal, set }) {
     if (state.shown === text) return
     state.shown = text
     fill(pose, !at ? el('p', { className: 'soft' }, 'The pose is not known while the wires are closed.')
-      : facts([['x', fixed(at.x_mm, 2, 'mm')], ['y', fixed(at.y_mm, 2, 'mm')], ['z, downwards', fixed(at.z_mm, 2, 'mm')], ['Radius', fixed(at.radius_mm, 2, 'mm')]]))
+      : facts([['x', fixed(at.x_mm, 2, 'mm')], ['y', fixed(at.y_mm, 2, 'mm')], ['z, downwards', fixed(at.z_mm, 2, 'mm')],
+        ['Radius', fixed(at.radius_mm, 2, 'mm')]]))
     const keys = ['x_mm', 'y_mm', 'z_mm', 'radius_mm'].map(key => at && `${key} = ${at[key].toFixed(3)}`)
     say(copy, at ? [`# pose of ${live.status.rig.name}, ${new Date().toISOString()}`, ...keys].join('\n') : '# connect first')
     toCopy.disabled = !at

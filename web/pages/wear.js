@@ -29,8 +29,10 @@ function summary(wear, runs) {
     ['Last check', checked ? moment(checked) : 'none stored'],
     ['Days since', checked ? count(Math.floor(age(checked) / 86_400)) : NONE],
   ])
+  // One configuration presses a place once, deeper with each of its trials.
   const which = runs?.length === RUNS_MOST ? `the newest ${RUNS_MOST} runs` : 'all ended runs'
-  return [list, el('p', { className: 'soft' }, `Hours are from begin to end of ${which}, with their waits.`)]
+  const words = `Presses count configurations on this skin; reference presses are not in them. Hours are from begin to end of ${which}, with their waits.`
+  return [list, el('p', { className: 'soft' }, words)]
 }
 
 function axes(wear) {

@@ -35,6 +35,7 @@ pub fn routes() -> Router<App> {
     Router::new()
         .route("/openapi.json", get(description))
         .route("/", get(async |headers: HeaderMap| document(&headers)))
+        .route("/docs", get(async |headers: HeaderMap| file("docs.html", &headers)))
         .route("/{page}", get(page))
         .route("/web/{*file}", get(async |path: Path<String>, head: HeaderMap| file(&path, &head)))
 }
@@ -150,8 +151,11 @@ mod tests {
     fn the_document_has_the_stop_and_no_script_or_style_of_its_own() {
         let document = text("index.html");
         assert!(document.starts_with("<!doctype html>") && document.contains("id=\"stop\""));
-        assert_eq!(document.matches("<script").count(), document.matches(" src=\"/web/").count());
-        assert_eq!(document.matches("<style").count() + document.matches(" onclick").count(), 0);
+        for document in [&document, &text("docs.html")] {
+            let count = |part: &str| document.matches(part).count();
+            assert_eq!(count("<script"), count(" src=\"/web/"));
+            assert_eq!(count("<style") + count(" onclick"), 0);
+        }
         assert!(!POLICY.contains("unsafe"));
     }
 }
