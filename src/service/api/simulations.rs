@@ -176,11 +176,9 @@ impl Skin {
     }
 }
 
-/// Reads the loads of contacts: each has exactly one.
+/// Reads the loads of contacts: each has exactly one. Of many problems the first ones are stated.
 fn requested(contacts: &[GivenContact]) -> Result<Vec<RequestedContact>, Vec<Problem>> {
-    let (mut read, mut found) =
-        (Vec::with_capacity(contacts.len().min(SIMULATED_CONTACTS)), vec![]);
-    // More contacts are one problem, whatever they are.
+    let (mut read, mut found) = (Vec::new(), Vec::new());
     for (index, contact) in contacts.iter().enumerate() {
         let load = match (contact.depth_mm, contact.force_n) {
             (Some(depth_mm), None) => Load::DepthMm(depth_mm),
@@ -194,6 +192,7 @@ fn requested(contacts: &[GivenContact]) -> Result<Vec<RequestedContact>, Vec<Pro
         };
         read.push(RequestedContact { x_mm: contact.x_mm, y_mm: contact.y_mm, load });
     }
+    found.truncate(SIMULATED_CONTACTS);
     if found.is_empty() { Ok(read) } else { Err(found) }
 }
 

@@ -8,6 +8,7 @@ use sim_core::calibration::{Calibration, CalibrationError};
 use sim_core::forward::{ContactError, ForwardModel, Workspace};
 use sim_core::sensor::{Sensor, SensorError};
 use tokio::sync::Mutex;
+use tracing::Instrument;
 
 use crate::dataset::background::background;
 use crate::ids::CalibrationId;
@@ -78,13 +79,24 @@ impl WarmSkins {
         Self { cache_dir, kept: Arc::default() }
     }
 
-    /// Returns the model of a sensor file with a calibration. Building one takes seconds; further requests wait meanwhile.
+    /// Returns the model of a sensor file with a calibration. Building one takes seconds; further
+    /// requests wait meanwhile.
     ///
     /// # Errors
     /// `SkinError` if a file cannot be used or the model cannot be built.
     pub async fn of(
         &self,
         sensor_text: &str,
+        calibration: Option<(CalibrationId, Source)>,
+    ) -> Result<Arc<WarmSkin>, SkinError> {
+        // A client that does not wait finds the model at its next request.
+        let finding = self.clone().find_or_build(sensor_text.to_owned(), calibration);
+        tokio::spawn(finding.in_current_span()).await.map_err(|_| SkinError::Worker)?
+    }
+
+    async fn find_or_build(
+        self,
+        sensor_text: String,
         calibration: Option<(CalibrationId, Source)>,
     ) -> Result<Arc<WarmSkin>, SkinError> {
         let (id, source) = calibration.unzip();
@@ -96,7 +108,7 @@ impl WarmSkins {
             kept.push(found);
             return Ok(skin);
         }
-        let (text, cache_dir) = (sensor_text.to_owned(), self.cache_dir.clone());
+        let (text, cache_dir) = (sensor_text.clone(), self.cache_dir.clone());
         let building = move || -> Result<WarmSkin, SkinError> {
             let sensor = Sensor::from_toml(&text)?;
             let sensor = match source {
@@ -112,7 +124,7 @@ impl WarmSkins {
         if kept.len() >= KEPT {
             kept.remove(0);
         }
-        kept.push(Kept { sensor_text: sensor_text.into(), calibration: id, skin: skin.clone() });
+        kept.push(Kept { sensor_text, calibration: id, skin: skin.clone() });
         Ok(skin)
     }
 }
