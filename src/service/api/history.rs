@@ -125,7 +125,7 @@ pub async fn of_run(
     let run = find(&app, &run).await?;
     // The end of a run changes its history at once.
     let key = (run.uid, bins, run.exit_status.is_some());
-    Ok(Json(app.facts.histories.get(key, read(&app, &run, bins)).await?))
+    Ok(Json(app.facts.memory.histories.get(key, read(&app, &run, bins)).await?))
 }
 
 async fn read(app: &App, run: &RunRow, bins: u32) -> Result<Arc<History>, StoreError> {

@@ -86,7 +86,7 @@ pub async fn live(
 }
 
 async fn send(app: &App, mut socket: WebSocket) {
-    let mut messages = app.facts.live_status.0.subscribe();
+    let mut messages = app.facts.memory.live_status.0.subscribe();
     let mut ending = app.facts.ending.clone();
     loop {
         let text = tokio::select! {
@@ -120,7 +120,7 @@ pub async fn publish(app: App) {
     loop {
         tick.tick().await;
         samples.append(&mut drained(&mut follower));
-        let now = app.facts.live_status.0.receiver_count();
+        let now = app.facts.memory.live_status.0.receiver_count();
         let is_new = now > std::mem::replace(&mut clients, now);
         let has_changed = changes.has_changed().unwrap_or(false) || !samples.is_empty();
         if !is_due(now > 0, is_new || has_changed, sent.elapsed()) {
@@ -128,7 +128,7 @@ pub async fn publish(app: App) {
         }
         sent = Instant::now();
         changes.mark_unchanged();
-        let reading = app.facts.stored_part.get((), app.stored_part());
+        let reading = app.facts.memory.stored_part.get((), app.stored_part());
         if let Ok(Ok(read)) = timeout(STORED_WAIT, reading).await {
             stored = read;
         }
@@ -141,7 +141,7 @@ pub async fn publish(app: App) {
         let message = LiveStatus { status, samples };
         match serde_json::to_string(&message) {
             // The last client may have left meanwhile.
-            Ok(text) => drop(app.facts.live_status.0.send(text.into())),
+            Ok(text) => drop(app.facts.memory.live_status.0.send(text.into())),
             Err(error) => tracing::error!(%error, "a live status cannot be written"),
         }
     }

@@ -21,21 +21,18 @@ use utoipa_axum::router::OpenApiRouter;
 
 use crate::campaign::run::engine;
 use crate::campaign::shown::command::{Handle, Request};
-use crate::campaign::shown::samples::Untouched;
 use crate::clock::Clock;
 use crate::conductor::{Conductor, RigFile};
 use crate::dataset::catalog::Catalog;
 use crate::dataset::error::DatasetError;
-use crate::ids::RunUid;
 use crate::infer::error::InferError;
 use crate::infer::registry::Registry;
 use crate::infer::serving::Serving;
 use crate::jobs::Jobs;
 use crate::journal::error_chain;
 use crate::placement::watch::PlacementWatch;
-use crate::schedule::experiment::{Experiment, TwinLimits};
 use crate::simulate::model::sweep_partial;
-use crate::store::{KeyRing, Soundness, Store, StoreError, StoredProgress};
+use crate::store::{KeyRing, Soundness, Store, StoreError};
 use crate::twins::TwinPool;
 
 mod audit;
@@ -66,6 +63,7 @@ mod line;
 mod live;
 mod live_status;
 mod lock_file;
+mod memory;
 mod models;
 mod once;
 mod overlay;
@@ -113,11 +111,8 @@ pub use routes::{Access, Lock, Needs};
 pub use runs::Summary;
 pub use tls::{Tls, TlsCause, TlsError, warn_if_others_may_read};
 
-use kept::Kept;
+use memory::Memory;
 use routes::AllNeeds;
-use status::StoredPart;
-use suspenders::Beyond;
-use tour::KeptTour;
 
 /// Number of newest trials whose checksums are verified at the start.
 const EXAMINED_TRIALS: u32 = 2000;
@@ -235,9 +230,6 @@ pub struct App {
     facts: Arc<Facts>,
 }
 
-/// Tours by run and plan.
-type Tours = Kept<(RunUid, Option<String>), Arc<KeptTour>>;
-
 struct Facts {
     bind: SocketAddr,
     started_at: Timestamp,
@@ -250,21 +242,11 @@ struct Facts {
     running: once::Running,
     edits: edited::Edits,
     tickets: auth::Tickets,
-    tours: Tours,
-    limits: Kept<RunUid, Option<Arc<TwinLimits>>>,
-    beyond: Beyond,
-    histories: Kept<(RunUid, u32, bool), Arc<history::History>>,
-    untouched: Kept<(), Option<Arc<Untouched>>>,
-    wear: Kept<(), Arc<wear::Wear>>,
-    ended_wear: wear::EndedWear,
-    stored_part: Kept<(), StoredPart>,
-    live_status: live_status::Messages,
-    samples: samples::Ring,
-    progress: Kept<RunUid, Arc<StoredProgress>>,
     wrong_keys: auth::WrongKeys,
     delayed: Semaphore,
     local_admin: bool,
     require_key: bool,
+    memory: Memory,
 }
 
 impl App {
@@ -394,21 +376,11 @@ impl Service {
             running: once::Running::default(),
             edits: edited::Edits::default(),
             tickets: auth::Tickets::default(),
-            limits: Kept::new(limits::TOUR_KEPT, limits::KEPT_RUNS),
-            beyond: Beyond::default(),
-            histories: Kept::new(limits::HISTORY_KEPT, limits::KEPT_RUNS),
-            untouched: Kept::new(limits::WEAR_KEPT, 1),
-            wear: Kept::new(limits::WEAR_KEPT, 1),
-            ended_wear: wear::EndedWear::default(),
-            stored_part: Kept::new(limits::STORED_PART_KEPT, 1),
-            live_status: live_status::Messages::default(),
-            samples: samples::Ring::default(),
-            tours: Kept::new(limits::TOUR_KEPT, limits::TOURS_MAX),
-            progress: Kept::new(limits::PROGRESS_KEPT, limits::KEPT_RUNS),
             wrong_keys: auth::WrongKeys::default(),
             delayed: Semaphore::new(limits::DELAYED),
             local_admin: options.local_admin,
             require_key: options.require_key,
+            memory: Memory::default(),
         };
         let cache = options.data.join("cache");
         sweep_partial(&cache);

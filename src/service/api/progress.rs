@@ -57,7 +57,7 @@ pub async fn of_run(
     let run = find(&app, &run).await?;
     let kept = app.tour(&run).await?;
     let reading = async { app.store.progress_by_configuration(run.uid).await.map(Arc::new) };
-    let stored = app.facts.progress.get(run.uid, reading).await?;
+    let stored = app.facts.memory.progress.get(run.uid, reading).await?;
     let active = app.campaign.status().run.filter(|active| active.uid == run.uid);
     let now = Now {
         trials_planned: run.trials_planned,

@@ -77,7 +77,7 @@ pub async fn last_minutes(
         return Err(ApiError::query("minutes", minutes, "must be 1 to 30"));
     }
     let now_ms = jiff::Timestamp::now().as_millisecond();
-    let samples = app.facts.samples.since(now_ms - i64::from(minutes) * 60_000);
+    let samples = app.facts.memory.samples.since(now_ms - i64::from(minutes) * 60_000);
     Ok(Json(SamplesOut::of(&envelope(&samples, SAMPLES_MAX))))
 }
 
@@ -86,7 +86,7 @@ pub async fn keep(app: App) {
     let mut follower = app.campaign.follow_samples();
     loop {
         tokio::time::sleep(PERIOD).await;
-        app.facts.samples.add(&drained(&mut follower));
+        app.facts.memory.samples.add(&drained(&mut follower));
     }
 }
 

@@ -106,11 +106,18 @@ impl App {
             Some(run) => (self.store.last_trial_at(run).await?, self.limits_of(run).await?),
             None => (None, None),
         };
+        let mut queue_bytes = 0;
+        for run in &queue {
+            let key = (run.definition_sha256.clone(), run.trials_planned);
+            let needed = async { Ok::<_, StoreError>(room::needed_bytes(run, channels)) };
+            // An experiment file that cannot be read is refused when it is armed.
+            queue_bytes += self.facts.memory.room.get(key, needed).await?.unwrap_or(0);
+        }
         Ok(StoredPart {
             lock: self.store.lock().await?,
             queue_length: queue.len(),
             waiting_for: self.conductor.waiting_for().await?,
-            queue_bytes: queue.iter().filter_map(|run| room::needed_bytes(run, channels)).sum(),
+            queue_bytes,
             last_trial_at,
             limits,
         })
@@ -124,7 +131,7 @@ impl App {
                 row.and_then(|row| Experiment::from_toml(&row.experiment, &row.definition).ok());
             Ok(experiment.map(|experiment| Arc::new(experiment.twins)))
         };
-        self.facts.limits.get(run, read).await
+        self.facts.memory.limits.get(run, read).await
     }
 
     /// The status as it is now, with a stored part.
@@ -151,7 +158,7 @@ impl App {
             fit: twins.rolling.as_ref(),
             limits: stored.limits.as_deref(),
         });
-        let suspenders = self.facts.beyond.suspenders(readings.as_ref(), Timestamp::now());
+        let suspenders = self.facts.memory.beyond.suspenders(readings.as_ref(), Timestamp::now());
         let of_run = campaign.run.as_ref().map_or(0, |run| run.needed_bytes);
         let needed_bytes = of_run + stored.queue_bytes;
         ServiceStatus {

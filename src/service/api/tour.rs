@@ -91,7 +91,7 @@ impl App {
     /// 404 if the run has no plan, or none that this version can read; errors of the store.
     pub(super) async fn tour(&self, run: &RunRow) -> Result<Arc<KeptTour>, ApiError> {
         let key = (run.uid, run.plan_sha256.clone());
-        self.facts.tours.get(key, read(self, run)).await
+        self.facts.memory.tours.get(key, read(self, run)).await
     }
 }
 

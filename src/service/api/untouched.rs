@@ -29,7 +29,7 @@ pub async fn untouched(State(app): State<App>) -> Result<Json<Arc<Untouched>>, A
     if let Some(taken) = app.campaign.untouched() {
         return Ok(Json(taken));
     }
-    let stored = app.facts.untouched.get((), stored(&app)).await?;
+    let stored = app.facts.memory.untouched.get((), stored(&app)).await?;
     stored.map(Json).ok_or_else(|| {
         let words = "no frame of the untouched skin is known: none was taken in a run on this rig";
         ApiError::not_found(words)

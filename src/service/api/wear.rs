@@ -93,7 +93,7 @@ pub struct EndedWear(Mutex<HashMap<RunUid, Arc<StoredWear>>>);
     responses((status = 200, body = Wear)))]
 pub async fn wear(State(app): State<App>) -> Result<Json<Arc<Wear>>, ApiError> {
     let read = async { read(&app).await.map(Arc::new) };
-    Ok(Json(app.facts.wear.get((), read).await?))
+    Ok(Json(app.facts.memory.wear.get((), read).await?))
 }
 
 async fn read(app: &App) -> Result<Wear, StoreError> {
@@ -130,7 +130,7 @@ fn is_of_this_skin(app: &App, run: &RunRow) -> bool {
 }
 
 async fn of_run(app: &App, run: &RunRow) -> Result<Arc<StoredWear>, StoreError> {
-    let ended = &app.facts.ended_wear.0;
+    let ended = &app.facts.memory.ended_wear.0;
     if let Some(known) = ended.lock().get(&run.uid).cloned() {
         return Ok(known);
     }

@@ -1,0 +1,71 @@
+//! What the service keeps in memory for its readers: values that are expensive to read, and the live
+//! samples and messages.
+//! Uses: `kept`, the resources whose values are kept. Never: a value that is not also stored, except the
+//! samples of the last half hour.
+
+use std::sync::Arc;
+
+use super::history::History;
+use super::kept::Kept;
+use super::limits::{
+    HISTORY_KEPT, KEPT_RUNS, PROGRESS_KEPT, ROOM_MAX, STORED_PART_KEPT, TOUR_KEPT, TOURS_MAX,
+    WEAR_KEPT,
+};
+use super::live_status::Messages;
+use super::samples::Ring;
+use super::status::StoredPart;
+use super::suspenders::Beyond;
+use super::tour::KeptTour;
+use super::wear::{EndedWear, Wear};
+use crate::campaign::shown::samples::Untouched;
+use crate::ids::RunUid;
+use crate::schedule::experiment::TwinLimits;
+use crate::store::StoredProgress;
+
+/// Kept values.
+#[derive(Debug)]
+pub struct Memory {
+    /// Tours by run and plan.
+    pub(super) tours: Kept<(RunUid, Option<String>), Arc<KeptTour>>,
+    /// Stored parts of progresses.
+    pub(super) progress: Kept<RunUid, Arc<StoredProgress>>,
+    /// Histories by run, number of bins, and whether the run has ended.
+    pub(super) histories: Kept<(RunUid, u32, bool), Arc<History>>,
+    /// Limits of the fit of runs.
+    pub(super) limits: Kept<RunUid, Option<Arc<TwinLimits>>>,
+    /// Disk space of queued runs by definition and number of trials, bytes.
+    pub(super) room: Kept<(String, u64), Option<u64>>,
+    /// The stored part of the live status.
+    pub(super) stored_part: Kept<(), StoredPart>,
+    /// The stored frame of the untouched skin.
+    pub(super) untouched: Kept<(), Option<Arc<Untouched>>>,
+    /// The wear.
+    pub(super) wear: Kept<(), Arc<Wear>>,
+    /// The wear by runs that have ended.
+    pub(super) ended_wear: EndedWear,
+    /// Since when values are beyond their thresholds.
+    pub(super) beyond: Beyond,
+    /// Messages of the live status.
+    pub(super) live_status: Messages,
+    /// Samples of the load cells.
+    pub(super) samples: Ring,
+}
+
+impl Default for Memory {
+    fn default() -> Self {
+        Self {
+            tours: Kept::new(TOUR_KEPT, TOURS_MAX),
+            progress: Kept::new(PROGRESS_KEPT, KEPT_RUNS),
+            histories: Kept::new(HISTORY_KEPT, KEPT_RUNS),
+            limits: Kept::new(TOUR_KEPT, KEPT_RUNS),
+            room: Kept::new(TOUR_KEPT, ROOM_MAX),
+            stored_part: Kept::new(STORED_PART_KEPT, 1),
+            untouched: Kept::new(WEAR_KEPT, 1),
+            wear: Kept::new(WEAR_KEPT, 1),
+            ended_wear: EndedWear::default(),
+            beyond: Beyond::default(),
+            live_status: Messages::default(),
+            samples: Ring::default(),
+        }
+    }
+}
