@@ -28,8 +28,9 @@ const LOOK: Duration = Duration::from_millis(100);
 const LOOK_MIN: Duration = Duration::from_millis(5);
 /// Time without a reply of the service after which the operator ends.
 const AWAY_MAX: Duration = Duration::from_secs(10);
-/// Longest wait for one reply of the service or of the control socket.
-const ANSWER: Duration = Duration::from_secs(5);
+/// Longest wait for one reply of the service, which judges a placement first, or of the control socket;
+/// less than `AWAY_MAX`.
+const ANSWER: Duration = Duration::from_millis(9500);
 /// Refusals of one confirmation to which the operator reacts; later ones are reported.
 const REFUSALS_MAX: u32 = 2;
 /// Time after which a request that is still shown is handled again: the confirmation was lost, or
