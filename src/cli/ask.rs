@@ -161,13 +161,14 @@ pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
         }
     };
     let asked = Instant::now();
-    let (mut acknowledged_ms, mut missing) = (None, Vec::new());
-    while acknowledged_ms.is_none() && asked.elapsed() < ACKNOWLEDGED {
+    let (mut acknowledged_ms, mut missing, mut moves) = (None, Vec::new(), true);
+    while moves && acknowledged_ms.is_none() && asked.elapsed() < ACKNOWLEDGED {
         tokio::time::sleep(LOOK).await;
         // The stop is latched, whether or not the service reports on it.
         if let Ok(status) = client.status().await {
             let rig = status.rig;
             (acknowledged_ms, missing) = (rig.estop_acknowledged_ms, rig.not_stopped());
+            moves = rig.has_stage;
         }
     }
     if args.at.json {
@@ -177,6 +178,7 @@ pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
     }
     let axes = match acknowledged_ms {
         Some(ms) => format!("every axis had acknowledged after {ms:.1} ms"),
+        None if !moves => "a skin alone has no axis to stop".into(),
         None if missing.is_empty() => "no acknowledgement of the axes yet".into(),
         None => format!("NOT ACKNOWLEDGED: {}; the stop is sent again", missing.join(", ")),
     };

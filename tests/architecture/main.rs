@@ -136,7 +136,8 @@ fn a_table_of_contents_out_of_order_is_found() {
         files.push(file(path, text));
         contents_out_of_order(&files)
     };
-    none(with("src/model/lib.rs", "pub mod calibrate;\npub mod simulate;\n"));
+    let flow = "pub mod calibrate;\npub mod simulate;\npub mod overlay;\n";
+    none(with("src/model/lib.rs", flow));
     assert_eq!(with("src/model/lib.rs", "pub mod simulate;\npub mod calibrate;\n").len(), 1);
     assert_eq!(with("src/model/lib.rs", "pub mod simulate;\n").len(), 1);
     assert_eq!(with("src/model/simulate/a.rs", "use palpate_store::Store;").len(), 1);

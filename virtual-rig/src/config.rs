@@ -54,56 +54,7 @@ const OF_A_BENCH: [&str; 5] = ["lines", "axes", "slot", "skin", "cells"];
 
 /// What stands in for the bench of a file that describes a skin alone: no wire leads to it, its tips stay
 /// up.
-const BARE: &str = r#"
-[slot]
-radius_at_zero_mm = 30.0
-mm_per_deg = 1.0
-backlash_mm = 0.0
-[skin]
-origin_x_mm = 0.0
-origin_y_mm = 0.0
-surface_z_mm = [50.0, 60.0]
-[cells]
-device = "adam_6017"
-line = ""
-unit = 1
-channels = [0, 1, 2, 3, 4, 5]
-update_ms = 100.0
-supply_v = 5.0
-full_scale_n = 220.0
-[axes.x]
-device = "iai"
-line = ""
-unit = 1
-counts_per_unit = 100.0
-travel = [0.0, 600.0]
-speed = 100.0
-acceleration = 1000.0
-[axes.y]
-device = "iai"
-line = ""
-unit = 2
-counts_per_unit = 100.0
-travel = [0.0, 600.0]
-speed = 100.0
-acceleration = 1000.0
-[axes.z]
-device = "iai"
-line = ""
-unit = 3
-counts_per_unit = 100.0
-travel = [0.0, 100.0]
-speed = 100.0
-acceleration = 1000.0
-[axes.radial]
-device = "iai"
-line = ""
-unit = 4
-counts_per_unit = 100.0
-travel = [0.0, 300.0]
-speed = 100.0
-acceleration = 1000.0
-"#;
+const BARE: &str = include_str!("bare_bench.toml");
 
 /// Contents of a rig file, as far as the virtual rig needs them.
 #[derive(Debug, Clone, Deserialize)]

@@ -4,7 +4,7 @@
 //!
 //! Reading order: `config` (devices and wires), `kinematics` and `drive` (a motor), `device`
 //! (register maps), `bench` (the rig as one value), `modbus`, `ert`, `control` (its wires), `fault`
-//! (faults), `run` and `operator` (the two processes).
+//! (faults), `run` and `operator` (the two processes), `hand` (the operator's mistakes).
 
 pub mod config;
 pub mod clock;
@@ -21,6 +21,7 @@ pub mod wire;
 pub mod ert;
 pub mod control;
 pub mod run;
+pub mod hand;
 pub mod operator;
 
 pub use operator::{OperatorArgs, OperatorError, operator_main};

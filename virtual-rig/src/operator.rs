@@ -8,18 +8,16 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use rustls::crypto::ring;
 use rustls::{ClientConfig, RootCertStore};
 use serde::Deserialize;
 use serde_json::{Value, json};
-use sim_core::sensor::Sensor;
 use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
 use tokio::net::TcpStream;
 use tokio::time::timeout;
 
 use crate::bench::Weight;
+use crate::hand::{Hand, HandError as NoHand};
 use crate::run::{RunError, end_of_life};
 
 /// Environment variable with the API key of the operator.
@@ -30,10 +28,9 @@ const LOOK: Duration = Duration::from_millis(100);
 const LOOK_MIN: Duration = Duration::from_millis(5);
 /// Time without a reply of the service after which the operator ends.
 const AWAY_MAX: Duration = Duration::from_secs(10);
-/// Longest wait for one reply of the service or of the control socket.
-const ANSWER: Duration = Duration::from_secs(5);
-/// Least distance of a wrong point from every point that was asked, mm: a mistake, not a neighbour.
-const MISTAKE_MM: f64 = 60.0;
+/// Longest wait for one reply of the service, which judges a placement first, or of the control socket;
+/// less than `AWAY_MAX`.
+const ANSWER: Duration = Duration::from_millis(9500);
 /// Refusals of one confirmation to which the operator reacts; later ones are reported.
 const REFUSALS_MAX: u32 = 2;
 /// Time after which a request that is still shown is handled again: the confirmation was lost, or
@@ -75,17 +72,9 @@ pub enum OperatorError {
     /// The runtime or the signal handlers could not be created.
     #[error(transparent)]
     Start(#[from] RunError),
-    /// The probability of mistakes is invalid, or no sensor file names the points.
-    #[error("--mistakes {0}: must be from 0 to 1, with --sensor FILE")]
-    Mistakes(f64),
-    /// The sensor file cannot be read.
-    #[error("{path}: {why}", path = path.display())]
-    Sensor {
-        /// Path of the file.
-        path: PathBuf,
-        /// Why it cannot be read.
-        why: String,
-    },
+    /// The mistakes are not possible.
+    #[error(transparent)]
+    Hand(#[from] NoHand),
     /// TLS could not be set up.
     #[error("TLS: {0}")]
     Tls(#[source] rustls::Error),
@@ -177,50 +166,6 @@ pub fn operator_main(args: OperatorArgs) -> Result<(), OperatorError> {
     })
 }
 
-/// The hand of the operator: where it puts weights.
-struct Hand {
-    mistakes: f64,
-    points_mm: Vec<[f64; 2]>,
-    chance: ChaCha8Rng,
-}
-
-impl Hand {
-    fn of(args: &OperatorArgs) -> Result<Self, OperatorError> {
-        let points_mm = match &args.sensor {
-            Some(path) => {
-                let failed = |why: String| OperatorError::Sensor { path: path.clone(), why };
-                let text = std::fs::read_to_string(path).map_err(|e| failed(e.to_string()))?;
-                let sensor = Sensor::from_toml(&text).map_err(|e| failed(e.to_string()))?;
-                sensor.points().iter().map(|p| [p.x_mm, p.y_mm]).collect()
-            }
-            None => Vec::new(),
-        };
-        let is_share = (0.0..=1.0).contains(&args.mistakes);
-        if !is_share || args.mistakes > 0.0 && points_mm.is_empty() {
-            return Err(OperatorError::Mistakes(args.mistakes));
-        }
-        let chance = ChaCha8Rng::seed_from_u64(args.seed);
-        Ok(Self { mistakes: args.mistakes, points_mm, chance })
-    }
-
-    /// Places weights as asked, or one of them on a point that is far from all that were asked.
-    fn places(&mut self, asked: &[Weight]) -> Vec<Weight> {
-        let mut placed = asked.to_vec();
-        if placed.is_empty() || !self.chance.random_bool(self.mistakes) {
-            return placed;
-        }
-        let far = |p: &&[f64; 2]| {
-            asked.iter().all(|w| (w.x_mm - p[0]).hypot(w.y_mm - p[1]) >= MISTAKE_MM)
-        };
-        let wrong: Vec<&[f64; 2]> = self.points_mm.iter().filter(far).collect();
-        if let Some([x_mm, y_mm]) = wrong.get(self.chance.random_range(0..wrong.len().max(1))) {
-            let slip = self.chance.random_range(0..placed.len());
-            (placed[slip].x_mm, placed[slip].y_mm) = (*x_mm, *y_mm);
-        }
-        placed
-    }
-}
-
 struct Operator {
     args: OperatorArgs,
     key: Option<String>,
@@ -243,7 +188,7 @@ impl Operator {
             .with_no_client_auth();
         let client = reqwest::Client::builder().tls_backend_preconfigured(tls).timeout(ANSWER);
         let client = client.build().map_err(OperatorError::Client)?;
-        let hand = Hand::of(&args)?;
+        let hand = Hand::new(args.mistakes, args.seed, args.sensor.as_deref())?;
         let (control, confirmed, refused) = (None, None, None);
         Ok(Self { args, key, client, control, weights_down: false, confirmed, hand, refused })
     }
@@ -504,36 +449,6 @@ mod tests {
             sensor: None,
             with_parent: false,
         }
-    }
-
-    #[test]
-    fn the_hand_slips_with_its_probability_and_the_same_seed_slips_again() {
-        let sensor =
-            PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../experiments/sensors/ert-28.toml");
-        let hand = |mistakes: f64| {
-            let none = String::new;
-            let args = args(none(), none());
-            Hand::of(&OperatorArgs { mistakes, sensor: Some(sensor.clone()), ..args }).unwrap()
-        };
-        let weight = |x_mm, y_mm| Weight { x_mm, y_mm, force_n: 4.905 };
-        let asked = [weight(100.0, 80.0), weight(300.0, 300.0)];
-        let (mut one, mut two) = (hand(0.3), hand(0.3));
-        let mut slips = 0;
-        for _ in 0..1000 {
-            let placed = one.places(&asked);
-            assert_eq!(placed, two.places(&asked));
-            let moved: Vec<_> = placed.iter().zip(&asked).filter(|(p, a)| p != a).collect();
-            assert!(moved.len() <= 1);
-            slips += moved.len();
-            for (placed, asked) in moved {
-                let far = (placed.x_mm - asked.x_mm).hypot(placed.y_mm - asked.y_mm);
-                assert!(far >= MISTAKE_MM && placed.force_n == asked.force_n);
-            }
-        }
-        assert!((230..370).contains(&slips), "{slips}");
-        assert_eq!(hand(0.0).places(&asked), asked);
-        let args = OperatorArgs { mistakes: 0.1, ..args(String::new(), String::new()) };
-        assert!(Hand::of(&args).is_err(), "no points");
     }
 
     #[test]

@@ -10,3 +10,6 @@
 mod calm;
 pub mod verdict;
 pub mod watch;
+
+#[cfg(test)]
+mod tests;

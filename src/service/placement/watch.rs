@@ -28,8 +28,8 @@ use crate::store::Store;
 const EVERY: Duration = Duration::from_millis(500);
 /// Time after a confirmation at which the frames are judged even if the skin is not at rest, wall.
 const PATIENCE: Duration = Duration::from_millis(2500);
-/// Longest wait of a confirmation for its verdict, wall.
-const LIMIT: Duration = Duration::from_secs(4);
+/// Longest wait of a confirmation for its verdict, wall: reached on an overloaded machine only.
+const LIMIT: Duration = Duration::from_secs(8);
 /// Reason of a verdict if no method serves.
 const NOBODY_SERVES: &str = "no model serves: the placement is not judged";
 /// Reason of a verdict before the first frames.
