@@ -22,6 +22,8 @@ pub struct More {
     pub step: Option<Step>,
     /// What a person must do before the run resumes.
     pub wanted: Option<Wanted>,
+    /// Limit of the force on one cell, N; absent without cells.
+    pub force_limit_n: Option<f64>,
 }
 
 /// Free disk space and need.
@@ -192,6 +194,7 @@ impl More {
             suspenders: read(&status["suspenders"]).unwrap_or_default(),
             step: read(&status["run"]["current_step"]),
             wanted: read(&status["run"]["wanted"]),
+            force_limit_n: read(&status["rig"]["force_limit_n"]),
         }
     }
 }

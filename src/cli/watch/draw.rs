@@ -17,6 +17,8 @@ use crate::cli::view::RigView;
 const KEYS: &str = " q quit   p pause   r resume   E emergency stop ";
 /// Arms of the indenter.
 const ARMS: usize = 6;
+/// Least width of the map, for its legend, if half of the screen is that wide.
+const MAP_COLUMNS: u16 = 36;
 /// Room for the number of a bar.
 const NUMBER: u16 = 9;
 
@@ -33,8 +35,10 @@ pub fn draw(frame: &mut Frame, night: &Night, now: &Now, theme: Theme) {
         Constraint::Length(1),
     ])
     .areas(area);
-    let [map, side] =
-        Layout::horizontal([Constraint::Fill(1), Constraint::Fill(1)]).spacing(2).areas(middle);
+    let map_columns = map_columns(middle);
+    let [map, side] = Layout::horizontal([Constraint::Length(map_columns), Constraint::Fill(1)])
+        .spacing(2)
+        .areas(middle);
     let [forces, facts] =
         Layout::vertical([Constraint::Length(ARMS as u16 + 1), Constraint::Min(0)]).areas(side);
     frame.render_widget(facts::header(night, theme), head);
@@ -42,7 +46,7 @@ pub fn draw(frame: &mut Frame, night: &Night, now: &Now, theme: Theme) {
     draw_first(frame, first, night, theme);
     skin::draw(frame, map, night, theme);
     if let Some(status) = &night.status {
-        draw_forces(frame, forces, &status.rig, theme);
+        draw_forces(frame, forces, &status.rig, night.more.force_limit_n, theme);
         let lines = facts::facts(night, status, now, theme);
         let facts = titled(frame, facts, "night", theme);
         frame.render_widget(Paragraph::new(lines), facts);
@@ -58,6 +62,11 @@ pub fn draw(frame: &mut Frame, night: &Night, now: &Now, theme: Theme) {
         frame.render_widget(Line::from(words), head);
     }
     draw_foot(frame, foot, night, theme);
+}
+
+/// Width of the map: a skin is about as wide as it is high, and a character twice as high as wide.
+fn map_columns(middle: Rect) -> u16 {
+    (middle.height * 2).max(MAP_COLUMNS).min(middle.width.saturating_sub(2) / 2)
 }
 
 /// Lines of what a person must do: two if it is long.
@@ -102,9 +111,10 @@ fn draw_first(frame: &mut Frame, area: Rect, night: &Night, theme: Theme) {
 }
 
 /// One bar per arm, from 0 to the limit of one cell.
-fn draw_forces(frame: &mut Frame, area: Rect, rig: &RigView, theme: Theme) {
-    let limit_n = rig.force_limit_n;
-    let area = titled(frame, area, &format!("forces, limit {limit_n:.0} N"), theme);
+fn draw_forces(frame: &mut Frame, area: Rect, rig: &RigView, limit_n: Option<f64>, theme: Theme) {
+    let limit_n = limit_n.filter(|limit_n| *limit_n > 0.0);
+    let limit = limit_n.map_or_else(String::new, |limit_n| format!(", limit {limit_n:.0} N"));
+    let area = titled(frame, area, &format!("forces{limit}"), theme);
     for (arm, row) in (0..ARMS).zip(area.rows()) {
         let [name, bar, number] = Layout::horizontal([
             Constraint::Length(2),
@@ -113,7 +123,7 @@ fn draw_forces(frame: &mut Frame, area: Rect, rig: &RigView, theme: Theme) {
         ])
         .areas(row);
         let force_n = rig.forces_n.get(arm).copied().flatten();
-        let share = force_n.unwrap_or(0.0) / limit_n.max(f64::MIN_POSITIVE);
+        let share = force_n.zip(limit_n).map_or(0.0, |(force_n, limit_n)| force_n / limit_n);
         let tip = rig.tips.is_some_and(|tips| arm < usize::from(tips));
         let style =
             if tip { theme.level(Level::Fine).add_modifier(Modifier::BOLD) } else { theme.aside() };

@@ -94,7 +94,7 @@ pub fn progress(run: &RunView, heard_at: Timestamp, now: &Now) -> (f64, String) 
 fn eta_words(eta: &Eta, heard_at: Timestamp, now: &Now) -> String {
     let end = |in_s: f64| {
         let from_then = SignedDuration::try_from_secs_f64(in_s).unwrap_or_default();
-        let format = if eta.remaining_s < 600.0 { "%H:%M:%S" } else { "%H:%M" };
+        let format = if eta.remaining_s < 120.0 { "%H:%M:%S" } else { "%H:%M" };
         heard_at.checked_add(from_then).map_or("?".into(), |at| now.clock(at, format))
     };
     let (likely, low, high) = (end(eta.remaining_s), end(eta.low_s), end(eta.high_s));

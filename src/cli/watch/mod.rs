@@ -100,9 +100,7 @@ impl Asked {
 pub async fn watch(at: &At) -> Result<(), CliError> {
     let unsuited = |limit| CliError::argument("--watch", "given", limit);
     if at.json {
-        return Err(unsuited(
-            "must not be combined with --json: read GET /api/v1/events, or `palpate run --json`",
-        ));
+        return Err(unsuited("must not be combined with --json"));
     }
     if !io::stdout().is_terminal() || !io::stdin().is_terminal() {
         return Err(unsuited("needs a terminal: without one use `palpate status`"));

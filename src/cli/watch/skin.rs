@@ -68,16 +68,17 @@ pub fn draw(frame: &mut Frame, area: Rect, night: &Night, theme: Theme) {
         return frame.render_widget(words, inner);
     };
     let marks = night.marks();
-    let legend_rows = u16::from(inner.height > 4);
+    let legend = legend_of(&marks, inner.width, theme);
+    let legend_rows = (legend.len() as u16).min(inner.height / 4);
     let map = Rect { height: inner.height - legend_rows, ..inner };
-    let legend = Rect { y: map.bottom(), height: legend_rows, ..inner };
+    let below = Rect { y: map.bottom(), height: legend_rows, ..inner };
     let shape = Shape::of(night);
     let (x_mm, y_mm) = bounds(map, shape.width_mm, shape.height_mm);
     let canvas = Canvas::default().marker(Marker::Braille).x_bounds(x_mm).y_bounds(y_mm);
     let canvas =
         canvas.paint(|context| paint(context, &shape, &tour.steps.contacts_mm, &marks, theme));
     frame.render_widget(canvas, map);
-    frame.render_widget(legend_of(&marks, theme), legend);
+    frame.render_widget(Paragraph::new(legend), below);
 }
 
 /// Ranges of x and y, mm, that show the skin in the middle of an area, undistorted.
@@ -156,10 +157,9 @@ fn symbol(mark: Mark, theme: Theme) -> Span<'static> {
     Span::styled(symbol, style)
 }
 
-/// Numbers of configurations by mark.
-fn legend_of(marks: &[Mark], theme: Theme) -> Line<'static> {
-    let count = |wanted: Mark| marks.iter().filter(|mark| **mark == wanted).count();
-    let mut spans = Vec::new();
+/// Numbers of configurations by mark, on as few lines as they need.
+fn legend_of(marks: &[Mark], width: u16, theme: Theme) -> Vec<Line<'static>> {
+    let mut lines = vec![Line::default()];
     for (mark, word) in [
         (Mark::Done, "done"),
         (Mark::Failed, "failed"),
@@ -168,18 +168,22 @@ fn legend_of(marks: &[Mark], theme: Theme) -> Line<'static> {
         (Mark::Next, "next"),
         (Mark::Later, "later"),
     ] {
-        let n = count(mark);
+        let n = marks.iter().filter(|of| **of == mark).count();
+        if n == 0 && mark != Mark::Done {
+            continue;
+        }
         let words = match mark {
-            Mark::Now | Mark::Next if n > 0 => format!(" {word}  "),
-            Mark::Now | Mark::Next => continue,
+            Mark::Now | Mark::Next => format!(" {word}  "),
             _ => format!(" {n} {word}  "),
         };
-        if n > 0 || mark == Mark::Done {
-            spans.push(symbol(mark, theme));
-            spans.push(Span::raw(words));
+        let entry = [symbol(mark, theme), Span::raw(words)];
+        let needed: usize = entry.iter().map(Span::width).sum();
+        match lines.last_mut() {
+            Some(last) if last.width() + needed <= usize::from(width) => last.extend(entry),
+            _ => lines.push(Line::from_iter(entry)),
         }
     }
-    Line::from(spans)
+    lines
 }
 
 #[cfg(test)]
