@@ -33,7 +33,7 @@ enum Command {
 /// A stand-in rig started by hand: what is not named is the default lab.
 #[derive(Debug, Args)]
 struct VirtualRigArgs {
-    /// Rig file: which devices, on which wires [default: the one of `palpate serve`].
+    /// Rig file: which devices, on which wires [default: the virtual rig].
     #[arg(long, value_name = "FILE")]
     rig: Option<PathBuf>,
     /// Gap file: how this skin differs from the model [default: gap-a].

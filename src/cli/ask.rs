@@ -124,25 +124,42 @@ pub async fn abort(args: &AbortArgs) -> Result<(), CliError> {
     request(&client, (run.uid, run.scan_id), &args.act, "abort", json!({})).await
 }
 
-/// Runs `palpate estop`: a request, repeated until it is answered, then the axes' acknowledgement as far as it is known.
+/// An emergency stop that the service has latched.
+#[derive(Debug)]
+pub struct Stopped {
+    latched: Value,
+    /// Time until every axis had acknowledged, ms.
+    acknowledged_ms: Option<f64>,
+    /// Axes that have not acknowledged, each with its cause.
+    missing: Vec<String>,
+    /// Whether the rig has a stage, whose axes acknowledge.
+    has_stage: bool,
+}
+
+/// Requests an emergency stop until it is answered, then waits for the axes' acknowledgement as far as
+/// it is known. `tell` receives what a person must know of the request.
 ///
 /// # Errors
 /// `CliError` if the request for the stop fails; the acknowledgement is only reported.
-pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
+pub async fn press_estop(
+    at: &At,
+    why: Option<&str>,
+    tell: impl FnOnce(&str),
+) -> Result<Stopped, CliError> {
     // The server is not probed first: the stop must be the first request. On the loopback it needs no
     // key: one that cannot be read, or that is refused, must not prevent it.
     let key = key().unwrap_or_else(|error| {
-        note(format_args!("the stop is requested without a key: {error}"));
+        tell(&format!("the stop is requested without a key: {error}"));
         None
     });
-    let mut clients = embed::clients_with(&args.at, key.clone())?;
+    let mut clients = embed::clients_with(at, key.clone())?;
     if key.is_some() {
-        clients.extend(embed::clients_with(&args.at, None)?);
+        clients.extend(embed::clients_with(at, None)?);
     }
     let (mut tries, mut refused) = (0, None);
     let (client, answer): (&Client, Value) = loop {
         let client = &clients[tries % clients.len()];
-        let body = json!({ "why": args.why, "who": client.who() });
+        let body = json!({ "why": why, "who": client.who() });
         match client.post("/api/v1/estop", &body).await {
             Ok(answer) => break (client, answer),
             // A stop may be repeated: a crowded service may close a connection unanswered.
@@ -161,28 +178,51 @@ pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
         }
     };
     let asked = Instant::now();
-    let (mut acknowledged_ms, mut missing, mut moves) = (None, Vec::new(), true);
-    while moves && acknowledged_ms.is_none() && asked.elapsed() < ACKNOWLEDGED {
+    let latched = answer["latched"].clone();
+    let mut stopped =
+        Stopped { latched, acknowledged_ms: None, missing: Vec::new(), has_stage: true };
+    while stopped.has_stage
+        && stopped.acknowledged_ms.is_none()
+        && asked.elapsed() < ACKNOWLEDGED
+    {
         tokio::time::sleep(LOOK).await;
         // The stop is latched, whether or not the service reports on it.
         if let Ok(status) = client.status().await {
-            let rig = status.rig;
-            (acknowledged_ms, missing) = (rig.estop_acknowledged_ms, rig.not_stopped());
-            moves = rig.has_stage;
+            stopped.acknowledged_ms = status.rig.estop_acknowledged_ms;
+            stopped.missing = status.rig.not_stopped();
+            stopped.has_stage = status.rig.has_stage;
         }
     }
-    if args.at.json {
-        say_json(&json!({ "latched": answer["latched"], "acknowledged_ms": acknowledged_ms,
-            "not_acknowledged": missing }));
-        return Ok(());
+    Ok(stopped)
+}
+
+impl Stopped {
+    /// Result for a person, with the next command.
+    pub fn words(&self) -> String {
+        let axes = match self.acknowledged_ms {
+            Some(ms) => format!("every axis had acknowledged after {ms:.1} ms"),
+            None if !self.has_stage => "a skin alone has no axis to stop".into(),
+            None if self.missing.is_empty() => "no acknowledgement of the axes yet".into(),
+            None => {
+                format!("NOT ACKNOWLEDGED: {}; the stop is sent again", self.missing.join(", "))
+            }
+        };
+        format!("stopped and latched; {axes}. Check the rig, then run `palpate rig reset`.")
     }
-    let axes = match acknowledged_ms {
-        Some(ms) => format!("every axis had acknowledged after {ms:.1} ms"),
-        None if !moves => "a skin alone has no axis to stop".into(),
-        None if missing.is_empty() => "no acknowledgement of the axes yet".into(),
-        None => format!("NOT ACKNOWLEDGED: {}; the stop is sent again", missing.join(", ")),
-    };
-    say(format_args!("stopped and latched; {axes}. Check the rig, then run `palpate rig reset`."));
+}
+
+/// Runs `palpate estop`.
+///
+/// # Errors
+/// As [`press_estop`].
+pub async fn estop(args: &ActArgs) -> Result<(), CliError> {
+    let stopped = press_estop(&args.at, args.why.as_deref(), |words| note(words)).await?;
+    if args.at.json {
+        say_json(&json!({ "latched": stopped.latched, "acknowledged_ms": stopped.acknowledged_ms,
+            "not_acknowledged": stopped.missing }));
+    } else {
+        say(stopped.words());
+    }
     Ok(())
 }
 

@@ -3,9 +3,9 @@
 //! error is a pipe that nothing reads: the campaign logs, too.
 
 use std::io::{self, IsTerminal, Write};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use tracing::Dispatch;
@@ -27,6 +27,34 @@ const LEVEL: &str = "warn";
 const WAITING_LINES: usize = 8192;
 /// Longest wait for standard error at the end of the process.
 const FAREWELL: Duration = Duration::from_secs(1);
+
+/// Lines that wait for the end of a screen on the terminal; `None` while there is no screen.
+static BEHIND_SCREEN: Mutex<Option<Vec<String>>> = Mutex::new(None);
+
+/// Holds the log back while a screen occupies the terminal; its lines are written when it is dropped.
+#[derive(Debug)]
+pub struct Held(());
+
+/// Holds the log back if standard error is a terminal, on which its lines would destroy a screen.
+pub fn hold() -> Option<Held> {
+    if !io::stderr().is_terminal() {
+        return None;
+    }
+    *behind_screen() = Some(Vec::new());
+    Some(Held(()))
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        for line in behind_screen().take().unwrap_or_default() {
+            let _ = io::stderr().write_all(line.as_bytes());
+        }
+    }
+}
+
+fn behind_screen() -> MutexGuard<'static, Option<Vec<String>>> {
+    BEHIND_SCREEN.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 /// Format of the lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -100,8 +128,17 @@ impl Drop for Log {
 /// Writes lines to standard error until the end; reports lost ones.
 fn write_all(inbox: &Receiver<Item>, lost: &AtomicU64) {
     while let Ok(Item::Line(line)) = inbox.recv() {
+        let line = safe(&line);
+        if let Some(kept) = &mut *behind_screen() {
+            if kept.len() < WAITING_LINES {
+                kept.push(line);
+            } else {
+                lost.fetch_add(1, Ordering::Relaxed);
+            }
+            continue;
+        }
         // A log that cannot be written, on a full disk, must not end the process.
-        let _ = io::stderr().write_all(safe(&line).as_bytes());
+        let _ = io::stderr().write_all(line.as_bytes());
         let missing = lost.swap(0, Ordering::Relaxed);
         if missing > 0 {
             tracing::warn!(lines = missing, "lines of the log were lost: its reader is too slow");

@@ -16,6 +16,8 @@ use serde_json::json;
 
 mod access;
 mod ask;
+mod bench_args;
+mod browser;
 mod calibrate;
 mod care;
 mod client;
@@ -48,6 +50,7 @@ pub mod trust;
 mod twins;
 mod view;
 mod virtual_bench;
+mod watch;
 
 pub use error::CliError;
 pub use files::DEFAULT_SKIN_SEED;
@@ -103,14 +106,25 @@ pub fn data_or_default(named: Option<PathBuf>) -> PathBuf {
     named.or_else(|| from_env().map(PathBuf::from)).unwrap_or_else(|| PathBuf::from(DEFAULT_DATA))
 }
 
+/// Options of `status`.
+#[derive(Debug, Clone, Args)]
+pub struct StatusArgs {
+    /// Show the state on the whole terminal, and keep it up to date. Keys: q quits, p pauses, r
+    /// resumes, E is the emergency stop.
+    #[arg(long)]
+    pub watch: bool,
+    /// Server of the rig.
+    #[command(flatten)]
+    pub at: At,
+}
+
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Run the service and its page until Ctrl-C or SIGTERM.
     ///
-    /// Without --rig it uses the virtual rig at the addresses where `palpate virtual-rig` listens;
-    /// it answers, shows and exports also without a rig. To listen on an address beyond this
-    /// machine, create a key first: palpate key create NAME.
+    /// Without --rig it starts a virtual rig and a virtual operator, which end with it. To listen on
+    /// an address beyond this machine, create a key first: palpate key create NAME.
     Serve(serve::ServeArgs),
     /// Queue, arm and run an experiment to its end.
     ///
@@ -131,7 +145,7 @@ pub enum Command {
     /// Simulate frames of contacts; nothing moves.
     Simulate(simulate::SimulateArgs),
     /// Show the state of rig, run and service.
-    Status(At),
+    Status(StatusArgs),
     /// Show and change the queue of runs.
     Queue(queue::QueueArgs),
     /// Pause the active run, after its trial.
@@ -215,7 +229,8 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
         Command::Simulate(args) => return simulate::simulate(args).await,
         Command::Rig(args) => return rig::rig(args).await,
         Command::Serve(args) => serve::serve(args).await?,
-        Command::Status(at) => ask::status(&at).await?,
+        Command::Status(args) if args.watch => watch::watch(&args.at).await?,
+        Command::Status(args) => ask::status(&args.at).await?,
         Command::Queue(args) => queue::queue(args).await?,
         Command::Pause(args) => ask::pause(&args).await?,
         Command::Resume(args) => ask::act(&args, "resume", none()).await?,

@@ -10,27 +10,25 @@ use std::time::Duration;
 use clap::Args;
 use serde_json::json;
 
+use super::bench_args::BenchArgs;
 use super::client::Client;
 use super::error::CliError;
-use super::files::{DEFAULT_SKIN_SEED, ExperimentFiles, RigFiles};
+use super::files::{ExperimentFiles, RigFiles};
 use super::follow::{Follower, Left, Signals, Watch};
 use super::output::{self, bytes, duration, say, say_json};
 use super::rig::{HOMING, until_rig};
 use super::summary::Closing;
 use super::twins::wait_for_twins;
 use super::view::{PreflightView, StatusView};
-use super::virtual_bench::{BenchOptions, VirtualBench};
+use super::virtual_bench::VirtualBench;
 use super::{At, embed};
 use crate::campaign::bench::rig_state::RigState;
 use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
-use crate::problem::Problem;
 use crate::rig::setup::RigSetup;
 use crate::state::StoredState;
 use crate::store::RunRow;
 
-/// Default speed of the virtual rig.
-const DEFAULT_SPEED: f64 = 20.0;
 /// Longest wait for another simulated twin after the run's end.
 const TWINS_STALLED: Duration = Duration::from_secs(30);
 /// Longest wait for the wires of a rig.
@@ -42,24 +40,6 @@ pub struct RunArgs {
     /// Experiment file.
     #[arg(value_name = "EXPERIMENT.toml")]
     pub experiment: PathBuf,
-    /// Rig file of the bench to run on; with --virtual, the bench to simulate.
-    #[arg(long, value_name = "FILE")]
-    pub rig: Option<PathBuf>,
-    /// Run on a virtual rig, in a separate server.
-    #[arg(long = "virtual")]
-    pub on_virtual: bool,
-    /// Virtual rig: process seconds per wall second [default: 20].
-    #[arg(long, value_name = "N")]
-    pub speed: Option<f64>,
-    /// Virtual rig: file with the differences of its skin from the model [default: gap-a].
-    #[arg(long, value_name = "FILE")]
-    pub gap: Option<PathBuf>,
-    /// Virtual rig: seed of its skin [default: 3].
-    #[arg(long, value_name = "N")]
-    pub skin_seed: Option<u64>,
-    /// Virtual rig: script of faults, with their times.
-    #[arg(long, value_name = "SCRIPT")]
-    pub fault: Option<PathBuf>,
     /// Start a new run, even if an interrupted one of the same files could be resumed.
     #[arg(long)]
     pub new: bool,
@@ -69,28 +49,19 @@ pub struct RunArgs {
     /// Move a real rig without asking at the terminal.
     #[arg(long, short)]
     pub yes: bool,
+    /// Bench to run on.
+    #[command(flatten)]
+    pub bench: BenchArgs,
     /// Server, and data folder.
     #[command(flatten)]
     pub at: At,
 }
 
 impl RunArgs {
-    fn names_virtual(&self) -> bool {
-        self.on_virtual
-            || self.speed.is_some()
-            || self.gap.is_some()
-            || self.skin_seed.is_some()
-            || self.fault.is_some()
-    }
-
     /// Checks for options that contradict each other, or that a running server does not support.
     fn check(&self, server: Option<&Client>) -> Result<(), CliError> {
-        if self.rig.is_some() && self.names_virtual() && !self.on_virtual {
-            let limit = "must not be combined with --rig, except with --virtual";
-            return Err(CliError::argument("--speed, --gap, --skin-seed, --fault", "given", limit));
-        }
         if let Some(client) = server
-            && (self.rig.is_some() || self.names_virtual())
+            && (self.bench.rig.is_some() || self.bench.names_virtual())
         {
             let limit = format!(
                 "the server at {} has its own rig: stop it, or omit this option",
@@ -102,20 +73,7 @@ impl RunArgs {
                 limit,
             ));
         }
-        let speed = self.speed.unwrap_or(DEFAULT_SPEED);
-        if !(0.01..=2000.0).contains(&speed) {
-            return Err(CliError::argument("--speed", speed, "must be from 0.01 to 2000"));
-        }
-        let files = [("--gap", &self.gap), ("--fault", &self.fault)];
-        let unread: Vec<Problem> = files
-            .iter()
-            .filter_map(|(key, path)| {
-                let path = path.as_ref()?;
-                let error = std::fs::File::open(path).err()?;
-                Some(Problem::new("command line", key, path.display(), error.to_string()))
-            })
-            .collect();
-        if unread.is_empty() { Ok(()) } else { Err(CliError::Problems(unread)) }
+        self.bench.check()
     }
 }
 
@@ -138,11 +96,11 @@ struct Order {
 pub async fn run(args: RunArgs) -> Result<ExitCode, CliError> {
     let files = ExperimentFiles::read(&args.experiment)?;
     // With --virtual this command has its own bench and server.
-    let server = if args.on_virtual { None } else { embed::find(&args.at).await? };
+    let server = if args.bench.on_virtual { None } else { embed::find(&args.at).await? };
     args.check(server.as_ref())?;
-    let rig = RigFiles::read(args.rig.as_deref())?;
+    let rig = RigFiles::read(args.bench.rig.as_deref())?;
     let (json, data) = (args.at.json, args.at.data());
-    let on_virtual_rig = server.is_none() && (args.on_virtual || args.rig.is_none());
+    let on_virtual_rig = server.is_none() && args.bench.is_virtual();
     let order = Order {
         files,
         new: args.new,
@@ -186,32 +144,18 @@ async fn with_virtual_rig(
     rig: RigFiles,
     order: Order,
 ) -> Result<Closing, CliError> {
-    let options = BenchOptions {
-        data: args.at.data(),
-        rig,
-        sensor_text: order.files.sensor_text.clone(),
-        gap: args.gap.clone(),
-        seed: args.skin_seed.unwrap_or(DEFAULT_SKIN_SEED),
-        speed: args.speed.unwrap_or(DEFAULT_SPEED),
-        fault: args.fault.clone(),
-        quiet: order.json,
-    };
-    let bench = VirtualBench::switch_on(&options).await?;
-    let service = embed::options(options.data.clone(), &bench.rig)?;
-    let (send, sent) = std::sync::mpsc::sync_channel(1);
+    let data = args.at.data();
+    let options = args.bench.bench(&data, rig, order.files.sensor_text.clone(), order.json);
+    let mut bench = VirtualBench::switch_on(&options).await?;
+    let service = embed::options(data, &bench.rig)?;
     let closing = embed::host(service, |client| {
-        let operator = bench.send_operator(client.url());
+        let sent = bench.send_operator(client.url(), None);
         async move {
-            // The channel has a capacity of one: this send does not wait.
-            let _ = send.send(operator?);
+            sent?;
             drive(client, order).await
         }
     })
     .await;
-    // The service has raised the tips: the virtual bench may end.
-    if let Ok(operator) = sent.try_recv() {
-        operator.go_home().await;
-    }
     bench.switch_off().await;
     closing
 }

@@ -1,18 +1,22 @@
-//! `palpate serve`: the service until a signal ends it.
-//! Uses: `api`. Never: anything that a client could do.
+//! `palpate serve`: the service until a signal ends it; without a rig file with a virtual bench.
+//! Uses: `api`, `virtual_bench`, `browser`. Never: anything that a client could do.
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 
+use super::bench_args::BenchArgs;
+use super::browser;
 use super::data_or_default;
 use super::embed::TWIN_WORKERS;
 use super::error::CliError;
 use super::files::{RigFiles, parse_calibration, read_sensor_text};
 use super::follow::Signals;
-use super::output::say;
+use super::key::key;
+use super::output::{note, say};
 use super::running::Running;
+use super::virtual_bench::VirtualBench;
 use crate::api::{ServeOptions, Service, Tls};
 
 /// Options of `serve`.
@@ -24,9 +28,12 @@ pub struct ServeArgs {
     /// Folder of the database [env: PALPATE_DATA] [default: palpate-data].
     #[arg(long, value_name = "DIR")]
     pub data: Option<PathBuf>,
-    /// Rig file [default: the virtual rig].
-    #[arg(long, value_name = "FILE")]
-    pub rig: Option<PathBuf>,
+    /// Bench of the service.
+    #[command(flatten)]
+    pub bench: BenchArgs,
+    /// Open the page in the browser.
+    #[arg(long)]
+    pub open: bool,
     /// Certificate of the service, PEM, for https; with --tls-key.
     #[arg(long, value_name = "FILE", requires = "tls_key")]
     pub tls_cert: Option<PathBuf>,
@@ -45,7 +52,7 @@ pub struct ServeArgs {
     /// Calibration for simulated twins [default: the sensor file's values].
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
-    /// Sensor file of the skin under the rig, for live answers [default: ert-28].
+    /// Sensor file of the skin under the rig [default: ert-28].
     #[arg(long, value_name = "FILE")]
     pub sensor: Option<PathBuf>,
     /// Number of threads that compute simulated twins; 0 for none.
@@ -56,19 +63,42 @@ pub struct ServeArgs {
 /// Runs `palpate serve`.
 ///
 /// # Errors
-/// `CliError` if a file is invalid, or the service cannot start.
+/// `CliError` if a file is invalid, or the virtual bench or the service cannot start.
 pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
-    let rig = RigFiles::read(args.rig.as_deref())?;
+    args.bench.check()?;
     let mut signals = Signals::catch()?;
+    let rig = RigFiles::read(args.bench.rig.as_deref())?;
+    if !args.bench.is_virtual() {
+        return serve_rig(&args, rig, None, &mut signals).await;
+    }
+    let (_, sensor_text) = read_sensor_text(args.sensor.as_deref())?;
+    let data = data_or_default(args.data.clone());
+    let options = args.bench.bench(&data, rig, sensor_text, false);
+    let mut bench = tokio::select! {
+        bench = VirtualBench::switch_on(&options) => bench?,
+        _ = signals.next() => return Ok(()),
+    };
+    let served = serve_rig(&args, bench.rig.clone(), Some(&mut bench), &mut signals).await;
+    bench.switch_off().await;
+    served
+}
+
+/// Runs the service on a rig until a signal; `bench`: the virtual one behind this rig.
+async fn serve_rig(
+    args: &ServeArgs,
+    rig: RigFiles,
+    bench: Option<&mut VirtualBench>,
+    signals: &mut Signals,
+) -> Result<(), CliError> {
     let (sensor, sensor_text) = read_sensor_text(args.sensor.as_deref())?;
-    let tls = args.tls_cert.zip(args.tls_key);
+    let tls = args.tls_cert.clone().zip(args.tls_key.clone());
     let tls = tls.map(|(certificate, key)| Tls { certificate, key });
     let options = ServeOptions {
         tls: tls.clone(),
         require_key: args.require_key,
         bind: args.bind,
         local_admin: args.local_admin,
-        data: data_or_default(args.data),
+        data: data_or_default(args.data.clone()),
         rig_file: rig.file,
         rig_text: rig.text,
         resume: !args.no_resume,
@@ -80,16 +110,50 @@ pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
     let data = options.data.clone();
     let service = Service::start(options).await?;
     announce(&data, &service, tls.as_ref());
-    let (url, name) = (service.url(), rig.config.name().to_owned());
-    let (version, folder) = (env!("CARGO_PKG_VERSION"), data.display());
-    say(format_args!("palpate {version} at {url}, data in {folder}, rig {name}"));
-    service
-        .run_until(async {
-            let _ = signals.next().await;
-        })
-        .await;
+    let operator = bench.map_or(Ok(()), |bench| send_operator(args, bench, &service));
+    if operator.is_ok() {
+        let (url, name, label) = (service.url(), rig.config.name(), rig.config.label().as_str());
+        let (version, folder) = (env!("CARGO_PKG_VERSION"), data.display());
+        say(format_args!("palpate {version} at {url}, data in {folder}, rig {name} ({label})"));
+        if args.open {
+            browser::open(&service.local_url());
+        }
+        service
+            .run_until(async {
+                let _ = signals.next().await;
+            })
+            .await;
+    } else {
+        service.shutdown().await;
+    }
     Running::remove(&data);
-    Ok(())
+    operator
+}
+
+/// Starts the virtual operator, if it can reach the service.
+fn send_operator(
+    args: &ServeArgs,
+    bench: &mut VirtualBench,
+    service: &Service,
+) -> Result<(), CliError> {
+    let needs_key = args.require_key || !args.bind.ip().is_loopback();
+    let key = if needs_key { key()? } else { None };
+    match without_operator(args.tls_cert.is_some(), needs_key && key.is_none()) {
+        Some(cause) => {
+            note(format_args!("no virtual operator: {cause}; nobody mounts tips and confirms"));
+            Ok(())
+        }
+        None => bench.send_operator(&service.local_url(), key.as_deref()),
+    }
+}
+
+/// Why the virtual operator cannot reach the service; `None` if it can.
+fn without_operator(secure: bool, lacks_key: bool) -> Option<&'static str> {
+    match (secure, lacks_key) {
+        (true, _) => Some("it has no TLS"),
+        (false, true) => Some("it needs the key of an operator, in PALPATE_KEY of the service"),
+        (false, false) => None,
+    }
 }
 
 /// Writes where commands on this machine find a service with TLS; removes what an earlier one left.
@@ -101,5 +165,17 @@ fn announce(data: &Path, service: &Service, tls: Option<&Tls>) {
         .and_then(|certificate| Running { url: service.local_url(), certificate }.write(data));
     if let Err(error) = written {
         tracing::warn!(%error, "commands on this machine need --url and --ca");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_service_that_the_virtual_operator_cannot_reach_has_none() {
+        assert_eq!(without_operator(false, false), None);
+        assert_eq!(without_operator(true, false), Some("it has no TLS"));
+        assert!(without_operator(false, true).unwrap().contains("PALPATE_KEY"));
     }
 }

@@ -1,5 +1,5 @@
 //! The virtual bench as two child processes of this program: the rig and its operator.
-//! Uses: tokio's processes, `files`. Never: the virtual rig's code (only its command line is used),
+//! Uses: tokio's processes, `files`, `api::LockFile`. Never: the virtual rig's code (only its command line is used),
 //! a child that outlives this process: each ends when the pipe to its standard input closes.
 
 use std::fs::File;
@@ -16,6 +16,7 @@ use tokio::time::timeout;
 use super::error::CliError;
 use super::files::{DEFAULT_GAP, RigFiles, write};
 use super::key::KEY_VARIABLE;
+use crate::api::LockFile;
 use crate::new_file;
 use crate::rig::config::Label;
 
@@ -57,10 +58,8 @@ pub struct VirtualBench {
     child: Child,
     // Kept open, so that the rig can always write.
     _stdout: BufReader<ChildStdout>,
+    operator: Option<Child>,
 }
-
-/// A running virtual operator.
-pub struct VirtualOperator(Child);
 
 /// The line by which the rig reports that it listens.
 #[derive(Debug, Deserialize)]
@@ -72,11 +71,14 @@ impl VirtualBench {
     /// Writes the rig's files, starts it, and waits until it listens.
     ///
     /// # Errors
-    /// `CliError::Child` or `Late` if it does not start; `File` if a file cannot be written.
+    /// `CliError::Locked` if another process uses the data folder; `Child` or `Late` if it does not
+    /// start; `File` if a file cannot be written.
     pub async fn switch_on(options: &BenchOptions) -> Result<Self, CliError> {
         let folder = options.data.join("virtual-rig");
         new_file::make_folder(&folder)
             .map_err(|source| CliError::File { path: folder.clone(), source })?;
+        // The files and the log there may be those of the bench of another service.
+        drop(LockFile::of_data(&options.data)?);
         let served = folder.join("served.toml");
         let mut command = rig_command(options, &folder, &served)?;
         let log = folder.join("rig.log");
@@ -91,33 +93,34 @@ impl VirtualBench {
             .map_err(|source| CliError::File { path: served.clone(), source })?;
         let rig = RigFiles::parse(served.display().to_string(), text)?;
         let speed = options.speed;
-        Ok(Self { rig, control, speed, folder, child, _stdout: stdout })
+        Ok(Self { rig, control, speed, folder, child, _stdout: stdout, operator: None })
     }
 
-    /// Starts the operator as a client of a service.
+    /// Starts the operator as a client of a service, without TLS; with a key if the service needs one.
     ///
     /// # Errors
     /// `CliError::Child` or `System` if it does not start.
-    pub fn send_operator(&self, url: &str) -> Result<VirtualOperator, CliError> {
+    pub fn send_operator(&mut self, url: &str, key: Option<&str>) -> Result<(), CliError> {
         let mut command = this_program("virtual-operator")?;
         command.args(["--url", url, "--control", &self.control, "--with-parent"]);
         command.arg("--speed").arg(self.speed.to_string());
-        // The service in this process needs no key and no proxy.
-        command.env_remove(KEY_VARIABLE).env("NO_PROXY", "127.0.0.1");
+        // A key is sent only where it is needed, and the service in this process needs no proxy.
+        match key {
+            Some(key) => command.env(KEY_VARIABLE, key),
+            None => command.env_remove(KEY_VARIABLE),
+        };
+        command.env("NO_PROXY", "*");
         let log = self.folder.join("operator.log");
-        start("virtual operator", &mut command, &log, Stdio::null()).map(VirtualOperator)
+        self.operator = Some(start("virtual operator", &mut command, &log, Stdio::null())?);
+        Ok(())
     }
 
-    /// Ends the rig.
+    /// Ends the operator and the rig; call it once the service has raised the tips.
     pub async fn switch_off(mut self) {
+        if let Some(operator) = &mut self.operator {
+            end(operator).await;
+        }
         end(&mut self.child).await;
-    }
-}
-
-impl VirtualOperator {
-    /// Ends the operator.
-    pub async fn go_home(mut self) {
-        end(&mut self.0).await;
     }
 }
 

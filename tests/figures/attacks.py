@@ -1,7 +1,7 @@
 """Attacks on a running service: its memory, another client's latency and the e-stop's meanwhile
 (standard library only, Linux).
 
-    palpate serve --bind 127.0.0.1:8473 --no-resume --local-admin
+    palpate serve --rig experiments/rigs/virtual.toml --bind 127.0.0.1:8473 --no-resume --local-admin
     python3 tests/figures/attacks.py http://127.0.0.1:8473 PID
 
 The rig must not be connected: the e-stop is pressed ten times a second. The folder needs one run that

@@ -31,6 +31,7 @@ use crate::infer::serving::Serving;
 use crate::jobs::Jobs;
 use crate::journal::error_chain;
 use crate::placement::watch::PlacementWatch;
+use crate::schedule::experiment::Experiment;
 use crate::simulate::model::sweep_partial;
 use crate::store::{KeyRing, Soundness, Store, StoreError};
 use crate::twins::TwinPool;

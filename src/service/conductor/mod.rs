@@ -284,6 +284,7 @@ impl Conductor {
     /// that an older version queued is kept now.
     async fn prepare_stored(&self, run: &RunRow) -> Result<Prepared, ConductorError> {
         let prepared = self.prepare(Submission::of(run)).await?.sound()?;
+        prepared.has_label_of(run)?;
         match self.inner.store.plan_of(run.uid).await? {
             Some(stored) => prepared.matches(run, &stored)?,
             None => self.inner.store.keep_plan(run.uid, prepared.plan_text.clone()).await?,

@@ -140,6 +140,14 @@ impl Prepared {
         }
     }
 
+    /// Checks that the rig has the label of the run: all trials of a run have one label.
+    ///
+    /// # Errors
+    /// `ConductorError::Forbidden` with both labels.
+    pub fn has_label_of(&self, run: &RunRow) -> Result<(), ConductorError> {
+        same_label(run.scan_id, run.label, self.label)
+    }
+
     /// The job that the campaign drives.
     pub fn job(self, run: &RunRow) -> Job {
         let trials = self.preflight.trials.max(1);
@@ -165,4 +173,29 @@ fn carried_sensor(file: &str, named: &str) -> Result<String, Vec<Problem>> {
         );
         vec![Problem::new(file, "sensor", named, limit)]
     })
+}
+
+fn same_label(run: i64, of_run: Label, of_rig: Label) -> Result<(), ConductorError> {
+    if of_run == of_rig {
+        return Ok(());
+    }
+    let (of_run, of_rig) = (of_run.as_str(), of_rig.as_str());
+    Err(ConductorError::Forbidden(format!(
+        "run {run} was queued for a {of_run} rig, this rig is {of_rig}: start the service on the rig of \
+         the run, or queue its files again (palpate run --new)"
+    )))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn trials_of_a_virtual_rig_never_enter_a_measured_run() {
+        assert!(same_label(3, Label::Virtual, Label::Virtual).is_ok());
+        for labels in [(Label::Measured, Label::Virtual), (Label::Virtual, Label::Measured)] {
+            let refused = same_label(3, labels.0, labels.1).unwrap_err().to_string();
+            assert!(refused.starts_with("run 3 was queued for a"), "{refused}");
+        }
+    }
 }

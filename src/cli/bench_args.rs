@@ -1,0 +1,139 @@
+//! Options that choose the bench of a service which a command starts: a rig file, or a virtual bench.
+//! Uses: `files`, `virtual_bench` (its options). Never: a process, motion.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+
+use super::error::CliError;
+use super::files::{DEFAULT_SKIN_SEED, RigFiles};
+use super::virtual_bench::BenchOptions;
+use crate::problem::Problem;
+
+/// Default speed of the virtual rig.
+const DEFAULT_SPEED: f64 = 20.0;
+
+/// Options of `run` and `serve` on their bench.
+#[derive(Debug, Clone, Default, Args)]
+pub struct BenchArgs {
+    /// Rig file of the bench [default: a virtual rig]; with --virtual, the bench to simulate.
+    #[arg(long, value_name = "FILE")]
+    pub rig: Option<PathBuf>,
+    /// Use a virtual rig, also with --rig; `run` then starts a separate server.
+    #[arg(long = "virtual")]
+    pub on_virtual: bool,
+    /// Virtual rig: process seconds per wall second [default: 20].
+    #[arg(long, value_name = "N")]
+    pub speed: Option<f64>,
+    /// Virtual rig: file with the differences of its skin from the model [default: gap-a].
+    #[arg(long, value_name = "FILE")]
+    pub gap: Option<PathBuf>,
+    /// Virtual rig: seed of its skin [default: 3].
+    #[arg(long, value_name = "N")]
+    pub skin_seed: Option<u64>,
+    /// Virtual rig: script of faults, with their times.
+    #[arg(long, value_name = "SCRIPT")]
+    pub fault: Option<PathBuf>,
+}
+
+impl BenchArgs {
+    /// Whether an option of the virtual rig was stated.
+    pub fn names_virtual(&self) -> bool {
+        self.on_virtual
+            || self.speed.is_some()
+            || self.gap.is_some()
+            || self.skin_seed.is_some()
+            || self.fault.is_some()
+    }
+
+    /// Whether the bench is a virtual one, which must be started.
+    pub fn is_virtual(&self) -> bool {
+        self.on_virtual || self.rig.is_none()
+    }
+
+    /// Checks for options that contradict each other, and for files that cannot be read.
+    ///
+    /// # Errors
+    /// `CliError::Problems` with the options.
+    pub fn check(&self) -> Result<(), CliError> {
+        if !self.is_virtual() && self.names_virtual() {
+            let limit = "must not be combined with --rig, except with --virtual";
+            return Err(CliError::argument("--speed, --gap, --skin-seed, --fault", "given", limit));
+        }
+        let speed = self.speed();
+        if !(0.01..=2000.0).contains(&speed) {
+            return Err(CliError::argument("--speed", speed, "must be from 0.01 to 2000"));
+        }
+        let files = [("--gap", &self.gap), ("--fault", &self.fault)];
+        let unread: Vec<Problem> = files
+            .iter()
+            .filter_map(|(key, path)| {
+                let path = path.as_ref()?;
+                let error = std::fs::File::open(path).err()?;
+                Some(Problem::new("command line", key, path.display(), error.to_string()))
+            })
+            .collect();
+        if unread.is_empty() { Ok(()) } else { Err(CliError::Problems(unread)) }
+    }
+
+    /// Process seconds per wall second of the virtual rig.
+    pub fn speed(&self) -> f64 {
+        self.speed.unwrap_or(DEFAULT_SPEED)
+    }
+
+    /// Options of the virtual bench that simulates `rig`, with a skin of this sensor file.
+    pub fn bench(
+        &self,
+        data: &Path,
+        rig: RigFiles,
+        sensor_text: String,
+        quiet: bool,
+    ) -> BenchOptions {
+        BenchOptions {
+            data: data.into(),
+            rig,
+            sensor_text,
+            gap: self.gap.clone(),
+            seed: self.skin_seed.unwrap_or(DEFAULT_SKIN_SEED),
+            speed: self.speed(),
+            fault: self.fault.clone(),
+            quiet,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn named(change: impl FnOnce(&mut BenchArgs)) -> BenchArgs {
+        let mut args = BenchArgs::default();
+        change(&mut args);
+        args
+    }
+
+    #[test]
+    fn a_bench_is_virtual_unless_a_rig_file_is_named() {
+        let rig = || Some(PathBuf::from("rig.toml"));
+        assert!(BenchArgs::default().is_virtual());
+        assert!(!named(|args| args.rig = rig()).is_virtual());
+        assert!(named(|args| (args.rig, args.on_virtual) = (rig(), true)).is_virtual());
+    }
+
+    #[test]
+    fn options_of_the_virtual_rig_are_refused_for_a_rig_file_and_outside_their_limits() {
+        let rig = || Some(PathBuf::from("rig.toml"));
+        let words = |args: BenchArgs| args.check().err().map(|error| error.to_string());
+        assert_eq!(words(BenchArgs::default()), None);
+        let refused = words(named(|args| (args.rig, args.speed) = (rig(), Some(5.0)))).unwrap();
+        assert!(refused.contains("--virtual"), "{refused}");
+        let both = named(|args| {
+            (args.rig, args.speed, args.on_virtual) = (rig(), Some(5.0), true);
+        });
+        assert_eq!(words(both), None);
+        let refused = words(named(|args| args.speed = Some(0.0))).unwrap();
+        assert!(refused.contains("--speed = 0"), "{refused}");
+        let missing = words(named(|args| args.gap = Some("no/such/gap.toml".into()))).unwrap();
+        assert!(missing.contains("--gap = no/such/gap.toml"), "{missing}");
+    }
+}

@@ -1,0 +1,241 @@
+//! Answers of the service that only the screen reads. An older service lacks some of them: every field
+//! may be absent.
+//! PURE. Uses: serde. Never: an error for a field that is absent or has another form.
+
+use jiff::Timestamp;
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
+use crate::ids::RunUid;
+
+/// Fields of `GET /api/v1/status` in addition to those of `StatusView`.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct More {
+    /// Free disk space and need.
+    pub disk: Option<Disk>,
+    /// Time of the newest durable trial of the active run.
+    pub last_trial_at: Option<Timestamp>,
+    /// Everything that may suspend the run.
+    pub suspenders: Vec<Suspender>,
+    /// Position of the active run in its tour.
+    pub step: Option<Step>,
+    /// What a person must do before the run resumes.
+    pub wanted: Option<Wanted>,
+    /// Limit of the force on one cell, N; absent without cells.
+    pub force_limit_n: Option<f64>,
+}
+
+/// Free disk space and need.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
+pub struct Disk {
+    /// Free space, bytes.
+    pub free_bytes: Option<f64>,
+    /// Space that the active run and the queue still need, bytes.
+    pub needed_bytes: Option<f64>,
+}
+
+/// A monitor that may suspend the run.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct Suspender {
+    /// Name for people.
+    pub name: String,
+    /// Present value.
+    pub value: Option<f64>,
+    /// Value beyond which it acts.
+    pub threshold: Option<f64>,
+    /// Unit of both.
+    pub unit: Option<String>,
+    /// Time since which the value is beyond the threshold.
+    pub since: Option<Timestamp>,
+    /// Whether it suspends the run, or only warns.
+    pub suspends: bool,
+}
+
+/// Position in the tour.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+pub struct Step {
+    /// Index of the current step, from 0.
+    pub index: usize,
+    /// Number of steps.
+    pub of: usize,
+}
+
+/// What a person must do.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct Wanted {
+    /// Number of tips to mount.
+    pub tips: Option<u8>,
+    /// Weights to place.
+    pub contacts: Vec<Weight>,
+}
+
+/// A weight and its place.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
+pub struct Weight {
+    /// Position along the width of the skin, mm.
+    pub x_mm: f64,
+    /// Position along its height, mm.
+    pub y_mm: f64,
+    /// Weight, N.
+    pub force_n: f64,
+}
+
+/// `GET /api/v1/sensor`: the skin.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct Skin {
+    /// Width, mm.
+    pub width_mm: f64,
+    /// Height, mm.
+    pub height_mm: f64,
+    /// Corners of the outline, mm; absent for a rectangle.
+    pub outline_mm: Option<Vec<[f64; 2]>>,
+    /// The electrodes.
+    pub electrodes: Vec<Place>,
+    /// Diameter of a tip, mm.
+    pub tip_diameter_mm: Option<f64>,
+}
+
+/// A place on the skin.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
+pub struct Place {
+    /// Position along the width of the skin, mm.
+    pub x_mm: f64,
+    /// Position along its height, mm.
+    pub y_mm: f64,
+}
+
+/// `GET /api/v1/runs/{run}/tour`: where the plan presses, in the planned order.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct Tour {
+    /// Planned depths of each configuration, mm.
+    pub depths_mm: Vec<f64>,
+    /// The configurations.
+    pub steps: Steps,
+}
+
+/// The configurations of a tour.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct Steps {
+    /// Where each tip of each configuration touches the skin: x and y, mm.
+    pub contacts_mm: Vec<Vec<[f64; 2]>>,
+}
+
+/// `GET /api/v1/runs/{run}/progress`, in the order of the tour.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct TourProgress {
+    /// Number of trials stored, for each configuration.
+    pub stored: Vec<u16>,
+    /// Number of failed attempts, for each configuration.
+    pub attempts_failed: Vec<u16>,
+    /// Indices of skipped configurations.
+    pub skipped: Vec<usize>,
+    /// Index of the current configuration.
+    pub current: Option<usize>,
+    /// Index of the next one.
+    pub next: Option<usize>,
+}
+
+/// `GET /api/v1/twins`: the simulated twins.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct Twins {
+    /// The pool that makes them.
+    pub pool: Pool,
+    /// The newest runs.
+    pub runs: Vec<RunTwins>,
+}
+
+/// The pool that makes twins.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct Pool {
+    /// Fit over the last trials.
+    pub rolling: Option<Rolling>,
+    /// Last failure.
+    pub last_error: Option<String>,
+}
+
+/// Fit of the twins over the last trials.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct Rolling {
+    /// `ok`, `warn` or `suspend`.
+    pub level: String,
+    /// Median FVU.
+    pub median_fvu: Option<f64>,
+}
+
+/// Twins of one run.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct RunTwins {
+    /// Uid of the run.
+    pub run: RunUid,
+    /// Number of stored trials.
+    #[serde(default)]
+    pub trials: u64,
+    /// Number of trials without twin.
+    #[serde(default)]
+    pub pending: u64,
+}
+
+impl More {
+    /// Reads the fields that are there, each for itself.
+    pub fn of(status: &Value) -> Self {
+        Self {
+            disk: read(&status["disk"]),
+            last_trial_at: read(&status["last_trial_at"]),
+            suspenders: read(&status["suspenders"]).unwrap_or_default(),
+            step: read(&status["run"]["current_step"]),
+            wanted: read(&status["run"]["wanted"]),
+            force_limit_n: read(&status["rig"]["force_limit_n"]),
+        }
+    }
+}
+
+/// A field, if it is there in the expected form.
+fn read<T: DeserializeOwned>(value: &Value) -> Option<T> {
+    T::deserialize(value).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn fields_that_are_absent_or_have_another_form_cost_only_themselves() {
+        assert_eq!(More::of(&json!({})), More::default());
+        let more = More::of(&json!({
+            "disk": { "free_bytes": 5e9, "needed_bytes": null },
+            "last_trial_at": "yesterday",
+            "suspenders": [{ "name": "twins", "value": 0.2, "threshold": 0.5, "unit": "FVU" }],
+            "run": { "current_step": { "index": 3, "of": 9 }, "wanted": { "tips": 4 } },
+        }));
+        assert_eq!(more.disk.unwrap().free_bytes, Some(5e9));
+        assert_eq!(more.disk.unwrap().needed_bytes, None);
+        assert_eq!(more.last_trial_at, None);
+        assert_eq!(more.suspenders[0].threshold, Some(0.5));
+        assert_eq!(more.step, Some(Step { index: 3, of: 9 }));
+        assert_eq!(more.wanted.unwrap().tips, Some(4));
+    }
+
+    #[test]
+    fn a_tour_and_its_progress_are_read_with_and_without_their_other_fields() {
+        let tour: Tour = serde_json::from_value(json!({ "scan_id": 3, "depths_mm": [0.0, 0.5],
+            "steps": { "configuration": [7], "tips": [1], "contacts_mm": [[[10.0, 20.0]]] } }))
+        .unwrap();
+        assert_eq!(tour.steps.contacts_mm[0][0], [10.0, 20.0]);
+        let progress: TourProgress =
+            serde_json::from_value(json!({ "stored": [2], "current": null })).unwrap();
+        assert_eq!((progress.stored[0], progress.current), (2, None));
+        let twins: Twins = serde_json::from_value(json!({ "pool": { "rolling": null } })).unwrap();
+        assert_eq!(twins, Twins::default());
+    }
+}

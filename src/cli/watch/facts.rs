@@ -1,0 +1,266 @@
+//! The lines of numbers and words on the screen.
+//! PURE. Uses: `night`, `output` (durations and sizes), ratatui's text. Never: a layout.
+
+use jiff::tz::TimeZone;
+use jiff::{SignedDuration, Timestamp};
+use ratatui::style::Modifier;
+use ratatui::text::{Line, Span};
+
+use super::answers::Suspender;
+use super::night::{Level, Night, Told, one_line};
+use super::theme::Theme;
+use crate::campaign::shown::status::{Eta, Phase};
+use crate::cli::output::{bytes, counted, duration};
+use crate::cli::view::{RunView, StatusView};
+use crate::state::StoredState;
+
+/// Width of the names of the facts.
+const NAME: usize = 11;
+
+/// Wall time and zone of the terminal.
+#[derive(Debug, Clone)]
+pub struct Now {
+    /// Wall time.
+    pub at: Timestamp,
+    /// Zone in which times are shown.
+    pub zone: TimeZone,
+}
+
+impl Now {
+    /// A time of the day; with the day of the week if it is not today.
+    fn clock(&self, at: Timestamp, format: &str) -> String {
+        let (then, now) = (at.to_zoned(self.zone.clone()), self.at.to_zoned(self.zone.clone()));
+        let day = if then.date() == now.date() { "" } else { "%a " };
+        then.strftime(&format!("{day}{format}")).to_string()
+    }
+
+    fn age(&self, at: Timestamp) -> String {
+        duration(self.at.duration_since(at).as_secs_f64().max(0.0))
+    }
+}
+
+/// The state of the run and the rig.
+pub fn header(night: &Night, theme: Theme) -> Line<'static> {
+    let Some(status) = &night.status else { return Line::from(format!(" {}", night.url)) };
+    let mut spans = vec![Span::raw(format!(" {} ", one_line(&status.rig.name)))];
+    let label = format!("[{}]  ", status.rig.label);
+    let virtual_rig = status.rig.label == "virtual";
+    spans.push(match virtual_rig {
+        true => Span::styled(label, theme.virtual_rig().add_modifier(Modifier::BOLD)),
+        false => Span::raw(label),
+    });
+    if let Some(run) = &status.run {
+        let state = run.state.as_str().to_uppercase();
+        let style = match run.state {
+            StoredState::Running => theme.life(),
+            StoredState::Panicked => theme.level(Level::Act),
+            _ => theme.level(Level::Look),
+        };
+        spans.push(Span::styled(state, style.add_modifier(Modifier::BOLD)));
+        if let Some(requested) = run.requested_state {
+            spans.push(Span::styled(format!(" → {requested}"), theme.level(Level::Look)));
+        }
+        spans.push(Span::raw(format!("  run {}, {}", run.scan_id, one_line(&run.experiment))));
+    } else {
+        spans.push(Span::raw("no run"));
+    }
+    spans.push(Span::styled(format!("  rig {}", status.rig.state.as_str()), theme.aside()));
+    Line::from(spans)
+}
+
+/// Why the values are old, if they are.
+pub fn lost(night: &Night, now: &Now) -> Option<String> {
+    let silent = night.lost_for(now.at)?;
+    let cause = night.trouble.as_deref().unwrap_or("the answer is late");
+    let words = duration(silent.as_secs_f64().floor());
+    Some(format!(" NO ANSWER for {words}: what is below is old ({cause}) "))
+}
+
+/// The progress of a run: share and text.
+pub fn progress(run: &RunView, heard_at: Timestamp, now: &Now) -> (f64, String) {
+    let done = run.trials_stored + run.trials_skipped;
+    let share = done as f64 / run.trials_planned.max(1) as f64;
+    let mut words =
+        format!("{} of {} trials", thousands(run.trials_stored), thousands(run.trials_planned));
+    if run.trials_skipped > 0 {
+        words += &format!(", {} skipped", thousands(run.trials_skipped));
+    }
+    if let Some(eta) = run.eta {
+        words += &format!("  {}", eta_words(&eta, heard_at, now));
+    }
+    (share.clamp(0.0, 1.0), words)
+}
+
+fn eta_words(eta: &Eta, heard_at: Timestamp, now: &Now) -> String {
+    let end = |in_s: f64| {
+        let from_then = SignedDuration::try_from_secs_f64(in_s).unwrap_or_default();
+        let format = if eta.remaining_s < 120.0 { "%H:%M:%S" } else { "%H:%M" };
+        heard_at.checked_add(from_then).map_or("?".into(), |at| now.clock(at, format))
+    };
+    let (likely, low, high) = (end(eta.remaining_s), end(eta.low_s), end(eta.high_s));
+    format!("done {likely} ({low} .. {high}), in {}", duration(eta.remaining_s))
+}
+
+/// All other facts, the most important first.
+pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec<Line<'static>> {
+    let mut lines = Vec::new();
+    let mut fact = |name: &str, words: String, level: Level| {
+        let name = Span::styled(format!("{name:<NAME$}"), theme.aside());
+        lines.push(Line::from(vec![name, Span::styled(words, theme.level(level))]));
+    };
+    if let Some(run) = &status.run {
+        fact("now", phase(night, run), Level::Fine);
+        if let Some(at) = night.more.last_trial_at {
+            fact("last trial", format!("{} ago", now.age(at)), Level::Fine);
+        }
+    }
+    if let Some(disk) = night.more.disk {
+        let words = |of: Option<f64>| of.map_or("-".into(), bytes);
+        let short = disk.free_bytes.zip(disk.needed_bytes).is_some_and(|(free, need)| free < need);
+        let (free, needed) = (words(disk.free_bytes), words(disk.needed_bytes));
+        let level = if short { Level::Act } else { Level::Fine };
+        fact("disk", format!("{free} free, {needed} needed"), level);
+    }
+    if let Some((words, level)) = twins(night) {
+        fact("twins", words, level);
+    }
+    if let Some(lock) = &status.lock {
+        let (holder, note) = (one_line(&lock.holder), one_line(&lock.note));
+        fact("lock", format!("{holder}: {note} ({})", now.clock(lock.since, "%H:%M")), Level::Look);
+    }
+    for suspender in &night.more.suspenders {
+        let level = match (suspender.since, suspender.suspends) {
+            (None, _) => Level::Fine,
+            (Some(_), false) => Level::Look,
+            (Some(_), true) => Level::Act,
+        };
+        fact(&shortened(&suspender.name), suspender_words(suspender, now), level);
+    }
+    if let Some(run) = status.run.as_ref().filter(|run| run.retries > 0) {
+        fact("retries", thousands(run.retries), Level::Fine);
+    }
+    fact("queue", counted(status.queue_length as u64, "run", "runs"), Level::Fine);
+    if let Some(p) = status.rig.pose {
+        let (x, y, z, r) = (p.x_mm, p.y_mm, p.z_mm, p.radius_mm);
+        fact("pose", format!("x {x:.1} y {y:.1} z {z:.2} r {r:.1} mm"), Level::Fine);
+    }
+    lines
+}
+
+/// What the run does now, and where in its tour.
+fn phase(night: &Night, run: &RunView) -> String {
+    let words = match run.phase {
+        Phase::Next => "selects the next step",
+        Phase::TouchOff => "searches the surface",
+        Phase::Travel => "travels",
+        Phase::Tare => "tares",
+        Phase::Press => "presses",
+        Phase::Settle => "settles",
+        Phase::Measure => "measures",
+        Phase::Commit => "stores",
+        Phase::Raise => "raises",
+        Phase::Wait => "waits",
+    };
+    match (night.more.step, run.trial) {
+        (Some(step), _) => format!("{words}, step {} of {}", step.index + 1, step.of),
+        (None, Some(key)) => format!("{words}, configuration {}", key.configuration),
+        (None, None) => words.into(),
+    }
+}
+
+/// Backlog and fit of the twins.
+fn twins(night: &Night) -> Option<(String, Level)> {
+    let twins = night.twins.as_ref()?;
+    let mut parts = Vec::new();
+    let run = night.run.or(twins.runs.first().map(|run| run.run));
+    if let Some(of_run) = twins.runs.iter().find(|of_run| Some(of_run.run) == run) {
+        parts.push(format!("{} pending", thousands(of_run.pending)));
+    }
+    let mut level = Level::Fine;
+    if let Some(rolling) = &twins.pool.rolling {
+        parts.extend(rolling.median_fvu.map(|fvu| format!("rolling FVU {fvu:.3}")));
+        level = match rolling.level.as_str() {
+            "warn" => Level::Look,
+            "suspend" => Level::Act,
+            _ => Level::Fine,
+        };
+    }
+    if let Some(error) = &twins.pool.last_error {
+        (parts, level) = ([parts, vec![one_line(error)]].concat(), level.max(Level::Look));
+    }
+    (!parts.is_empty()).then(|| (parts.join(", "), level))
+}
+
+fn suspender_words(suspender: &Suspender, now: &Now) -> String {
+    let unit = suspender.unit.as_deref().map_or_else(String::new, |unit| format!(" {unit}"));
+    let number = |value: Option<f64>| value.map_or("-".into(), number);
+    let (value, threshold) = (number(suspender.value), number(suspender.threshold));
+    let since = suspender
+        .since
+        .map_or_else(String::new, |at| format!(", since {}", now.clock(at, "%H:%M")));
+    one_line(&format!("{value} of {threshold}{unit}{since}"))
+}
+
+/// A number with about three digits.
+fn number(value: f64) -> String {
+    match value.abs() {
+        1e6.. => format!("{value:.2e}"),
+        100.0.. => format!("{value:.0}"),
+        10.0.. => format!("{value:.1}"),
+        _ => format!("{value:.3}"),
+    }
+}
+
+/// A name that leaves room for a value.
+fn shortened(name: &str) -> String {
+    let name = one_line(&name.replace('_', " "));
+    name.chars().take(NAME - 1).collect()
+}
+
+/// An event.
+pub fn event(told: &Told, now: &Now, theme: Theme) -> Line<'static> {
+    let at = told.at.map_or_else(String::new, |at| now.clock(at, "%H:%M:%S"));
+    let style = match told.level {
+        // A past trip is no present one: only the line above the map asks for an action.
+        Level::Act => theme.level(Level::Look),
+        level => theme.level(level),
+    };
+    let time = Span::styled(format!(" {at}  "), theme.aside());
+    Line::from(vec![time, Span::styled(told.words.clone(), style)])
+}
+
+/// A count with separated thousands.
+fn thousands(count: u64) -> String {
+    let digits = count.to_string();
+    let mut words = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            words.push(',');
+        }
+        words.push(digit);
+    }
+    words
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_and_values_read_well() {
+        let shown: Vec<String> = [0, 999, 1000, 198_000].map(thousands).into();
+        assert_eq!(shown, ["0", "999", "1,000", "198,000"]);
+        assert_eq!([0.0942, 12.34, 1234.5].map(number), ["0.094", "12.3", "1234"]);
+    }
+
+    #[test]
+    fn the_end_of_a_run_names_its_day_if_it_is_another_one() {
+        let at: Timestamp = "2026-03-01T20:00:00Z".parse().unwrap();
+        let now = Now { at, zone: TimeZone::UTC };
+        let eta = Eta { remaining_s: 7380.0, low_s: 7000.0, high_s: 8000.0 };
+        let words = eta_words(&eta, at, &now);
+        assert_eq!(words, "done 22:03 (21:56 .. 22:13), in 2 h 3 min");
+        let eta = Eta { remaining_s: 36_000.0, ..eta };
+        assert!(eta_words(&eta, at, &now).starts_with("done Mon 06:00 ("));
+    }
+}

@@ -1,0 +1,290 @@
+//! The plain state of the screen: what was read, when, and what follows for a person.
+//! PURE. Uses: `answers`, `view`. Never: HTTP, the terminal.
+
+use std::collections::VecDeque;
+
+use jiff::{SignedDuration, Timestamp};
+
+use super::answers::{More, Skin, Tour, TourProgress, Twins, Weight};
+use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::shown::safe_end::Tips;
+use crate::cli::output::bytes;
+use crate::cli::view::{EventView, RunView, StatusView};
+use crate::ids::RunUid;
+use crate::plain::escaped;
+use crate::state::{PausedWhy, StoredState};
+
+/// Time without an answer after which the connection counts as lost.
+const LOST: SignedDuration = SignedDuration::from_millis(2000);
+/// Time after which the progress along the tour counts as old.
+const OLD_PROGRESS: SignedDuration = SignedDuration::from_secs(15);
+/// Number of events that are kept.
+const EVENTS: usize = 60;
+
+/// What was read.
+#[derive(Debug)]
+pub enum News {
+    /// The status, and when it was asked for.
+    Status(Timestamp, Box<StatusView>, Box<More>),
+    /// The service did not answer; the cause.
+    NoStatus(String),
+    /// The skin of a run; absent if the service does not state it.
+    Skin(RunUid, Option<Skin>),
+    /// The tour of a run; absent if the service does not state it.
+    Tour(RunUid, Option<Tour>),
+    /// The progress of a run along its tour.
+    Progress(RunUid, TourProgress),
+    /// The simulated twins.
+    Twins(Twins),
+    /// New events, in their order.
+    Events(Vec<EventView>),
+    /// Outcome of a request of the person at the screen.
+    Outcome(String),
+}
+
+/// All that the screen shows.
+#[derive(Debug, Default)]
+pub struct Night {
+    /// URL of the service.
+    pub url: String,
+    /// Last status.
+    pub status: Option<StatusView>,
+    /// Its fields that an older service lacks.
+    pub more: More,
+    /// When the last status was asked for.
+    pub heard_at: Option<Timestamp>,
+    /// Why the last request for the status failed.
+    pub trouble: Option<String>,
+    /// The run that the map shows: the active one, or the last one.
+    pub run: Option<RunUid>,
+    /// Its skin.
+    pub skin: Option<Skin>,
+    /// Its tour.
+    pub tour: Option<Tour>,
+    /// Its progress along the tour.
+    pub progress: Option<TourProgress>,
+    /// When the progress was read.
+    pub progress_at: Option<Timestamp>,
+    /// The simulated twins.
+    pub twins: Option<Twins>,
+    /// The last events, the newest last.
+    pub events: VecDeque<Told>,
+    /// Outcome of the last request of the person at the screen.
+    pub outcome: Option<String>,
+}
+
+/// An event as text.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Told {
+    /// Wall time.
+    pub at: Option<Timestamp>,
+    /// One line.
+    pub words: String,
+    /// How much it matters.
+    pub level: Level,
+}
+
+/// How much something matters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Level {
+    /// As it should be.
+    Fine,
+    /// A person should look.
+    Look,
+    /// A person must act.
+    Act,
+}
+
+/// State of a configuration on the map.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Mark {
+    /// It comes later.
+    Later,
+    /// All its trials are stored.
+    Done,
+    /// Attempts at it failed; it was repeated, or will be.
+    Failed,
+    /// It was given up.
+    Skipped,
+    /// It is the next one.
+    Next,
+    /// It is pressed now.
+    Now,
+}
+
+impl Night {
+    /// State before anything was read.
+    pub fn new(url: &str) -> Self {
+        Self { url: url.into(), ..Self::default() }
+    }
+
+    /// Takes what was read at `now`.
+    pub fn take(&mut self, news: News, now: Timestamp) {
+        match news {
+            News::Status(asked, status, more) => {
+                self.show_run(status.run.as_ref().map(|run| run.uid));
+                (self.status, self.more) = (Some(*status), *more);
+                (self.heard_at, self.trouble) = (Some(asked), None);
+            }
+            News::NoStatus(why) => self.trouble = Some(one_line(&why)),
+            News::Skin(run, skin) if self.run == Some(run) => self.skin = skin,
+            News::Tour(run, tour) if self.run == Some(run) => self.tour = tour,
+            News::Progress(run, progress) if self.run == Some(run) => {
+                (self.progress, self.progress_at) = (Some(progress), Some(now));
+            }
+            News::Skin(..) | News::Tour(..) | News::Progress(..) => {}
+            News::Twins(twins) => self.twins = Some(twins),
+            News::Events(events) => {
+                self.events.extend(events.iter().filter_map(told));
+                let surplus = self.events.len().saturating_sub(EVENTS);
+                self.events.drain(..surplus);
+            }
+            News::Outcome(words) => self.outcome = Some(one_line(&words)),
+        }
+    }
+
+    /// Changes to another run; without one the last one stays on the map.
+    fn show_run(&mut self, run: Option<RunUid>) {
+        if run.is_some() && run != self.run {
+            self.run = run;
+            (self.skin, self.tour, self.progress, self.progress_at) = (None, None, None, None);
+        }
+    }
+
+    /// The active run.
+    pub fn active(&self) -> Option<&RunView> {
+        self.status.as_ref()?.run.as_ref()
+    }
+
+    /// Time since the service last answered, if that is too long; the whole time if it never did.
+    pub fn lost_for(&self, now: Timestamp) -> Option<SignedDuration> {
+        let silent = now.duration_since(self.heard_at?);
+        (silent >= LOST).then_some(silent)
+    }
+
+    /// Whether the map is older than it should be.
+    pub fn is_map_old(&self, now: Timestamp) -> bool {
+        self.active().is_some()
+            && self.progress_at.is_some_and(|at| now.duration_since(at) >= OLD_PROGRESS)
+    }
+
+    /// Index of the current configuration in the tour.
+    pub fn current(&self) -> Option<usize> {
+        self.active()?;
+        let of_status = self.more.step.map(|step| step.index);
+        of_status.or_else(|| self.progress.as_ref()?.current)
+    }
+
+    /// Marks of all configurations of the tour, in its order.
+    pub fn marks(&self) -> Vec<Mark> {
+        let Some(tour) = &self.tour else { return Vec::new() };
+        let trials = tour.depths_mm.len().max(1);
+        let none = TourProgress::default();
+        let progress = self.progress.as_ref().unwrap_or(&none);
+        let count = |of: &[u16], i: usize| usize::from(of.get(i).copied().unwrap_or(0));
+        let mut marks: Vec<Mark> = (0..tour.steps.contacts_mm.len())
+            .map(|i| match count(&progress.stored, i) {
+                _ if count(&progress.attempts_failed, i) > 0 => Mark::Failed,
+                stored if stored >= trials => Mark::Done,
+                _ => Mark::Later,
+            })
+            .collect();
+        let mut mark = |i: Option<usize>, mark: Mark| {
+            if let Some(place) = i.and_then(|i| marks.get_mut(i)) {
+                *place = mark;
+            }
+        };
+        for i in &progress.skipped {
+            mark(Some(*i), Mark::Skipped);
+        }
+        let current = self.current();
+        if current.is_some() {
+            // The progress is read less often than the status: the next one may have become the current one.
+            let next = progress.next.filter(|next| Some(*next) != current);
+            mark(next.or(current.map(|current| current + 1)), Mark::Next);
+        }
+        mark(current, Mark::Now);
+        marks
+    }
+
+    /// The one thing that a person must do first, with its cause.
+    pub fn first(&self) -> (Level, String) {
+        let Some(status) = &self.status else { return (Level::Fine, "-".into()) };
+        let rig = &status.rig;
+        let missing = rig.not_stopped();
+        if !missing.is_empty() {
+            let axes = missing.join(", ");
+            return (Level::Act, format!("NOT STOPPED: {axes}: use the hardware emergency stop"));
+        }
+        if let Some(Tips::NotRaised(why)) = rig.safe_end.as_ref().map(|end| &end.tips) {
+            return (Level::Act, format!("TIPS NOT RAISED: {why}: inspect the rig"));
+        }
+        if rig.state == RigState::Tripped {
+            let cause = rig.trip_words();
+            let next = "check the rig, then palpate rig reset, palpate rig home";
+            let next = if status.run.is_some() { format!("{next}, r") } else { next.into() };
+            return (Level::Act, format!("tripped: {cause}: {next}"));
+        }
+        let Some(run) = &status.run else {
+            return match rig.state {
+                RigState::Disconnected => (Level::Fine, "nothing; the rig is not connected".into()),
+                _ => (Level::Fine, "nothing".into()),
+            };
+        };
+        if run.state == StoredState::Panicked {
+            return (Level::Act, "the tips could not be raised: inspect the rig".into());
+        }
+        if let Some(words) = &run.waiting_for {
+            return (Level::Act, format!("{words}{}", self.weights()));
+        }
+        if run.state == StoredState::Paused && run.paused_why == Some(PausedWhy::Operator) {
+            return (Level::Look, "paused on request: r resumes".into());
+        }
+        if run.state == StoredState::Paused {
+            let why = run.paused_why.map_or("", PausedWhy::as_str).replace('_', " ");
+            return (Level::Act, format!("paused ({why}): remove the cause, then r"));
+        }
+        self.ahead().unwrap_or((Level::Fine, "nothing".into()))
+    }
+
+    /// What will stop the run if nobody looks.
+    fn ahead(&self) -> Option<(Level, String)> {
+        if let Some(disk) = self.more.disk
+            && let (Some(free), Some(needed)) = (disk.free_bytes, disk.needed_bytes)
+            && free < needed
+        {
+            let (free, needed) = (bytes(free), bytes(needed));
+            let words = format!("{free} of disk are free, {needed} are needed: remove files");
+            return Some((Level::Look, words));
+        }
+        let beyond = self.more.suspenders.iter().find(|suspender| suspender.since.is_some())?;
+        let then = if beyond.suspends { "it will suspend the run" } else { "it only warns" };
+        Some((Level::Look, format!("{} is beyond its limit: {then}", beyond.name)))
+    }
+
+    /// Weights that a person must place, as text.
+    fn weights(&self) -> String {
+        let weights = self.more.wanted.iter().flat_map(|wanted| &wanted.contacts);
+        let words = weights.map(|Weight { x_mm, y_mm, force_n }| {
+            format!("; {force_n:.3} N at x {x_mm:.1}, y {y_mm:.1} mm")
+        });
+        words.collect()
+    }
+}
+
+/// An event that a person may want to know, as one line.
+fn told(event: &EventView) -> Option<Told> {
+    let words = one_line(&event.words()?);
+    let level = match event.kind.as_str() {
+        "trip" | "safe_end" | "not_gone_on" | "not_begun" => Level::Act,
+        "suspended" | "skipped" | "attempt_failed" | "wanted" | "store" => Level::Look,
+        _ => Level::Fine,
+    };
+    Some(Told { at: event.at.parse().ok(), words, level })
+}
+
+/// A text of others on one line, without control characters.
+pub fn one_line(text: &str) -> String {
+    let line: Vec<&str> = text.split_whitespace().collect();
+    escaped(&line.join(" ")).into()
+}

@@ -1,0 +1,162 @@
+//! Reads what the screen shows: the status five times per second, all else less often.
+//! Uses: `client`, `night` (what it takes). Never: the terminal, a wait of the screen for an answer.
+
+use std::time::Duration;
+
+use jiff::Timestamp;
+use serde::Deserialize;
+use serde_json::Value;
+use tokio::sync::{mpsc, watch};
+use tokio::time::{Instant, MissedTickBehavior, interval};
+
+use super::answers::{More, Skin, Tour, TourProgress};
+use super::night::News;
+use crate::api::Page;
+use crate::cli::client::Client;
+use crate::cli::error::CliError;
+use crate::cli::view::{EventView, StatusView};
+use crate::ids::RunUid;
+
+/// Interval of polling the status.
+const STATUS: Duration = Duration::from_millis(200);
+/// Interval of polling events.
+const EVENTS: Duration = Duration::from_secs(1);
+/// Interval of polling progress and twins.
+const PROGRESS: Duration = Duration::from_secs(5);
+/// Longest wait for an answer.
+const ANSWER: Duration = Duration::from_secs(2);
+/// Number of earlier events that are read first.
+const EARLIER_EVENTS: i64 = 100;
+
+/// Reads the status until nobody listens. `runs` receives the active run.
+pub async fn follow_status(
+    client: Client,
+    runs: watch::Sender<Option<RunUid>>,
+    news: mpsc::Sender<News>,
+) {
+    let client = client.patient(ANSWER);
+    let mut tick = interval(STATUS);
+    tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        tick.tick().await;
+        let asked = Timestamp::now();
+        let read = match status(&client).await {
+            Ok((status, more)) => {
+                let run = status.run.as_ref().map(|run| run.uid);
+                runs.send_if_modified(|seen| run.is_some() && std::mem::replace(seen, run) != run);
+                News::Status(asked, Box::new(status), Box::new(more))
+            }
+            Err(error) => News::NoStatus(error.to_string()),
+        };
+        if news.send(read).await.is_err() {
+            return;
+        }
+    }
+}
+
+async fn status(client: &Client) -> Result<(StatusView, More), CliError> {
+    let value: Value = client.get("/api/v1/status").await?;
+    let status = StatusView::deserialize(&value).map_err(|error| CliError::Refused {
+        operation: "GET /api/v1/status".into(),
+        status: 200,
+        detail: format!("this program does not understand the answer: {error}"),
+    })?;
+    Ok((status, More::of(&value)))
+}
+
+/// Reads all else until nobody listens: the skin and the tour once per run.
+pub async fn follow_rest(
+    client: Client,
+    runs: watch::Receiver<Option<RunUid>>,
+    news: mpsc::Sender<News>,
+) {
+    let client = client.patient(ANSWER);
+    let mut rest = Rest { client, news, run: None, skin: false, tour: false, since: None };
+    let mut tick = interval(EVENTS);
+    tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut polled: Option<Instant> = None;
+    loop {
+        tick.tick().await;
+        let run = *runs.borrow();
+        let changed = run != rest.run;
+        if changed {
+            (rest.run, rest.skin, rest.tour) = (run, false, false);
+        }
+        let due = changed || polled.is_none_or(|at| at.elapsed() >= PROGRESS);
+        if due {
+            polled = Some(Instant::now());
+        }
+        // What fails is read again; that the service is away, the status reports.
+        match rest.read(due).await {
+            Ok(true) => {}
+            Ok(false) => return,
+            Err(error) => tracing::debug!(%error, "not all of the screen could be read"),
+        }
+    }
+}
+
+/// What `follow_rest` has read.
+struct Rest {
+    client: Client,
+    news: mpsc::Sender<News>,
+    run: Option<RunUid>,
+    skin: bool,
+    tour: bool,
+    /// Number of the last event.
+    since: Option<i64>,
+}
+
+impl Rest {
+    /// Reads the events, and if it is `due` all else. Returns `false` if nobody listens.
+    async fn read(&mut self, due: bool) -> Result<bool, CliError> {
+        if !self.events().await? {
+            return Ok(false);
+        }
+        if !due {
+            return Ok(true);
+        }
+        let twins = self.client.get("/api/v1/twins").await?;
+        if self.news.send(News::Twins(twins)).await.is_err() {
+            return Ok(false);
+        }
+        let Some(run) = self.run else { return Ok(true) };
+        if !self.tour {
+            let tour: Option<Tour> =
+                stated(self.client.get(&format!("/api/v1/runs/{run}/tour")).await)?;
+            self.tour = tour.is_some();
+            if self.news.send(News::Tour(run, tour)).await.is_err() {
+                return Ok(false);
+            }
+        }
+        if !self.skin {
+            let skin: Option<Skin> =
+                stated(self.client.get(&format!("/api/v1/sensor?run={run}")).await)?;
+            self.skin = skin.is_some();
+            if self.news.send(News::Skin(run, skin)).await.is_err() {
+                return Ok(false);
+            }
+        }
+        let progress: Option<TourProgress> =
+            stated(self.client.get(&format!("/api/v1/runs/{run}/progress")).await)?;
+        let Some(progress) = progress else { return Ok(true) };
+        Ok(self.news.send(News::Progress(run, progress)).await.is_ok())
+    }
+
+    async fn events(&mut self) -> Result<bool, CliError> {
+        let since = self.since.unwrap_or(-EARLIER_EVENTS);
+        let page: Page<EventView> =
+            self.client.get(&format!("/api/v1/events?since={since}")).await?;
+        let Some(last) = page.items.last() else { return Ok(true) };
+        self.since = Some(last.seq);
+        Ok(self.news.send(News::Events(page.items)).await.is_ok())
+    }
+}
+
+/// An answer, or nothing if the service does not know the address.
+fn stated<T>(answer: Result<T, CliError>) -> Result<Option<T>, CliError> {
+    match answer {
+        Ok(answer) => Ok(Some(answer)),
+        Err(CliError::Refused { status: 404, .. }) => Ok(None),
+        Err(error) => Err(error),
+    }
+}

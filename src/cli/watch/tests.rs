@@ -1,0 +1,230 @@
+//! The screen, drawn on terminals of several sizes that are only in memory.
+
+use jiff::tz::TimeZone;
+use jiff::{SignedDuration, Timestamp};
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+use ratatui::buffer::Buffer;
+use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+use ratatui::style::Color;
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use super::Asked;
+use super::answers::{More, Tour};
+use super::draw::draw;
+use super::facts::Now;
+use super::night::{Level, Mark, News, Night};
+use super::theme::Theme;
+use crate::cli::view::StatusView;
+use crate::ids::RunUid;
+
+const RUN: &str = "01890a5d-ac96-774b-bcce-b302099a8057";
+const COLOUR: Theme = Theme { colour: true };
+
+fn run() -> RunUid {
+    RUN.parse().unwrap()
+}
+
+fn start() -> Timestamp {
+    "2026-03-01T18:01:22Z".parse().unwrap()
+}
+
+fn after(seconds: i64) -> Now {
+    Now { at: start() + SignedDuration::from_secs(seconds), zone: TimeZone::UTC }
+}
+
+/// Status of a running campaign, as the service answers.
+fn status() -> Value {
+    json!({
+        "rig": { "name": "night-lab", "label": "virtual", "state": "armed", "trip": null,
+            "clock_rate": 20.0,
+            "pose": { "x_mm": 100.0, "y_mm": 80.0, "z_mm": 12.5, "radius_mm": 34.6 },
+            "forces_n": [12.34, 70.0, 81.0, null, -0.1, 0.0], "force_limit_n": 80.0, "tips": 3,
+            "estop_acknowledged_ms": null, "estop_stops": [], "safe_end": null,
+            "stopping": null },
+        "run": { "uid": RUN, "scan_id": 12, "experiment": "real-hex-4", "state": "running",
+            "requested_state": "paused", "paused_why": null, "waiting_for": null,
+            "phase": "press", "trial": null, "trials_planned": 33000, "trials_stored": 12481,
+            "trials_skipped": 22, "retries": 3,
+            "eta": { "remaining_s": 7380.0, "low_s": 7000.0, "high_s": 8000.0 },
+            "current_step": { "index": 2, "of": 5 } },
+        "service": { "version": "0.1.0", "database": "palpate.db" },
+        "lock": { "holder": "ada", "note": "hands\u{1b}[31m in the rig",
+            "since": "2026-03-01T17:00:00Z" },
+        "queue_length": 2,
+        "disk": { "free_bytes": 212e9, "needed_bytes": 14e9 },
+        "last_trial_at": "2026-03-01T18:01:20Z",
+        "suspenders": [{ "name": "twins fvu", "value": 0.0942, "threshold": 0.5, "unit": "",
+            "since": null, "suspends": true }],
+    })
+}
+
+fn told_status(status: &Value) -> News {
+    let view = StatusView::deserialize(status).unwrap();
+    News::Status(start(), Box::new(view), Box::new(More::of(status)))
+}
+
+/// The screen of a campaign with five configurations of which the third is pressed.
+fn night() -> Night {
+    let mut night = Night::new("http://127.0.0.1:8080");
+    night.take(told_status(&status()), start());
+    let at = |i: usize| vec![[90.0 * (i + 1) as f64, 100.0], [90.0 * (i + 1) as f64, 300.0]];
+    let contacts_mm: Vec<Vec<[f64; 2]>> = (0..5).map(at).collect();
+    let tour = json!({ "depths_mm": [0.0, 0.5], "steps": { "contacts_mm": contacts_mm } });
+    night.take(News::Tour(run(), serde_json::from_value(tour).unwrap()), start());
+    let progress = json!({ "stored": [2, 2, 0, 0, 0], "attempts_failed": [0, 1, 0, 0, 0],
+        "skipped": [4], "current": 1, "next": 2 });
+    night.take(News::Progress(run(), serde_json::from_value(progress).unwrap()), start());
+    let twins = json!({ "pool": { "rolling": { "level": "ok", "median_fvu": 0.0942 } },
+        "runs": [{ "run": RUN, "trials": 12481, "pending": 11 }] });
+    night.take(News::Twins(serde_json::from_value(twins).unwrap()), start());
+    let event = |seq: i64, kind: &str, data: Value| {
+        json!({ "kind": kind, "seq": seq, "run": RUN,
+        "at": "2026-03-01T17:59:01Z", "data": data })
+    };
+    let events = json!([
+        event(1, "skipped", json!({ "configuration": 7, "reason": "no settling" })),
+        event(2, "touch_off", json!({})),
+    ]);
+    night.take(News::Events(serde_json::from_value(events).unwrap()), start());
+    night
+}
+
+fn drawn(night: &Night, now: &Now, (width, height): (u16, u16), theme: Theme) -> Buffer {
+    let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+    terminal.draw(|frame| draw(frame, night, now, theme)).unwrap();
+    terminal.backend().buffer().clone()
+}
+
+fn text(buffer: &Buffer) -> String {
+    let width = usize::from(buffer.area.width);
+    let symbols: Vec<&str> = buffer.content().iter().map(|cell| cell.symbol()).collect();
+    symbols.chunks(width).map(|line| line.concat() + "\n").collect()
+}
+
+#[test]
+fn all_facts_of_the_night_are_on_usual_terminals() {
+    for size in [(80, 24), (120, 40), (200, 60)] {
+        let shown = text(&drawn(&night(), &after(0), size, COLOUR));
+        for words in [
+            "night-lab [virtual]",
+            "RUNNING → paused  run 12, real-hex-4",
+            "12,481 of 33,000 trials, 22 skipped",
+            "done 20:04 (19:58 .. 20:14), in 2 h 3 min",
+            "needs you:  nothing",
+            "12.3 N",
+            "limit 80 N",
+            "presses, step 3 of 5",
+            "last trial 2.0 s ago",
+            "212.00 GB free, 14.00 GB needed",
+            "11 pending, rolling FVU 0.094",
+            "twins fvu  0.094 of 0.500",
+            "17:59:01  skipped configuration 7: no settling",
+            "1 done",
+            "1 failed",
+            "1 skipped",
+            "E emergency stop",
+        ] {
+            assert!(shown.contains(words), "{words} at {size:?}:\n{shown}");
+        }
+        assert!(shown.contains("ada: hands\\u{1b}[31m"), "{shown}");
+        assert!(shown.contains('●') && shown.contains('○') && shown.contains('×'), "{shown}");
+    }
+}
+
+#[test]
+fn no_size_of_a_terminal_is_too_small() {
+    for night in [night(), Night::new("http://127.0.0.1:8080")] {
+        for width in [1, 2, 7, 20, 40, 300] {
+            for height in [1, 2, 3, 5, 9, 24, 100] {
+                drawn(&night, &after(9), (width, height), COLOUR);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_lost_connection_shows_within_three_seconds_and_old_values_are_grey() {
+    let mut night = night();
+    night.take(News::NoStatus("connection refused".into()), start());
+    let fresh = drawn(&night, &after(1), (80, 24), COLOUR);
+    assert!(!text(&fresh).contains("NO ANSWER"));
+    assert!(fresh.content().iter().any(|cell| cell.fg == Color::Green));
+    let old = drawn(&night, &after(3), (80, 24), COLOUR);
+    assert!(
+        text(&old).starts_with(" NO ANSWER for 3.0 s: what is below is old (connection refused)")
+    );
+    let below = &old.content()[80..23 * 80];
+    assert!(below.iter().all(|cell| cell.fg == Color::DarkGray), "all that is old is grey");
+    // The connection heals without a key.
+    night.take(told_status(&status()), start());
+    assert!(night.trouble.is_none());
+}
+
+#[test]
+fn without_colours_no_cell_has_one_and_states_differ_by_their_symbols() {
+    let plain = Theme { colour: false };
+    for seconds in [0, 9] {
+        let buffer = drawn(&night(), &after(seconds), (80, 24), plain);
+        assert!(buffer.content().iter().all(|cell| cell.fg == Color::Reset));
+        assert!(buffer.content().iter().all(|cell| cell.bg == Color::Reset));
+    }
+    assert_eq!(Theme::of(Some("1".as_ref())), plain);
+    assert_eq!((Theme::of(Some("".as_ref())), Theme::of(None)), (COLOUR, COLOUR));
+}
+
+#[test]
+fn configurations_have_the_marks_of_their_progress() {
+    use Mark::{Done, Failed, Next, Now, Skipped};
+    assert_eq!(night().marks(), [Done, Failed, Now, Next, Skipped]);
+    let mut waiting = Night::new("");
+    waiting.take(told_status(&status()), start());
+    assert_eq!(waiting.marks(), []);
+    waiting.take(News::Tour(RunUid::new(), Some(Tour::default())), start());
+    assert!(waiting.tour.is_none(), "of another run");
+}
+
+#[test]
+fn what_a_person_must_do_first_is_named() {
+    let first = |change: &dyn Fn(&mut Value)| {
+        let mut changed = status();
+        change(&mut changed);
+        let mut night = Night::new("");
+        night.take(told_status(&changed), start());
+        night.first()
+    };
+    assert_eq!(first(&|_| {}), (Level::Fine, "nothing".into()));
+    let (level, words) = first(&|s| {
+        s["rig"]["state"] = "tripped".into();
+        s["rig"]["trip"] = json!({ "kind": "force", "detail": "arm 2: 81.0 N over 80.0 N" });
+    });
+    let next = "tripped: arm 2: 81.0 N over 80.0 N: check the rig, then palpate rig reset";
+    assert!(level == Level::Act && words.starts_with(next), "{words}");
+    let (level, words) = first(&|s| {
+        s["run"]["waiting_for"] = "place 1 weights".into();
+        s["run"]["wanted"] =
+            json!({ "trial": 3, "contacts": [{ "x_mm": 1.0, "y_mm": 2.0, "force_n": 4.905 }] });
+    });
+    assert_eq!(words, "place 1 weights; 4.905 N at x 1.0, y 2.0 mm");
+    assert_eq!(level, Level::Act);
+    let (level, words) = first(&|s| {
+        (s["run"]["state"], s["run"]["paused_why"]) = ("paused".into(), "operator".into());
+    });
+    assert_eq!((level, words.as_str()), (Level::Look, "paused on request: r resumes"));
+    let (level, words) = first(&|s| s["disk"]["free_bytes"] = 1e9.into());
+    assert!(level == Level::Look && words.contains("1.00 GB of disk are free"), "{words}");
+}
+
+#[test]
+fn only_its_own_keys_ask_for_something() {
+    let key = |code, modifiers| Asked::of(KeyEvent::new(code, modifiers));
+    let plain = KeyModifiers::NONE;
+    assert_eq!(key(KeyCode::Char('E'), KeyModifiers::SHIFT), Asked::Estop);
+    assert_eq!(key(KeyCode::Char('e'), plain), Asked::Nothing);
+    assert_eq!(key(KeyCode::Char('p'), plain), Asked::Pause);
+    assert_eq!(key(KeyCode::Char('r'), plain), Asked::Resume);
+    assert_eq!(key(KeyCode::Char('r'), KeyModifiers::CONTROL), Asked::Nothing);
+    assert_eq!(key(KeyCode::Char('c'), KeyModifiers::CONTROL), Asked::Quit);
+    assert_eq!(key(KeyCode::Esc, plain), Asked::Nothing);
+}
