@@ -31,9 +31,7 @@ fn read(text: &str, now: &Zoned) -> Result<Timestamp, String> {
         return Ok(at);
     }
     let zone = now.time_zone();
-    // A time alone is read first: `T` in front of it is optional.
-    let is_time = !text.contains('-');
-    if is_time {
+    if text.contains(':') && !text.contains('-') {
         let time: Time = text.parse().map_err(|_| wrong())?;
         let today = now.date().to_datetime(time).to_zoned(zone.clone()).map_err(|_| wrong())?;
         let next = if today <= *now {
