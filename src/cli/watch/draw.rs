@@ -128,12 +128,19 @@ fn draw_forces(frame: &mut Frame, area: Rect, rig: &RigView, limit_n: Option<f64
         let style =
             if tip { theme.level(Level::Fine).add_modifier(Modifier::BOLD) } else { theme.aside() };
         frame.render_widget(Line::styled((arm + 1).to_string(), style), name);
-        let gauge = Gauge::default().ratio(share.clamp(0.0, 1.0)).label("").use_unicode(true);
-        frame.render_widget(gauge.gauge_style(theme.force(share)), bar);
+        frame.render_widget(Line::styled(filled(share, bar.width), theme.force(share)), bar);
         let words = force_n.map_or("-".into(), |force_n| format!("{force_n:.1} N"));
         let style = if share >= 1.0 { theme.level(Level::Act) } else { theme.level(Level::Fine) };
         frame.render_widget(Line::styled(words, style).right_aligned(), number);
     }
+}
+
+/// A bar that fills a share of a width, to an eighth of a character. A gauge would leave a gap for its
+/// label.
+fn filled(share: f64, width: u16) -> String {
+    const PARTS: [&str; 8] = ["", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];
+    let eighths = (share.clamp(0.0, 1.0) * f64::from(width) * 8.0).round() as usize;
+    "█".repeat(eighths / 8) + PARTS[eighths % 8]
 }
 
 /// The last events, the newest at the bottom.
