@@ -181,10 +181,7 @@ pub async fn press_estop(
     let latched = answer["latched"].clone();
     let mut stopped =
         Stopped { latched, acknowledged_ms: None, missing: Vec::new(), has_stage: true };
-    while stopped.has_stage
-        && stopped.acknowledged_ms.is_none()
-        && asked.elapsed() < ACKNOWLEDGED
-    {
+    while stopped.has_stage && stopped.acknowledged_ms.is_none() && asked.elapsed() < ACKNOWLEDGED {
         tokio::time::sleep(LOOK).await;
         // The stop is latched, whether or not the service reports on it.
         if let Ok(status) = client.status().await {

@@ -30,6 +30,11 @@ export async function show(root, { signal }) {
   }
   watch(view, signal)
   live.on('fresh', work.draw, signal)
+  let queued = null
+  live.on('status', ({ status }) => {
+    if (shown === idle && queued !== null && status.queue_length !== queued) idle.load()
+    queued = status.queue_length
+  }, signal)
 }
 
 /** Asks for the placement while a manual run is active, three times a second; calls `take` with it or null. */

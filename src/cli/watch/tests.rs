@@ -37,7 +37,8 @@ fn after(seconds: i64) -> Now {
 /// Status of a running campaign, as the service answers.
 fn status() -> Value {
     json!({
-        "rig": { "name": "night-lab", "label": "virtual", "state": "armed", "trip": null,
+        "rig": { "name": "night-lab", "label": "virtual", "has_stage": true, "state": "armed",
+            "trip": null,
             "clock_rate": 20.0,
             "pose": { "x_mm": 100.0, "y_mm": 80.0, "z_mm": 12.5, "radius_mm": 34.6 },
             "forces_n": [12.34, 70.0, 81.0, null, -0.1, 0.0], "force_limit_n": 80.0, "tips": 3,

@@ -13,9 +13,9 @@ use super::limits::{
     ACTION_BODY_MAX_BYTES, BODY_MAX_BYTES, FRAMES_MAX_BYTES, IMPORT_MAX_BYTES, MODEL_MAX_BYTES,
 };
 use super::{
-    App, datasets, estop, evaluation, events, experiments, exports, health, history, imports, infer,
-    jobs, live, live_status, models, overlay, people, placement, progress, queue, rig, runs, samples,
-    sensor, simulations, status, tour, trials, twins, untouched, wear,
+    App, datasets, estop, evaluation, events, experiments, exports, health, history, imports,
+    infer, jobs, live, live_status, models, overlay, people, placement, progress, queue, rig, runs,
+    samples, sensor, simulations, status, tour, trials, twins, untouched, wear,
 };
 use crate::store::Role;
 

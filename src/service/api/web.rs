@@ -139,7 +139,8 @@ mod tests {
         let rows = table.lines().filter_map(|line| line.strip_prefix("| `"));
         let rows: Vec<(&str, &str)> = rows.filter_map(|row| row.split_once("` |")).collect();
         for (file, row) in &rows {
-            let digest = hex::encode(Files::get(&format!("vendor/{file}")).unwrap().metadata.sha256_hash());
+            let digest =
+                hex::encode(Files::get(&format!("vendor/{file}")).unwrap().metadata.sha256_hash());
             assert!(row.contains(&digest), "{file} has the sha256 {digest}");
         }
         let scripts = |path: &str| path.starts_with("vendor/") && !path.ends_with("LICENSE");

@@ -22,8 +22,8 @@ fn tools() -> Option<(String, String)> {
     let runs = |program: &str, args: &[&str]| {
         Command::new(program).args(args).output().is_ok_and(|output| output.status.success())
     };
-    let found = runs(&python, &["-c", &format!("import {MODULES}")])
-        && runs(&chromium, &["--version"]);
+    let found =
+        runs(&python, &["-c", &format!("import {MODULES}")]) && runs(&chromium, &["--version"]);
     if !found {
         let missing = format!("no Chromium, or no Python that has {MODULES}");
         assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "{missing}");

@@ -33,7 +33,8 @@ def api(path, body=None):
     data = None if body is None else json.dumps(body).encode()
     request = urllib.request.Request(f"{URL}/api/v1{path}", data, {"content-type": "application/json"})
     with urllib.request.urlopen(request, timeout=60) as answer:
-        return json.load(answer)
+        text = answer.read()
+        return json.loads(text) if text else None
 
 
 def until(what, test, seconds=120):
@@ -157,7 +158,7 @@ def first_evening(page, browser):
 
 SMALL = """name = 'small'
 seed = 5
-sensor = 'ert-28'
+sensor = 'sensors/ert-28.toml'
 [real_hex]
 tips = [1]
 configurations = 8
@@ -206,6 +207,7 @@ def place(page, browser):
     sensor = (pathlib.Path(__file__).parents[3] / "experiments/sensors/ert-28.toml").read_text()
     text = ("name = 'weights'\nseed = 3\nsensor = 's'\n[real_random]\ncontacts = [2]\ntrials_each = 3\n"
             "weights_n = [9.81]\n[measure]\nframes_per_trial = 10\n")
+    said(page, "No run waits for weights")
     api("/queue", {"file": "weights.toml", "definition": text, "sensor": sensor, "who": "test"})
     pressed(page, "Arm and start")
     named(page)
