@@ -293,3 +293,59 @@ async fn a_skin_alone_presses_nothing_and_is_checked() {
     assert!(problem["detail"].as_str().unwrap().contains("needs a stage"), "{problem:#}");
     lab.close().await;
 }
+
+/// Two placements of one weight, at rest after two seconds of the wall.
+const TWO: &str = "name = 'weights'\nseed = 2\nsensor = 's'\n[real_random]\ncontacts = [1]\n\
+    trials_each = 2\nweights_n = [4.905]\n[measure]\nframes_per_trial = 5\nsettle_ms = 20000.0\n\
+    settle_max_ms = 30000.0\n";
+
+#[tokio::test(flavor = "multi_thread")]
+async fn under_a_stage_nothing_moves_during_a_manual_run_nor_after_it_before_tips_are_confirmed() {
+    let lab = Lab::open_alone("placement-stage", rig_args("virtual", SPEED)).await;
+    lab.home().await;
+    lab.tell_rig(json!({ "cmd": "mount", "tips": 1 })).await;
+    let tips = json!({ "action": "tips", "tips": 1, "who": WHO });
+    lab.eventually("the cell", "/api/v1/status", |s| s["rig"]["live_cells"] == 1).await;
+    lab.posted("/api/v1/rig/actions", tips).await;
+    let run = lab.queue(TWO).await;
+    lab.start(&run).await;
+    let page = asked(&lab, 0).await;
+    for action in [json!({ "action": "home" }), json!({ "action": "jog", "axis": "x", "to_mm": 9 })]
+    {
+        let (status, problem) = lab.post("/api/v1/rig/actions", action).await;
+        assert!(
+            status == 409 && problem["detail"].as_str().unwrap().contains("hands"),
+            "{problem}"
+        );
+    }
+
+    // A stop during the measurement: the placement is asked for again.
+    place(&lab, &page, false).await;
+    assert_eq!(lab.act(&run, confirm(0)).await.0, 202);
+    lab.until("the wait for rest", |s| s["run"]["phase"] == "settle").await;
+    lab.posted("/api/v1/estop", json!({ "why": "test" })).await;
+    lab.until("the stop", |s| s["rig"]["state"] == "tripped" && s["run"]["state"] == "paused")
+        .await;
+    lab.posted("/api/v1/rig/actions", json!({ "action": "reset", "who": WHO })).await;
+    lab.act(&run, json!({ "action": "resume", "who": WHO })).await;
+    let page = asked(&lab, 0).await;
+    assert!(trials(&lab, &run).await.is_empty());
+
+    // The next run waits for a person before it moves, although its tips were confirmed before.
+    let next = "name = 'next'\nseed = 5\nsensor = 's'\n[real_hex]\ntips = [1]\nconfigurations = 1\n\
+        depths = 2\nblock = 1\nreference_every = 0\n";
+    let next = lab.queue(next).await;
+    place(&lab, &page, false).await;
+    assert_eq!(lab.act(&run, confirm(0)).await.0, 202);
+    let page = asked(&lab, 1).await;
+    place(&lab, &page, false).await;
+    assert_eq!(lab.act(&run, confirm(1)).await.0, 202);
+    lab.ended(&run).await;
+    lab.posted("/api/v1/rig/actions", json!({ "action": "home", "who": WHO })).await;
+    lab.until("homed", |s| s["rig"]["state"] == "homed").await;
+    lab.start(&next).await;
+    let asks =
+        |s: &Value| s["run"]["paused_why"] == "tip_change" && s["run"]["wanted"]["tips"] == 1;
+    lab.until("the question for tips", asks).await;
+    lab.close().await;
+}

@@ -370,7 +370,10 @@ impl<'a> Walk<'a> {
             let mut parts = Parts::default();
             self.travel(bench, stand, &mut parts);
             let down_s = slow.time_s(searched_mm) + bench.z.time_s(bench.clearance_mm);
-            total_s += parts.total_s() + self.wall(down_s) + 3.0 * self.assumed.command_ms / 1e3;
+            // The conversions after the tips were raised from the coarse touch.
+            let converted_s = 2.0 * bench.cell_update_ms / 1e3;
+            total_s += parts.total_s() + self.wall(down_s + converted_s);
+            total_s += 3.0 * self.assumed.command_ms / 1e3;
             searched_mm = bench.clearance_mm;
         }
         total_s

@@ -6,7 +6,8 @@
 //!
 //! Paper: Real-Hex IV-A, Real-Random II-C and IV-A, Table I.
 
-use serde::{Deserialize, Serialize};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize};
 use utoipa::ToSchema;
 
 use super::schema::{counts, radii, weights};
@@ -53,6 +54,13 @@ pub struct Experiment {
     pub limits: Limits,
 }
 
+/// Reads exactly two numbers: serde's array of two ignores the others.
+fn two<'de, D: Deserializer<'de>>(from: D) -> Result<[u32; 2], D::Error> {
+    let list = Vec::<u32>::deserialize(from)?;
+    <[u32; 2]>::try_from(list.as_slice())
+        .map_err(|_| D::Error::invalid_length(list.len(), &"two numbers"))
+}
+
 /// Real-Hex: configurations x depths for each number of tips (paper IV-A).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -64,7 +72,7 @@ pub struct RealHex {
     #[schema(minimum = 1, maximum = 1000000)]
     pub configurations: u32,
     /// Smallest and largest radius, in pitches of the point lattice.
-    #[serde(default = "default_radius_pitches")]
+    #[serde(default = "default_radius_pitches", deserialize_with = "two")]
     #[schema(schema_with = radii)]
     pub radius_pitches: [u32; 2],
     /// Depth of step 0, mm, measured from `standoff_mm` above the surface.
@@ -206,7 +214,7 @@ pub struct TwinLimits {
     #[schema(minimum = 0, maximum = 1000000)]
     pub warn_fvu: f64,
     /// Median FVU of the window above which the run is suspended; absent: never.
-    #[schema(minimum = 0, maximum = 1000000, nullable = false)]
+    #[schema(minimum = 0, maximum = 1000000)]
     pub suspend_fvu: Option<f64>,
     /// FVU of a pair of neighbouring electrodes, over window and sinks, above which the run warns.
     /// At 1 the model explains its readings no better than their means.

@@ -54,7 +54,7 @@ fn status() -> Value {
         "lock": { "holder": "ada", "note": "hands\u{1b}[31m in the rig",
             "since": "2026-03-01T17:00:00Z" },
         "queue_length": 2,
-        "disk": { "free_bytes": 212e9, "needed_bytes": 14e9 },
+        "disk": { "free_bytes": 212_000_000_000_u64, "needed_bytes": 14_000_000_000_u64 },
         "last_trial_at": "2026-03-01T18:01:20Z",
         "suspenders": [{ "name": "twins fvu", "value": 0.0942, "threshold": 0.5, "unit": "",
             "since": null, "suspends": true }],
@@ -213,7 +213,7 @@ fn what_a_person_must_do_first_is_named() {
         (s["run"]["state"], s["run"]["paused_why"]) = ("paused".into(), "operator".into());
     });
     assert_eq!((level, words.as_str()), (Level::Look, "paused on request: r resumes"));
-    let (level, words) = first(&|s| s["disk"]["free_bytes"] = 1e9.into());
+    let (level, words) = first(&|s| s["disk"]["free_bytes"] = 1_000_000_000_u64.into());
     assert!(level == Level::Look && words.contains("1.00 GB of disk are free"), "{words}");
 }
 

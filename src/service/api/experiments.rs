@@ -4,12 +4,13 @@
 use axum::Json;
 use serde::Serialize;
 use serde_json::Value;
-use utoipa::{PartialSchema, ToSchema};
+use utoipa::ToSchema;
 
 use super::pages::Page;
 use super::problem::ApiError;
 use crate::carried::{EXPERIMENTS, about};
 use crate::schedule::experiment::Experiment;
+use crate::schedule::schema::of_experiments;
 
 /// An experiment that the program carries.
 #[derive(Debug, Clone, Serialize, ToSchema)]
@@ -45,8 +46,8 @@ pub async fn list() -> Result<Page<CarriedExperiment>, ApiError> {
     Ok(Page::whole(EXPERIMENTS.iter().map(carried).collect()))
 }
 
-/// Returns the JSON schema of an experiment file, which the component `Experiment` of this description
-/// equals.
+/// Returns the JSON schema of an experiment file, as the component `Experiment` of this description
+/// states it, with its tables written out.
 ///
 /// It states the limits of every rig. Those of the rig, and limits between keys, are in the preflight.
 #[utoipa::path(get, operation_id = "experiment_schema",
@@ -56,7 +57,5 @@ pub async fn schema() -> Result<Json<Value>, ApiError> {
     let failed = |error: serde_json::Error| {
         ApiError::new(axum::http::StatusCode::INTERNAL_SERVER_ERROR, error.to_string())
     };
-    let mut schema = serde_json::to_value(Experiment::schema()).map_err(failed)?;
-    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema".into();
-    Ok(Json(schema))
+    Ok(Json(of_experiments().map_err(failed)?))
 }

@@ -12,6 +12,7 @@ use axum::response::Response;
 use serde::Serialize;
 use tokio::sync::broadcast::Sender;
 use tokio::sync::broadcast::error::RecvError;
+use tokio::task::JoinHandle;
 use tokio::time::{Instant, MissedTickBehavior, timeout};
 use utoipa::ToSchema;
 
@@ -113,6 +114,7 @@ pub async fn publish(app: App) {
     let mut changes = app.campaign.watch_status();
     let mut follower = app.campaign.follow_samples();
     let mut stored = StoredPart::default();
+    let mut reading: Option<JoinHandle<Option<StoredPart>>> = None;
     let mut sent = Instant::now();
     let (mut clients, mut samples) = (0, Vec::new());
     let mut tick = tokio::time::interval(INTERVAL);
@@ -128,9 +130,11 @@ pub async fn publish(app: App) {
         }
         sent = Instant::now();
         changes.mark_unchanged();
-        let reading = app.facts.memory.stored_part.get((), app.stored_part());
-        if let Ok(Ok(read)) = timeout(STORED_WAIT, reading).await {
-            stored = read;
+        // A reading that takes longer goes on, and is shown by a later message.
+        let task = reading.get_or_insert_with(|| tokio::spawn(read_stored(app.clone())));
+        if let Ok(read) = timeout(STORED_WAIT, task).await {
+            reading = None;
+            stored = read.ok().flatten().unwrap_or(stored);
         }
         let status = app.status_with(stored.clone()).await;
         let samples = envelope(&std::mem::take(&mut samples), SAMPLES_OF_MESSAGE);
@@ -145,6 +149,11 @@ pub async fn publish(app: App) {
             Err(error) => tracing::error!(%error, "a live status cannot be written"),
         }
     }
+}
+
+/// The stored part, at most as old as it is kept; `None` if it cannot be read.
+async fn read_stored(app: App) -> Option<StoredPart> {
+    app.facts.memory.stored_part.get((), app.stored_part()).await.ok()
 }
 
 /// Whether a message is made now: at once for something new, otherwise as a heartbeat.

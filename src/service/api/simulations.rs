@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use sim_core::forward::Workspace;
 use sim_core::sensor::Sensor;
 use tokio::time::timeout;
+use tracing::Instrument;
 use utoipa::ToSchema;
 
 use super::App;
@@ -28,6 +29,7 @@ const BODY: &str = "request";
 
 /// Request to simulate contacts.
 #[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
 pub struct SimulationRequest {
     /// Contacts; none: the untouched skin.
     #[schema(max_items = 6)]
@@ -123,19 +125,44 @@ pub async fn simulate(
         return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
     };
     let model = skin.calibration.as_ref().map_or("sensor file".into(), |(id, _)| id.to_string());
-    let warm = app.twins.skins().of(&skin.sensor_text, skin.calibration).await?;
-    let clock = Clock::new(1.0);
-    let work = move || {
+    let (skins, clock) = (app.twins.skins().clone(), Clock::new(1.0));
+    let foam_mm = skin.sensor.file.layers.foam.thickness_mm;
+    // A task of its own: its turn ends with the work, not with a client that does not wait.
+    let work = async move {
         let _turn = turn;
-        let started_s = clock.process_s();
-        let found = pressed(&warm.model, &contacts, &mut Workspace::default());
-        let took_ms = 1e3 * (clock.process_s() - started_s);
-        found.map(|found| answer(found, warm.untouched_v.clone(), model, took_ms))
+        let warm = skins.of(&skin.sensor_text, skin.calibration).await?;
+        let simulating = move || {
+            let started_s = clock.process_s();
+            let found = pressed(&warm.model, &contacts, &mut Workspace::default());
+            let took_ms = 1e3 * (clock.process_s() - started_s);
+            found.map(|found| answer(found, warm.untouched_v.clone(), model, took_ms))
+        };
+        // Low priority: the campaign and the live frames come first.
+        background(simulating).await.map_err(|_| SkinError::Worker)
     };
-    // Low priority: the campaign and the live frames come first.
-    let simulation = background(work).await.map_err(|_| SkinError::Worker)?;
-    let asked = asked.contacts;
-    Ok(Json(simulation.map_err(|error| refused(&error, &asked))?))
+    let simulation =
+        tokio::spawn(work.in_current_span()).await.map_err(|_| SkinError::Worker)??;
+    let simulation = simulation.map_err(|error| refused(&error, &asked.contacts))?;
+    within_foam(&simulation.contacts, &asked.contacts, foam_mm).map_err(ApiError::problems)?;
+    Ok(Json(simulation))
+}
+
+/// Refuses forces that would press the foam by more than its thickness: the model has no such state.
+fn within_foam(
+    found: &[PressedContact],
+    asked: &[GivenContact],
+    foam_mm: f64,
+) -> Result<(), Vec<Problem>> {
+    let beyond = |(index, (found, asked)): (usize, (&PressedContact, &GivenContact))| {
+        let force_n = asked.force_n.filter(|_| found.depth_mm > foam_mm)?;
+        let limit = format!(
+            "must press the foam by at most its thickness, {foam_mm} mm; it would be {:.1} mm",
+            found.depth_mm
+        );
+        Some(Problem::new(BODY, &format!("contacts[{index}].force_n"), force_n, limit))
+    };
+    let problems: Vec<Problem> = found.iter().zip(asked).enumerate().filter_map(beyond).collect();
+    if problems.is_empty() { Ok(()) } else { Err(problems) }
 }
 
 /// The skin of a request.

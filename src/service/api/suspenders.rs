@@ -75,7 +75,7 @@ impl Readings<'_> {
             is_beyond: self.free_bytes.is_some_and(|free| free < self.needed_bytes),
         };
         let limit_ms = self.frame_age_limit_ms as f64;
-        let mut rows = vec![disk, above("frame_age", self.frame_age_ms, limit_ms, "ms", true)];
+        let mut rows = vec![disk, above("frame_age", self.frame_age_ms, limit_ms, "ms", false)];
         if let Some(limits) = self.limits {
             let fit = self.fit.filter(|fit| fit.trials > 0);
             let (fvu, threshold) =

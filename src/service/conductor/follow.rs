@@ -54,7 +54,9 @@ impl Conductor {
     /// event reports it. Returns when to decide again, if none began and some are early.
     async fn begin_next(&self, now: Timestamp) -> Result<Option<Duration>, ConductorError> {
         let waiting = self.still_waiting().await?;
-        for run in waiting.iter().filter(|run| turn::is_due(run, now)) {
+        let lock = self.inner.store.lock().await?;
+        let present = turn::Present { now, lock: lock.as_ref() };
+        for run in waiting.iter().filter(|run| present.lets_begin(run)) {
             match self.begin(run).await {
                 Ok(()) => return Ok(None),
                 // Another run was started first: this one continues to wait.
@@ -62,7 +64,7 @@ impl Conductor {
                 Err(error) => self.drop_waiting(run, &error.to_string()).await?,
             }
         }
-        Ok(turn::decide_again(&waiting, now))
+        Ok(turn::decide_again(&waiting, present))
     }
 
     /// Runs that were started and wait, the next one first.
@@ -82,7 +84,9 @@ impl Conductor {
     /// `StoreError` if the store fails.
     pub async fn waiting_for(&self) -> Result<Option<String>, StoreError> {
         let is_busy = self.inner.campaign.status().run.is_some();
-        Ok(turn::waits_for(&self.still_waiting().await?, is_busy, Timestamp::now()))
+        let lock = self.inner.store.lock().await?;
+        let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
+        Ok(turn::waits_for(&self.still_waiting().await?, is_busy, present))
     }
 
     /// Lets started runs wait for their turn.

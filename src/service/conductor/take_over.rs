@@ -73,10 +73,11 @@ impl Conductor {
     async fn first_due(&self, waiting: Vec<RunRow>) -> Result<Option<RunRow>, ConductorError> {
         self.let_wait(waiting.iter().map(|run| run.uid));
         loop {
-            let (waiting, now) = (self.still_waiting().await?, Timestamp::now());
-            if let Some(due) = waiting.iter().find(|run| turn::is_due(run, now)) {
+            let (waiting, lock) = (self.still_waiting().await?, self.inner.store.lock().await?);
+            let present = turn::Present { now: Timestamp::now(), lock: lock.as_ref() };
+            if let Some(due) = waiting.iter().find(|run| present.lets_begin(run)) {
                 let status = self.inner.campaign.status();
-                let is_up = status.run.is_some() || status.rig.state == RigState::Homed;
+                let is_up = status.run.is_some() || status.rig.is_ready();
                 if is_up {
                     return Ok(None);
                 }
@@ -84,7 +85,7 @@ impl Conductor {
                 self.waiting().retain(|uid| waiting.iter().all(|run| run.uid != *uid));
                 return Ok(Some(due.clone()));
             }
-            match turn::decide_again(&waiting, now) {
+            match turn::decide_again(&waiting, present) {
                 Some(pause) => tokio::time::sleep(pause).await,
                 None => return Ok(None),
             }

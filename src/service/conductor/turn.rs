@@ -6,32 +6,68 @@ use std::time::Duration;
 use jiff::{SignedDuration, Timestamp};
 
 use crate::problem::Problem;
-use crate::store::RunRow;
+use crate::store::{LockRow, RunRow};
 
 /// Longest time between two decisions: the wall clock may be set, and the machine may sleep.
 const DECIDE_AGAIN: Duration = Duration::from_secs(30);
 /// Largest distance of a start time from now; a later one is assumed to be an error.
 const AHEAD_MAX_DAYS: i64 = 366;
 
-/// Whether a run may begin.
+/// Whether the time of a run has come.
 pub(super) fn is_due(run: &RunRow, now: Timestamp) -> bool {
     run.not_before.is_none_or(|at| at <= now)
 }
 
-/// Time after which to decide again, because a run may be due then; `None` if no run is early.
-pub(super) fn decide_again(waiting: &[RunRow], now: Timestamp) -> Option<Duration> {
-    let early = waiting.iter().filter_map(|run| run.not_before).filter(|at| *at > now);
-    let left = early.min()?.duration_since(now);
-    Some(Duration::try_from(left).unwrap_or_default().min(DECIDE_AGAIN))
+/// When it is decided, and the operator lock at that time.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Present<'a> {
+    /// Wall time.
+    pub now: Timestamp,
+    /// The lock; `None` if it is free.
+    pub lock: Option<&'a LockRow>,
+}
+
+impl Present<'_> {
+    /// Whether the time of a run has come and no lock refuses it.
+    pub fn lets_begin(self, run: &RunRow) -> bool {
+        self.is_due(run) && self.refusal(run).is_none()
+    }
+
+    fn is_due(self, run: &RunRow) -> bool {
+        is_due(run, self.now)
+    }
+
+    /// The lock that refuses the beginning of a run: another person took it after the run was started, for
+    /// example with hands in the rig. One who started a run and then took the lock does not stop it.
+    fn refusal(&self, run: &RunRow) -> Option<&LockRow> {
+        let is_later = |lock: &&LockRow| run.waiting_since.is_some_and(|start| lock.since > start);
+        self.lock.filter(is_later).filter(|lock| lock.holder != run.submitted_by)
+    }
+}
+
+/// Time after which to decide again, because a run may begin then; `None` if no run is early or refused
+/// by a lock.
+pub(super) fn decide_again(waiting: &[RunRow], present: Present<'_>) -> Option<Duration> {
+    let early = |run: &RunRow| run.not_before.filter(|at| *at > present.now);
+    let first = waiting.iter().filter_map(early).min();
+    let left =
+        first.map(|at| Duration::try_from(at.duration_since(present.now)).unwrap_or_default());
+    let refused = waiting.iter().any(|run| present.refusal(run).is_some());
+    let left = left.or(refused.then_some(DECIDE_AGAIN))?;
+    Some(left.min(DECIDE_AGAIN))
 }
 
 /// What the next of the waiting runs waits for, as text; `None` if none waits. `is_busy`: another
 /// run is active.
-pub(super) fn waits_for(waiting: &[RunRow], is_busy: bool, now: Timestamp) -> Option<String> {
-    let next = waiting.iter().find(|run| is_due(run, now));
+pub(super) fn waits_for(waiting: &[RunRow], is_busy: bool, present: Present<'_>) -> Option<String> {
+    let next = waiting.iter().find(|run| present.is_due(run));
     let first = next.or_else(|| waiting.iter().min_by_key(|run| run.not_before))?;
     let run = format!("run {} ({})", first.scan_id, first.experiment);
-    Some(match first.not_before.filter(|at| *at > now) {
+    if let Some(lock) = present.refusal(first).filter(|_| present.is_due(first)) {
+        let LockRow { holder, note, .. } = lock;
+        return Some(format!("{run} starts when {holder} releases the operator lock: {note}"));
+    }
+    Some(match first.not_before.filter(|at| *at > present.now) {
         Some(at) => format!("{run} starts at {at:.0} or later"),
         None if is_busy => format!("{run} starts when the active run has ended"),
         None => format!("{run} starts when the rig is homed"),
@@ -78,8 +114,10 @@ mod tests {
 
     fn due(starts: &[Option<i64>]) -> Vec<i64> {
         let runs = waiting(starts);
-        runs.iter().filter(|run| is_due(run, at(0))).map(|run| run.scan_id).collect()
+        runs.iter().filter(|run| FREE.lets_begin(run)).map(|run| run.scan_id).collect()
     }
+
+    const FREE: Present<'static> = Present { now: Timestamp::constant(NOW_S, 0), lock: None };
 
     #[test]
     fn a_run_is_due_from_its_time_on_and_holds_up_no_other() {
@@ -90,7 +128,7 @@ mod tests {
 
     #[test]
     fn the_next_decision_is_when_the_first_early_run_is_due_or_soon() {
-        let again = |starts: &[Option<i64>]| decide_again(&waiting(starts), at(0));
+        let again = |starts: &[Option<i64>]| decide_again(&waiting(starts), FREE);
         assert_eq!(again(&[None, Some(-5), Some(0)]), None);
         assert_eq!(again(&[Some(20), None, Some(7)]), Some(Duration::from_secs(7)));
         assert_eq!(again(&[Some(7200)]), Some(DECIDE_AGAIN));
@@ -98,7 +136,7 @@ mod tests {
 
     #[test]
     fn the_status_names_the_next_run_and_its_reason() {
-        let words = |starts: &[Option<i64>], busy| waits_for(&waiting(starts), busy, at(0));
+        let words = |starts: &[Option<i64>], busy| waits_for(&waiting(starts), busy, FREE);
         assert_eq!(words(&[], true), None);
         let homed = "run 1 (quickstart) starts when the rig is homed";
         assert_eq!(words(&[Some(-1), None], false).unwrap(), homed);
@@ -106,6 +144,31 @@ mod tests {
         assert_eq!(words(&[Some(60), None], true).unwrap(), ended);
         let later = "run 2 (quickstart) starts at 2026-11-18T11:07:40Z or later";
         assert_eq!(words(&[Some(90), Some(60)], false).unwrap(), later);
+    }
+
+    #[test]
+    fn a_lock_that_another_person_took_after_the_start_refuses_the_run() {
+        let lock = |holder: &str, since: i64| LockRow {
+            holder: holder.into(),
+            note: "hands in the rig".into(),
+            since: at(since),
+        };
+        let mut runs = waiting(&[Some(-1)]);
+        runs[0].waiting_since = Some(at(-100));
+        runs[0].submitted_by = "ada".into();
+        let of = |lock: LockRow| {
+            let present = Present { now: at(0), lock: Some(&lock) };
+            let again = decide_again(&runs, present);
+            (present.lets_begin(&runs[0]), again, waits_for(&runs, false, present).unwrap())
+        };
+        let (begins, again, words) = of(lock("bob", -50));
+        assert!(!begins && again == Some(DECIDE_AGAIN));
+        assert_eq!(
+            words,
+            "run 1 (quickstart) starts when bob releases the operator lock: hands in the rig"
+        );
+        // Who took the lock before could start the run himself, or gave it to nobody else.
+        assert!(of(lock("bob", -200)).0 && of(lock("ada", -50)).0);
     }
 
     #[test]

@@ -16,7 +16,7 @@ use palpate::schedule::experiment::Experiment;
 use palpate::schedule::plan::Plan;
 use serde_json::{Value, json};
 use sim_core::sensor::Sensor;
-use virtual_rig::run::VirtualRig;
+use virtual_rig::run::{RigArgs, VirtualRig};
 
 use super::journal::Scripted;
 use crate::bench::{self, LIMIT, rig_args};
@@ -52,8 +52,13 @@ pub struct Harness {
 impl Harness {
     /// Switches everything on, connects and homes.
     pub async fn homed() -> Self {
+        Self::homed_on(&rig_args("virtual", SPEED)).await
+    }
+
+    /// As `homed`, on another rig.
+    pub async fn homed_on(args: &RigArgs) -> Self {
         let turn = bench::turn().await;
-        let rig = VirtualRig::switch_on(&rig_args("virtual", SPEED)).await.unwrap();
+        let rig = VirtualRig::switch_on(args).await.unwrap();
         let config = RigConfig::from_toml("served.toml", &rig.rig_text).unwrap();
         let journal = Arc::new(Scripted::default());
         let (handle, thread) = engine::spawn(config.clone().into(), journal.clone()).unwrap();

@@ -1,6 +1,7 @@
 //! What trips by itself.
 
 use std::collections::BTreeSet;
+use std::path::Path;
 use std::time::Duration;
 
 use palpate::campaign::bench::interlock::TripKind;
@@ -9,9 +10,11 @@ use palpate::campaign::shown::command::Request;
 use palpate::campaign::shown::safe_end::Tips;
 use palpate::campaign::shown::status::{Phase, Status};
 use serde_json::json;
+use virtual_rig::run::RigArgs;
 
-use super::harness::{Harness, experiment};
+use super::harness::{Harness, SPEED, experiment};
 use super::journal::Mood;
+use crate::bench::{self, rig_args};
 use palpate::state::StoredState;
 
 /// Tripped by this kind, in these words.
@@ -70,6 +73,31 @@ async fn a_cell_that_stands_at_its_zero_before_the_touch_off_stops_it_early() {
     assert!(deepest_mm < 2.0 && peak_n < 30.0, "{deepest_mm} mm below the surface, {peak_n} N");
     assert!(harness.journal.taken().trials.is_empty());
     harness.close().await;
+}
+
+/// Heights of the touches of one tip on a rig whose cells convert at this period, machine mm.
+async fn heights(update_ms: f64) -> Vec<f64> {
+    let text = std::fs::read_to_string(bench::file("rigs/virtual.toml")).unwrap();
+    let from = text.lines().find(|line| line.starts_with("update_ms")).unwrap();
+    let text = text.replace(from, &format!("update_ms = {update_ms:.1}"));
+    let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("update-{update_ms}.toml"));
+    std::fs::write(&file, text).unwrap();
+    let args = RigArgs { rig: file, ..rig_args("virtual", SPEED) };
+    let harness = Harness::homed_on(&args).await;
+    harness.run(1, "").await;
+    let status = harness.until("a surface", |s| s.rig.surface.is_some()).await;
+    harness.close().await;
+    status.rig.surface.unwrap().touches.iter().map(|touch| touch.3).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_reply_that_still_shows_the_coarse_touch_gives_no_height() {
+    // The tips are raised in less time than a slow module needs for a conversion.
+    let (fast, slow) = (heights(20.0).await, heights(400.0).await);
+    assert!(fast.len() == slow.len() && fast.len() >= 5, "{fast:?} {slow:?}");
+    for (fast_mm, slow_mm) in fast.iter().zip(&slow) {
+        assert!((fast_mm - slow_mm).abs() < 0.5, "{fast:?} {slow:?}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -2,8 +2,8 @@
 //! Uses: `campaign::{bench::stage, bench::travel, bench::tare, safe_end}`. Never: the plan,
 //! storage.
 //!
-//! At each place the tips go down until a cell detects a force, up a little, and down again slowly
-//! enough that the update period of a cell does not blur the height. The surface is the median over
+//! At each place the tips go down until a cell detects a force, up a little, and, once the cells read no
+//! touch any more, down again slowly enough that their update period does not blur the height. The surface is the median over
 //! places and arms, so that one late tip or one bump does not shift it. Every attached arm must
 //! touch at least once: this verifies each cell before any measurement depends on it.
 
@@ -31,6 +31,13 @@ const STEP_MM: f64 = 1.0;
 const BACK_OFF_MM: f64 = 1.5;
 /// Blur of the height by the time between two samples in the fine approach, mm.
 const BLUR_MM: f64 = 0.05;
+/// Travel between two samples above which a touch has no height: a reply was late, mm.
+const BLURRED_MM: f64 = 0.2;
+/// Update periods of the cells after which a reading was converted at rest: one that was under way, and
+/// a whole one.
+const CONVERSIONS: f64 = 2.0;
+/// Fine approaches of a place before the touch-off trips.
+const APPROACHES: u32 = 3;
 
 /// Touches every place and stores the result as the surface of the stage.
 ///
@@ -143,23 +150,73 @@ async fn touch(
         );
         return Err(Halt::trip(TripKind::Position, detail));
     }
+    for _ in 0..APPROACHES {
+        let felt_mm = back_off(stage, control).await?;
+        let raised = stage.weigh().await?.volts;
+        if (0..tips).any(|i| (raised[i] - tare_v[i]) * per_volt > TOUCH_N) {
+            continue;
+        }
+        let fine = (BLUR_MM / stage.stopping.blind_s(&stage.config)).min(coarse);
+        let deepest = (felt_mm + stage.config.skin.search_below_mm).min(z.travel_mm[1]);
+        let mut heights = Heights::default();
+        stage
+            .press_until(control, Descent { z_mm: deepest, speed_mm_s: fine }, |s| {
+                heights.take(s.z_mm, (0..tips).map(|i| force(s, i) > TOUCH_N));
+                heights.are_complete(tips) || (0..tips).any(|i| force(s, i) > ENOUGH_N)
+            })
+            .await?;
+        if !heights.is_blurred {
+            return Ok(heights.found());
+        }
+    }
+    let detail = format!(
+        "no height of a touch in {APPROACHES} approaches: a cell reads a touch {BACK_OFF_MM} mm above it, or \
+         samples came later than {BLURRED_MM} mm of travel"
+    );
+    Err(Halt::trip(TripKind::Stale, detail))
+}
+
+/// Raises the tips from where they touch, and waits until the module has converted there: its next reply
+/// would still show the touch. Returns the height from which they were raised, machine mm.
+async fn back_off(stage: &mut Stage, control: &mut Control) -> Result<f64, Halt> {
     let felt_mm = stage.bench.z.status().await?.position;
-    let back = (felt_mm - BACK_OFF_MM).max(z.travel_mm[0]);
+    let back = (felt_mm - BACK_OFF_MM).max(stage.config.axes.z.travel_mm[0]);
     stage.weighed_travel(control, Target::of(AxisName::Z, back)).await?;
-    let fine = (BLUR_MM / stage.stopping.blind_s(&stage.config)).min(coarse);
-    let deepest = (felt_mm + stage.config.skin.search_below_mm).min(z.travel_mm[1]);
-    let mut heights = [None::<f64>; ARMS];
-    stage
-        .press_until(control, Descent { z_mm: deepest, speed_mm_s: fine }, |s| {
-            for (i, height) in heights.iter_mut().enumerate().take(tips) {
-                if height.is_none() && force(s, i) > TOUCH_N {
-                    *height = Some(s.z_mm);
-                }
+    let (clock, wait_s) = (stage.clock.clone(), CONVERSIONS * stage.config.cells.update_ms / 1e3);
+    stage.watch_while(control, async move { clock.sleep(wait_s).await }).await?;
+    Ok(felt_mm)
+}
+
+/// Heights of the first touch of each arm in one approach, machine mm.
+#[derive(Debug, Default)]
+struct Heights {
+    of_arms: [Option<f64>; ARMS],
+    last_mm: Option<f64>,
+    is_blurred: bool,
+}
+
+impl Heights {
+    /// Takes a sample: its height, and which arms touch. The first sample of an approach has no step.
+    fn take(&mut self, z_mm: f64, touching: impl Iterator<Item = bool>) {
+        let step_mm = self.last_mm.map_or(0.0, |last| z_mm - last);
+        for (height, touches) in self.of_arms.iter_mut().zip(touching) {
+            if height.is_none() && touches {
+                *height = Some(z_mm);
+                self.is_blurred |= step_mm > BLURRED_MM;
             }
-            heights[..tips].iter().all(Option::is_some) || (0..tips).any(|i| force(s, i) > ENOUGH_N)
-        })
-        .await?;
-    Ok((0..tips).filter_map(|i| heights[i].map(|h| (i as u8 + 1, h))).collect())
+        }
+        self.last_mm = Some(z_mm);
+    }
+
+    fn are_complete(&self, tips: usize) -> bool {
+        self.of_arms[..tips].iter().all(Option::is_some)
+    }
+
+    /// The arms that touched, from 1, with their heights.
+    fn found(&self) -> Vec<(u8, f64)> {
+        let arms = (1..).zip(self.of_arms);
+        arms.filter_map(|(arm, height)| height.map(|height| (arm, height))).collect()
+    }
 }
 
 /// Median height, and the median of each arm relative to it.
@@ -196,6 +253,23 @@ mod tests {
         let found = conclude(6, touches, Timestamp::UNIX_EPOCH).expect("tips touched");
         assert!((found.surface_z_mm - 60.05).abs() < 0.06, "{}", found.surface_z_mm);
         assert!((found.tip_offset_mm[5].1 - 2.0).abs() < 0.1);
+    }
+
+    #[test]
+    fn the_first_touch_of_each_arm_counts_unless_a_sample_came_late() {
+        let mut heights = Heights::default();
+        for (z_mm, touching) in
+            [(57.0, [false, false]), (57.1, [true, false]), (57.2, [true, true])]
+        {
+            assert!(!heights.are_complete(2));
+            heights.take(z_mm, touching.into_iter());
+        }
+        assert!(heights.are_complete(2) && !heights.is_blurred);
+        assert_eq!(heights.found(), [(1, 57.1), (2, 57.2)]);
+        let mut late = Heights::default();
+        late.take(57.0, [false].into_iter());
+        late.take(57.5, [true].into_iter());
+        assert!(late.is_blurred);
     }
 
     #[test]

@@ -1,17 +1,16 @@
 //! The schema of an experiment file equals what the parser accepts: keys, limits, defaults.
 
-use serde_json::Value;
-use utoipa::PartialSchema;
-
 use crate::problem::Problem;
 use crate::schedule::experiment::Experiment;
+use crate::schedule::schema::of_experiments;
+use serde_json::Value;
 
 const START: &str = "name = \"test\"\nseed = 1\nsensor = \"sensors/ert-28.toml\"\n";
 const HEX: &str = "[real_hex]\ntips = [1]\nconfigurations = 3\n";
 const RANDOM: &str = "[real_random]\ncontacts = [2]\ntrials_each = 1\nweights_n = [5.0]\n";
 
 fn schema() -> Value {
-    serde_json::to_value(Experiment::schema()).unwrap()
+    of_experiments().unwrap()
 }
 
 fn keys(object: &Value) -> Vec<&str> {
@@ -157,7 +156,7 @@ fn defaults_and_required_keys_are_those_of_the_parser() {
 
 #[test]
 fn the_number_of_trials_is_that_of_the_plan() {
-    for (name, text) in palpate_words::carried::EXPERIMENTS {
+    for (name, text) in crate::carried::EXPERIMENTS {
         let experiment = Experiment::from_toml(name, text).unwrap();
         assert_eq!(experiment.trials(), super::planned(&experiment).trials(), "{name}");
     }

@@ -26,13 +26,13 @@ def each(cell: str, columns: list[str]) -> list[str]:
     if len(entries) == 1:
         entries *= len(columns)
     if len(entries) != len(columns):
-        raise SystemExit(f"docs/how-to/datasets.md: {columns} have {cell}")
+        raise SystemExit(f"docs/columns.md: {columns} have {cell}")
     return entries
 
 
 def promised() -> dict[str, tuple[str, str | None]]:
     """The columns as the manual promises them: type and unit, in order."""
-    manual = (Path(__file__).parents[4] / "docs/how-to/datasets.md").read_text(encoding="utf-8")
+    manual = (Path(__file__).parents[4] / "docs/columns.md").read_text(encoding="utf-8")
     head = "| column | type | unit | |\n|---|---|---|---|\n"
     found = {}
     for line in manual.split(head)[1].split("\n\n")[0].splitlines():

@@ -29,6 +29,10 @@ impl Engine {
         let height = if hands { Height::Top } else { Height::Clear };
         let safe = self.leave_contact(job, halt.as_trip(), height).await;
         let mut passing = false;
+        if job.plan.kind == Kind::RealRandom {
+            // The weights may be lifted meanwhile: a confirmation holds for one undisturbed measurement.
+            attempts.confirmed = None;
+        }
         match halt {
             Halt::Asked => self.note_suspension(),
             Halt::Checkpoint => {}
@@ -37,7 +41,6 @@ impl Engine {
             Halt::Failed(reason) if job.plan.kind == Kind::RealRandom => {
                 self.note_attempt(job, &reason, attempts);
                 attempts.of_configuration += 1;
-                attempts.confirmed = None;
                 attempts.not_measured = Some(reason);
             }
             Halt::Failed(reason) if safe => return self.failed(job, reason, attempts),

@@ -97,6 +97,10 @@ impl Engine {
         let mut pace = Pace::predicted(job.predicted_trial_s / self.config.clock_rate());
         let mut attempts = Attempts::default();
         let mut auto_resumes = 0;
+        if job.plan.kind == Kind::RealRandom {
+            // Weights and hands are on the skin: before the next press a person confirms the tips again.
+            self.mounting = None;
+        }
         loop {
             let halt = match self.advance(job, &mut pace, &mut attempts).await {
                 Ok(None) => continue,
@@ -260,6 +264,8 @@ impl Engine {
         let Some(connection) = self.connection.as_ref() else {
             return Err(Halt::trip(TripKind::Wire, "no wires are open"));
         };
+        let key = TrialKey { configuration: placement.index, depth_index: 0 };
+        self.control.show_run(|run| run.trial = Some(key));
         let confirmed = attempts.confirmed.clone().filter(|(index, _)| *index == placement.index);
         let Some((_, confirmation)) = confirmed else {
             return Err(Halt::Needs(Wanted::Placement {
@@ -272,7 +278,6 @@ impl Engine {
         let confirmed = manual::Confirmed { run, confirmation, measure, attempt };
         let place = StepOfTour::of(&job.plan, placement.index);
         self.control.show_run(|run| run.current_step = place);
-        let key = TrialKey { configuration: placement.index, depth_index: 0 };
         let trial = manual::measure(&skin, &clock, &mut self.control, confirmed, placement);
         trial.instrument(trial_span(key)).await?;
         progress.stored.insert(key);

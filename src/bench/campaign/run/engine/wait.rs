@@ -261,6 +261,14 @@ impl Engine {
                 let _ = answer.send(Err(Refusal::State(words)));
                 None
             }
+            Request::Home | Request::Jog { .. } if job.plan.kind == Kind::RealRandom => {
+                let words = format!(
+                    "{} is not possible during a manual run: hands may be on the skin; end the run first",
+                    name(&request)
+                );
+                let _ = answer.send(Err(Refusal::State(words)));
+                None
+            }
             Request::Connect
             | Request::Disconnect
             | Request::Home
