@@ -141,8 +141,8 @@ def first_evening(page, browser):
     said(page, re.compile("Twin", re.I))
     expect(page).to_have_url(re.compile("trial="))
     before = page.url
-    page.keyboard.press("j")
-    until("the next trial", lambda: page.url != before)
+    page.keyboard.press("k")
+    until("the trial before", lambda: page.url != before)
     # A dataset, its download and its lineage down to a frame.
     api("/datasets", {"name": "run-1"})
     page.goto(f"{URL}/data")
