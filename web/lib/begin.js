@@ -74,8 +74,9 @@ export async function beginRun(run, said, { ask = true } = {}) {
   }
 }
 
-/** Makes a button that begins a run; `beginRun` tells each step and the result. */
-export const beginButton = (words, run, said, props = {}) => actor(words, { run: (_, work) => work() }, () => beginRun(run, said), props)
+/** Makes a button that begins a run; `beginRun` tells each step and the result, `after` gets it. */
+export const beginButton = (words, run, said, { after = () => {}, ...props } = {}) =>
+  actor(words, { run: (_, work) => work() }, () => beginRun(run, said).then(after), props)
 
 /** Queues an experiment, by its text; returns the run. Services that carry the sensor file need no text of it. */
 export const queueText = (file, definition, more = {}) => once('/queue', { file, definition, who: who(), ...more })

@@ -2,17 +2,10 @@
 
 import { get } from './api.js'
 import { beginButton } from './begin.js'
-import { el, facts, fill, link } from './dom.js'
-import { about, count, counted, fixed, moment, span } from './format.js'
+import { el, facts, fill, link, say } from './dom.js'
+import { NONE, about, capital, count, counted, fixed, moment, span } from './format.js'
+import { endWord, largest } from './runwords.js'
 import { TONE, WAITS } from './words.js'
-
-const median = values => {
-  const known = (values ?? []).filter(v => v != null).sort((a, b) => a - b)
-  return known.length ? known[known.length >> 1] : null
-}
-const largest = values => (values ?? []).reduce((most, v) => v == null ? most : Math.max(most ?? v, v), null)
-
-const ENDS = { success: 'Finished', abort: 'Aborted', fail: 'Failed' }
 
 /** When a queued run begins. */
 function startWords({ waiting_since, not_before }) {
@@ -32,19 +25,19 @@ export function ended({ said, signal }) {
     node,
     async show(run, progress) {
       const over = run.exit_status != null
-      head.textContent = over ? ENDS[run.exit_status] ?? run.exit_status : 'Interrupted'
+      head.textContent = capital(endWord(run))
       head.className = `state ${over ? run.exit_status === 'success' ? '' : TONE[run.exit_status] ?? '' : 'warn'}`
       fill(why, `Run ${run.scan_id}, ${run.experiment}${run.ended_at ? `, ${moment(run.ended_at)}` : ''}: `,
         over ? `${run.reason ?? run.exit_status}.` : `it waits: ${WAITS[run.paused_why] ?? 'it was interrupted'}. Its trials are stored, and it can go on.`)
       fill(begin, !over && el('div', { className: 'row' }, beginButton('Arm and resume', run, said, { className: 'main' })))
       try {
-        const summary = await get(`/runs/${run.uid}/summary`, {}, { signal })
+        const summary = await get(`/runs/${run.uid}/summary`, {}, { signal }), fvu = el('span', {}, NONE)
         fill(list, facts([
           ['Trials stored', `${count(summary.trials_stored)} of ${count(run.trials_planned)}`], ['Skipped', counted(summary.trials_skipped, 'trial')],
             ['Failed attempts', count(summary.retries)],
-          ['Duration', span(summary.duration_s)], ['Largest force', fixed(largest(progress?.largest_force_n), 1, 'N')], ['Median FVU',
-            about(median(progress?.fvu))],
+          ['Duration', span(summary.duration_s)], ['Largest force', fixed(largest(progress?.largest_force_n), 1, 'N')], ['Median FVU', fvu],
         ]))
+        get(`/runs/${run.uid}/evaluation/simulation`, {}, { signal, wait: 20_000 }).then(fit => say(fvu, about(fit.median_fvu)), () => {})
       } catch (error) { if (!signal.aborted) fill(list, el('p', { className: 'soft' }, `Its summary could not be read: ${error.message}`)) }
       const n = run.scan_id
       fill(links, el('h3', {}, 'What next'), el('p', { className: 'next-links' }, NEXT(n).map(([href, words]) => link(href, words))))

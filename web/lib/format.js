@@ -3,8 +3,13 @@
 /** Shown for what is not known. */
 export const NONE = '–'
 
+// Made once: a formatter costs a hundred times what it does.
+const COUNTS = new Intl.NumberFormat('en-US')
+const TIMES = new Intl.DateTimeFormat('en-GB', { hour: '2-digit', minute: '2-digit', second: '2-digit' })
+const DAYS = new Intl.DateTimeFormat('en-GB', { day: 'numeric', month: 'short' })
+
 /** 12,481 */
-export const count = n => n == null ? NONE : n.toLocaleString('en-US')
+export const count = n => n == null ? NONE : COUNTS.format(n)
 
 /** A number with fixed digits and its unit; a true minus sign. */
 export const fixed = (x, digits, unit = '') => x == null || Number.isNaN(x) ? NONE
@@ -26,7 +31,7 @@ export function bytes(n) {
 }
 
 /** 14:03:59 */
-export const clock = t => new Date(t).toLocaleTimeString('en-GB')
+export const clock = t => TIMES.format(new Date(t))
 
 /** 14:03, with the day if it is not today. */
 export function moment(t, seconds = false) {
@@ -34,7 +39,7 @@ export function moment(t, seconds = false) {
   const day = x => new Date(x).setHours(0, 0, 0, 0)
   const days = Math.round((day(t) - day(Date.now())) / 864e5)
   const words = days === 0 ? '' : days === 1 ? 'tomorrow ' : days === -1 ? 'yesterday '
-    : `${new Date(t).toLocaleDateString('en-GB', { day: 'numeric', month: 'short' })} `
+    : `${DAYS.format(new Date(t))} `
   return words + clock(t).slice(0, seconds ? 8 : 5)
 }
 

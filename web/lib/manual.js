@@ -2,10 +2,9 @@
 
 import { all, get } from './api.js'
 import { actor } from './actions.js'
-import { beginRun, queueText } from './begin.js'
-import { button, el, fill, link, panel } from './dom.js'
+import { beginButton, queueText } from './begin.js'
+import { el, fill, link, panel } from './dom.js'
 import { count, moment } from './format.js'
-import { live } from './live.js'
 import { overlay } from './overlay.js'
 import { table } from './table.js'
 
@@ -34,7 +33,7 @@ export function manual(said, { signal }) {
     const waiting = (await all('/queue', {}, { signal }).catch(() => [])).filter(run => run.kind === 'real-random')
     fill(queued, waiting.map(run => el('div', { className: 'row' },
       el('span', {}, `Run ${run.scan_id}, ${run.experiment}: ${count(run.trials_planned)} trials, queued ${moment(run.created_at)}.`),
-      button('Arm and start', () => beginRun(run, said), { className: `main${live.may('operator') ? '' : ' denied'}`, data: { role: 'operator' } }))))
+      beginButton('Arm and start', run, said, { className: 'main' }))))
     const items = await get('/experiments', {}, { signal }).then(page => page.items.filter(isManual), error => error)
     if (!Array.isArray(items)) return fill(carried, el('p', { className: 'soft' },
       `The carried experiments could not be read (${items.message}). A file can be queued on `, link('/queue', 'the queue'), '.'))

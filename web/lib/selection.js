@@ -12,7 +12,7 @@ export const FLAGS = {
   depth_missed: 'The measured depth differs from its target by more than the tolerance.',
   still_cell: 'An attached cell measured no force where its tip must press.',
   silent_skin: 'The cells measure a load to which the skin does not respond.',
-  placed_anyway: 'It was stored although the skin felt a weight in another place.',
+  doubted: 'It was stored although the skin felt a weight in another place.',
 }
 
 /** Parameters of the page that are no condition on trials. */
@@ -62,9 +62,7 @@ export function selection({ set, said }) {
       ['', 'any'],
       ['flagged=true', 'with a flag'],
       ['flagged=false', 'without a flag'],
-      ...Object.keys(FLAGS)
-        .slice(0, 7)
-        .map(flag => [`flag=${flag}`, plain(flag)]),
+      ...Object.keys(FLAGS).map(flag => [`flag=${flag}`, plain(flag)]),
     ],
     '',
     value => {

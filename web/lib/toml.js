@@ -1,7 +1,7 @@
 // Experiment files as text: which keys are in it, and one value changed while comments and order stay.
 // Not a parser of TOML, that is the service's part: what it cannot read, it leaves as it is. No DOM.
 
-/** Keys of a text with their values as written: [{ table, key, raw, line, from }]; multi-line values are excluded. */
+/** Keys of a text with their values as written: [{ table, key, raw, line, from }]; multi-line values are excluded, an empty value is ''. */
 export function entries(text) {
   let table = ''
   return text.split('\n').flatMap((words, line) => {
@@ -12,7 +12,7 @@ export function entries(text) {
     }
     const pair = /^(\s*([\w-]+)\s*=\s*)(.*)$/.exec(words)
     const raw = pair && valueOf(pair[3])
-    return raw ? [{ table, key: pair[2], raw, line, from: pair[1].length }] : []
+    return raw === null ? [] : [{ table, key: pair[2], raw, line, from: pair[1].length }]
   })
 }
 

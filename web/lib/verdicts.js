@@ -32,8 +32,13 @@ export function onTime({ run }, at, history, next) {
   return { tone: slow ? 'warn' : 'good', words: `Done about ${end} (${low} to ${high})${than}.` }
 }
 
-const unjudged = (run, trial) => run ? 'No twin to compare with yet.'
-  : trial?.fvu != null ? `The last trial fits its twin with FVU ${fixed(trial.fvu, 3)}.` : 'Nothing to judge yet.'
+/** What the last trial alone says, where no newer trials are judged. */
+function lastTrial(run, trial, suspenders) {
+  if (run) return { tone: '', words: 'No twin to compare with yet.' }
+  if (trial?.fvu == null) return { tone: '', words: 'Nothing to judge yet.' }
+  const limits = (suspenders ?? []).filter(one => one.name === 'twin_fvu').map(one => one.threshold)
+  return { tone: trial.fvu > Math.min(...limits) ? 'warn' : '', words: `The last trial has FVU ${fixed(trial.fvu, 3)}.` }
+}
 
 const WATCHED = { disk: 'free disk', frame_age: 'age of the newest frame', twin_fvu: 'fit of the twins (FVU)', electrode_pairs: 'worst electrode pair (FVU)' }
 
@@ -66,8 +71,13 @@ export function good({ run, disk, suspenders }, twins, seen) {
   }
   const broken = (seen.stuck?.length ?? 0) + (seen.saturated?.length ?? 0)
   if (broken) { tone = worse(tone, 'warn'); words.push(`${counted(broken, 'channel')} stuck or saturated.`) }
-  if (!words.length) words.push(unjudged(run, seen.trial))
-  return { tone: tone || (broken === 0 && seen.stuck ? 'good' : ''), words: words.join(' ') }
+  if (!words.length) {
+    const last = lastTrial(run, seen.trial, suspenders)
+    tone = last.tone
+    words.push(last.words)
+  }
+  // Without a fresh frame nothing says that the data are good now.
+  return { tone: tone === '' || tone === 'good' ? seen.stuck ? 'good' : '' : tone, words: words.join(' ') }
 }
 
 /** Backlog of the twins, as text. */

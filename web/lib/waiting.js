@@ -1,8 +1,8 @@
 // The waiting runs: their order, predicted times, and what may be done with each. Rows are dragged or moved by buttons.
 
-import { ask, get, send, withQuery } from './api.js'
+import { Refused, ask, get, send, withQuery } from './api.js'
 import { actor, confirm, named, only } from './actions.js'
-import { beginRun } from './begin.js'
+import { beginButton } from './begin.js'
 import { clockline, predict } from './clockline.js'
 import { button, el, panel, say } from './dom.js'
 import { NONE, capital, count, counted, moment, plain, span } from './format.js'
@@ -81,7 +81,7 @@ export function waiting({ said, go, signal }) {
     return el(
       'div',
       { className: 'row tight' },
-      !row.waiting_since && other('Arm and start', () => beginRun(row, said).then(refresh), { className: at ? '' : 'main' }),
+      !row.waiting_since && beginButton('Arm and start', row, said, { after: refresh, className: at ? '' : 'main', 'aria-label': `Arm and start ${run}` }),
       mine('Up', () => move(row, at), { disabled: at === 0, 'aria-label': `Move ${run} up` }),
       mine('Down', () => move(row, at + 2), { disabled: at === rows.length - 1, 'aria-label': `Move ${run} down` }),
       other('Edit', () => go(`/queue?edit=${row.scan_id}`)),
@@ -121,14 +121,10 @@ export function waiting({ said, go, signal }) {
     try {
       const answer = await ask('/api/v1/queue', { signal, headers: tag ? { 'if-none-match': tag } : {} })
       fails = ''
-      if (answer.status === 304) return times()
-      tag = answer.headers.get('etag') ?? ''
-      rows = (await answer.json()).items
-      const focus = pressed || document.activeElement?.dataset.key // An action disables its button, which loses the focus.
-      pressed = ''
-      list.show(rows)
-      drag.attach()
-      if (focus) list.node.querySelector(`[data-key="${focus}"]`)?.focus()
+      if (answer.status !== 304) {
+        tag = answer.headers.get('etag') ?? ''
+        draw((await answer.json()).items)
+      }
       times()
       for (const row of rows.slice(0, MOST_ESTIMATES)) await estimate(row)
     } catch (error) {
@@ -137,13 +133,22 @@ export function waiting({ said, go, signal }) {
     }
     times()
   }
+  function draw(next) {
+    rows = next
+    const focus = pressed || document.activeElement?.dataset.key // An action disables its button, which loses the focus.
+    pressed = ''
+    list.show(rows)
+    drag.attach()
+    if (focus) list.node.querySelector(`[data-key="${focus}"]`)?.focus()
+  }
   async function estimate(row) {
     const known = estimates.get(row.uid)
     if (known?.plan === row.plan_sha256 || signal.aborted) return
     try {
       estimates.set(row.uid, { ...(await get(`/runs/${row.uid}/preflight`, {}, { signal, wait: 20_000 })), plan: row.plan_sha256 })
     } catch (error) {
-      estimates.set(row.uid, { plan: row.plan_sha256, refused: error.message })
+      // Only a refusal is an answer: what failed otherwise is asked again with the next reading.
+      if (error instanceof Refused && error.status < 500 && error.status !== 429) estimates.set(row.uid, { plan: row.plan_sha256, refused: error.message })
     }
     times()
   }

@@ -103,12 +103,12 @@ export async function show(root, { query, signal, go, set }) {
     geometry = shape
     const waits = run.state === 'queued' || run.state === 'interrupted'
     const may = answer.p && !answer.p.problems.length
-    const begin = async () => {
-      if (!(await beginRun(run, said))) return
+    const after = started => {
+      if (!started) return undefined
       shown = ''
-      await open(state)
+      return open(state)
     }
-    const start = only('operator', button(run.state === 'interrupted' ? 'Resume' : 'Arm and start', begin, { className: 'main', disabled: !may }))
+    const start = beginButton(run.state === 'interrupted' ? 'Resume' : 'Arm and start', run, said, { after, className: 'main', disabled: !may })
     const facing = pane(
       el('h2', {}, el('span', {}, `Run ${run.scan_id}, ${run.experiment}`), run.label === 'virtual' ? el('span', { className: 'badge' }, 'virtual') : ''),
       el('p', {}, standing(run)),

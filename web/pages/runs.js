@@ -1,8 +1,8 @@
 // Runs: what happened? The history, newest first; `run=N` opens the report of one, `with=M` compares two.
 
 import { get, withQuery } from '../lib/api.js'
-import { only, outcome } from '../lib/actions.js'
-import { beginRun } from '../lib/begin.js'
+import { outcome } from '../lib/actions.js'
+import { beginButton } from '../lib/begin.js'
 import { compare } from '../lib/compare.js'
 import { button, el, fill, link, note, panel, select } from '../lib/dom.js'
 import { NONE, count, counted, moment, span } from '../lib/format.js'
@@ -45,10 +45,7 @@ export async function show(root, { query, signal, go, set }) {
       ? el('span', { className: 'row tight' }, el('span', { className: 'warn' }, 'interrupted'), resume(run))
       : el('span', { className: runTone(run) }, endWord(run), run.reason && run.exit_status !== 'success' ? `: ${run.reason}` : '')
   function resume(run) {
-    return only(
-      'operator',
-      button('Resume', () => beginRun(run, said).then(refresh), { 'aria-label': `Resume run ${run.scan_id}` }),
-    )
+    return beginButton('Resume', run, said, { after: refresh, 'aria-label': `Resume run ${run.scan_id}` })
   }
   const rows = table({
     href: run => withQuery('/runs', { ...kept(), run: run.scan_id }),
@@ -97,8 +94,12 @@ export async function show(root, { query, signal, go, set }) {
   async function read(cursor) {
     try {
       const page = await get('/runs', { limit: PAGE, cursor }, { signal })
-      runs = cursor ? [...runs, ...page.items] : page.items
-      next = page.next ?? null
+      // The first page is read again and again: what was read beyond it stays.
+      const fresh = new Set(page.items.map(run => run.uid))
+      const old = runs.filter(run => !fresh.has(run.uid))
+      const had = runs.length > page.items.length
+      runs = cursor ? [...old, ...page.items] : [...page.items, ...old]
+      if (cursor || !had) next = page.next ?? null
       note(trouble, '')
     } catch (error) {
       if (!signal.aborted) note(trouble, `The runs could not be read: ${error.message}`)
