@@ -234,9 +234,8 @@ def touch(page, browser):
     errors = watched(page)
     page.goto(f"{URL}/nets")
     pressed(page, re.compile("^Promote"))
-    in_dialog(page, re.compile("Promote")) if page.locator("dialog[open]").count() else named(page)
-    if page.locator("dialog[open]").count():
-        in_dialog(page, "Promote")
+    named(page)
+    page.locator("dialog[open] button.main").click()
     until("the promotion", lambda: any(one.get("what") for one in api("/serving")["serves"]))
     hands({"cmd": "place", "weights": [{"x_mm": 270.0, "y_mm": 280.0, "force_n": 9.81}]})
     page.goto(f"{URL}/live?method=fast")
