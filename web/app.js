@@ -1,9 +1,10 @@
 // The shell: top bar with the stop, links, the key, and the page of the address. Knows no data.
 
-import { door, estop, giveKey, keep } from './lib/api.js'
+import { door, estop, giveKey, hasKey, keep } from './lib/api.js'
 import { actOnRig, actor, modal, outcome } from './lib/actions.js'
 import { button, el, fill, link, note, say } from './lib/dom.js'
 import { capital, clock, count, moment, percent, plain, span } from './lib/format.js'
+import { kindOf } from './lib/kinds.js'
 import { live, start } from './lib/live.js'
 import { TONE, WAITS } from './lib/words.js'
 import { FIRST, PAGES } from './pages.js'
@@ -89,21 +90,62 @@ function help() {
   modal(box)
 }
 
-// The stop: asks nothing, says what came of it, and what state was reached.
+// The stop: asks nothing, says what came of it until that is over, and what state was reached.
+let press = null, presses = 0
+function stopSaid(words, ...more) {
+  fill($('stop-said'), words, more)
+  $('stop-said').hidden = !words
+}
 $('stop').onclick = async () => {
-  note($('stop-said'), 'Stopping …')
-  const { words } = await estop()
-  note($('stop-said'), words)
+  const mine = presses += 1
+  press = null
+  stopSaid('Stopping …')
+  const { latched, words } = await estop()
+  if (mine !== presses) return // What came of the newest press is told.
+  const closed = live.fresh && live.status.rig.state === 'disconnected' ? ' The wires are closed: nothing moves, and the stop holds when they are opened.' : ''
+  press = { latched, words, tripped: false, of: live.status?.service.started_at }
+  stopSaid(words + (latched ? closed : ''), !latched && button('Close', () => stopSaid(''), { className: 'plain' }))
+}
+
+/** Clears what is said of a press: that it is latched, once it was reset; that it is not confirmed, once a stop is latched. */
+function stopState({ rig, service }) {
+  if (!press) return
+  const tripped = rig.state === 'tripped'
+  const over = press.latched ? press.tripped && !tripped || Boolean(press.of) && service.started_at !== press.of : rig.trip?.kind === 'estop'
+  if (over) { press = null; return stopSaid('') }
+  if (press.latched && tripped && !press.tripped) { press.tripped = true; stopSaid(press.words) }
+}
+
+// A press while the wires are closed is acknowledged only when they are opened: that time is not one of the axes.
+const UNWIRED = 'palpate-unwired' // Kept in the tab: a reload shows the same.
+let closedAt = 0, unwired = keep('sessionStorage', UNWIRED) === 'yes'
+function pressedUnwired(rig) {
+  if (rig.state === 'disconnected') closedAt = Date.now()
+  const is = rig.trip != null && (unwired || rig.estop_acknowledged_ms != null && Date.now() - rig.estop_acknowledged_ms < closedAt)
+  if (is !== unwired) keep('sessionStorage', UNWIRED, is ? 'yes' : '')
+  unwired = is
+  return is
 }
 
 // The key: a form in place of the page, until one is given.
 door.addEventListener('locked', ({ detail }) => {
   if ($('key-form')) return
-  const input = el('input', { id: 'key', type: 'password', autocomplete: 'off', required: true })
-  const form = el('form', { id: 'key-form', className: 'notice', onsubmit: event => { event.preventDefault(); form.remove(); giveKey(input.value); present = null; open() } },
-    el('label', { htmlFor: 'key' }, `${detail} Key of this service:`), el('div', { className: 'row' }, input, el('button', { className: 'main' }, 'Continue')))
+  const input = el('input', { id: 'key', type: 'password', autocomplete: 'off', required: true }), wrong = el('p', { role: 'alert', hidden: true })
+  const give = text => {
+    note(wrong, giveKey(text))
+    if (wrong.hidden) reopen(form)
+  }
+  const form = el('form', { id: 'key-form', className: 'notice', onsubmit: event => { event.preventDefault(); give(input.value) } },
+    el('label', { htmlFor: 'key' }, `${detail} Key of this service:`),
+    el('div', { className: 'row' }, input, el('button', { className: 'main' }, 'Continue'), hasKey() && button('Continue without a key', () => give(''), { className: 'plain' })), wrong)
   document.querySelector('header').append(form)
 })
+door.addEventListener('opened', () => { if ($('key-form')) reopen($('key-form')) })
+function reopen(form) {
+  form.remove()
+  present = null
+  open()
+}
 
 // The top bar: the state on every page.
 const said = outcome()
@@ -117,7 +159,7 @@ function etaWords(run, at) {
 }
 live.on('status', ({ status, at }) => {
   const { rig, run, lock } = status
-  if (rig.state !== 'tripped' && $('stop-said').textContent.startsWith('Emergency stop latched')) note($('stop-said'), '')
+  stopState(status)
   $('virtual').hidden = rig.label !== 'virtual'
   const word = run ? plain(run.state) : plain(rig.state)
   const wish = { paused: ', pause requested', idle: ', end requested' }[run?.requested_state] ?? ''
@@ -127,27 +169,36 @@ live.on('status', ({ status, at }) => {
   say($('bar-count'), run ? `${count(run.trials_stored)} of ${count(run.trials_planned)}` : '')
   $('bar-count').title = run ? percent(run.trials_stored, run.trials_planned) : ''
   say($('bar-eta'), etaWords(run, at))
-  document.title = `${run ? `${run.state} ${percent(run.trials_stored, run.trials_planned)}` : plain(rig.state)} · ${PAGES.find(p => p.name === document.body.dataset.page)?.title ?? ''} · Palpate`
+  const title = `${run ? `${run.state} ${percent(run.trials_stored, run.trials_planned)}` : plain(rig.state)} · ${PAGES.find(p => p.name === document.body.dataset.page)?.title ?? ''} · Palpate`
+  if (document.title !== title) document.title = title
   needs(rig, run, lock)
 })
 
+let wasTripped = false
 /** The one thing that a person must do, above everything else. */
 function needs(rig, run) {
-  const words = []
+  const words = [], isUnwired = pressedUnwired(rig)
+  // After a trip the position of the axes is not known, whether a run waits for it or not.
+  wasTripped = rig.trip != null || wasTripped && rig.state === 'disarmed'
+  const mustHome = rig.state === 'disarmed' && rig.has_stage !== false && (wasTripped || run?.paused_why === 'trip')
+    && !(run && kindOf(run.uid) === 'real-random')
   if (run?.state === 'panicked') words.push('The tips could not be raised: check the rig.')
   else if (rig.safe_end?.tips === 'not_raised') words.push(`The tips are NOT raised: ${rig.safe_end.why}`)
   if (rig.trip) {
     const moving = rig.estop_stops.filter(stop => stop.acknowledged_ms == null).map(stop => stop.axis)
-    const reached = rig.trip.kind !== 'estop' ? '' : rig.estop_acknowledged_ms != null ? ` Every axis stopped after ${rig.estop_acknowledged_ms.toFixed(1)} ms.` : moving.length ? ` NOT ACKNOWLEDGED by ${moving.join(', ')}: the stop is sent again until it is.` : ''
+    const reached = rig.trip.kind !== 'estop' ? '' : rig.estop_acknowledged_ms != null ? isUnwired ? ' It was pressed while the wires were closed; every axis has acknowledged it.' : ` Every axis stopped after ${rig.estop_acknowledged_ms.toFixed(1)} ms.` : moving.length ? ` NOT ACKNOWLEDGED by ${moving.join(', ')}: the stop is sent again until it is.` : ''
     words.push(`Tripped (${plain(rig.trip.kind)}): ${rig.trip.detail}.${reached} Clear the cause, reset, then home.`)
   }
   const waits = [WAITS[run?.paused_why], run?.waiting_for].filter(Boolean).join(': ')
   if (['tip_change', 'manual_trial'].includes(run?.paused_why)) words.push(capital(waits) + '.')
   else if (run?.paused_why && run.paused_why !== 'operator') words.push(`The run waits: ${waits}.`)
+  if (mustHome) words.push('Home the axes: keep hands and tools away.')
   const box = $('needs'), text = words.join(' ')
-  const buttons = rig.trip ? 'reset' : rig.state === 'disarmed' && run?.paused_why === 'trip' ? 'home' : run?.paused_why === 'manual_trial' ? 'place' : ''
+  const buttons = rig.trip ? 'reset' : mustHome ? 'home' : run?.paused_why === 'manual_trial' ? 'place' : ''
   if (box.dataset.text !== text + buttons) {
     box.dataset.text = text + buttons
+    if (box.dataset.buttons !== buttons) said.tell('') // What came of another button would be read as of this one.
+    box.dataset.buttons = buttons
     box.className = `notice ${rig.trip || run?.state === 'panicked' ? 'bad' : 'warn'}`
     fill(repair, buttons === 'reset' && actor('Reset', said, () => actOnRig('reset')), buttons === 'home' && actor('Home', said, () => actOnRig('home')), buttons === 'place' && link('/place', 'Go to the weights'))
     fill(box, el('p', {}, text), repair, said.node)

@@ -2,6 +2,7 @@
 
 import { Refused, once, person, send } from './api.js'
 import { button, el, fill, note } from './dom.js'
+import { kindOf } from './kinds.js'
 import { live, who } from './live.js'
 
 /** Opens a dialog over the page; a press where the stop is still presses the stop. */
@@ -28,14 +29,19 @@ export function named() {
   })
 }
 
-/** Asks before something that cannot be undone; resolves to whether it was confirmed. Never for a stop. */
-export function confirm(title, words, verb = 'Continue') {
+/**
+ * Asks before something that cannot be undone; resolves to whether it was confirmed. Never for a stop.
+ * It closes, unconfirmed, as soon as a status is no longer one of `holds`.
+ */
+export function confirm(title, words, verb = 'Continue', holds = () => true) {
   return new Promise(resolve => {
+    const over = new AbortController()
     let sure = false
-    const box = el('dialog', { 'aria-label': title, onclose: () => { box.remove(); resolve(sure) } }, el('h2', {}, title),
+    const box = el('dialog', { 'aria-label': title, onclose: () => { over.abort(); box.remove(); resolve(sure) } }, el('h2', {}, title),
       [words].flat().map(text => typeof text === 'string' ? el('p', {}, text) : text),
       el('div', { className: 'row' }, button(verb, () => { sure = true; box.close() }, { className: 'main' }), button('Cancel', () => box.close(), { className: 'plain' })))
     modal(box)
+    live.on('status', ({ status }) => holds(status) || box.close(), over.signal)
   })
 }
 
@@ -59,12 +65,17 @@ export function outcome() {
   return { node, tell, run }
 }
 
-/** Makes a button that asks for the name, acts, tells what came of it, and is hidden from those who may not. */
-export function actor(words, said, work, { role = 'operator', ...props } = {}) {
+/**
+ * Makes a button that asks for the name, acts, tells what came of it, and is hidden from those who may not.
+ * `work` gets what `seen()` returned at the press: what the person saw, whatever came meanwhile.
+ */
+export function actor(words, said, work, { role = 'operator', seen = () => undefined, ...props } = {}) {
   const node = button(words, async () => {
+    const what = seen()
     if (!await named()) return
     node.disabled = true
-    try { await said.run(props.what ?? words, work) } finally { node.disabled = false }
+    node.dataset.busy = 'yes' // Who enables it again meanwhile would allow a second request.
+    try { await said.run(props.what ?? words, () => work(what)) } finally { delete node.dataset.busy; node.disabled = false }
   }, props)
   return only(role, node)
 }
@@ -82,26 +93,34 @@ export const actOnRun = (run, action, more = {}) => send(`/runs/${run}/actions`,
 /** An action on the rig. */
 export const actOnRig = (action, more = {}) => once('/rig/actions', { action, who: who(), ...more }, { wait: 15_000 })
 
+/** Whether a paused run can resume on this rig: with a stage it must be homed, except for weights that a person places. */
+function mayResume(run, rig) {
+  if (rig.state === 'disarmed') return rig.has_stage === false || kindOf(run.uid) === 'real-random'
+  return !['tripped', 'disconnected'].includes(rig.state)
+}
+
 /** The buttons of a run, for its present state: pause, resume, stop, abort, or what the person did; `without` leaves some out. */
 export function runButtons(said, { without = [] } = {}) {
   const node = el('div', { className: 'row' })
   let shown = ''
-  const act = (words, action, more, props) => actor(words, said, () => actOnRun(live.status.run.uid, action, more?.()), props)
+  const act = (words, action, more, props) => actor(words, said, run => actOnRun(run.uid, action, more?.(run)), { seen: () => live.status.run, ...props })
   const SETS = {
     pause: () => act('Pause', 'pause', () => ({ when: 'checkpoint' }), { role: 'viewer', title: 'Finish the trial, raise the tips, wait' }),
     resume: () => act('Resume', 'resume', null, { className: 'main' }),
-    confirm: () => act('Done, continue', 'confirm', () => { const { trial, tips } = live.status.run?.wanted ?? {}; return { trial, tips } }, { className: 'main' }),
+    confirm: () => act('Done, continue', 'confirm', ({ wanted }) => ({ trial: wanted?.trial, tips: wanted?.tips }), { className: 'main' }),
     stop: () => act('End run', 'stop', null, { role: 'viewer', title: 'Finish the trial, raise the tips, end the run' }),
     abort: () => button('Abort', async () => {
-      const sure = await confirm('Abort the run?', 'The tips are raised now and the run ends. The present trial is not stored; stored trials stay.', 'Abort the run')
-      if (sure && await named()) said.run('Abort', () => actOnRun(live.status.run.uid, 'abort'))
+      const { uid, scan_id } = live.status.run, holds = ({ run }) => run?.uid === uid
+      const sure = await confirm(`Abort run ${scan_id}?`, 'The tips are raised now and the run ends. The present trial is not stored; stored trials stay.', 'Abort the run', holds)
+      if (!holds(live.status)) said.tell(`Run ${scan_id} has ended meanwhile: nothing was aborted.`)
+      else if (sure && await named()) said.run('Abort', () => actOnRun(uid, 'abort'))
     }, { title: 'Raise the tips now, end the run' }),
   }
   const show = ({ status, fresh }) => {
     const { run, rig } = status ?? {}, state = run?.state
     const waits = ['tip_change', 'manual_trial'].includes(run?.paused_why), ends = ['running', 'pausing', 'suspending', 'paused'].includes(state)
     const wanted = run && [state === 'running' && 'pause', waits && state === 'paused' && 'confirm',
-      !waits && (state === 'pausing' || state === 'paused' && !['tripped', 'disconnected'].includes(rig.state)) && 'resume', ends && 'stop', ends && 'abort'].filter(name => name && !without.includes(name))
+      !waits && (state === 'pausing' || state === 'paused' && mayResume(run, rig)) && 'resume', ends && 'stop', ends && 'abort'].filter(name => name && !without.includes(name))
     const names = (wanted || []).join()
     if (shown !== names) { shown = names; fill(node, (wanted || []).map(name => SETS[name]())) }
     for (const one of node.children) one.inert = !fresh

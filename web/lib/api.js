@@ -7,17 +7,23 @@ import { sleep } from './dom.js'
 export const keep = (at, name, value) => {
   try { return value == null ? window[at].getItem(name) ?? '' : (window[at].setItem(name, value), value) } catch { return '' }
 }
+// A header takes no other characters: with one, no request at all would be sent, not even the stop.
+const canBeSent = text => text === '' || /^[\x21-\x7e]+$/.test(text)
 let secret = keep('sessionStorage', 'palpate-key')
+if (!canBeSent(secret)) secret = keep('sessionStorage', 'palpate-key', '')
 
-/** Dispatches `locked` when the service asks for a key, `key` when one was given. */
+/** Dispatches `locked` when the service asks for a key, `key` when one was given, `opened` when it answers again. */
 export const door = new EventTarget()
 export const hasKey = () => secret !== ''
+let isLocked = false
 
-/** Takes a key; it stays in this tab's storage and in no address. */
+/** Takes a key, or none (''); it stays in this tab's storage and in no address. Returns why it cannot be a key, or ''. */
 export function giveKey(text) {
-  secret = text
-  keep('sessionStorage', 'palpate-key', text)
+  const key = text.trim()
+  if (!canBeSent(key)) return 'A key has no spaces and only the characters of a plain English keyboard: this one has another.'
+  secret = keep('sessionStorage', 'palpate-key', key)
   door.dispatchEvent(new Event('key'))
+  return ''
 }
 
 /** A refusal, in the service's own words. */
@@ -28,25 +34,34 @@ export class Refused extends Error {
   }
 }
 
-/** Sends a request and returns the response. Throws `Refused` with the words of the problem. */
-export async function ask(path, { body, method = body === undefined ? 'GET' : 'POST', wait = 8000, accept = 'application/json', signal, headers = {} } = {}) {
+/** Sends a request and returns the response. Throws `Refused` with the words of the problem. `keyless` sends no key. */
+export async function ask(path, { body, method = body === undefined ? 'GET' : 'POST', wait = 8000, accept = 'application/json', signal, headers = {}, keyless = false } = {}) {
+  const sent = keyless ? '' : secret
   const limit = wait ? AbortSignal.timeout(wait) : null
   const until = [signal, limit].filter(Boolean)
   const form = body instanceof FormData || body instanceof Blob
   const response = await fetch(path, {
     method, cache: 'no-store', body: form || body === undefined ? body : JSON.stringify(body),
-    headers: { accept, ...(secret && { authorization: `Bearer ${secret}` }), ...(body !== undefined && !form && { 'content-type': 'application/json' }), ...headers },
+    headers: { accept, ...(sent && { authorization: `Bearer ${sent}` }), ...(body !== undefined && !form && { 'content-type': 'application/json' }), ...headers },
     signal: until.length ? AbortSignal.any(until) : undefined,
   }).catch(error => {
     if (error.name !== 'AbortError') error = new Error(error.name === 'TimeoutError' ? 'no answer in time' : 'no connection', { cause: error })
     throw error
   })
-  if (response.ok || response.status === 304) return response
+  if (response.ok || response.status === 304) {
+    // The stop may need no key where all else does.
+    if (isLocked && sent === secret && path !== ESTOP) { isLocked = false; door.dispatchEvent(new Event('opened')) }
+    return response
+  }
   const problem = await response.json().catch(() => ({}))
   const values = (problem.errors ?? []).map(e => [[e.key, e.value].filter(x => x != null && x !== '').join(' = '), e.limit].filter(Boolean).join(': '))
   const detail = problem.detail ?? problem.title ?? `the service answered ${response.status}`
   const words = [detail, ...values.filter(text => !detail.includes(text))].join('; ')
-  if (response.status === 401) door.dispatchEvent(new CustomEvent('locked', { detail: secret ? 'That key was refused.' : 'This service asks for a key.' }))
+  // A late answer to another key than the present one says nothing of the present one.
+  if (response.status === 401 && !keyless && sent === secret) {
+    isLocked = true
+    door.dispatchEvent(new CustomEvent('locked', { detail: sent ? 'That key was refused.' : 'This service asks for a key.' }))
+  }
   throw new Refused(response.status, words, problem)
 }
 
@@ -61,9 +76,18 @@ export async function send(path, body = {}, options = {}) {
   return response.status === 204 ? null : response.json().catch(() => null)
 }
 
+/** A random UUID (RFC 9562, version 4); crypto.randomUUID exists only in a page over https or of this machine. */
+function uuid() {
+  const bytes = crypto.getRandomValues(new Uint8Array(16))
+  bytes[6] = bytes[6] & 0x0f | 0x40
+  bytes[8] = bytes[8] & 0x3f | 0x80
+  const hex = Array.from(bytes, byte => byte.toString(16).padStart(2, '0')).join('')
+  return hex.replace(/^(.{8})(.{4})(.{4})(.{4})/, '$1-$2-$3-$4-')
+}
+
 /** Sends a request that starts something: with an Idempotency-Key, repeated if the connection fails. */
 export async function once(path, body = {}, options = {}) {
-  const headers = { ...options.headers, 'idempotency-key': crypto.randomUUID() }
+  const headers = { ...options.headers, 'idempotency-key': uuid() }
   for (let attempt = 0; ; attempt += 1) {
     try { return await send(path, body, { ...options, headers }) } catch (error) {
       if (error instanceof Refused || attempt === 2) throw error
@@ -112,18 +136,25 @@ export async function socket(path, { onmessage, onstate = () => {}, query = {}, 
   }
 }
 
+// The service sends a comment every 15 s: with none for longer the network is gone, though nothing says so.
+const SILENT_MS = 40_000
+
 /** Follows the events from `since` (negative: that many of the newest). Reconnects with the last id. */
 export async function follow(since, { onevent, onstate = () => {}, signal }) {
   let last = since
   for (let wait = 1000; !signal.aborted; wait = Math.min(2 * wait, 10_000)) {
     while (document.hidden && !signal.aborted) await sleep(500, signal)
     const cut = new AbortController(), hide = () => document.hidden && cut.abort()
+    let silent = 0
+    const heard = () => { clearTimeout(silent); silent = setTimeout(() => cut.abort(), SILENT_MS) }
+    heard()
     document.addEventListener('visibilitychange', hide) // Six connections a browser: a hidden page holds none.
     try {
       const { body } = await ask(withQuery('/api/v1/events', { since: last }), { accept: 'text/event-stream', wait: 0, signal: AbortSignal.any([signal, cut.signal]) })
       onstate(true)
       const reader = body.pipeThrough(new TextDecoderStream()).getReader()
       for (let text = '', part; !(part = await reader.read()).done;) {
+        heard()
         const lines = (text + part.value).split(/\r?\n/)
         text = lines.pop()
         for (const line of lines.filter(line => line.startsWith('data:'))) {
@@ -134,6 +165,7 @@ export async function follow(since, { onevent, onstate = () => {}, signal }) {
         }
       }
     } catch { /* Tried again below. */ }
+    clearTimeout(silent)
     document.removeEventListener('visibilitychange', hide)
     if (!document.hidden) onstate(false)
     await sleep(wait, signal)
@@ -143,19 +175,24 @@ export async function follow(since, { onevent, onstate = () => {}, signal }) {
 /** The name that actions are logged with; asked for once, kept in this browser. */
 export const person = { get name() { return keep('localStorage', 'palpate-who') }, set name(text) { keep('localStorage', 'palpate-who', text.trim()) } }
 
+const ESTOP = '/api/v1/estop'
+
 /** Presses the stop: asks nothing, tries five times, returns what came of it. */
 export async function estop() {
   const why = person.name ? `pressed on the page by ${person.name}` : 'pressed on the page'
-  let reason = 'it did not latch'
+  let reason = 'it did not latch', keyless = false
   for (let attempt = 0; attempt < 5; attempt += 1) {
     try {
-      const { latched } = await (await ask('/api/v1/estop', { body: { why }, wait: 1000 })).json()
+      const { latched } = await (await ask(ESTOP, { body: { why }, wait: 1000, keyless })).json()
       if (latched) return { latched: true, words: `Emergency stop latched at ${clock(Date.now())}.` }
     } catch (error) {
-      reason = error.status ? error.message : 'no answer'
-      if (error.status < 500) break
+      // With a wrong key the service refuses what it may grant without one.
+      const mayWithout = error.status === 401 && !keyless && hasKey()
+      if (!keyless || error.status !== 401) reason = error.status ? error.message : 'no answer'
+      if (error.status < 500 && !mayWithout) break
+      if (mayWithout) { keyless = true; continue }
     }
     await sleep(200)
   }
-  return { latched: false, words: `The stop is NOT confirmed (${reason}). Use the button on the rig.` }
+  return { latched: false, words: `The stop of ${clock(Date.now())} is NOT confirmed (${reason}). Use the button on the rig.` }
 }

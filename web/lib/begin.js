@@ -4,10 +4,12 @@
 import { actOnRig, actOnRun, actor, confirm, named } from './actions.js'
 import { get, once, send } from './api.js'
 import { facts } from './dom.js'
-import { bytes, capital, count, counted, span } from './format.js'
+import { bytes, capital, count, counted } from './format.js'
 import { live, who } from './live.js'
+import { band } from './preflight.js'
 
 const CONNECT_S = 30, HOME_S = 180
+const beginning = new Set() // Runs that are being begun: a list may be drawn again meanwhile, with a new button.
 
 /** Resolves when the status meets `test`; rejects after `seconds`, or if the rig trips. */
 function until(test, seconds, what) {
@@ -39,11 +41,19 @@ export async function readyRig(step = () => {}) {
   }
 }
 
+/** Asks before a real rig is readied, if that moves or opens anything; resolves to whether it may be. */
+function mayReady({ rig, run }, title) {
+  const closed = rig.state === 'disconnected', homes = rig.has_stage !== false && (closed || rig.state === 'disarmed')
+  if (run || rig.label === 'virtual' || !homes) return true
+  const words = `${closed ? 'The wires are opened, then the axes are homed' : 'The axes are homed'}: they move. Keep hands and tools away from the rig.`
+  return confirm(`Ready the rig for ${title}?`, [words, 'Then the run is checked, and you are asked again before it starts.'], closed ? 'Open and home' : 'Home')
+}
+
 /** What a preflight says, for the person who starts the run. */
 export function preflightWords(preflight) {
   const { trials, duration_s, duration_low_s, duration_high_s, waits_for_person, disk_bytes } = preflight
   return [
-    facts([['Trials', count(trials)], ['Duration', `${span(duration_s)} (${span(duration_low_s)} to ${span(duration_high_s)})`], ['Disk', bytes(disk_bytes)]]),
+    facts([['Trials', count(trials)], ['Duration', band(duration_s, duration_low_s, duration_high_s)], ['Disk', bytes(disk_bytes)]]),
     waits_for_person ? `It waits for a person ${counted(waits_for_person, 'time')}: tips to change, or weights to place.` : 'It needs no person until its end.',
   ]
 }
@@ -54,9 +64,14 @@ export function preflightWords(preflight) {
  * or undefined if it did not begin.
  */
 export async function beginRun(run, said, { ask = true } = {}) {
-  if (!await named()) return undefined
+  if (!await named() || beginning.has(run.uid)) return undefined
+  beginning.add(run.uid)
   const title = `run ${run.scan_id}, ${run.experiment}`
   try {
+    if (live.status && !await mayReady(live.status, title)) {
+      said.tell('Not started. Nothing was moved.')
+      return undefined
+    }
     await readyRig(words => said.tell(`${words} …`))
     said.tell(`Checking ${title} …`)
     const { code, preflight } = await send(`/runs/${run.uid}/arm`, { who: who() })
@@ -71,7 +86,7 @@ export async function beginRun(run, said, { ask = true } = {}) {
   } catch (error) {
     if (error.name !== 'AbortError') said.tell(`${capital(title)} did not start: ${error.message}`, 'bad')
     return undefined
-  }
+  } finally { beginning.delete(run.uid) }
 }
 
 /** Makes a button that begins a run; `beginRun` tells each step and the result, `after` gets it. */

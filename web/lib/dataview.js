@@ -3,17 +3,16 @@
 
 import { Refused, get, socket } from './api.js'
 import { el, fill, note, say, select, sleep } from './dom.js'
-import { age, counted, fixed, moment, span } from './format.js'
-import { frame } from './frame.js'
+import { age, clock, counted, fixed, moment, span } from './format.js'
+import { frame, minus } from './frame.js'
+import { live } from './live.js'
 
 /** What the left picture shows. */
 export const VIEWS = [
   ['', 'Live, difference from untouched'], ['voltages', 'Live, voltages'], ['trial', 'Last trial, difference'], ['misfit', 'Last trial minus its twin'],
 ]
 const SCALES = [['0.1', '0.1 V'], ['0.5', '0.5 V'], ['', '2 V'], ['10', '10 V']]
-const DRAW_MS = 100, LOOK_MS = 5000
-
-const minus = (a, b) => a && b && a.length === b.length ? a.map((v, i) => v == null || b[i] == null ? null : v - b[i]) : null
+const DRAW_MS = 100, LOOK_MS = 5000, OLD_MS = 2000
 
 /**
  * Makes the pictures. `state` is { frame, scale } of the address. `run` gives the run whose last trial is
@@ -28,11 +27,13 @@ export function dataView({ state, set, signal, label, onfacts = () => {} }) {
   const twinWords = el('p', { className: 'soft small hold' }), frameWords = el('p', { className: 'soft small hold' })
   const lost = el('p', { className: 'warn small' })
   const twin = el('div', {}, right.node, twinWords)
-  let untouched = null, why = '', newest = null, trial = null, parsed = null, run = null, drawn = 0, timer = 0
+  let untouched = null, why = '', newest = null, trial = null, parsed = null, run = null, drawn = 0, timer = 0, arrived = 0, wasOld = false
   note(lost, '')
 
   const isLive = () => !['trial', 'misfit'].includes(state.frame)
   const end = () => Number(state.scale) || 2
+  // The newest frame says nothing of now if it came long ago, or if the wires were closed since.
+  const old = () => live.status?.rig.state === 'disconnected' || Date.now() - arrived > OLD_MS
   const title = node => node.querySelector('figcaption span')
 
   function draw() {
@@ -40,19 +41,27 @@ export function dataView({ state, set, signal, label, onfacts = () => {} }) {
     drawn = Date.now()
     if (newest) parsed = JSON.parse(newest)
     newest = null
-    const marks = parsed && isLive() ? { stuck: parsed.stuck, saturated: parsed.saturated } : undefined
+    const stale = wasOld = old()
+    left.node.classList.toggle('old', stale && isLive())
+    const marks = parsed && isLive() && !stale ? { stuck: parsed.stuck, saturated: parsed.saturated } : undefined
     if (isLive()) {
       const differs = state.frame !== 'voltages' && untouched
       say(title(left.node), differs ? 'Live minus untouched' : 'Live frame')
       left.show(differs ? minus(parsed?.voltages_v, untouched.voltages_v) : parsed?.voltages_v ?? null, { scale: end(), marks })
-      say(frameWords, liveWords())
+      tellLive()
     } else {
       const of = state.frame === 'misfit' ? trial?.sim_voltages_v : untouched?.voltages_v
       say(title(left.node), state.frame === 'misfit' ? 'Last trial minus twin' : of ? 'Last trial minus untouched' : 'Last trial')
       left.show(state.frame === 'misfit' ? minus(trial?.voltages_v, of) : minus(trial?.voltages_v, of) ?? trial?.voltages_v ?? null, { scale: end() })
       say(frameWords, trial ? trialWords(trial) : 'No trial is stored yet.')
     }
-    if (parsed) onfacts({ stuck: parsed.stuck, saturated: parsed.saturated })
+    if (parsed) onfacts(stale ? { stuck: null, saturated: null } : { stuck: parsed.stuck, saturated: parsed.saturated })
+  }
+  // The untouched frame of a rig is named below its frames; an old frame has its age there.
+  const tellLive = () => {
+    const stale = parsed && old()
+    say(frameWords, stale ? `Old: the last frame came at ${clock(arrived)}, ${span(Math.floor(age(arrived)))} ago.` : liveWords())
+    frameWords.classList.toggle('warn', Boolean(stale))
   }
   // Frames come at 30 per second and more; a picture that a person compares needs ten.
   const later = () => { timer ||= setTimeout(() => requestAnimationFrame(draw), Math.max(0, drawn + DRAW_MS - Date.now())) }
@@ -104,10 +113,15 @@ export function dataView({ state, set, signal, label, onfacts = () => {} }) {
   }
 
   socket('/frames/live', {
-    signal, raw: true, rest: true, onmessage(text) { newest = text; if (isLive()) later() },
+    signal, raw: true, rest: true, onmessage(text) { newest = text; arrived = Date.now(); if (isLive()) later() },
     onstate: open => note(lost, open || document.hidden ? '' : 'No live frames: the connection is tried again.'),
   })
-  signal.addEventListener('abort', () => clearTimeout(timer))
+  const watch = setInterval(() => {
+    if (document.hidden || !parsed) return
+    if (old() !== wasOld) draw()
+    else if (wasOld && isLive()) tellLive()
+  }, 1000)
+  signal.addEventListener('abort', () => { clearTimeout(timer); clearInterval(watch) })
   look()
   draw()
   return {

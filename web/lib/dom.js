@@ -95,8 +95,9 @@ export const colour = name => getComputedStyle(document.documentElement).getProp
 
 /** Waits. */
 export const sleep = (ms, signal) => new Promise(resolve => {
-  const timer = setTimeout(resolve, ms)
-  signal?.addEventListener('abort', () => { clearTimeout(timer); resolve() }, { once: true })
+  const end = () => { clearTimeout(timer); signal?.removeEventListener('abort', end); resolve() }
+  const timer = setTimeout(end, ms)
+  signal?.addEventListener('abort', end, { once: true })
 })
 
 /** Gives a file to the browser. */

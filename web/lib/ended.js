@@ -25,7 +25,7 @@ export function ended({ said, signal }) {
     node,
     async show(run, progress) {
       const over = run.exit_status != null
-      head.textContent = capital(endWord(run))
+      head.textContent = capital(over ? endWord(run) : 'interrupted')
       head.className = `state ${over ? run.exit_status === 'success' ? '' : TONE[run.exit_status] ?? '' : 'warn'}`
       fill(why, `Run ${run.scan_id}, ${run.experiment}${run.ended_at ? `, ${moment(run.ended_at)}` : ''}: `,
         over ? `${run.reason ?? run.exit_status}.` : `it waits: ${WAITS[run.paused_why] ?? 'it was interrupted'}. Its trials are stored, and it can go on.`)

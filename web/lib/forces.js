@@ -1,7 +1,7 @@
 // Forces: six bars that move with every sample, with the limit; force and depth over the last minutes.
 
 import { colour, el, say, soon } from './dom.js'
-import { clock, fixed } from './format.js'
+import { NONE, clock, fixed } from './format.js'
 import { chart } from './chart.js'
 import { live, samples } from './live.js'
 
@@ -33,8 +33,9 @@ export function forceBars({ signal }) {
     const { rig } = live.status ?? {}
     if (!rig) return
     const limit = rig.force_limit_n, last = samples.at_ms.length - 1
-    const recent = last >= 0 && Date.now() - samples.at_ms[last] < 5000
-    const forces = recent ? samples.forces_n[last] : rig.forces_n, begin = recent ? from(samples.at_ms[last] - PEAK_MS) : 0
+    const closed = rig.state === 'disconnected', recent = !closed && last >= 0 && Date.now() - samples.at_ms[last] < 5000
+    // The status keeps what was read last: with closed wires nothing is measured.
+    const forces = recent ? samples.forces_n[last] : closed ? null : rig.forces_n, begin = recent ? from(samples.at_ms[last] - PEAK_MS) : 0
     rows.forEach(({ bar, peak, text, track }, arm) => {
       const force = forces?.[arm] ?? null
       let most = force ?? 0
@@ -45,9 +46,10 @@ export function forceBars({ signal }) {
       peak.style.left = `${(100 * part(most)).toFixed(2)}%`
       peak.hidden = force == null || most < 1
       track.className = `track limited${force == null ? ' off' : limit != null && force >= limit ? ' bad' : ''}`
-      say(text, force == null ? 'no cell' : fixed(force, 1, 'N'))
+      say(text, force == null ? closed ? NONE : 'no cell' : fixed(force, 1, 'N'))
     })
-    say(note, limit == null ? 'This rig has no load cells.' : `Red line: limit ${fixed(limit, 0, 'N')} on one cell. Thin mark: largest of the last 30 s.`)
+    say(note, limit == null ? 'This rig has no load cells.' : closed ? 'The wires are closed: no force is measured.'
+      : `Red line: limit ${fixed(limit, 0, 'N')} on one cell. Thin mark: largest of the last 30 s.`)
   })
   live.on('status', draw, signal)
   live.on('samples', draw, signal)

@@ -6,7 +6,7 @@ import { picture } from './picture.js'
 
 // Linear up to BEND of the scale's end, logarithmic beyond: far channels stay visible.
 const BEND = 0.15
-const bend = u => Math.asinh(u / BEND) / Math.asinh(1 / BEND), unbend = t => Math.sinh(t * Math.asinh(1 / BEND)) * BEND
+const FULL = Math.asinh(1 / BEND), bend = u => Math.asinh(u / BEND) / FULL, unbend = t => Math.sinh(t * Math.asinh(1 / BEND)) * BEND
 
 /** 255 colours: blue below zero, orange above; zero is the page's own ground. */
 export function diverging() {
@@ -26,6 +26,20 @@ function shades(stops) {
   return Array.from({ length: 255 }, (_, i) => shade(i / 254 * (stops.length - 1)))
 }
 
+/** Paints a canvas of 255 pixels with the colours that `shade(i)` gives as [r, g, b]. */
+export function paintStrip(canvas, shade) {
+  const image = new ImageData(255, 1)
+  for (let i = 0; i < 255; i += 1) image.data.set([...shade(i), 255], 4 * i)
+  canvas.getContext('2d').putImageData(image, 0, 0)
+  return canvas
+}
+
+/** Makes such a canvas: the colours of a legend. */
+export const strip = (shade, className = 'shades') => paintStrip(el('canvas', { width: 255, height: 1, className, 'aria-hidden': 'true' }), shade)
+
+/** Difference of two frames; null where one has no value, or if they are no pair. */
+export const minus = (a, b) => a && b && a.length === b.length ? a.map((v, i) => v == null || b[i] == null ? null : v - b[i]) : null
+
 /** 1, 2 or 5 times a power of ten, at least `top`. */
 export function round125(top) {
   const ten = 10 ** Math.floor(Math.log10(Math.max(top, 1e-9)))
@@ -39,24 +53,30 @@ export function round125(top) {
  */
 export function frame({ title = 'Frame', size = 28, unit = 'V', name, query, label, signal } = {}) {
   const map = el('canvas', { width: size, height: size, className: 'frame', role: 'img', 'aria-label': title })
-  const bar = el('canvas', { width: 255, height: 1, className: 'colours', 'aria-hidden': 'true' })
+  const bar = strip(i => [i, i, i], 'colours')
   const ticks = el('div', { className: 'ticks' }), at = el('p', { className: 'soft hover' })
-  let values = null, marks = {}, end = 0, palette = diverging()
+  let values = null, marks = {}, end = 0, words = null
   const paintBar = () => {
-    palette = diverging()
-    const image = new ImageData(255, 1)
-    palette.forEach((rgb, i) => image.data.set([...rgb, 255], 4 * i))
-    bar.getContext('2d').putImageData(image, 0, 0)
+    const palette = diverging()
+    paintStrip(bar, i => palette[i])
+    words = Uint32Array.from(palette, ([r, g, b]) => 0xff000000 | b << 16 | g << 8 | r) // Bytes r, g, b, a in memory.
   }
   const draw = soon(() => {
     if (!values) return
     const image = new ImageData(size, size)
-    values.forEach((v, i) => v != null && image.data.set([...palette[Math.round(127 + 127 * Math.max(-1, Math.min(1, bend(v / end))))], 255], 4 * i))
+    const pixels = new Uint32Array(image.data.buffer)
+    let low = Infinity, high = -Infinity
+    for (let i = 0; i < values.length; i += 1) {
+      const v = values[i]
+      if (v == null) continue
+      if (v < low) low = v
+      if (v > high) high = v
+      pixels[i] = words[Math.round(127 + 127 * Math.max(-1, Math.min(1, bend(v / end))))]
+    }
     const pen = map.getContext('2d')
     pen.putImageData(image, 0, 0)
     pen.fillStyle = colour('--bad')
     for (const channel of [...marks.stuck ?? [], ...marks.saturated ?? []]) pen.fillRect(channel % size, Math.floor(channel / size), 1, 1)
-    const known = values.filter(v => v != null), low = Math.min(...known), high = Math.max(...known)
     map.ariaLabel = `${title}: voltages by injection and channel, from ${fixed(low, 4)} to ${fixed(high, 4, unit)}`
   })
   const tell = () => {

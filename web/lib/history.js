@@ -5,7 +5,7 @@ import { get } from './api.js'
 import { chart } from './chart.js'
 import { button, colour, el, fill, panel, say, select } from './dom.js'
 import { counted, moment, plain, span } from './format.js'
-import { LOUD, TONE, WAITS, sentence } from './words.js'
+import { LOUD, TONE, sentence } from './words.js'
 
 const TONES = { good: '--live', warn: '--warn', bad: '--bad' }
 const ms = text => text == null ? null : Date.parse(text)
@@ -145,6 +145,3 @@ function drawMarks(u, data) {
   }
   pen.restore()
 }
-
-/** A state with its reason, for a list. */
-export const stateWords = ({ state, why }) => `${plain(state)}${why ? ` (${WAITS[why] ?? plain(why)})` : ''}`

@@ -1,10 +1,9 @@
 // Trainings and evaluations as jobs: the list, and one with its progress, losses and result. Polled each 2 s while one runs.
 
 import { get, send } from './api.js'
-import { confirm, named } from './actions.js'
+import { confirm, named, only } from './actions.js'
 import { button, el, facts, fill, link, panel, say, sleep } from './dom.js'
 import { capital, count, counted, fixed, moment, percent, plain, span } from './format.js'
-import { live } from './live.js'
 import { losses } from './losses.js'
 import { reportView } from './scores.js'
 import { table } from './table.js'
@@ -140,8 +139,7 @@ export function jobView({ signal, said, models, onstopped }) {
       },
       { className: 'danger' }
     )
-    stop.dataset.role = 'operator'
-    stop.classList.toggle('denied', !live.may('operator'))
+    only('operator', stop)
     const draw = () => {
       say(title, capital(jobWords(job)))
       fill(

@@ -4,7 +4,7 @@
 import { ask, door, get, keep, person, socket } from './api.js'
 import { sleep } from './dom.js'
 
-const OLD_MS = 2600
+const OLD_MS = 2600, CALLER_MS = 3000
 
 /** The newest status; dispatches `status`, `samples`, `fresh` and `caller`. */
 class Live extends EventTarget {
@@ -35,6 +35,7 @@ class Live extends EventTarget {
     this.status = status
     this.at = Date.now()
     this.state(true, '')
+    if (!this.caller && this.at - callerAsked > CALLER_MS) caller()
     this.dispatchEvent(new Event('status'))
   }
 
@@ -61,15 +62,17 @@ function addSamples(more) {
   live.dispatchEvent(new Event('samples'))
 }
 
-async function caller() {
+let callerAsked = 0
+async function caller(signal) {
+  callerAsked = Date.now()
   try {
-    live.caller = await get('/caller')
+    live.caller = await get('/caller', {}, { signal })
     live.dispatchEvent(new Event('caller'))
-  } catch { /* A page without it offers what a viewer may do. */ }
+  } catch { /* A page without it offers what a viewer may do; asked again with a status. */ }
 }
 
 function lost(error) {
-  live.state(false, error?.status === 401 ? 'No key, so no status' : error?.status ? `No status (${error.message})` : 'No connection')
+  live.state(false, error?.status === 401 ? 'No status without a key that is valid' : error?.status ? `No status (${error.message})` : 'No connection')
 }
 
 async function poll(signal) {
@@ -101,7 +104,7 @@ export function start() {
     socketAt = 0
     for (const run of [caller, poll, listen]) run(ending.signal)
   }
-  door.addEventListener('key', begin)
+  door.addEventListener('key', () => { live.caller = null; begin() })
   setInterval(() => { if (live.fresh && Date.now() - live.at > OLD_MS) lost() }, 250)
   begin()
 }

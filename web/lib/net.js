@@ -1,10 +1,10 @@
 // One model in full: what it learned from, its losses, its scores, the residuals of a Transfer-Net, its file.
 
+import { only } from './actions.js'
 import { Refused, ask, get } from './api.js'
 import { button, el, facts, fill, link, note, panel, pane } from './dom.js'
 import { bytes, count, counted, fixed, moment } from './format.js'
 import { frame } from './frame.js'
-import { live } from './live.js'
 import { losses } from './losses.js'
 import { save } from './save.js'
 import { contactTable, voltageTable } from './scores.js'
@@ -48,9 +48,7 @@ export function netView({ signal, models, promote }) {
       label = () => (manifest.label === 'virtual' ? 'virtual' : ''),
       learned = manifest.trained_on ?? {}
     const size = el('span', {}, '…'),
-      promoting = button('Promote', () => promote(model.id, slotOf(model.task)), { className: 'main' })
-    promoting.dataset.role = 'operator'
-    promoting.classList.toggle('denied', !live.may('operator'))
+      promoting = only('operator', button('Promote', () => promote(model.id, slotOf(model.task)), { className: 'main' }))
     ask(`/api/v1/models/${model.id}/onnx`, { method: 'HEAD', accept: '*/*', signal: mine }).then(
       answer => {
         size.textContent = bytes(Number(answer.headers.get('content-length')) || null)

@@ -14,15 +14,6 @@ export const newtons = force => fixed(force, 2, 'N')
 /** Name of the place: as on the overlay, else its position. */
 export const spot = c => c.point ?? `${fixed(c.x_mm, 0)}, ${fixed(c.y_mm, 0, 'mm')}`
 
-/** The placement as the status has it: what a service that judges nothing offers. */
-export function ofStatus(run) {
-  if (run?.wanted?.trial == null) return null
-  return { run: run.uid, scan_id: run.scan_id, experiment: run.experiment, trial: run.wanted.trial, of: run.trials_planned, done: run.trials_stored,
-    last: run.wanted.trial > 0 ? { trial: run.wanted.trial - 1 } : null,
-    contacts: run.wanted.contacts.map((contact, i) => ({ number: i + 1, point: null, ...contact })), stage: 'place', at_rest: null, felt: null,
-      verdict: { kind: 'unknown', words: [], matches: [] } }
-}
-
 /** What the skin feels of the weight with a number: { contact, distance_mm }, or null. */
 export function feltOf(placement, number) {
   const match = placement.verdict?.matches?.find(match => match.asked === number)

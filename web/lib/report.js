@@ -1,17 +1,18 @@
 // The report of one run: what was stored, how it went, how well the twins fit, what was skipped and why.
 
 import { get } from './api.js'
-import { actOnRun, actor, confirm, only } from './actions.js'
-import { beginRun } from './begin.js'
+import { actOnRun, confirm, named } from './actions.js'
+import { beginButton } from './begin.js'
+import { changing } from './changing.js'
 import { chart } from './chart.js'
 import { contactsTable, fitTable } from './contacts.js'
-import { button, el, facts, fill, link, pane, select } from './dom.js'
+import { button, el, fill, link, pane, say, select } from './dom.js'
 import { NONE, about, count, counted, fixed, moment, percent, plain, span } from './format.js'
 import { history } from './history.js'
 import { live } from './live.js'
 import { matters } from './log.js'
 import { medianChart, medians, partWords } from './medians.js'
-import { isActive, largest, median, perHour, runSentence, runTone } from './runwords.js'
+import { isActive, largest, perHour, runSentence, runTone } from './runwords.js'
 import { save } from './save.js'
 import { sensor } from './skin.js'
 import { table } from './table.js'
@@ -87,23 +88,25 @@ export function report(root, { state, set, go, said, others, signal }) {
   )
   fill(top, el('p', { className: 'soft' }, 'Loading …'))
 
-  function header() {
-    const { run, summary, progress, fit } = data
-    const rate = perHour(summary)
-    const resume = only(
-      'operator',
-      button('Resume', () => beginRun(run, said).then(read), { className: 'main' }),
-    )
-    const abort = actor(
-      'Abort',
-      said,
-      async () => {
-        if (!(await confirm(`Abort run ${run.scan_id}?`, 'It ends. Its stored trials stay; it cannot be resumed. Nothing moves.', 'Abort the run'))) return
-        await actOnRun(run.uid, 'abort')
-        await read()
-      },
-      { role: 'viewer', what: `Abort run ${run.scan_id}` },
-    )
+  // While the run is active it is read again and again: what a person has opened or chosen stays.
+  const told = el('p')
+  const numbers = el('div')
+  const doors = el('div', { className: 'row' })
+  const shown = new Map()
+  /** Fills a part only if what it shows has changed. */
+  const renew = (node, of, draw) => {
+    const text = JSON.stringify(of)
+    if (shown.get(node) !== text) fill(node, draw())
+    shown.set(node, text)
+  }
+  const abort = run =>
+    button('Abort', async () => {
+      const sure = await confirm(`Abort run ${run.scan_id}?`, 'It ends. Its stored trials stay; it cannot be resumed. Nothing moves.', 'Abort the run')
+      if (!sure || !(await named())) return
+      await said.run(`Abort run ${run.scan_id}`, () => actOnRun(run.uid, 'abort'))
+      await read()
+    })
+  function heading(run) {
     const compare = select(
       [
         ['', 'another run …'],
@@ -115,64 +118,68 @@ export function report(root, { state, set, go, said, others, signal }) {
       other => other && go(`/runs?run=${run.scan_id}&with=${other}`),
       { id: 'compare' },
     )
-    fill(
-      top,
+    return [
       el(
         'h2',
         {},
         el('span', {}, `Run ${run.scan_id}, ${run.experiment}`),
         run.label === 'virtual' ? el('span', { className: 'badge' }, 'virtual') : plain(run.label),
       ),
-      el('p', { className: `big ${runTone(run)}` }, runSentence(run)),
-      facts([
-        ['Stored', `${count(summary.trials_stored)} of ${count(run.trials_planned)}`],
-        ['Share', percent(summary.trials_stored, run.trials_planned)],
-        ['Skipped configurations', count(summary.skips.length)],
-        ['Trials of these', count(summary.trials_skipped)],
-        ['Failed attempts', count(summary.retries)],
-        ['Duration', span(summary.duration_s)],
-        ['Trials per hour', rate == null ? NONE : count(Math.round(rate))],
-        ['Largest force', fixed(largest(progress?.largest_force_n), 1, 'N')],
-        ['Median FVU', about(fit?.median_fvu ?? median(progress?.fvu))],
-        ['Began', moment(run.started_at)],
-        ['Ended', moment(run.ended_at)],
-        ['Submitted by', run.submitted_by],
-        ['Kind', run.kind],
-        ['Seed', run.seed == null ? NONE : String(run.seed)],
-        ['Version', run.version],
-        ['Commit', run.git_commit?.slice(0, 8) ?? NONE],
-      ]),
-      el(
-        'div',
-        { className: 'row' },
-        run.state === 'interrupted' && [resume, abort],
-        isActive(run) && link('/', 'Watch it'),
-        link(`/trials?run=${run.scan_id}`, 'Its trials'),
-        run.plan_sha256 && link(`/plan?run=${run.scan_id}`, 'Its plan'),
-        link(`/model?run=${run.scan_id}`, 'Fit of the simulation'),
-        link('/data', 'Datasets'),
-        link('/data#exports', 'Export'),
-        save('Parquet', `/api/v1/data/run-${run.scan_id}.parquet`, `run-${run.scan_id}.parquet`),
-        save('CSV', `/api/v1/data/run-${run.scan_id}.csv`, `run-${run.scan_id}.csv`),
-      ),
+      told,
+      numbers,
+      doors,
       others().length > 1 ? el('p', { className: 'row' }, el('label', { className: 'inline', htmlFor: 'compare' }, 'Compare with'), compare) : null,
       said.node,
-    )
+    ]
+  }
+  function header() {
+    const { run, summary, progress, fit } = data
+    const rate = perHour(summary)
+    renew(top, run.uid, () => heading(run))
+    say(told, runSentence(run)).className = `big ${runTone(run)}`
+    changing(numbers, [
+      ['Stored', `${count(summary.trials_stored)} of ${count(run.trials_planned)}`],
+      ['Share', percent(summary.trials_stored, run.trials_planned)],
+      ['Skipped configurations', count(summary.skips.length)],
+      ['Trials of these', count(summary.trials_skipped)],
+      ['Failed attempts', count(summary.retries)],
+      ['Duration', span(summary.duration_s)],
+      ['Trials per hour', rate == null ? NONE : count(Math.round(rate))],
+      ['Largest force', fixed(largest(progress?.largest_force_n), 1, 'N')],
+      ['Median FVU', about(fit?.median_fvu)],
+      ['Began', moment(run.started_at)],
+      ['Ended', moment(run.ended_at)],
+      ['Submitted by', run.submitted_by],
+      ['Kind', run.kind],
+      ['Seed', run.seed == null ? NONE : String(run.seed)],
+      ['Version', run.version],
+      ['Commit', run.git_commit?.slice(0, 8) ?? NONE],
+    ])
+    renew(doors, [run.state === 'interrupted', isActive(run)], () => [
+      run.state === 'interrupted' && [beginButton('Resume', run, said, { after: read, className: 'main' }), abort(run)],
+      isActive(run) && link('/', 'Watch it'),
+      link(`/trials?run=${run.scan_id}`, 'Its trials'),
+      run.plan_sha256 && link(`/plan?run=${run.scan_id}`, 'Its plan'),
+      link(`/model?run=${run.scan_id}`, 'Fit of the simulation'),
+      link('/data', 'Datasets'),
+      link('/data#exports', 'Export'),
+      save('Parquet', `/api/v1/data/run-${run.scan_id}.parquet`, `run-${run.scan_id}.parquet`),
+      save('CSV', `/api/v1/data/run-${run.scan_id}.csv`, `run-${run.scan_id}.csv`),
+    ])
   }
 
   function tables() {
     const { run, summary, fit } = data
     const noun = run.kind === 'real-random' ? 'weight' : 'tip'
     const bySetting = summary.settings.map(s => `${counted(s.tips, noun)} ${count(s.stored)}`).join(', ')
-    fill(
-      contacts,
+    renew(contacts, [summary.contact_counts, bySetting], () => [
       el('h2', {}, 'Contacts'),
       contactsTable([{ name: `Run ${run.scan_id}`, kind: run.kind, counts: summary.contact_counts }]),
       el('p', { className: 'soft said' }, `By setting: ${bySetting || 'none'}. Deadband ${fixed(run.deadband_n, 1, 'N')}.`),
-    )
-    fill(fits, el('h2', {}, el('span', {}, 'Fit of the twins by contacts'), link(`/model?run=${run.scan_id}`, 'More')), fitTable([{ name: '', fit }]))
-    fill(
-      skips,
+    ])
+    const more = link(`/model?run=${run.scan_id}`, 'More')
+    renew(fits, fit, () => [el('h2', {}, el('span', {}, 'Fit of the twins by contacts'), more), fitTable([{ name: '', fit }])])
+    renew(skips, summary.skips, () => [
       el('h2', {}, 'Skipped configurations'),
       table({
         rows: summary.skips,
@@ -184,31 +191,31 @@ export function report(root, { state, set, go, said, others, signal }) {
           { head: 'Reason', left: true, cell: row => row.reason },
         ],
       }).node,
-    )
-    fill(
-      text,
+    ])
+    renew(text, run.definition, () => [
       el('details', {}, el('summary', {}, 'Experiment file'), el('pre', { tabIndex: 0 }, run.definition)),
       run.state !== 'removed' && run.kind !== 'imported' ? el('p', { className: 'said' }, link(`/queue?copy=${run.scan_id}`, 'Queue a copy of it')) : null,
-    )
+    ])
   }
 
+  const choice = select(
+    [
+      ['', 'Only what matters'],
+      ['all', 'All events'],
+    ],
+    state.log ?? '',
+    log => set({ log: log || null }),
+    { 'aria-label': 'Which events' },
+  )
+  const list = el('div')
+  fill(log, el('h2', {}, el('span', {}, 'Events'), choice), list)
   async function events() {
     const all = state.log === 'all'
-    const choice = select(
-      [
-        ['', 'Only what matters'],
-        ['all', 'All events'],
-      ],
-      state.log ?? '',
-      log => set({ log: log || null }),
-      { 'aria-label': 'Which events' },
-    )
     const page = await quiet(get('/events', { run: n, since: -EVENTS, limit: EVENTS }, { signal }))
     if (signal.aborted) return
     const items = (page?.items ?? []).filter(event => all || matters(event)).reverse()
-    fill(
-      log,
-      el('h2', {}, el('span', {}, 'Events'), choice),
+    const scrolled = list.firstChild?.scrollTop ?? 0
+    renew(list, [page == null, items.map(event => event.seq)], () =>
       items.length
         ? el(
             'ol',
@@ -219,6 +226,7 @@ export function report(root, { state, set, go, said, others, signal }) {
           )
         : el('p', { className: 'soft' }, page ? 'Nothing that matters is among its newest events.' : 'The events have no answer.'),
     )
+    if (list.firstChild) list.firstChild.scrollTop = scrolled
   }
 
   async function read() {
@@ -235,6 +243,7 @@ export function report(root, { state, set, go, said, others, signal }) {
     if (!skin.hidden) {
       map.colouring(state.colour ?? 'force')
       map.set(tour, progress, shape, !isActive(run))
+      map.choose(state.step == null ? null : Number(state.step))
     }
     if (progress) {
       const steps = progress.stored.map((_, i) => i + 1)
@@ -269,11 +278,12 @@ export function report(root, { state, set, go, said, others, signal }) {
 
   return {
     open: once,
-    refresh: () => (data && isActive(data.run) ? read() : null),
+    refresh: () => (data && isActive(data.run) ? quiet(read().then(events)) : null),
     update(next) {
       const logged = next.log !== state.log
       state = next
       colouring.value = next.colour ?? 'force'
+      choice.value = next.log ?? ''
       map.colouring(next.colour ?? 'force')
       map.choose(next.step == null ? null : Number(next.step))
       course.update(next)

@@ -1,7 +1,8 @@
 // Files of the service and lines to copy: a link where no key is needed, else a request with it.
 
 import { ask, hasKey } from './api.js'
-import { button, download, el, say } from './dom.js'
+import { copyButton } from './copybutton.js'
+import { download, el, say } from './dom.js'
 import { bytes } from './format.js'
 
 /** Makes a link that saves a file of the API; with a key it is read through a request, which a link cannot carry. */
@@ -35,19 +36,6 @@ export function save(words, path, name) {
 /** Makes a text with a button that copies it. */
 export function copyable(words, text) {
   const code = el('code', {}, text)
-  const copy = button(
-    'Copy',
-    async () => {
-      try {
-        await navigator.clipboard.writeText(code.textContent)
-        say(copy, 'Copied')
-      } catch {
-        getSelection().selectAllChildren(code) // Without the permission the text is marked, ready for the keys.
-        say(copy, 'Marked')
-      }
-      setTimeout(() => say(copy, 'Copy'), 2000)
-    },
-    { 'aria-label': `Copy the line for ${words}` }
-  )
+  const copy = copyButton(() => code.textContent, 'Copy', { node: code, 'aria-label': `Copy the line for ${words}` })
   return el('div', { className: 'copyable' }, el('span', { className: 'soft small' }, words), el('pre', { tabIndex: 0 }, code), copy)
 }

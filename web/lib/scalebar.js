@@ -1,15 +1,14 @@
 // The colours of a picture with their numbers: a bar from nothing to full.
 
 import { dark, el } from './dom.js'
-import { sequential } from './frame.js'
+import { paintStrip, sequential, strip } from './frame.js'
 
 /** Makes a scale; `ticks(texts)` writes the numbers below it, from its low end to its high end. */
 export function scaleBar(words, signal) {
-  const bar = el('canvas', { width: 255, height: 1, className: 'colours', 'aria-hidden': 'true' }), marks = el('div', { className: 'ticks' })
+  const bar = strip(i => [i, i, i], 'colours'), marks = el('div', { className: 'ticks' })
   const paint = () => {
-    const pixels = new ImageData(255, 1)
-    sequential().forEach((rgb, i) => pixels.data.set([...rgb, 255], 4 * i))
-    bar.getContext('2d').putImageData(pixels, 0, 0)
+    const palette = sequential()
+    paintStrip(bar, i => palette[i])
   }
   dark.addEventListener('change', paint, { signal })
   paint()

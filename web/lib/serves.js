@@ -10,8 +10,13 @@ export const METHODS = [
   { name: 'exact', needs: ['skin'], about: 'contacts fitted through the model of this skin, with their uncertainty' },
 ]
 
-/** What each slot holds. */
-export const SLOTS = { transfer: 'Transfer-Net', map: 'net with force maps', points: 'Point-Net', skin: 'calibration of this skin' }
+/** The slots: what each holds, its name in a list, and which methods use it. */
+export const SLOTS = {
+  transfer: { holds: 'Transfer-Net', name: 'Transfer-Net', use: 'paper: measured to simulated voltages' },
+  map: { holds: 'net with force maps', name: 'Force map', use: 'paper: voltages to a force map' },
+  points: { holds: 'Point-Net', name: 'Point-Net', use: 'fast, and the start of exact' },
+  skin: { holds: 'calibration of this skin', name: 'Calibrated skin', use: 'exact' },
+}
 
 /** Slots that a method needs and that are empty; `serving` is the body of GET /serving. */
 export const lacks = (method, serving) => method.needs.filter(slot => !serving?.serves.find(one => one.slot === slot)?.what)
@@ -20,7 +25,7 @@ export const lacks = (method, serving) => method.needs.filter(slot => !serving?.
 export const bestMethod = serving => METHODS.findLast(method => !lacks(method, serving).length) ?? null
 
 /** needs a Point-Net */
-export const needWords = (method, serving) => `needs a ${lacks(method, serving).map(slot => SLOTS[slot]).join(' and a ')}`
+export const needWords = (method, serving) => `needs a ${lacks(method, serving).map(slot => SLOTS[slot].holds).join(' and a ')}`
 
 /** Makes a panel of what serves, and one (`none`) that says how to get a model while there is none. */
 export function servingPart() {
@@ -37,7 +42,7 @@ export function servingPart() {
       if (text === shown) return
       shown = text
       const filled = serving.serves.filter(one => one.what)
-      const models = filled.map(one => [SLOTS[one.slot] ?? plain(one.slot), link('/nets', one.what)])
+      const models = filled.map(one => [SLOTS[one.slot]?.holds ?? plain(one.slot), link('/nets', one.what)])
       fill(list, el('ul', {}, METHODS.map(method => row(method, serving))), facts(models))
       fill(none, !bestMethod(serving) && howTo())
     },

@@ -1,18 +1,13 @@
 // What serves: the slots of the methods, promotion and roll-back, and the record of both.
 
 import { ask, once } from './api.js'
-import { actor, confirm, named } from './actions.js'
+import { actor, confirm, named, only } from './actions.js'
 import { button, el, fill, link, panel } from './dom.js'
 import { moment } from './format.js'
-import { live, who } from './live.js'
+import { who } from './live.js'
+import { SLOTS } from './serves.js'
 import { table } from './table.js'
 
-const SLOTS = {
-  transfer: ['Transfer-Net', 'paper: measured to simulated voltages'],
-  map: ['Force map', 'paper: voltages to a force map'],
-  points: ['Point-Net', 'fast, and the start of exact'],
-  skin: ['Calibrated skin', 'exact'],
-}
 /** Slot that a model of a task serves in. */
 export const slotOf = task => (task === 'transfer' ? 'transfer' : task === 'points' ? 'points' : 'map')
 
@@ -46,7 +41,7 @@ export function servingPanel({ signal, said, name, onchange }) {
     const now = serves.find(one => one.slot === slot)?.what,
       to = before(slot)
     const sure = await confirm(
-      `Roll back ${SLOTS[slot][0]}?`,
+      `Roll back ${SLOTS[slot].name}?`,
       [
         `Serves now: ${name(now)} (${now}).`,
         to
@@ -63,7 +58,7 @@ export function servingPanel({ signal, said, name, onchange }) {
     const sure = await confirm(
       `Promote ${name(what)}?`,
       [
-        `Slot: ${SLOTS[slot][0]} (${SLOTS[slot][1]}).`,
+        `Slot: ${SLOTS[slot].name} (${SLOTS[slot].use}).`,
         now ? `It replaces ${name(now)} (${now}), which roll back restores.` : 'The slot is empty now.',
         'Live contacts and /infer use it from the next frame on. It is loaded and warmed up first: no frame is dropped.',
       ],
@@ -71,22 +66,18 @@ export function servingPanel({ signal, said, name, onchange }) {
     )
     if (sure && (await named())) await change(`Promote ${name(what)}`, '/serving', { what })
   }
-  const may = node => {
-    node.dataset.role = 'operator'
-    node.classList.toggle('denied', !live.may('operator'))
-    return node
-  }
   function draw() {
     const shown = table({
       rows: serves,
       columns: [
-        { head: 'Slot', left: true, cell: one => SLOTS[one.slot]?.[0] ?? one.slot },
-        { head: 'Used by', left: true, cell: one => SLOTS[one.slot]?.[1] ?? '' },
+        { head: 'Slot', left: true, cell: one => SLOTS[one.slot]?.name ?? one.slot },
+        { head: 'Used by', left: true, cell: one => SLOTS[one.slot]?.use ?? '' },
         { head: 'Serves', left: true, cell: one => words(one.what) },
         { head: 'Since', left: true, cell: one => (one.what && since(one.slot) ? `${moment(since(one.slot).at)} by ${since(one.slot).who}` : null) },
         {
           head: 'Change',
-          cell: one => (one.what ? may(button('Roll back', () => rollBack(one.slot), { 'aria-label': `Roll back ${SLOTS[one.slot]?.[0]}` })) : ''),
+          cell: one =>
+            one.what ? only('operator', button('Roll back', () => rollBack(one.slot), { 'aria-label': `Roll back ${SLOTS[one.slot]?.name}` })) : '',
         },
       ],
     })

@@ -3,7 +3,7 @@
 
 import { colour, dark, el, fill } from './dom.js'
 import { fixed } from './format.js'
-import { sequential } from './frame.js'
+import { sequential, strip } from './frame.js'
 import { skin } from './skin.js'
 
 /** Side of a force map, mm; its centre is the centre of the skin. */
@@ -113,10 +113,7 @@ export function touchMap({ signal, label, query }) {
   function describe() { return answer ? `The skin with ${answer.contacts.length} contacts; the table beside it lists them.` : 'The skin; no answer yet.' }
 
   function tellLegend() {
-    const bar = el('canvas', { width: 255, height: 1, className: 'shades', 'aria-hidden': 'true' }), shades = new ImageData(255, 1)
-    palette.forEach((rgb, i) => shades.data.set([...rgb, 255], 4 * i))
-    bar.getContext('2d').putImageData(shades, 0, 0)
-    fill(legend, el('span', {}, '0'), bar, el('span', {}, `${fixed(end, 0, 'N')} on one contact of ${fixed(TIP_MM, 0, 'mm')}`),
+    fill(legend, el('span', {}, '0'), strip(i => palette[i]), el('span', {}, `${fixed(end, 0, 'N')} on one contact of ${fixed(TIP_MM, 0, 'mm')}`),
       el('span', {}, 'Ellipse: 2 standard deviations of the place, where the method knows them'))
   }
   dark.addEventListener('change', () => { palette = sequential(); ink = inks(); tellLegend(); view.redraw() }, { signal })

@@ -3,7 +3,7 @@
 
 import { button, dark, el, fill, say } from './dom.js'
 import { count, counted, fixed } from './format.js'
-import { sequential } from './frame.js'
+import { paintStrip, sequential } from './frame.js'
 import { skin, tips } from './skin.js'
 
 const BINS = 96
@@ -136,10 +136,7 @@ export function tourView({ onstep, label, query, signal }) {
         pen.fill()
       }
     }
-    const strip = colours.getContext('2d')
-    const image = new ImageData(255, 1)
-    for (let i = 0; i < 255; i += 1) image.data.set([...shade(i / 254), 255], 4 * i)
-    strip.putImageData(image, 0, 0)
+    paintStrip(colours, i => shade(i / 254))
     return bitmap
   }
   function draw(pen, v) {

@@ -4,7 +4,7 @@
 
 import { colour, dark, el, fill } from './dom.js'
 import { count, fixed } from './format.js'
-import { round125, sequential } from './frame.js'
+import { round125, sequential, strip } from './frame.js'
 import { skin, tips } from './skin.js'
 
 /** What the colours may show. */
@@ -155,10 +155,7 @@ export function tourMap({ signal, label, query, href, onselect = () => {}, force
       !ended && entry('ring-now', 'now'), !ended && entry('ring-next', 'next'),
     ]
     if (kind === 'progress') return fill(legend, entry('dot-live', `${count(done)} of ${count(n)} configurations done`), shared)
-    const bar = el('canvas', { width: 255, height: 1, className: 'shades', 'aria-hidden': 'true' }), image = new ImageData(255, 1)
-    sequential().forEach((rgb, i) => image.data.set([...rgb, 255], 4 * i))
-    bar.getContext('2d').putImageData(image, 0, 0)
-    const unit = kind === 'force' ? 'N' : ''
+    const palette = sequential(), bar = strip(i => palette[i]), unit = kind === 'force' ? 'N' : ''
     return fill(legend, el('span', {}, '0'), bar, el('span', {}, fixed(scaleEnd(), unit ? 0 : 2, unit)), shared)
   }
 

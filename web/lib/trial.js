@@ -3,13 +3,12 @@
 import { chart } from './chart.js'
 import { colour, el, facts, fill, note, panel, pane, select } from './dom.js'
 import { NONE, about, capital, count, counted, fixed, moment, plain, span } from './format.js'
-import { frame, round125 } from './frame.js'
+import { frame, minus, round125 } from './frame.js'
 import { FLAGS } from './selection.js'
 import { sensor, skin, tips } from './skin.js'
 import { table } from './table.js'
 
 const ARMS = [1, 2, 3, 4, 5, 6]
-const minus = (a, b) => (a && b ? a.map((v, i) => (v == null || b[i] == null ? null : v - b[i])) : null)
 const largest = values => (values ?? []).reduce((top, v) => Math.max(top, Math.abs(v ?? 0)), 1e-4)
 
 const armWords = arm => `arm ${arm.arm} at ${fixed(arm.x_mm, 0)}, ${fixed(arm.y_mm, 0, 'mm')}: ${fixed(arm.force_n, 1, 'N')}`

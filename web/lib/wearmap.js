@@ -3,7 +3,7 @@
 import { chart } from './chart.js'
 import { button, dark, el, facts, fill, pane } from './dom.js'
 import { NONE, count, counted, fixed } from './format.js'
-import { round125, sequential } from './frame.js'
+import { round125, sequential, strip } from './frame.js'
 import { median } from './runwords.js'
 import { skin } from './skin.js'
 import { table } from './table.js'
@@ -94,11 +94,8 @@ export function wearMap({ onchoose, label, signal }) {
     pen.stroke()
   }
   function tellLegend() {
-    const bar = el('canvas', { width: 255, height: 1, className: 'shades', 'aria-hidden': 'true' })
-    const image = new ImageData(255, 1)
     const shades = sequential()
-    for (let i = 0; i < 255; i += 1) image.data.set([...shades[shadeOf(i / 254)], 255], 4 * i)
-    bar.getContext('2d').putImageData(image, 0, 0)
+    const bar = strip(i => shades[shadeOf(i / 254)])
     fill(legend, el('span', {}, '1'), bar, el('span', {}, counted(end(), 'press', 'presses')), el('span', {}, el('i', { className: 'none' }), 'never'))
   }
 

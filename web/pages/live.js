@@ -32,7 +32,7 @@ export function sureness(answer, old) {
 export async function show(root, { query, signal, set }) {
   let state = query, serving = null, cut = null, open = '' // The socket and its method.
   let newest = null, answer = null, at = 0, asked = false, drawn = 0 // The newest message, and what was drawn of it.
-  let arrived = 0, drawings = 0, since = performance.now(), rates = {}
+  let listed = '', arrived = 0, drawings = 0, since = performance.now(), rates = {}
   const latencies = [], trace = { at: [], total: [], from: 0 }
   const label = () => live.status?.rig.label
   const chosen = () => METHODS.find(one => one.name === state.method) ?? bestMethod(serving)
@@ -130,7 +130,9 @@ export async function show(root, { query, signal, set }) {
     lists.hidden = !answer
     const list = answer?.method === 'fast' ? proposed : placed
     if (lists.firstChild !== list.node) fill(lists, list.node)
-    list.show([...answer?.contacts ?? []].sort((a, b) => a.number - b.number))
+    const contacts = [...answer?.contacts ?? []].sort((a, b) => a.number - b.number)
+    const text = JSON.stringify([list === proposed, contacts])
+    if (text !== listed) { listed = text; list.show(contacts) }
     if (trace.at.length > 5) total.set([trace.at, trace.total])
   }
   const missing = method => method ? { tone: 'warn', words: `${method.name} ${needWords(method, serving)} that serves.` }

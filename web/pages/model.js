@@ -7,7 +7,7 @@ import { dent } from '../lib/dent.js'
 import { button, el, facts, fill, note, pane, panel, say, select } from '../lib/dom.js'
 import { fit, fvuOf, scatter } from '../lib/fit.js'
 import { about, counted, fixed } from '../lib/format.js'
-import { frame } from '../lib/frame.js'
+import { frame, minus } from '../lib/frame.js'
 import { sensor, skin, tips } from '../lib/skin.js'
 import { twins } from '../lib/twinpool.js'
 
@@ -135,7 +135,6 @@ export async function show(root, { query, signal, set }) {
       picker.dataset.views = `${choices.length}${view}`
       fill(picker, el('label', { className: 'inline' }, 'Shown', select(choices, view, next => set({ view: next === 'difference' ? null : next }))))
     }
-    const minus = (a, b) => a && b ? a.map((v, i) => v == null || b[i] == null ? null : v - b[i]) : null
     const v = answer?.voltages_v, values = { difference: () => minus(v, answer?.untouched_v), frame: () => v, untouched: () => answer?.untouched_v,
       measured: () => trial?.voltages_v, residual: () => minus(trial?.voltages_v, v) }[view]?.()
     if (values) voltages.show(values)

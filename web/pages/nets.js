@@ -1,7 +1,7 @@
 // The nets: "What has learned, and is it better?" Serving, models, evaluations side by side, jobs, and the forms that start them.
 
 import { all, get } from '../lib/api.js'
-import { outcome } from '../lib/actions.js'
+import { only, outcome } from '../lib/actions.js'
 import { button, el, fill, panel } from '../lib/dom.js'
 import { counted, fixed, moment } from '../lib/format.js'
 import { jobView, jobsPanel } from '../lib/jobs.js'
@@ -10,7 +10,6 @@ import { evaluationForm, trainingForm } from '../lib/requests.js'
 import { contactTable, shortScore, voltageTable } from '../lib/scores.js'
 import { servingPanel, slotOf } from '../lib/serving.js'
 import { table } from '../lib/table.js'
-import { live } from '../lib/live.js'
 
 /** Shows the page. */
 export async function show(root, { query, signal, go }) {
@@ -34,11 +33,6 @@ export async function show(root, { query, signal, go }) {
   const work = jobView({ signal, said, models: () => models, onstopped: () => jobs.read() })
   const href = id => `/nets?job=${id}`
 
-  const may = node => {
-    node.dataset.role = 'operator'
-    node.classList.toggle('denied', !live.may('operator'))
-    return node
-  }
   const list = table({
     href: model => `/nets?model=${model.id}`,
     current: model => [model.id, model.name].includes(query.model),
@@ -58,7 +52,7 @@ export async function show(root, { query, signal, go }) {
         cell: model =>
           model.serves
             ? el('span', { className: 'good' }, 'serves')
-            : may(button('Promote', () => serving.promote(model.id, slotOf(model.task)), { 'aria-label': `Promote ${model.name}, ${model.id}` })),
+            : only('operator', button('Promote', () => serving.promote(model.id, slotOf(model.task)), { 'aria-label': `Promote ${model.name}, ${model.id}` })),
       },
     ],
   })

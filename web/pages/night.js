@@ -80,7 +80,7 @@ export async function show(root, { query, signal, set }) {
   const dataFacts = el('div'), watch = watching(), dataPart = panel('Data', { className: 'live data', aside: data.controls }, data.node, dataFacts, watch.node)
   const nightPart = history({ state, set, signal, label, height: low ? 108 : 170 })
   const log = eventLog({ state, set, signal })
-  const hello = welcome({ said })
+  const hello = welcome({ said: outcome() })
 
   function arrange() {
     const next = run || last ? 'run' : 'welcome'
@@ -102,6 +102,7 @@ export async function show(root, { query, signal, set }) {
     watch.show(status.suspenders)
     if (status.run) tellRun(status.run, fresh)
     buttons.show(live)
+    if (mode === 'welcome') hello.show(queue[0] ?? null)
   }
 
   function tellStrip({ run, disk, last_trial_at, lock, queue_length, rig }) {
@@ -207,7 +208,7 @@ export async function show(root, { query, signal, set }) {
 
   map.colouring(state.colour ?? 'progress')
   live.on('status', tell, signal)
-  live.addEventListener('fresh', () => live.status && tell(live), { signal })
+  for (const kind of ['fresh', 'caller']) live.addEventListener(kind, () => live.status && tell(live), { signal })
   every(TWINS_MS, async () => { try { twins = await get('/twins', {}, { signal }); tellData() } catch { /* Old values keep their age. */ } }, signal)
   every(QUEUE_MS, async () => {
     try { queue = (await get('/queue', {}, { signal })).items } catch { return }

@@ -8,7 +8,7 @@ import { count, counted } from '../lib/format.js'
 import { live, who } from '../lib/live.js'
 import { manual } from '../lib/manual.js'
 import { overlay } from '../lib/overlay.js'
-import { STAGES, drawPlacement, feltOf, isRead, kilograms, newtons, notYet, ofStatus, present, rest, spot, verdict } from '../lib/placing.js'
+import { STAGES, drawPlacement, feltOf, isRead, kilograms, newtons, notYet, present, rest, spot, verdict } from '../lib/placing.js'
 import { sensor, skin } from '../lib/skin.js'
 
 const PERIOD_MS = 333
@@ -40,7 +40,6 @@ export async function show(root, { signal }) {
 /** Asks for the placement while a manual run is active, three times a second; calls `take` with it or null. */
 async function watch(take, signal) {
   const kinds = new Map()
-  let absent = false
   for (let begun = 0; !signal.aborted; await sleep(Math.max(100, begun + PERIOD_MS - Date.now()), signal)) {
     begun = Date.now()
     const run = live.status?.run
@@ -49,11 +48,10 @@ async function watch(take, signal) {
     try {
       if (run.wanted?.trial == null && !kinds.has(run.uid)) kinds.set(run.uid, (await get(`/runs/${run.uid}`, {}, { signal })).kind)
       if (run.wanted?.trial == null && kinds.get(run.uid) !== 'real-random') { take(null); continue }
-      take(absent ? ofStatus(run) : await get('/placement', {}, { signal, wait: 2000 }))
+      take(await get('/placement', {}, { signal, wait: 2000 }))
     } catch (error) {
-      // 404: nothing is asked, or a service that does not judge placements.
-      absent ||= error.message?.includes('unknown address')
-      if (error.status === 404 && !signal.aborted) take(ofStatus(live.status?.run))
+      // 404: nothing is asked. A status that asks is newer: what is shown stays for this moment.
+      if (error.status === 404 && !signal.aborted && live.status?.run?.wanted?.trial == null) take(null)
     }
   }
 }

@@ -2,10 +2,10 @@
 // what is refused and why. `run=N` is a stored run, `experiment=NAME` one that the program carries.
 
 import { get, send } from '../lib/api.js'
-import { actor, only, outcome } from '../lib/actions.js'
-import { beginRun, queueText } from '../lib/begin.js'
+import { actor, outcome } from '../lib/actions.js'
+import { beginButton, queueText } from '../lib/begin.js'
 import { carried, carriedTable } from '../lib/carried.js'
-import { button, el, fill, link, pane, panel, select } from '../lib/dom.js'
+import { el, fill, link, pane, panel, select } from '../lib/dom.js'
 import { forcesPanel } from '../lib/expected.js'
 import { capital, counted, fixed, moment, plain, span } from '../lib/format.js'
 import { live } from '../lib/live.js'

@@ -113,7 +113,7 @@ export async function show(root, { query, signal, set }) {
       panel('Limits', {}, limits))))
 
   function gate(node, why, words) {
-    node.disabled = Boolean(why)
+    node.disabled = Boolean(why) || node.dataset.busy === 'yes'
     return words ? say(words, why) : undefined
   }
 

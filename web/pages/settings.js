@@ -45,8 +45,10 @@ function yourself() {
   const secret = el('input', { id: 'my-key', type: 'password', autocomplete: 'off' }), rights = el('p', {}), role = el('p', { className: 'big' })
   const keep = event => { event.preventDefault(); person.name = name.value;
     say(kept, person.name ? `Kept: actions are logged as ${who()}.` : 'No name: it is asked for at the next action.') }
-  const give = event => { event.preventDefault(); if (secret.value) { giveKey(secret.value.trim()); secret.value = '';
-    say(kept, 'The key is used from now on. It stays in this tab.') } }
+  const give = event => { event.preventDefault(); if (!secret.value) return
+    const wrong = giveKey(secret.value)
+    if (!wrong) secret.value = ''
+    say(kept, wrong || 'The key is used from now on. It stays in this tab.') }
   const forget = button('Forget the key', () => { giveKey(''); say(kept, 'Forgotten. Requests go without a key.') }, { className: 'plain' })
   const node = panel('You', {}, role, rights,
     el('form', { onsubmit: keep }, el('label', { htmlFor: 'my-name' }, 'Your name, logged with every action'),
@@ -104,7 +106,7 @@ function drawService(node, { service, rig, queue_length: waiting }) {
     ['Wrong keys', service.wrong_keys ? el('span', { className: 'warn' }, `${count(service.wrong_keys)}, last ${moment(service.wrong_key_at)}`) : 'none'],
       ['Queue', count(waiting)]]),
   facts([['Data', el('code', {}, service.database)]], { className: 'facts one' }),
-  el('p', {}, el('a', { href: '/openapi.json', target: '_blank', rel: 'noopener' }, 'Description of the API'), ', with its limits at each request · ',
+  el('p', {}, el('a', { href: '/docs', target: '_blank', rel: 'noopener' }, 'Description of the API'), ', with its limits at each request · ',
     el('a', { href: '/metrics', target: '_blank', rel: 'noopener' }, 'metrics')),
   el('p', { className: 'soft small' }, 'A refusal always names the limit that it met.'))
 }

@@ -141,8 +141,13 @@ def first_evening(page, browser):
     said(page, re.compile("Twin", re.I))
     expect(page).to_have_url(re.compile("trial="))
     before = page.url
-    page.keyboard.press("k")
-    until("the trial before", lambda: page.url != before)
+
+    def another():
+        page.keyboard.press("k")
+        page.wait_for_timeout(300)
+        return page.url != before
+
+    until("the trial before", another)
     # A dataset, its download and its lineage down to a frame.
     api("/datasets", {"name": "run-1"})
     page.goto(f"{URL}/data")
