@@ -6,7 +6,7 @@ import { NONE, count, counted, fixed, moment } from './format.js'
 import { frame } from './frame.js'
 
 const PAGE = 8,
-  COLUMNS = 'trial_id,configuration,depth_mm,contact_count,max_force_n,split'
+  COLUMNS = 'trial_id,configuration,depth_mm,contact_count,max_force_n'
 const force = row => fixed(row.max_force_n, 1, 'N')
 const SVG = 'http://www.w3.org/2000/svg'
 
@@ -151,7 +151,7 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
           `trial-${row.trial_id}`,
           `Trial ${row.trial_id}`,
           [
-            [`configuration ${row.configuration}`, fixed(row.depth_mm, 1, 'mm'), counted(row.contact_count, 'contact'), force(row), row.split]
+            [`configuration ${row.configuration}`, fixed(row.depth_mm, 1, 'mm'), counted(row.contact_count, 'contact'), force(row)]
               .filter(Boolean)
               .join(', '),
           ],

@@ -153,11 +153,14 @@ def first_evening(page, browser):
     page.goto(f"{URL}/data")
     page.locator("main tbody th a").first.click()
     said(page, re.compile("read_parquet"))
-    said(page, re.compile("Lineage"))
-    name, content = downloaded(page, lambda: page.get_by_role("button", name=re.compile("^Parquet")).first.click())
+    name, content = downloaded(page, lambda: page.get_by_role("link", name="Parquet", exact=True).first.click())
     assert name.endswith(".parquet") and content[:4] == b"PAR1", name
-    page.get_by_role("link", name=re.compile("^Run 1")).first.click()
-    expect(page).to_have_url(re.compile("/runs"), timeout=LIMIT_MS)
+    said(page, "What it was made from")
+    page.locator("button.walk-box", has_text="Run 1").first.click()
+    page.locator(".walk-list button").first.click()
+    expect(page.get_by_role("link", name="Open this trial")).to_be_visible(timeout=LIMIT_MS)
+    page.get_by_role("link", name="Open this trial").click()
+    expect(page).to_have_url(re.compile("/trials[?]trial="), timeout=LIMIT_MS)
     accessible(page, browser)
 
 
