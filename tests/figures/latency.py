@@ -7,17 +7,20 @@
 `gaps`: within a configuration, from the last frame of a trial to the start of the next one's motion: the
 commit and everything else that is neither motion, settling nor frame. While the run is under way, for so
 many seconds, each second minute is under load. Without SECONDS: a run as it was. With OF, another run's
-name such as `run-1`, the load is exports of it, one after the other, instead of reads.
+name such as `run-1`, the load is exports of it, one after the other, instead of reads; with `dashboards` it is
+20 pages of the night: live status, live frames, and what a page reads again and again.
 `estop moving`: x is on its way at each stop (a rig that may move, homed before each).
 """
 
 import json
+import socket
 import statistics
 import sys
 import threading
 import time
 import urllib.request
 from datetime import datetime
+from urllib.parse import urlsplit
 
 READS = ["/api/v1/status", "/api/v1/trials?limit=20&sort=-trial_id", "/api/v1/events?since=-50", "/metrics"]
 PERIOD_S = 60.0
@@ -47,7 +50,7 @@ def gaps(url: str, run: str, seconds: float, of: str) -> None:
         if time.time() < end:
             begun = time.time()
             left = min(PERIOD_S, end - begun)
-            exports(url, of, left) if of else load(url, left)
+            dashboards(url, run, left) if of == "dashboards" else exports(url, of, left) if of else load(url, left)
             loaded.append((begun, time.time()))
     rows, cursor = [], ""
     while cursor is not None:
@@ -78,6 +81,35 @@ def exports(url: str, of: str, seconds: float) -> None:
             time.sleep(0.2)
         done += 1
     print(f"{done} exports of {of} in {seconds:.0f} s, the last one not finished")
+
+
+def dashboards(url: str, run: str, seconds: float, count: int = 20) -> None:
+    """As many pages as `count`: two WebSockets each, whose messages are read, and the repeated requests."""
+    end, received = time.monotonic() + seconds, []
+
+    def follow(path: str) -> None:
+        at = urlsplit(url)
+        with socket.create_connection((at.hostname, at.port), timeout=10) as wire:
+            wire.sendall(f"GET {path} HTTP/1.1\r\nHost: {at.netloc}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+                         "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode())
+            total = 0
+            while time.monotonic() < end and (piece := wire.recv(1 << 16)):
+                total += len(piece)
+            received.append(total)
+
+    def ask() -> None:
+        while time.monotonic() < end:
+            for path in (f"/api/v1/runs/{run}/progress", "/api/v1/twins", f"/api/v1/runs/{run}/history?bins=120"):
+                call(url, path)
+            time.sleep(max(0.0, min(5.0, end - time.monotonic())))
+
+    work = [(follow, "/api/v1/status/live"), (follow, "/api/v1/frames/live"), (ask,)] * count
+    threads = [threading.Thread(target=one[0], args=one[1:]) for one in work]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    print(f"{count} dashboards received {sum(received) / seconds / 1e6:.2f} MB/s over their WebSockets")
 
 
 def load(url: str, seconds: float, rate: float = 200.0) -> None:

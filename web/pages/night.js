@@ -109,7 +109,7 @@ export async function show(root, { query, signal, set }) {
     const trialAt = last_trial_at ?? seen.trial?.measured_at
     changing(strip, [
       ['Last trial stored', trialAt ? `${span(age(trialAt))} ago` : 'none yet'],
-      ['Disk, free of needed', disk ? `${bytes(disk.free_bytes)} of ${bytes(disk.needed_bytes)}` : 'not reported'],
+      ['Disk', disk ? `${bytes(disk.free_bytes)} free, ${bytes(disk.needed_bytes)} needed` : 'not reported'],
       ['Queue', queue_length ? counted(queue_length, 'run') : 'empty'],
       ['Operator lock', lock ? `${lock.holder}, since ${moment(lock.since)}: ${lock.note}` : 'free'],
       !run && ['Rig', RIG[rig.state] ?? `${capital(plain(rig.state))}.`],
