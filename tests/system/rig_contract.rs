@@ -16,6 +16,7 @@ use palpate::rig::config::{Guard, RigConfig};
 use palpate::rig::error::RigError;
 use palpate::rig::link::StopLatch;
 use palpate::rig::registry::{OpenBench, open};
+use palpate::rig::setup::RigSetup;
 use palpate::rig::traits::{Axis, AxisStatus};
 use serde_json::{Value, json};
 use virtual_rig::run::{RigArgs, VirtualRig};
@@ -153,10 +154,14 @@ async fn moves_and_stops(axis: &Arc<dyn Axis>, latch: &StopLatch) {
     latch.clear();
 }
 
-/// Names of the rig files in `experiments/rigs/`.
+/// Names of the rig files in `experiments/rigs/` that describe a bench, not a skin alone.
 fn rig_files() -> Vec<String> {
     let entries = std::fs::read_dir(file("rigs")).unwrap().map(|entry| entry.unwrap().path());
-    let files = entries.filter(|path| path.extension().is_some_and(|e| e == "toml"));
+    let files =
+        entries.filter(|path| path.extension().is_some_and(|e| e == "toml")).filter(|path| {
+            let text = std::fs::read_to_string(path).unwrap();
+            RigSetup::from_toml("rig", &text).unwrap().bench().is_some()
+        });
     let mut names: Vec<String> =
         files.map(|path| path.file_stem().unwrap().to_str().unwrap().to_owned()).collect();
     names.sort();
