@@ -175,7 +175,16 @@ impl Harness {
         let end = status.rig.safe_end.clone().expect("a safe end");
         assert_eq!(end.tips, Tips::Raised, "{end:#?}");
         assert!(end.is_acknowledged(), "{end:#?}");
-        let truth = self.truth().await;
+        let mut truth = self.truth().await;
+        // An axis that has reached its target settles for some wall milliseconds more.
+        let settled = Instant::now() + Duration::from_millis(200);
+        let moves = |truth: &Value| {
+            truth["axes"].as_array().unwrap().iter().any(|axis| axis["moving"] == true)
+        };
+        while moves(&truth) && Instant::now() < settled {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+            truth = self.truth().await;
+        }
         assert_eq!(truth["pressing"], false, "{truth:#}");
         assert_eq!(truth["lateral_in_contact"], 0, "{truth:#}");
         for axis in truth["axes"].as_array().unwrap() {
