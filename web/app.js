@@ -211,6 +211,5 @@ live.on('fresh', ({ fresh, why, at, status }) => {
   note($('gone'), fresh || !why ? '' : `${why} since ${clock(at || Date.now())}.${status ? ' What is shown is old.' : ''} Trying again.`)
 })
 
-keep('localStorage', 'palpate-seen', new Date().toISOString())
 start()
 open()

@@ -36,6 +36,12 @@ def full(route):
     route.fulfill(response=answer, body=json.dumps(status))
 
 
+def nearly_full(page):
+    """Lets a page receive only such statuses: without its socket it asks for them."""
+    page.route_web_socket("**/status/live*", lambda wire: wire.close())
+    page.route("**/api/v1/status", full)
+
+
 def open_page(browser, path, size, scheme, before=None):
     width, height = SIZES[size]
     context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
@@ -62,7 +68,7 @@ def main():
                     if size == "desk" and scheme == "light":
                         paint, heap = page.evaluate(PAINT), page.evaluate(HEAP)
                         print(f"{name}: first paint {paint:.0f} ms, scripts hold {heap:.1f} MB", flush=True)
-                    page.screenshot(path=FOLDER / f"{name}-{size}-{scheme}.png", full_page=size != "wall")
+                    page.screenshot(path=FOLDER / f"{name}-{size}-{scheme}.png", full_page=size == "desk")
                     context.close()
         if "night" in PAGES:
             context, page = open_page(browser, "/", "desk", "light")
@@ -71,8 +77,7 @@ def main():
             page.wait_for_timeout(5000)
             page.screenshot(path=FOLDER / "night-desk-lost.png")
             context.close()
-            context, page = open_page(browser, "/", "desk", "light",
-                                      lambda page: page.route("**/api/v1/status", full))
+            context, page = open_page(browser, "/", "desk", "light", nearly_full)
             page.screenshot(path=FOLDER / "night-desk-disk.png")
             context.close()
         browser.close()

@@ -1,7 +1,7 @@
 // The state of rig and run as all pages share it: one socket, or polling where there is none.
 // Old is known to be old: `live.fresh` is false within 3 s after the last answer.
 
-import { ask, door, get, keep, person, socket } from './api.js'
+import { ask, door, get, person, socket } from './api.js'
 import { sleep } from './dom.js'
 
 const OLD_MS = 2600, CALLER_MS = 3000
@@ -111,4 +111,3 @@ export function start() {
 
 /** Name for the log of actions; a remembered one, else that of the key. */
 export const who = () => person.name || live.caller?.name || ''
-export { keep }

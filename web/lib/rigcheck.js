@@ -1,6 +1,6 @@
 // The report of a rig check as tables: problems first, then what each device answered.
 
-import { el, panel } from './dom.js'
+import { el } from './dom.js'
 import { about, count, fixed, NONE, plain } from './format.js'
 import { table } from './table.js'
 

@@ -2,7 +2,7 @@
 // reason where one cannot be done, jog while a button is held, the check, and the pose to copy.
 
 import { once, get } from '../lib/api.js'
-import { actOnRig, actor, named, outcome } from '../lib/actions.js'
+import { actOnRig, actor, outcome } from '../lib/actions.js'
 import { chain, lastWord, stopWords, stoppingWords, streamWords, wireWords } from '../lib/chain.js'
 import { copyButton } from '../lib/copybutton.js'
 import { el, facts, fill, panel, say, select } from '../lib/dom.js'
