@@ -9,6 +9,8 @@ pub(crate) mod columns;
 pub(crate) mod writer;
 /// Damage in SQLite's write-ahead log that SQLite does not report.
 mod log;
+/// The migrations, embedded.
+mod migrations;
 /// Opening, sharing and closing the database.
 pub(crate) mod store;
 /// Facts of a run that never change, cached in memory.

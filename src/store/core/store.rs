@@ -1,5 +1,5 @@
 //! The database of a rig: opening, sharing and closing. The other files add methods for its tables.
-//! Uses: `core::{writer, log}`, sqlx, `clock`. Never: the name of a table.
+//! Uses: `core::{writer, log, migrations}`, sqlx, `clock`. Never: the name of a table.
 
 use std::collections::HashMap;
 use std::io::ErrorKind;
@@ -18,6 +18,7 @@ use super::columns;
 use super::error::{During, StoreError};
 use super::facts::RunFacts;
 use super::log;
+use super::migrations::MIGRATIONS;
 use super::writer::Writer;
 use crate::clock::Clock;
 use crate::ids::RunUid;
@@ -50,9 +51,6 @@ pub enum Soundness {
     /// Damage that it found, as text; a damaged trial is named by its id.
     Damaged(Vec<String>),
 }
-
-/// The files of `migrations/`, in order.
-pub(crate) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../../migrations");
 
 /// The database of a rig. Clones share its connections.
 #[derive(Clone)]
