@@ -207,6 +207,8 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
     assert_eq!(lab.get(&format!("/api/v1/runs/{run}")).await["state"], "interrupted");
     lab.start(&run).await;
     asked(&lab, 2).await;
+    let which = json!({ "action": "repeat", "who": WHO });
+    assert_eq!(lab.act(&run, which).await.0, 409, "after a restart the trial must be named");
     lab.call_operator_who_errs(SPEED, 1.0);
     let summary = lab.ended(&run).await;
     assert_eq!(summary["run"]["exit_status"], "success", "{summary:#}");

@@ -12,7 +12,7 @@ use axum::response::Response;
 use axum::{Extension, Json, extract::Query};
 use serde::{Deserialize, Serialize};
 use tokio::sync::Semaphore;
-use tokio::time::timeout;
+use tokio::time::{Instant, sleep_until, timeout};
 use tracing::Instrument;
 use utoipa::{IntoParams, ToSchema};
 
@@ -23,6 +23,7 @@ use super::limits::{
     EXACT_MAX, FIT_REQUESTS, FRAME_CLIENTS, FRAMES_MAX, LIVE_CLIENTS, MAPS_MAX, MESSAGE_MAX_BYTES,
     NET_REQUESTS, PREFLIGHTS, SIMULATIONS, STATUS_CLIENTS, TURN,
 };
+use super::live::INTERVAL;
 use super::problem::{ApiError, Params, ProblemBody, Upgrade};
 use crate::clock::Clock;
 use crate::dataset::background::background;
@@ -244,7 +245,7 @@ pub struct LiveAnswer {
 
 /// Streams the contacts of the rig's live frames as JSON messages over a WebSocket.
 ///
-/// A slow client misses frames; nothing waits for it.
+/// At most 33 messages per second. A slow client misses frames; nothing waits for it.
 #[utoipa::path(get, operation_id = "live_contacts",
     path = "/api/v1/live", tag = "infer", params(LiveParams),
     responses((status = 101, description = "WebSocket whose messages are LiveAnswer", body = LiveAnswer),
@@ -327,6 +328,7 @@ async fn follow(app: &App, mut socket: WebSocket, method: Method, map: bool) {
             },
         }
         let Some(frame) = frames.borrow_and_update().clone() else { continue };
+        let next = Instant::now() + INTERVAL;
         let pipeline = app.serving.current();
         let mut memory = std::mem::take(&mut tracked);
         let volts = frame.voltages_v();
@@ -352,5 +354,6 @@ async fn follow(app: &App, mut socket: WebSocket, method: Method, map: bool) {
         if !matches!(sent, Ok(Ok(()))) {
             return;
         }
+        sleep_until(next).await;
     }
 }

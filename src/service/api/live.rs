@@ -9,7 +9,7 @@ use axum::extract::ws::{Message, WebSocket};
 use axum::http::StatusCode;
 use axum::response::Response;
 use serde::Serialize;
-use tokio::time::timeout;
+use tokio::time::{Instant, sleep_until, timeout};
 use utoipa::ToSchema;
 
 use super::App;
@@ -20,8 +20,9 @@ use super::problem::{ApiError, ProblemBody, Upgrade};
 use crate::campaign::bench::stuck::StuckChannels;
 use crate::rig::traits::Frame;
 
-/// Shortest time between two frames to one client: about 30 per second.
-const INTERVAL: Duration = Duration::from_millis(33);
+/// Shortest time between two frames to one client. Less than the 33.3 ms of a board's frame, so that a
+/// client that keeps up misses none of 30 per second.
+pub(super) const INTERVAL: Duration = Duration::from_millis(30);
 /// Number of equal counts after which a channel is shown as stuck: 2 s. In trials fewer suffice, because
 /// the skin is pressed in between; here it may be at rest, and a quiet channel repeats a count by chance.
 const STUCK_FRAMES: u32 = 60;
@@ -85,12 +86,13 @@ async fn send(app: &App, mut socket: WebSocket) {
         }
         let frame = frames.borrow_and_update().clone();
         let Some(frame) = frame else { continue };
+        let next = Instant::now() + INTERVAL;
         let Ok(text) = serde_json::to_string(&shown(&frame, &mut channels)) else { return };
         let sent = timeout(SEND, socket.send(Message::Text(text.into()))).await;
         if !matches!(sent, Ok(Ok(()))) {
             return;
         }
-        tokio::time::sleep(INTERVAL).await;
+        sleep_until(next).await;
     }
 }
 

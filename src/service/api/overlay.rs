@@ -1,16 +1,15 @@
 //! `GET /api/v1/sensor/overlay.pdf`: the points of the skin at true scale, for printing.
-//! Uses: `overlay`, `store` (the sensor of a run). Never: the rig.
+//! Uses: `overlay`, `sensor`. Never: the rig.
 
 use axum::extract::State;
-use axum::http::{StatusCode, header};
+use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
-use sim_core::sensor::Sensor;
 use utoipa::IntoParams;
 
 use super::App;
 use super::problem::{ApiError, Params, ProblemBody};
-use super::runs::find;
+use super::sensor::sensor_of;
 use crate::overlay::{self, Paper};
 
 /// Paper of an overlay.
@@ -52,19 +51,13 @@ pub struct OverlayParams {
     params(OverlayParams),
     responses((status = 200, body = Vec<u8>, content_type = "application/pdf"),
         (status = 400, body = ProblemBody, description = "a parameter is invalid"),
-        (status = 404, body = ProblemBody, description = "no run has this uid or scan_id")))]
+        (status = 404, body = ProblemBody,
+            description = "no run has this uid or scan_id, or its sensor has no file")))]
 pub async fn overlay(
     State(app): State<App>,
     Params(asked): Params<OverlayParams>,
 ) -> Result<Response, ApiError> {
-    let sensor = match &asked.run {
-        None => app.serving.sensor().clone(),
-        Some(run) => {
-            let unreadable =
-                |e| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, format!("sensor: {e}"));
-            Sensor::from_toml(&find(&app, run).await?.sensor).map_err(unreadable)?
-        }
-    };
+    let sensor = sensor_of(&app, asked.run.as_deref()).await?;
     let pdf = overlay::pdf(&sensor, asked.paper.into());
     let headers = [
         (header::CONTENT_TYPE, "application/pdf"),

@@ -56,7 +56,7 @@ pub struct ActionRequest {
     pub code: Option<String>,
     /// For `confirm`: index of the placement that was made. A run that waits for something else refuses
     /// it, so that a confirmation sent twice confirms one placement. For `repeat`: index of the
-    /// placement to repeat; absent: the one that was measured last.
+    /// placement to repeat; absent: the one that was measured last since the start of the service.
     pub trial: Option<u32>,
     /// For `confirm`: number of tips that were mounted, as `trial`.
     pub tips: Option<u8>,

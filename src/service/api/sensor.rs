@@ -86,11 +86,18 @@ pub async fn sensor(
     State(app): State<App>,
     Params(params): Params<SensorParams>,
 ) -> Result<Json<SensorOut>, ApiError> {
-    let Some(run) = &params.run else { return Ok(Json(SensorOut::of(app.serving.sensor()))) };
-    let run = find(&app, run).await?;
-    let sensor = Sensor::from_toml(&run.sensor).map_err(|error| {
+    Ok(Json(SensorOut::of(&sensor_of(&app, params.run.as_deref()).await?)))
+}
+
+/// The sensor of a run, named by its uid or scan_id; without one the sensor under the rig.
+///
+/// # Errors
+/// 404 if no run has this name, or if its sensor has no readable file.
+pub(super) async fn sensor_of(app: &App, run: Option<&str>) -> Result<Sensor, ApiError> {
+    let Some(run) = run else { return Ok(app.serving.sensor().clone()) };
+    let run = find(app, run).await?;
+    Sensor::from_toml(&run.sensor).map_err(|error| {
         let words = format!("run {}: its sensor has no readable file: {error}", run.scan_id);
         ApiError::not_found(words)
-    })?;
-    Ok(Json(SensorOut::of(&sensor)))
+    })
 }

@@ -103,6 +103,7 @@ enum PoolError {
 /// State of the loop between two pages.
 #[derive(Default)]
 struct Progress {
+    /// Recipes of runs with pending trials.
     recipes: HashMap<RunUid, Recipe>,
     /// The last trial that was read, per run.
     passed: HashMap<RunUid, TrialId>,
@@ -217,6 +218,7 @@ impl TwinPool {
                 // Further trials of the active run will follow.
                 if Some(run) != active {
                     progress.done.insert(run);
+                    progress.recipes.remove(&run);
                 }
                 continue;
             };

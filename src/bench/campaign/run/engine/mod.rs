@@ -322,7 +322,7 @@ struct Attempts {
 /// The placement that was measured last in this session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Last {
-    /// None yet: the one before the awaited one.
+    /// None yet.
     Unknown,
     /// This one is stored.
     Stored(u32),

@@ -296,7 +296,8 @@ impl Engine {
         }
     }
 
-    /// Withdraws a stored placement: the named one, otherwise the last one that was measured.
+    /// Withdraws a stored placement: the named one, otherwise the last one that was measured since the
+    /// start of the service. Before that one, which trial a person means is not known.
     async fn repeat(
         &mut self,
         job: &Job,
@@ -313,7 +314,13 @@ impl Engine {
         };
         let configuration = match (trial, last) {
             (Some(trial), _) | (None, Last::Stored(trial)) => trial,
-            (None, Last::Unknown) => awaited.checked_sub(1).ok_or_else(nothing_to_repeat)?,
+            (None, Last::Unknown) => {
+                let words = format!(
+                    "no placement was measured since the start of the service: name the trial to \
+                     repeat (the run awaits trial {awaited})"
+                );
+                return Err(Refusal::State(words));
+            }
             (None, Last::Withdrawn) => {
                 let words = format!("trial {awaited} is already repeated: name another one");
                 return Err(Refusal::State(words));
@@ -323,17 +330,10 @@ impl Engine {
         let progress = self.control.journal.progress(job.run).await.map_err(failed)?;
         let key = TrialKey { configuration, depth_index: 0 };
         if !progress.stored.contains(&key) {
-            return Err(match trial {
-                Some(trial) => Refusal::State(format!("trial {trial} is not stored")),
-                None => nothing_to_repeat(),
-            });
+            return Err(Refusal::State(format!("trial {configuration} is not stored")));
         }
         self.control.diary.note(Note::Discard(job.run, key, why.into()));
         self.control.say("repeat", json!({ "trial": key, "why": why }));
         self.control.flush().await.map_err(failed)
     }
-}
-
-fn nothing_to_repeat() -> Refusal {
-    Refusal::State("there is no trial to repeat".into())
 }
