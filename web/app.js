@@ -3,7 +3,7 @@
 import { door, estop, giveKey, hasKey, keep } from './lib/api.js'
 import { actOnRig, actor, modal, outcome } from './lib/actions.js'
 import { button, el, fill, link, note, say } from './lib/dom.js'
-import { capital, clock, count, moment, percent, plain, span } from './lib/format.js'
+import { capital, clock, count, momentBand, percent, plain, span } from './lib/format.js'
 import { kindOf } from './lib/kinds.js'
 import { live, start } from './lib/live.js'
 import { TONE, WAITS } from './lib/words.js'
@@ -25,7 +25,11 @@ async function open() {
   const name = location.pathname.slice(1) || FIRST, page = PAGES.find(page => page.name === name)
   const query = Object.fromEntries(new URLSearchParams(location.search))
   for (const one of document.querySelectorAll('#links a')) {
-    if (one.dataset.page === name) one.ariaCurrent = 'page'
+    if (one.dataset.page === name) {
+      one.ariaCurrent = 'page'
+      const { parentNode: row } = one
+      row.scrollLeft = one.offsetLeft - (row.clientWidth - one.offsetWidth) / 2 // On a phone the links are wider than the screen.
+    }
     else one.removeAttribute('aria-current')
   }
   if (present?.name === name && present.update) return present.update(query)
@@ -75,6 +79,10 @@ fill($('links'), PAGES.map(page => {
   group = page.group
   return el('a', { href: page.name === FIRST ? '/' : `/${page.name}`, title: page.about, data: { page: page.name, begins: begins ? 'yes' : 'no' } }, page.title)
 }))
+// The module of a page is read when a pointer or the focus reaches its link: the click finds it.
+for (const kind of ['pointerover', 'focusin', 'touchstart']) {
+  $('links').addEventListener(kind, ({ target }) => target.dataset.page && import(`./pages/${target.dataset.page}.js`).catch(() => {}), { passive: true })
+}
 let chord = 0
 document.addEventListener('keydown', event => {
   if (event.target.closest?.('input, select, textarea, dialog') || event.metaKey || event.ctrlKey || event.altKey) return
@@ -154,8 +162,7 @@ function etaWords(run, at) {
   if (!run?.eta || run.trials_stored + run.trials_skipped >= run.trials_planned) return ''
   const { remaining_s, low_s, high_s } = run.eta
   if (!['running', 'pausing'].includes(run.state)) return `about ${span(remaining_s)} to go`
-  const [likely, low, high] = [remaining_s, low_s, high_s].map(s => moment(at + s * 1e3, high_s < 900))
-  return `done about ${likely}${low === high ? '' : ` (${low} to ${high})`}`
+  return `done about ${momentBand(...[remaining_s, low_s, high_s].map(s => at + s * 1e3), high_s < 900)}`
 }
 live.on('status', ({ status, at }) => {
   const { rig, run, lock } = status

@@ -1,85 +1,127 @@
-"""Pictures of every page of the dashboard: python3 tests/figures/screens.py URL FOLDER [PAGE..]
+"""Pictures of every page of the dashboard: python3 tests/figures/screens.py URL FOLDER [--empty URL] [--state STATE].. [PAGE..]
 
     palpate run experiments/quickstart.toml --data /tmp/screens          # data to show
-    palpate serve --data /tmp/screens --bind 127.0.0.1:8474              # and a virtual rig
-    python3 tests/figures/screens.py http://127.0.0.1:8474 screens
+    palpate serve --data /tmp/screens --bind 127.0.0.1:8474              # and a virtual rig, with a run for `busy`
+    palpate serve --data /tmp/empty --bind 127.0.0.1:8475                # for the state `empty`
+    python3 tests/figures/screens.py http://127.0.0.1:8474 screens --empty http://127.0.0.1:8475
 
-Each page as a desk (1400 x 900), a phone (390 x 844) and a wall screen (1920 x 1080), light and dark; the
-night also without a connection and with a full disk (the browser changes what the page receives).
-Prints for each page: time to the first paint and memory of its scripts, from a cold cache. Needs
-Chromium (PALPATE_CHROMIUM) and playwright.
+Each page as a desk (1400 x 900), a phone (390 x 844) and a wall screen (1920 x 1080), light and dark, in the
+state `busy`: the service as it is. In the states `empty` (another service), `lost` (no connection), `tripped`
+and `disk` (nearly full) as a desk and a phone, light: for the last three the browser changes what the page
+receives, so that nothing happens to the rig. Reports what the pages write to the console, and each page whose
+content is wider than the screen. `pages.py` prints what the pages cost. Needs Chromium (PALPATE_CHROMIUM) and
+playwright.
 """
 
+import argparse
 import json
 import os
 import pathlib
 import shutil
-import sys
 
 from playwright.sync_api import sync_playwright
 
-URL, FOLDER = sys.argv[1].rstrip("/"), pathlib.Path(sys.argv[2])
-PAGES = sys.argv[3:] or ["night", "queue", "plan", "place", "runs", "trials", "data", "model", "nets", "live",
-                         "rig", "wear", "settings"]
 SIZES = {"desk": (1400, 900), "phone": (390, 844), "wall": (1920, 1080)}
-PAINT = "performance.getEntriesByName('first-contentful-paint')[0]?.startTime ?? -1"
-HEAP = "performance.memory.usedJSHeapSize / 1e6"
-SETTLE_MS = 2500
+PAGES = "import('/web/pages.js').then(pages => pages.PAGES.map(page => page.name))"
+WIDE = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+SETTLE_MS, LOST_MS = 3000, 3500
+TRIP = {"kind": "force", "detail": "cell 3 reads 91.4 N, limit 88.0 N"}
 
 
-def full(route):
-    """A status whose disk is nearly full."""
-    answer = route.fetch()
-    status = answer.json()
-    if isinstance(status, dict) and "rig" in status:
-        status["disk"] = {"free_bytes": 90_000_000, "needed_bytes": 4_200_000_000}
-    route.fulfill(response=answer, body=json.dumps(status))
+def nearly_full(status):
+    status["disk"] = {"free_bytes": 90_000_000, "needed_bytes": 4_200_000_000}
 
 
-def nearly_full(page):
-    """Lets a page receive only such statuses: without its socket it asks for them."""
-    page.route_web_socket("**/status/live*", lambda wire: wire.close())
-    page.route("**/api/v1/status", full)
+def tripped(status):
+    status["rig"].update(state="tripped", trip=TRIP)
+    if status["run"]:
+        status["run"].update(state="paused", paused_why="trip")
 
 
-def open_page(browser, path, size, scheme, before=None):
+def with_status(change):
+    """Lets a page receive only changed statuses: without its socket it asks for them."""
+
+    def changed(route):
+        answer = route.fetch()
+        status = answer.json()
+        if isinstance(status, dict) and "rig" in status:
+            change(status)
+        route.fulfill(response=answer, body=json.dumps(status))
+
+    def before(page):
+        page.route_web_socket("**/status/live*", lambda wire: wire.close())
+        page.route("**/api/v1/status", changed)
+
+    return before
+
+
+def lose(page):
+    """Cuts the connection of a page that was shown."""
+    page.context.set_offline(True)
+    page.route("**/*", lambda route: route.abort())
+    page.wait_for_timeout(LOST_MS)
+
+
+# What is done before a page is opened, after it was shown, and the sizes and lights of its pictures.
+BOTH, ALL = [("desk", "light"), ("phone", "light")], [(size, light) for size in SIZES for light in ("light", "dark")]
+STATES = {
+    "busy": (None, None, ALL), "empty": (None, None, BOTH), "lost": (None, lose, BOTH),
+    "tripped": (with_status(tripped), None, BOTH), "disk": (with_status(nearly_full), None, BOTH),
+}
+
+
+def picture(browser, url, name, state, size, light, folder):
+    before, after, _ = STATES[state]
     width, height = SIZES[size]
-    context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
+    context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=light)
     page = context.new_page()
+    file = f"{name}-{size}-{light}.png" if state == "busy" else f"{name}-{size}-{state}.png"
+    told = []
+    page.on("console", lambda message: told.append(message.text) if message.type in ("error", "warning") else None)
+    page.on("pageerror", lambda error: told.append(str(error)))
     if before:
         before(page)
-    page.goto(URL + path, wait_until="domcontentloaded")
+    page.goto(url + ("/" if name == "night" else f"/{name}"), wait_until="domcontentloaded")
     page.wait_for_timeout(SETTLE_MS)
-    return context, page
+    said = list(told)
+    if after:
+        after(page)
+    page.screenshot(path=folder / file, full_page=size == "desk")
+    wide = page.evaluate(WIDE)
+    if wide > 0:
+        print(f"{file}: {wide} pixels wider than the screen", flush=True)
+    for text in said:
+        # A browser reports every refused request; what is refused in a changed state is no fault.
+        if state != "empty" and "the server responded with a status of" not in text and "WebSocket" not in text:
+            print(f"{file}: {text}", flush=True)
+    page.unroute_all(behavior="ignoreErrors")
+    context.close()
 
 
 def main():
-    FOLDER.mkdir(parents=True, exist_ok=True)
+    """Makes all pictures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("url")
+    parser.add_argument("folder", type=pathlib.Path)
+    parser.add_argument("pages", nargs="*")
+    parser.add_argument("--empty", help="a service on an empty folder")
+    parser.add_argument("--state", action="append", choices=list(STATES))
+    args = parser.parse_intermixed_args()
+    args.folder.mkdir(parents=True, exist_ok=True)
     with sync_playwright() as playwright:
-        chromium = os.environ.get("PALPATE_CHROMIUM") or shutil.which("chromium")
         browser = playwright.chromium.launch(
-            executable_path=chromium,
-            args=["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--enable-precise-memory-info"])
-        for name in PAGES:
-            path = "/" if name == "night" else f"/{name}"
-            for size in SIZES:
-                for scheme in ("light", "dark"):
-                    context, page = open_page(browser, path, size, scheme)
-                    if size == "desk" and scheme == "light":
-                        paint, heap = page.evaluate(PAINT), page.evaluate(HEAP)
-                        print(f"{name}: first paint {paint:.0f} ms, scripts hold {heap:.1f} MB", flush=True)
-                    page.screenshot(path=FOLDER / f"{name}-{size}-{scheme}.png", full_page=size == "desk")
-                    context.close()
-        if "night" in PAGES:
-            context, page = open_page(browser, "/", "desk", "light")
-            context.set_offline(True)
-            page.route("**/*", lambda route: route.abort())
-            page.wait_for_timeout(5000)
-            page.screenshot(path=FOLDER / "night-desk-lost.png")
-            context.close()
-            context, page = open_page(browser, "/", "desk", "light", nearly_full)
-            page.screenshot(path=FOLDER / "night-desk-disk.png")
-            context.close()
+            executable_path=os.environ.get("PALPATE_CHROMIUM") or shutil.which("chromium"),
+            args=["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"])
+        page = browser.new_page()
+        page.goto(args.url)
+        names = args.pages or page.evaluate(PAGES)
+        page.close()
+        for state in args.state or list(STATES):
+            url = args.empty if state == "empty" else args.url
+            for name in names if url else []:
+                for size, light in STATES[state][2]:
+                    picture(browser, url.rstrip("/"), name, state, size, light, args.folder)
+            print(f"{state}: {len(names)} pages" if url else f"{state}: none, without --empty", flush=True)
         browser.close()
 
 

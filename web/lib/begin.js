@@ -3,8 +3,8 @@
 
 import { actOnRig, actOnRun, actor, confirm, named } from './actions.js'
 import { get, once, send } from './api.js'
-import { facts } from './dom.js'
-import { bytes, capital, count, counted } from './format.js'
+import { el, facts, say } from './dom.js'
+import { bytes, capital, count, counted, moment } from './format.js'
 import { live, who } from './live.js'
 import { band } from './preflight.js'
 
@@ -56,6 +56,27 @@ export function preflightWords(preflight) {
     facts([['Trials', count(trials)], ['Duration', band(duration_s, duration_low_s, duration_high_s)], ['Disk', bytes(disk_bytes)]]),
     waits_for_person ? `It waits for a person ${counted(waits_for_person, 'time')}: tips to change, or weights to place.` : 'It needs no person until its end.',
   ]
+}
+
+/** Who may start a run: { tone, words } for this caller, while the operator lock is free or taken. */
+export function startWords(caller, lock) {
+  if (lock) return { tone: 'warn', words: `${lock.holder} has the operator lock since ${moment(lock.since)}: ${lock.note}. Others cannot start a run until it is released.` }
+  if (!caller) return { tone: 'soft', words: 'Runs are started by callers with the role operator or admin.' }
+  return caller.role === 'viewer' ? { tone: 'warn', words: 'You may watch, pause and stop. Starting a run needs a key with the role operator: see the settings.' }
+    : { tone: 'soft', words: `You may start runs${caller.name ? ` as ${caller.name}` : ''} (role ${caller.role}), as may every operator. Viewers may watch, pause and stop.` }
+}
+
+/** Makes the line that says who may start a run; it follows the caller and the lock. */
+export function startRights(signal) {
+  const node = el('p', { className: 'said' })
+  const tell = () => {
+    const { tone, words } = startWords(live.caller, live.status?.lock)
+    say(node, words).className = `said small ${tone}`
+  }
+  live.addEventListener('caller', tell, { signal })
+  live.on('status', tell, signal)
+  tell()
+  return node
 }
 
 /**

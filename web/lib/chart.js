@@ -17,7 +17,7 @@ export function chart({ title, x = 'Time', xUnit, y = '', unit = '', series, tim
   const holder = el('div', { className: 'chart' })
   let data = [[], ...series.map(() => [])], plot = null
   const pen = (name, i) => colour(name ?? COLOURS[i % COLOURS.length])
-  const text = (value, of) => value == null ? '–' : fixed(value, of?.digits ?? 2, of?.unit ?? unit)
+  const text = (value, of) => value == null ? '' : fixed(value, of?.digits ?? 2, of?.unit ?? unit)
   const spread = (low, high) => {
     if (typeof range === 'function') return range(low, high)
     if (range) return range
@@ -35,7 +35,7 @@ export function chart({ title, x = 'Time', xUnit, y = '', unit = '', series, tim
       axes: [axis({ size: time ? 28 : 44, space: time ? 76 : 50, ...(time && { values: (_, ts) => ts.map((t, i) => clock(t).slice(0, ts.length > 1 && ts[1] - ts[0] < 60 ? 8 : 5)) }), ...(whole && { incrs: [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000] }), ...(!time && { label: `${x}${xUnit ? `, ${xUnit}` : ''}`, labelSize: 18, labelFont: '12px system-ui, sans-serif' }) }),
         axis({ size: 52, ...(y && { label: `${y}${unit ? `, ${unit}` : ''}`, labelSize: 16, labelFont: '12px system-ui, sans-serif' }) }),
         ...(right ? [axis({ side: 1, scale: 'right', size: 46, grid: { show: false }, label: right.label, labelSize: 16, labelFont: '12px system-ui, sans-serif' })] : [])],
-      series: [{ label: x, value: (_, v) => v == null ? '–' : time ? clock(v) : fixed(v, 2, xUnit) },
+      series: [{ label: x, value: (_, v) => v == null ? '' : time ? clock(v) : fixed(v, 2, xUnit) },
         ...series.map((one, i) => ({
           label: one.name, scale: one.axis === 'right' ? 'right' : 'y', stroke: pen(one.colour, i), width: one.line === false ? 0 : 1.5, dash: one.dash,
           points: { show: one.points ?? false, size: 4, fill: pen(one.colour, i) }, fill: one.fill ? `${pen(one.colour, i)}30` : undefined, paths: one.bars ? uPlot.paths.bars({ size: [0.9, 40] }) : one.steps ? uPlot.paths.stepped({ align: 1 }) : undefined,

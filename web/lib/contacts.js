@@ -2,18 +2,17 @@
 
 import { el } from './dom.js'
 import { count, fixed } from './format.js'
+import { TRIALS } from './paper.js'
 import { table } from './table.js'
 
 const HEADS = ['Single', 'Double', 'Triple', 'Quadruple', 'Quintuple', 'Sextuple']
-// Paper, Table I.
-const PAPER = { 'real-hex': [20092, 21313, 19712, 14487, 15944, 2126], 'real-random': [0, 50, 50, 50, 0, 0] }
 const sum = values => values.reduce((a, b) => a + b, 0)
 
 /** The table: `rows` [{ name, kind, counts (0 to 6 contacts) }]; the paper's row for each kind is added. */
 export function contactsTable(rows) {
   const paper = [...new Set(rows.map(row => row.kind))]
-    .filter(kind => PAPER[kind])
-    .map(kind => ({ name: `Paper, ${kind === 'real-hex' ? 'Real-Hex' : 'Real-Random'}`, counts: [null, ...PAPER[kind]] }))
+    .filter(kind => TRIALS[kind])
+    .map(kind => ({ name: `Paper, ${kind === 'real-hex' ? 'Real-Hex' : 'Real-Random'}`, counts: [null, ...TRIALS[kind]] }))
   return table({
     rows: [...rows, ...paper],
     caption: 'Trials by the number of contacts (paper, Table I). The total excludes trials without contact, in which every force is below the deadband.',

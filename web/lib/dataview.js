@@ -2,7 +2,7 @@
 // same colours with the same end, so that two glances can be compared.
 
 import { Refused, get, socket } from './api.js'
-import { el, fill, note, say, select, sleep } from './dom.js'
+import { el, fill, note, onBeat, say, select, sleep } from './dom.js'
 import { age, clock, counted, fixed, moment, span } from './format.js'
 import { frame, minus } from './frame.js'
 import { live } from './live.js'
@@ -11,8 +11,8 @@ import { live } from './live.js'
 export const VIEWS = [
   ['', 'Live, difference from untouched'], ['voltages', 'Live, voltages'], ['trial', 'Last trial, difference'], ['misfit', 'Last trial minus its twin'],
 ]
-const SCALES = [['0.1', '0.1 V'], ['0.5', '0.5 V'], ['', '2 V'], ['10', '10 V']]
-const DRAW_MS = 100, LOOK_MS = 5000, OLD_MS = 2000
+const SCALES = [['0.1', '0.1 V'], ['', '0.5 V'], ['2', '2 V'], ['10', '10 V']]
+const LOOK_MS = 5000, OLD_MS = 2000
 
 /**
  * Makes the pictures. `state` is { frame, scale } of the address. `run` gives the run whose last trial is
@@ -27,18 +27,16 @@ export function dataView({ state, set, signal, label, onfacts = () => {} }) {
   const twinWords = el('p', { className: 'soft small hold' }), frameWords = el('p', { className: 'soft small hold' })
   const lost = el('p', { className: 'warn small' })
   const twin = el('div', {}, right.node, twinWords)
-  let untouched = null, why = '', newest = null, trial = null, parsed = null, run = null, drawn = 0, timer = 0, arrived = 0, wasOld = false
+  let untouched = null, why = '', newest = null, trial = null, parsed = null, run = null, arrived = 0, wasOld = false
   note(lost, '')
 
   const isLive = () => !['trial', 'misfit'].includes(state.frame)
-  const end = () => Number(state.scale) || 2
+  const end = () => Number(state.scale) || 0.5
   // The newest frame says nothing of now if it came long ago, or if the wires were closed since.
   const old = () => live.status?.rig.state === 'disconnected' || Date.now() - arrived > OLD_MS
   const title = node => node.querySelector('figcaption span')
 
   function draw() {
-    timer = 0
-    drawn = Date.now()
     if (newest) parsed = JSON.parse(newest)
     newest = null
     const stale = wasOld = old()
@@ -64,7 +62,7 @@ export function dataView({ state, set, signal, label, onfacts = () => {} }) {
     frameWords.classList.toggle('warn', Boolean(stale))
   }
   // Frames come at 30 per second and more; a picture that a person compares needs ten.
-  const later = () => { timer ||= setTimeout(() => requestAnimationFrame(draw), Math.max(0, drawn + DRAW_MS - Date.now())) }
+  const later = onBeat(() => { if (!signal.aborted) draw() })
 
   function drawTwin() {
     const sim = trial?.sim_voltages_v, differs = sim && untouched
@@ -121,7 +119,7 @@ export function dataView({ state, set, signal, label, onfacts = () => {} }) {
     if (old() !== wasOld) draw()
     else if (wasOld && isLive()) tellLive()
   }, 1000)
-  signal.addEventListener('abort', () => { clearTimeout(timer); clearInterval(watch) })
+  signal.addEventListener('abort', () => clearInterval(watch))
   look()
   draw()
   return {

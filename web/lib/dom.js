@@ -1,5 +1,8 @@
 // Elements: how all modules make and change them. Uses the DOM alone.
 
+/** Whether the page is dark. */
+export const dark = matchMedia('(prefers-color-scheme: dark)')
+
 /** Makes an element: properties that exist are set, functions named on… listen, others are attributes. */
 export function el(tag, props = {}, ...inside) {
   const node = document.createElement(tag)
@@ -38,7 +41,7 @@ export function say(node, text) {
 /** Shows a text, or hides the element if there is none. */
 export function note(node, text) {
   say(node, text)
-  node.hidden = !text
+  if (node.hidden === Boolean(text)) node.hidden = !text // Setting the same again would compute styles again.
 }
 
 /** Makes a section with a heading: `panel('Forces', {}, …)`. `props.aside` stands beside the heading. */
@@ -79,6 +82,29 @@ export function soon(draw) {
   return () => { asked ||= requestAnimationFrame(() => { asked = 0; draw() }) }
 }
 
+const BEAT_MS = 100
+let beat = null, beaten = 0
+
+/**
+ * Like `soon`, for what follows live values: all such drawings share one picture, at most ten times per
+ * second. Each picture of its own would cost a layout and a painting of the page.
+ */
+export function onBeat(draw) {
+  const run = () => {
+    const drawings = beat
+    beat = null
+    beaten = performance.now()
+    for (const one of drawings) one()
+  }
+  return () => {
+    if (!beat) {
+      beat = new Set()
+      setTimeout(run, Math.max(0, beaten + BEAT_MS - performance.now()))
+    }
+    beat.add(draw)
+  }
+}
+
 /** Calls `then` whenever light changes to dark, or the size of `node`; ends with `signal`. */
 export function onLook(node, then, signal) {
   const sizes = new ResizeObserver(then)
@@ -87,11 +113,18 @@ export function onLook(node, then, signal) {
   signal?.addEventListener('abort', () => sizes.disconnect())
 }
 
-/** Whether the page is dark. */
-export const dark = matchMedia('(prefers-color-scheme: dark)')
+const colours = new Map()
+dark.addEventListener('change', () => colours.clear()) // Before all others: it is the first to listen.
 
-/** Value of a colour of app.css: `colour('--live')`. */
-export const colour = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim()
+/** Value of a colour of app.css: `colour('--live')`. Kept, because asking makes the browser compute all styles. */
+export function colour(name) {
+  if (!colours.has(name)) {
+    const value = getComputedStyle(document.documentElement).getPropertyValue(name).trim()
+    if (!value) return value // The styles have not come yet.
+    colours.set(name, value)
+  }
+  return colours.get(name)
+}
 
 /** Waits. */
 export const sleep = (ms, signal) => new Promise(resolve => {

@@ -43,6 +43,14 @@ export function moment(t, seconds = false) {
   return words + clock(t).slice(0, seconds ? 8 : 5)
 }
 
+/** tomorrow 05:20 (04:44 to 05:56): a moment with its band; a day is said again only if it is another one. */
+export function momentBand(likely, low, high, seconds = false) {
+  const [end, ...ends] = [likely, low, high].map(t => moment(t, seconds))
+  if (ends[0] === ends[1]) return end
+  const day = end.slice(0, end.lastIndexOf(' ') + 1)
+  return `${end} (${ends.map(text => (text.lastIndexOf(' ') + 1 === day.length && text.startsWith(day) ? text.slice(day.length) : text)).join(' to ')})`
+}
+
 /** 5 s, 12 min, 3 h 04 min */
 export function span(s) {
   if (s == null) return NONE

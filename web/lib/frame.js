@@ -37,8 +37,15 @@ export function paintStrip(canvas, shade) {
 /** Makes such a canvas: the colours of a legend. */
 export const strip = (shade, className = 'shades') => paintStrip(el('canvas', { width: 255, height: 1, className, 'aria-hidden': 'true' }), shade)
 
-/** Difference of two frames; null where one has no value, or if they are no pair. */
-export const minus = (a, b) => a && b && a.length === b.length ? a.map((v, i) => v == null || b[i] == null ? null : v - b[i]) : null
+/** Difference of two frames; NaN where one has no value; null if they are no pair. Numbers alone: ten frames per second leave no garbage. */
+export function minus(a, b) {
+  if (!a || !b || a.length !== b.length) return null
+  const rest = new Float32Array(a.length)
+  for (let i = 0; i < rest.length; i += 1) rest[i] = a[i] == null || b[i] == null ? NaN : a[i] - b[i]
+  return rest
+}
+
+const missing = v => v == null || Number.isNaN(v)
 
 /** 1, 2 or 5 times a power of ten, at least `top`. */
 export function round125(top) {
@@ -61,14 +68,14 @@ export function frame({ title = 'Frame', size = 28, unit = 'V', name, query, lab
     paintStrip(bar, i => palette[i])
     words = Uint32Array.from(palette, ([r, g, b]) => 0xff000000 | b << 16 | g << 8 | r) // Bytes r, g, b, a in memory.
   }
+  const image = new ImageData(size, size), pixels = new Uint32Array(image.data.buffer)
   const draw = soon(() => {
     if (!values) return
-    const image = new ImageData(size, size)
-    const pixels = new Uint32Array(image.data.buffer)
+    pixels.fill(0)
     let low = Infinity, high = -Infinity
     for (let i = 0; i < values.length; i += 1) {
       const v = values[i]
-      if (v == null) continue
+      if (missing(v)) continue
       if (v < low) low = v
       if (v > high) high = v
       pixels[i] = words[Math.round(127 + 127 * Math.max(-1, Math.min(1, bend(v / end))))]
@@ -93,18 +100,22 @@ export function frame({ title = 'Frame', size = 28, unit = 'V', name, query, lab
   paintBar()
   const node = picture({
     title, name, query, label, canvas: () => map,
-    data: () => ({ heads: ['injection', 'channel', unit === 'V' ? 'voltage_v' : `value_${unit}`], rows: (values ?? []).map((v, i) => [Math.floor(i / size), i % size, v]) }),
+    data: () => ({ heads: ['injection', 'channel', unit === 'V' ? 'voltage_v' : `value_${unit}`], rows: Array.from(values ?? [], (v, i) => [Math.floor(i / size), i % size, missing(v) ? null : v]) }),
   }, el('div', { className: 'frame-box' }, el('div', { className: 'side', 'aria-hidden': 'true' }, el('span', {}, String(size - 1)), el('span', {}, 'injection'), el('span', {}, '0')), map,
     el('div', { className: 'ticks', 'aria-hidden': 'true' }, el('span', {}, '0'), el('span', {}, 'channel'), el('span', {}, String(size - 1))), bar, ticks), at)
+  // The end of the colours where none is given: it grows as 1, 2, 5 and does not change otherwise.
+  const grown = next => {
+    let top = 1e-6
+    for (const v of next) if (!missing(v) && Math.abs(v) > top) top = Math.abs(v)
+    return top > end || top < 0.2 * end ? round125(top) : end
+  }
   return {
     node,
     show(next, { scale, marks: marked } = {}) {
       values = next
       marks = marked ?? {}
       if (!next) return
-      let top = 1e-6
-      for (const v of next) if (v != null && Math.abs(v) > top) top = Math.abs(v)
-      const wanted = scale ?? (top > end || top < 0.2 * end ? round125(top) : end)
+      const wanted = scale ?? grown(next)
       if (wanted !== end) { end = wanted; tell() }
       draw()
     },

@@ -8,6 +8,8 @@ import { counted, moment, plain, span } from './format.js'
 import { LOUD, TONE, sentence } from './words.js'
 
 const TONES = { good: '--live', warn: '--warn', bad: '--bad' }
+// The first reading of a long run takes the service a while.
+const READ_MS = 150_000
 const ms = text => text == null ? null : Date.parse(text)
 const seconds = text => ms(text) / 1e3
 
@@ -105,7 +107,8 @@ export function history({ title = 'The night', state, set, signal, label, height
       run = next
       facts = more
       try {
-        data = await get(`/runs/${run.scan_id}/history`, { bins: bins() }, { signal })
+        if (!data) say(words, 'Reading the history of this run …')
+        data = await get(`/runs/${run.scan_id}/history`, { bins: bins() }, { signal, wait: READ_MS })
         draw()
         if (shown !== state.event) { shown = state.event; openEvent() } else if (!state.event) openEvent()
       } catch (error) { if (!signal.aborted) say(words, `The history of this run could not be read: ${error.message}`) }

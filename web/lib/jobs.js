@@ -5,6 +5,7 @@ import { confirm, named, only } from './actions.js'
 import { button, el, facts, fill, link, panel, say, sleep } from './dom.js'
 import { capital, count, counted, fixed, moment, percent, plain, span } from './format.js'
 import { losses } from './losses.js'
+import { opened } from './opened.js'
 import { reportView } from './scores.js'
 import { table } from './table.js'
 import { raw } from './toml.js'
@@ -92,21 +93,10 @@ export function jobsPanel({ signal, href, current, onchange }) {
 
 /** Makes the view of one job; ends what it began when another one is shown. */
 export function jobView({ signal, said, models, onstopped }) {
-  const node = el('div', { className: 'job' })
-  let shown = null,
-    ending = new AbortController()
-  signal.addEventListener('abort', () => ending.abort())
+  return opened({ className: 'job', signal, draw: follow })
 
-  async function show(id) {
-    if (id === shown) return
-    shown = id
-    ending.abort()
-    ending = new AbortController()
-    node.hidden = !id
-    fill(node)
-    if (!id) return
-    const mine = ending.signal,
-      title = el('span', {}),
+  async function follow(node, id, mine) {
+    const title = el('span', {}),
       words = el('p', {}),
       bar = el('progress', { max: 1, value: 0, 'aria-label': 'Progress of this phase' }),
       numbers = el('div'),
@@ -209,5 +199,4 @@ export function jobView({ signal, said, models, onstopped }) {
       while (document.hidden && !mine.aborted) await sleep(500, mine)
     }
   }
-  return { node, show }
 }

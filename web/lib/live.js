@@ -2,9 +2,13 @@
 // Old is known to be old: `live.fresh` is false within 3 s after the last answer.
 
 import { ask, door, get, person, socket } from './api.js'
-import { sleep } from './dom.js'
+import { onBeat, sleep } from './dom.js'
+import { addSamples } from './samples.js'
 
-const OLD_MS = 2600, CALLER_MS = 3000
+const OLD_MS = 2600, CALLER_MS = 3000, TELL_MS = 240
+
+// A change of these is told at once; other values four times per second, since faster cannot be read.
+const urgent = ({ rig, run, lock }) => [rig.state, rig.trip?.detail, rig.stopping, rig.estop_acknowledged_ms, rig.safe_end?.tips, run?.uid, run?.state, run?.requested_state, run?.paused_why, run?.waiting_for, lock?.holder].join()
 
 /** The newest status; dispatches `status`, `samples`, `fresh` and `caller`. */
 class Live extends EventTarget {
@@ -18,6 +22,10 @@ class Live extends EventTarget {
   why = ''
   /** Name and role of the caller; null while unknown. */
   caller = null
+
+  #told = 0
+  #timer = 0
+  #urgent = ''
 
   /** Calls `then` now and on each change, until `signal` aborts. */
   on(kind, then, signal) {
@@ -36,8 +44,16 @@ class Live extends EventTarget {
     this.at = Date.now()
     this.state(true, '')
     if (!this.caller && this.at - callerAsked > CALLER_MS) caller()
+    const now = urgent(status)
+    if (now !== this.#urgent) { this.#urgent = now; this.#tell() } else this.#timer ||= setTimeout(this.#later, this.#told + TELL_MS - this.at)
+  }
+  #tell = () => {
+    clearTimeout(this.#timer)
+    this.#timer = 0
+    this.#told = Date.now()
     this.dispatchEvent(new Event('status'))
   }
+  #later = onBeat(this.#tell)
 
   state(fresh, why) {
     const changed = this.fresh !== fresh || this.why !== why
@@ -48,19 +64,7 @@ class Live extends EventTarget {
 }
 export const live = new Live()
 
-// Samples of force and depth, of the last minutes: three columns of one length, oldest first.
-const KEPT_MS = 15 * 60_000
-export const samples = { at_ms: [], z_mm: [], forces_n: [] }
-function addSamples(more) {
-  if (!more?.at_ms?.length) return
-  const last = samples.at_ms.at(-1) ?? 0
-  const from = more.at_ms.findIndex(at => at > last)
-  if (from < 0) return
-  for (const key of Object.keys(samples)) samples[key].push(...more[key].slice(from))
-  const old = samples.at_ms.findIndex(at => at > samples.at_ms.at(-1) - KEPT_MS)
-  if (old > 2000) for (const key of Object.keys(samples)) samples[key].splice(0, old)
-  live.dispatchEvent(new Event('samples'))
-}
+function take(more) { if (addSamples(more)) live.dispatchEvent(new Event('samples')) }
 
 let callerAsked = 0
 async function caller(signal) {
@@ -85,11 +89,11 @@ async function poll(signal) {
 
 let socketAt = 0
 async function listen(signal) {
-  await get('/rig/samples', { minutes: 10 }).then(addSamples, () => {})
+  await get('/rig/samples', { minutes: 10 }).then(take, () => {})
   socket('/status/live', {
     signal, onmessage(message) {
       socketAt = Date.now()
-      addSamples(message.samples)
+      take(message.samples)
       if (message.status) live.take(message.status)
     },
   })

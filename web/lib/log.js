@@ -1,7 +1,7 @@
 // The event log: newest first, what matters marked, followed live.
 
 import { follow } from './api.js'
-import { el, fill, panel, say, select, soon } from './dom.js'
+import { el, onBeat, panel, say, select } from './dom.js'
 import { clock, moment } from './format.js'
 import { LOUD, sentence } from './words.js'
 
@@ -19,14 +19,19 @@ const tone = event => event.kind === 'safe_end' && matters(event) ? 'bad' : LOUD
 
 /** Makes the log. `state.log` is 'all' or absent (only what matters). */
 export function eventLog({ state, set, signal, since = -200 }) {
+  let made = new Map()
   const kept = [], list = el('ol', { className: 'events scroll', tabIndex: 0, 'aria-label': 'Events, newest first' }), line = el('p',
     { className: 'soft small' })
   const choice = select([['', 'Only what matters'], ['all', 'All events']], state.log ?? '', value => set({ log: value }), { 'aria-label': 'Which events' })
   const row = event => el('li', { className: tone(event) }, el('time', { dateTime: event.at, title: moment(event.at, true) },
     Date.now() - Date.parse(event.at) < 64_800e3 ? clock(event.at) : moment(event.at)), el('span', {}, sentence(event)))
-  const draw = soon(() => {
+  const draw = onBeat(() => {
     const wanted = state.log === 'all' ? kept : kept.filter(matters), last = wanted.slice(-SHOWN).reverse()
-    fill(list, last.map(row))
+    // A row is made once: events come every second, and a list of new rows each time is garbage.
+    const rows = last.map(event => made.get(event) ?? row(event))
+    made = new Map(last.map((event, i) => [event, rows[i]]))
+    rows.forEach((node, i) => { if (list.children[i] !== node) list.insertBefore(node, list.children[i] ?? null) })
+    while (list.children.length > rows.length) list.lastChild.remove()
     if (last.length) say(line, wanted.length > SHOWN ? `The newest ${SHOWN} events.` : '')
     else say(line, kept.length ? 'Nothing that matters happened. All events are one choice away.' : 'No events yet.')
   })

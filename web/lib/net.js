@@ -6,6 +6,7 @@ import { button, el, facts, fill, link, note, panel, pane } from './dom.js'
 import { bytes, count, counted, fixed, moment } from './format.js'
 import { frame } from './frame.js'
 import { losses } from './losses.js'
+import { opened } from './opened.js'
 import { save } from './save.js'
 import { contactTable, voltageTable } from './scores.js'
 import { slotOf } from './serving.js'
@@ -20,30 +21,19 @@ export const TASKS = {
 
 /** Makes the view of one model; ends what it began when another one is shown. `promote(id, slot)` asks and acts. */
 export function netView({ signal, models, promote }) {
-  const node = el('div', { className: 'net' })
-  let shown = null,
-    ending = new AbortController()
-  signal.addEventListener('abort', () => ending.abort())
+  return opened({ className: 'net', signal, draw: read })
 
-  async function show(id) {
-    if (id === shown) return
-    shown = id
-    ending.abort()
-    ending = new AbortController()
-    node.hidden = !id
-    fill(node)
-    if (!id) return
-    const mine = ending.signal
+  async function read(node, id, mine) {
     try {
       const model = await get(`/models/${encodeURIComponent(id)}`, {}, { signal: mine })
-      if (!mine.aborted) draw(model, mine)
+      if (!mine.aborted) draw(node, model, mine)
     } catch (error) {
       if (!mine.aborted)
         fill(node, el('section', {}, el('h2', { className: 'big' }, id), el('p', { className: 'bad' }, error.message), link('/nets', 'All nets')))
     }
   }
 
-  function draw(model, mine) {
+  function draw(node, model, mine) {
     const { manifest } = model,
       label = () => (manifest.label === 'virtual' ? 'virtual' : ''),
       learned = manifest.trained_on ?? {}
@@ -137,13 +127,6 @@ export function netView({ signal, models, promote }) {
       scores,
       model.task === 'transfer' ? residuals(model, label, mine) : ''
     )
-  }
-  return {
-    node,
-    show,
-    forget() {
-      shown = undefined
-    },
   }
 }
 

@@ -20,6 +20,8 @@ export function parseContacts(text) {
   })
 }
 
+const HEADS = ['x, mm', 'y, mm', 'Given by', 'Value']
+
 /** Contacts as the text of an address. */
 export const contactsText = contacts => contacts.length
   ? contacts.map(c => `${+c.x_mm.toFixed(1)},${+c.y_mm.toFixed(1)},${+c.value.toFixed(3)}${LOAD[c.kind].sign}`).join(';') : 'none'
@@ -52,12 +54,12 @@ export function contactList(change) {
     const kinds = Object.entries(LOAD).map(([key, { words }]) => [key, words])
     const kind = select(kinds, 'force_n', next => change(i, { kind: next }), { 'aria-label': `Contact ${i + 1}: given by` })
     const remove = button('Remove', () => change(i, null), { className: 'plain', 'aria-label': `Remove contact ${i + 1}` })
-    const line = el('tr', {}, el('th', { scope: 'row' }, String(i + 1)), [x, y, kind, value].map(input => el('td', {}, input)), found, el('td', {}, remove))
+    const line = el('tr', {}, el('th', { scope: 'row' }, String(i + 1)), [x, y, kind, value].map((input, k) => el('td', { data: { head: HEADS[k] } }, input)), found, el('td', {}, remove))
     return { x, y, value, kind, found, line }
   }
   function make(count) {
     rows = Array.from({ length: count }, (_, i) => row(i))
-    const heads = ['', 'x, mm', 'y, mm', 'Given by', 'Value', 'Model', ''].map(head => head ? el('th', { scope: 'col' }, head) : el('td'))
+    const heads = ['', ...HEADS, 'Model', ''].map(head => head ? el('th', { scope: 'col' }, head) : el('td'))
     fill(node, count ? el('table', { className: 'press-list' }, el('thead', {}, el('tr', {}, heads)), el('tbody', {}, rows.map(({ line }) => line)))
       : el('p', { className: 'soft' }, 'No contact: the skin is untouched. Click on the skin to press it.'))
   }

@@ -1,10 +1,11 @@
 // Counters as rates: what a wire or the stream did in the last minute, not since it was opened.
 
-const WINDOW_MS = 60_000, STEP_MS = 1000
+const WINDOW_MS = 60_000, STEP_MS = 1000, SURE_S = 8
 
 /**
  * Keeps snapshots of counters for a minute. `add(counters)` takes { name: { key: count } }; `of(name)`
- * returns { seconds, change: { key: difference } }, or null before two snapshots.
+ * returns { seconds, change: { key: difference } }, or null before two snapshots, and for some seconds while
+ * nothing changed: the service itself reads the counters only every few seconds.
  */
 export function rates() {
   let kept = []
@@ -20,7 +21,8 @@ export function rates() {
     of(name) {
       const first = kept[0]?.counters[name], last = kept.at(-1)?.counters[name]
       if (!first || !last || kept.length < 2) return null
-      return { seconds: (kept.at(-1).at - kept[0].at) / 1e3, change: Object.fromEntries(Object.entries(last).map(([key, n]) => [key, n - (first[key] ?? 0)])) }
+      const seconds = (kept.at(-1).at - kept[0].at) / 1e3, change = Object.fromEntries(Object.entries(last).map(([key, n]) => [key, n - (first[key] ?? 0)]))
+      return seconds < SURE_S && Object.values(change).every(n => n === 0) ? null : { seconds, change }
     },
   }
 }

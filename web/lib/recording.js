@@ -45,6 +45,7 @@ export function recorder({ signal }) {
   function tell() {
     shown = Date.now()
     bar.value = kept.length
+    bar.hidden = !cut && !kept.length
     const seconds = kept.length > 1 ? (kept.at(-1).at - kept[0].at) / 1e3 : 0
     say(words, kept.length ? [`${count(kept.length)} frames, ${span(seconds)}, ${bytes(4 * channels * kept.length)}`,
       missed > 0 && `${count(missed)} between them were not sent to this page`,

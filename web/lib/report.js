@@ -7,7 +7,7 @@ import { changing } from './changing.js'
 import { chart } from './chart.js'
 import { contactsTable, fitTable } from './contacts.js'
 import { button, el, fill, link, pane, say, select } from './dom.js'
-import { NONE, about, count, counted, fixed, moment, percent, plain, span } from './format.js'
+import { about, age, count, counted, fixed, moment, percent, plain, span } from './format.js'
 import { history } from './history.js'
 import { live } from './live.js'
 import { matters } from './log.js'
@@ -143,17 +143,17 @@ export function report(root, { state, set, go, said, others, signal }) {
       ['Skipped configurations', count(summary.skips.length)],
       ['Trials of these', count(summary.trials_skipped)],
       ['Failed attempts', count(summary.retries)],
-      ['Duration', span(summary.duration_s)],
-      ['Trials per hour', rate == null ? NONE : count(Math.round(rate))],
+      ['Duration', span(summary.duration_s ?? (isActive(run) ? age(run.started_at) : null))],
+      rate != null && ['Trials per hour', count(Math.round(rate))],
       ['Largest force', fixed(largest(progress?.largest_force_n), 1, 'N')],
       ['Median FVU', about(fit?.median_fvu)],
       ['Began', moment(run.started_at)],
-      ['Ended', moment(run.ended_at)],
+      run.ended_at && ['Ended', moment(run.ended_at)],
       ['Submitted by', run.submitted_by],
       ['Kind', run.kind],
-      ['Seed', run.seed == null ? NONE : String(run.seed)],
+      run.seed != null && ['Seed', String(run.seed)],
       ['Version', run.version],
-      ['Commit', run.git_commit?.slice(0, 8) ?? NONE],
+      run.git_commit && ['Commit', run.git_commit.slice(0, 8)],
     ])
     renew(doors, [run.state === 'interrupted', isActive(run)], () => [
       run.state === 'interrupted' && [beginButton('Resume', run, said, { after: read, className: 'main' }), abort(run)],

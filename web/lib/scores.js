@@ -2,6 +2,7 @@
 
 import { el, facts, link } from './dom.js'
 import { NONE, count, counted, fixed, percent } from './format.js'
+import { RECON, TRANSFER, UNSEEN } from './paper.js'
 import { table } from './table.js'
 
 const ROMAN = ['none', 'I', 'II', 'III', 'IV', 'V', 'VI']
@@ -21,25 +22,39 @@ const rows = report => [
   report.where?.length ? ` where ${report.where.join(' and ')}` : '',
 ]
 
+/** Rows of what the paper prints: they have a source instead of models, rows and label. */
+const printed = (source, about, scores) => ({ paper: `Paper, ${source}`, about, ...scores })
+const voltagesOfPaper = () =>
+  printed('Table III', 'Transfer-Net that learned I to VI', {
+    voltages: { by_contacts: TRANSFER.map(([rmse_v, percent], i) => ({ contacts: i + 1, rmse_v, fvu: percent / 100 })), all: null },
+  })
+const contactsOfPaper = reports => [
+  ...[...new Set(reports.map(report => report.map))]
+    .filter(map => RECON[map])
+    .map(map => printed('Table IV', `Recon-Net alone, simulated voltages, map ${map}`, { contacts: { all: RECON[map] } })),
+  printed('V\u2011D', 'whole pipeline on Real-Unseen', { contacts: { all: UNSEEN } }),
+]
+
 /** Columns that say what was scored. */
 const what = (models, href) => [
   {
     head: 'Scored',
     left: true,
     cell: one =>
-      one.perfectOf
+      one.paper ??
+      (one.perfectOf
         ? el('span', { className: 'soft' }, `perfect map ${one.map ?? ''}`)
         : one.job && href
           ? el('a', { href: href(one.job) }, one.scored === 'voltages' ? nets(one, models) : one.scored)
-          : one.scored,
+          : one.scored),
   },
-  { head: 'Nets', left: true, cell: one => (one.perfectOf || one.scored === 'voltages' ? '' : nets(one, models)) },
+  { head: 'Nets', left: true, cell: one => (one.paper || one.perfectOf || one.scored === 'voltages' ? '' : nets(one, models)) },
   {
     head: 'Rows',
     left: true,
     cell: one =>
-      one.perfectOf
-        ? ''
+      one.perfectOf || one.paper
+        ? one.about ?? ''
         : el(
             'span',
             {},
@@ -47,8 +62,8 @@ const what = (models, href) => [
             rows(one).map((part, i) => (i ? [' ', part] : part))
           ),
   },
-  { head: 'Held out', cell: one => (one.perfectOf ? '' : one.held_out === false ? el('span', { className: 'warn' }, 'no') : 'yes') },
-  { head: 'Label', left: true, cell: one => (one.perfectOf ? '' : one.label) },
+  { head: 'Held out', cell: one => (one.perfectOf || one.paper ? '' : one.held_out === false ? el('span', { className: 'warn' }, 'no') : 'yes') },
+  { head: 'Label', left: true, cell: one => (one.perfectOf ? '' : one.paper ? 'measured' : one.label) },
 ]
 
 /** Metrics of contacts, as in Table IV and beyond it. */
@@ -71,7 +86,7 @@ export function voltageTable(reports, models, { href, current } = {}) {
   return table({
     current,
     caption: 'Voltages against the simulated ones, as the paper\u2019s Table III: RMSE in V / FVU in %, by number of contacts.',
-    rows: reports,
+    rows: [...reports, voltagesOfPaper()],
     columns: [
       ...what(models, href).filter(column => column.head !== 'Nets'),
       ...[1, 2, 3, 4, 5, 6].map(n => ({ head: ROMAN[n], cell: one => fit(one.voltages.by_contacts.find(score => score.contacts === n)) })),
@@ -86,11 +101,11 @@ export function contactTable(reports, models, { href, current } = {}) {
   return table({
     current,
     caption: 'Contacts, as the paper\u2019s Table IV: mean ± standard deviation. Below each its perfect map, which shows the error of the rule alone.',
-    rows: lines,
+    rows: [...lines, ...contactsOfPaper(reports)],
     columns: [
       ...what(models, href).filter(column => column.head !== 'Label'),
       ...METRICS.map(metric => ({ ...metric, cell: one => metric.cell(one.contacts.all) })),
-      { head: 'Answer after', unit: 'ms', cell: one => (one.latency_ms ? `${fixed(one.latency_ms[0], 1)}` : one.perfectOf ? '' : NONE) },
+      { head: 'Answer after', unit: 'ms', cell: one => (one.latency_ms ? `${fixed(one.latency_ms[0], 1)}` : one.perfectOf || one.paper ? '' : NONE) },
     ],
   }).node
 }
@@ -144,6 +159,8 @@ export function reportView(report, models) {
             { head: 'RMSE', unit: 'mV', cell: one => fixed(one.rmse_v * 1e3, 2) },
             { head: 'FVU', unit: '%', cell: one => fixed(one.fvu * 100, 1) },
             { head: 'Median FVU', unit: '%', cell: one => fixed(one.median_fvu * 100, 1) },
+            { head: 'Paper, Table III: RMSE', unit: 'mV', cell: one => fixed(TRANSFER[one.contacts - 1]?.[0] * 1e3, 0) },
+            { head: 'FVU', unit: '%', cell: one => fixed(TRANSFER[one.contacts - 1]?.[1], 1) },
           ],
         }).node
       : '',

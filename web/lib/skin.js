@@ -1,6 +1,6 @@
 // The skin, drawn to scale and always the same way up: outline, electrodes, ruler, and what a page draws on it.
 
-import { colour, el, onLook, say, soon } from './dom.js'
+import { colour, dark, el, onLook, say, soon } from './dom.js'
 import { get } from './api.js'
 import { picture } from './picture.js'
 
@@ -26,18 +26,34 @@ export function sensor(run) {
 export function skin({ title = 'Skin', draw = () => {}, onpick, onhover, ondrag, describe = () => title, points = false, label, query, data, signal, tall = false }) {
   const canvas = el('canvas', { className: `skin${onpick || ondrag ? ' picks' : ''}`, role: 'img', 'aria-label': title, ...(onpick && { tabIndex: 0 }) })
   const words = el('p', { className: 'soft hover' })
-  let shape = null, view = null
+  let shape = null, view = null, ground = null, groundOf = '', groundShape = null
   const redraw = soon(() => {
     const width = canvas.clientWidth, height = canvas.clientHeight
     if (!shape || !width) return
     const ratio = window.devicePixelRatio || 1, pen = canvas.getContext('2d')
-    if (canvas.width !== Math.round(width * ratio)) { canvas.width = Math.round(width * ratio); canvas.height = Math.round(height * ratio) }
+    const size = [width, height].map(side => Math.round(side * ratio))
+    if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size
     const room = 16, foot = 26
     const scale = Math.min((width - 2 * room) / shape.width_mm, (height - room - foot) / shape.height_mm)
     const left = (width - scale * shape.width_mm) / 2, top = room
     view = { scale, width, height, colour, x: mm => left + mm * scale, y: mm => top + (shape.height_mm - mm) * scale, back: (px, py) => [(px - left) / scale, shape.height_mm - (py - top) / scale] }
+    pen.setTransform(1, 0, 0, 1, 0, 0)
+    pen.clearRect(0, 0, canvas.width, canvas.height)
+    pen.drawImage(background(ratio), 0, 0)
     pen.setTransform(ratio, 0, 0, ratio, 0, 0)
-    pen.clearRect(0, 0, width, height)
+    pen.lineJoin = 'round'
+    draw(pen, view, shape)
+    canvas.ariaLabel = describe()
+  })
+  // Outline, electrodes, points and ruler: drawn again only with another size, sensor or light.
+  function background(ratio) {
+    const now = `${canvas.width} ${canvas.height} ${dark.matches}`
+    if (ground && groundOf === now && groundShape === shape) return ground
+    groundOf = now
+    groundShape = shape
+    ground = el('canvas', { width: canvas.width, height: canvas.height })
+    const pen = ground.getContext('2d')
+    pen.setTransform(ratio, 0, 0, ratio, 0, 0)
     pen.lineJoin = 'round'
     pen.fillStyle = colour('--skin')
     pen.strokeStyle = colour('--line')
@@ -50,14 +66,13 @@ export function skin({ title = 'Skin', draw = () => {}, onpick, onhover, ondrag,
     pen.stroke()
     if (points) {
       pen.fillStyle = colour('--track')
-      for (const [x, y] of shape.points_mm) { pen.beginPath(); pen.arc(view.x(x), view.y(y), Math.max(1, 1.6 * scale), 0, 7); pen.fill() }
+      for (const [x, y] of shape.points_mm) { pen.beginPath(); pen.arc(view.x(x), view.y(y), Math.max(1, 1.6 * view.scale), 0, 7); pen.fill() }
     }
     pen.fillStyle = colour('--electrode')
-    for (const { x_mm, y_mm } of shape.electrodes) { pen.beginPath(); pen.arc(view.x(x_mm), view.y(y_mm), Math.max(2, 4 * scale), 0, 7); pen.fill() }
-    draw(pen, view, shape)
+    for (const { x_mm, y_mm } of shape.electrodes) { pen.beginPath(); pen.arc(view.x(x_mm), view.y(y_mm), Math.max(2, 4 * view.scale), 0, 7); pen.fill() }
     ruler(pen)
-    canvas.ariaLabel = describe()
-  })
+    return ground
+  }
   function ruler(pen) {
     const y = view.height - 9, from = view.x(0), to = view.x(100)
     pen.strokeStyle = pen.fillStyle = colour('--soft')

@@ -5,7 +5,7 @@ import { NONE } from './format.js'
 
 /**
  * Makes a table. A column is { head, unit?, cell(row) -> text or node, left? }. `href(row)` makes a
- * row's first cell a link. `empty` says what to do when there is nothing.
+ * row's first cell a link. `empty` says what to do when there is nothing: a text, or what returns one.
  */
 export function table({ columns, rows = [], caption, empty = 'Nothing yet.', href, current }) {
   const node = el('div', { className: 'table' })
@@ -18,7 +18,7 @@ export function table({ columns, rows = [], caption, empty = 'Nothing yet.', hre
     return el(i === 0 ? 'th' : 'td', { ...(i === 0 && { scope: 'row' }), className: column.left ? 'left' : '', data: { head: column.head } }, inside)
   }
   const show = rows => {
-    if (!rows.length) return fill(node, el('p', { className: 'soft' }, empty))
+    if (!rows.length) return fill(node, el('p', { className: 'soft' }, typeof empty === 'function' ? empty() : empty))
     const line = row => el('tr', { className: current?.(row) ? 'current' : '' }, columns.map((column, i) => cell(row, column, i)))
     return fill(node, el('table', {}, caption && el('caption', {}, caption), el('thead', {}, el('tr', {}, columns.map(head))), el('tbody', {}, rows.map(line))))
   }

@@ -1,7 +1,7 @@
 // The three answers of the night, from what the service reports: is it safe, is it on time, are the data good?
 // Pure: facts in, { tone, words } out. `tone` is good, warn, bad, or '' where there is nothing to judge.
 
-import { count, counted, fixed, moment, plain, span, bytes } from './format.js'
+import { count, counted, fixed, momentBand, plain, span, bytes } from './format.js'
 import { WAITS } from './words.js'
 
 const STALE_MS = 3000, SLOW_S = 300
@@ -24,12 +24,12 @@ export function onTime({ run }, at, history, next) {
   if (!run) return { tone: '', words: `No run is active. Next: ${next.experiment}, ${counted(next.trials_planned, 'trial')}.` }
   if (run.state === 'paused' && run.paused_why) return { tone: 'warn', words: `It waits: ${WAITS[run.paused_why] ?? plain(run.paused_why)}.` }
   if (!run.eta) return { tone: '', words: 'The end is not known yet.' }
-  const { remaining_s, low_s, high_s } = run.eta, short = high_s < 900, [end, low, high] = [remaining_s, low_s, high_s].map(s => moment(at + 1e3 * s, short))
+  const { remaining_s, low_s, high_s } = run.eta, short = high_s < 900, end = momentBand(...[remaining_s, low_s, high_s].map(s => at + 1e3 * s), short)
   const planned = history?.predicted_s == null || !history.from ? null : Date.parse(history.from) + 1e3 * history.predicted_s
   const late_s = planned == null ? null : (at + 1e3 * remaining_s - planned) / 1e3
   const than = late_s == null ? '' : Math.abs(late_s) < 60 ? ', as predicted' : `, ${span(Math.abs(late_s))} ${late_s > 0 ? 'late' : 'early'}`
   const slow = late_s != null && late_s > Math.max(SLOW_S, 0.1 * history.predicted_s)
-  return { tone: slow ? 'warn' : 'good', words: `Done about ${end} (${low} to ${high})${than}.` }
+  return { tone: slow ? 'warn' : 'good', words: `Done about ${end}${than}.` }
 }
 
 /** What the last trial alone says, where no newer trials are judged. */

@@ -2,17 +2,17 @@
 
 import { Refused, ask, get, send, withQuery } from './api.js'
 import { actor, confirm, named, only } from './actions.js'
-import { beginButton } from './begin.js'
+import { beginButton, startRights } from './begin.js'
 import { clockline, predict } from './clockline.js'
 import { button, el, panel, say } from './dom.js'
-import { NONE, capital, count, counted, moment, plain, span } from './format.js'
+import { NONE, capital, count, counted, moment, momentBand, plain, span } from './format.js'
 import { live, who } from './live.js'
 import { dragRows } from './drag.js'
 import { table } from './table.js'
 
 const MOST_ESTIMATES = 50
 
-const until = ({ end, low, high }) => (moment(low) === moment(high) ? moment(end) : `${moment(end)} (${moment(low)} to ${moment(high)})`)
+const until = ({ end, low, high }) => momentBand(end, low, high)
 const name = row => `${row.scan_id} ${row.experiment}`
 
 function summary(run, rows, last, partial) {
@@ -189,6 +189,6 @@ export function waiting({ said, go, signal }) {
   }
 
   live.addEventListener('caller', drag.attach, { signal })
-  const node = panel('In this order', { className: 'queue live' }, head, line.node, list.node, said.node, hint)
+  const node = panel('In this order', { className: 'queue live' }, head, line.node, list.node, said.node, hint, startRights(signal))
   return { node, refresh, tag: () => tag }
 }

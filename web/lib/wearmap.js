@@ -103,7 +103,7 @@ export function wearMap({ onchoose, label, signal }) {
     const used = points.presses.filter(n => n > 0)
     const usual = median(used)
     const where = i => `x ${fixed(at(i)[0], 0)}, y ${fixed(at(i)[1], 0, 'mm')}`
-    const find = i => button('On the skin', () => pick(i), { className: 'plain small', 'aria-label': `Show the place at ${where(i)}` })
+    const find = i => button('Show', () => pick(i), { className: 'plain small', 'aria-label': `Show the place at ${where(i)}` })
     const columns = [
       { head: 'Place', left: true, cell: where },
       { head: 'Presses', cell: i => count(points.presses[i]) },

@@ -15,7 +15,7 @@ import { table } from '../lib/table.js'
 import { numbered, touchMap } from '../lib/touchmap.js'
 
 const SCALES = [['5', '5 N'], ['20', '20 N'], ['', '50 N'], ['100', '100 N']]
-const DRAW_MS = 30, TELL_MS = 250, TRACE_MS = 100, TRACED = 600, SERVING_MS = 10_000, STALE_MS = 2000
+const TELL_MS = 250, TRACE_MS = 100, TRACED = 600, SERVING_MS = 10_000, STALE_MS = 2000
 const FRAME_MISFIT_LIMIT = 3 // Beyond it a fit does not explain the frame; the service says so in `outside`.
 
 /** How sure an answer is: { tone, words }. */
@@ -31,8 +31,8 @@ export function sureness(answer, old) {
 /** Shows the page. */
 export async function show(root, { query, signal, set }) {
   let state = query, serving = null, cut = null, open = '' // The socket and its method.
-  let newest = null, answer = null, at = 0, asked = false, drawn = 0 // The newest message, and what was drawn of it.
-  let listed = '', arrived = 0, drawings = 0, since = performance.now(), rates = {}
+  let newest = null, answer = null, at = 0, asked = false // The newest message, and what was drawn of it.
+  let listed = '', arrived = 0, drawings = 0, told = { arrived: 0, drawings: 0 }, since = performance.now(), rates = {}
   const latencies = [], trace = { at: [], total: [], from: 0 }
   const label = () => live.status?.rig.label
   const chosen = () => METHODS.find(one => one.name === state.method) ?? bestMethod(serving)
@@ -54,7 +54,7 @@ export async function show(root, { query, signal, set }) {
   const now = panel('Now', { className: 'live touch', aside: methods }, sure, numbers, lists)
   const colours = el('label', { className: 'inline' }, 'Colours up to', scales)
   const picture = el('section', { className: 'live' }, el('div', { className: 'row tight' }, colours), map.node)
-  const beside = el('div', { className: 'column' }, now, el('section', { className: 'live' }, total.node), serves.node, recorder({ signal }))
+  const beside = el('div', { className: 'column' }, now, el('section', { className: 'live touched' }, total.node), serves.node, recorder({ signal }))
   const page = el('div', { className: 'columns live-columns' }, picture, beside)
   fill(root, serves.none, page)
 
@@ -77,12 +77,10 @@ export async function show(root, { query, signal, set }) {
     } })
   }
 
-  // At most 30 drawings per second, each of the newest answer; what is not drawn is not even read.
-  function frame(time) {
+  // One drawing per picture of the screen, of the newest answer; what is not drawn is not even read.
+  function frame() {
     asked = false
     if (signal.aborted || !newest) return
-    if (time - drawn < DRAW_MS) { asked = true; requestAnimationFrame(frame); return }
-    drawn = time
     drawings += 1
     const read = JSON.parse(newest)
     newest = null
@@ -116,15 +114,16 @@ export async function show(root, { query, signal, set }) {
     const seconds = (performance.now() - since) / 1e3
     if (seconds >= 1) {
       const sorted = [...latencies].sort((a, b) => a - b), latency = sorted[sorted.length >> 1]
-      const per = n => `${fixed(n / seconds, 0)} per s`
-      rates = { latency: latency == null || old ? '–' : fixed(latency / 1e3, 1, 'ms'), answers: per(arrived), drawn: per(drawings) }
-      arrived = drawings = 0
+      const per = name => { const now = { arrived, drawings }[name]; return `${fixed((now - told[name]) / seconds, 0)} per s` }
+      rates = { latency: latency == null || old ? '–' : fixed(latency / 1e3, 1, 'ms'), answers: per('arrived'), drawn: per('drawings') }
+      told = { arrived, drawings }
+      Object.assign(page.dataset, { arrived, drawn: drawings }) // For those who count them.
       since = performance.now()
     }
     const sum = answer?.contacts.reduce((newtons, c) => newtons + (c.force_n ?? 0), 0)
     changing(numbers, [
       ['Contacts', answer ? String(answer.contacts.length) : '–'], ['Total force', fixed(sum, 1, 'N')],
-      ['Averaged', answer?.averaged == null ? '–' : counted(Math.round(answer.averaged), 'frame')],
+      answer?.averaged != null && ['Averaged', counted(Math.round(answer.averaged), 'frame')],
       ['Latency', rates.latency], ['Answers', rates.answers], ['Drawn', rates.drawn],
     ])
     lists.hidden = !answer

@@ -78,15 +78,15 @@ export async function show(root, { query, signal, set }) {
 
   const data = dataView({ state, set, signal, label, onfacts: more => { seen = { ...seen, ...more } } })
   const dataFacts = el('div'), watch = watching(), dataPart = panel('Data', { className: 'live data', aside: data.controls }, data.node, dataFacts, watch.node)
-  const nightPart = history({ state, set, signal, label, height: low ? 108 : 170 })
+  const nightPart = history({ state, set, signal, label, height: low ? 94 : 170 })
   const log = eventLog({ state, set, signal })
-  const hello = welcome({ said: outcome() })
+  const hello = welcome({ said: outcome() }), beginning = el('div', { className: 'columns two' }, dataPart, log.node)
 
   function arrange() {
     const next = run || last ? 'run' : 'welcome'
     if (mode === next) return
     mode = next
-    if (mode === 'welcome') fill(root, hello.node, el('div', { className: 'columns two' }, dataPart, log.node))
+    if (mode === 'welcome') fill(root, hello.node, beginning)
     else {
       fill(root, verdicts, el('div', { className: 'columns night-top' }, skinPart, nowPart, dataPart),
         el('div', { className: 'columns night-foot' }, nightPart.node, log.node))
@@ -103,6 +103,7 @@ export async function show(root, { query, signal, set }) {
     if (status.run) tellRun(status.run, fresh)
     buttons.show(live)
     if (mode === 'welcome') hello.show(queue[0] ?? null)
+    beginning.hidden = status.rig.state === 'disconnected' // Nothing comes yet.
   }
 
   function tellStrip({ run, disk, last_trial_at, lock, queue_length, rig }) {
@@ -216,7 +217,7 @@ export async function show(root, { query, signal, set }) {
     if (!run && last) over.next(queue[0])
     if (mode === 'welcome') hello.show(queue[0] ?? null)
   }, signal)
-  every(() => (tour?.steps.configuration.length ?? 0) > LONG_TOUR ? 5 * PROGRESS_MS : PROGRESS_MS,
+  every(() => (tour?.steps.configuration.length ?? 0) > LONG_TOUR ? 10 * PROGRESS_MS : PROGRESS_MS,
     async () => { if (run && live.status?.run?.trials_stored !== storedThen) await readProgress() }, signal)
   every(HISTORY_MS, async () => { if (run) await readCourse() }, signal)
   await change()

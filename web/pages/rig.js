@@ -168,7 +168,7 @@ export async function show(root, { query, signal, set }) {
     const closed = rig.state === 'disconnected', moves = rig.has_stage !== false
     const wires = rig.wires.map(wire => ({ name: `Wire ${wire.name}`, ...wireWords(wire, counters.of(`wire ${wire.name}`)) }))
     const axis = (name, key, unit = 'mm') => ({ name: key === 'radius' ? 'Arms (radial axis)' : `Axis ${name}`, words: closed ? 'Closed.'
-      : lastWord(state.found[name]) || 'No word yet.',
+      : lastWord(state.found[name]) || 'What it reported when the wires were opened is not among the newest events.',
       figures: rig.pose ? [['Position', fixed(rig.pose[`${key}_mm`], 2, unit)], ['Known', ['homed', 'armed'].includes(rig.state) ? 'homed' : 'not homed']]
         : [] })
     const dead = rig.forces_n.slice(0, rig.tips ?? 0).flatMap((force, i) => force == null ? [i + 1] : [])

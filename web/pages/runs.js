@@ -5,7 +5,7 @@ import { outcome } from '../lib/actions.js'
 import { beginButton } from '../lib/begin.js'
 import { compare } from '../lib/compare.js'
 import { button, el, fill, link, note, panel, select } from '../lib/dom.js'
-import { NONE, count, counted, moment, span } from '../lib/format.js'
+import { NONE, age, count, counted, moment, span } from '../lib/format.js'
 import { live } from '../lib/live.js'
 import { report } from '../lib/report.js'
 import { STATES, endWord, isWanted, runTone } from '../lib/runwords.js'
@@ -15,6 +15,7 @@ const PAGE = 50
 const PAGES_MOST = 6
 const AT_ONCE = 3
 const EVERY_MS = 10_000
+const lasted = (summary, run) => span(summary.duration_s ?? (run.state === 'interrupted' ? null : age(run.started_at)))
 
 /** Shows the page. */
 export async function show(root, { query, signal, go, set }) {
@@ -68,7 +69,7 @@ export async function show(root, { query, signal, go, set }) {
       },
       { head: 'Skipped', cell: run => cell(run, 'skips', s => count(s.skips.length)) },
       { head: 'Failed attempts', cell: run => cell(run, 'retries', s => count(s.retries)) },
-      { head: 'Duration', cell: run => cell(run, 'duration', s => span(s.duration_s)) },
+      { head: 'Duration', cell: run => cell(run, 'duration', s => lasted(s, run)) },
       { head: 'End', left: true, cell: end },
     ],
   })
@@ -113,6 +114,7 @@ export async function show(root, { query, signal, go, set }) {
     more.hidden = !next
     if (!runs.length) fill(told, 'No run yet. ', link('/queue', 'Queue one'), ' to begin.')
     else fill(told, `${counted(wanted.length, 'run')} of ${next ? `the newest ${count(runs.length)}` : count(runs.length)}, newest first.`)
+    filters.hidden = rows.node.hidden = !runs.length
     rows.show(wanted)
     const open = wanted.filter(run => !summaries.has(run.uid) || !summaries.get(run.uid).run.ended_at)
     const work = async () => {
@@ -127,7 +129,7 @@ export async function show(root, { query, signal, go, set }) {
     cell(run, 'stored', s => count(s.trials_stored))
     cell(run, 'skips', s => count(s.skips.length))
     cell(run, 'retries', s => count(s.retries))
-    cell(run, 'duration', s => span(s.duration_s))
+    cell(run, 'duration', s => lasted(s, run))
   }
   async function refresh() {
     if (signal.aborted) return

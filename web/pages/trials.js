@@ -37,7 +37,10 @@ export async function show(root, { query, signal, set, go }) {
   const list = table({
     href: row => href(row.trial_id),
     current: row => String(row.trial_id) === state.trial,
-    empty: 'No trial meets these conditions. Every run stores its trials here: the queue starts one.',
+    empty: () =>
+      Object.keys(conditions(state)).length
+        ? 'No trial meets these conditions.'
+        : ['No trial is stored yet. Every run stores its trials here: start one in ', link('/queue', 'the queue'), '.'],
     columns: [
       { head: 'Trial', cell: row => count(row.trial_id), left: true },
       { head: 'Run', cell: row => `${row.scan_id} · ${row.experiment}`, left: true },

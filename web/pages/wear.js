@@ -24,10 +24,10 @@ function summary(wear, runs) {
   const list = facts([
     ['Trials', count(wear.trials)],
     ['Runs', count(wear.runs)],
-    ['Since', moment(wear.since)],
+    wear.since && ['Since', moment(wear.since)],
     ['Hours of runs', runs ? fixed(hours, hours < 10 ? 2 : 0, 'h') : NONE],
     ['Last check', checked ? moment(checked) : 'none stored'],
-    ['Days since', checked ? count(Math.floor(age(checked) / 86_400)) : NONE],
+    checked && ['Days since', count(Math.floor(age(checked) / 86_400))],
   ])
   // One configuration presses a place once, deeper with each of its trials.
   const which = runs?.length === RUNS_MOST ? `the newest ${RUNS_MOST} runs` : 'all ended runs'
