@@ -27,6 +27,8 @@ const NOTABLE_MAX: u32 = 500;
 /// Largest numbers of changes of state and of estimates, the newest ones.
 const STATES_MAX: u32 = 5000;
 const ESTIMATES_MAX: u32 = 5000;
+/// Most predictions of an answer: beyond it they are taken evenly, the newest among them.
+const PREDICTIONS_MAX: usize = 1000;
 
 /// Selection of bins.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -69,7 +71,7 @@ pub struct History {
     pub predicted_s: Option<f64>,
     /// Wall time from the start to `to`, s; null if the run has not started.
     pub elapsed_s: Option<f64>,
-    /// What the estimate said through the run, oldest first; empty for a run that an older version
+    /// What the estimate said through the run, oldest first, at most 1000; empty for a run that an older version
     /// drove.
     pub predictions: Vec<Prediction>,
     /// Events that an operator must see, oldest first: trips, suspensions, waits for a person, skips,
@@ -162,7 +164,7 @@ async fn read(app: &App, run: &RunRow, bins: u32) -> Result<Arc<History>, StoreE
         states,
         predicted_s: estimates.first().and_then(predicted_s),
         elapsed_s: Some(range_s),
-        predictions: estimates.iter().filter_map(prediction).collect(),
+        predictions: thinned(&estimates).filter_map(prediction).collect(),
         events: notable.into_iter().map(NotableEvent::from).collect(),
     }))
 }
@@ -218,6 +220,13 @@ fn predicted_s(first: &Event) -> Option<f64> {
     first.data["remaining_s"].as_f64().filter(|_| is_first)
 }
 
+/// At most `PREDICTIONS_MAX` of the estimates, evenly, the last one included.
+fn thinned(estimates: &[Event]) -> impl Iterator<Item = &Event> {
+    let step = estimates.len().div_ceil(PREDICTIONS_MAX).max(1);
+    let skipped = estimates.len().saturating_sub(1) % step;
+    estimates.iter().skip(skipped).step_by(step)
+}
+
 fn prediction(event: &Event) -> Option<Prediction> {
     let after = |key: &str| {
         let seconds = event.data[key].as_f64()?;
@@ -252,6 +261,16 @@ mod tests {
         assert_eq!((told.at, told.end, told.low, told.high), (at(0), at(100), at(95), at(105)));
         let unreadable = Event { data: json!({}), ..estimate(0, 1.0) };
         assert_eq!(prediction(&unreadable), None);
+    }
+
+    #[test]
+    fn many_predictions_are_thinned_evenly_and_the_newest_one_is_kept() {
+        for (count, shown) in [(0, 0), (1, 1), (1000, 1000), (1001, 501), (5000, 1000)] {
+            let all: Vec<Event> = (0..count).map(|n| estimate(n, 1.0)).collect();
+            let kept: Vec<u64> =
+                thinned(&all).map(|e| e.data["trials_stored"].as_u64().unwrap()).collect();
+            assert_eq!((kept.len(), kept.last().copied()), (shown, count.checked_sub(1)));
+        }
     }
 
     #[test]
