@@ -110,11 +110,11 @@ pub fn wear_words(wear: &Value) -> String {
     lines.push(format!("travel   at least {}", axes.collect::<Vec<_>>().join(", ")));
     let cells = wear["cells"].as_array().into_iter().flatten().map(|cell| {
         let age = cell["age_days"].as_i64();
-        let age = age.map_or_else(|| "unknown".into(), |days| format!("{days} d"));
+        let age = age.map_or_else(|| "unknown".into(), |days| format!("{days} d ago"));
         format!("{} {age}", cell["arm"])
     });
     let cells = cells.collect::<Vec<_>>().join(", ");
-    lines.push(format!("cells    calibrated, by arm: {cells} ago (`cells.calibrated_on`)"));
+    lines.push(format!("cells    calibrated, by arm: {cells} (`cells.calibrated_on`)"));
     lines.push(format!("checked  {}", text(&wear["checked_at"])));
     lines.join("\n")
 }

@@ -440,10 +440,12 @@ fn open_pty(
     Ok((master, path.to_owned()))
 }
 
-/// Text of the rig file with the addresses and the clock rate that are served.
+/// Text of the rig file with the addresses, the clock rate and the label that are served.
 fn served_rig(text: &str, doors: &Doors, speed: f64) -> Result<String, RunError> {
     let mut table: toml::Table = toml::from_str(text).unwrap_or_default();
     table.insert("clock_rate".into(), toml::Value::Float(speed));
+    // Whatever rig is imitated: what a service measures on this one is virtual.
+    table.insert("label".into(), toml::Value::String("virtual".into()));
     let set = |section: Option<&mut toml::Value>, at: &str| {
         if let Some(section) = section.and_then(toml::Value::as_table_mut) {
             let key = if section.contains_key("path") { "path" } else { "address" };

@@ -1,8 +1,8 @@
 //! The verdict on a placement: what the skin feels, compared with what was asked.
 //! PURE. Uses: `evaluate::matching`, `infer::answer`, sim-core's sensor. Never: a wait, the rig.
 //!
-//! The thresholds follow from the published accuracy of the serving method on placed weights (README,
-//! "Reconstruction": `exact`, mean of 30 frames).
+//! The thresholds follow from the published accuracy of the serving method on placed weights
+//! (`docs/figures.md`: `exact`, mean of 30 frames).
 
 use serde::{Deserialize, Serialize};
 use sim_core::sensor::{Point, Sensor};

@@ -90,6 +90,7 @@ async fn the_served_rig_file_names_the_wires_as_they_are() {
     let rig = switch_on(IAI_TCP, 25.0, "").await;
     let served: toml::Table = toml::from_str(&rig.rig_text).unwrap();
     assert_eq!(served["clock_rate"].as_float(), Some(25.0));
+    assert_eq!(served["label"].as_str(), Some("virtual"), "whatever the file says");
     assert_eq!(served["lines"]["stage"]["address"].as_str(), Some(&*rig.ready.lines["stage"]));
     assert_eq!(served["ert"]["address"].as_str(), Some(&*rig.ready.ert));
     assert_ne!(rig.ready.lines["stage"], "127.0.0.1:5020");
