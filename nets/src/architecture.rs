@@ -43,7 +43,7 @@ impl Answer {
 }
 
 /// Parameters of a net in a recipe, and what follows from them.
-pub(crate) trait Architecture {
+pub trait Architecture {
     /// Normalisation of its frames.
     fn input(&self) -> Input;
 
@@ -51,10 +51,13 @@ pub(crate) trait Architecture {
     fn answer(&self) -> Answer;
 
     /// Checks the limits of its parameters.
+    ///
+    /// # Errors
+    /// `RecipeError::Value` with the first value outside its limits.
     fn check(&self) -> Result<(), RecipeError>;
 
     /// Its loss; `target_size` is the root mean square of its targets.
-    fn loss(&self, target_size: f32) -> Box<dyn Loss>;
+    fn loss(&self, target_size: f32) -> Loss;
 
     /// The net before the first step; `target` is the length of a target.
     fn first(&self, statistics: &Statistics, target: usize, initial: &mut Initial) -> Network;

@@ -1,6 +1,6 @@
 //! Batches of an epoch, read ahead by a thread: their order, their noise, the check that all
 //! numbers are finite.
-//! Uses: `samples`, `noise`, `chance`. Never: burn, more than a few batches in memory.
+//! Uses: `samples`, `noise`, `chance`. Never: more than a few batches in memory.
 
 use std::sync::mpsc::{Receiver, sync_channel};
 
@@ -16,7 +16,7 @@ use crate::samples::{Samples, read_finite};
 const AHEAD: usize = 2;
 
 /// A batch of samples.
-pub(crate) struct Batch {
+pub struct Batch {
     /// Number of samples.
     pub len: usize,
     /// `[len, channels]`.
@@ -27,7 +27,7 @@ pub(crate) struct Batch {
 
 /// Selection and order of the samples of an epoch.
 #[derive(Clone, Copy)]
-pub(crate) struct Pass<'a> {
+pub struct Pass<'a> {
     /// Source of the samples.
     pub from: &'a dyn Samples,
     /// Noise that is added.

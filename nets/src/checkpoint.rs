@@ -27,7 +27,7 @@ pub struct EpochLoss {
 
 /// Identity of a training: a checkpoint can be resumed only if all of this is equal.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Subject {
+pub struct Subject {
     /// Recipe of the training.
     pub recipe: Recipe,
     /// Names of its data, as the caller states them.
@@ -44,7 +44,7 @@ pub(crate) struct Subject {
 
 /// Position of a training.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Place {
+pub struct Place {
     /// Number of the current epoch, from 0.
     pub epoch: u32,
     /// Number of batches of this epoch that are learned.
@@ -65,7 +65,7 @@ struct Head {
 }
 
 /// State of a training between two steps.
-pub(crate) struct State {
+pub struct State {
     /// Position in the recipe's epochs.
     pub place: Place,
     /// Numbers of the network.
@@ -79,7 +79,7 @@ pub(crate) struct State {
 }
 
 /// Writes a checkpoint.
-pub(crate) fn write(subject: &Subject, state: &State) -> Vec<u8> {
+pub fn write(subject: &Subject, state: &State) -> Vec<u8> {
     let head = Head {
         place: state.place.clone(),
         subject: subject.clone(),
@@ -100,7 +100,10 @@ pub(crate) fn write(subject: &Subject, state: &State) -> Vec<u8> {
 }
 
 /// Reads a checkpoint of this training.
-pub(crate) fn read(bytes: &[u8], subject: &Subject) -> Result<State, CheckpointError> {
+///
+/// # Errors
+/// `CheckpointError` if the bytes are damaged, or of another training.
+pub fn read(bytes: &[u8], subject: &Subject) -> Result<State, CheckpointError> {
     let (head, numbers) = split(bytes)?;
     let differences = differences(subject, &head.subject);
     if !differences.is_empty() {
@@ -118,7 +121,10 @@ pub(crate) fn read(bytes: &[u8], subject: &Subject) -> Result<State, CheckpointE
 }
 
 /// Checks that the lengths match those of a network.
-pub(crate) fn fits(state: &State, network: &Network) -> Result<(), CheckpointError> {
+///
+/// # Errors
+/// `CheckpointError::Bytes` if they do not.
+pub fn fits(state: &State, network: &Network) -> Result<(), CheckpointError> {
     let fits = state.network.len() == network.numbers().len();
     if fits { Ok(()) } else { Err(CheckpointError::Bytes("the size of its network differs")) }
 }

@@ -20,7 +20,10 @@ pub enum RecipeError {
 }
 
 /// Returns an error for a value unless a condition holds.
-pub(crate) fn require(
+///
+/// # Errors
+/// `RecipeError::Value` if it does not.
+pub fn require(
     holds: bool,
     field: &'static str,
     found: impl ToString,
@@ -91,6 +94,11 @@ pub enum TrainError {
         /// Number of the batch, from 0.
         batch: u64,
     },
+    /// The trainer was not built for a device.
+    #[error(
+        "training: the trainer was not built for {0}: `cargo install --path trainer --features {0}`"
+    )]
+    Device(&'static str),
     /// The threads could not be started.
     #[error("training: its threads could not be started: {0}")]
     Threads(String),

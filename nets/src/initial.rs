@@ -1,5 +1,5 @@
 //! First weights: uniform within `gain / sqrt(fan in)`, as PyTorch draws them for gain 1.
-//! PURE. Never: burn's generators.
+//! PURE. Never: other generators.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;

@@ -1,5 +1,5 @@
 //! Normalisation of frames: the layers at the front of a net, measured once and not trained.
-//! PURE. Uses: `statistics`. Never: burn.
+//! PURE. Uses: `statistics`. Never: training.
 
 use serde::{Deserialize, Serialize};
 
@@ -27,7 +27,7 @@ impl Input {
     pub const LAYERS: usize = 2;
 
     /// Number of principal components that must be measured, if any.
-    pub(crate) fn components(self) -> Option<usize> {
+    pub fn components(self) -> Option<usize> {
         match self {
             Self::Standardised | Self::Unit => None,
             Self::Whitened { components } => Some(components),

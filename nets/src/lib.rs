@@ -1,6 +1,7 @@
-//! Training of Palpate's nets (paper V): Transfer-Net, Recon-Net, the end-to-end net, Point-Net.
-//! Uses: burn, here alone; sim-core, to simulate trials while Point-Net trains. Never: the store,
-//! datasets' files, HTTP.
+//! Palpate's nets (paper V) as plain numbers: Transfer-Net, Recon-Net, the end-to-end net, Point-Net;
+//! their recipes, samples and checkpoints, and what a training reports. The trainer computes.
+//! Uses: sim-core, to simulate trials while Point-Net trains. Never: tensors, the store, datasets'
+//! files, HTTP.
 //!
 //! A net is a folder that uses the shared parts before it; training uses the nets only through
 //! their list (`net`).
@@ -14,9 +15,7 @@ pub mod initial;
 pub mod noise;
 pub mod statistics;
 pub mod input;
-mod upsample;
-mod model;
-mod loss;
+pub mod loss;
 pub mod architecture;
 
 // The nets, one folder each, and their list.
@@ -25,14 +24,10 @@ pub mod recon;
 pub mod points;
 pub mod net;
 
-// Training, the same for all nets.
+// Of every training.
 pub mod optimiser;
-mod adam;
 pub mod recipe;
 pub mod checkpoint;
-mod batches;
-pub mod device;
-pub mod train;
-
-#[cfg(test)]
-mod against_torch;
+pub mod batches;
+pub mod compute;
+pub mod progress;

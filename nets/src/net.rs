@@ -34,7 +34,8 @@ impl Net {
         }
     }
 
-    pub(crate) fn architecture(&self) -> &dyn Architecture {
+    /// What it is to its training.
+    pub fn architecture(&self) -> &dyn Architecture {
         self.row().1
     }
 

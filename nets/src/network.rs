@@ -1,5 +1,5 @@
 //! A net as plain numbers: the form that is trained, written as ONNX, and read back.
-//! Never: burn, files.
+//! PURE. Never: files.
 
 /// Lower limit of the norm that divides a frame, V: that of readout noise of 36 uV, so that the
 /// frame of an untouched skin stays small instead of being scaled to one.
@@ -170,7 +170,10 @@ impl Network {
     }
 
     /// Sets every number, in that order.
-    pub(crate) fn set_numbers(&mut self, numbers: &[f32]) {
+    ///
+    /// # Panics
+    /// If there are fewer numbers than the network has.
+    pub fn set_numbers(&mut self, numbers: &[f32]) {
         let mut numbers = numbers;
         self.each_number(&mut |x| {
             let (these, rest) = numbers.split_at(x.len());
@@ -180,7 +183,7 @@ impl Network {
     }
 
     /// Factor of the last [`Layer::Scale`]: the size of the targets in training.
-    pub(crate) fn target_size(&self) -> f32 {
+    pub fn target_size(&self) -> f32 {
         let scale = |layer: &Layer| match layer {
             Layer::Scale { scale, .. } => Some(*scale),
             _ => None,

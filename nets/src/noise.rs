@@ -18,7 +18,7 @@ pub struct Noise {
 
 /// Noise of a training.
 #[derive(Debug, Clone)]
-pub(crate) struct NoiseSource {
+pub struct NoiseSource {
     seed: u64,
     /// Standard deviation of each channel, V; empty without noise.
     sd_v: Vec<f32>,

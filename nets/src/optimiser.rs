@@ -1,5 +1,5 @@
 //! Settings of the optimiser in a recipe.
-//! PURE. Uses: serde. Never: weights, a step (`adam` takes it).
+//! PURE. Uses: serde. Never: weights, a step (the trainer takes it).
 
 use serde::{Deserialize, Serialize};
 

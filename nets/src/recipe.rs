@@ -4,9 +4,12 @@
 use serde::{Deserialize, Serialize};
 
 use crate::error::{RecipeError, require};
+use crate::initial::Initial;
 use crate::net::Net;
+use crate::network::Network;
 use crate::noise::Noise;
 use crate::optimiser::Optimiser;
+use crate::statistics::Statistics;
 
 /// Everything that determines the trained bytes, except for the data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -46,6 +49,11 @@ impl Recipe {
     /// Returns the recipe as TOML, including every default.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a recipe is plain numbers and names")
+    }
+
+    /// The net before the first step; `target` is the length of a target.
+    pub fn first(&self, statistics: &Statistics, target: usize) -> Network {
+        self.net.architecture().first(statistics, target, &mut Initial::new(self.seed))
     }
 
     /// Checks the limits of all values.

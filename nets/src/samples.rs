@@ -26,6 +26,9 @@ pub trait Samples: Sync {
     }
 
     /// Writes the samples with these numbers, in this order, one after the other.
+    ///
+    /// # Errors
+    /// `SamplesError::Source` if they cannot be read.
     fn read(
         &self,
         samples: &[u64],

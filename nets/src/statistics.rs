@@ -61,7 +61,7 @@ impl Moments {
 
 impl Statistics {
     /// Placeholder without data: determines the shape of networks, and nothing else.
-    pub(crate) fn unknown(components: Option<usize>, channels: usize) -> Self {
+    pub fn unknown(components: Option<usize>, channels: usize) -> Self {
         let whitening = components.map(|components| {
             let width = components.min(channels) + 1;
             (vec![0.0; width * (channels + 1)], vec![0.0; width])
@@ -74,7 +74,10 @@ impl Statistics {
     /// Measures up to [`MEASURED_MAX`] samples with the noise of the first epoch: components that
     /// contain only noise must have the variance of that noise. Principal components are measured
     /// only if their number is stated.
-    pub(crate) fn measure(
+    ///
+    /// # Errors
+    /// `SamplesError` if a sample cannot be read, or the frames have no principal components.
+    pub fn measure(
         from: &dyn Samples,
         components: Option<usize>,
         noise: &NoiseSource,

@@ -1,6 +1,6 @@
 //! `palpate train`: requests a training and shows it; `palpate job`: waiting, running and ended
 //! jobs.
-//! Uses: `client`. Never: nets (the service trains).
+//! Uses: `client`. Never: nets (a process of the service trains).
 
 use std::path::Path;
 use std::time::Duration;

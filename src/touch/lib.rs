@@ -4,9 +4,9 @@
 use palpate_data::dataset;
 use palpate_model::{calibrate, simulate};
 use palpate_store as store;
-#[cfg(feature = "train")]
-use palpate_words::commit;
-use palpate_words::{chance, clock, digest, ids, journal, new_file, problem, state, syntax};
+use palpate_words::{
+    chance, clock, commit, digest, ids, journal, new_file, problem, state, syntax,
+};
 
 pub mod learn;
 pub mod infer;

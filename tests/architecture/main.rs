@@ -13,7 +13,7 @@ use rules::{
     CHAPTERS, LONGEST, REFERENCES, broken_links, contents_out_of_order, dead_citations,
     entangled_stand_in, faceless_folders, folder, forward_imports, headless_or_long,
     import_circles, impure_physics, impure_where_pure, machine_paths, outgoing_studies,
-    shelves_out_of_order,
+    shelves_out_of_order, training_outside_the_trainer,
 };
 use source::{File, checkout};
 
@@ -44,6 +44,11 @@ fn what_is_called_pure_is_pure() {
 #[test]
 fn studies_ask_their_lab_and_return_values() {
     none(outgoing_studies(&checkout()));
+}
+
+#[test]
+fn only_the_trainer_trains() {
+    none(training_outside_the_trainer(&checkout()));
 }
 
 #[test]
@@ -260,4 +265,13 @@ fn a_dead_citation_is_found() {
     ] {
         none(with("src/a.rs", text));
     }
+}
+
+#[test]
+fn a_training_outside_the_trainer_is_found() {
+    let found = |path: &str, text: &str| training_outside_the_trainer(&[file(path, text)]).len();
+    assert_eq!(found("nets/Cargo.toml", "[dependencies]\nburn = \"0.22\"\n"), 1);
+    assert_eq!(found("Cargo.toml", "[dependencies]\npalpate-trainer.workspace = true\n"), 1);
+    assert_eq!(found("Cargo.toml", "[dev-dependencies]\npalpate-trainer.workspace = true\n"), 0);
+    assert_eq!(found("trainer/Cargo.toml", "[dependencies]\nburn = \"0.22\"\n"), 0);
 }

@@ -85,7 +85,7 @@ pub const LONGEST: usize = 620;
 pub const REFERENCES: &str = "docs/references.md";
 
 /// Crates whose modules must not import in circles.
-pub const WITHOUT_CIRCLES: [&str; 2] = ["nets/src/", "sim-core/src/"];
+pub const WITHOUT_CIRCLES: [&str; 3] = ["nets/src/", "sim-core/src/", "trainer/src/"];
 
 /// Crates and modules that do something, or wait for something.
 pub const EFFECTS: [&str; 6] = ["async", "tokio", "sqlx", "axum", "reqwest", "tokio_serial"];
@@ -268,6 +268,26 @@ fn circle_from<'a>(
         }
     }
     None
+}
+
+/// Only the trainer's process learns: nothing else is built with the training library, and no program but
+/// the trainer links it. Tests may compare with it.
+pub fn training_outside_the_trainer(files: &[File]) -> Vec<String> {
+    let mut findings = Vec::new();
+    let manifests = files.iter().filter(|f| f.path.ends_with("Cargo.toml"));
+    for file in manifests.filter(|f| f.path != "trainer/Cargo.toml") {
+        let mut section = "";
+        for line in file.text.lines() {
+            if line.starts_with('[') {
+                section = line;
+            }
+            let linked = section == "[dependencies]" && line.starts_with("palpate-trainer");
+            if linked || line.starts_with("burn") {
+                findings.push(format!("{}: {line}: only the trainer trains", file.path));
+            }
+        }
+    }
+    findings
 }
 
 /// sim-core holds physics: nothing that waits, reads, stores or looks at a clock.

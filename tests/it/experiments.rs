@@ -266,7 +266,6 @@ fn a_weight_above_the_experiments_limit_is_one_error() {
     );
 }
 
-#[cfg(feature = "train")]
 #[test]
 fn every_recipe_is_one_and_says_what_it_is_called() {
     let mut names = Vec::new();

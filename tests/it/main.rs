@@ -18,7 +18,6 @@ mod golden_plans;
 mod independent;
 mod independent_fit;
 mod network;
-#[cfg(feature = "train")]
 mod onnx;
 mod night;
 mod offline;

@@ -3,13 +3,11 @@
 //! PURE. Uses: the shared parts; `streamed` simulates its samples. Never: data.
 
 pub mod draws;
-mod loss;
 pub mod streamed;
 
 use serde::{Deserialize, Serialize};
 
 use self::draws::Draws;
-use self::loss::PresenceAndForce;
 use crate::architecture::{Answer, Architecture};
 use crate::error::{RecipeError, require};
 use crate::initial::{Initial, LINEAR};
@@ -67,8 +65,8 @@ impl Architecture for PointNet {
         self.draws.check()
     }
 
-    fn loss(&self, _: f32) -> Box<dyn Loss> {
-        Box::new(PresenceAndForce { force_weight: self.force_weight })
+    fn loss(&self, _: f32) -> Loss {
+        Loss::PresenceAndForce { force_weight: self.force_weight }
     }
 
     fn first(&self, statistics: &Statistics, points: usize, initial: &mut Initial) -> Network {

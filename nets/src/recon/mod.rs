@@ -9,7 +9,7 @@ use crate::architecture::{Answer, Architecture};
 use crate::error::{RecipeError, require};
 use crate::initial::{Initial, LINEAR, RECTIFIED};
 use crate::input::Input;
-use crate::loss::{Loss, MeanSquare};
+use crate::loss::Loss;
 use crate::network::{Form, Layer, Network, WEIGHTS_MAX};
 use crate::statistics::Statistics;
 
@@ -99,8 +99,8 @@ impl Architecture for ReconNet {
         require(weights <= WEIGHTS_MAX, "weights", weights, "at most 2^28: fewer net.channels")
     }
 
-    fn loss(&self, target_size: f32) -> Box<dyn Loss> {
-        Box::new(MeanSquare { unit: target_size })
+    fn loss(&self, target_size: f32) -> Loss {
+        Loss::MeanSquare { unit: target_size }
     }
 
     fn first(&self, statistics: &Statistics, _: usize, initial: &mut Initial) -> Network {

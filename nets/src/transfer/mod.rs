@@ -2,16 +2,13 @@
 //! neurons, as many as channels.
 //! PURE. Uses: the shared parts. Never: data.
 
-mod loss;
-
 use serde::{Deserialize, Serialize};
 
-use self::loss::Relative;
 use crate::architecture::{Answer, Architecture};
 use crate::error::{RecipeError, require};
 use crate::initial::{Initial, LINEAR};
 use crate::input::Input;
-use crate::loss::{Loss, MeanSquare};
+use crate::loss::Loss;
 use crate::network::{Form, Layer, NORM_FLOOR_V, Network, WEIGHTS_MAX};
 use crate::statistics::Statistics;
 
@@ -63,10 +60,10 @@ impl Architecture for TransferNet {
         require(weights <= WEIGHTS_MAX, "net.hidden x net.width^2", weights, "at most 2^28")
     }
 
-    fn loss(&self, target_size: f32) -> Box<dyn Loss> {
+    fn loss(&self, target_size: f32) -> Loss {
         match self.form {
-            TransferForm::Plain => Box::new(MeanSquare { unit: target_size }),
-            TransferForm::Residual => Box::new(Relative),
+            TransferForm::Plain => Loss::MeanSquare { unit: target_size },
+            TransferForm::Residual => Loss::Relative,
         }
     }
 

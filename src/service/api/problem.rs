@@ -240,7 +240,6 @@ impl From<JobError> for ApiError {
             JobError::Infer(error) => error.into(),
             JobError::Dataset(error) => error.into(),
             JobError::Full(_) => Self::new(StatusCode::TOO_MANY_REQUESTS, error.to_string()),
-            JobError::Lean => Self::new(StatusCode::NOT_IMPLEMENTED, error.to_string()),
             _ => {
                 tracing::error!(error = error_chain(&error), "an operation on jobs failed");
                 Self::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string())

@@ -1,6 +1,7 @@
 //! Why a job is rejected, or failed.
 //! Uses: the errors of the modules that jobs call. Never: HTTP, logging.
 
+use super::trainer::TrainerError;
 use crate::dataset::error::DatasetError;
 use crate::infer::error::InferError;
 use crate::learn::error::LearnError;
@@ -16,9 +17,6 @@ pub enum JobError {
     /// The queue is full.
     #[error("the queue is full with {0} jobs: stop some, or request again when some have ended")]
     Full(u32),
-    /// This build does not train.
-    #[error("this build does not include training: build it with the feature `train`")]
-    Lean,
     /// The service ended during every start of the job.
     #[error(
         "started {0} times, and the service ended each time before any progress: the job has failed"
@@ -27,9 +25,12 @@ pub enum JobError {
     /// The dataset is not available.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// The training failed.
+    /// Data or result of a training are invalid.
     #[error(transparent)]
     Learn(#[from] LearnError),
+    /// The trainer failed.
+    #[error(transparent)]
+    Trainer(#[from] TrainerError),
     /// A model is not available or failed.
     #[error(transparent)]
     Infer(#[from] InferError),

@@ -3,7 +3,8 @@
 //! once.
 //!
 //! A job is a task of the store: it resumes after a restart, a training from its last checkpoint. It
-//! runs on a thread of low priority, so that it does not slow acquisition.
+//! runs at low priority, so that it does not slow acquisition: an evaluation on a thread, a training in
+//! a process of its own (`trainer`).
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -17,17 +18,16 @@ use crate::ids::TaskId;
 use crate::infer::registry::Registry;
 use crate::infer::serving::Serving;
 use crate::journal::error_chain;
+use crate::learn::order::{CHECKPOINT, LOSSES};
 use crate::store::{Store, TaskEnd, TaskKind, TaskQueue, TaskRow, TaskState};
 use starts::{STARTS_MAX, Starts};
 
 mod error;
 mod evaluation;
 mod gathered;
+mod kept;
 mod starts;
-#[cfg(not(feature = "train"))]
-#[path = "lean.rs"]
-mod training;
-#[cfg(feature = "train")]
+mod trainer;
 mod training;
 mod watch_job;
 
@@ -36,10 +36,6 @@ pub use watch_job::{Progress, Watch};
 
 /// Largest number of waiting jobs.
 const WAITING_MAX: u32 = 1000;
-/// Name of the file with a training's losses.
-const LOSSES: &str = "losses.ndjson";
-/// Name of the file with a training's last checkpoint.
-const CHECKPOINT: &str = "checkpoint.bin";
 
 /// The jobs of a service. Clones share them.
 #[derive(Clone)]
@@ -135,6 +131,7 @@ impl Jobs {
         let ended = |id, end: &TaskEnd| {
             let folder = self.folder(id);
             match end {
+                TaskEnd::Failed(_) if kept::is_kept(&folder) => None,
                 // The losses of a failed training remain for diagnosis.
                 TaskEnd::Failed(_) => std::fs::remove_file(folder.join(CHECKPOINT)).ok(),
                 TaskEnd::Done(_) | TaskEnd::Stopped => std::fs::remove_dir_all(folder).ok(),
@@ -158,7 +155,7 @@ impl Jobs {
     async fn carry_out(&self, job: &TaskRow, watch: Arc<Watch>) -> TaskEnd {
         let starts = Starts::of(&self.folder(job.id));
         let in_vain = !starts.begin();
-        // When the service ends, this is dropped, and the working thread writes a checkpoint.
+        // When the service ends, this is dropped, and the trainer writes a checkpoint.
         let _leaves = Leaves(watch.clone(), starts);
         let outcome = if in_vain {
             Err(JobError::InVain(STARTS_MAX))

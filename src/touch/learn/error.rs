@@ -25,9 +25,8 @@ pub enum LearnError {
     #[error(transparent)]
     Rows(#[from] RowsError),
     /// The training failed.
-    #[cfg(feature = "train")]
     #[error(transparent)]
-    Train(nets::error::TrainError),
+    Train(#[from] nets::error::TrainError),
     /// The trained net cannot become a model.
     #[error(transparent)]
     Model(#[from] super::model_file::ModelError),

@@ -1,8 +1,8 @@
 //! From a dataset and a recipe to a model: a net as an ONNX file, with its manifest.
-//! Uses: dataset, store (a label), and `nets` if training is built in. Never: HTTP, answers.
+//! Uses: dataset, store (a label), `nets`. Never: HTTP, answers, the training itself (`trainer/`).
 //!
 //! ```text
-//! recipe, dataset -> examples (frames in a flat file) -> samples -> train -> onnx, model_file
+//! recipe, dataset -> order -> trainer: examples (frames in a flat file) -> train -> onnx, model_file
 //! ```
 
 pub mod error;
@@ -11,9 +11,5 @@ pub mod model_file;
 pub mod onnx;
 pub mod examples;
 pub mod residuals;
-#[cfg(feature = "train")]
 pub mod recipe;
-#[cfg(feature = "train")]
-pub mod samples;
-#[cfg(feature = "train")]
-pub mod train;
+pub mod order;

@@ -1,5 +1,5 @@
 //! Residuals of a Transfer-Net, stored with its model.
-//! PURE. Never: their measurement (`train`).
+//! PURE. Never: their measurement (the trainer).
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;

@@ -1,7 +1,6 @@
 //! The tasks of nets: what a net reads and answers. Manifests, slots and training follow from it.
 //! PURE. Uses: the names of a dataset's columns, the layout of a map. Never: a net, a file.
 
-#[cfg(feature = "train")]
 use nets::architecture::{Answer as NetAnswer, Frames as NetFrames};
 use serde::{Deserialize, Serialize};
 
@@ -68,7 +67,6 @@ impl NetTask {
     }
 
     /// The task of a net of a recipe.
-    #[cfg(feature = "train")]
     pub fn of(net: &nets::net::Net) -> Self {
         match (net.answer(), net.frames()) {
             (NetAnswer::Frame, _) => Self::Transfer,

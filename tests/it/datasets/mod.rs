@@ -9,3 +9,4 @@ mod models;
 mod notebook;
 mod private;
 mod queries;
+mod trainings;

@@ -12,7 +12,7 @@ use crate::support::SENSOR;
 /// Longest wait for a job.
 const LIMIT: Duration = Duration::from_secs(120);
 
-fn transfer_net(name: &str, epochs: u32) -> String {
+pub fn transfer_net(name: &str, epochs: u32) -> String {
     format!(
         "name = \"{name}\"\ndataset = \"r2s-transfer\"\n[training]\nseed = 1\nepochs = {epochs}\n\
          batch = 32\n[training.net]\nkind = \"transfer-net\"\nform = \"residual\"\nhidden = 1\n\

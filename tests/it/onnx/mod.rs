@@ -9,13 +9,13 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use nets::device::Compute;
+use nets::compute::Compute;
 use nets::network::{Form, Layer, Network};
-use nets::train::answer;
 use palpate::ids::ModelId;
 use palpate::infer::plan::{Plan, PlanError};
 use palpate::learn::onnx::write::{Description, to_onnx};
 use palpate::learn::onnx::{OnnxFile, sealed};
+use palpate_trainer::answer::answer;
 
 use kinds::{KINDS, conv, kind_index, kinds};
 use random_nets::{CHANNELS, Draw, architectures, net};

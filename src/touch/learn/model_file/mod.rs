@@ -4,17 +4,13 @@
 //! The id of a model is a hash of its facts and its ONNX file; scores, which follow later, are not
 //! included. For an ONNX file of another program, a person states the same facts.
 
-#[cfg(all(test, feature = "train"))]
+#[cfg(test)]
 mod tests;
 
 use serde::{Deserialize, Serialize};
 
-use super::onnx::{OnnxError, OnnxFile, Port, unsealed};
-#[cfg(feature = "train")]
-use super::onnx::{
-    sealed,
-    write::{Description, WriteError, to_onnx},
-};
+use super::onnx::write::{Description, WriteError, to_onnx};
+use super::onnx::{OnnxError, OnnxFile, Port, sealed, unsealed};
 use super::task::NetTask;
 use crate::dataset::force_map::ForceMapSpec;
 use crate::digest::Hashing;
@@ -189,7 +185,6 @@ pub enum ModelError {
         stated: ModelId,
     },
     /// The net cannot be written as ONNX.
-    #[cfg(feature = "train")]
     #[error("net: {0}")]
     Write(#[from] WriteError),
 }
@@ -270,7 +265,6 @@ impl ModelFacts {
         Ok(())
     }
 
-    #[cfg(feature = "train")]
     fn properties(&self) -> Vec<(String, String)> {
         let datasets: Vec<&str> = self.datasets.iter().map(DatasetId::as_str).collect();
         let mut said = vec![
@@ -348,7 +342,6 @@ pub fn manifest_for_foreign(
 ///
 /// # Errors
 /// `ModelError` if the net does not match the sensor or the task, or cannot be written.
-#[cfg(feature = "train")]
 pub fn model_of(
     network: &nets::network::Network,
     model: ModelFacts,

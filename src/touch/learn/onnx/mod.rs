@@ -4,13 +4,10 @@
 //! Guarantees for the engine: names refer to existing tensors, all weights are in the file and
 //! match their shapes, there are no loops, and sizes are bounded.
 
-#[cfg(feature = "train")]
 mod fold;
-#[cfg(feature = "train")]
 mod graph;
-#[cfg(all(test, feature = "train"))]
+#[cfg(test)]
 mod tests;
-#[cfg(feature = "train")]
 pub mod write;
 
 use std::collections::HashSet;

@@ -39,6 +39,11 @@ const ERRORS_VERSION: &str = "2";
 pub struct StoredCalibration(PathBuf);
 
 impl StoredCalibration {
+    /// Path of the file.
+    pub fn path(&self) -> &Path {
+        &self.0
+    }
+
     /// Reads it: large for a skin, so not on a thread that answers requests.
     ///
     /// # Errors

@@ -1,107 +1,30 @@
 //! Training: batches, losses and steps, until all epochs are done or the loss no longer decreases.
-//! Uses: burn, everything else of this crate. Never: files, the clock.
+//! Uses: burn, nets. Never: files, the clock.
 
 use burn::tensor::{Tensor, TensorData};
+use nets::architecture::Answer;
+use nets::batches::{Batch, Pass};
+use nets::checkpoint::{self, EpochLoss, Place, State, Subject};
+use nets::error::{RecipeError, TrainError, require};
+use nets::input::Input;
+use nets::loss::Loss;
+use nets::network::Network;
+use nets::noise::NoiseSource;
+use nets::progress::{End, Flow, Observer, Plan, Progress, Trained};
+use nets::recipe::Recipe;
+use nets::samples::Samples;
+use nets::statistics::Statistics;
 
 use crate::adam::Adam;
-use crate::architecture::Answer;
-use crate::batches::{Batch, Pass};
-use crate::checkpoint::{self, EpochLoss, Place, State, Subject};
-use crate::device::Compute;
-use crate::error::{RecipeError, TrainError, require};
-use crate::initial::Initial;
-use crate::input::Input;
-use crate::loss::Loss;
+use crate::device;
+use crate::loss::value;
 use crate::model::Model;
-use crate::network::Network;
-use crate::noise::NoiseSource;
-use crate::recipe::Recipe;
-use crate::samples::Samples;
-use crate::statistics::Statistics;
 
 /// Largest number of values in a batch: a few batches are in memory, and activations are larger.
 const BATCH_MAX: usize = 1 << 26;
 
 /// Number of the epoch whose noise validation samples get; no training reaches it.
 const VALIDATION: u64 = u64::MAX;
-
-/// Everything that determines a training.
-#[derive(Debug, Clone)]
-pub struct Plan {
-    /// Recipe of the training.
-    pub recipe: Recipe,
-    /// Names of its data (dataset, model of a stream): a checkpoint of other data is rejected.
-    pub data: String,
-    /// Standard deviation of each channel, V, that the recipe's noise level multiplies: of a
-    /// Transfer-Net's residuals (Fig. 10A).
-    pub noise_sd_v: Option<Vec<f32>>,
-    /// Initial network, whose normalisation stays; `None`: weights are drawn from the seed, the
-    /// normalisation is measured on the training samples.
-    pub start: Option<Network>,
-    /// Device. With one thread, the same plan and data give the same bytes.
-    pub compute: Compute,
-}
-
-/// Progress of a training.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Progress {
-    /// The current epoch, from 0.
-    pub epoch: u32,
-    /// Number of epochs of the recipe.
-    pub epochs: u32,
-    /// Number of learned batches of the epoch, and of all its batches.
-    pub batches: [u64; 2],
-    /// Number of samples learned since the start, including before checkpoints, and of all epochs.
-    pub samples: [u64; 2],
-    /// Mean loss of the epoch's learned batches, in its own unit.
-    pub train_loss: f64,
-    /// Loss on the validation samples; present at the end of an epoch.
-    pub validation_loss: Option<f64>,
-    /// Losses of the epoch with the least validation loss.
-    pub best: Option<EpochLoss>,
-}
-
-/// Next step of a training.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Flow {
-    /// Continue.
-    Continue,
-    /// Pass a checkpoint to the observer, then continue.
-    Checkpoint,
-    /// Pass a checkpoint to the observer, then end.
-    Stop,
-}
-
-/// Observer of a training.
-pub trait Observer {
-    /// Called after every batch, and after each epoch with its validation loss.
-    fn see(&mut self, progress: &Progress) -> Flow;
-
-    /// Receives a requested checkpoint; [`train`] resumes from it.
-    fn keep(&mut self, checkpoint: Vec<u8>);
-}
-
-/// Why a training ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum End {
-    /// All epochs are done.
-    Epochs,
-    /// The validation loss did not decrease for the recipe's patience.
-    Patience,
-    /// The observer requested it.
-    Stopped,
-}
-
-/// Result of a training.
-#[derive(Debug, Clone)]
-pub struct Trained {
-    /// The network with the least validation loss; the last one if no epoch was completed.
-    pub network: Network,
-    /// Losses of each completed epoch.
-    pub curve: Vec<EpochLoss>,
-    /// Why the training ended.
-    pub end: End,
-}
 
 /// Trains a net, from the beginning or from a checkpoint of the same plan and data.
 ///
@@ -116,26 +39,7 @@ pub fn train(
     observer: &mut (dyn Observer + Send),
 ) -> Result<Trained, TrainError> {
     plan.recipe.check()?;
-    plan.compute.run(|| Training::new(plan, train, validation, checkpoint)?.run(observer))?
-}
-
-/// Computes the answers of a network through burn, one after the other, for frames one after the
-/// other: the reference for other runtimes.
-///
-/// # Errors
-/// `TrainError::Threads` if the threads could not be started.
-pub fn answer(network: &Network, frames: &[f32], compute: Compute) -> Result<Vec<f32>, TrainError> {
-    compute.run(|| {
-        let device = compute.device();
-        let mut model = Model::new(network.clone(), network.layers.len(), &device);
-        let batch = frames.len() / network.inputs;
-        let data = TensorData::new(frames.to_vec(), [batch, network.inputs]);
-        numbers(model.answer(Tensor::from_data(data, &device)))
-    })
-}
-
-fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.into_data().try_to_vec().expect("answers are f32")
+    device::run(plan.compute, || Training::new(plan, train, validation, checkpoint)?.run(observer))?
 }
 
 /// Checks that the net can be trained on the data.
@@ -168,11 +72,6 @@ fn check(plan: &Plan, train: &dyn Samples, validation: &dyn Samples) -> Result<(
     }
 }
 
-/// The net before the first step.
-pub(crate) fn first(recipe: &Recipe, statistics: &Statistics, target: usize) -> Network {
-    recipe.net.architecture().first(statistics, target, &mut Initial::new(recipe.seed))
-}
-
 /// A running training.
 struct Training<'a> {
     recipe: &'a Recipe,
@@ -180,7 +79,7 @@ struct Training<'a> {
     train: &'a dyn Samples,
     validation: &'a dyn Samples,
     noise: NoiseSource,
-    loss: Box<dyn Loss>,
+    loss: Loss,
     model: Model,
     adam: Adam,
     place: Place,
@@ -212,12 +111,12 @@ impl<'a> Training<'a> {
         let mut network = match (&state, &plan.start) {
             (None, None) => {
                 let statistics = Statistics::measure(train, components, &noise, recipe.seed)?;
-                first(recipe, &statistics, target)
+                recipe.first(&statistics, target)
             }
             (_, Some(start)) => start.clone(),
-            (Some(_), None) => first(recipe, &Statistics::unknown(components, channels), target),
+            (Some(_), None) => recipe.first(&Statistics::unknown(components, channels), target),
         };
-        let described = first(recipe, &Statistics::unknown(components, channels), target);
+        let described = recipe.first(&Statistics::unknown(components, channels), target);
         if network.shape() != described.shape() {
             return Err(TrainError::Start("its layers are not those of the recipe"));
         }
@@ -229,7 +128,7 @@ impl<'a> Training<'a> {
             best.set_numbers(&state.best);
             place = state.place.clone();
         }
-        let device = plan.compute.device();
+        let device = device::of(plan.compute)?;
         let loss = recipe.net.architecture().loss(network.target_size());
         let model = Model::new(network, Input::LAYERS, &device);
         let mut adam = Adam::new(recipe.optimiser, model.shapes(), &device, plan.compute.is_host());
@@ -283,9 +182,9 @@ impl<'a> Training<'a> {
 
     fn learn(&mut self, batch: Batch) -> Result<(), TrainError> {
         let [inputs, targets] = self.tensors(batch);
-        let loss = self.loss.value(self.model.learn(inputs), targets.autodiff());
-        let value: f32 = loss.clone().into_scalar();
-        if !value.is_finite() {
+        let loss = value(self.loss, self.model.learn(inputs), targets.autodiff());
+        let minimised: f32 = loss.clone().into_scalar();
+        if !minimised.is_finite() {
             let (epoch, batch) = (self.place.epoch, self.place.batches);
             return Err(TrainError::Diverged { epoch, batch });
         }
@@ -296,7 +195,7 @@ impl<'a> Training<'a> {
         let rate = self.recipe.optimiser.rate(taken, steps);
         self.adam.step(&mut self.model, gradients, rate);
         self.place.batches += 1;
-        self.place.loss_sum += f64::from(value);
+        self.place.loss_sum += f64::from(minimised);
         Ok(())
     }
 
@@ -315,8 +214,9 @@ impl<'a> Training<'a> {
         pass.each(|batch| {
             let len = batch.len as f64;
             let [inputs, targets] = self.tensors(batch);
-            let value: f32 = self.loss.value(self.model.judge(inputs), targets).into_scalar();
-            sum += f64::from(value) * len;
+            let answers = self.model.judge(inputs);
+            let minimised: f32 = value(self.loss, answers, targets).into_scalar();
+            sum += f64::from(minimised) * len;
             Ok::<_, TrainError>(true)
         })?;
         Ok(self.loss.in_units(sum / self.validation.len() as f64))

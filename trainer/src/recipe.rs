@@ -1,28 +1,30 @@
-//! From a recipe and its data to a model: the training itself, its losses, its residuals.
-//! Uses: nets, `learn::{examples, samples, recipe}`. Never: the store, HTTP, a clock.
+//! From a recipe and its data to a trained net: its samples, the training, its residuals.
+//! Uses: nets, `train`, `rows`, `learn` of `touch`. Never: files, a clock.
 
 use std::sync::Arc;
 
 use nets::architecture::Answer;
-use nets::error::TrainError;
+use nets::compute::Compute;
 use nets::net::Net;
 use nets::network::{Layer, Network};
 use nets::points::streamed::Streamed;
+use nets::progress::{Observer, Plan, Trained};
 use nets::samples::Samples;
-use nets::train::{self as training, Observer, Plan};
 use sim_core::batch::{BatchModel, Kernel};
 use sim_core::forward::ForwardModel;
 
-use super::error::LearnError;
-use super::examples::Examples;
-use super::model_file::TrainedRange;
-use super::recipe::Recipe;
-use super::residuals::Residuals;
-use super::samples::{Fixed, FramePairs, FramesAndMaps};
-use super::task::Answers;
+use crate::answer::answer;
 use crate::dataset::force_map::ForceMap;
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::dataset::split::Part;
+use crate::learn::error::LearnError;
+use crate::learn::examples::Examples;
+use crate::learn::model_file::TrainedRange;
+use crate::learn::recipe::Recipe;
+use crate::learn::residuals::Residuals;
+use crate::learn::task::Answers;
+use crate::rows::{Fixed, FramePairs, FramesAndMaps};
+use crate::train;
 
 /// Largest number of rows on which the residuals of a Transfer-Net are measured.
 const RESIDUAL_ROWS: usize = 20_000;
@@ -47,14 +49,14 @@ pub struct Given<'a> {
     /// Standard deviation of each channel's noise, V.
     pub noise_sd_v: Option<Vec<f32>>,
     /// Device of the training.
-    pub compute: nets::device::Compute,
+    pub compute: Compute,
 }
 
 /// Result of a training.
 #[derive(Debug)]
 pub struct Learned {
     /// The trained net, with its losses.
-    pub trained: training::Trained,
+    pub trained: Trained,
     /// Trained range.
     pub range: TrainedRange,
     /// Residuals; only of a Transfer-Net.
@@ -94,7 +96,7 @@ pub fn train(
     let range = given.examples.range(&learn);
     let [learn, choose] = [learn, choose].map(|rows| samples(recipe, given, rows));
     let (learn, choose) = (learn?, choose?);
-    let trained = training::train(&plan, &*learn, &*choose, checkpoint, observer)?;
+    let trained = train::train(&plan, &*learn, &*choose, checkpoint, observer)?;
     let residuals = match recipe.task().answers() {
         Answers::Frame => Some(residuals(&trained.network, given)?),
         Answers::Map | Answers::Points => None,
@@ -111,7 +113,7 @@ pub fn train(
 pub fn train_on_stream(
     recipe: &Recipe,
     model: &ForwardModel,
-    compute: nets::device::Compute,
+    compute: Compute,
     checkpoint: Option<&[u8]>,
     observer: &mut (dyn Observer + Send),
 ) -> Result<Learned, LearnError> {
@@ -132,7 +134,7 @@ pub fn train_on_stream(
         start: None,
         compute,
     };
-    let mut trained = training::train(&plan, &learn, &choose, checkpoint, observer)?;
+    let mut trained = train::train(&plan, &learn, &choose, checkpoint, observer)?;
     if let Some(skin) = model.sensor().skin() {
         let mean: Vec<f32> = skin.offsets_mv.iter().map(|mv| (1e-3 * mv) as f32).collect();
         let sd = vec![1.0; mean.len()];
@@ -195,7 +197,7 @@ fn residuals(network: &Network, given: &Given<'_>) -> Result<Residuals, LearnErr
         for (&row, frame) in rows.iter().zip(frames.chunks_exact_mut(channels)) {
             given.examples.frame(row, 0, frame)?;
         }
-        let answers = training::answer(network, &frames, given.compute)?;
+        let answers = answer(network, &frames, given.compute)?;
         for (&row, answer) in rows.iter().zip(answers.chunks_exact(channels)) {
             given.examples.frame(row, 1, &mut target)?;
             for channel in 0..channels {
@@ -213,10 +215,4 @@ fn residuals(network: &Network, given: &Given<'_>) -> Result<Residuals, LearnErr
         mean_v: mean.iter().map(|&mean| mean as f32).collect(),
         trials: rows.len() as u64,
     })
-}
-
-impl From<TrainError> for LearnError {
-    fn from(error: TrainError) -> Self {
-        Self::Train(error)
-    }
 }

@@ -4,9 +4,9 @@
 use nets::error::SamplesError;
 use nets::samples::Samples;
 
-use super::error::LearnError;
-use super::examples::Examples;
 use crate::dataset::force_map::ForceMap;
+use crate::learn::error::LearnError;
+use crate::learn::examples::Examples;
 use crate::store::Contact;
 
 /// Frames to frames (Transfer-Net): of each row the first gathered column, and the second.

@@ -1,6 +1,6 @@
 """Samples per second that each net learns: ours, PyTorch with its default Adam, and with fused Adam.
 
-    python nets/examples/rate.py RATE_BINARY [--rounds N] [--seconds S] [--threads T] [NET ..]
+    python trainer/examples/rate.py RATE_BINARY [--rounds N] [--seconds S] [--threads T] [NET ..]
 
 The three alternate, round after round, so that other load on the machine affects all of them equally;
 the medians over rounds are printed, and the ratios of the medians. On a shared machine, --cpu counts

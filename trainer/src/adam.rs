@@ -6,10 +6,10 @@
 //! Transfer-Net; on other devices the same formula is tensor operations, which burn fuses.
 
 use burn::tensor::{Device, Tensor, TensorData};
+use nets::optimiser::Optimiser;
 use rayon::prelude::*;
 
 use crate::model::Model;
-use crate::optimiser::Optimiser;
 
 /// Number of values that one thread updates at a time.
 const CHUNK: usize = 1 << 14;

@@ -5,11 +5,12 @@
 
 use std::time::{Duration, Instant};
 
-use nets::device::Compute;
+use nets::compute::Compute;
 use nets::error::SamplesError;
+use nets::progress::{Flow, Observer, Plan, Progress};
 use nets::recipe::Recipe;
 use nets::samples::Samples;
-use nets::train::{Flow, Observer, Plan, Progress, train};
+use palpate_trainer::train::train;
 
 /// The same few hundred samples repeatedly: reading costs almost no time.
 struct Repeated {

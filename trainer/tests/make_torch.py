@@ -1,7 +1,7 @@
 """Writes torch.json: for small nets of each kind PyTorch's answers, losses, gradients and
 first steps of Adam. Run it manually after a change of the nets' layers:
 
-    python nets/tests/make_torch.py > nets/tests/torch.json
+    python trainer/tests/make_torch.py > trainer/tests/torch.json
 
 Needs torch. The nets are PyTorch's own modules; their numbers are listed in the order of
 `Network::each_number` (layer by layer; weight, bias; scale, shift, mean, variance).

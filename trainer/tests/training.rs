@@ -3,12 +3,14 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use nets::device::Compute;
+use nets::compute::Compute;
 use nets::error::{CheckpointError, SamplesError, TrainError};
 use nets::network::{Layer, Network};
+use nets::progress::{End, Flow, Observer, Plan, Progress, Trained};
 use nets::recipe::Recipe;
 use nets::samples::Samples;
-use nets::train::{End, Flow, Observer, Plan, Progress, Trained, answer, train};
+use palpate_trainer::answer::answer;
+use palpate_trainer::train::train;
 
 const CHANNELS: usize = 12;
 

@@ -2,15 +2,15 @@
 //! and samples. `tests/make_torch.py` wrote those to `tests/torch.json`.
 
 use burn::tensor::{Device, Tensor, TensorData};
+use nets::input::Input;
+use nets::loss::Loss;
+use nets::recipe::Recipe;
+use nets::statistics::Statistics;
 use serde::Deserialize;
 
 use crate::adam::Adam;
-use crate::input::Input;
-use crate::loss::Loss;
+use crate::loss::value;
 use crate::model::Model;
-use crate::recipe::Recipe;
-use crate::statistics::Statistics;
-use crate::train::first;
 
 /// PyTorch's results for one net.
 #[derive(Deserialize)]
@@ -47,14 +47,14 @@ fn apart(found: &[f32], wanted: &[f32]) -> f32 {
 struct Begun {
     recipe: Recipe,
     model: Model,
-    loss: Box<dyn Loss>,
+    loss: Loss,
     samples: [Tensor<2>; 2],
 }
 
 fn begin(case: &Case) -> Begun {
     let recipe = Recipe::from_toml(&case.recipe).unwrap();
     let statistics = Statistics::unknown(recipe.net.input().components(), case.channels);
-    let mut network = first(&recipe, &statistics, case.target);
+    let mut network = recipe.first(&statistics, case.target);
     assert_eq!(network.numbers().len(), case.numbers.len(), "{}", case.recipe);
     network.set_numbers(&case.numbers);
     let device = Device::flex();
@@ -69,9 +69,9 @@ fn begin(case: &Case) -> Begun {
 /// The loss and its gradients.
 fn gradients(begun: &mut Begun) -> (f64, Vec<Tensor<2>>) {
     let [inputs, targets] = begun.samples.clone();
-    let loss = begun.loss.value(begun.model.learn(inputs), targets.autodiff());
-    let value: f32 = loss.clone().into_scalar();
-    (value.into(), begun.model.gradients(&mut loss.backward()))
+    let loss = value(begun.loss, begun.model.learn(inputs), targets.autodiff());
+    let minimised: f32 = loss.clone().into_scalar();
+    (minimised.into(), begun.model.gradients(&mut loss.backward()))
 }
 
 #[test]

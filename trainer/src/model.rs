@@ -5,8 +5,8 @@
 //! one matrix product. Every parameter is a matrix.
 
 use burn::tensor::{Device, Gradients, Tensor, TensorData, activation};
+use nets::network::{Form, Layer, Network};
 
-use crate::network::{Form, Layer, Network};
 use crate::upsample;
 
 /// Momentum of the running moments of a batch normalisation, PyTorch's.

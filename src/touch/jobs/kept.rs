@@ -1,0 +1,95 @@
+//! The checkpoint of the training that was killed last: the same request again resumes from it.
+//! Uses: the folders of jobs. Never: a checkpoint of another order, or of a job that may still run.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::Jobs;
+use crate::learn::order::{CHECKPOINT, LOSSES, ORDER};
+use crate::new_file;
+use crate::store::TaskState;
+
+/// Name of the file that marks the folder of a killed training.
+const KILLED: &str = "killed";
+
+/// Keeps the checkpoint of a killed training beyond the end of its job, instead of an earlier one:
+/// checkpoints are large.
+pub fn keep(folder: &Path) {
+    for other in marked(folder.parent().unwrap_or(folder)) {
+        fs::remove_file(other.join(CHECKPOINT)).ok();
+        fs::remove_file(other.join(KILLED)).ok();
+    }
+    if let Err(error) = new_file::write(folder, KILLED, "") {
+        tracing::warn!(%error, "the checkpoint of a killed training is not kept");
+    }
+}
+
+/// Whether the checkpoint in a folder is to be kept.
+pub fn is_kept(folder: &Path) -> bool {
+    folder.join(KILLED).exists()
+}
+
+/// A job that starts has not been killed, whatever an earlier start of it left.
+pub fn unmark(folder: &Path) {
+    fs::remove_file(folder.join(KILLED)).ok();
+}
+
+/// Moves the checkpoint of a failed job with an equal order into a job's folder.
+pub async fn adopt(jobs: &Jobs, folder: &Path, order: &str) {
+    for other in marked(&jobs.inner.data.join("jobs")) {
+        if fs::read_to_string(other.join(ORDER)).ok().as_deref() != Some(order) {
+            continue;
+        }
+        let name = other.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let Ok(id) = name.parse() else { continue };
+        let job = jobs.inner.store.task(id).await.ok().flatten();
+        if job.is_some_and(|job| job.state == TaskState::Failed) && take(&other, folder).is_ok() {
+            tracing::info!(from = name, "the training resumes from a killed one's checkpoint");
+        }
+    }
+}
+
+/// Marked folders among those of the jobs.
+fn marked(jobs: &Path) -> Vec<PathBuf> {
+    let folders = fs::read_dir(jobs).into_iter().flatten().flatten();
+    folders.map(|folder| folder.path()).filter(|folder| is_kept(folder)).collect()
+}
+
+/// The losses are copied first: without them, the model's curve would begin at the checkpoint.
+fn take(from: &Path, to: &Path) -> io::Result<()> {
+    if !from.join(CHECKPOINT).exists() {
+        return Err(io::ErrorKind::NotFound.into());
+    }
+    let losses = fs::read(from.join(LOSSES)).unwrap_or_default();
+    new_file::write(to, LOSSES, losses)?;
+    fs::rename(from.join(CHECKPOINT), to.join(CHECKPOINT))?;
+    fs::remove_file(from.join(KILLED))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_checkpoint_is_kept_and_moves_with_its_losses() {
+        let jobs = std::env::temp_dir().join(format!("palpate-kept-{}", std::process::id()));
+        let [first, second, new] = ["one", "two", "new"].map(|name| jobs.join(name));
+        for (folder, text) in [(&first, "1"), (&second, "2")] {
+            new_file::write(folder, CHECKPOINT, text).unwrap();
+            new_file::write(folder, LOSSES, text).unwrap();
+            keep(folder);
+        }
+        assert_eq!(marked(&jobs), [second.as_path()]);
+        assert!(!first.join(CHECKPOINT).exists() && first.join(LOSSES).exists());
+        take(&second, &new).unwrap();
+        let read = |name: &str| fs::read_to_string(new.join(name)).unwrap();
+        assert_eq!([read(CHECKPOINT), read(LOSSES)], ["2", "2"]);
+        assert!(!is_kept(&second) && second.join(LOSSES).exists());
+        assert!(take(&second, &new).is_err());
+        keep(&new);
+        unmark(&new);
+        assert!(!is_kept(&new) && new.join(CHECKPOINT).exists());
+        fs::remove_dir_all(&jobs).unwrap();
+    }
+}

@@ -1,0 +1,187 @@
+//! The trainer's process: found or built, started on a job's folder, followed to its end.
+//! Uses: `learn::order`, processes. Never: what is trained (`training`).
+//!
+//! ```text
+//! service                      palpate-trainer FOLDER
+//!   order.json             ->    reads it, locks the folder
+//!   Watch               <-  stdout, one JSON line per event
+//!   closes stdin           ->    checkpoint.bin, then ends (also if the service died)
+//! ```
+
+mod build;
+mod end;
+mod lines;
+mod program;
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::time::Duration;
+
+use tokio::io::AsyncWriteExt;
+use tokio::process::{ChildStdin, Command};
+use tokio::time::Instant;
+
+use self::end::end;
+pub use self::end::{Ended, TrainerEnd};
+use self::lines::Lines;
+use self::program::{NAME, Program, VARIABLE};
+use crate::jobs::Watch;
+use crate::learn::order::{Event, STOP};
+
+/// Time from a request to stop to the end by force: one batch and a checkpoint take less.
+const STOP_MAX: Duration = Duration::from_secs(20);
+/// Interval at which a stop is noticed.
+const LOOK: Duration = Duration::from_millis(100);
+
+/// Why a trainer did not train.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainerError {
+    /// There is no trainer.
+    #[error(
+        "no trainer: {NAME} is not beside {}, and {VARIABLE} does not name it; run \
+         `cargo install --path trainer --locked` in the source of palpate {}, then request the \
+         training again", .0.display(), env!("CARGO_PKG_VERSION")
+    )]
+    Missing(PathBuf),
+    /// Cargo could not be started.
+    #[error("building the trainer: cargo: {0}; run `cargo build --bin palpate-trainer`")]
+    Cargo(io::Error),
+    /// Cargo failed.
+    #[error("building the trainer with `cargo build --bin palpate-trainer` failed:\n{0}")]
+    Build(String),
+    /// The process could not be started.
+    #[error("starting the trainer {}: {source}; {VARIABLE} may name another one", program.display())]
+    Start {
+        /// Path of the program.
+        program: PathBuf,
+        /// Error of the operating system.
+        source: io::Error,
+    },
+    /// The process ended without a result.
+    #[error("the trainer {0}")]
+    Ended(TrainerEnd),
+    /// The trainer reported why it failed.
+    #[error("{0}")]
+    Failed(String),
+}
+
+/// Path of the trainer, which is built if it must be; `None` if the job was stopped meanwhile.
+///
+/// # Errors
+/// `TrainerError` if there is none and it cannot be built.
+pub async fn path(watch: &Watch) -> Result<Option<PathBuf>, TrainerError> {
+    let stated = std::env::var_os(VARIABLE).map(PathBuf::from);
+    let executable = std::env::current_exe().unwrap_or_default();
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap_or(Path::new(""));
+    match program::find(stated, &executable, source, Path::exists) {
+        Program::Ready(program) => {
+            warn_if_old(&program, &executable, source);
+            Ok(Some(program))
+        }
+        Program::Source(source) => {
+            Ok(build::build(&source, watch).await?.then_some(source.program))
+        }
+        Program::Missing => Err(TrainerError::Missing(executable)),
+    }
+}
+
+/// Warns if a trainer of the source tree was built before this program: cargo builds only the program
+/// that is run.
+fn warn_if_old(program: &Path, executable: &Path, source: &Path) {
+    let without = |path: &Path| path != program && path.exists();
+    let is_built = matches!(program::find(None, executable, source, without), Program::Source(_));
+    let built = |path: &Path| path.metadata().and_then(|found| found.modified()).ok();
+    if is_built && built(program) < built(executable) {
+        let program = program.display();
+        tracing::warn!(%program, "the trainer is older than this program; if its source has changed \
+            since, run `cargo build --bin palpate-trainer`");
+    }
+}
+
+/// Runs the trainer on a job's folder; `seen` receives its events. If this future is dropped, or this
+/// process ends, the trainer writes a checkpoint and ends.
+///
+/// # Errors
+/// `TrainerError` if it cannot be started, fails, or ends without a result.
+pub async fn run(
+    program: &Path,
+    folder: &Path,
+    watch: &Watch,
+    mut seen: impl FnMut(Event),
+) -> Result<Ended, TrainerError> {
+    let mut command = Command::new(program);
+    command.arg(folder).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    // Ctrl-C in a terminal is for the service, which then stops its trainer in order.
+    command.process_group(0);
+    let failed = |source| TrainerError::Start { program: program.into(), source };
+    let mut child = command.spawn().map_err(failed)?;
+    let mut input = child.stdin.take();
+    let mut lines = Lines::of(child.stdout.take());
+    let errors = tokio::spawn(Lines::of(child.stderr.take()).last());
+    let mut reported = None;
+    let mut look = tokio::time::interval(LOOK);
+    let mut kill_at = None;
+    loop {
+        tokio::select! {
+            line = lines.next() => {
+                let Some(line) = line else { break };
+                match serde_json::from_str(&line) {
+                    Ok(event @ (Event::Done | Event::Stopped | Event::Failed { .. })) => {
+                        reported = Some(event);
+                    }
+                    Ok(event) => seen(event),
+                    Err(error) => tracing::warn!(%error, line, "the trainer wrote an unknown line"),
+                }
+            }
+            _ = look.tick() => {
+                if watch.is_stopped() && let Some(input) = input.take() {
+                    request_stop(input).await;
+                    kill_at = Some(Instant::now() + STOP_MAX);
+                }
+                if kill_at.is_some_and(|at| Instant::now() >= at) {
+                    kill_at = None;
+                    tracing::warn!("the trainer did not stop within 20 s, and is killed");
+                    child.start_kill().map_err(failed)?;
+                }
+            }
+        }
+    }
+    let status = child.wait().await.map_err(failed)?;
+    let said = errors.await.unwrap_or_default();
+    end(reported, status, watch.is_stopped(), said)
+}
+
+/// Requests the end; the input is closed even if the line cannot be written.
+async fn request_stop(mut input: ChildStdin) {
+    // A trainer that has already ended reads nothing.
+    let _ = input.write_all(format!("{STOP}\n").as_bytes()).await;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missing_trainer_names_what_to_do() {
+        let error = TrainerError::Missing("/usr/bin/palpate".into()).to_string();
+        for words in [
+            "palpate-trainer is not beside /usr/bin/palpate",
+            "PALPATE_TRAINER does not name it",
+            "cargo install --path trainer --locked",
+        ] {
+            assert!(error.contains(words), "{error}");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_trainer_that_cannot_be_started_is_named() {
+        let watch = Watch::default();
+        let none = Path::new("/none/palpate-trainer");
+        let error = run(none, Path::new("/tmp"), &watch, |_| {}).await.unwrap_err().to_string();
+        assert!(
+            error.contains("/none/palpate-trainer") && error.contains("PALPATE_TRAINER"),
+            "{error}"
+        );
+    }
+}

@@ -1,0 +1,157 @@
+//! Trainings as processes: killed ones fail by their signal and resume when requested again, and none
+//! outlives its service.
+
+use std::io::{BufRead, BufReader};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+
+use super::filled::{Filled, fill, folder, rig};
+use super::models::transfer_net;
+use crate::support::{PALPATE, Process, http};
+
+/// Longest wait for anything; the trainer may have to be built first.
+const LIMIT: Duration = Duration::from_secs(120);
+/// Longest time from the end of a service to that of its trainer, which ends after one batch.
+const ORPHAN_MAX: Duration = Duration::from_secs(10);
+
+/// Waits until a value is there.
+async fn eventually<T>(what: &str, limit: Duration, mut look: impl AsyncFnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(found) = look().await {
+            return found;
+        }
+        assert!(start.elapsed() < limit, "{what}");
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+}
+
+/// The process that trains for a job, by its arguments.
+fn trainer(job: &str) -> Option<i32> {
+    let processes = std::fs::read_dir("/proc").unwrap().flatten();
+    let mut ids = processes.filter_map(|p| p.file_name().to_str()?.parse().ok());
+    ids.find(|id: &i32| {
+        let line = std::fs::read(format!("/proc/{id}/cmdline")).unwrap_or_default();
+        let line = String::from_utf8_lossy(&line).into_owned();
+        line.contains("palpate-trainer\0") && line.contains(job)
+    })
+}
+
+fn kill(process: i32) {
+    let status = Command::new("kill").args(["-9", &process.to_string()]).status().unwrap();
+    assert!(status.success());
+}
+
+/// Nice value of a process: field 19 of its status.
+fn nice(process: i32) -> i32 {
+    let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap();
+    let after_name = stat.rsplit(')').next().unwrap();
+    after_name.split_whitespace().nth(16).unwrap().parse().unwrap()
+}
+
+impl Filled {
+    async fn asked(&self, recipe: &str) -> (Value, String) {
+        let (status, job) = self.post("/api/v1/trainings", json!({ "recipe": recipe })).await;
+        assert_eq!(status, 202, "{job}");
+        let id = job["id"].as_str().unwrap().to_owned();
+        (job, id)
+    }
+
+    /// The first line of a training's losses.
+    async fn first_loss(&self, id: &str) -> Value {
+        let answer = self.answer(&format!("/api/v1/jobs/{id}/losses")).await;
+        let text = answer.text().await.unwrap();
+        serde_json::from_str(text.lines().next().unwrap()).unwrap()
+    }
+
+    /// Waits until a job learns in an epoch from `epoch` on; returns the epoch.
+    async fn learns(&self, id: &str, epoch: u64) -> u64 {
+        let path = format!("/api/v1/jobs/{id}");
+        let look = async || {
+            let job = self.get(&path).await;
+            assert!(["waiting", "running"].contains(&job["state"].as_str().unwrap()), "{job}");
+            job["progress"]["epoch"].as_u64().filter(|&now| now >= epoch)
+        };
+        eventually("the job learns", LIMIT, look).await
+    }
+}
+
+#[tokio::test]
+async fn a_killed_trainer_fails_its_job_and_the_same_request_resumes_from_its_checkpoint() {
+    let lab = Filled::open("training-killed").await;
+    let recipe = transfer_net("endless", 1_000_000);
+    let (_, first) = lab.asked(&recipe).await;
+    lab.learns(&first, 30).await;
+    // The end of the service makes the trainer write a checkpoint.
+    let lab = Filled::serve(lab.end().await).await;
+    let resumed = lab.learns(&first, 1).await;
+    assert!(resumed >= 30, "{resumed}");
+    let process = trainer(&first).unwrap();
+    assert_eq!(nice(process), 10);
+    kill(process);
+    let over = async || {
+        let job = lab.get(&format!("/api/v1/jobs/{first}")).await;
+        (job["state"] != "running").then_some(job)
+    };
+    let job = eventually("the job ends", LIMIT, over).await;
+    assert_eq!(job["state"], "failed", "{job}");
+    let words = job["error"].as_str().unwrap();
+    assert!(
+        words.starts_with("the trainer was killed by signal 9, probably out of memory"),
+        "{words}"
+    );
+    // Another request does not resume from a checkpoint that is not its own.
+    let kept = lab.data.join("jobs").join(&first).join("checkpoint.bin");
+    let (_, other) = lab.asked(&recipe.replace("seed = 1", "seed = 2")).await;
+    lab.learns(&other, 2).await;
+    assert!(kept.exists());
+    let others = lab.first_loss(&other).await;
+    lab.post(&format!("/api/v1/jobs/{other}/stop"), Value::Null).await;
+    let (_, second) = lab.asked(&recipe).await;
+    let again = lab.learns(&second, 1).await;
+    assert!(again >= 30 && !kept.exists(), "{again} after {resumed}");
+    let own = lab.first_loss(&second).await;
+    assert_eq!([&own["epoch"], &others["epoch"]], [1, 1]);
+    assert_ne!(own["train_loss"], others["train_loss"]);
+    lab.post(&format!("/api/v1/jobs/{second}/stop"), Value::Null).await;
+    let gone = async || trainer(&second).is_none().then_some(());
+    eventually("the trainer ends", LIMIT, gone).await;
+    lab.close().await;
+}
+
+#[tokio::test]
+async fn a_killed_service_leaves_a_checkpoint_and_no_trainer() {
+    let data = folder("training-orphan");
+    fill(&data).await;
+    let rig_file = data.join("rig.toml");
+    std::fs::write(&rig_file, rig()).unwrap();
+    let mut serve = Command::new(PALPATE);
+    serve.args(["serve", "--bind", "127.0.0.1:0", "--data"]).arg(&data);
+    serve.arg("--rig").arg(&rig_file);
+    let mut served = Process(serve.stdout(Stdio::piped()).spawn().unwrap());
+    let mut line = String::new();
+    BufReader::new(served.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let url = line.split_whitespace().find(|word| word.starts_with("http://")).unwrap();
+    let url = url.trim_end_matches(',');
+    let recipe = transfer_net("orphan", 1_000_000);
+    let asked = http().post(format!("{url}/api/v1/trainings")).json(&json!({ "recipe": recipe }));
+    let job: Value = asked.send().await.unwrap().json().await.unwrap();
+    let id = job["id"].as_str().unwrap().to_owned();
+    let learns = async || {
+        let answer = http().get(format!("{url}/api/v1/jobs/{id}")).send().await.unwrap();
+        let job: Value = answer.json().await.unwrap();
+        job["progress"]["epoch"].as_u64().filter(|&epoch| epoch >= 3)
+    };
+    eventually("the job learns", LIMIT, learns).await;
+    assert!(trainer(&id).is_some());
+    let checkpoint = data.join("jobs").join(&id).join("checkpoint.bin");
+    assert!(!checkpoint.exists());
+    served.0.kill().unwrap();
+    served.0.wait().unwrap();
+    let gone = async || trainer(&id).is_none().then_some(());
+    eventually("the trainer ends", ORPHAN_MAX, gone).await;
+    assert!(checkpoint.exists());
+    std::fs::remove_dir_all(data).ok();
+}
