@@ -3,12 +3,19 @@
 //! Never: anything else.
 
 use std::fmt::Display;
-use std::path::PathBuf;
+use std::io;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, Parser, Subcommand};
+use clap_complete::Shell;
+use mimalloc::MiMalloc;
 use palpate::cli;
 use virtual_rig::{OperatorArgs, RigArgs, operator_main, rig_main};
+
+/// The threads of the service free large readings: this allocator returns their memory to the system.
+#[global_allocator]
+static ALLOCATOR: MiMalloc = MiMalloc;
 
 /// Touches a robot skin overnight, learns from it, and tells where and how hard it is touched.
 ///
@@ -28,6 +35,21 @@ enum Command {
     VirtualRig(VirtualRigArgs),
     /// Run the stand-in for the person who mounts tips and places weights.
     VirtualOperator(OperatorArgs),
+    /// Print the completions of a shell.
+    ///
+    /// For bash: palpate completions bash > ~/.local/share/bash-completion/completions/palpate
+    Completions {
+        /// The shell.
+        shell: Shell,
+    },
+    /// Write the manual pages, one for each command.
+    ///
+    /// For `man palpate`: palpate man ~/.local/share/man/man1
+    Man {
+        /// Folder to write to.
+        #[arg(value_name = "DIR")]
+        folder: PathBuf,
+    },
 }
 
 /// A stand-in rig started by hand: what is not named is the default lab.
@@ -83,6 +105,14 @@ fn main() -> ExitCode {
     match command {
         Command::Service(command) => cli::main(command),
         Command::VirtualOperator(args) => ended(operator_main(args)),
+        Command::Completions { shell } => {
+            let mut text = Vec::new();
+            clap_complete::generate(shell, &mut CommandLine::command(), "palpate", &mut text);
+            // Only a closed pipe refuses it.
+            let _ = io::Write::write_all(&mut io::stdout(), &text);
+            ExitCode::SUCCESS
+        }
+        Command::Man { folder } => ended(write_manual(&folder)),
         Command::VirtualRig(args) => match args.complete() {
             Ok(args) => ended(rig_main(args)),
             Err(error) => {
@@ -91,6 +121,14 @@ fn main() -> ExitCode {
             }
         },
     }
+}
+
+fn write_manual(folder: &Path) -> Result<(), String> {
+    let write = || {
+        std::fs::create_dir_all(folder)?;
+        clap_mangen::generate_to(CommandLine::command(), folder)
+    };
+    write().map_err(|error| format!("{}: {error}", folder.display()))
 }
 
 impl VirtualRigArgs {
@@ -128,11 +166,25 @@ fn ended(outcome: Result<(), impl Display>) -> ExitCode {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     #[test]
     fn the_command_line_is_well_formed() {
         CommandLine::command().debug_assert();
+    }
+
+    #[test]
+    fn every_shell_gets_completions_and_every_command_a_manual_page() {
+        for shell in [Shell::Bash, Shell::Zsh, Shell::Fish] {
+            let mut text = Vec::new();
+            clap_complete::generate(shell, &mut CommandLine::command(), "palpate", &mut text);
+            assert!(String::from_utf8(text).unwrap().contains("virtual-rig"));
+        }
+        let folder = std::env::temp_dir().join(format!("palpate-man-{}", std::process::id()));
+        write_manual(&folder).unwrap();
+        for page in ["palpate.1", "palpate-run.1", "palpate-rig-home.1"] {
+            assert!(std::fs::read_to_string(folder.join(page)).unwrap().contains(".TH"), "{page}");
+        }
+        std::fs::remove_dir_all(&folder).unwrap();
     }
 
     #[test]

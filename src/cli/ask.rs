@@ -85,7 +85,11 @@ pub async fn act(args: &ActArgs, action: &str, more: Value) -> Result<(), CliErr
     request(&client, (run.uid, run.scan_id), args, action, more).await
 }
 
-async fn request(
+/// Sends an action on a run, and prints that it was accepted.
+///
+/// # Errors
+/// As [`act`].
+pub async fn request(
     client: &Client,
     (uid, scan_id): (RunUid, i64),
     args: &ActArgs,

@@ -1,20 +1,21 @@
 //! Options that choose the bench of a service which a command starts: a rig file, or a virtual bench.
 //! Uses: `files`, `virtual_bench` (its options). Never: a process, motion.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 
 use super::error::CliError;
-use super::files::{DEFAULT_SKIN_SEED, RigFiles};
+use super::files::{DEFAULT_GAP, DEFAULT_SKIN_SEED, RigFiles, read_or_carried};
 use super::virtual_bench::BenchOptions;
-use crate::problem::Problem;
+use crate::carried::GAPS;
 
 /// Default speed of the virtual rig.
 const DEFAULT_SPEED: f64 = 20.0;
 
 /// Options of `run` and `serve` on their bench.
-#[derive(Debug, Clone, Default, Args)]
+#[derive(Debug, Clone, Default, PartialEq, Args)]
 pub struct BenchArgs {
     /// Rig file of the bench [default: a virtual rig]; with --virtual, the bench to simulate.
     #[arg(long, value_name = "FILE")]
@@ -25,7 +26,7 @@ pub struct BenchArgs {
     /// Virtual rig: process seconds per wall second [default: 20].
     #[arg(long, value_name = "N")]
     pub speed: Option<f64>,
-    /// Virtual rig: file with the differences of its skin from the model [default: gap-a].
+    /// Virtual rig: differences of its skin from the model, a file or gap-a or gap-b [default: gap-a].
     #[arg(long, value_name = "FILE")]
     pub gap: Option<PathBuf>,
     /// Virtual rig: seed of its skin [default: 3].
@@ -64,16 +65,20 @@ impl BenchArgs {
         if !(0.01..=2000.0).contains(&speed) {
             return Err(CliError::argument("--speed", speed, "must be from 0.01 to 2000"));
         }
-        let files = [("--gap", &self.gap), ("--fault", &self.fault)];
-        let unread: Vec<Problem> = files
-            .iter()
-            .filter_map(|(key, path)| {
-                let path = path.as_ref()?;
-                let error = std::fs::File::open(path).err()?;
-                Some(Problem::new("command line", key, path.display(), error.to_string()))
-            })
-            .collect();
-        if unread.is_empty() { Ok(()) } else { Err(CliError::Problems(unread)) }
+        self.gap_text()?;
+        let Some(path) = &self.fault else { return Ok(()) };
+        match std::fs::File::open(path) {
+            Ok(_) => Ok(()),
+            Err(error) => Err(CliError::argument("--fault", path.display(), error.to_string())),
+        }
+    }
+
+    /// Text of the differences of the virtual skin from the model.
+    ///
+    /// # Errors
+    /// `CliError::Problems` if the file cannot be read.
+    fn gap_text(&self) -> Result<String, CliError> {
+        read_or_carried(self.gap.as_deref().unwrap_or(Path::new(DEFAULT_GAP)), GAPS)
     }
 
     /// Process seconds per wall second of the virtual rig.
@@ -81,24 +86,42 @@ impl BenchArgs {
         self.speed.unwrap_or(DEFAULT_SPEED)
     }
 
+    /// The options as they stand on a command line.
+    pub fn arguments(&self) -> Vec<OsString> {
+        let value = |name: &str, value: Option<OsString>| {
+            value.map(|value| [OsString::from(name), value]).into_iter().flatten()
+        };
+        let path = |path: &Option<PathBuf>| path.clone().map(PathBuf::into_os_string);
+        value("--rig", path(&self.rig))
+            .chain(self.on_virtual.then(|| OsString::from("--virtual")))
+            .chain(value("--speed", self.speed.map(|n| n.to_string().into())))
+            .chain(value("--gap", path(&self.gap)))
+            .chain(value("--skin-seed", self.skin_seed.map(|n| n.to_string().into())))
+            .chain(value("--fault", path(&self.fault)))
+            .collect()
+    }
+
     /// Options of the virtual bench that simulates `rig`, with a skin of this sensor file.
+    ///
+    /// # Errors
+    /// As [`Self::check`].
     pub fn bench(
         &self,
         data: &Path,
         rig: RigFiles,
         sensor_text: String,
         quiet: bool,
-    ) -> BenchOptions {
-        BenchOptions {
+    ) -> Result<BenchOptions, CliError> {
+        Ok(BenchOptions {
             data: data.into(),
             rig,
             sensor_text,
-            gap: self.gap.clone(),
+            gap_text: self.gap_text()?,
             seed: self.skin_seed.unwrap_or(DEFAULT_SKIN_SEED),
             speed: self.speed(),
             fault: self.fault.clone(),
             quiet,
-        }
+        })
     }
 }
 
@@ -121,6 +144,27 @@ mod tests {
     }
 
     #[test]
+    fn arguments_are_read_back() {
+        #[derive(clap::Parser)]
+        struct Line {
+            #[command(flatten)]
+            bench: BenchArgs,
+        }
+        let all = BenchArgs {
+            rig: Some("r.toml".into()),
+            on_virtual: true,
+            speed: Some(0.5),
+            gap: Some("g.toml".into()),
+            skin_seed: Some(4),
+            fault: Some("f.txt".into()),
+        };
+        for bench in [BenchArgs::default(), all] {
+            let line = ["palpate".into()].into_iter().chain(bench.arguments());
+            assert_eq!(<Line as clap::Parser>::parse_from(line).bench, bench);
+        }
+    }
+
+    #[test]
     fn options_of_the_virtual_rig_are_refused_for_a_rig_file_and_outside_their_limits() {
         let rig = || Some(PathBuf::from("rig.toml"));
         let words = |args: BenchArgs| args.check().err().map(|error| error.to_string());
@@ -134,6 +178,7 @@ mod tests {
         let refused = words(named(|args| args.speed = Some(0.0))).unwrap();
         assert!(refused.contains("--speed = 0"), "{refused}");
         let missing = words(named(|args| args.gap = Some("no/such/gap.toml".into()))).unwrap();
-        assert!(missing.contains("--gap = no/such/gap.toml"), "{missing}");
+        assert!(missing.starts_with("no/such/gap.toml:") && missing.contains("gap-b"), "{missing}");
+        assert_eq!(words(named(|args| args.gap = Some("gap-b".into()))), None);
     }
 }

@@ -3,7 +3,7 @@
 //! lock).
 
 use std::net::{Ipv4Addr, SocketAddr};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use tokio::sync::oneshot;
 
@@ -11,6 +11,7 @@ use super::client::Client;
 use super::error::CliError;
 use super::files::{RigFiles, read_sensor_text};
 use super::key::key;
+use super::read_only::View;
 use super::running::Running;
 use super::trust::Certificates;
 use super::{At, DEFAULT_URL};
@@ -21,7 +22,7 @@ use crate::api::{ServeOptions, Service};
 pub const TWIN_WORKERS: usize = 1;
 
 /// Returns clients of the servers that the options may mean, the most likely one first: the named one;
-/// otherwise the one whose address is in the data folder, then the one at the default address.
+/// otherwise the one that serves the data folder, then the one at the default address.
 ///
 /// # Errors
 /// As [`key`] and [`Client::new`]; `CliError::File` if the file of `--ca` cannot be read.
@@ -39,14 +40,17 @@ pub fn clients_with(at: &At, key: Option<String>) -> Result<Vec<Client>, CliErro
     if let Some(url) = at.url() {
         return Ok(vec![Client::new(&url, ca, key)?]);
     }
-    let recorded = Running::read(&at.data()).and_then(|Running { url, certificate }| {
-        let shown = Certificates { name: url.clone(), pem: certificate.into_bytes() };
-        Client::new(&url, Some(ca.unwrap_or(&shown)), key.clone()).ok()
+    let recorded = Running::read(&at.data()).and_then(|running| {
+        let shown = running
+            .certificate
+            .map(|pem| Certificates { name: running.url.clone(), pem: pem.into_bytes() });
+        Client::new(&running.url, ca.or(shown.as_ref()), key.clone()).ok()
     });
     Ok(recorded.into_iter().chain([Client::new(DEFAULT_URL, ca, key)?]).collect())
 }
 
-/// Returns the server that the options name, or the one on this machine, if it answers.
+/// Returns the server that the options name, or the one on this machine, if it answers. The server at the default
+/// address is none for a command that names another data folder.
 ///
 /// # Errors
 /// `CliError::NoServer` if a named server does not answer; otherwise as [`clients`] and
@@ -55,7 +59,8 @@ pub async fn find(at: &At) -> Result<Option<Client>, CliError> {
     let mut untrusted = None;
     for client in clients(at)? {
         match client.is_there().await {
-            Ok(true) => return Ok(Some(client)),
+            Ok(true) if serves(&client, at).await => return Ok(Some(client)),
+            Ok(true) => {}
             Ok(false) => {}
             // A killed service may have left the address of what is now another program.
             Err(error) => untrusted = untrusted.or(Some(error)),
@@ -68,6 +73,18 @@ pub async fn find(at: &At) -> Result<Option<Client>, CliError> {
     }
 }
 
+/// Whether a server that was found serves the data folder that a command names.
+async fn serves(client: &Client, at: &At) -> bool {
+    let folder = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    if at.url().is_some() || !at.names_data() {
+        return true;
+    }
+    // A server that does not tell is asked: it will refuse for a better reason.
+    let Ok(status) = client.status().await else { return true };
+    let database = folder(Path::new(&status.service.database));
+    database.parent() == Some(folder(&at.data()).as_path())
+}
+
 /// Returns the server, which must be running.
 ///
 /// # Errors
@@ -76,15 +93,16 @@ pub async fn server(at: &At) -> Result<Client, CliError> {
     find(at).await?.ok_or_else(|| CliError::NoServer { url: DEFAULT_URL.into() })
 }
 
-/// Options of a service in this process, on a free port of the loopback.
+/// Options of a service in this process that reads and computes, on a free port of the loopback.
 ///
 /// # Errors
 /// `CliError` if the carried sensor file is invalid.
-pub fn options(data: PathBuf, rig: &RigFiles) -> Result<ServeOptions, CliError> {
+fn options(data: PathBuf, rig: &RigFiles) -> Result<ServeOptions, CliError> {
     let (sensor, sensor_text) = read_sensor_text(None)?;
     Ok(ServeOptions {
         tls: None,
         require_key: false,
+        desk: true,
         local_admin: false,
         bind: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)),
         data,
@@ -98,7 +116,7 @@ pub fn options(data: PathBuf, rig: &RigFiles) -> Result<ServeOptions, CliError> 
     })
 }
 
-/// Runs `work` with a running server, or with one started for it.
+/// Runs `work` with a running server, or with one started for it, which needs no rig.
 ///
 /// # Errors
 /// `CliError` if no server can be reached or started, or the error of `work`.
@@ -109,19 +127,21 @@ where
 {
     match find(at).await? {
         Some(client) => work(client).await,
-        None => host(options(at.data(), &RigFiles::read(None)?)?, work).await,
+        None => {
+            let data = at.data();
+            let view =
+                View::of(&data).map_err(|source| CliError::File { path: data.clone(), source })?;
+            let folder = view.as_ref().map_or(data, |view| view.folder().to_owned());
+            host(options(folder, &RigFiles::read(None)?)?, work).await
+        }
     }
 }
 
-/// Starts a service, runs `work` as its client, and ends the service whatever the result: the tips
-/// are raised, the database is closed.
+/// Starts a service without a rig, runs `work` as its client, and ends the service whatever the result.
 ///
 /// # Errors
 /// `CliError::Serve` if the service cannot start, or the error of `work`.
-pub async fn host<T, F>(
-    options: ServeOptions,
-    work: impl FnOnce(Client) -> F,
-) -> Result<T, CliError>
+async fn host<T, F>(options: ServeOptions, work: impl FnOnce(Client) -> F) -> Result<T, CliError>
 where
     F: Future<Output = Result<T, CliError>> + Send + 'static,
     T: Send + 'static,

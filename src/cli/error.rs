@@ -126,6 +126,9 @@ pub enum CliError {
     /// No run is active.
     #[error("no run is active")]
     Idle,
+    /// No run waits for a resumption.
+    #[error("no run is paused, and none can be resumed: each has ended with all its trials")]
+    NothingToResume,
     /// A deadline has passed.
     #[error("{what} did not happen within {after_s} s")]
     Late {

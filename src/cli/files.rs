@@ -7,6 +7,7 @@ use sim_core::calibration::{Calibration, CalibrationError};
 use sim_core::sensor::{Sensor, SensorError, SensorFile};
 
 use super::error::CliError;
+use crate::carried::{self, EXPERIMENTS, RIGS};
 use crate::digest::sha256_hex;
 use crate::problem::Problem;
 use crate::rig::reach::{bench, reach};
@@ -21,8 +22,8 @@ use crate::syntax::syntax_problem;
 pub const DEFAULT_RIG_FILE: &str = "experiments/rigs/virtual.toml";
 /// The default rig: the virtual one.
 pub const DEFAULT_RIG: &str = include_str!("../../experiments/rigs/virtual.toml");
-/// The default skin's differences from the model.
-pub const DEFAULT_GAP: &str = include_str!("../../experiments/gaps/gap-a.toml");
+/// Name of the default skin's differences from the model.
+pub const DEFAULT_GAP: &str = "gap-a";
 /// Name of the carried sensor file in problems.
 const DEFAULT_SENSOR_FILE: &str = "experiments/sensors/ert-28.toml";
 /// The default skin.
@@ -32,7 +33,7 @@ pub const DEFAULT_SKIN_SEED: u64 = 3;
 
 /// An experiment with all files that it names, checked.
 pub struct ExperimentFiles {
-    /// Path as given.
+    /// Path or name, as given.
     pub file: String,
     /// Text of the experiment file.
     pub definition: String,
@@ -58,16 +59,20 @@ pub struct RigFiles {
 }
 
 impl ExperimentFiles {
-    /// Reads an experiment file and its sensor file, and makes the plan.
+    /// Reads an experiment file and its sensor file, and makes the plan. An experiment or a sensor that is
+    /// no file is the carried one of that name.
     ///
     /// # Errors
     /// `CliError::Problems` with all problems of the files.
     pub fn read(path: &Path) -> Result<Self, CliError> {
         let file = path.display().to_string();
-        let definition = read_input(path)?;
+        let definition = read_or_carried(path, EXPERIMENTS)?;
         let experiment = Experiment::from_toml(&file, &definition).map_err(CliError::Problems)?;
         let sensor_path: PathBuf = path.parent().unwrap_or(Path::new("")).join(&experiment.sensor);
-        let sensor_text = read_named(&file, "sensor", &experiment.sensor, &sensor_path)?;
+        let sensor_text = match carried::sensor(&experiment.sensor) {
+            Some(text) if !sensor_path.exists() => text.to_owned(),
+            _ => read_named(&file, "sensor", &experiment.sensor, &sensor_path)?,
+        };
         let sensor = parse_sensor(&sensor_path.display().to_string(), &sensor_text)?;
         let plan = Plan::of(&file, &experiment, &sensor).map_err(CliError::Problems)?;
         Ok(Self { file, definition, sensor_text, experiment, sensor, plan })
@@ -92,13 +97,13 @@ impl ExperimentFiles {
 }
 
 impl RigFiles {
-    /// Reads a rig file, or returns the carried one.
+    /// Reads a rig file, or the carried one of that name; without either, returns the virtual rig.
     ///
     /// # Errors
     /// `CliError::Problems` with all problems of the file.
     pub fn read(path: Option<&Path>) -> Result<Self, CliError> {
         match path {
-            Some(path) => Self::parse(path.display().to_string(), read_input(path)?),
+            Some(path) => Self::parse(path.display().to_string(), read_or_carried(path, RIGS)?),
             None => Self::parse(DEFAULT_RIG_FILE.into(), DEFAULT_RIG.into()),
         }
     }
@@ -141,6 +146,26 @@ pub fn read_input(path: &Path) -> Result<String, CliError> {
     std::fs::read_to_string(path).map_err(|e| {
         CliError::Problems(vec![Problem::whole(&path.display().to_string(), e.to_string())])
     })
+}
+
+/// Reads a file named on the command line, or returns the carried file of that name if there is none.
+///
+/// # Errors
+/// `CliError::Problems` if there is neither, with the carried names.
+pub fn read_or_carried(path: &Path, files: &[(&str, &'static str)]) -> Result<String, CliError> {
+    let name = path.to_str().filter(|_| !path.exists());
+    match name.and_then(|name| carried::text(files, name)) {
+        Some(text) => Ok(text.to_owned()),
+        None if path.exists() => read_input(path),
+        None => {
+            let names: Vec<&str> = files.iter().map(|(name, _)| *name).collect();
+            let words = format!(
+                "there is no such file, and none is carried by this name: {}",
+                names.join(", ")
+            );
+            Err(CliError::Problems(vec![Problem::whole(&path.display().to_string(), words)]))
+        }
+    }
 }
 
 /// Reads a file named in another file.

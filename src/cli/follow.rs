@@ -1,5 +1,5 @@
 //! Follows a run to its end: a progress bar and notable events for people, one line per event for
-//! scripts, and Ctrl-C as a request to the run.
+//! scripts, and what Ctrl-C and a closed terminal mean to the run (`leave`).
 //! Uses: `client`, indicatif. Never: decisions for the run (it is requested, and then observed).
 
 use std::io::IsTerminal;
@@ -8,10 +8,13 @@ use std::time::Duration;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::sync::oneshot;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
+use super::begin::entered_line;
 use super::client::Client;
 use super::error::CliError;
+use super::leave::{Choice, Interrupt, question};
 use super::output::{counted, duration, note, say_json, shown};
 use super::view::{RunView, StatusView};
 use crate::campaign::shown::status::{Eta, Phase};
@@ -39,8 +42,10 @@ pub struct Signals {
 pub enum Asked {
     /// A person pressed Ctrl-C.
     Interrupt,
-    /// The system requests the end of the process, or the terminal was closed.
+    /// The system requests the end of the process.
     Terminate,
+    /// The terminal was closed.
+    HangUp,
 }
 
 impl Signals {
@@ -65,7 +70,7 @@ impl Signals {
         tokio::select! {
             _ = self.interrupt.recv() => Asked::Interrupt,
             _ = self.terminate.recv() => Asked::Terminate,
-            _ = self.hang_up.recv() => Asked::Terminate,
+            _ = self.hang_up.recv() => Asked::HangUp,
         }
     }
 }
@@ -75,6 +80,8 @@ impl Signals {
 pub enum Left {
     /// The run has ended.
     Ended,
+    /// The service goes on with it, and this program ends.
+    Detached,
     /// The run is open and not driven, or this program leaves it; with the reason.
     Open(&'static str),
 }
@@ -92,6 +99,8 @@ pub struct Watch {
     pub json: bool,
     /// Whether the virtual operator handles requests of the run.
     pub by_itself: bool,
+    /// Whether the service ends with this program, unless the run is detached.
+    pub own_service: bool,
     /// Longest wait for a person, after which the run is aborted.
     pub patience: Option<Duration>,
 }
@@ -103,7 +112,12 @@ pub struct Follower {
     screen: Screen,
     started: Instant,
     seen: bool,
+    /// Interrupts since the last answer.
     interrupts: u32,
+    /// The line that a person enters as the answer to the question.
+    answer: Option<oneshot::Receiver<String>>,
+    /// State in which the run was seen last.
+    state: Option<StoredState>,
     /// Time since which the run waits for a person.
     waits: Option<Instant>,
 }
@@ -113,7 +127,17 @@ impl Follower {
     pub fn new(client: Client, watch: Watch) -> Self {
         let screen = Screen::new(watch.json);
         let started = Instant::now();
-        Self { client, watch, screen, started, seen: false, interrupts: 0, waits: None }
+        Self {
+            client,
+            watch,
+            screen,
+            started,
+            seen: false,
+            interrupts: 0,
+            answer: None,
+            state: None,
+            waits: None,
+        }
     }
 
     /// Follows the run until it has ended, or is left.
@@ -129,6 +153,13 @@ impl Follower {
                 _ = tick.tick() => {}
                 asked = signals.next() => {
                     if let Some(left) = self.asked(asked).await {
+                        self.screen.close();
+                        return Ok(left);
+                    }
+                }
+                line = answered(&mut self.answer) => {
+                    self.answer = None;
+                    if let Some(left) = self.chosen(&line).await {
                         self.screen.close();
                         return Ok(left);
                     }
@@ -155,6 +186,7 @@ impl Follower {
         let status = self.client.status().await?;
         if let Some(run) = status.run.as_ref().filter(|r| r.uid == self.watch.run) {
             self.seen = true;
+            self.state = Some(run.state);
             self.screen.progress(run, &status);
             self.be_patient(run).await?;
             return Ok(None);
@@ -226,24 +258,74 @@ impl Follower {
         Ok(())
     }
 
-    /// The first Ctrl-C requests a stop, the second an abort, the third leaves the run; so does a
-    /// request of the system.
+    /// A closed terminal leaves the run to the service. An interrupt asks what to do, or stops where nobody can
+    /// be asked; the second one aborts, the third one leaves the run as it is.
     async fn asked(&mut self, asked: Asked) -> Option<Left> {
-        if asked == Asked::Terminate {
-            return Some(Left::Open("this program received a signal to end"));
+        match asked {
+            Asked::HangUp => return Some(Left::Detached),
+            Asked::Terminate if self.watch.own_service => {
+                return Some(Left::Open("this program received a signal to end"));
+            }
+            Asked::Terminate => return Some(Left::Detached),
+            Asked::Interrupt => self.interrupts += 1,
         }
-        self.interrupts += 1;
-        let (action, words) = match self.interrupts {
-            1 => ("stop", "stopping after this trial; Ctrl-C again aborts"),
-            2 => ("abort", "aborting: raising the tips now; Ctrl-C again leaves"),
-            _ => return Some(Left::Open("left at the third Ctrl-C")),
+        match Interrupt::of(self.interrupts, self.screen.can_ask()) {
+            Interrupt::Ask => self.ask(),
+            Interrupt::Stop => {
+                self.act("stop", "stopping after this trial; Ctrl-C again aborts").await;
+            }
+            Interrupt::Abort => {
+                self.answer = None;
+                self.act("abort", "aborting: raising the tips now; Ctrl-C again leaves").await;
+            }
+            Interrupt::Leave => return Some(Left::Open("left at the third Ctrl-C")),
+        }
+        None
+    }
+
+    /// Asks at the terminal what to do; the answer arrives later.
+    fn ask(&mut self) {
+        self.screen.note(question(self.state == Some(StoredState::Paused)));
+        let (answer, line) = oneshot::channel();
+        self.answer = Some(line);
+        // A thread that waits for a person must not keep the program from ending.
+        std::thread::spawn(move || answer.send(entered_line().unwrap_or_default()));
+    }
+
+    /// Does what a person has chosen.
+    async fn chosen(&mut self, line: &str) -> Option<Left> {
+        let Some(choice) = Choice::of(line) else {
+            self.ask();
+            return None;
         };
+        self.interrupts = u32::from(choice == Choice::Stop);
+        match choice {
+            Choice::Detach => return Some(Left::Detached),
+            Choice::Continue => {}
+            Choice::Pause => self.act("pause", "pausing after this trial").await,
+            Choice::Resume => self.act("resume", "resuming").await,
+            Choice::Stop => {
+                self.act("stop", "stopping after this trial; Ctrl-C again aborts").await;
+            }
+        }
+        None
+    }
+
+    async fn act(&self, action: &str, words: &str) {
         self.screen.note(words);
         let why = json!({ "why": "Ctrl-C at the command line" });
         if let Err(error) = self.client.act(self.watch.run, action, why).await {
             self.screen.note(&error.to_string());
         }
-        None
+    }
+}
+
+/// The line that a person enters; never, if nothing was asked.
+async fn answered(answer: &mut Option<oneshot::Receiver<String>>) -> String {
+    match answer {
+        // Without a line, as at the end of the input, the run goes on.
+        Some(line) => line.await.unwrap_or_default(),
+        None => std::future::pending().await,
     }
 }
 
@@ -293,6 +375,11 @@ impl Screen {
     fn waits_in_queue(&mut self, position: Option<u32>) {
         let place = position.map_or_else(String::new, |p| format!(", position {p}"));
         self.bar.set_message(format!("waits in the queue{place}"));
+    }
+
+    /// Whether a person can be asked.
+    fn can_ask(&self) -> bool {
+        self.terminal && std::io::stdin().is_terminal()
     }
 
     fn note(&self, words: &str) {

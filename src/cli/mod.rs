@@ -11,11 +11,14 @@ use std::process::ExitCode;
 use clap::{Args, Subcommand};
 
 use crate::campaign::STOPS;
+use crate::carried::{self, GAPS};
 use crate::new_file;
 use serde_json::json;
 
 mod access;
 mod ask;
+mod attach;
+mod begin;
 mod bench_args;
 mod browser;
 mod calibrate;
@@ -28,14 +31,18 @@ mod evaluate;
 mod files;
 mod follow;
 mod infer;
+mod init;
 mod key;
+mod leave;
 pub mod log;
 mod model;
 mod output;
+mod own_server;
 mod placement;
 mod plan;
 mod progress;
 mod queue;
+mod read_only;
 mod repeat;
 mod rig;
 mod run;
@@ -94,6 +101,11 @@ impl At {
         self.ca.clone().or_else(|| from_env().map(PathBuf::from))
     }
 
+    /// Whether the option or the environment names a data folder.
+    pub fn names_data(&self) -> bool {
+        self.data.is_some() || std::env::var_os("PALPATE_DATA").is_some_and(|d| !d.is_empty())
+    }
+
     /// Path of the data folder.
     pub fn data(&self) -> PathBuf {
         data_or_default(self.data.clone())
@@ -129,14 +141,23 @@ pub enum Command {
     /// Queue, arm and run an experiment to its end.
     ///
     /// The rig of a running server runs the experiment. Without a server one is started: with the
-    /// rig of --rig, or else with a virtual rig and a virtual operator. An interrupted run of the
-    /// same files is resumed. Ctrl-C stops after the trial, a second one aborts. Exit code: 0
-    /// success, 1 failed or aborted, 2 bad input.
+    /// rig of --rig, or else with a virtual rig and a virtual operator. A stopped or interrupted run
+    /// of the same files is resumed. Ctrl-C offers to detach, pause or stop; a second one aborts.
+    /// Without a terminal it stops after the trial. A closed terminal detaches. Exit code: 0 success,
+    /// or detached; 1 stopped, aborted or failed; 2 bad input.
     Run(run::RunArgs),
+    /// Follow the active run, or another one, from this terminal.
+    ///
+    /// Ctrl-C asks what to do, as for `run`.
+    Attach(attach::AttachArgs),
     /// Show the plan of an experiment, and whether the rig can run it; nothing moves.
     ///
     /// Exit code 2 if something forbids it: each problem names file, key, value and limit.
     Plan(plan::PlanArgs),
+    /// Write the carried experiments, rigs, sensors and recipes into a folder, to edit them.
+    ///
+    /// Files that are there stay as they are.
+    Init(init::InitArgs),
     /// Fit the model to measurements of a skin, and write a calibration file.
     ///
     /// Exit code 2 if a table contains an invalid value: each problem names line, column, value and
@@ -151,9 +172,9 @@ pub enum Command {
     /// Pause the active run, after its trial.
     #[command(after_help = STOPS)]
     Pause(ask::PauseArgs),
-    /// Resume after a pause or a trip.
-    Resume(ask::ActArgs),
-    /// End the active run after its trial, as a success.
+    /// Resume the paused run, or one that was stopped or interrupted.
+    Resume(begin::ResumeArgs),
+    /// End the active run after its trial; it can be resumed later.
     Stop(ask::ActArgs),
     /// Raise the tips now and end the active run, or end an interrupted one.
     #[command(after_help = STOPS)]
@@ -224,8 +245,10 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
     let none = || json!({});
     match command {
         Command::Plan(args) => return plan::plan(&args),
+        Command::Init(args) => init::init(&args)?,
         Command::Calibrate(args) => return calibrate::calibrate(args).await,
         Command::Run(args) => return run::run(args).await,
+        Command::Attach(args) => return attach::attach(args).await,
         Command::Simulate(args) => return simulate::simulate(args).await,
         Command::Rig(args) => return rig::rig(args).await,
         Command::Serve(args) => serve::serve(args).await?,
@@ -233,7 +256,7 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
         Command::Status(args) => ask::status(&args.at).await?,
         Command::Queue(args) => queue::queue(args).await?,
         Command::Pause(args) => ask::pause(&args).await?,
-        Command::Resume(args) => ask::act(&args, "resume", none()).await?,
+        Command::Resume(args) => begin::resume(&args).await?,
         Command::Stop(args) => ask::act(&args, "stop", none()).await?,
         Command::Abort(args) => ask::abort(&args).await?,
         Command::Confirm(args) => placement::confirm(&args).await?,
@@ -274,6 +297,7 @@ pub fn virtual_rig_files(
     named: [Option<PathBuf>; 3],
 ) -> Result<VirtualRigFiles, CliError> {
     let [rig, gap, sensor] = named;
+    let gap_text = carried::text(GAPS, DEFAULT_GAP).unwrap_or_default();
     let or_carried = |named: Option<PathBuf>, name: &str, text: &str| match named {
         Some(path) => Ok(path),
         None => {
@@ -285,7 +309,7 @@ pub fn virtual_rig_files(
     };
     Ok(VirtualRigFiles {
         rig: or_carried(rig, "rig.toml", DEFAULT_RIG)?,
-        gap: or_carried(gap, "gap.toml", DEFAULT_GAP)?,
+        gap: or_carried(gap, "gap.toml", gap_text)?,
         sensor: or_carried(sensor, "sensor.toml", DEFAULT_SENSOR)?,
     })
 }

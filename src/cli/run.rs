@@ -1,8 +1,7 @@
 //! `palpate run`: one experiment from its file to its closing summary, as a client of the service;
-//! without a server it starts one, with a virtual rig if needed.
-//! Uses: `embed`, `virtual_bench`, `follow`, `summary`. Never: the rig (the service has it).
+//! without a server it starts one, with a virtual rig if needed, which a detached run outlives.
+//! Uses: `begin`, `attach`, `own_server`. Never: the rig (the service has it).
 
-use std::io::{BufRead, IsTerminal};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -10,39 +9,35 @@ use std::time::Duration;
 use clap::Args;
 use serde_json::json;
 
+use super::attach::{closed, detached, to_its_end};
+use super::begin::{Begun, arm_and_start, bring_up, last_event};
 use super::bench_args::BenchArgs;
 use super::client::Client;
 use super::error::CliError;
-use super::files::{ExperimentFiles, RigFiles};
-use super::follow::{Follower, Left, Signals, Watch};
-use super::output::{self, bytes, duration, say, say_json};
-use super::rig::{HOMING, until_rig};
+use super::files::{ExperimentFiles, RigFiles, write};
+use super::follow::{Signals, Watch};
+use super::output::{self, bytes, duration};
+use super::own_server::OwnServer;
 use super::summary::Closing;
-use super::twins::wait_for_twins;
 use super::view::{PreflightView, StatusView};
-use super::virtual_bench::VirtualBench;
 use super::{At, embed};
-use crate::campaign::bench::rig_state::RigState;
-use crate::evaluate::simulation::SimulationReport;
-use crate::ids::RunUid;
+use crate::journal::ExitStatus;
 use crate::rig::setup::RigSetup;
 use crate::state::StoredState;
 use crate::store::RunRow;
 
-/// Longest wait for another simulated twin after the run's end.
-const TWINS_STALLED: Duration = Duration::from_secs(30);
-/// Longest wait for the wires of a rig.
-const CONNECTING: Duration = Duration::from_secs(60);
-
 /// Options of `run`.
 #[derive(Debug, Clone, Args)]
 pub struct RunArgs {
-    /// Experiment file.
+    /// Experiment file, or the name of a carried experiment: quickstart, real-hex, real-random, ..
     #[arg(value_name = "EXPERIMENT.toml")]
     pub experiment: PathBuf,
-    /// Start a new run, even if an interrupted one of the same files could be resumed.
+    /// Start a new run, even if a stopped or interrupted one of the same files could be resumed.
     #[arg(long)]
     pub new: bool,
+    /// Start the run and leave it to the service; `palpate attach` follows it.
+    #[arg(long)]
+    pub detach: bool,
     /// Abort when the run has waited for a person for this duration, s [default: wait].
     #[arg(long, value_name = "SECONDS")]
     pub patience: Option<u32>,
@@ -81,11 +76,22 @@ impl RunArgs {
 struct Order {
     files: ExperimentFiles,
     new: bool,
+    detach: bool,
     yes: bool,
     json: bool,
     /// Whether the virtual operator works.
     by_itself: bool,
+    /// Whether this command started the service.
+    own_service: bool,
     patience: Option<Duration>,
+}
+
+/// What became of the run.
+enum Outcome {
+    /// It has ended, or nothing drives it any more.
+    Closed(Box<Closing>),
+    /// It was left to the service.
+    Detached(Box<RunRow>),
 }
 
 /// Runs `palpate run`.
@@ -100,37 +106,46 @@ pub async fn run(args: RunArgs) -> Result<ExitCode, CliError> {
     args.check(server.as_ref())?;
     let rig = RigFiles::read(args.bench.rig.as_deref())?;
     let (json, data) = (args.at.json, args.at.data());
-    let on_virtual_rig = server.is_none() && args.bench.is_virtual();
     let order = Order {
         files,
         new: args.new,
+        detach: args.detach,
         yes: args.yes,
         json,
-        by_itself: on_virtual_rig,
+        by_itself: server.is_none() && args.bench.is_virtual(),
+        own_service: server.is_none(),
         patience: args.patience.map(|s| Duration::from_secs(s.into())),
     };
-    let closing = match server {
-        Some(client) => {
-            let url = client.url().to_owned();
-            drive(client, order).await?.with_next(&data, Some(&url))
-        }
+    let mut signals = Signals::catch()?;
+    let (outcome, client, process) = match server {
+        Some(client) => (drive(&client, &order, &mut signals).await?, client, None),
         None => {
             sound(&order.files, &rig)?;
-            let closing = if on_virtual_rig {
-                with_virtual_rig(&args, rig, order).await
-            } else {
-                embed::host(embed::options(data.clone(), &rig)?, |client| drive(client, order))
-                    .await
+            // The skin on the bench is that of the experiment.
+            let sensor = data.join("sensor.toml");
+            write(&sensor, &order.files.sensor_text)?;
+            let own = tokio::select! {
+                own = OwnServer::start(&args.bench, &data, &sensor, json) => own?,
+                _ = signals.next() => return Err(CliError::Interrupted),
             };
-            closing?.with_next(&data, None)
+            let (client, process) = (own.client.clone(), own.process());
+            let outcome = drive(&client, &order, &mut signals).await;
+            if !matches!(outcome, Ok(Outcome::Detached(_))) {
+                own.end().await?;
+            }
+            (outcome?, client, process)
         }
     };
-    if json {
-        say_json(&closing.finished);
-    } else {
-        say(&closing);
+    match outcome {
+        Outcome::Detached(run) => {
+            detached(&client, run.scan_id, run.uid, process, json);
+            Ok(ExitCode::SUCCESS)
+        }
+        Outcome::Closed(closing) => {
+            let url = process.is_none().then(|| client.url());
+            Ok(closed(&closing.with_next(&data, url), json))
+        }
     }
-    Ok(if closing.is_success() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
 /// Rejects an experiment that the rig cannot run, before anything is started.
@@ -139,75 +154,45 @@ fn sound(files: &ExperimentFiles, rig: &RigFiles) -> Result<(), CliError> {
     if problems.is_empty() { Ok(()) } else { Err(CliError::Problems(problems)) }
 }
 
-async fn with_virtual_rig(
-    args: &RunArgs,
-    rig: RigFiles,
-    order: Order,
-) -> Result<Closing, CliError> {
-    let data = args.at.data();
-    let options = args.bench.bench(&data, rig, order.files.sensor_text.clone(), order.json);
-    let mut bench = VirtualBench::switch_on(&options).await?;
-    let service = embed::options(data, &bench.rig)?;
-    let closing = embed::host(service, |client| {
-        let sent = bench.send_operator(client.url(), None);
-        async move {
-            sent?;
-            drive(client, order).await
-        }
-    })
-    .await;
-    bench.switch_off().await;
-    closing
-}
-
 /// Brings the rig up, starts the run and follows it, like any client.
-async fn drive(client: Client, order: Order) -> Result<Closing, CliError> {
-    let mut signals = Signals::catch()?;
-    let started = tokio::select! {
-        started = begin(&client, &order) => started?,
+async fn drive(client: &Client, order: &Order, signals: &mut Signals) -> Result<Outcome, CliError> {
+    let (run, since, waiting) = tokio::select! {
+        started = begin(client, order) => started?,
         _ = signals.next() => return Err(CliError::Interrupted),
     };
-    let Begun { run, since, waiting } = started;
-    let uid = run.uid;
-    if !order.json && waiting {
-        say(format!("run {} starts when the active run has ended", run.scan_id));
+    note(order, &format!("its page: {}/", client.url()));
+    if waiting {
+        note(order, &format!("run {} starts when the active run has ended", run.scan_id));
+    }
+    if order.detach {
+        return Ok(Outcome::Detached(run.into()));
     }
     let watch = Watch {
-        run: uid,
+        run: run.uid,
         since,
         waiting,
         json: order.json,
         by_itself: order.by_itself,
+        own_service: order.own_service,
         patience: order.patience,
     };
-    let left = Follower::new(client.clone(), watch).follow(&mut signals).await?;
-    let why = match left {
-        Left::Ended => None,
-        Left::Open(why) => Some(why),
-    };
-    let (summary, status) = (client.summary(uid).await?, client.status().await?);
-    let fit = if left == Left::Ended { fit(&client, uid).await } else { None };
-    Ok(Closing::of(summary, status.service.database, status.rig.clock_rate, why).with_fit(fit))
+    Ok(match to_its_end(client, watch, signals).await? {
+        Some(closing) => Outcome::Closed(Box::new(closing)),
+        None => Outcome::Detached(run.into()),
+    })
 }
 
-/// Fit of the simulated twins, once all are made. The trials are what counts: if twins are late,
-/// the run has ended nevertheless.
-async fn fit(client: &Client, run: RunUid) -> Option<SimulationReport> {
-    let waited = wait_for_twins(client, run, TWINS_STALLED).await;
-    waited.inspect_err(|error| tracing::warn!(%error, "twins are missing")).ok()?;
-    let report = client.get(&format!("/api/v1/runs/{run}/evaluation/simulation")).await;
-    report.inspect_err(|error| tracing::warn!(%error, "the fit of the twins is unknown")).ok()
-}
-
-/// A run that was started.
-struct Begun {
-    run: RunRow,
-    since: i64,
-    waiting: bool,
-}
-
-async fn begin(client: &Client, order: &Order) -> Result<Begun, CliError> {
-    let status = bring_up(client, order).await?;
+/// Starts the run, or finds it: returns it, the number of the last event before, and whether it waits.
+async fn begin(client: &Client, order: &Order) -> Result<(RunRow, i64, bool), CliError> {
+    let status = bring_up(client, order.yes).await?;
+    if let Some(active) = status.run.as_ref().filter(|_| !order.new) {
+        let run = client.run(active.uid).await?;
+        if order.is_of(&run, &status) {
+            note(order, &format!("run {} is active: following it", run.scan_id));
+            let since = last_event(client, &run).await?;
+            return Ok((run, since, false));
+        }
+    }
     let (run, fresh) = match resumable(client, order, &status).await? {
         Some(run) => {
             note(order, &format!("run {} resumes where it stopped", run.scan_id));
@@ -215,8 +200,11 @@ async fn begin(client: &Client, order: &Order) -> Result<Begun, CliError> {
         }
         None => (enqueue(client, &order.files).await?, true),
     };
-    match start(client, order, &run, &status).await {
-        Ok((since, waiting)) => Ok(Begun { run, since, waiting }),
+    match arm_and_start(client, &run).await {
+        Ok(Begun { since, waiting, preflight }) => {
+            note(order, &preflight_words(&run, &preflight, &status));
+            Ok((run, since, waiting))
+        }
         Err(error) => {
             // A queued run that could not start would surprise the next person.
             if fresh && let Err(left) = client.delete(&format!("/api/v1/queue/{}", run.uid)).await {
@@ -227,58 +215,21 @@ async fn begin(client: &Client, order: &Order) -> Result<Begun, CliError> {
     }
 }
 
-/// Connects and homes the rig, if it is not connected or homed. A skin alone has nothing to home.
-async fn bring_up(client: &Client, order: &Order) -> Result<StatusView, CliError> {
-    let mut status = client.status().await?;
-    if status.run.is_some() {
-        return Ok(status);
-    }
-    if status.rig.state == RigState::Disconnected {
-        client.act_on_rig("connect", json!({})).await?;
-        status = until_rig(client, "connecting the rig", CONNECTING, |s| {
-            s.rig.state != RigState::Disconnected
-        })
-        .await?;
-    }
-    if status.rig.state == RigState::Tripped {
-        return Err(CliError::Tripped { detail: status.rig.trip_words() });
-    }
-    if !status.rig.has_stage {
-        return Ok(status);
-    }
-    if status.rig.state == RigState::Disarmed {
-        confirm_motion(order, &status).await?;
-        client.act_on_rig("home", json!({})).await?;
-        status = until_rig(client, "homing", HOMING, |s| s.rig.state != RigState::Disarmed).await?;
-    } else {
-        confirm_motion(order, &status).await?;
-    }
-    Ok(status)
-}
-
-/// Asks for the confirmation that a real rig may move.
-async fn confirm_motion(order: &Order, status: &StatusView) -> Result<(), CliError> {
-    if order.yes || status.rig.label == "virtual" {
-        return Ok(());
-    }
-    let rig = status.rig.name.clone();
-    if !std::io::stdin().is_terminal() {
-        return Err(CliError::NotConfirmed { rig });
-    }
-    output::ask(format_args!("rig {rig} ({}) will move. Is it clear? [y/N] ", status.rig.label));
-    // A separate thread, so that Ctrl-C is handled meanwhile.
-    let answer = tokio::task::spawn_blocking(|| {
-        let mut answer = String::new();
-        std::io::stdin().lock().read_line(&mut answer).map(|_| answer)
-    });
-    match answer.await {
-        Ok(Ok(answer)) if matches!(answer.trim(), "y" | "yes") => Ok(()),
-        _ => Err(CliError::NotConfirmed { rig }),
+impl Order {
+    /// Whether a run is of the same files on the same rig. The addresses of a virtual rig change, so rig
+    /// files are compared by name and label.
+    fn is_of(&self, run: &RunRow, status: &StatusView) -> bool {
+        let rig = run.rig.as_deref().and_then(|text| RigSetup::from_toml("", text).ok());
+        run.definition_sha256 == self.files.definition_sha256()
+            && run.sensor_sha256 == self.files.sensor_sha256()
+            && rig.is_some_and(|rig| {
+                rig.name() == status.rig.name && rig.label().as_str() == status.rig.label
+            })
     }
 }
 
-/// An interrupted run of the same files on the same rig. The addresses of a virtual rig change, so
-/// rig files are compared by name and label.
+/// A stopped or interrupted run of the same files on the same rig. One that was aborted or has failed is
+/// resumed only by its number: `palpate resume RUN`.
 async fn resumable(
     client: &Client,
     order: &Order,
@@ -287,21 +238,10 @@ async fn resumable(
     if order.new {
         return Ok(None);
     }
-    let (definition, sensor) = (order.files.definition_sha256(), order.files.sensor_sha256());
-    client
-        .find_run(|run| {
-            run.state == StoredState::Interrupted
-                && run.definition_sha256 == definition
-                && run.sensor_sha256 == sensor
-                && run
-                    .rig
-                    .as_deref()
-                    .and_then(|text| RigSetup::from_toml("", text).ok())
-                    .is_some_and(|rig| {
-                        rig.name() == status.rig.name && rig.label().as_str() == status.rig.label
-                    })
-        })
-        .await
+    let goes_on = |run: &RunRow| {
+        run.state == StoredState::Interrupted || run.exit_status == Some(ExitStatus::Stopped)
+    };
+    client.find_run(|run| goes_on(run) && order.is_of(run, status)).await
 }
 
 async fn enqueue(client: &Client, files: &ExperimentFiles) -> Result<RunRow, CliError> {
@@ -316,25 +256,6 @@ pub fn submission(client: &Client, files: &ExperimentFiles) -> serde_json::Value
         "sensor": files.sensor_text,
         "who": client.who(),
     })
-}
-
-/// Arms and starts; returns the number of the last event before it, and whether it waits.
-async fn start(
-    client: &Client,
-    order: &Order,
-    run: &RunRow,
-    status: &StatusView,
-) -> Result<(i64, bool), CliError> {
-    let mut since = 0;
-    loop {
-        let page = client.events(run.uid, since).await?;
-        let Some(last) = page.items.last() else { break };
-        since = last.seq;
-    }
-    let armed = client.arm(run.uid).await?;
-    note(order, &preflight_words(run, &armed.preflight, status));
-    let taken = client.start(run.uid, &armed.code).await?;
-    Ok((since, taken.started.as_deref() == Some("waiting")))
 }
 
 fn preflight_words(run: &RunRow, preflight: &PreflightView, status: &StatusView) -> String {

@@ -1,5 +1,5 @@
-//! What a running service with TLS leaves in its data folder, so that commands on the same machine find it
-//! and trust its certificate.
+//! What a running service leaves in its data folder, so that commands on the same machine find it, and trust
+//! its certificate if it has one.
 //! Uses: the file system. Never: a secret.
 
 use std::io;
@@ -8,6 +8,8 @@ use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
 use reqwest::Url;
+use rustix::io::Errno;
+use rustix::process::{Pid, test_kill_process};
 use serde::{Deserialize, Serialize};
 
 use crate::new_file;
@@ -17,13 +19,15 @@ const FILE: &str = "server.json";
 /// Rights of the group and of others to write.
 const OTHERS_WRITE: u32 = 0o022;
 
-/// Address and certificate of a running service.
+/// Address, process and certificate of a running service.
 #[derive(Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Running {
     /// URL on the loopback.
     pub url: String,
-    /// The certificate that it shows, PEM: its file may be renewed while the service runs.
-    pub certificate: String,
+    /// Id of its process.
+    pub process: i32,
+    /// The certificate that it shows, PEM: its file may be renewed while the service runs. Absent without TLS.
+    pub certificate: Option<String>,
 }
 
 impl Running {
@@ -49,7 +53,7 @@ impl Running {
             return None;
         }
         let read: Self = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
-        is_loopback(&read.url).then_some(read)
+        (is_loopback(&read.url) && is_alive(read.process)).then_some(read)
     }
 }
 
@@ -58,6 +62,14 @@ fn is_ours(path: &Path) -> bool {
     let me = rustix::process::geteuid().as_raw();
     path.metadata()
         .is_ok_and(|found| [me, 0].contains(&found.uid()) && found.mode() & OTHERS_WRITE == 0)
+}
+
+/// Whether there is such a process: a service that was killed leaves its file, and another program may listen
+/// at its address.
+fn is_alive(process: i32) -> bool {
+    let Some(pid) = Pid::from_raw(process) else { return false };
+    // A process of another user is alive, although it must not be signalled.
+    !matches!(test_kill_process(pid), Err(Errno::SRCH))
 }
 
 /// Whether a URL names a loopback address.
@@ -73,6 +85,11 @@ mod tests {
 
     use super::*;
 
+    fn running(url: &str) -> Running {
+        let process = std::process::id().cast_signed();
+        Running { url: url.into(), process, certificate: Some("PEM".into()) }
+    }
+
     #[test]
     fn only_a_service_on_this_machine_is_found() {
         let folder = std::env::temp_dir().join(format!("palpate-running-{}", std::process::id()));
@@ -85,12 +102,14 @@ mod tests {
             ("https://127.0.0.1@evil.example", false),
             ("https://10.0.0.5:8080", false),
         ] {
-            let running = Running { url: url.into(), certificate: "PEM".into() };
+            let running = running(url);
             running.write(&folder).unwrap();
             assert_eq!(Running::read(&folder), found.then_some(running), "{url}");
         }
-        let running = Running { url: "https://[::1]:1".into(), certificate: "PEM".into() };
-        running.write(&folder).unwrap();
+        let gone = Running { process: i32::MAX, ..running("https://[::1]:1") };
+        gone.write(&folder).unwrap();
+        assert_eq!(Running::read(&folder), None, "its process has ended");
+        running("https://[::1]:1").write(&folder).unwrap();
         let everybody = std::fs::Permissions::from_mode(0o666);
         std::fs::set_permissions(folder.join(FILE), everybody).unwrap();
         assert_eq!(Running::read(&folder), None, "anybody may have written it");

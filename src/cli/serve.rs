@@ -58,6 +58,9 @@ pub struct ServeArgs {
     /// Number of threads that compute simulated twins; 0 for none.
     #[arg(long, value_name = "N", default_value_t = TWIN_WORKERS)]
     pub twin_workers: usize,
+    /// Leave the terminal: the service continues when it is closed.
+    #[arg(long, hide = true)]
+    pub own_session: bool,
 }
 
 /// Runs `palpate serve`.
@@ -66,6 +69,12 @@ pub struct ServeArgs {
 /// `CliError` if a file is invalid, or the virtual bench or the service cannot start.
 pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
     args.bench.check()?;
+    if args.own_session {
+        rustix::process::setsid().map_err(|source| CliError::System {
+            operation: "leaving the terminal",
+            source: source.into(),
+        })?;
+    }
     let mut signals = Signals::catch()?;
     let rig = RigFiles::read(args.bench.rig.as_deref())?;
     if !args.bench.is_virtual() {
@@ -73,7 +82,7 @@ pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
     }
     let (_, sensor_text) = read_sensor_text(args.sensor.as_deref())?;
     let data = data_or_default(args.data.clone());
-    let options = args.bench.bench(&data, rig, sensor_text, false);
+    let options = args.bench.bench(&data, rig, sensor_text, false)?;
     let mut bench = tokio::select! {
         bench = VirtualBench::switch_on(&options) => bench?,
         _ = signals.next() => return Ok(()),
@@ -96,6 +105,7 @@ async fn serve_rig(
     let options = ServeOptions {
         tls: tls.clone(),
         require_key: args.require_key,
+        desk: false,
         bind: args.bind,
         local_admin: args.local_admin,
         data: data_or_default(args.data.clone()),
@@ -156,13 +166,13 @@ fn without_operator(secure: bool, lacks_key: bool) -> Option<&'static str> {
     }
 }
 
-/// Writes where commands on this machine find a service with TLS; removes what an earlier one left.
+/// Writes where commands on this machine find the service.
 fn announce(data: &Path, service: &Service, tls: Option<&Tls>) {
-    let Some(Tls { certificate, .. }) = tls else {
-        return Running::remove(data);
-    };
-    let written = std::fs::read_to_string(certificate)
-        .and_then(|certificate| Running { url: service.local_url(), certificate }.write(data));
+    let certificate = tls.map(|Tls { certificate, .. }| std::fs::read_to_string(certificate));
+    let written = certificate.transpose().and_then(|certificate| {
+        let process = std::process::id().cast_signed();
+        Running { url: service.local_url(), process, certificate }.write(data)
+    });
     if let Err(error) = written {
         tracing::warn!(%error, "commands on this machine need --url and --ca");
     }

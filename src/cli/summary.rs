@@ -27,7 +27,7 @@ pub struct Finished {
     pub event: &'static str,
     /// Id of the run.
     pub run: RunUid,
-    /// `success`, `abort` or `fail`.
+    /// `success`, `stopped`, `abort` or `fail`; `stopped` also for a run that is open.
     pub exit_status: ExitStatus,
     /// Reason of the end.
     pub reason: String,
@@ -75,7 +75,7 @@ impl Closing {
     /// Summary of a run. `why_left` is the reason if it was left open.
     pub fn of(summary: Summary, database: String, clock_rate: f64, why_left: Option<&str>) -> Self {
         let run = &summary.run;
-        let exit_status = run.exit_status.unwrap_or(ExitStatus::Abort);
+        let exit_status = run.exit_status.unwrap_or(ExitStatus::Stopped);
         let reason = run.reason.clone().or(why_left.map(Into::into)).unwrap_or_default();
         let finished = Finished {
             event: "finished",
@@ -91,7 +91,7 @@ impl Closing {
             scan_id: run.scan_id,
             experiment: run.experiment.clone(),
             label: run.label,
-            resumable: run.exit_status.is_none(),
+            resumable: run.exit_status.is_none() || run.is_resumable(),
             clock_rate,
             contact_counts: summary.contact_counts,
             twins: None,
@@ -125,8 +125,12 @@ impl fmt::Display for Closing {
         let done = &self.finished;
         let (status, label) = (done.exit_status.as_str(), self.label());
         let (scan_id, name) = (done.scan_id, &done.experiment);
-        let ended = if done.resumable { "left open" } else { status };
-        writeln!(f, "run {scan_id}, {name} ({label}): {ended}, {}", done.reason)?;
+        // The reason of a requested end begins with its status.
+        let ended = match done.exit_status {
+            ExitStatus::Success | ExitStatus::Fail => format!("{status}, {}", done.reason),
+            ExitStatus::Stopped | ExitStatus::Abort => done.reason.clone(),
+        };
+        writeln!(f, "run {scan_id}, {name} ({label}): {ended}")?;
         let line = |f: &mut fmt::Formatter<'_>, name: &str, value: String| {
             writeln!(f, "  {name:<12} {value}")
         };

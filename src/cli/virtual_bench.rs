@@ -14,7 +14,7 @@ use tokio::process::{Child, ChildStdout, Command};
 use tokio::time::timeout;
 
 use super::error::CliError;
-use super::files::{DEFAULT_GAP, RigFiles, write};
+use super::files::{RigFiles, write};
 use super::key::KEY_VARIABLE;
 use crate::api::LockFile;
 use crate::new_file;
@@ -36,8 +36,8 @@ pub struct BenchOptions {
     pub rig: RigFiles,
     /// The skin's sensor file.
     pub sensor_text: String,
-    /// File with the differences of the skin from the model; the carried one if absent.
-    pub gap: Option<PathBuf>,
+    /// The differences of the skin from the model.
+    pub gap_text: String,
     /// Seed of the skin.
     pub seed: u64,
     /// Process seconds per wall second.
@@ -85,7 +85,7 @@ impl VirtualBench {
         let mut child = start("virtual rig", &mut command, &log, Stdio::piped())?;
         let stdout = child.stdout.take().ok_or_else(|| failed("virtual rig", "no pipe", &log))?;
         let mut stdout = BufReader::new(stdout);
-        let spinner = spinner(options.quiet);
+        let spinner = spinner(options.quiet, "virtual rig: solving the skin's responses (once)");
         let ready = ready_line(&mut stdout, &log).await;
         spinner.finish_and_clear();
         let control = ready?.control;
@@ -125,20 +125,13 @@ impl VirtualBench {
 }
 
 fn rig_command(options: &BenchOptions, folder: &Path, served: &Path) -> Result<Command, CliError> {
-    let (rig, sensor) = (folder.join("rig.toml"), folder.join("sensor.toml"));
+    let [rig, gap, sensor] = ["rig.toml", "gap.toml", "sensor.toml"].map(|name| folder.join(name));
     // Data of a virtual rig must not be labelled as measured.
     let mut config = options.rig.config.clone();
     config.set_label(Label::Virtual);
     write(&rig, &toml::to_string(&config)?)?;
+    write(&gap, &options.gap_text)?;
     write(&sensor, &options.sensor_text)?;
-    let gap = match &options.gap {
-        Some(path) => path.clone(),
-        None => {
-            let path = folder.join("gap.toml");
-            write(&path, DEFAULT_GAP)?;
-            path
-        }
-    };
     let mut command = this_program("virtual-rig")?;
     command.arg("--rig").arg(rig).arg("--gap").arg(gap).arg("--sensor").arg(sensor);
     command.arg("--seed").arg(options.seed.to_string());
@@ -207,12 +200,13 @@ async fn end(child: &mut Child) {
     }
 }
 
-fn spinner(quiet: bool) -> ProgressBar {
+/// A sign of life on standard error while something starts.
+pub fn spinner(quiet: bool, words: &'static str) -> ProgressBar {
     if quiet {
         return ProgressBar::hidden();
     }
     let spinner = ProgressBar::new_spinner();
-    spinner.set_message("virtual rig: solving the skin's responses (once)");
+    spinner.set_message(words);
     spinner.enable_steady_tick(Duration::from_millis(100));
     spinner
 }

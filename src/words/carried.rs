@@ -27,6 +27,19 @@ pub const EXPERIMENTS: &[(&str, &str)] = carried![
     "touch-real-random",
 ];
 
+/// The rigs.
+pub const RIGS: &[(&str, &str)] = carried![
+    "rigs":
+    "virtual",
+    "iai-modbus-tcp",
+    "leadshine-rtu",
+    "oriental-az-rtu",
+    "skin-only",
+];
+
+/// The differences of virtual skins from the model.
+pub const GAPS: &[(&str, &str)] = carried!["gaps": "gap-a", "gap-b"];
+
 /// The sensors.
 pub const SENSORS: &[(&str, &str)] = carried!["sensors": "ert-28"];
 
@@ -49,6 +62,16 @@ pub const RECIPES: &[(&str, &str)] = carried![
     "recon-net",
     "end-to-end",
     "point-net",
+];
+
+/// All files, by their folder in `experiments/`.
+pub const FOLDERS: [(&str, &[(&str, &str)]); 6] = [
+    ("", EXPERIMENTS),
+    ("rigs", RIGS),
+    ("gaps", GAPS),
+    ("sensors", SENSORS),
+    ("datasets", DATASETS),
+    ("recipes", RECIPES),
 ];
 
 /// Returns the text of a file.
@@ -81,13 +104,7 @@ mod tests {
 
     #[test]
     fn every_file_of_a_folder_is_in_its_list() {
-        let folders = [
-            (".", EXPERIMENTS),
-            ("sensors", SENSORS),
-            ("datasets", DATASETS),
-            ("recipes", RECIPES),
-        ];
-        for (folder, files) in folders {
+        for (folder, files) in FOLDERS {
             let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../experiments").join(folder);
             let found = std::fs::read_dir(path).unwrap().map(|entry| entry.unwrap().path());
             let found: BTreeSet<String> = found

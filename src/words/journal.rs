@@ -82,8 +82,10 @@ pub struct Progress {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum ExitStatus {
-    /// Completed, or stopped by request.
+    /// Every planned trial is stored, or its configuration was skipped.
     Success,
+    /// Stopped by request before the end of its plan.
+    Stopped,
     /// Aborted by request.
     Abort,
     /// Ended because it could not continue.
@@ -95,6 +97,7 @@ impl ExitStatus {
     pub fn as_str(self) -> &'static str {
         match self {
             ExitStatus::Success => "success",
+            ExitStatus::Stopped => "stopped",
             ExitStatus::Abort => "abort",
             ExitStatus::Fail => "fail",
         }

@@ -251,6 +251,7 @@ pub fn options(rig: &VirtualRig, data: &Path) -> ServeOptions {
     ServeOptions {
         tls: None,
         require_key: false,
+        desk: false,
         local_admin: true,
         bind: "127.0.0.1:0".parse().unwrap(),
         data: data.into(),

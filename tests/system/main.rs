@@ -7,6 +7,7 @@
 mod bench;
 mod browser;
 mod campaign;
+mod leaving;
 mod live;
 mod once;
 mod placement;

@@ -12,7 +12,7 @@ import { history } from './history.js'
 import { live } from './live.js'
 import { matters } from './log.js'
 import { medianChart, medians, partWords } from './medians.js'
-import { isActive, largest, perHour, runSentence, runTone } from './runwords.js'
+import { isActive, isResumable, largest, perHour, runSentence, runTone } from './runwords.js'
 import { save } from './save.js'
 import { sensor } from './skin.js'
 import { table } from './table.js'
@@ -155,8 +155,8 @@ export function report(root, { state, set, go, said, others, signal }) {
       ['Version', run.version],
       run.git_commit && ['Commit', run.git_commit.slice(0, 8)],
     ])
-    renew(doors, [run.state === 'interrupted', isActive(run)], () => [
-      run.state === 'interrupted' && [beginButton('Resume', run, said, { after: read, className: 'main' }), abort(run)],
+    renew(doors, [isResumable(run), run.state, isActive(run)], () => [
+      isResumable(run) && [beginButton('Resume', run, said, { after: read, className: 'main' }), run.state === 'interrupted' && abort(run)],
       isActive(run) && link('/', 'Watch it'),
       link(`/trials?run=${run.scan_id}`, 'Its trials'),
       run.plan_sha256 && link(`/plan?run=${run.scan_id}`, 'Its plan'),

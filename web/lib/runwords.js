@@ -3,7 +3,7 @@
 import { count, fixed, moment, plain, span } from './format.js'
 import { WAITS } from './words.js'
 
-const ENDS = { success: 'finished', abort: 'aborted', fail: 'failed' }
+const ENDS = { success: 'finished', stopped: 'stopped', abort: 'aborted', fail: 'failed' }
 const CHOICES = {
   begun: r => !['queued', 'removed'].includes(r.state),
   active: r => isActive(r),
@@ -12,6 +12,7 @@ const CHOICES = {
   removed: r => r.state === 'removed',
   all: () => true,
   success: r => r.exit_status === 'success',
+  stopped: r => r.exit_status === 'stopped',
   abort: r => r.exit_status === 'abort',
   fail: r => r.exit_status === 'fail',
 }
@@ -22,6 +23,7 @@ export const STATES = [
   ['active', 'active'],
   ['interrupted', 'interrupted'],
   ['success', 'finished'],
+  ['stopped', 'stopped'],
   ['abort', 'aborted'],
   ['fail', 'failed'],
   ['queued', 'queued'],
@@ -32,6 +34,10 @@ export const STATES = [
 /** Whether a run holds the rig. */
 export const isActive = run => !['queued', 'removed', 'ended', 'interrupted'].includes(run.state)
 
+/** Whether nothing drives a run and its plan has trials left. */
+export const isResumable = run =>
+  run.state === 'interrupted' || (run.state === 'ended' && run.kind !== 'imported' && run.exit_status !== 'success')
+
 /** Whether a run is in the selection of the address { label, kind, state }. */
 export const isWanted = (run, { label, kind, state }) =>
   (!label || run.label === label) && (!kind || run.kind === kind) && (CHOICES[state || 'begun'] ?? CHOICES.all)(run)
@@ -41,12 +47,13 @@ export const endWord = run => (run.state === 'ended' ? (ENDS[run.exit_status] ??
 
 /** Tone of a run: success is quiet. */
 export const runTone = run =>
-  run.exit_status === 'fail' ? 'bad' : run.exit_status === 'abort' || run.state === 'interrupted' ? 'warn' : isActive(run) ? 'good' : ''
+  run.exit_status === 'fail' ? 'bad' : ['abort', 'stopped'].includes(run.exit_status) || run.state === 'interrupted' ? 'warn' : isActive(run) ? 'good' : ''
 
 /** One sentence: what state a run is in, why, and what follows. */
 export function runSentence(run) {
   if (run.state === 'ended')
-    return `It ${ENDS[run.exit_status] ?? 'ended'}${run.ended_at ? ` ${moment(run.ended_at)}` : ''}${run.reason ? `: ${run.reason}` : ''}.`
+    return `It ${ENDS[run.exit_status] ?? 'ended'}${run.ended_at ? ` ${moment(run.ended_at)}` : ''}${run.reason ? `: ${run.reason}` : ''}.${
+      isResumable(run) ? ' Its trials are stored, and it can be resumed.' : ''}`
   if (run.state === 'interrupted') return 'It was interrupted: its trials are stored. Resume it to take those that are missing, or abort it.'
   if (run.state === 'queued') return run.waiting_since ? 'It is started and waits for its turn.' : 'It is queued: it begins when a person arms and starts it.'
   if (run.state === 'removed') return 'It was removed from the queue before it began.'

@@ -8,6 +8,7 @@ import { carried, carriedTable } from '../lib/carried.js'
 import { el, fill, link, pane, panel, select } from '../lib/dom.js'
 import { forcesPanel } from '../lib/expected.js'
 import { capital, counted, fixed, moment, plain, span } from '../lib/format.js'
+import { endWord, isResumable } from '../lib/runwords.js'
 import { live } from '../lib/live.js'
 import { partsBar, planFacts, problemList, settingsTable } from '../lib/preflight.js'
 import { sensor } from '../lib/skin.js'
@@ -101,14 +102,14 @@ export async function show(root, { query, signal, go, set }) {
     if (signal.aborted) return
     tour = drawn
     geometry = shape
-    const waits = run.state === 'queued' || run.state === 'interrupted'
+    const waits = run.state === 'queued' || isResumable(run)
     const may = answer.p && !answer.p.problems.length
     const after = started => {
       if (!started) return undefined
       shown = ''
       return open(state)
     }
-    const start = beginButton(run.state === 'interrupted' ? 'Resume' : 'Arm and start', run, said, { after, className: 'main', disabled: !may })
+    const start = beginButton(run.state === 'queued' ? 'Arm and start' : 'Resume', run, said, { after, className: 'main', disabled: !may })
     const facing = pane(
       el('h2', {}, el('span', {}, `Run ${run.scan_id}, ${run.experiment}`), run.label === 'virtual' ? el('span', { className: 'badge' }, 'virtual') : ''),
       el('p', {}, standing(run)),
@@ -138,6 +139,7 @@ export async function show(root, { query, signal, go, set }) {
       return `Queued by ${run.submitted_by}, ${moment(run.created_at)}, in place ${run.queue_position}${early}. ${next}`
     }
     if (run.state === 'interrupted') return 'Interrupted: what is stored stays. Resume continues with the trials that are missing.'
+    if (isResumable(run)) return `${capital(run.reason ?? endWord(run))}. What is stored stays. Resume continues with the trials that are missing.`
     if (run.state === 'ended')
       return `Ended ${moment(run.ended_at)}: ${run.exit_status}, ${run.reason}. This is what it was planned to do; durations are those of the present rig.`
     return `${capital(plain(run.state))}. This is what it does; durations are for the whole plan.`

@@ -8,7 +8,7 @@ import { button, el, fill, link, note, panel, select } from '../lib/dom.js'
 import { NONE, age, count, counted, moment, span } from '../lib/format.js'
 import { live } from '../lib/live.js'
 import { report } from '../lib/report.js'
-import { STATES, endWord, isWanted, runTone } from '../lib/runwords.js'
+import { STATES, endWord, isResumable, isWanted, runTone } from '../lib/runwords.js'
 import { table } from '../lib/table.js'
 
 const PAGE = 50
@@ -42,8 +42,8 @@ export async function show(root, { query, signal, go, set }) {
     return cells.get(key)
   }
   const end = run =>
-    run.state === 'interrupted'
-      ? el('span', { className: 'row tight' }, el('span', { className: 'warn' }, 'interrupted'), resume(run))
+    isResumable(run)
+      ? el('span', { className: 'row tight' }, el('span', { className: runTone(run) }, run.reason ?? 'interrupted'), resume(run))
       : el('span', { className: runTone(run) }, endWord(run), run.reason && run.exit_status !== 'success' ? `: ${run.reason}` : '')
   function resume(run) {
     return beginButton('Resume', run, said, { after: refresh, 'aria-label': `Resume run ${run.scan_id}` })

@@ -39,7 +39,8 @@ pub async fn keep(app: App) {
                 Ok(count) => gets_twins && count.pending() > 0,
                 Err(_) => true,
             };
-            if twins_wait || !done.insert(run.uid) {
+            // A stopped run may have been resumed meanwhile.
+            if twins_wait || !done.insert((run.uid, run.ended_at)) {
                 continue;
             }
             let making = async {

@@ -125,8 +125,8 @@ pub async fn of_run(
         return Err(ApiError::query("bins", bins, "must be 1 to 1000"));
     }
     let run = find(&app, &run).await?;
-    // The end of a run changes its history at once.
-    let key = (run.uid, bins, run.exit_status.is_some());
+    // The end of a run changes its history at once, and so does its resumption.
+    let key = (run.uid, bins, run.ended_at);
     Ok(Json(app.facts.memory.histories.get(key, read(&app, &run, bins)).await?))
 }
 

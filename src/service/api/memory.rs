@@ -5,6 +5,8 @@
 
 use std::sync::Arc;
 
+use jiff::Timestamp;
+
 use super::history::History;
 use super::kept::Kept;
 use super::limits::{
@@ -30,7 +32,7 @@ pub struct Memory {
     /// Stored parts of progresses.
     pub(super) progress: Kept<RunUid, Arc<StoredProgress>>,
     /// Histories by run, number of bins, and whether the run has ended.
-    pub(super) histories: Kept<(RunUid, u32, bool), Arc<History>>,
+    pub(super) histories: Kept<(RunUid, u32, Option<Timestamp>), Arc<History>>,
     /// Limits of the fit of runs.
     pub(super) limits: Kept<RunUid, Option<Arc<TwinLimits>>>,
     /// Disk space of queued runs by definition and number of trials, bytes.

@@ -132,6 +132,8 @@ pub struct ServeOptions {
     pub rig_file: String,
     /// Text of the rig file.
     pub rig_text: String,
+    /// True: nothing is driven. The rig's lock is not taken, and its wires are not opened.
+    pub desk: bool,
     /// Certificate and key for TLS; `None`: requests and keys travel readable.
     pub tls: Option<Tls>,
     /// True: every request needs a key, on loopback, too, except the e-stop and /health.
@@ -247,6 +249,7 @@ struct Facts {
     delayed: Semaphore,
     local_admin: bool,
     require_key: bool,
+    desk: bool,
     memory: Memory,
 }
 
@@ -320,7 +323,7 @@ pub struct Service {
     door: std::thread::JoinHandle<()>,
     tasks: Vec<JoinHandle<()>>,
     engine: std::thread::JoinHandle<()>,
-    _locks: [LockFile; 2],
+    _locks: Vec<LockFile>,
 }
 
 impl Service {
@@ -336,7 +339,10 @@ impl Service {
         let config = crate::rig::setup::RigSetup::from_toml(&options.rig_file, &options.rig_text)
             .map_err(|problems| ServeError::Rig { problems })?;
         let tls = options.tls.as_ref().map(Tls::acceptor).transpose()?;
-        let locks = [data_folder::open(&options.data)?, LockFile::of_rig(&config)?];
+        let mut locks = vec![data_folder::open(&options.data)?];
+        if !options.desk {
+            locks.push(LockFile::of_rig(&config)?);
+        }
         let store = Store::open(&data_folder::database(&options.data), Clock::new(1.0)).await?;
         let keys = KeyRing::load(store.clone()).await?;
         if !options.bind.ip().is_loopback() && keys.is_empty() {
@@ -381,6 +387,7 @@ impl Service {
             delayed: Semaphore::new(limits::DELAYED),
             local_admin: options.local_admin,
             require_key: options.require_key,
+            desk: options.desk,
             memory: Memory::default(),
         };
         let cache = options.data.join("cache");

@@ -99,6 +99,10 @@ pub async fn act(
     act.stated(asked.who.as_deref(), asked.why.as_deref());
     act.named(asked.action.name());
     let request = match asked.action {
+        RigAction::Connect if app.facts.desk => {
+            let words = "this service was started for data, without the rig: use `palpate serve`";
+            return Err(ApiError::new(StatusCode::CONFLICT, words));
+        }
         RigAction::Connect => Request::Connect,
         RigAction::Disconnect => Request::Disconnect,
         RigAction::Home => Request::Home,

@@ -260,7 +260,8 @@ impl Conductor {
             self.require_sound_store()?;
             // It may have been aborted while the rig was homed.
             let run = &self.unedited(run).await?;
-            if matches!(run.state, StoredState::Ended | StoredState::Removed) {
+            let ended = run.state == StoredState::Ended && !run.is_resumable();
+            if ended || run.state == StoredState::Removed {
                 let words = format!("run {} is {}: it cannot be driven", run.scan_id, run.state);
                 return Err(ConductorError::Forbidden(words));
             }
@@ -313,9 +314,14 @@ impl Conductor {
 
 fn startable(run: &RunRow) -> Result<(), ConductorError> {
     match run.state {
-        StoredState::Queued | StoredState::Interrupted => Ok(()),
+        StoredState::Queued => Ok(()),
+        _ if run.is_resumable() => Ok(()),
+        StoredState::Ended => Err(ConductorError::Forbidden(format!(
+            "run {} has ended: nothing of it remains to be measured",
+            run.scan_id
+        ))),
         state => Err(ConductorError::Forbidden(format!(
-            "run {} is {state}: only a queued or an interrupted run can be started",
+            "run {} is {state}: only a queued, an interrupted or a stopped run can be started",
             run.scan_id
         ))),
     }

@@ -193,6 +193,8 @@ impl TwinPool {
             progress.watch = None;
             self.show(|status| status.rolling = None);
         }
+        // A run that was resumed has new trials.
+        progress.done.retain(|run| Some(*run) != active);
         let others = store.runs_with_trials().await?.into_iter().filter(|r| Some(*r) != active);
         let limit = (self.inner.workers * TRIALS_AT_ONCE) as u32;
         for run in active.into_iter().chain(others) {

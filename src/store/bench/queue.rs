@@ -136,7 +136,8 @@ impl Store {
             .run(OPERATION, async move |connection| {
                 let marked = sqlx::query(
                     "UPDATE runs SET waiting_since = coalesce(waiting_since, ?2)
-                     WHERE uid = ?1 AND state IN ('queued', 'interrupted')",
+                     WHERE uid = ?1 AND (state IN ('queued', 'interrupted')
+                         OR (state = 'ended' AND exit_status <> 'success' AND kind <> 'imported'))",
                 )
                 .bind(run.to_string())
                 .bind(now)
@@ -176,7 +177,7 @@ impl Store {
         const OPERATION: &str = "reading the waiting runs";
         let rows = sqlx::query(
             "SELECT * FROM runs
-             WHERE waiting_since IS NOT NULL AND state IN ('queued', 'interrupted')
+             WHERE waiting_since IS NOT NULL AND state IN ('queued', 'interrupted', 'ended')
              ORDER BY coalesce(queue_position, 0), waiting_since, scan_id",
         )
         .fetch_all(&self.inner.readers)

@@ -109,7 +109,7 @@ pub struct RunRow {
     pub requested_state: Option<StoredState>,
     /// Cause of the pause; absent unless it is paused or interrupted.
     pub paused_why: Option<PausedWhy>,
-    /// Exit status; absent until it ends.
+    /// Exit status; absent until it ends, and again after it was resumed.
     pub exit_status: Option<ExitStatus>,
     /// Reason of the exit status; absent until it ends.
     pub reason: Option<String>,
@@ -141,6 +141,18 @@ pub struct RunPage {
 }
 
 impl RunRow {
+    /// Whether nothing drives it and its plan has trials left, so that it can be driven on: it was
+    /// interrupted, or ended short of its plan.
+    pub fn is_resumable(&self) -> bool {
+        match self.state {
+            StoredState::Interrupted => true,
+            StoredState::Ended => {
+                self.kind != RunKind::Imported && self.exit_status != Some(ExitStatus::Success)
+            }
+            _ => false,
+        }
+    }
+
     pub(crate) fn read(row: &SqliteRow, operation: &'static str) -> Result<Self, StoreError> {
         let c = Columns::of(row, operation);
         Ok(Self {

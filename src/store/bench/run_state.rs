@@ -37,7 +37,8 @@ impl Store {
             .await
     }
 
-    /// Stores the state of a run, with the requested state and the cause of a pause.
+    /// Stores the state of a run, with the requested state and the cause of a pause. A run that ended
+    /// short of its plan may be driven again: then it is open as before.
     ///
     /// # Errors
     /// `Refused` if the store itself sets this state; `NoSuchRun` or `RunEnded` if the run cannot
@@ -62,8 +63,10 @@ impl Store {
                 let changed = sqlx::query(
                     "UPDATE runs SET state = ?2, requested_state = ?3, paused_why = ?4,
                          queue_position = NULL, waiting_since = NULL,
-                         started_at = coalesce(started_at, ?5)
-                     WHERE uid = ?1 AND state NOT IN ('ended', 'removed')",
+                         started_at = coalesce(started_at, ?5),
+                         exit_status = NULL, reason = NULL, ended_at = NULL
+                     WHERE uid = ?1 AND state <> 'removed' AND (state <> 'ended'
+                         OR (?2 = 'running' AND kind <> 'imported' AND exit_status <> 'success'))",
                 )
                 .bind(run.to_string())
                 .bind(change.state.as_str())

@@ -221,6 +221,7 @@ impl Filled {
         let mut options = ServeOptions {
             tls: None,
             require_key: false,
+            desk: false,
             local_admin: true,
             bind: "127.0.0.1:0".parse().unwrap(),
             data: data.clone(),

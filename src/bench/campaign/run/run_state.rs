@@ -184,7 +184,7 @@ pub fn step(state: RunState, event: RunEvent) -> Result<(RunState, RunAction), I
 
         (S::Running | S::Pausing(_), E::Stop) => Ok((S::Stopping, Continue)),
         (S::Suspending(_) | S::Paused(_), E::Stop) => Ok((S::Stopping, Raise)),
-        (S::Stopping, E::Raised | E::Ended) => Ok((S::Idle, End(ExitStatus::Success))),
+        (S::Stopping, E::Raised | E::Ended) => Ok((S::Idle, End(ExitStatus::Stopped))),
         (S::Stopping, E::Suspend(_)) => Ok((S::Stopping, Raise)),
         (S::Stopping, E::PauseAtCheckpoint | E::PauseNow | E::Need(_) | E::Resume | E::Stop) => {
             illegal

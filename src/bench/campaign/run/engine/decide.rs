@@ -70,10 +70,21 @@ impl Engine {
             RunAction::Wait
         };
         match action {
-            RunAction::End(status) => Next::End(status, "requested".into()),
+            RunAction::End(status) => self.ended_by_request(status),
             RunAction::Continue | RunAction::Raise => Next::Again,
             RunAction::Wait => self.wait(job, attempts, passing.then_some(auto_resumes)).await,
         }
+    }
+
+    /// The end of a run that a person stopped or aborted.
+    pub(super) fn ended_by_request(&self, status: ExitStatus) -> Next {
+        let shown = self.control.inbox.status.borrow();
+        let (stored, skipped, planned) = shown
+            .run
+            .as_ref()
+            .map_or((0, 0, 0), |r| (r.trials_stored, r.trials_skipped, r.trials_planned));
+        let (status, reason) = requested_end(status, stored, skipped, planned);
+        Next::End(status, reason)
     }
 
     /// Safe end of a run that moves the rig. A manual run (Real-Random) has no tips to raise and
@@ -170,6 +181,23 @@ impl Engine {
     }
 }
 
+/// Exit status and reason of a run that ends on request, with these numbers of trials. A stop after the last
+/// one leaves nothing out.
+fn requested_end(
+    status: ExitStatus,
+    stored: u64,
+    skipped: u64,
+    planned: u64,
+) -> (ExitStatus, String) {
+    match status {
+        ExitStatus::Stopped if stored + skipped >= planned => {
+            (ExitStatus::Success, "stopped after its last trial".into())
+        }
+        ExitStatus::Stopped => (status, format!("stopped at {stored} of {planned} trials")),
+        _ => (status, format!("aborted at {stored} of {planned} trials")),
+    }
+}
+
 fn placement_words(trial: u32, weights: usize, not_measured: Option<String>) -> String {
     let words = match weights {
         1 => format!("place 1 weight for trial {trial}, confirm"),
@@ -185,5 +213,19 @@ fn tip_words(tips: u8) -> String {
     match tips {
         1 => "mount 1 tip, on arm 1, then confirm".into(),
         n => format!("mount {n} tips, on arms 1 to {n}, then confirm"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_end_short_of_the_plan_is_no_success() {
+        use ExitStatus::{Abort, Stopped, Success};
+        let end = |status, stored, skipped| requested_end(status, stored, skipped, 33_000);
+        assert_eq!(end(Stopped, 899, 11), (Stopped, "stopped at 899 of 33000 trials".into()));
+        assert_eq!(end(Stopped, 32_989, 11).0, Success);
+        assert_eq!(end(Abort, 0, 0), (Abort, "aborted at 0 of 33000 trials".into()));
     }
 }

@@ -105,7 +105,7 @@ impl Engine {
                     return Next::Again;
                 }
                 Some(Waited::Left) => return Next::Leave,
-                Some(Waited::Ended(status)) => return Next::End(status, "requested".into()),
+                Some(Waited::Ended(status)) => return self.ended_by_request(status),
             }
         }
     }

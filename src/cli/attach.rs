@@ -1,0 +1,124 @@
+//! `palpate attach`: follows a run that a service drives, to its closing summary or until it is left.
+//! Uses: `client`, `follow`, `summary`. Never: starting a run.
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::Args;
+use serde_json::json;
+
+use super::begin::last_event;
+use super::client::Client;
+use super::error::CliError;
+use super::follow::{Follower, Left, Signals, Watch};
+use super::output::{say, say_json};
+use super::summary::Closing;
+use super::twins::wait_for_twins;
+use super::{At, embed};
+use crate::evaluate::simulation::SimulationReport;
+use crate::ids::RunUid;
+
+/// Longest wait for another simulated twin after the run's end.
+const TWINS_STALLED: Duration = Duration::from_secs(30);
+
+/// Options of `attach`.
+#[derive(Debug, Clone, Args)]
+pub struct AttachArgs {
+    /// Number or uid of the run; without it the active one.
+    pub run: Option<String>,
+    /// Abort when the run has waited for a person for this duration, s [default: wait].
+    #[arg(long, value_name = "SECONDS")]
+    pub patience: Option<u32>,
+    /// Server.
+    #[command(flatten)]
+    pub at: At,
+}
+
+/// Runs `palpate attach`.
+///
+/// # Errors
+/// `CliError::Idle` without an active run; others if the server cannot be reached.
+pub async fn attach(args: AttachArgs) -> Result<ExitCode, CliError> {
+    let client = embed::server(&args.at).await?;
+    let run = match &args.run {
+        Some(run) => client.run(run).await?,
+        None => {
+            let active = client.status().await?.run.ok_or(CliError::Idle)?;
+            client.run(active.uid).await?
+        }
+    };
+    let mut signals = Signals::catch()?;
+    let watch = Watch {
+        run: run.uid,
+        since: last_event(&client, &run).await?,
+        waiting: run.waiting_since.is_some(),
+        json: args.at.json,
+        by_itself: false,
+        own_service: false,
+        patience: args.patience.map(|s| Duration::from_secs(s.into())),
+    };
+    let Some(closing) = to_its_end(&client, watch, &mut signals).await? else {
+        detached(&client, run.scan_id, run.uid, None, args.at.json);
+        return Ok(ExitCode::SUCCESS);
+    };
+    Ok(closed(&closing.with_next(&args.at.data(), Some(client.url())), args.at.json))
+}
+
+/// Follows a run to its end; none if it was left to the service.
+///
+/// # Errors
+/// As [`Follower::follow`].
+pub async fn to_its_end(
+    client: &Client,
+    watch: Watch,
+    signals: &mut Signals,
+) -> Result<Option<Closing>, CliError> {
+    let uid = watch.run;
+    let why = match Follower::new(client.clone(), watch).follow(signals).await? {
+        Left::Ended => None,
+        Left::Detached => return Ok(None),
+        Left::Open(why) => Some(why),
+    };
+    let (summary, status) = (client.summary(uid).await?, client.status().await?);
+    let fit = if why.is_none() { fit(client, uid).await } else { None };
+    let closing = Closing::of(summary, status.service.database, status.rig.clock_rate, why);
+    Ok(Some(closing.with_fit(fit)))
+}
+
+/// Fit of the simulated twins, once all are made. The trials are what counts: if twins are late,
+/// the run has ended nevertheless.
+async fn fit(client: &Client, run: RunUid) -> Option<SimulationReport> {
+    let waited = wait_for_twins(client, run, TWINS_STALLED).await;
+    waited.inspect_err(|error| tracing::warn!(%error, "twins are missing")).ok()?;
+    let report = client.get(&format!("/api/v1/runs/{run}/evaluation/simulation")).await;
+    report.inspect_err(|error| tracing::warn!(%error, "the fit of the twins is unknown")).ok()
+}
+
+/// Prints the closing summary; returns the exit code.
+pub fn closed(closing: &Closing, json: bool) -> ExitCode {
+    if json {
+        say_json(&closing.finished);
+    } else {
+        say(closing);
+    }
+    if closing.is_success() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+/// Tells how to come back to a run that was left to the service. `process`: the service's, if it outlives the
+/// command that started it.
+pub fn detached(client: &Client, scan_id: i64, uid: RunUid, process: Option<u32>, json: bool) {
+    let url = client.url();
+    if json {
+        let left = json!({ "event": "detached", "run": uid, "scan_id": scan_id, "url": url,
+            "process": process });
+        return say_json(&left);
+    }
+    say(format_args!("run {scan_id} goes on without this terminal; its page is {url}/"));
+    say(format_args!("  palpate attach --url {url}   follows it"));
+    say(format_args!("  palpate stop --url {url}     stops it after its trial"));
+    if let Some(process) = process {
+        say(format_args!(
+            "  kill {process}   ends the service; a run that is active can be resumed"
+        ));
+    }
+}

@@ -1,0 +1,162 @@
+//! The beginning of a run: the rig is brought up, the run is armed and started.
+//! Uses: `client`. Never: the rig (the service has it).
+
+use std::io::{BufRead, IsTerminal};
+use std::time::Duration;
+
+use clap::Args;
+use serde_json::json;
+
+use super::ask::{ActArgs, request};
+use super::client::Client;
+use super::embed;
+use super::error::CliError;
+use super::output::{self, say};
+use super::rig::{HOMING, until_rig};
+use super::view::{PreflightView, StatusView};
+use crate::campaign::bench::rig_state::RigState;
+use crate::store::RunRow;
+
+/// Longest wait for the wires of a rig.
+const CONNECTING: Duration = Duration::from_secs(60);
+
+/// Options of `resume`.
+#[derive(Debug, Clone, Args)]
+pub struct ResumeArgs {
+    /// Number or uid of a run that was stopped or interrupted; without it the paused run, or else the last
+    /// one that can be resumed.
+    pub run: Option<String>,
+    /// Move a real rig without asking at the terminal.
+    #[arg(long, short)]
+    pub yes: bool,
+    /// Options of every request.
+    #[command(flatten)]
+    pub act: ActArgs,
+}
+
+/// Runs `palpate resume`.
+///
+/// # Errors
+/// `CliError::NothingToResume` if there is no such run; others if the server cannot be reached or refuses, or
+/// the motion of a real rig is not confirmed.
+pub async fn resume(args: &ResumeArgs) -> Result<(), CliError> {
+    let client = embed::server(&args.act.at).await?;
+    let active = client.status().await?.run;
+    let named = match &args.run {
+        Some(run) => Some(client.run(run).await?),
+        None if active.is_some() => None,
+        None => {
+            Some(client.find_run(RunRow::is_resumable).await?.ok_or(CliError::NothingToResume)?)
+        }
+    };
+    let paused = active.filter(|active| named.as_ref().is_none_or(|run| run.uid == active.uid));
+    if let Some(run) = paused {
+        return request(&client, (run.uid, run.scan_id), &args.act, "resume", json!({})).await;
+    }
+    let Some(run) = named else { return Err(CliError::NothingToResume) };
+    let stored = client.summary(run.uid).await?.trials_stored;
+    bring_up(&client, args.yes).await?;
+    let begun = arm_and_start(&client, &run).await?;
+    if args.act.at.json {
+        output::say_json(&json!({ "run": run.uid, "action": "resume", "taken_up": true }));
+        return Ok(());
+    }
+    let (scan_id, planned) = (run.scan_id, run.trials_planned);
+    let when = if begun.waiting { "resumes when the active run has ended," } else { "resumes" };
+    say(format_args!("run {scan_id} {when} at {stored} of {planned} trials"));
+    say(format_args!("palpate attach {scan_id}   follows it"));
+    Ok(())
+}
+
+/// Connects and homes the rig, if it is not connected or homed, and returns the status. A skin alone has
+/// nothing to home. `yes`: a real rig moves without a question.
+///
+/// # Errors
+/// `CliError` if the rig cannot be brought up, is tripped, or its motion is not confirmed.
+pub async fn bring_up(client: &Client, yes: bool) -> Result<StatusView, CliError> {
+    let mut status = client.status().await?;
+    if status.run.is_some() {
+        return Ok(status);
+    }
+    if status.rig.state == RigState::Disconnected {
+        client.act_on_rig("connect", json!({})).await?;
+        status = until_rig(client, "connecting the rig", CONNECTING, |s| {
+            s.rig.state != RigState::Disconnected
+        })
+        .await?;
+    }
+    if status.rig.state == RigState::Tripped {
+        return Err(CliError::Tripped { detail: status.rig.trip_words() });
+    }
+    if !status.rig.has_stage {
+        return Ok(status);
+    }
+    confirm_motion(yes, &status).await?;
+    if status.rig.state == RigState::Disarmed {
+        client.act_on_rig("home", json!({})).await?;
+        status = until_rig(client, "homing", HOMING, |s| s.rig.state != RigState::Disarmed).await?;
+    }
+    Ok(status)
+}
+
+/// Asks for the confirmation that a real rig may move.
+async fn confirm_motion(yes: bool, status: &StatusView) -> Result<(), CliError> {
+    if yes || status.rig.label == "virtual" {
+        return Ok(());
+    }
+    let rig = status.rig.name.clone();
+    if !std::io::stdin().is_terminal() {
+        return Err(CliError::NotConfirmed { rig });
+    }
+    output::ask(format_args!("rig {rig} ({}) will move. Is it clear? [y/N] ", status.rig.label));
+    // A separate thread, so that Ctrl-C is handled meanwhile.
+    let answer = tokio::task::spawn_blocking(entered_line);
+    match answer.await {
+        Ok(Ok(answer)) if matches!(answer.trim(), "y" | "yes") => Ok(()),
+        _ => Err(CliError::NotConfirmed { rig }),
+    }
+}
+
+/// Reads a line from standard input; waits for it.
+///
+/// # Errors
+/// The operating system's.
+pub fn entered_line() -> std::io::Result<String> {
+    let mut line = String::new();
+    std::io::stdin().lock().read_line(&mut line).map(|_| line)
+}
+
+/// A run that was started.
+pub struct Begun {
+    /// Number of the last event before it.
+    pub since: i64,
+    /// Whether it waits for another run or for its time.
+    pub waiting: bool,
+    /// What was planned.
+    pub preflight: PreflightView,
+}
+
+/// Arms and starts a run.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached or refuses.
+pub async fn arm_and_start(client: &Client, run: &RunRow) -> Result<Begun, CliError> {
+    let since = last_event(client, run).await?;
+    let armed = client.arm(run.uid).await?;
+    let taken = client.start(run.uid, &armed.code).await?;
+    let waiting = taken.started.as_deref() == Some("waiting");
+    Ok(Begun { since, waiting, preflight: armed.preflight })
+}
+
+/// Number of the last event of a run; 0 without one.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached.
+pub async fn last_event(client: &Client, run: &RunRow) -> Result<i64, CliError> {
+    let mut since = 0;
+    loop {
+        let page = client.events(run.uid, since).await?;
+        let Some(last) = page.items.last() else { return Ok(since) };
+        since = last.seq;
+    }
+}

@@ -1,0 +1,146 @@
+//! The service of `palpate run`, where none is running: a process of its own, so that the run goes on when the
+//! command or its terminal is closed.
+//! Uses: tokio's processes, `running`. Never: a decision for the run.
+
+use std::fs::{File, OpenOptions};
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::time::Duration;
+
+use rustix::process::{Pid, Signal, kill_process};
+use tokio::process::{Child, Command};
+use tokio::time::{Instant, sleep, timeout};
+
+use super::bench_args::BenchArgs;
+use super::client::Client;
+use super::error::CliError;
+use super::running::Running;
+use super::virtual_bench::spinner;
+use crate::new_file;
+
+/// Name of the log in the data folder.
+const LOG: &str = "service.log";
+/// Longest wait for the service: the first start of a virtual rig solves the skin's responses.
+const READY: Duration = Duration::from_secs(150);
+/// Interval of looking for it.
+const LOOK: Duration = Duration::from_millis(50);
+/// Longest wait for its end: it raises the tips and closes the database.
+const END: Duration = Duration::from_secs(60);
+
+/// A service that this command started.
+pub struct OwnServer {
+    /// Its client.
+    pub client: Client,
+    child: Child,
+    log: PathBuf,
+}
+
+impl OwnServer {
+    /// Starts the service on a free port of the loopback, and waits until it answers.
+    ///
+    /// `sensor`: sensor file of the skin. `quiet`: no progress on the terminal.
+    ///
+    /// # Errors
+    /// `CliError::Child` with the last lines of its log if it ends, `Late` if it does not answer, `File` if its
+    /// log cannot be written.
+    pub async fn start(
+        bench: &BenchArgs,
+        data: &Path,
+        sensor: &Path,
+        quiet: bool,
+    ) -> Result<Self, CliError> {
+        new_file::make_folder(data)
+            .map_err(|source| CliError::File { path: data.into(), source })?;
+        let log = data.join(LOG);
+        let failed = |source| CliError::File { path: log.clone(), source };
+        let mut out = OpenOptions::new().create(true).append(true).open(&log).map_err(failed)?;
+        let begin = out.seek(SeekFrom::End(0)).map_err(failed)?;
+        let errors = out.try_clone().map_err(failed)?;
+        let program = std::env::current_exe()
+            .map_err(|source| CliError::System { operation: "finding this program", source })?;
+        let mut command = Command::new(program);
+        command.args(["serve", "--own-session", "--bind", "127.0.0.1:0", "--no-resume", "--data"]);
+        command.arg(data).arg("--sensor").arg(sensor).args(bench.arguments());
+        command.stdin(Stdio::null()).stdout(out).stderr(errors);
+        let child = command.spawn().map_err(|error| ended(&error.to_string(), &log))?;
+        let spinner =
+            spinner(quiet, "starting the service (a new skin's responses are solved once)");
+        let ready = answering(child, data, &log, begin).await;
+        spinner.finish_and_clear();
+        let (client, child) = ready?;
+        Ok(Self { client, child, log })
+    }
+
+    /// Id of its process.
+    pub fn process(&self) -> Option<u32> {
+        self.child.id()
+    }
+
+    /// Ends the service and waits for it: the tips are raised, an active run is left to be resumed.
+    ///
+    /// # Errors
+    /// `CliError::Late` if it does not end.
+    pub async fn end(mut self) -> Result<(), CliError> {
+        terminate(&self.child);
+        match timeout(END, self.child.wait()).await {
+            Ok(_) => Ok(()),
+            Err(_) => {
+                let what = format!("the end of the service (its log is {})", self.log.display());
+                Err(CliError::Late { what, after_s: END.as_secs() })
+            }
+        }
+    }
+}
+
+/// Waits until the service of this data folder answers.
+async fn answering(
+    mut child: Child,
+    data: &Path,
+    log: &Path,
+    begin: u64,
+) -> Result<(Client, Child), CliError> {
+    let process = child.id().map(u32::cast_signed);
+    let started = Instant::now();
+    while started.elapsed() < READY {
+        if let Ok(Some(_)) = child.try_wait() {
+            let said = said_since(log, begin);
+            let said = said.trim();
+            let why = if said.is_empty() { "it ended at its start" } else { said };
+            return Err(ended(why, log));
+        }
+        let running = Running::read(data).filter(|found| Some(found.process) == process);
+        if let Some(running) = running {
+            let client = Client::new(&running.url, None, None)?;
+            if client.is_there().await? {
+                return Ok((client, child));
+            }
+        }
+        sleep(LOOK).await;
+    }
+    terminate(&child);
+    Err(CliError::Late { what: "the service's first answer".into(), after_s: READY.as_secs() })
+}
+
+fn terminate(child: &Child) {
+    if let Some(pid) = child.id().and_then(|id| Pid::from_raw(id.cast_signed())) {
+        // It may have ended already.
+        let _ = kill_process(pid, Signal::TERM);
+    }
+}
+
+fn ended(why: &str, log: &Path) -> CliError {
+    CliError::Child { name: "service", why: why.into(), log: log.into() }
+}
+
+/// Text of a log from a position on.
+fn said_since(log: &Path, begin: u64) -> String {
+    let mut text = String::new();
+    if let Ok(mut file) = File::open(log)
+        && file.seek(SeekFrom::Start(begin)).is_ok()
+    {
+        // What cannot be read is not shown.
+        let _ = file.read_to_string(&mut text);
+    }
+    text
+}

@@ -1,0 +1,101 @@
+//! A data folder that cannot be written: a temporary folder with a copy of its database, and links to its other
+//! files, so that everything that only reads works as usual.
+//! Uses: std's files. Never: a change to the folder.
+
+use std::io;
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+
+use rustix::fs::{Access, access};
+use uuid::Uuid;
+
+use super::output::{bytes, note};
+use crate::new_file::make_folder;
+
+/// Name of the database, and of its log.
+const DATABASE: [&str; 2] = ["palpate.db", "palpate.db-wal"];
+/// Files that belong to a process, and what a service writes beside the data.
+const LEFT_OUT: [&str; 5] =
+    ["palpate.db-shm", "palpate.lock", "server.json", "service.log", "cache"];
+
+/// The temporary folder; removed when it is dropped.
+#[derive(Debug)]
+pub struct View(PathBuf);
+
+impl View {
+    /// Makes the view of a folder that cannot be written; none of any other.
+    ///
+    /// # Errors
+    /// The operating system's if the folder cannot be read, or the copy not written.
+    pub fn of(data: &Path) -> io::Result<Option<Self>> {
+        if !data.is_dir() || access(data, Access::WRITE_OK).is_ok() {
+            return Ok(None);
+        }
+        Self::copy(data).map(Some)
+    }
+
+    fn copy(data: &Path) -> io::Result<Self> {
+        let view = Self(std::env::temp_dir().join(format!("palpate-view-{}", Uuid::now_v7())));
+        make_folder(&view.0)?;
+        for entry in data.canonicalize()?.read_dir()? {
+            let entry = entry?;
+            let name = entry.file_name();
+            let is = |names: &[&str]| names.iter().any(|known| name == *known);
+            if is(&DATABASE) {
+                let size = bytes(entry.metadata()?.len() as f64);
+                note(format_args!(
+                    "{} cannot be written: reading a copy, {size}, in {}",
+                    entry.path().display(),
+                    view.0.display()
+                ));
+                std::fs::copy(entry.path(), view.0.join(&name))?;
+                // The copy has the rights of the original.
+                let mut rights = std::fs::metadata(view.0.join(&name))?.permissions();
+                std::os::unix::fs::PermissionsExt::set_mode(&mut rights, 0o600);
+                std::fs::set_permissions(view.0.join(&name), rights)?;
+            } else if !is(&LEFT_OUT) {
+                symlink(entry.path(), view.0.join(&name))?;
+            }
+        }
+        Ok(view)
+    }
+
+    /// The temporary folder.
+    pub fn folder(&self) -> &Path {
+        &self.0
+    }
+}
+
+impl Drop for View {
+    fn drop(&mut self) {
+        // Links are removed, not what they lead to.
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_view_has_the_database_as_a_copy_and_the_rest_as_links() {
+        let data = std::env::temp_dir().join(format!("palpate-read-only-{}", Uuid::now_v7()));
+        std::fs::create_dir_all(data.join("datasets")).unwrap();
+        std::fs::write(data.join("datasets/ds.parquet"), "rows").unwrap();
+        std::fs::write(data.join("palpate.db"), "trials").unwrap();
+        std::fs::write(data.join("palpate.lock"), "7").unwrap();
+        assert!(View::of(&data).unwrap().is_none(), "it can be written");
+
+        let view = View::copy(&data).unwrap();
+        let read = |name: &str| std::fs::read_to_string(view.folder().join(name));
+        assert_eq!(read("datasets/ds.parquet").unwrap(), "rows");
+        std::fs::write(view.folder().join("palpate.db"), "changed").unwrap();
+        assert!(read("palpate.lock").is_err());
+        let folder = view.folder().to_owned();
+        drop(view);
+        assert!(!folder.exists());
+        assert_eq!(std::fs::read_to_string(data.join("palpate.db")).unwrap(), "trials");
+        assert!(data.join("datasets/ds.parquet").exists());
+        std::fs::remove_dir_all(&data).unwrap();
+    }
+}

@@ -1,0 +1,144 @@
+//! Leaving a run that `palpate run` follows: Ctrl-C stops it so that the same command resumes it, a closed
+//! terminal and --detach leave it to the service, and `attach` follows it again.
+//! Uses: the program, as at a terminal without a person. Never: the service's API.
+
+use std::io::{BufRead, BufReader, Lines};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdout, Command, Stdio};
+
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::{Value, json};
+
+use crate::bench::turn;
+
+/// 66 trials with one tip.
+const EXPERIMENT: &str = "name = \"leaving\"\nseed = 1\nsensor = \"sensors/ert-28.toml\"\n\
+    [real_hex]\ntips = [1]\nconfigurations = 6\nblock = 6\nreference_every = 6\n";
+
+/// A data folder of its own, removed at the end with the service that may still use it.
+struct Desk(PathBuf);
+
+impl Desk {
+    fn new(name: &str) -> Self {
+        let folder = std::env::temp_dir().join(format!("palpate-{name}-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        std::fs::write(folder.join("e.toml"), EXPERIMENT).unwrap();
+        Self(folder)
+    }
+
+    fn data(&self) -> PathBuf {
+        self.0.join("data")
+    }
+
+    fn palpate(&self, arguments: &[&str]) -> Started {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_palpate"));
+        command.args(arguments).arg("--json").current_dir(&self.0);
+        command
+            .env("PALPATE_DATA", self.data())
+            .env_remove("PALPATE_URL")
+            .env("PALPATE_LOG", "warn");
+        let mut child =
+            command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().expect("palpate starts");
+        let lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        Started { child, lines }
+    }
+
+    fn run(&self, more: &[&str]) -> Started {
+        self.palpate(&[&["run", "e.toml", "--speed", "100"], more].concat())
+    }
+
+    /// Id of the service's process; none if it has ended.
+    fn service(&self) -> Option<i64> {
+        let text = std::fs::read_to_string(self.data().join("server.json")).ok()?;
+        serde_json::from_str::<Value>(&text).unwrap()["process"].as_i64()
+    }
+}
+
+impl Drop for Desk {
+    fn drop(&mut self) {
+        if let Some(process) = self.service() {
+            send(process as i32, Signal::TERM);
+            let ended = || !Path::new(&format!("/proc/{process}")).exists();
+            for _ in 0..300 {
+                if ended() {
+                    break;
+                }
+                std::thread::sleep(std::time::Duration::from_millis(100));
+            }
+        }
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+struct Started {
+    child: Child,
+    lines: Lines<BufReader<ChildStdout>>,
+}
+
+impl Started {
+    fn until_stored(&mut self, trials: u64) {
+        let at_least = |line: &Value| line["trials_stored"].as_u64() >= Some(trials);
+        let found = self.lines.by_ref().map(parsed).any(|line| at_least(&line));
+        assert!(found, "it ended before {trials} trials were stored");
+    }
+
+    fn signal(&self, signal: Signal) {
+        send(self.child.id() as i32, signal);
+    }
+
+    /// Its last line and its exit code.
+    fn end(mut self) -> (Value, i32) {
+        let last = self.lines.by_ref().map(parsed).last().unwrap_or_default();
+        (last, self.child.wait().unwrap().code().unwrap())
+    }
+}
+
+fn parsed(line: std::io::Result<String>) -> Value {
+    serde_json::from_str(&line.unwrap()).unwrap()
+}
+
+fn send(process: i32, signal: Signal) {
+    kill_process(Pid::from_raw(process).unwrap(), signal).unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn ctrl_c_stops_a_run_that_the_same_command_resumes() {
+    let _turn = turn().await;
+    let desk = Desk::new("stopped");
+    let mut run = desk.run(&[]);
+    run.until_stored(5);
+    run.signal(Signal::INT);
+    let (last, code) = run.end();
+    assert_eq!(code, 1, "{last:#}");
+    assert_eq!((&last["exit_status"], &last["resumable"]), (&json!("stopped"), &json!(true)));
+    let stored = last["trials_stored"].as_u64().unwrap();
+    assert!((5..66).contains(&stored), "{last:#}");
+    assert_eq!(last["reason"], format!("stopped at {stored} of 66 trials"));
+    assert_eq!(desk.service(), None, "its service ends with it");
+
+    let (last, code) = desk.run(&[]).end();
+    assert_eq!((code, &last["exit_status"]), (0, &json!("success")), "{last:#}");
+    assert_eq!((&last["scan_id"], &last["trials_stored"]), (&json!(1), &json!(66)));
+    assert_eq!(last["twins"], 66, "those of the resumed part, too");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_outlives_the_command_and_its_terminal() {
+    let _turn = turn().await;
+    let desk = Desk::new("detached");
+    let (left, code) = desk.run(&["--detach"]).end();
+    assert_eq!((code, &left["event"]), (0, &json!("detached")), "{left:#}");
+    assert_eq!(left["process"].as_i64(), desk.service());
+
+    let mut attached = desk.palpate(&["attach"]);
+    attached.until_stored(1);
+    attached.signal(Signal::HUP);
+    let (last, code) = attached.end();
+    assert_eq!((code, &last["event"]), (0, &json!("detached")), "{last:#}");
+
+    // The same command finds the run instead of queueing another one.
+    let (last, code) = desk.palpate(&["run", "e.toml"]).end();
+    assert_eq!((code, &last["scan_id"]), (0, &json!(1)), "{last:#}");
+    assert_eq!((&last["exit_status"], &last["trials_stored"]), (&json!("success"), &json!(66)));
+    assert!(desk.service().is_some(), "a detached service stays");
+}
