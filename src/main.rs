@@ -21,10 +21,12 @@ static ALLOCATOR: MiMalloc = MiMalloc;
 ///
 /// Start with `palpate run experiments/quickstart.toml`: without a rig it starts a virtual one.
 #[derive(Debug, Parser)]
-#[command(name = "palpate", version, propagate_version = true, after_help = cli::log::HELP)]
+#[command(name = "palpate", version, propagate_version = true)]
 struct CommandLine {
     #[command(subcommand)]
     command: Command,
+    #[command(flatten)]
+    log: cli::log::LogArgs,
 }
 
 #[derive(Debug, Subcommand)]
@@ -99,9 +101,9 @@ struct VirtualRigArgs {
 
 fn main() -> ExitCode {
     palpate::commit::set(option_env!("PALPATE_COMMIT"));
-    let command = CommandLine::parse().command;
+    let CommandLine { command, log } = CommandLine::parse();
     // The log is written out when this value is dropped, at the end.
-    let _log = cli::log::start();
+    let _log = cli::log::start(&log);
     match command {
         Command::Service(command) => cli::main(command),
         Command::VirtualOperator(args) => ended(operator_main(args)),

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::StreamExt;
+use nix::unistd::{User, geteuid};
 use reqwest::multipart::{Form, Part};
 use reqwest::{Method, RequestBuilder, Response};
 use rustls::ClientConfig;
@@ -62,7 +63,9 @@ impl TextPart {
 /// Name of the person at this terminal, for the log of actions.
 pub fn who() -> String {
     let user = std::env::var("USER").ok().filter(|u| !u.is_empty());
-    user.unwrap_or_else(|| "cli".into())
+    // Services and containers have no USER.
+    let listed = || User::from_uid(geteuid()).ok().flatten().map(|user| user.name);
+    user.or_else(listed).unwrap_or_else(|| format!("user {}", geteuid()))
 }
 
 impl Client {

@@ -146,6 +146,9 @@ pub enum CliError {
     /// A signal came before the run started.
     #[error("interrupted before the run started")]
     Interrupted,
+    /// A signal ends the command and its service; the training resumes with the next one.
+    #[error("ended by a signal: the next service resumes the training from its checkpoint")]
+    Terminated,
     /// The rig check found problems.
     #[error("the rig check found {0} problems")]
     Unsound(usize),

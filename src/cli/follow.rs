@@ -8,10 +8,9 @@ use std::time::Duration;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use tokio::signal::unix::{Signal, SignalKind, signal};
-use tokio::sync::oneshot;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
-use super::begin::entered_line;
+use super::asking::Asking;
 use super::client::Client;
 use super::error::CliError;
 use super::leave::{Choice, Interrupt, question};
@@ -114,8 +113,7 @@ pub struct Follower {
     seen: bool,
     /// Interrupts since the last answer.
     interrupts: u32,
-    /// The line that a person enters as the answer to the question.
-    answer: Option<oneshot::Receiver<String>>,
+    asking: Asking,
     /// State in which the run was seen last.
     state: Option<StoredState>,
     /// Time since which the run waits for a person.
@@ -134,7 +132,7 @@ impl Follower {
             started,
             seen: false,
             interrupts: 0,
-            answer: None,
+            asking: Asking::default(),
             state: None,
             waits: None,
         }
@@ -157,8 +155,7 @@ impl Follower {
                         return Ok(left);
                     }
                 }
-                line = answered(&mut self.answer) => {
-                    self.answer = None;
+                line = self.asking.answer() => {
                     if let Some(left) = self.chosen(&line).await {
                         self.screen.close();
                         return Ok(left);
@@ -269,13 +266,13 @@ impl Follower {
             Asked::Terminate => return Some(Left::Detached),
             Asked::Interrupt => self.interrupts += 1,
         }
-        match Interrupt::of(self.interrupts, self.screen.can_ask()) {
+        match Interrupt::of(self.interrupts, Asking::is_possible()) {
             Interrupt::Ask => self.ask(),
             Interrupt::Stop => {
                 self.act("stop", "stopping after this trial; Ctrl-C again aborts").await;
             }
             Interrupt::Abort => {
-                self.answer = None;
+                self.asking.close();
                 self.act("abort", "aborting: raising the tips now; Ctrl-C again leaves").await;
             }
             Interrupt::Leave => return Some(Left::Open("left at the third Ctrl-C")),
@@ -286,10 +283,7 @@ impl Follower {
     /// Asks at the terminal what to do; the answer arrives later.
     fn ask(&mut self) {
         self.screen.note(question(self.state == Some(StoredState::Paused)));
-        let (answer, line) = oneshot::channel();
-        self.answer = Some(line);
-        // A thread that waits for a person must not keep the program from ending.
-        std::thread::spawn(move || answer.send(entered_line().unwrap_or_default()));
+        self.asking.open();
     }
 
     /// Does what a person has chosen.
@@ -317,15 +311,6 @@ impl Follower {
         if let Err(error) = self.client.act(self.watch.run, action, why).await {
             self.screen.note(&error.to_string());
         }
-    }
-}
-
-/// The line that a person enters; never, if nothing was asked.
-async fn answered(answer: &mut Option<oneshot::Receiver<String>>) -> String {
-    match answer {
-        // Without a line, as at the end of the input, the run goes on.
-        Some(line) => line.await.unwrap_or_default(),
-        None => std::future::pending().await,
     }
 }
 
@@ -375,11 +360,6 @@ impl Screen {
     fn waits_in_queue(&mut self, position: Option<u32>) {
         let place = position.map_or_else(String::new, |p| format!(", position {p}"));
         self.bar.set_message(format!("waits in the queue{place}"));
-    }
-
-    /// Whether a person can be asked.
-    fn can_ask(&self) -> bool {
-        self.terminal && std::io::stdin().is_terminal()
     }
 
     fn note(&self, words: &str) {

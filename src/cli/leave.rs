@@ -1,4 +1,4 @@
-//! What Ctrl-C at a followed run means: a question at a terminal, a stop without one.
+//! What Ctrl-C at a followed run or training means: a question at a terminal, a stop without one.
 //! PURE. Uses: no other module. Never: the terminal, a request.
 
 /// What a person answers to the question.
@@ -40,6 +40,10 @@ pub fn question(is_paused: bool) -> &'static str {
          resumed later)   c continue\nCtrl-C again raises the tips now and aborts"
     }
 }
+
+/// The question on a training.
+pub const QUESTION_ON_TRAINING: &str = "d detach (the training goes on)   s stop (the same command resumes it)   \
+     c continue\nCtrl-C again stops";
 
 /// What an interrupt leads to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,25 +1,41 @@
 //! The log of a process: its level, its format, and a writer for which nothing waits.
-//! Uses: tracing-subscriber, standard error. Never: a wait of the thread that logs, also if standard
+//! Uses: tracing-subscriber, tracing-appender, standard error. Never: a wait of the thread that logs, also if standard
 //! error is a pipe that nothing reads: the campaign logs, too.
 
 use std::io::{self, IsTerminal, Write};
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use clap::Args;
 use tracing::Dispatch;
+use tracing_appender::rolling::{InitError, RollingFileAppender, Rotation};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::MakeWriter;
 
 use crate::plain::escaped;
 
-/// Help on the variables of the environment.
-pub const HELP: &str = "\
-Log, on standard error:
-  PALPATE_LOG         Level [default: warn]: error, warn, info, debug or trace; also with levels of
-                      parts: info,palpate_bench=debug
-  PALPATE_LOG_FORMAT  text or json [default: text]; json: one object per line, with its spans";
+/// Options of the log.
+#[derive(Debug, Clone, Default, Args)]
+#[command(next_help_heading = "Log")]
+pub struct LogArgs {
+    /// Level: error, warn, info, debug or trace, also of parts: info,palpate_bench=debug
+    /// [env: PALPATE_LOG] [default: warn].
+    #[arg(long, value_name = "LEVEL", global = true, hide_short_help = true)]
+    pub log: Option<String>,
+    /// Format: text, or json with one object per line [env: PALPATE_LOG_FORMAT] [default: text].
+    #[arg(long, value_name = "FORMAT", global = true, hide_short_help = true)]
+    pub log_format: Option<String>,
+    /// File of the log, a new one each day with the date in its name, of which 14 are kept
+    /// [env: PALPATE_LOG_FILE] [default: standard error].
+    #[arg(long, value_name = "FILE", global = true, hide_short_help = true)]
+    pub log_file: Option<PathBuf>,
+}
+
+/// Days whose log files are kept.
+const DAYS_KEPT: usize = 14;
 
 /// Level without `PALPATE_LOG`.
 const LEVEL: &str = "warn";
@@ -76,12 +92,22 @@ enum Item {
     End,
 }
 
-/// Starts the log as the environment asks for it. Returns nothing if its thread cannot be started:
-/// the process then has no log.
-pub fn start() -> Option<Log> {
-    let wanted = std::env::var("PALPATE_LOG").ok().filter(|level| !level.is_empty());
+/// Starts the log as the options or the environment ask for it. Returns nothing if its thread cannot be
+/// started: the process then has no log.
+pub fn start(args: &LogArgs) -> Option<Log> {
+    let from_env = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
+    let wanted = args.log.clone().or_else(|| from_env("PALPATE_LOG"));
     let filter = EnvFilter::try_new(wanted.as_deref().unwrap_or(LEVEL));
-    let named = std::env::var("PALPATE_LOG_FORMAT").unwrap_or_default();
+    let named = args.log_format.clone().or_else(|| from_env("PALPATE_LOG_FORMAT"));
+    let named = named.unwrap_or_default();
+    let path = args.log_file.clone().or_else(|| from_env("PALPATE_LOG_FILE").map(PathBuf::from));
+    let file = path.as_deref().map(daily);
+    let (out, unopened) = match file {
+        Some(Err(error)) => (Out::Terminal, Some(error)),
+        Some(Ok(file)) => (Out::File(Box::new(file)), None),
+        None => (Out::Terminal, None),
+    };
+    let to_terminal = matches!(out, Out::Terminal);
     let format = match named.as_str() {
         "json" => Format::Json,
         _ => Format::Text,
@@ -91,11 +117,12 @@ pub fn start() -> Option<Log> {
     let lost = Arc::<AtomicU64>::default();
     let queue = Queue { lines: lines.clone(), lost: lost.clone() };
     let writing = move || {
-        write_all(&inbox, &lost);
+        write_all(&inbox, &lost, out);
         let _ = done.send(());
     };
     std::thread::Builder::new().name("log".into()).spawn(writing).ok()?;
-    let colours = io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+    let colours =
+        to_terminal && io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
     let invalid_level = filter.as_ref().err().map(ToString::to_string);
     let filter = filter.unwrap_or_else(|_| EnvFilter::new(LEVEL));
     let log = dispatch(format, filter, colours, move || queue.clone());
@@ -104,10 +131,16 @@ pub fn start() -> Option<Log> {
     // The default hook writes to standard error itself, before the safe end: a full pipe would stop it.
     std::panic::set_hook(Box::new(|panic| tracing::error!(%panic, "a thread panicked")));
     if let Some(error) = invalid_level {
-        tracing::warn!(error, "PALPATE_LOG is invalid: the level is {LEVEL}");
+        tracing::warn!(error, "--log or PALPATE_LOG is invalid: the level is {LEVEL}");
+    }
+    if let Some(error) = unopened {
+        tracing::warn!(%error, ?path, "the log goes to standard error: its file cannot be opened");
     }
     if !matches!(named.as_str(), "" | "text" | "json") {
-        tracing::warn!(named, "PALPATE_LOG_FORMAT must be text or json: the format is text");
+        tracing::warn!(
+            named,
+            "--log-format or PALPATE_LOG_FORMAT must be text or json: it is text"
+        );
     }
     Some(Log { lines, written })
 }
@@ -125,11 +158,28 @@ impl Drop for Log {
     }
 }
 
-/// Writes lines to standard error until the end; reports lost ones.
-fn write_all(inbox: &Receiver<Item>, lost: &AtomicU64) {
+/// Where the lines go.
+enum Out {
+    Terminal,
+    File(Box<RollingFileAppender>),
+}
+
+/// A file for each day.
+fn daily(path: &Path) -> Result<RollingFileAppender, InitError> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    RollingFileAppender::builder()
+        .rotation(Rotation::DAILY)
+        .filename_prefix(name)
+        .max_log_files(DAYS_KEPT)
+        .build(folder.unwrap_or(Path::new(".")))
+}
+
+/// Writes lines until the end; reports lost ones.
+fn write_all(inbox: &Receiver<Item>, lost: &AtomicU64, mut out: Out) {
     while let Ok(Item::Line(line)) = inbox.recv() {
         let line = safe(&line);
-        if let Some(kept) = &mut *behind_screen() {
+        if let Some(kept) = behind_screen().as_mut().filter(|_| matches!(out, Out::Terminal)) {
             if kept.len() < WAITING_LINES {
                 kept.push(line);
             } else {
@@ -138,7 +188,10 @@ fn write_all(inbox: &Receiver<Item>, lost: &AtomicU64) {
             continue;
         }
         // A log that cannot be written, on a full disk, must not end the process.
-        let _ = io::stderr().write_all(line.as_bytes());
+        let _ = match &mut out {
+            Out::Terminal => io::stderr().write_all(line.as_bytes()),
+            Out::File(file) => file.write_all(line.as_bytes()),
+        };
         let missing = lost.swap(0, Ordering::Relaxed);
         if missing > 0 {
             tracing::warn!(lines = missing, "lines of the log were lost: its reader is too slow");
@@ -319,6 +372,20 @@ mod tests {
         let shown =
             "\u{1b}[2mINFO\u{1b}[0m who=\\u{1b}]0;title\\u{7} \\u{1b}[2J \\u{9b}2J\\u{a}X\n";
         assert_eq!(safe(line.as_bytes()), shown);
+    }
+
+    #[test]
+    fn a_file_of_the_log_has_the_date_in_its_name() {
+        let folder = std::env::temp_dir().join(format!("palpate-log-{}", std::process::id()));
+        let file = daily(&folder.join("palpate.log")).unwrap();
+        let (lines, inbox) = sync_channel(2);
+        lines.send(Item::Line(b"a line\n".to_vec())).unwrap();
+        lines.send(Item::End).unwrap();
+        write_all(&inbox, &AtomicU64::new(0), Out::File(Box::new(file)));
+        let entry = std::fs::read_dir(&folder).unwrap().next().unwrap().unwrap();
+        assert!(entry.file_name().to_string_lossy().starts_with("palpate.log.2"));
+        assert_eq!(std::fs::read_to_string(entry.path()).unwrap(), "a line\n");
+        std::fs::remove_dir_all(&folder).unwrap();
     }
 
     #[test]

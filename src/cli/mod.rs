@@ -17,6 +17,7 @@ use serde_json::json;
 
 mod access;
 mod ask;
+mod asking;
 mod attach;
 mod begin;
 mod bench_args;
@@ -32,6 +33,7 @@ mod files;
 mod follow;
 mod infer;
 mod init;
+mod job;
 mod key;
 mod leave;
 pub mod log;
@@ -206,7 +208,7 @@ pub enum Command {
     /// invalid value: each problem names key, value and limit.
     Train(train::TrainArgs),
     /// List, show and stop trainings and evaluations.
-    Job(train::JobArgs),
+    Job(job::JobArgs),
     /// List, show, add and promote models.
     Model(model::ModelArgs),
     /// Estimate contacts from frames in a file.
@@ -268,7 +270,7 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
         Command::Key(args) => access::key(args).await?,
         Command::Dataset(args) => dataset::dataset(args).await?,
         Command::Train(args) => train::train(args).await?,
-        Command::Job(args) => train::job(args).await?,
+        Command::Job(args) => job::job(args).await?,
         Command::Model(args) => model::model(args).await?,
         Command::Infer(args) => infer::infer(args).await?,
         Command::Live(args) => infer::live(args).await?,

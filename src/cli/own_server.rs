@@ -1,13 +1,15 @@
-//! The service of `palpate run`, where none is running: a process of its own, so that the run goes on when the
-//! command or its terminal is closed.
+//! The service of `palpate run` or `train`, where none is running: a process of its own, so that the work goes on
+//! when the command or its terminal is closed.
 //! Uses: tokio's processes, `running`. Never: a decision for the run.
 
+use std::ffi::OsString;
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::Duration;
 
+use indicatif::ProgressBar;
 use rustix::process::{Pid, Signal, kill_process};
 use tokio::process::{Child, Command};
 use tokio::time::{Instant, sleep, timeout};
@@ -37,18 +39,41 @@ pub struct OwnServer {
 }
 
 impl OwnServer {
-    /// Starts the service on a free port of the loopback, and waits until it answers.
+    /// Starts a service on a bench, and waits until it answers.
     ///
     /// `sensor`: sensor file of the skin. `quiet`: no progress on the terminal.
     ///
     /// # Errors
-    /// `CliError::Child` with the last lines of its log if it ends, `Late` if it does not answer, `File` if its
-    /// log cannot be written.
-    pub async fn start(
+    /// As [`Self::start`].
+    pub async fn on_bench(
         bench: &BenchArgs,
         data: &Path,
         sensor: &Path,
         quiet: bool,
+    ) -> Result<Self, CliError> {
+        let mut arguments = bench.arguments();
+        arguments.extend(["--sensor".into(), sensor.into()]);
+        let words = "starting the service (a new skin's responses are solved once)";
+        Self::start(&arguments, data, spinner(quiet, words)).await
+    }
+
+    /// Starts a service without a rig, and waits until it answers.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub async fn at_desk(data: &Path) -> Result<Self, CliError> {
+        Self::start(&["--desk".into()], data, spinner(true, "")).await
+    }
+
+    /// Starts the service on a free port of the loopback, and waits until it answers.
+    ///
+    /// # Errors
+    /// `CliError::Child` with the last lines of its log if it ends, `Late` if it does not answer, `File` if its
+    /// log cannot be written.
+    async fn start(
+        arguments: &[OsString],
+        data: &Path,
+        spinner: ProgressBar,
     ) -> Result<Self, CliError> {
         new_file::make_folder(data)
             .map_err(|source| CliError::File { path: data.into(), source })?;
@@ -61,11 +86,9 @@ impl OwnServer {
             .map_err(|source| CliError::System { operation: "finding this program", source })?;
         let mut command = Command::new(program);
         command.args(["serve", "--own-session", "--bind", "127.0.0.1:0", "--no-resume", "--data"]);
-        command.arg(data).arg("--sensor").arg(sensor).args(bench.arguments());
+        command.arg(data).args(arguments);
         command.stdin(Stdio::null()).stdout(out).stderr(errors);
         let child = command.spawn().map_err(|error| ended(&error.to_string(), &log))?;
-        let spinner =
-            spinner(quiet, "starting the service (a new skin's responses are solved once)");
         let ready = answering(child, data, &log, begin).await;
         spinner.finish_and_clear();
         let (client, child) = ready?;

@@ -125,7 +125,7 @@ pub async fn run(args: RunArgs) -> Result<ExitCode, CliError> {
             let sensor = data.join("sensor.toml");
             write(&sensor, &order.files.sensor_text)?;
             let own = tokio::select! {
-                own = OwnServer::start(&args.bench, &data, &sensor, json) => own?,
+                own = OwnServer::on_bench(&args.bench, &data, &sensor, json) => own?,
                 _ = signals.next() => return Err(CliError::Interrupted),
             };
             let (client, process) = (own.client.clone(), own.process());

@@ -61,6 +61,9 @@ pub struct ServeArgs {
     /// Leave the terminal: the service continues when it is closed.
     #[arg(long, hide = true)]
     pub own_session: bool,
+    /// Read and compute only, without a rig.
+    #[arg(long)]
+    pub desk: bool,
 }
 
 /// Runs `palpate serve`.
@@ -77,7 +80,7 @@ pub async fn serve(args: ServeArgs) -> Result<(), CliError> {
     }
     let mut signals = Signals::catch()?;
     let rig = RigFiles::read(args.bench.rig.as_deref())?;
-    if !args.bench.is_virtual() {
+    if args.desk || !args.bench.is_virtual() {
         return serve_rig(&args, rig, None, &mut signals).await;
     }
     let (_, sensor_text) = read_sensor_text(args.sensor.as_deref())?;
@@ -105,7 +108,7 @@ async fn serve_rig(
     let options = ServeOptions {
         tls: tls.clone(),
         require_key: args.require_key,
-        desk: false,
+        desk: args.desk,
         bind: args.bind,
         local_admin: args.local_admin,
         data: data_or_default(args.data.clone()),

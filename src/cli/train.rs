@@ -1,27 +1,23 @@
-//! `palpate train`: requests a training and shows it; `palpate job`: waiting, running and ended
-//! jobs.
+//! `palpate train`: requests a training and follows it.
 //! Uses: `client`. Never: nets (a process of the service trains).
 
 use std::path::Path;
-use std::time::Duration;
 
-use clap::{Args, Subcommand};
-use indicatif::{ProgressBar, ProgressStyle};
+use clap::Args;
 use serde_json::{Value, json};
 
+use super::asking::Asking;
 use super::client::Client;
 use super::error::CliError;
 use super::files::read_input;
+use super::follow::{Asked, Signals};
+use super::job::{JobScreen, LOOK, shown};
+use super::leave::{Choice, Interrupt, QUESTION_ON_TRAINING};
 use super::output::{duration, say, say_json};
-use super::progress::LogLines;
+use super::own_server::OwnServer;
 use super::{At, embed};
 use crate::api::{JobOut, ModelOut};
 use crate::carried::{self, RECIPES};
-use crate::jobs::Progress;
-use crate::store::TaskState;
-
-/// Interval of polling a job's progress.
-const LOOK: Duration = Duration::from_millis(250);
 
 /// Largest side of maps, pixels, that are drawn with fewer layers than a recipe's default: from a
 /// first image of 8 or 4 pixels, as larger maps are from one of 10.
@@ -44,8 +40,8 @@ pub struct TrainArgs {
     /// Show the recipe without training.
     #[arg(long)]
     show: bool,
-    /// Request the training, and do not wait for its end.
-    #[arg(long)]
+    /// Request the training, and leave it to the service.
+    #[arg(long, visible_alias = "detach")]
     no_wait: bool,
     #[command(flatten)]
     at: At,
@@ -154,191 +150,154 @@ impl Changes {
     }
 }
 
-/// Runs `palpate train`.
+/// Runs `palpate train`. Without a server it starts one, which a detached training outlives.
 ///
 /// # Errors
-/// `CliError` if the recipe is invalid, the service refuses, or the training fails.
+/// `CliError` if the recipe is invalid, the service refuses, or the training fails or is stopped.
 pub async fn train(args: TrainArgs) -> Result<(), CliError> {
     let recipe = recipe_text(&args.recipe, &args.changes)?;
     if args.show {
         say(recipe.trim_end());
         return Ok(());
     }
-    let at = args.at.clone();
-    embed::with_server(&at, move |client| async move {
-        let asked: JobOut = client.post("/api/v1/trainings", &json!({ "recipe": recipe })).await?;
-        if args.no_wait {
-            shown(&asked, args.at.json);
-            return Ok(());
+    let mut signals = Signals::catch()?;
+    if let Some(client) = embed::find(&args.at).await? {
+        let asked = request(&client, &recipe).await?;
+        return match train_on(&client, asked, &args, None, &mut signals).await? {
+            Some(done) => report(&client, &done, args.at.json).await,
+            None => Ok(()),
+        };
+    }
+    let data = args.at.data();
+    let own = tokio::select! {
+        own = OwnServer::at_desk(&data) => own?,
+        _ = signals.next() => return Err(CliError::Interrupted),
+    };
+    let client = own.client.clone();
+    let done = async {
+        let asked = request(&client, &recipe).await?;
+        train_on(&client, asked, &args, own.process(), &mut signals).await
+    };
+    match done.await {
+        Ok(None) => Ok(()),
+        Ok(Some(done)) => {
+            let reported = report(&client, &done, args.at.json).await;
+            own.end().await?;
+            reported
         }
-        let done = follow(&client, asked).await?;
-        let model = done.result.as_ref().and_then(|r| r["model"].as_str()).unwrap_or_default();
-        let model: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;
-        if args.at.json {
-            say_json(&json!({ "job": done, "model": model }));
-        } else {
-            let took = done.finished_at.zip(done.started_at);
-            let took = took.map(|(end, start)| duration(end.duration_since(start).as_secs_f64()));
-            say(format_args!(
-                "{} {}, trained in {}",
-                model.id,
-                model.name,
-                took.unwrap_or_default()
-            ));
+        Err(error) => {
+            own.end().await?;
+            Err(error)
         }
-        Ok(())
-    })
-    .await
+    }
 }
 
-/// Shows the progress of a job until it has ended.
+async fn request(client: &Client, recipe: &str) -> Result<JobOut, CliError> {
+    client.post("/api/v1/trainings", &json!({ "recipe": recipe })).await
+}
+
+/// Follows a training to its end; none if it was left to the service, whose process is told if it is this
+/// command's own.
+async fn train_on(
+    client: &Client,
+    asked: JobOut,
+    args: &TrainArgs,
+    process: Option<u32>,
+    signals: &mut Signals,
+) -> Result<Option<JobOut>, CliError> {
+    let (id, url) = (asked.id, client.url());
+    if args.no_wait {
+        shown(&asked, args.at.json);
+    } else if let Some(done) = follow(client, asked, process.is_some(), signals).await? {
+        return Ok(Some(done));
+    }
+    if args.at.json {
+        say_json(&json!({ "event": "detached", "job": id, "url": url, "process": process }));
+    } else {
+        say(format_args!("training {id} goes on without this terminal; its page is {url}/nets"));
+        say(format_args!("  palpate job show {id} --url {url}   shows it"));
+        if let Some(process) = process {
+            say(format_args!(
+                "  kill {process}   ends the service; the next one resumes the training"
+            ));
+        }
+    }
+    Ok(None)
+}
+
+/// Prints the model of a training, and what to do with it.
+async fn report(client: &Client, done: &JobOut, json: bool) -> Result<(), CliError> {
+    let model = done.result.as_ref().and_then(|r| r["model"].as_str()).unwrap_or_default();
+    let model: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;
+    if json {
+        say_json(&json!({ "job": done, "model": model }));
+        return Ok(());
+    }
+    let took = done.finished_at.zip(done.started_at);
+    let took = took.map(|(end, start)| duration(end.duration_since(start).as_secs_f64()));
+    say(format_args!("{} {}, trained in {}", model.id, model.name, took.unwrap_or_default()));
+    Ok(())
+}
+
+/// Shows the progress of a job until it has ended; none if it was left to the service. Ctrl-C asks what to do,
+/// or stops the job where nobody can be asked. `own_service`: the service ends with this program.
 ///
 /// # Errors
 /// `CliError::Refused` if the job failed or was stopped; other variants if a request fails.
-pub async fn follow(client: &Client, asked: JobOut) -> Result<JobOut, CliError> {
-    let bar = job_bar();
-    let mut lines = LogLines::instead_of(&bar);
+async fn follow(
+    client: &Client,
+    asked: JobOut,
+    own_service: bool,
+    signals: &mut Signals,
+) -> Result<Option<JobOut>, CliError> {
+    let mut screen = JobScreen::new();
+    let mut asking = Asking::default();
+    let mut interrupts = 0;
     let mut now = asked;
     loop {
-        if let Some(progress) = &now.progress {
-            bar.set_length(progress.total);
-            bar.set_position(progress.done);
-            bar.set_message(words(progress));
-            lines.say(|| match progress.total {
-                0 => words(progress),
-                total => format!("{} of {total}, {}", progress.done, words(progress)),
-            });
+        if screen.has_ended(&now)? {
+            return Ok(Some(now));
         }
-        if now.state == TaskState::Waiting {
-            bar.set_message("waits in the queue");
-            lines.say(|| format!("{} waits in the queue", now.id));
-        }
-        match now.state {
-            TaskState::Done => {
-                bar.finish_and_clear();
-                return Ok(now);
+        let choice = tokio::select! {
+            () = tokio::time::sleep(LOOK) => None,
+            line = asking.answer() => match Choice::of(&line) {
+                Some(choice @ (Choice::Detach | Choice::Stop | Choice::Continue)) => Some(choice),
+                _ => {
+                    screen.note(QUESTION_ON_TRAINING);
+                    asking.open();
+                    None
+                }
+            },
+            signal = signals.next() => match signal {
+                Asked::HangUp => Some(Choice::Detach),
+                Asked::Terminate if own_service => return Err(CliError::Terminated),
+                Asked::Terminate => Some(Choice::Detach),
+                Asked::Interrupt => {
+                    interrupts += 1;
+                    match Interrupt::of(interrupts, Asking::is_possible()) {
+                        Interrupt::Ask => {
+                            screen.note(QUESTION_ON_TRAINING);
+                            asking.open();
+                            None
+                        }
+                        _ => Some(Choice::Stop),
+                    }
+                }
+            },
+        };
+        match choice {
+            Some(Choice::Detach) => {
+                screen.bar.finish_and_clear();
+                return Ok(None);
             }
-            TaskState::Failed | TaskState::Stopped => {
-                bar.abandon();
-                let operation = now.id.to_string();
-                let detail = now.error.unwrap_or_else(|| "it was stopped".into());
-                return Err(CliError::Refused { operation, status: 409, detail });
+            Some(Choice::Stop) => {
+                screen.note("stopping at a checkpoint");
+                let path = format!("/api/v1/jobs/{}/stop", now.id);
+                client.post::<Value>(&path, &Value::Null).await?;
             }
-            TaskState::Waiting | TaskState::Running => tokio::time::sleep(LOOK).await,
+            Some(Choice::Continue) => interrupts = 0,
+            _ => {}
         }
         now = client.get(&format!("/api/v1/jobs/{}", now.id)).await?;
     }
-}
-
-fn job_bar() -> ProgressBar {
-    use std::io::IsTerminal;
-    if !std::io::stderr().is_terminal() {
-        return ProgressBar::hidden();
-    }
-    let style = ProgressStyle::with_template("{bar:30} {msg}");
-    ProgressBar::new(0).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
-}
-
-fn words(progress: &Progress) -> String {
-    let mut words = progress.phase.clone();
-    if let Some(epoch) = progress.epoch {
-        words += &format!(", epoch {epoch}");
-    }
-    if let Some(loss) = progress.train_loss {
-        words += &format!(", loss {loss:.3e}");
-    }
-    if let Some(loss) = progress.validation_loss {
-        words += &format!(", validation {loss:.3e}");
-    }
-    if let Some(rate) = progress.per_second {
-        words += &format!(", {rate:.0}/s");
-    }
-    if let Some(left_s) = progress.left_s {
-        words += &format!(", {} to go", duration(left_s));
-    }
-    words
-}
-
-/// Options of `job`.
-#[derive(Debug, Args)]
-pub struct JobArgs {
-    #[command(subcommand)]
-    what: JobWhat,
-}
-
-#[derive(Debug, Subcommand)]
-enum JobWhat {
-    /// Show trainings and evaluations, the last first.
-    List(At),
-    /// Show one job and its result.
-    Show(OneJob),
-    /// Stop a waiting or running job.
-    Stop(OneJob),
-    /// Print the losses of a running training, one JSON object per epoch.
-    Losses(OneJob),
-}
-
-#[derive(Debug, Args)]
-struct OneJob {
-    /// Id of the job.
-    job: String,
-    #[command(flatten)]
-    at: At,
-}
-
-/// Runs `palpate job`.
-///
-/// # Errors
-/// `CliError` if the service cannot be reached or refuses.
-pub async fn job(args: JobArgs) -> Result<(), CliError> {
-    let at = match &args.what {
-        JobWhat::List(at) => at.clone(),
-        JobWhat::Show(one) | JobWhat::Stop(one) | JobWhat::Losses(one) => one.at.clone(),
-    };
-    embed::with_server(&at, move |client| async move {
-        match args.what {
-            JobWhat::List(at) => {
-                let jobs: Vec<JobOut> = client.all("/api/v1/jobs?").await?;
-                jobs.iter().for_each(|job| shown(job, at.json));
-            }
-            JobWhat::Show(one) => {
-                let job: JobOut = client.get(&format!("/api/v1/jobs/{}", one.job)).await?;
-                say_json(&job);
-            }
-            JobWhat::Stop(one) => {
-                let path = format!("/api/v1/jobs/{}/stop", one.job);
-                let job: JobOut = client.post(&path, &Value::Null).await?;
-                shown(&job, one.at.json);
-            }
-            JobWhat::Losses(one) => {
-                let path = format!("/api/v1/jobs/{}/losses", one.job);
-                let answer = client.send(reqwest::Method::GET, &path, None::<&Value>).await?;
-                let operation = format!("GET {path}");
-                let text = answer.text().await;
-                let text = text.map_err(|source| CliError::Http { operation, source })?;
-                say(text.trim_end());
-            }
-        }
-        Ok(())
-    })
-    .await
-}
-
-fn shown(job: &JobOut, as_json: bool) {
-    if as_json {
-        return say_json(job);
-    }
-    let name = match job.request["recipe"].as_str() {
-        Some(recipe) => toml::from_str::<toml::Table>(recipe)
-            .ok()
-            .and_then(|recipe| recipe.get("name")?.as_str().map(str::to_owned))
-            .unwrap_or_default(),
-        None => format!("{} on {}", job.request["scored"], job.request["dataset"]).replace('"', ""),
-    };
-    let state = job.state.to_string();
-    let more = job.error.clone().or_else(|| {
-        let progress = job.progress.as_ref()?;
-        Some(format!("{} {} of {}", progress.phase, progress.done, progress.total))
-    });
-    say(format_args!("{} {state:<8} {name} {}", job.id, more.unwrap_or_default()));
 }

@@ -11,8 +11,9 @@ use super::write_all;
 use crate::api::{FrameAnswer, InferOptions, InferRequest, JobOut, ModelOut};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
+use crate::cli::job::wait_for;
 use crate::cli::output::{note, say, say_json};
-use crate::cli::train::{Changes, follow, recipe_text};
+use crate::cli::train::{Changes, recipe_text};
 use crate::cli::{At, embed};
 use crate::digest::sha256_hex;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
@@ -160,7 +161,7 @@ impl Lab for ServiceLab {
         }
         let asked: JobOut =
             self.client.post("/api/v1/trainings", &json!({ "recipe": recipe })).await?;
-        let done = follow(&self.client, asked).await?;
+        let done = wait_for(&self.client, asked).await?;
         let id = done.result.as_ref().and_then(|r| r["model"].as_str()).unwrap_or_default();
         let model: ModelOut = self.client.get(&format!("/api/v1/models/{id}")).await?;
         Ok(model.id)
@@ -169,7 +170,7 @@ impl Lab for ServiceLab {
     async fn score(&self, request: &EvaluationRequest) -> Result<EvaluationReport, CliError> {
         let asked: JobOut = self.client.post("/api/v1/evaluations", request).await?;
         let id = asked.id;
-        let done = follow(&self.client, asked).await?;
+        let done = wait_for(&self.client, asked).await?;
         let report = serde_json::from_value(done.result.unwrap_or_default());
         report.map_err(|error| CliError::Refused {
             operation: id.to_string(),

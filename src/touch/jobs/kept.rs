@@ -1,4 +1,4 @@
-//! The checkpoint of the training that was killed last: the same request again resumes from it.
+//! The checkpoint of the training that was stopped or killed last: the same request again resumes from it.
 //! Uses: the folders of jobs. Never: a checkpoint of another order, or of a job that may still run.
 
 use std::fs;
@@ -10,19 +10,23 @@ use crate::learn::order::{CHECKPOINT, LOSSES, ORDER};
 use crate::new_file;
 use crate::store::TaskState;
 
-/// Name of the file that marks the folder of a killed training.
+/// Name of the file that marks the folder of a stopped or killed training.
 const KILLED: &str = "killed";
 
-/// Keeps the checkpoint of a killed training beyond the end of its job, instead of an earlier one:
-/// checkpoints are large.
-pub fn keep(folder: &Path) {
+/// Keeps the checkpoint of a stopped or killed training beyond the end of its job, instead of an earlier
+/// one: checkpoints are large. False if it has none.
+pub fn keep(folder: &Path) -> bool {
+    if !folder.join(CHECKPOINT).exists() {
+        return false;
+    }
     for other in marked(folder.parent().unwrap_or(folder)) {
         fs::remove_file(other.join(CHECKPOINT)).ok();
         fs::remove_file(other.join(KILLED)).ok();
     }
     if let Err(error) = new_file::write(folder, KILLED, "") {
-        tracing::warn!(%error, "the checkpoint of a killed training is not kept");
+        tracing::warn!(%error, "the checkpoint of a training is not kept");
     }
+    is_kept(folder)
 }
 
 /// Whether the checkpoint in a folder is to be kept.
@@ -35,7 +39,7 @@ pub fn unmark(folder: &Path) {
     fs::remove_file(folder.join(KILLED)).ok();
 }
 
-/// Moves the checkpoint of a failed job with an equal order into a job's folder.
+/// Moves the checkpoint of an ended job with an equal order into a job's folder.
 pub async fn adopt(jobs: &Jobs, folder: &Path, order: &str) {
     for other in marked(&jobs.inner.data.join("jobs")) {
         if fs::read_to_string(other.join(ORDER)).ok().as_deref() != Some(order) {
@@ -44,8 +48,9 @@ pub async fn adopt(jobs: &Jobs, folder: &Path, order: &str) {
         let name = other.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let Ok(id) = name.parse() else { continue };
         let job = jobs.inner.store.task(id).await.ok().flatten();
-        if job.is_some_and(|job| job.state == TaskState::Failed) && take(&other, folder).is_ok() {
-            tracing::info!(from = name, "the training resumes from a killed one's checkpoint");
+        let ended = [TaskState::Failed, TaskState::Stopped];
+        if job.is_some_and(|job| ended.contains(&job.state)) && take(&other, folder).is_ok() {
+            tracing::info!(from = name, "the training resumes from an earlier one's checkpoint");
         }
     }
 }

@@ -134,6 +134,7 @@ impl Jobs {
                 TaskEnd::Failed(_) if kept::is_kept(&folder) => None,
                 // The losses of a failed training remain for diagnosis.
                 TaskEnd::Failed(_) => std::fs::remove_file(folder.join(CHECKPOINT)).ok(),
+                TaskEnd::Stopped if kept::keep(&folder) => None,
                 TaskEnd::Done(_) | TaskEnd::Stopped => std::fs::remove_dir_all(folder).ok(),
             };
         };
@@ -146,7 +147,8 @@ impl Jobs {
         for folder in folders.flatten() {
             let Ok(id) = folder.file_name().to_string_lossy().parse() else { continue };
             let job = self.inner.store.task(id).await.ok().flatten();
-            if job.is_some_and(|job| matches!(job.state, TaskState::Done | TaskState::Stopped)) {
+            let over = |job: TaskRow| matches!(job.state, TaskState::Done | TaskState::Stopped);
+            if job.is_some_and(over) && !kept::is_kept(&folder.path()) {
                 std::fs::remove_dir_all(folder.path()).ok();
             }
         }

@@ -10,8 +10,8 @@ use super::lines::{Lines, push_last};
 use super::program::{Build, NAME};
 use crate::jobs::Watch;
 
-/// Phase of a job while the trainer is built; measured on two cores.
-const PHASE: &str = "building the trainer: once, about 5 minutes";
+/// Phase of a job while the trainer is built.
+const PHASE: &str = "building the trainer: once, some minutes";
 /// Interval at which a stop is noticed.
 const LOOK: std::time::Duration = std::time::Duration::from_millis(100);
 

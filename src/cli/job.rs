@@ -1,0 +1,203 @@
+//! `palpate job`: waiting, running and ended trainings and evaluations; and the progress of one on the terminal.
+//! Uses: `client`. Never: nets (a process of the service trains).
+
+use std::time::Duration;
+
+use clap::{Args, Subcommand};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::Value;
+
+use super::client::Client;
+use super::error::CliError;
+use super::output::{duration, note, say, say_json};
+use super::progress::LogLines;
+use super::{At, embed};
+use crate::api::JobOut;
+use crate::jobs::Progress;
+use crate::store::TaskState;
+
+/// Interval of polling a job's progress.
+pub const LOOK: Duration = Duration::from_millis(250);
+
+/// Waits for the end of a job and shows its progress.
+///
+/// # Errors
+/// `CliError::Refused` if the job failed or was stopped; other variants if a request fails.
+pub async fn wait_for(client: &Client, asked: JobOut) -> Result<JobOut, CliError> {
+    let mut screen = JobScreen::new();
+    let mut now = asked;
+    while !screen.has_ended(&now)? {
+        tokio::time::sleep(LOOK).await;
+        now = client.get(&format!("/api/v1/jobs/{}", now.id)).await?;
+    }
+    Ok(now)
+}
+
+/// Progress of a job, on standard error.
+pub struct JobScreen {
+    /// The bar; hidden without a terminal.
+    pub bar: ProgressBar,
+    lines: LogLines,
+}
+
+impl JobScreen {
+    /// A screen without a job.
+    pub fn new() -> Self {
+        let bar = job_bar();
+        let lines = LogLines::instead_of(&bar);
+        Self { bar, lines }
+    }
+
+    /// Prints a line above the bar.
+    pub fn note(&self, text: &str) {
+        self.bar.suspend(|| note(text));
+    }
+
+    /// Shows the job as it is now; true if it is done.
+    ///
+    /// # Errors
+    /// `CliError::Refused` if it failed or was stopped.
+    pub fn has_ended(&mut self, now: &JobOut) -> Result<bool, CliError> {
+        if let Some(progress) = &now.progress {
+            self.bar.set_length(progress.total);
+            self.bar.set_position(progress.done);
+            self.bar.set_message(words(progress));
+            self.lines.say(|| match progress.total {
+                0 => words(progress),
+                total => format!("{} of {total}, {}", progress.done, words(progress)),
+            });
+        }
+        if now.state == TaskState::Waiting {
+            self.bar.set_message("waits in the queue");
+            self.lines.say(|| format!("{} waits in the queue", now.id));
+        }
+        match now.state {
+            TaskState::Waiting | TaskState::Running => Ok(false),
+            TaskState::Done => {
+                self.bar.finish_and_clear();
+                Ok(true)
+            }
+            TaskState::Failed | TaskState::Stopped => {
+                self.bar.finish_and_clear();
+                let operation = now.id.to_string();
+                let stopped = "it was stopped; the same command resumes it from its checkpoint";
+                let detail = now.error.clone().unwrap_or_else(|| stopped.into());
+                Err(CliError::Refused { operation, status: 409, detail })
+            }
+        }
+    }
+}
+
+fn job_bar() -> ProgressBar {
+    use std::io::IsTerminal;
+    if !std::io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("{bar:30} {msg}");
+    ProgressBar::new(0).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+}
+
+fn words(progress: &Progress) -> String {
+    let mut words = progress.phase.clone();
+    if let Some(epoch) = progress.epoch {
+        words += &format!(", epoch {epoch}");
+    }
+    if let Some(loss) = progress.train_loss {
+        words += &format!(", loss {loss:.3e}");
+    }
+    if let Some(loss) = progress.validation_loss {
+        words += &format!(", validation {loss:.3e}");
+    }
+    if let Some(rate) = progress.per_second {
+        words += &format!(", {rate:.0}/s");
+    }
+    if let Some(left_s) = progress.left_s {
+        words += &format!(", {} to go", duration(left_s));
+    }
+    words
+}
+
+/// Options of `job`.
+#[derive(Debug, Args)]
+pub struct JobArgs {
+    #[command(subcommand)]
+    what: JobWhat,
+}
+
+#[derive(Debug, Subcommand)]
+enum JobWhat {
+    /// Show trainings and evaluations, the last first.
+    List(At),
+    /// Show one job and its result.
+    Show(OneJob),
+    /// Stop a waiting or running job.
+    Stop(OneJob),
+    /// Print the losses of a running training, one JSON object per epoch.
+    Losses(OneJob),
+}
+
+#[derive(Debug, Args)]
+struct OneJob {
+    /// Id of the job.
+    job: String,
+    #[command(flatten)]
+    at: At,
+}
+
+/// Runs `palpate job`.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached or refuses.
+pub async fn job(args: JobArgs) -> Result<(), CliError> {
+    let at = match &args.what {
+        JobWhat::List(at) => at.clone(),
+        JobWhat::Show(one) | JobWhat::Stop(one) | JobWhat::Losses(one) => one.at.clone(),
+    };
+    embed::with_server(&at, move |client| async move {
+        match args.what {
+            JobWhat::List(at) => {
+                let jobs: Vec<JobOut> = client.all("/api/v1/jobs?").await?;
+                jobs.iter().for_each(|job| shown(job, at.json));
+            }
+            JobWhat::Show(one) => {
+                let job: JobOut = client.get(&format!("/api/v1/jobs/{}", one.job)).await?;
+                say_json(&job);
+            }
+            JobWhat::Stop(one) => {
+                let path = format!("/api/v1/jobs/{}/stop", one.job);
+                let job: JobOut = client.post(&path, &Value::Null).await?;
+                shown(&job, one.at.json);
+            }
+            JobWhat::Losses(one) => {
+                let path = format!("/api/v1/jobs/{}/losses", one.job);
+                let answer = client.send(reqwest::Method::GET, &path, None::<&Value>).await?;
+                let operation = format!("GET {path}");
+                let text = answer.text().await;
+                let text = text.map_err(|source| CliError::Http { operation, source })?;
+                say(text.trim_end());
+            }
+        }
+        Ok(())
+    })
+    .await
+}
+
+/// Prints one line on a job, or its JSON.
+pub fn shown(job: &JobOut, as_json: bool) {
+    if as_json {
+        return say_json(job);
+    }
+    let name = match job.request["recipe"].as_str() {
+        Some(recipe) => toml::from_str::<toml::Table>(recipe)
+            .ok()
+            .and_then(|recipe| recipe.get("name")?.as_str().map(str::to_owned))
+            .unwrap_or_default(),
+        None => format!("{} on {}", job.request["scored"], job.request["dataset"]).replace('"', ""),
+    };
+    let state = job.state.to_string();
+    let more = job.error.clone().or_else(|| {
+        let progress = job.progress.as_ref()?;
+        Some(format!("{} {} of {}", progress.phase, progress.done, progress.total))
+    });
+    say(format_args!("{} {state:<8} {name} {}", job.id, more.unwrap_or_default()));
+}
