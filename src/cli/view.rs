@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::care::CareView;
 use crate::campaign::bench::estop::AxisStop;
-use crate::campaign::bench::interlock::Trip;
+use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::shown::safe_end::SafeEnd;
@@ -85,7 +85,12 @@ impl RigView {
 
     /// Cause of the trip, as text.
     pub fn trip_words(&self) -> String {
-        self.trip.as_ref().map_or_else(|| "for no stated reason".into(), |t| t.detail.clone())
+        let words = |trip: &Trip| match (trip.kind, trip.detail.as_str()) {
+            (TripKind::Estop, "") => "e-stop".into(),
+            (TripKind::Estop, why) => format!("e-stop: {why}"),
+            (_, detail) => detail.to_owned(),
+        };
+        self.trip.as_ref().map_or_else(|| "for no stated reason".into(), words)
     }
 }
 

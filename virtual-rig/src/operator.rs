@@ -2,7 +2,7 @@
 //! weights) and confirms it over the public API of the service.
 //! Uses: reqwest, the control socket of the rig. Never: internals of the service, wires of the rig.
 
-use std::io;
+use std::io::{self, Write};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -261,6 +261,8 @@ impl Operator {
             }
             outcome => outcome?,
         }
+        // Nobody may read it.
+        let _ = writeln!(io::stderr(), "{why}, confirmed");
         self.refused = None;
         self.confirmed = Some((run.uid, wish, Instant::now()));
         Ok(())

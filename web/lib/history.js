@@ -19,8 +19,8 @@ export function predictionWords({ predicted_s, elapsed_s, predictions = [], from
   const planned = ms(from) + 1e3 * predicted_s, end = endedAt ?? (eta_s == null ? null : Date.now() + 1e3 * eta_s)
   const words = [`Predicted when it was armed: ${span(predicted_s)}, until ${moment(planned)}.`]
   if (end != null) {
-    const late = (end - planned) / 60e3, verb = endedAt ? 'It ended' : 'It now ends about'
-    words.push(Math.abs(late) < 1 ? `${verb} as predicted.` : `${verb} ${span(60 * Math.abs(late))} ${late > 0 ? 'later' : 'earlier'}.`)
+    const late = (end - planned) / 60e3, verb = endedAt ? 'It ended' : 'It now ends about', near = Math.min(1, predicted_s / 600)
+    words.push(Math.abs(late) < near ? `${verb} as predicted.` : `${verb} ${span(60 * Math.abs(late))} ${late > 0 ? 'later' : 'earlier'}.`)
   } else if (elapsed_s != null) words.push(`Elapsed: ${span(elapsed_s)}.`)
   if (predictions.length > 2) {
     const ends = predictions.map(p => ms(p.end))

@@ -40,12 +40,19 @@ export async function show(root, { query, signal, set }) {
       el('p', { className: 'soft small' }, `Click adds a contact (at most ${MOST}), drag moves it.`)),
       panel('Answer', {}, numbers, told)),
     el('div', { className: 'column' },
-      panel('Contacts', {}, list.node, el('div', { className: 'row' }, button('Add a contact', () => add(centre())),
+      panel('Contacts', {}, list.node, el('div', { className: 'row' }, button('Add a contact', () => add(apart())),
         button('Remove all', () => put([]), { className: 'plain' })),
         trialForm, trialWords),
       pane(voltages.node, picker))), scatterPane, below.node, twins(signal))
 
   const centre = () => { const { width_mm: w = 540, height_mm: h = 560 } = drawn.shape ?? {}; return [w / 2, h / 2] }
+  // A place 60 mm from every contact, as near the centre as there is one on a grid of 30 mm.
+  const apart = () => {
+    const { width_mm: w = 540, height_mm: h = 560 } = drawn.shape ?? {}, [x, y] = centre(), far = ([a, b], [c, d]) => Math.hypot(a - c, b - d)
+    const grid = Array.from({ length: 15 * 15 }, (_, i) => [x + 30 * (i % 15 - 7), y + 30 * (Math.floor(i / 15) - 7)])
+      .filter(([a, b]) => a > 20 && b > 20 && a < w - 20 && b < h - 20).sort((a, b) => far(a, [x, y]) - far(b, [x, y]))
+    return grid.find(p => state.contacts.every(c => far(p, [c.x_mm, c.y_mm]) >= 59)) ?? [x, y]
+  }
   const viewWords = () => [...VIEWS, ...TRIAL_VIEWS].find(([name]) => name === state.view)?.[1].toLowerCase() ?? ''
 
   // Contacts: changed by mouse, list or address; asked for after a rest.
