@@ -18,6 +18,7 @@ use tokio_tungstenite::tungstenite::{self, Message};
 use tokio_tungstenite::{Connector, connect_async_tls_with_config};
 
 use super::error::CliError;
+use super::progress::shown_wait;
 use super::repeat;
 use super::trust::{self, Certificates};
 use super::view::{ArmedView, EventView, StatusView, TakenUpView};
@@ -28,6 +29,8 @@ use crate::store::RunRow;
 
 /// Longest wait for an answer; connecting a rig takes longest.
 const ANSWER: Duration = Duration::from_secs(60);
+/// Longest time that a stream of events is open: longer than any run.
+const STREAM: Duration = Duration::from_secs(400 * 86_400);
 /// Longest wait when probing for a server.
 const LOOK: Duration = Duration::from_secs(2);
 
@@ -297,6 +300,20 @@ impl Client {
         self.carry_out(operation, request.header(reqwest::header::RANGE, range)).await
     }
 
+    /// Opens a stream of server-sent events, after the event with this id if it continues one. It has no
+    /// deadline once it is open.
+    ///
+    /// # Errors
+    /// As [`Self::send`].
+    pub async fn stream(&self, path: &str, last_id: Option<&str>) -> Result<Response, CliError> {
+        let request = self.http.get(format!("{}{path}", self.url));
+        let mut request = request.header(reqwest::header::ACCEPT, "text/event-stream");
+        if let Some(id) = last_id {
+            request = request.header("last-event-id", id);
+        }
+        self.patient(STREAM).carry_out(format!("GET {path}"), request).await
+    }
+
     /// Uploads a file with texts.
     ///
     /// # Errors
@@ -396,7 +413,12 @@ impl Client {
         request: RequestBuilder,
     ) -> Result<Response, CliError> {
         let request = self.with_key(request).timeout(self.answer_within);
-        let answer = repeat::send(request, &operation, self.answer_within).await;
+        let sent = repeat::send(request, &operation, self.answer_within);
+        // Only requests that may take long have a long deadline.
+        let answer = match self.answer_within > ANSWER {
+            true => shown_wait("waiting for the service", sent).await,
+            false => sent.await,
+        };
         let answer = answer.map_err(|source| {
             if let Some(untrusted) = self.untrusted(&source) {
                 untrusted

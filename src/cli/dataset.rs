@@ -17,6 +17,8 @@ use super::error::CliError;
 use super::files::read_input;
 use super::output::{bytes, counted, say, say_json};
 use super::progress::progress_bar;
+use super::start_time::local;
+use super::table::{Align, Table};
 use super::{At, embed};
 use crate::dataset::export::ExportRequest;
 use crate::dataset::format::Format;
@@ -178,19 +180,25 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
         say_json(&json!({ "items": made, "definitions": found["definitions"] }));
         return Ok(());
     }
+    let heads = [
+        ("dataset", Align::Left),
+        ("name", Align::Left),
+        ("rows", Align::Right),
+        ("size", Align::Right),
+        ("made", Align::Left),
+    ];
+    let mut table = Table::new(&heads, "there are no datasets");
     for row in &made {
-        say(format_args!(
-            "{:<20} {:<16} {:>8} rows {:>10}  {}",
-            text(&row["id"]),
-            text(&row["name"]),
-            row["rows"],
+        let made_at = text(&row["created_at"]);
+        table.push([
+            text(&row["id"]).to_owned(),
+            text(&row["name"]).to_owned(),
+            row["rows"].to_string(),
             bytes(row["bytes"].as_f64().unwrap_or_default()),
-            text(&row["created_at"]),
-        ));
+            made_at.parse().map_or_else(|_| made_at.to_owned(), local),
+        ]);
     }
-    if made.is_empty() {
-        say("there are no datasets");
-    }
+    say(&table);
     let names: Vec<&str> =
         found["definitions"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
     say(format_args!("palpate dataset make NAME, of: {}, run-N", names.join(", ")));
@@ -242,14 +250,14 @@ fn describe(row: &Value, url: &str) {
         say(format_args!("  trials were stored since: palpate dataset make {name}"));
     }
     let report = &row["report"];
-    table("part", &report["parts"]);
-    table("contacts", &report["contact_counts"]);
-    table("excluded", &report["left_out"]);
+    part_lines("part", &report["parts"]);
+    part_lines("contacts", &report["contact_counts"]);
+    part_lines("excluded", &report["left_out"]);
     say("  pandas.read_parquet(..), polars.scan_parquet(..) or DuckDB's read_parquet(..) of");
     say(format_args!("  {url}{}", text(&row["url"])));
 }
 
-fn table(heading: &str, counts: &Value) {
+fn part_lines(heading: &str, counts: &Value) {
     for (what, rows) in counts.as_object().into_iter().flatten() {
         say(format_args!("  {heading:<9} {what:<44} {rows:>8}"));
     }

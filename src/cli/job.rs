@@ -11,6 +11,8 @@ use super::client::Client;
 use super::error::CliError;
 use super::output::{duration, note, say, say_json};
 use super::progress::LogLines;
+use super::start_time::local;
+use super::table::{Align, Table};
 use super::{At, embed};
 use crate::api::JobOut;
 use crate::jobs::Progress;
@@ -157,7 +159,10 @@ pub async fn job(args: JobArgs) -> Result<(), CliError> {
         match args.what {
             JobWhat::List(at) => {
                 let jobs: Vec<JobOut> = client.all("/api/v1/jobs?").await?;
-                jobs.iter().for_each(|job| shown(job, at.json));
+                match at.json {
+                    true => jobs.iter().for_each(say_json),
+                    false => say(table(&jobs)),
+                }
             }
             JobWhat::Show(one) => {
                 let job: JobOut = client.get(&format!("/api/v1/jobs/{}", one.job)).await?;
@@ -182,11 +187,20 @@ pub async fn job(args: JobArgs) -> Result<(), CliError> {
     .await
 }
 
-/// Prints one line on a job, or its JSON.
-pub fn shown(job: &JobOut, as_json: bool) {
-    if as_json {
-        return say_json(job);
-    }
+fn table(jobs: &[JobOut]) -> Table {
+    let heads = [
+        ("job", Align::Left),
+        ("state", Align::Left),
+        ("requested", Align::Left),
+        ("what", Align::Left),
+        ("", Align::Left),
+    ];
+    let mut table = Table::new(&heads, "there are no jobs: palpate train RECIPE");
+    jobs.iter().for_each(|job| table.push(cells(job)));
+    table
+}
+
+fn cells(job: &JobOut) -> [String; 5] {
     let name = match job.request["recipe"].as_str() {
         Some(recipe) => toml::from_str::<toml::Table>(recipe)
             .ok()
@@ -194,10 +208,19 @@ pub fn shown(job: &JobOut, as_json: bool) {
             .unwrap_or_default(),
         None => format!("{} on {}", job.request["scored"], job.request["dataset"]).replace('"', ""),
     };
-    let state = job.state.to_string();
     let more = job.error.clone().or_else(|| {
         let progress = job.progress.as_ref()?;
         Some(format!("{} {} of {}", progress.phase, progress.done, progress.total))
     });
-    say(format_args!("{} {state:<8} {name} {}", job.id, more.unwrap_or_default()));
+    let requested = local(job.created_at);
+    [job.id.to_string(), job.state.to_string(), requested, name, more.unwrap_or_default()]
+}
+
+/// Prints one line on a job, or its JSON.
+pub fn shown(job: &JobOut, as_json: bool) {
+    if as_json {
+        return say_json(job);
+    }
+    let cells = cells(job).into_iter().filter(|cell| !cell.is_empty());
+    say(cells.collect::<Vec<_>>().join("  "));
 }

@@ -38,6 +38,7 @@ mod key;
 mod leave;
 pub mod log;
 mod model;
+mod morning;
 mod output;
 mod own_server;
 mod placement;
@@ -54,6 +55,7 @@ mod serve;
 mod simulate;
 mod start_time;
 mod summary;
+mod table;
 mod train;
 pub mod trust;
 mod twins;
@@ -191,6 +193,24 @@ pub enum Command {
     Placement(At),
     /// Print the overlay of a sensor.
     Sensor(sensor::SensorArgs),
+    /// List the runs, newest first.
+    #[command(after_help = morning::RUNS_EXAMPLES)]
+    Runs(morning::RunsArgs),
+    /// List stored trials, newest first.
+    #[command(after_help = morning::TRIALS_EXAMPLES)]
+    Trials(morning::TrialsArgs),
+    /// List what happened, or follow it.
+    #[command(after_help = morning::EVENTS_EXAMPLES)]
+    Events(morning::EventsArgs),
+    /// Draw a run or a trial: facts, map, forces, frame.
+    #[command(after_help = morning::SHOW_EXAMPLES)]
+    Show(morning::ShowArgs),
+    /// Write the report of a run as HTML and PDF.
+    #[command(after_help = morning::REPORT_EXAMPLES)]
+    Report(morning::ReportArgs),
+    /// Compare two runs: files, counts, forces, frames.
+    #[command(after_help = morning::DIFF_EXAMPLES)]
+    Diff(morning::DiffArgs),
     /// Emergency stop: every axis stops at once, until a reset.
     #[command(after_help = STOPS)]
     Estop(ask::ActArgs),
@@ -265,6 +285,12 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
         Command::Repeat(args) => placement::repeat(&args).await?,
         Command::Placement(at) => placement::placement(&at).await?,
         Command::Sensor(args) => sensor::sensor(&args)?,
+        Command::Runs(args) => morning::runs(args).await?,
+        Command::Trials(args) => morning::trials(args).await?,
+        Command::Events(args) => morning::events(args).await?,
+        Command::Show(args) => morning::show(args).await?,
+        Command::Report(args) => morning::report(args).await?,
+        Command::Diff(args) => morning::diff(args).await?,
         Command::Estop(args) => ask::estop(&args).await?,
         Command::Lock(args) => access::lock(args).await?,
         Command::Key(args) => access::key(args).await?,

@@ -11,6 +11,7 @@ use super::client::{Client, TextPart};
 use super::error::CliError;
 use super::files::{DEFAULT_SENSOR, read_input, write, write_bytes};
 use super::output::{say, say_json};
+use super::table::{Align, Table};
 use super::{At, embed};
 use crate::api::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
 use crate::evaluate::request::EvaluationReport;
@@ -150,12 +151,10 @@ async fn answer(client: Client, what: What) -> Result<(), CliError> {
     match what {
         What::List(at) => {
             let models: Vec<ModelOut> = client.all("/api/v1/models?").await?;
-            for model in models {
-                if at.json {
-                    say_json(&model);
-                } else {
-                    say(line(&model));
-                }
+            if at.json {
+                models.iter().for_each(say_json);
+            } else {
+                say(table(&models));
             }
         }
         What::Show(one) => {
@@ -240,28 +239,49 @@ fn tell(serves: &ServesOut, as_json: bool) {
     ));
 }
 
+/// Models with their last scores.
+fn table(models: &[ModelOut]) -> Table {
+    let heads = [
+        ("model", Align::Left),
+        ("name", Align::Left),
+        ("task", Align::Left),
+        ("label", Align::Left),
+        ("", Align::Left),
+        ("last score", Align::Left),
+    ];
+    let mut table = Table::new(&heads, "there are no models: palpate train RECIPE");
+    models.iter().for_each(|model| table.push(cells(model)));
+    table
+}
+
+fn cells(model: &ModelOut) -> [String; 6] {
+    let label = model.manifest["label"].as_str().unwrap_or_default();
+    let last = model.scores.first().cloned().and_then(|report| serde_json::from_value(report).ok());
+    [
+        model.id.to_string(),
+        model.name.clone(),
+        model.task.clone(),
+        label.into(),
+        if model.serves { "serves" } else { "" }.into(),
+        last.map_or_else(String::new, |report| score(&report)),
+    ]
+}
+
 /// A model and its last score, on one line.
 fn line(model: &ModelOut) -> String {
-    let label = model.manifest["label"].as_str().unwrap_or_default();
-    let serves = if model.serves { "serves" } else { "" };
-    let mut line =
-        format!("{} {:<28} {:<11} {label:<9} {serves:<6}", model.id, model.name, model.task);
-    let last = model.scores.first().cloned().and_then(|report| serde_json::from_value(report).ok());
-    if let Some(report) = last {
-        line += &score(&report);
-    }
-    line.trim_end().to_owned()
+    let cells = cells(model).into_iter().filter(|cell| !cell.is_empty());
+    cells.collect::<Vec<_>>().join("  ")
 }
 
 fn score(report: &EvaluationReport) -> String {
     if let Some(voltages) = &report.voltages {
-        return format!(" FVU {:.1} % of {} rows", 100.0 * voltages.all.fvu, report.rows);
+        return format!("FVU {:.1} % of {} rows", 100.0 * voltages.all.fvu, report.rows);
     }
     let Some(contacts) = &report.contacts else { return String::new() };
     let mean = |mean: &Option<crate::evaluate::score::Mean>| mean.as_ref().map(|mean| mean.mean);
     let shown = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.1}"));
     format!(
-        " number {} %, location {} mm, force {} % of {} rows",
+        "number {} %, location {} mm, force {} % of {} rows",
         shown(mean(&contacts.all.number_percent)),
         shown(mean(&contacts.all.location_mm)),
         shown(mean(&contacts.all.force_percent)),

@@ -3,7 +3,7 @@
 //! Uses: `plain`. Never: HTTP, decisions. A closed standard output is not an error.
 
 use std::fmt::Display;
-use std::io::{self, Write};
+use std::io::{self, IsTerminal, Write};
 
 use serde::Serialize;
 
@@ -23,6 +23,27 @@ pub fn note(text: impl Display) {
 pub fn ask(question: impl Display) {
     let mut out = io::stderr().lock();
     let _ = write!(out, "{}", shown(question)).and_then(|()| out.flush());
+}
+
+/// Prints what this program drew, with its colours, on standard output. Never foreign text: its control
+/// characters reach the terminal.
+pub fn say_drawn(picture: &str) {
+    let _ = writeln!(io::stdout().lock(), "{picture}");
+}
+
+/// Width of the terminal behind standard output, characters; `None` if it is not a terminal.
+pub fn terminal_width() -> Option<usize> {
+    if !io::stdout().is_terminal() {
+        return None;
+    }
+    let (columns, _) = ratatui::crossterm::terminal::size().ok()?;
+    (columns > 0).then_some(columns.into())
+}
+
+/// Whether standard output shows colours: it is a terminal, and `NO_COLOR` is not set.
+pub fn is_coloured() -> bool {
+    let no_color = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    !no_color && io::stdout().is_terminal()
 }
 
 /// Returns a text as it may reach the terminal: control characters are escaped, except ends of lines and

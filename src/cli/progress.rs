@@ -21,6 +21,47 @@ pub fn progress_bar(unit: &str) -> ProgressBar {
     ProgressBar::new(0).with_style(style)
 }
 
+/// Time after which a wait is shown.
+const QUIET: Duration = Duration::from_millis(1500);
+
+/// Waits for `work`; what takes longer than a moment is named on standard error, on a terminal with the time
+/// since it began.
+pub async fn shown_wait<T>(words: &str, work: impl Future<Output = T>) -> T {
+    let mut work = std::pin::pin!(work);
+    tokio::select! {
+        done = &mut work => return done,
+        () = tokio::time::sleep(QUIET) => {}
+    }
+    let shown = Working::on(words);
+    let done = work.await;
+    drop(shown);
+    done
+}
+
+/// A sign of life while something works; it disappears when it is dropped.
+pub struct Working(ProgressBar);
+
+impl Working {
+    /// Names the work: a line without a terminal.
+    pub fn on(words: &str) -> Self {
+        if !std::io::stderr().is_terminal() {
+            note(format_args!("{words} .."));
+            return Self(ProgressBar::hidden());
+        }
+        let style = ProgressStyle::with_template("{spinner} {msg}, {elapsed}");
+        let style = style.unwrap_or_else(|_| ProgressStyle::default_spinner());
+        let spinner = ProgressBar::new_spinner().with_style(style).with_message(words.to_owned());
+        spinner.enable_steady_tick(Duration::from_millis(100));
+        Self(spinner)
+    }
+}
+
+impl Drop for Working {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
+    }
+}
+
 /// Shortest interval between two lines of a log.
 const LINES_APART: Duration = Duration::from_secs(30);
 

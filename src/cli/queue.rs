@@ -13,6 +13,7 @@ use super::files::ExperimentFiles;
 use super::output::{say, say_json};
 use super::run::submission;
 use super::start_time::{StartTime, local};
+use super::table::{Align, Table, or_dash};
 use super::{At, embed};
 use crate::api::Page;
 use crate::store::RunRow;
@@ -119,17 +120,25 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
         say_json(&queue);
         return Ok(());
     }
-    if queue.items.is_empty() {
-        say("the queue is empty");
-    }
+    let heads = [
+        ("place", Align::Right),
+        ("run", Align::Right),
+        ("experiment", Align::Left),
+        ("trials", Align::Right),
+        ("submitted by", Align::Left),
+        ("starts from", Align::Left),
+    ];
+    let mut table = Table::new(&heads, "the queue is empty");
     for run in queue.items {
-        let place = run.queue_position.map_or("-".into(), |p| p.to_string());
-        let (id, name, trials) = (run.scan_id, &run.experiment, run.trials_planned);
-        let start = run.not_before.map_or_else(String::new, |at| format!("  from {}", local(at)));
-        say(format_args!(
-            "{place:>3}  run {id:<6} {name:<20} {trials:>7} trials  {}{start}",
-            run.submitted_by
-        ));
+        table.push([
+            or_dash(run.queue_position),
+            run.scan_id.to_string(),
+            run.experiment,
+            run.trials_planned.to_string(),
+            run.submitted_by,
+            run.not_before.map_or_else(String::new, local),
+        ]);
     }
+    say(&table);
     Ok(())
 }

@@ -173,12 +173,7 @@ impl Closing {
             return Ok(());
         }
         let kind = self.summary.run.kind;
-        let (name, paper) = match kind {
-            RunKind::RealHex => ("Real-Hex", scaled(&REAL_HEX, REAL_HEX_PRESSED, stored)),
-            RunKind::RealRandom => ("Real-Random", scaled(&REAL_RANDOM, 150, stored)),
-            // Table I has no trials of this kind.
-            RunKind::Imported => return Ok(()),
-        };
+        let Some((name, paper)) = table_one(kind, stored) else { return Ok(()) };
         let column = format!("run {} ({})", self.finished.scan_id, self.label());
         writeln!(f, "\n  contacts {column:>18} {:>26}", format!("{name}, Table I, scaled"))?;
         for (contacts, (here, paper)) in self.finished.contact_counts.iter().zip(paper).enumerate()
@@ -216,6 +211,16 @@ impl Closing {
             None => format!("--data {}", self.data),
         };
         writeln!(f, "  palpate evaluate simulation --run {run} {place} --out fit")
+    }
+}
+
+/// The name and the counts of Table I for runs of a kind, trials with 0, 1, .. 6 contacts, scaled to as
+/// many trials; `None` if it has no trials of this kind.
+pub fn table_one(kind: RunKind, stored: u64) -> Option<(&'static str, [f64; 7])> {
+    match kind {
+        RunKind::RealHex => Some(("Real-Hex", scaled(&REAL_HEX, REAL_HEX_PRESSED, stored))),
+        RunKind::RealRandom => Some(("Real-Random", scaled(&REAL_RANDOM, 150, stored))),
+        RunKind::Imported => None,
     }
 }
 

@@ -17,6 +17,7 @@ mod experiments;
 mod golden_plans;
 mod independent;
 mod independent_fit;
+mod morning;
 mod network;
 mod onnx;
 mod night;

@@ -135,7 +135,7 @@ async fn every_record_of_an_earlier_version_has_the_value_that_was_recorded() {
         found.push(trial(&store, &row).await);
     }
     assert_holds(&json!(found), &recorded["trials"], "trials");
-    let events = store.events_since(0, 1000, None).await.unwrap();
+    let events = store.events_since(0, 1000, None, &[]).await.unwrap();
     assert_holds(&json!(events), &recorded["events"], "events");
     let (queue, next) = (store.queue().await.unwrap(), &recorded["runs"][NEXT]);
     assert_holds(&json!(queue), &json!([next]), "queue");

@@ -16,8 +16,9 @@ use super::data_or_default;
 use super::error::CliError;
 use super::files::{read_calibration, read_input, read_sensor, write};
 use super::output::{counted, say, say_json};
+use super::progress::Working;
 use crate::calibrate::{CalibrateError, foam, frames, piezo, plot};
-use crate::simulate::model::load_or_build;
+use crate::cli::simulate::solved;
 
 /// Options of `calibrate`.
 #[derive(Debug, Clone, Args)]
@@ -106,7 +107,9 @@ fn of_table(law: Law, common: &Common) -> Result<ExitCode, CliError> {
             (Calibration { piezo: Some(fit.calibration), ..alone }, picture)
         }
         Law::Foam => {
+            let shown = Working::on("fitting the moduli (each trial solution takes seconds)");
             let fit = foam::calibrate(&file, &text, &sensor)?;
+            drop(shown);
             let picture = common.plot.as_ref().map(|_| plot::foam(&fit)).transpose()?;
             (Calibration { foam: Some(fit.calibration), ..alone }, picture)
         }
@@ -136,7 +139,7 @@ fn judge_voltages(
     let file = path.display().to_string();
     let frames = frames::read(&file, &read_input(path)?, sensor.channels())?;
     let cache = data_or_default(common.data.clone()).join("cache");
-    let model = load_or_build(&calibration.apply(sensor)?, &cache)?;
+    let model = solved(&calibration.apply(sensor)?, &cache)?;
     calibration.voltage = Some(frames::voltage_accuracy(&file, &frames, &model)?);
     Ok(frames.left_out)
 }

@@ -1,11 +1,18 @@
 //! `palpate simulate`: frames from contacts, without a rig.
 //! Uses: `simulate`. Never: the network.
 
+use std::io::IsTerminal;
+use std::path::Path;
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand};
 
+use sim_core::calibrated::CalibratedSensor;
+use sim_core::forward::ForwardModel;
+
 use super::error::CliError;
+use super::progress::Working;
+use crate::simulate::model::{ModelUnavailable, load_or_build};
 
 mod random;
 mod trials;
@@ -28,6 +35,20 @@ pub enum SimulateCommand {
     /// The same seed and options give the same bytes, with any number of threads. After a stop or a
     /// kill, the same command resumes.
     Random(random::RandomArgs),
+}
+
+/// The model of a skin, with a sign of life on a terminal: a skin that is not in the cache is solved first.
+///
+/// # Errors
+/// As [`load_or_build`].
+pub fn solved(
+    sensor: impl Into<CalibratedSensor>,
+    cache: &Path,
+) -> Result<ForwardModel, ModelUnavailable> {
+    let on_terminal = std::io::stderr().is_terminal();
+    let _shown =
+        on_terminal.then(|| Working::on("the skin's responses (solved once, then cached)"));
+    load_or_build(sensor, cache)
 }
 
 /// Runs `palpate simulate`.

@@ -20,7 +20,7 @@ use crate::cli::files::{read_calibration, read_sensor};
 use crate::cli::follow::Signals;
 use crate::cli::output::{self, bytes, counted, duration, say, say_json};
 use crate::cli::progress::progress_bar;
-use crate::simulate::model::load_or_build;
+use crate::cli::simulate::solved;
 use crate::simulate::random::draw::Draws;
 use crate::simulate::random::folder::Look;
 use crate::simulate::random::manifest::{Definition, Manifest, Order};
@@ -135,7 +135,7 @@ fn make(args: &RandomArgs, stop: &AtomicBool) -> Result<ExitCode, CliError> {
     let order = Order::new(draws, args.trials, args.shard_trials, sensor.points().len())
         .map_err(CliError::Problems)?;
     let threads = threads(args.threads)?;
-    let model = load_or_build(&sensor, &data_or_default(args.data.clone()).join("cache"))?;
+    let model = solved(&sensor, &data_or_default(args.data.clone()).join("cache"))?;
     let kernel = args.kernel.unwrap_or_else(Kernel::detect);
     let definition = Definition::new(order, &model, kernel);
     let frames = BatchModel::new(&model, kernel);

@@ -15,10 +15,10 @@ use sim_core::forward::{Contact, ForwardModel, Workspace};
 use crate::cli::data_or_default;
 use crate::cli::error::CliError;
 use crate::cli::files::{read_calibration, read_sensor, write};
+use crate::cli::simulate::solved;
 use crate::problem::Problem;
 use crate::simulate::contacts::{ContactLines, Limits};
 use crate::simulate::export::{self, ExportError};
-use crate::simulate::model::load_or_build;
 
 /// Options for trials from a file.
 #[derive(Debug, Clone, Args)]
@@ -89,7 +89,7 @@ pub fn trials(args: &TrialArgs) -> Result<ExitCode, CliError> {
             return Err(problem(Problem::whole(&name, only)));
         }
     }
-    let model = load_or_build(&sensor, &data_or_default(args.data.clone()).join("cache"))?;
+    let model = solved(&sensor, &data_or_default(args.data.clone()).join("cache"))?;
     let mut work = Workspace::default();
     while let Some(contacts) = next {
         let file = lines.place();

@@ -122,6 +122,8 @@ pub struct Tour {
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(default)]
 pub struct Steps {
+    /// Index of each configuration in the plan.
+    pub configuration: Vec<u32>,
     /// Where each tip of each configuration touches the skin: x and y, mm.
     pub contacts_mm: Vec<Vec<[f64; 2]>>,
 }

@@ -14,15 +14,15 @@ use tokio::sync::mpsc::{self, Sender};
 use tokio::sync::watch;
 use tokio::time::{MissedTickBehavior, interval};
 
-mod answers;
+pub(super) mod answers;
 mod draw;
 mod facts;
-mod night;
+pub(super) mod night;
 mod read;
-mod skin;
+pub(super) mod skin;
 #[cfg(test)]
 mod tests;
-mod theme;
+pub(super) mod theme;
 
 use facts::Now;
 use night::{News, Night};

@@ -18,6 +18,7 @@ use super::problem::{ApiError, Params, ProblemBody};
 use super::runs::find;
 use crate::ids::RunUid;
 use crate::journal::{Event, error_chain};
+use crate::store::StoreError;
 
 /// Number of events per reading of a live stream.
 const PIECE: u32 = 200;
@@ -33,6 +34,17 @@ pub struct EventParams {
     pub since: Option<i64>,
     /// Only events of this run: uid or scan_id.
     pub run: Option<String>,
+    /// Only events of these kinds, separated by commas, such as `trip,skipped`. A kind that does not
+    /// exist selects nothing.
+    pub kind: Option<String>,
+}
+
+impl EventParams {
+    /// The selected kinds; empty for all.
+    fn kinds(&self) -> Vec<String> {
+        let listed = self.kind.iter().flat_map(|kinds| kinds.split(','));
+        listed.map(str::trim).filter(|kind| !kind.is_empty()).map(str::to_owned).collect()
+    }
 }
 
 /// Returns a page of events in the order of their numbers, or a live stream.
@@ -53,6 +65,7 @@ pub async fn events(
         Some(run) => Some(find(&app, run).await?.uid),
         None => None,
     };
+    let kinds = params.kinds();
     let text = |name| headers.get(name).and_then(|v| v.to_str().ok());
     let live = text(header::ACCEPT).is_some_and(|a| a.contains("text/event-stream"));
     if live {
@@ -62,13 +75,13 @@ pub async fn events(
             None => app.store.last_event_seq().await?,
         };
         let keep_alive = KeepAlive::new().interval(Duration::from_secs(15));
-        return Ok(Sse::new(follow(app, since, run)).keep_alive(keep_alive).into_response());
+        return Ok(Sse::new(follow(app, since, run, kinds)).keep_alive(keep_alive).into_response());
     }
     let since = match asked.after()? {
         Some(last) => last,
         None => resolved(&app, params.since.unwrap_or(0)).await?,
     };
-    let events = app.store.events_since(since, asked.limit + 1, run).await?;
+    let events = app.store.events_since(since, asked.limit + 1, run, &kinds).await?;
     Ok(asked.first(events, |event| event.seq).into_response())
 }
 
@@ -82,28 +95,45 @@ fn follow(
     app: App,
     since: i64,
     run: Option<RunUid>,
+    kinds: Vec<String>,
 ) -> impl Stream<Item = Result<sse::Event, Infallible>> {
     let ending = app.facts.ending.clone();
-    stream::unfold((app, since, ending), move |(app, since, mut ending)| async move {
-        loop {
-            let events = match app.store.events_since(since, PIECE, run).await {
-                Ok(events) => events,
-                Err(error) => {
-                    let error = error_chain(&error);
-                    tracing::warn!(error, "an event stream was ended: the store failed");
-                    return None;
+    stream::unfold(
+        (app, since, kinds, ending),
+        move |(app, mut since, kinds, mut ending)| async move {
+            loop {
+                let read = async {
+                    // Events that are not of these kinds are not read again.
+                    let last = match kinds.is_empty() {
+                        true => since,
+                        false => app.store.last_event_seq().await?,
+                    };
+                    Ok((last, app.store.events_since(since, PIECE, run, &kinds).await?))
+                };
+                let (last, events) = match read.await {
+                    Ok(read) => read,
+                    Err(error) => {
+                        let error: StoreError = error;
+                        let error = error_chain(&error);
+                        tracing::warn!(error, "an event stream was ended: the store failed");
+                        return None;
+                    }
+                };
+                if let Some(last) = events.last() {
+                    let next = last.seq;
+                    return Some((
+                        stream::iter(events.into_iter().map(out)),
+                        (app, next, kinds, ending),
+                    ));
                 }
-            };
-            if let Some(last) = events.last() {
-                let next = last.seq;
-                return Some((stream::iter(events.into_iter().map(out)), (app, next, ending)));
+                since = since.max(last);
+                tokio::select! {
+                    ended = ending.wait_for(|e| *e) => { let _ = ended; return None; }
+                    () = tokio::time::sleep(POLL) => {}
+                }
             }
-            tokio::select! {
-                ended = ending.wait_for(|e| *e) => { let _ = ended; return None; }
-                () = tokio::time::sleep(POLL) => {}
-            }
-        }
-    })
+        },
+    )
     .flatten()
 }
 

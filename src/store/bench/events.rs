@@ -68,7 +68,7 @@ impl Store {
     }
 
     /// Returns at most `limit` events with numbers above `seq`, in ascending order, of one run or of
-    /// all.
+    /// all, and of these kinds or, without `kinds`, of all.
     ///
     /// # Errors
     /// `NoSuchRun` if a given run is not stored; `Sql` or `Unreadable` if the read fails.
@@ -77,25 +77,32 @@ impl Store {
         seq: i64,
         limit: u32,
         run: Option<RunUid>,
+        kinds: &[String],
     ) -> Result<Vec<Event>, StoreError> {
         const OPERATION: &str = "reading events";
+        let kinds = (!kinds.is_empty()).then(|| serde_json::json!(kinds).to_string());
         let statement = match run {
             Some(run) => {
                 let scan_id = self.facts(run, OPERATION).await?.scan_id;
                 sqlx::query(
                     "SELECT e.*, r.uid FROM events e JOIN runs r ON r.scan_id = e.run
-                     WHERE e.seq > ?1 AND e.run = ?3 ORDER BY e.seq LIMIT ?2",
+                     WHERE e.seq > ?1 AND e.run = ?4
+                         AND (?3 IS NULL OR e.kind IN (SELECT value FROM json_each(?3)))
+                     ORDER BY e.seq LIMIT ?2",
                 )
                 .bind(seq)
                 .bind(limit)
+                .bind(kinds)
                 .bind(scan_id)
             }
             None => sqlx::query(
                 "SELECT e.*, r.uid FROM events e LEFT JOIN runs r ON r.scan_id = e.run
-                 WHERE e.seq > ?1 ORDER BY e.seq LIMIT ?2",
+                 WHERE e.seq > ?1 AND (?3 IS NULL OR e.kind IN (SELECT value FROM json_each(?3)))
+                 ORDER BY e.seq LIMIT ?2",
             )
             .bind(seq)
-            .bind(limit),
+            .bind(limit)
+            .bind(kinds),
         };
         let rows = statement.fetch_all(&self.inner.readers).await.during(OPERATION)?;
         rows.iter()

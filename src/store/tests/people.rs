@@ -24,11 +24,31 @@ async fn events_are_numbered_without_gaps() {
         sent.push(store.append_event(of, "state", json!({"n": i, "x": 0.1})).await.unwrap());
     }
     assert_eq!(sent.iter().map(|e| e.seq).collect::<Vec<_>>(), [1, 2, 3, 4, 5, 6]);
-    assert_eq!(store.events_since(0, 100, None).await.unwrap(), sent);
-    assert_eq!(store.events_since(2, 2, None).await.unwrap(), sent[2..4]);
-    let of_run = store.events_since(1, 100, Some(run)).await.unwrap();
+    assert_eq!(store.events_since(0, 100, None, &[]).await.unwrap(), sent);
+    assert_eq!(store.events_since(2, 2, None, &[]).await.unwrap(), sent[2..4]);
+    let of_run = store.events_since(1, 100, Some(run), &[]).await.unwrap();
     assert_eq!(of_run.iter().map(|e| e.seq).collect::<Vec<_>>(), [3, 5]);
     assert_eq!(store.last_event_seq().await.unwrap(), 6);
+}
+
+#[tokio::test]
+async fn events_are_selected_by_kind_before_they_are_counted() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
+    for (of, kind) in [(Some(run), "state"), (Some(run), "trip"), (None, "trip"), (None, "keys")] {
+        store.append_event(of, kind, json!({})).await.unwrap();
+    }
+    let of = async |run, limit, kinds: &[&str]| -> Vec<i64> {
+        let kinds: Vec<String> = kinds.iter().map(|kind| (*kind).to_owned()).collect();
+        let found = store.events_since(0, limit, run, &kinds).await.unwrap();
+        found.iter().map(|event| event.seq).collect()
+    };
+    assert_eq!(of(None, 9, &["trip"]).await, [2, 3]);
+    assert_eq!(of(None, 1, &["trip", "keys"]).await, [2]);
+    assert_eq!(of(None, 9, &["trip", "keys"]).await, [2, 3, 4]);
+    assert_eq!(of(Some(run), 9, &["trip"]).await, [2]);
+    assert!(of(None, 9, &["tri'p", "%"]).await.is_empty());
 }
 
 #[tokio::test]
@@ -38,7 +58,7 @@ async fn an_event_that_is_written_late_says_when_it_happened() {
     let at = time("2026-11-20T18:00:00.123456Z");
     let event = store.event(None, "trip", json!({}), at).await.unwrap();
     assert_eq!(event.at, time("2026-11-20T18:00:00.123Z"));
-    assert_eq!(store.events_since(0, 9, None).await.unwrap(), [event]);
+    assert_eq!(store.events_since(0, 9, None, &[]).await.unwrap(), [event]);
 }
 
 #[tokio::test]

@@ -264,7 +264,7 @@ async fn nothing_is_stored_for_a_run_that_is_not_there() {
     let store = open(&folder.file()).await;
     assert!(store.trial(RunUid::new(), &hex_trial(0, 0, &[9.0])).await.is_err());
     assert!(store.event(Some(RunUid::new()), "state", serde_json::json!({}), now()).await.is_err());
-    assert!(store.events_since(0, 10, None).await.unwrap().is_empty());
+    assert!(store.events_since(0, 10, None, &[]).await.unwrap().is_empty());
 }
 
 #[tokio::test]

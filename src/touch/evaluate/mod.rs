@@ -19,3 +19,4 @@ pub mod anova;
 pub mod voltages;
 pub mod request;
 pub mod charts;
+pub mod run_figures;

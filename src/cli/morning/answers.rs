@@ -1,0 +1,208 @@
+//! What these commands read of the service about a run, and how its end reads.
+//! Uses: `client`, `progress`. Never: a decision about a run.
+
+use jiff::{SignedDuration, Timestamp};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::cli::client::Client;
+use crate::cli::error::CliError;
+use crate::cli::output::duration;
+use crate::cli::progress::progress_bar;
+use crate::evaluate::simulation::SimulationReport;
+use crate::ids::RunUid;
+use crate::store::{MAX_PAGE, RunRow};
+
+/// Columns of a trial that these commands read.
+const COLUMNS: &str = "trial_id,configuration,depth_index,depth_mm,tips,contact_count,max_force_n,\
+                       forces_n,contacts,fvu,rmse_v,flags,overshoot_n,settle_ms,measured_at";
+
+/// A trial without its frame.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct TrialFacts {
+    /// Number of the stored trial.
+    pub trial_id: i64,
+    /// Index of the configuration in the plan.
+    pub configuration: u32,
+    /// Index of the depth in the configuration.
+    pub depth_index: u32,
+    /// Depth, mm; absent if weights were placed.
+    pub depth_mm: Option<f64>,
+    /// Number of attached tips or placed contacts.
+    pub tips: u8,
+    /// Number of contacts, by the deadband.
+    pub contact_count: u8,
+    /// Largest raw force, N.
+    pub max_force_n: Option<f64>,
+    /// Raw forces of arms 1 to 6, N; null without a tip.
+    pub forces_n: Vec<Option<f64>>,
+    /// FVU of the twin.
+    pub fvu: Option<f64>,
+    /// RMSE against the twin, V.
+    pub rmse_v: Option<f64>,
+    /// Marks of possible faults.
+    pub flags: Vec<String>,
+    /// Time of the last frame.
+    pub measured_at: Option<Timestamp>,
+}
+
+/// Numbers of a run's trials and twins.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct TwinsOf {
+    /// Number of stored trials.
+    pub trials: u64,
+    /// Number of trials with a twin, of whichever model.
+    pub twins: u64,
+    /// Number of trials that the model cannot simulate.
+    pub failures: u64,
+    /// Number of trials without twin and without failure.
+    pub pending: u64,
+}
+
+/// `GET /api/v1/runs/{run}/twins`: its twins are those of the serving model only.
+#[derive(Debug, Deserialize)]
+struct Counted {
+    trials: u64,
+    failures: u64,
+}
+
+/// Returns the number of stored trials of a run.
+///
+/// # Errors
+/// As [`Client::send`].
+pub async fn stored_of(client: &Client, run: RunUid) -> Result<u64, CliError> {
+    let counted: Counted = client.get(&format!("/api/v1/runs/{run}/twins")).await?;
+    Ok(counted.trials)
+}
+
+/// Returns the numbers of trials and twins of a run, and the fit of the newest twin of each trial.
+///
+/// # Errors
+/// As [`Client::send`].
+pub async fn fit_of(client: &Client, run: RunUid) -> Result<(TwinsOf, SimulationReport), CliError> {
+    let path = format!("/api/v1/runs/{run}");
+    let Counted { trials, failures } = client.get(&format!("{path}/twins")).await?;
+    let fit: SimulationReport = client.get(&format!("{path}/evaluation/simulation")).await?;
+    let twins = fit.trials + fit.flagged;
+    let pending = trials.saturating_sub(twins + failures);
+    Ok((TwinsOf { trials, twins, failures, pending }, fit))
+}
+
+/// Returns an answer that a run may lack: 404 is `None`.
+///
+/// # Errors
+/// As [`Client::send`], except 404.
+pub async fn if_there<T: serde::de::DeserializeOwned>(
+    client: &Client,
+    path: &str,
+) -> Result<Option<T>, CliError> {
+    match client.get(path).await {
+        Ok(found) => Ok(Some(found)),
+        Err(CliError::Refused { status: 404, .. }) => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+/// Returns all trials of a run, in the order of storing, of which there are about `expected`.
+///
+/// # Errors
+/// As [`Client::send`]; `CliError::Refused` if a line cannot be read.
+pub async fn all_trials(
+    client: &Client,
+    run: RunUid,
+    expected: u64,
+) -> Result<Vec<TrialFacts>, CliError> {
+    let bar = progress_bar("trials read");
+    bar.set_length(expected);
+    let (mut all, mut last) = (Vec::new(), 0);
+    loop {
+        let path = format!(
+            "/api/v1/runs/{run}/trials?format=ndjson&columns={COLUMNS}&trial_id__gt={last}&limit={MAX_PAGE}"
+        );
+        let answer = client.send(reqwest::Method::GET, &path, None::<&Value>).await?;
+        let operation = format!("GET /api/v1/runs/{run}/trials");
+        let text = answer.text().await;
+        let text =
+            text.map_err(|source| CliError::Http { operation: operation.clone(), source })?;
+        let before = all.len();
+        for line in text.lines().filter(|line| !line.is_empty()) {
+            let trial: TrialFacts = serde_json::from_str(line).map_err(|error| {
+                let detail = format!("a trial cannot be read: {error}");
+                CliError::Refused { operation: operation.clone(), status: 200, detail }
+            })?;
+            all.push(trial);
+        }
+        bar.set_position(all.len() as u64);
+        match all.last() {
+            Some(trial) if all.len() - before == MAX_PAGE as usize => last = trial.trial_id,
+            _ => break,
+        }
+    }
+    bar.finish_and_clear();
+    Ok(all)
+}
+
+/// How a run ended, or its state with the reason of a wait.
+pub fn state_words(run: &RunRow) -> String {
+    match (run.exit_status, run.paused_why) {
+        (Some(status), _) => status.as_str().to_owned(),
+        (None, Some(why)) => format!("{} ({})", run.state, why.as_str().replace('_', " ")),
+        (None, None) => run.state.to_string(),
+    }
+}
+
+/// Wall time from the first start to the end, or to now while it is open; `None` before the start.
+pub fn elapsed(run: &RunRow, now: Timestamp) -> Option<SignedDuration> {
+    let is_active = run.exit_status.is_none() && run.state.as_str() != "interrupted";
+    let end = run.ended_at.or(is_active.then_some(now))?;
+    Some(end.duration_since(run.started_at?))
+}
+
+/// A duration for people.
+pub fn duration_words(of: SignedDuration) -> String {
+    duration(of.as_secs_f64())
+}
+
+/// Stored trials of the planned ones, without the plan where there is none.
+pub fn stored_words(stored: u64, planned: u64) -> String {
+    if planned == 0 {
+        grouped(stored)
+    } else {
+        format!("{} of {}", grouped(stored), grouped(planned))
+    }
+}
+
+/// A count with commas: `33,000`.
+pub fn grouped(count: u64) -> String {
+    let digits = count.to_string();
+    let mut words = String::new();
+    for (place, digit) in digits.chars().enumerate() {
+        if place > 0 && (digits.len() - place).is_multiple_of(3) {
+            words.push(',');
+        }
+        words.push(digit);
+    }
+    words
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_are_grouped_by_thousands() {
+        let shown: Vec<String> = [0, 999, 1000, 33_000, 1_234_567].map(grouped).into();
+        assert_eq!(shown, ["0", "999", "1,000", "33,000", "1,234,567"]);
+        assert_eq!(stored_words(899, 33_000), "899 of 33,000");
+        assert_eq!(stored_words(12, 0), "12");
+    }
+
+    #[test]
+    fn a_trial_is_read_with_what_it_lacks() {
+        let line = r#"{"trial_id":3,"forces_n":[1.5,null],"flags":[],"fvu":null}"#;
+        let read: TrialFacts = serde_json::from_str(line).unwrap();
+        assert_eq!((read.trial_id, read.forces_n), (3, vec![Some(1.5), None]));
+        assert_eq!((read.fvu, read.depth_mm, read.measured_at), (None, None, None));
+    }
+}

@@ -1,0 +1,269 @@
+//! `palpate diff`: two runs side by side, and how their measurements differ at the same place and depth.
+//! Uses: `client`, `compare`, `table`. Never: a change.
+
+use std::collections::HashMap;
+
+use serde::Serialize;
+use serde_json::json;
+use sim_core::stats::fvu;
+
+use super::answers::{
+    TrialFacts, TwinsOf, all_trials, fit_of, grouped, if_there, state_words, stored_words,
+};
+use super::compare::{
+    Change, Difference, Pair, by_depth, by_place, changes, difference, pairs, sampled,
+};
+use super::{DiffArgs, find};
+use crate::api::{Page, Summary};
+use crate::cli::client::Client;
+use crate::cli::embed;
+use crate::cli::error::CliError;
+use crate::cli::output::{say, say_json};
+use crate::cli::table::{Align, Table, or_dash};
+use crate::cli::watch::answers::Tour;
+use crate::store::{RunRow, TrialRow};
+
+/// Largest number of pairs whose frames are compared, and frames per request.
+const FRAMES: usize = 300;
+const PAGE: usize = 50;
+
+/// A run with all that is compared.
+struct Side {
+    summary: Summary,
+    twins: TwinsOf,
+    median_fvu: Option<f64>,
+    tour: Option<Tour>,
+    trials: Vec<TrialFacts>,
+}
+
+impl Side {
+    async fn read(client: &Client, what: &str) -> Result<Self, CliError> {
+        let run = find::run(client, what).await?;
+        let path = format!("/api/v1/runs/{}", run.uid);
+        let summary = client.summary(run.uid).await?;
+        let (twins, fit) = fit_of(client, run.uid).await?;
+        Ok(Self {
+            twins,
+            median_fvu: fit.median_fvu,
+            tour: if_there(client, &format!("{path}/tour")).await?,
+            trials: all_trials(client, run.uid, summary.trials_stored).await?,
+            summary,
+        })
+    }
+
+    fn run(&self) -> &RunRow {
+        &self.summary.run
+    }
+
+    fn facts(&self) -> Vec<(&'static str, String)> {
+        let (run, summary) = (self.run(), &self.summary);
+        let counts: Vec<String> = summary.contact_counts.iter().map(ToString::to_string).collect();
+        let minutes = summary.duration_s.map(crate::cli::output::duration);
+        vec![
+            ("experiment", run.experiment.clone()),
+            ("kind", run.kind.as_str().into()),
+            ("label", run.label.as_str().into()),
+            ("end", state_words(run)),
+            ("stored", stored_words(summary.trials_stored, run.trials_planned)),
+            ("skipped", grouped(summary.trials_skipped)),
+            ("retries", grouped(summary.retries)),
+            ("duration", or_dash(minutes)),
+            ("trials with 0, 1, .. 6 contacts", counts.join(" ")),
+            ("twins", grouped(self.twins.twins)),
+            ("median FVU of the twins", or_dash(self.median_fvu.map(|fvu| format!("{fvu:.3}")))),
+            ("seed", or_dash(run.seed)),
+            ("deadband, N", run.deadband_n.to_string()),
+            ("calibration", or_dash(run.calibration_id.as_ref().map(|id| id.as_str()))),
+            ("version", run.version.clone()),
+            (
+                "commit",
+                or_dash(run.git_commit.as_ref().map(|id| id.chars().take(12).collect::<String>())),
+            ),
+        ]
+    }
+}
+
+/// Frames at the same place and depth.
+#[derive(Debug, Serialize)]
+struct Frames {
+    /// Variance of the earlier frame that the later one does not explain, over the compared pairs.
+    fvu: Option<Difference>,
+    /// Models of the twins, earlier and later.
+    sim_models: [Vec<String>; 2],
+}
+
+/// Runs `palpate diff`.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached or started, or has no such run.
+pub async fn diff(args: DiffArgs) -> Result<(), CliError> {
+    let at = args.at.clone();
+    embed::with_server(&at, move |client| async move { compare(&client, &args).await }).await
+}
+
+async fn compare(client: &Client, args: &DiffArgs) -> Result<(), CliError> {
+    let before = Side::read(client, &args.before).await?;
+    let after = Side::read(client, &args.after).await?;
+    let (a, b) = (before.run(), after.run());
+    let files = [
+        ("experiment", changes(Some(&a.definition), Some(&b.definition))),
+        ("rig", changes(a.rig.as_deref(), b.rig.as_deref())),
+        ("sensor", changes(Some(&a.sensor), Some(&b.sensor))),
+    ];
+    let paired = match (&before.tour, &after.tour) {
+        (Some(one), Some(two)) => pairs((one, &before.trials), (two, &after.trials)),
+        _ => Vec::new(),
+    };
+    let frames = frames(client, &paired).await?;
+    if args.at.json {
+        let facts: Vec<Change> = facts(&before, &after).collect();
+        let files: HashMap<&str, Vec<Change>> = files.into_iter().collect();
+        say_json(&json!({
+            "runs": [a.uid, b.uid], "scan_ids": [a.scan_id, b.scan_id], "files": files, "facts": facts,
+            "forces": { "pairs": paired.len(), "all_n": by_place(&paired), "by_depth": by_depth(&paired) },
+            "frames": frames,
+        }));
+        return Ok(());
+    }
+    say(side_by_side(&before, &after));
+    for (name, changes) in &files {
+        say(format_args!("\n{}", file_words(name, changes, a.scan_id, b.scan_id)));
+    }
+    say(format_args!("\n{}", forces_words(&before, &after, &paired)));
+    say(frames_words(&frames));
+    Ok(())
+}
+
+fn facts<'a>(before: &'a Side, after: &'a Side) -> impl Iterator<Item = Change> + 'a {
+    let pairs = before.facts().into_iter().zip(after.facts());
+    pairs.map(|((key, before), (_, after))| Change {
+        key: key.into(),
+        before: Some(before),
+        after: Some(after),
+    })
+}
+
+fn side_by_side(before: &Side, after: &Side) -> Table {
+    let [one, two] = [before, after].map(|side| format!("run {}", side.run().scan_id));
+    let heads = [("", Align::Left), (&*one, Align::Left), (&*two, Align::Left), ("", Align::Left)];
+    let mut table = Table::new(&heads, "");
+    for change in facts(before, after) {
+        let differs = if change.before == change.after { "" } else { "differs" };
+        let value = |side: Option<String>| side.unwrap_or_default();
+        table.push([change.key, value(change.before), value(change.after), differs.into()]);
+    }
+    table
+}
+
+fn file_words(name: &str, changes: &[Change], a: i64, b: i64) -> String {
+    if changes.is_empty() {
+        return format!("{name} file: the same");
+    }
+    let [a, b] = [a, b].map(|number| format!("run {number}"));
+    let heads = [("key", Align::Left), (&*a, Align::Left), (&*b, Align::Left)];
+    let mut table = Table::new(&heads, "");
+    for change in changes {
+        let value = |value: &Option<String>| value.clone().unwrap_or_else(|| "-".into());
+        table.push([change.key.clone(), value(&change.before), value(&change.after)]);
+    }
+    format!("{name} file:\n{table}")
+}
+
+fn interval(of: &Difference) -> [String; 3] {
+    let signed = |value: f64| format!("{value:+.2}");
+    let interval = of.low_95.zip(of.high_95);
+    let interval = interval.map(|(low, high)| format!("{low:+.2} .. {high:+.2}"));
+    [of.n.to_string(), signed(of.median), or_dash(interval)]
+}
+
+fn forces_words(before: &Side, after: &Side, paired: &[Pair]) -> String {
+    if paired.is_empty() {
+        let why = match before.tour.is_none() || after.tour.is_none() {
+            true => "a run has no plan to compare places with",
+            false => "the runs have no place and depth in common",
+        };
+        return format!("forces: not compared, {why}");
+    }
+    let labels = [before.run().label.as_str(), after.run().label.as_str()];
+    let label = match labels[0] == labels[1] {
+        true => labels[0].to_owned(),
+        false => format!("{} and {}", labels[0], labels[1]),
+    };
+    let heads = [
+        ("depth, mm", Align::Right),
+        ("n", Align::Right),
+        ("median, N", Align::Right),
+        ("95 % interval, N", Align::Right),
+    ];
+    let mut table = Table::new(&heads, "no force was measured in both runs");
+    for at in by_depth(paired) {
+        let [n, median, ends] = interval(&at.difference_n);
+        table.push([format!("{:.2}", at.depth_mm), n, median, ends]);
+    }
+    if let Some(all) = by_place(paired) {
+        let [n, median, ends] = interval(&all);
+        table.push(["all".into(), n, median, ends]);
+    }
+    format!(
+        "largest force, after minus before, at the same place and depth ({label}; {} pairs; `all`: one \
+         value per place):\n{table}",
+        grouped(paired.len() as u64)
+    )
+}
+
+fn frames_words(frames: &Frames) -> String {
+    let [before, after] = &frames.sim_models;
+    let models = match before == after {
+        true => "of the same model".to_owned(),
+        false => format!("of {} and {}", before.join(", "), after.join(", ")),
+    };
+    match &frames.fvu {
+        Some(fvu) => {
+            let interval = fvu.low_95.zip(fvu.high_95);
+            let interval =
+                interval.map_or_else(String::new, |(low, high)| format!(" [{low:.3}, {high:.3}]"));
+            format!(
+                "\nframes: with contacts in both: median FVU of the earlier one by the later one {:.3}{interval} (n = {}); \
+                 twins {models}",
+                fvu.median, fvu.n
+            )
+        }
+        None => "\nframes: none with contacts in both runs".into(),
+    }
+}
+
+/// Compares the frames of some pairs, evenly over the runs.
+async fn frames(client: &Client, paired: &[Pair]) -> Result<Frames, CliError> {
+    // Without contact a frame is noise: nothing of it can be explained.
+    let touched: Vec<Pair> = paired.iter().filter(|pair| pair.in_contact).copied().collect();
+    let some = sampled(&touched, FRAMES);
+    let (mut values, mut sim_models) = (Vec::new(), [Vec::new(), Vec::new()]);
+    for chunk in some.chunks(PAGE) {
+        let before = read(client, chunk.iter().map(|pair| pair.before)).await?;
+        let after = read(client, chunk.iter().map(|pair| pair.after)).await?;
+        for pair in chunk {
+            let (one, two) = (before.get(&pair.before), after.get(&pair.after));
+            for (models, trial) in sim_models.iter_mut().zip([one, two]) {
+                let model = trial.and_then(|trial| trial.sim_model.clone());
+                models.extend(model.filter(|model| !models.contains(model)));
+            }
+            let frames = one
+                .and_then(|t| t.voltages_v.as_ref())
+                .zip(two.and_then(|t| t.voltages_v.as_ref()));
+            let same = frames.filter(|(one, two)| one.len() == two.len());
+            values.extend(same.and_then(|(one, two)| fvu(one, two.iter().map(|v| f64::from(*v)))));
+        }
+    }
+    Ok(Frames { fvu: difference(values), sim_models })
+}
+
+/// Trials with their frames, by their numbers.
+async fn read(
+    client: &Client,
+    ids: impl Iterator<Item = i64>,
+) -> Result<HashMap<i64, TrialRow>, CliError> {
+    let ids: Vec<String> = ids.map(|id| id.to_string()).collect();
+    let path = format!("/api/v1/trials?voltages=true&limit={PAGE}&trial_id__in={}", ids.join(","));
+    let page: Page<TrialRow> = client.get(&path).await?;
+    Ok(page.items.into_iter().map(|trial| (trial.trial_id.0, trial)).collect())
+}

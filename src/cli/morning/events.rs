@@ -1,0 +1,177 @@
+//! `palpate events`: what happened, as a list or as it happens.
+//! Uses: `client`, `words`, `stream`. Never: a change, an event that was not stored.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use futures::StreamExt;
+use jiff::Timestamp;
+use serde_json::json;
+
+use super::stream::Collect;
+use super::when::{Since, second};
+use super::words::words;
+use super::{EventsArgs, find};
+use crate::api::Page;
+use crate::cli::client::Client;
+use crate::cli::embed;
+use crate::cli::error::CliError;
+use crate::cli::output::{note, say, say_json};
+use crate::cli::table::{Align, Table};
+use crate::cli::view::EventView;
+
+/// Events without `--limit` and `--since`.
+const SHOWN: usize = 50;
+/// Events per request.
+const PAGE: u32 = 1000;
+/// Time until a broken stream is opened again.
+const AGAIN: Duration = Duration::from_secs(1);
+/// Width of the kinds of a stream, characters.
+const KIND: usize = 14;
+
+/// Runs `palpate events`.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached, or refuses; to follow, it must be running.
+pub async fn events(args: EventsArgs) -> Result<(), CliError> {
+    if args.follow {
+        let client = embed::server(&args.at).await?;
+        return follow(&client, &args).await;
+    }
+    let at = args.at.clone();
+    embed::with_server(&at, move |client| async move { list(&client, &args).await }).await
+}
+
+/// Parameters that select run and kinds, each with `&` in front.
+async fn selection(client: &Client, args: &EventsArgs) -> Result<String, CliError> {
+    let mut query = String::new();
+    if let Some(run) = &args.run {
+        query += &format!("&run={}", find::run(client, run).await?.uid);
+    }
+    if !args.kind.is_empty() {
+        let is_kind = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+        if let Some(wrong) = args.kind.iter().find(|kind| !kind.chars().all(is_kind)) {
+            return Err(CliError::argument("--kind", wrong, "must be words such as trip,skipped"));
+        }
+        query += &format!("&kind={}", args.kind.join(","));
+    }
+    Ok(query)
+}
+
+/// The newest events that fit, and the number of the last one; all of them if `limit` is `None`.
+async fn newest(
+    client: &Client,
+    args: &EventsArgs,
+    selection: &str,
+    limit: Option<usize>,
+) -> Result<VecDeque<EventView>, CliError> {
+    let (mut since, from) = match args.since {
+        Some(Since::Event(number)) => (number, None),
+        Some(Since::Time(at)) => (0, Some(at)),
+        None => (0, None),
+    };
+    let mut kept = VecDeque::new();
+    loop {
+        let path = format!("/api/v1/events?since={since}&limit={PAGE}{selection}");
+        let page: Page<EventView> = client.get(&path).await?;
+        for event in page.items {
+            since = event.seq;
+            let is_late = |from| event.at.parse::<Timestamp>().is_ok_and(|at| at >= from);
+            if from.is_none_or(is_late) {
+                kept.push_back(event);
+            }
+            if limit.is_some_and(|limit| kept.len() > limit) {
+                kept.pop_front();
+            }
+        }
+        if page.next.is_none() {
+            return Ok(kept);
+        }
+    }
+}
+
+async fn list(client: &Client, args: &EventsArgs) -> Result<(), CliError> {
+    let selection = selection(client, args).await?;
+    let limit = args.limit.or(args.since.is_none().then_some(SHOWN));
+    let kept = newest(client, args, &selection, limit).await?;
+    if args.at.json {
+        say_json(&json!({ "items": kept }));
+        return Ok(());
+    }
+    let heads = [("time", Align::Left), ("kind", Align::Left), ("event", Align::Left)];
+    let filtered = !args.kind.is_empty() || args.since.is_some();
+    let empty = if filtered { "no event fits" } else { "there are no events" };
+    let mut table = Table::new(&heads, empty);
+    for event in &kept {
+        table.push([time(event), event.kind.clone(), words(event)]);
+    }
+    say(&table);
+    if Some(kept.len()) == limit && args.limit.is_none() {
+        say(format_args!("the newest {}; --limit N or --since 8h shows more", kept.len()));
+    }
+    Ok(())
+}
+
+async fn follow(client: &Client, args: &EventsArgs) -> Result<(), CliError> {
+    let selection = selection(client, args).await?;
+    // With --since or --limit the earlier events come first.
+    let earlier = args.limit.unwrap_or(if args.since.is_some() { usize::MAX } else { 0 });
+    let mut last: Option<String> = None;
+    if earlier > 0 {
+        for event in newest(client, args, &selection, Some(earlier)).await? {
+            last = Some(event.seq.to_string());
+            print(&event, args.at.json);
+        }
+    }
+    loop {
+        if let Err(error) = listen(client, &selection, &mut last, args.at.json).await {
+            let is_lost = matches!(
+                error,
+                CliError::NoServer { .. }
+                    | CliError::Http { .. }
+                    | CliError::Refused { status: 503, .. }
+            );
+            if !is_lost {
+                return Err(error);
+            }
+            note(format_args!("{error}; trying again"));
+        }
+        tokio::time::sleep(AGAIN).await;
+    }
+}
+
+/// Prints events until the connection ends.
+async fn listen(
+    client: &Client,
+    selection: &str,
+    last: &mut Option<String>,
+    json: bool,
+) -> Result<(), CliError> {
+    let path = format!("/api/v1/events?{}", selection.trim_start_matches('&'));
+    let answer = client.stream(&path, last.as_deref()).await?;
+    let mut pieces = answer.bytes_stream();
+    let mut collect = Collect::default();
+    while let Some(piece) = pieces.next().await {
+        let piece =
+            piece.map_err(|source| CliError::Http { operation: "events".into(), source })?;
+        for sent in collect.take(&piece) {
+            *last = Some(sent.id);
+            if let Ok(event) = serde_json::from_str::<EventView>(&sent.data) {
+                print(&event, json);
+            }
+        }
+    }
+    Ok(())
+}
+
+fn print(event: &EventView, json: bool) {
+    if json {
+        return say_json(event);
+    }
+    let words = words(event).replace('\n', " ");
+    say(format_args!("{}  {:<KIND$}  {words}", time(event), event.kind));
+}
+
+fn time(event: &EventView) -> String {
+    event.at.parse().map_or_else(|_| event.at.clone(), second)
+}

@@ -1,0 +1,86 @@
+//! Runs by what a person types: number, start of the id, `last`.
+//! Uses: `client`. Never: a guess between several runs.
+
+use super::A_RUN;
+use crate::cli::client::Client;
+use crate::cli::error::CliError;
+use crate::ids::RunUid;
+use crate::store::RunRow;
+
+/// Shortest start of an id, characters.
+const PREFIX_MIN: usize = 4;
+/// Longest number of a run, digits: a longer text of digits is the start of an id.
+const DIGITS_MAX: usize = 9;
+
+/// What a person typed for a run.
+#[derive(Debug, PartialEq, Eq)]
+enum Named<'a> {
+    Last,
+    /// The number or whole id.
+    Whole(&'a str),
+    /// The start of an id, in lower case.
+    Start(String),
+}
+
+fn named(text: &str) -> Option<Named<'_>> {
+    if text == "last" {
+        return Some(Named::Last);
+    }
+    let is_number = text.bytes().all(|byte| byte.is_ascii_digit());
+    if is_number && !text.is_empty() && text.len() <= DIGITS_MAX && !text.starts_with('0') {
+        return Some(Named::Whole(text));
+    }
+    if text.parse::<RunUid>().is_ok() {
+        return Some(Named::Whole(text));
+    }
+    let is_start = text.bytes().all(|byte| byte.is_ascii_hexdigit() || byte == b'-');
+    (is_start && text.len() >= PREFIX_MIN).then(|| Named::Start(text.to_ascii_lowercase()))
+}
+
+/// Returns the run that a person named.
+///
+/// # Errors
+/// `CliError::Problems` if the text names no run or several; others as [`Client::send`].
+pub async fn run(client: &Client, text: &str) -> Result<RunRow, CliError> {
+    let wrong = |limit: String| CliError::argument("RUN", text, limit);
+    match named(text) {
+        Some(Named::Whole(id)) => client.run(id).await,
+        Some(Named::Last) => {
+            let newest = client.find_run(|_| true).await?;
+            newest.ok_or_else(|| wrong("there are no runs yet: palpate run quickstart".into()))
+        }
+        Some(Named::Start(start)) => {
+            let runs: Vec<RunRow> = client.all("/api/v1/runs?limit=1000").await?;
+            let mut found: Vec<RunRow> =
+                runs.into_iter().filter(|run| run.uid.to_string().starts_with(&start)).collect();
+            match (found.len(), found.pop()) {
+                (1, Some(run)) => Ok(run),
+                (0, _) => Err(wrong("no run has this id: palpate runs lists them".into())),
+                (count, last) => {
+                    let mut numbers: Vec<i64> = found.iter().map(|run| run.scan_id).collect();
+                    numbers.extend(last.map(|run| run.scan_id));
+                    Err(wrong(format!("{count} runs begin like this; their numbers: {numbers:?}")))
+                }
+            }
+        }
+        None => Err(wrong(format!("must be the {A_RUN}"))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_is_named_by_its_number_its_id_or_the_start_of_it() {
+        assert_eq!(named("last"), Some(Named::Last));
+        assert_eq!(named("12"), Some(Named::Whole("12")));
+        assert_eq!(named("0193"), Some(Named::Start("0193".into())), "no number begins with 0");
+        assert_eq!(named("019AB-"), Some(Named::Start("019ab-".into())));
+        let whole = "01934f6e-7c1a-7000-8000-000000000000";
+        assert_eq!(named(whole), Some(Named::Whole(whole)));
+        for wrong in ["", "abc", "the last one", "3/1"] {
+            assert_eq!(named(wrong), None, "{wrong}");
+        }
+    }
+}

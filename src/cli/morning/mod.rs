@@ -1,0 +1,164 @@
+//! The morning after: what ran, what was measured, what happened, and how two runs differ.
+//! Uses: `client`, `table`. Never: a change of anything (these commands only read).
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+mod answers;
+mod chart;
+mod compare;
+mod diff;
+mod events;
+mod find;
+mod frame;
+mod report;
+mod runs;
+mod show;
+mod show_trial;
+mod stream;
+mod trials;
+mod when;
+mod words;
+
+pub use diff::diff;
+pub use events::events;
+pub use report::report;
+pub use runs::runs;
+pub use show::show;
+pub use trials::trials;
+
+use super::At;
+
+/// How a run is named on the command line.
+const A_RUN: &str = "number, start of the id (4 characters or more), or `last`";
+
+/// Options of `runs`.
+#[derive(Debug, Clone, Args)]
+pub struct RunsArgs {
+    /// Only runs in these states, or that ended like this, such as `ended`, `interrupted`,
+    /// `success`, `fail`.
+    #[arg(long, value_name = "STATE,..", value_delimiter = ',')]
+    pub state: Vec<String>,
+    /// Only runs whose experiment has this text in its name.
+    #[arg(long, value_name = "TEXT")]
+    pub experiment: Option<String>,
+    /// Largest number of runs.
+    #[arg(long, value_name = "N", default_value_t = 20)]
+    pub limit: usize,
+    /// Server, or data folder.
+    #[command(flatten)]
+    pub at: At,
+}
+
+/// Options of `trials`.
+#[derive(Debug, Clone, Args)]
+pub struct TrialsArgs {
+    /// A run (number, start of the id, or `last`), and conditions that all must hold: a column with
+    /// its comparison, such as `contact_count__gte=3`, `tips=4`, `flagged=true`.
+    #[arg(value_name = "RUN|COLUMN__gt=VALUE")]
+    pub what: Vec<String>,
+    /// Show the oldest trials first.
+    #[arg(long)]
+    pub oldest: bool,
+    /// Largest number of trials.
+    #[arg(long, value_name = "N", default_value_t = 20)]
+    pub limit: usize,
+    /// Server, or data folder.
+    #[command(flatten)]
+    pub at: At,
+}
+
+/// Options of `events`.
+#[derive(Debug, Clone, Args)]
+pub struct EventsArgs {
+    /// Run: number, start of the id, or `last`; without it all events.
+    pub run: Option<String>,
+    /// Stay and print new events as they happen, until Ctrl-C.
+    #[arg(short, long)]
+    pub follow: bool,
+    /// Only events of these kinds, such as `trip,skipped,state`.
+    #[arg(long, value_name = "KIND,..", value_delimiter = ',')]
+    pub kind: Vec<String>,
+    /// Only events after this: a duration ago (8h, 90min), a time (22:00, 2026-11-24T22:00), or the
+    /// number of an event.
+    #[arg(long, value_name = "WHEN")]
+    pub since: Option<when::Since>,
+    /// Largest number of events, the newest [default: 50; with --since all].
+    #[arg(long, value_name = "N")]
+    pub limit: Option<usize>,
+    /// Server, or data folder.
+    #[command(flatten)]
+    pub at: At,
+}
+
+/// Options of `show`.
+#[derive(Debug, Clone, Args)]
+pub struct ShowArgs {
+    /// A run (number, start of the id, or `last`), or a trial: `t812`, as `palpate trials` lists it,
+    /// or RUN/CONFIGURATION/DEPTH with the index of the depth.
+    #[arg(value_name = "RUN|TRIAL")]
+    pub what: String,
+    /// Server, or data folder.
+    #[command(flatten)]
+    pub at: At,
+}
+
+/// Options of `report`.
+#[derive(Debug, Clone, Args)]
+pub struct ReportArgs {
+    /// Run: number, start of the id, or `last`.
+    pub run: String,
+    /// Folder of the report [default: here].
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Write the HTML only.
+    #[arg(long)]
+    pub no_pdf: bool,
+    /// Server, or data folder.
+    #[command(flatten)]
+    pub at: At,
+}
+
+/// Options of `diff`.
+#[derive(Debug, Clone, Args)]
+pub struct DiffArgs {
+    /// The earlier run: number, start of the id, or `last`.
+    #[arg(value_name = "RUN")]
+    pub before: String,
+    /// The run that is compared with it.
+    #[arg(value_name = "RUN")]
+    pub after: String,
+    /// Server, or data folder.
+    #[command(flatten)]
+    pub at: At,
+}
+
+/// Examples of `runs`.
+pub const RUNS_EXAMPLES: &str = "Examples:
+  palpate runs
+  palpate runs --state interrupted,fail --limit 5
+  palpate runs --experiment real-hex --json";
+/// Examples of `trials`.
+pub const TRIALS_EXAMPLES: &str = "Examples:
+  palpate trials last
+  palpate trials 3 contact_count__gte=2 fvu__gt=0.5 --limit 50
+  palpate trials 3 flagged=true --json";
+/// Examples of `events`.
+pub const EVENTS_EXAMPLES: &str = "Examples:
+  palpate events last
+  palpate events -f --kind trip,suspended,skipped
+  palpate events 3 --since 8h";
+/// Examples of `show`.
+pub const SHOW_EXAMPLES: &str = "Examples:
+  palpate show last
+  palpate show t812
+  palpate show 3/81/4";
+/// Examples of `report`.
+pub const REPORT_EXAMPLES: &str = "Examples:
+  palpate report last
+  palpate report 3 --out reports";
+/// Examples of `diff`.
+pub const DIFF_EXAMPLES: &str = "Examples:
+  palpate diff 2 3
+  palpate diff 2 last --json";

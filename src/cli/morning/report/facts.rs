@@ -1,0 +1,167 @@
+//! What a report is made of: everything that the service states about a run, read once.
+//! Uses: `client`, `answers`. Never: a conclusion (`findings` draws them).
+
+use jiff::Timestamp;
+use serde::Deserialize;
+use serde_json::Value;
+use sim_core::sensor::Sensor;
+
+use super::super::answers::{TrialFacts, TwinsOf, all_trials, fit_of};
+use super::super::words::words;
+use crate::api::{Page, Summary};
+use crate::cli::client::Client;
+use crate::cli::error::CliError;
+use crate::cli::view::EventView;
+use crate::evaluate::figures::Outline;
+use crate::evaluate::simulation::SimulationReport;
+use crate::state::{PausedWhy, StoredState};
+use crate::store::RunRow;
+
+/// Kinds of events that a report lists.
+const KINDS: &str = "trip,suspended,skipped,attempt_failed,twins,not_gone_on,not_begun,store,ended";
+/// Duration of a run below which its time is shown in minutes, s.
+const SHORT_S: f64 = 3.0 * 3600.0;
+/// Records per request.
+const PAGE: u32 = 1000;
+
+/// The facts of a run.
+#[derive(Debug, Clone)]
+pub struct Facts {
+    /// Counts, skips, the run itself.
+    pub summary: Summary,
+    /// Numbers of twins.
+    pub twins: TwinsOf,
+    /// Fit of the twins.
+    pub fit: SimulationReport,
+    /// All trials.
+    pub trials: Vec<TrialFacts>,
+    /// States over time.
+    pub states: Vec<Span>,
+    /// Events that an operator should see.
+    pub events: Vec<Told>,
+    /// Outputs of the cells without load.
+    pub tares: Vec<Tare>,
+    /// Presses at a fixed place.
+    pub references: Vec<Reference>,
+    /// The skin, for maps; absent if its sensor file cannot be read.
+    pub outline: Option<Outline>,
+}
+
+/// A state of the run, from a time until the next.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+pub struct Span {
+    /// The state.
+    pub state: StoredState,
+    /// Reason of a wait.
+    pub why: Option<PausedWhy>,
+    /// Start.
+    pub from: Timestamp,
+    /// End; absent while it lasts.
+    pub to: Option<Timestamp>,
+}
+
+/// An event as text.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Told {
+    /// Time.
+    pub at: Timestamp,
+    /// Kind.
+    pub kind: String,
+    /// Words.
+    pub words: String,
+}
+
+/// Outputs of the attached cells without load.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct Tare {
+    /// Time.
+    pub at: Timestamp,
+    /// Arm and output, V.
+    pub volts: Vec<(u8, f64)>,
+}
+
+/// A press at a fixed place.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct Reference {
+    /// Time.
+    pub at: Timestamp,
+    /// Depth, mm.
+    pub depth_mm: f64,
+    /// Readings of the attached tips.
+    pub arms: Vec<ReferenceArm>,
+}
+
+/// Reading of a tip at a reference press.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+pub struct ReferenceArm {
+    /// Number of the arm.
+    pub arm: u8,
+    /// Force, N.
+    pub force_n: f64,
+}
+
+impl Facts {
+    /// Reads the facts of a run.
+    ///
+    /// # Errors
+    /// As [`Client::send`].
+    pub async fn read(client: &Client, run: &RunRow) -> Result<Self, CliError> {
+        let uid = run.uid;
+        let path = format!("/api/v1/runs/{uid}");
+        let summary = client.summary(uid).await?;
+        let history: Value = client.get(&format!("{path}/history?bins=1")).await?;
+        let records = |kind: &str| format!("{path}/records/{kind}?limit={PAGE}");
+        let outline = Sensor::from_toml(&run.sensor).ok().map(|sensor| Outline {
+            size_mm: [sensor.file.width_mm, sensor.file.height_mm],
+            electrodes_mm: sensor.electrodes_mm().to_vec(),
+            pitch_mm: sensor.pitch_mm(),
+        });
+        let (twins, fit) = fit_of(client, uid).await?;
+        Ok(Self {
+            twins,
+            fit,
+            trials: all_trials(client, uid, summary.trials_stored).await?,
+            states: serde_json::from_value(history["states"].clone()).unwrap_or_default(),
+            events: events(client, run).await?,
+            tares: client.all(&records("tares")).await?,
+            references: client.all(&records("references")).await?,
+            outline,
+            summary,
+        })
+    }
+
+    /// The run.
+    pub fn run(&self) -> &RunRow {
+        &self.summary.run
+    }
+
+    /// Unit of the time since the start, and its length, s: hours for a long run, otherwise minutes.
+    pub fn time_unit(&self) -> (&'static str, f64) {
+        match self.summary.duration_s {
+            Some(duration_s) if duration_s < SHORT_S => ("min", 60.0),
+            _ => ("h", 3600.0),
+        }
+    }
+
+    /// Time since the start of the run, in that unit; zero before it.
+    pub fn since_start(&self, at: Timestamp) -> f64 {
+        let start = self.run().started_at.unwrap_or(self.run().created_at);
+        (at.duration_since(start).as_secs_f64() / self.time_unit().1).max(0.0)
+    }
+}
+
+async fn events(client: &Client, run: &RunRow) -> Result<Vec<Told>, CliError> {
+    let (mut told, mut since) = (Vec::new(), 0);
+    loop {
+        let query = format!("since={since}&run={}&kind={KINDS}&limit={PAGE}", run.uid);
+        let page: Page<EventView> = client.get(&format!("/api/v1/events?{query}")).await?;
+        for event in &page.items {
+            since = event.seq;
+            let Ok(at) = event.at.parse() else { continue };
+            told.push(Told { at, kind: event.kind.clone(), words: words(event) });
+        }
+        if page.next.is_none() {
+            return Ok(told);
+        }
+    }
+}

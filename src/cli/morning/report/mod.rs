@@ -1,0 +1,67 @@
+//! `palpate report`: a run as one HTML file, and the same as PDF.
+//! Uses: `client`, `html`, `print`. Never: a number that the service does not state.
+
+use jiff::Timestamp;
+use serde_json::json;
+
+mod facts;
+mod findings;
+mod html;
+mod plots;
+mod print;
+#[cfg(test)]
+mod tests;
+
+use facts::Facts;
+
+use super::{ReportArgs, find};
+use crate::cli::client::Client;
+use crate::cli::embed;
+use crate::cli::error::CliError;
+use crate::cli::files::write;
+use crate::cli::output::{counted, note, say, say_json};
+
+/// Runs `palpate report`.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached or started, has no such run, or a file cannot be written.
+/// A PDF that cannot be printed is reported, and is no error: the HTML has all of it.
+pub async fn report(args: ReportArgs) -> Result<(), CliError> {
+    let at = args.at.clone();
+    embed::with_server(&at, move |client| async move { make(&client, &args).await }).await
+}
+
+async fn make(client: &Client, args: &ReportArgs) -> Result<(), CliError> {
+    let run = find::run(client, &args.run).await?;
+    let facts = Facts::read(client, &run).await?;
+    let page = html::page(&facts, Timestamp::now())?;
+    let folder = args.out.clone().unwrap_or_default();
+    let file = folder.join(format!("run-{}.html", run.scan_id));
+    write(&file, &page)?;
+    let pdf = file.with_extension("pdf");
+    let printed = match args.no_pdf {
+        true => None,
+        false => match print::print(&file, &pdf).await {
+            Ok(()) => Some(pdf),
+            Err(error) => {
+                note(error);
+                None
+            }
+        },
+    };
+    let found = findings::findings(&facts);
+    if args.at.json {
+        let words: Vec<&str> = found.iter().map(|finding| finding.words.as_str()).collect();
+        say_json(&json!({ "run": run.uid, "html": file, "pdf": printed, "findings": words }));
+        return Ok(());
+    }
+    for finding in &found {
+        say(format_args!("- {}", finding.words));
+    }
+    let count = counted(found.len() as u64, "thing", "things");
+    say(format_args!("{count} to look at; {}", file.display()));
+    if let Some(pdf) = printed {
+        say(pdf.display());
+    }
+    Ok(())
+}

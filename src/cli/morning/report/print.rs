@@ -1,0 +1,109 @@
+//! A page of HTML printed to PDF by a browser of this machine, without a window.
+//! Uses: Chromium or a relative, as a process. Never: the network, a page from elsewhere.
+
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::time::Duration;
+
+use tokio::process::Command;
+
+/// Programs that print, the most likely one first.
+const BROWSERS: [&str; 8] = [
+    "chromium",
+    "chromium-browser",
+    "google-chrome",
+    "google-chrome-stable",
+    "chrome",
+    "brave-browser",
+    "microsoft-edge",
+    "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
+];
+/// Longest time that printing may take.
+const LIMIT: Duration = Duration::from_secs(120);
+
+/// Why there is no PDF.
+#[derive(Debug, thiserror::Error)]
+pub enum PrintError {
+    /// No browser was found.
+    #[error(
+        "no PDF was written: it needs Chromium or Chrome, and none of them is in PATH; install \
+         `chromium`, or print the HTML from any browser"
+    )]
+    NoBrowser,
+    /// The browser failed.
+    #[error("no PDF was written: {browser}: {why}; print the HTML from any browser", browser = browser.display())]
+    Failed {
+        /// The browser.
+        browser: PathBuf,
+        /// Cause, as text.
+        why: String,
+    },
+}
+
+/// Returns the browser that prints: the first one in the folders of `path`.
+pub fn browser(path: Option<&OsStr>) -> Option<PathBuf> {
+    let folders: Vec<PathBuf> = path.map(std::env::split_paths).into_iter().flatten().collect();
+    BROWSERS.into_iter().find_map(|name| {
+        let is_absolute = Path::new(name).is_absolute();
+        let places = folders.iter().filter(|_| !is_absolute).map(|folder| folder.join(name));
+        places.chain(is_absolute.then(|| PathBuf::from(name))).find(|place| place.is_file())
+    })
+}
+
+/// Prints a page to a PDF.
+///
+/// # Errors
+/// `PrintError` if there is no browser, or it fails.
+pub async fn print(html: &Path, pdf: &Path) -> Result<(), PrintError> {
+    let path = std::env::var_os("PATH");
+    let browser = browser(path.as_deref()).ok_or(PrintError::NoBrowser)?;
+    let failed = |why: String| PrintError::Failed { browser: browser.clone(), why };
+    let html = std::path::absolute(html).map_err(|error| failed(error.to_string()))?;
+    let address = reqwest::Url::from_file_path(&html)
+        .map_err(|()| failed(format!("{}: this path has no address", html.display())))?;
+    // A profile that is not that of the person: a browser that is open would take the request over.
+    let profile = std::env::temp_dir().join(format!("palpate-print-{}", std::process::id()));
+    let mut command = Command::new(&browser);
+    command
+        .args(["--headless", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run"])
+        .args(["--no-pdf-header-footer", "--run-all-compositor-stages-before-draw"])
+        .arg(format!("--user-data-dir={}", profile.display()))
+        .arg(format!("--print-to-pdf={}", pdf.display()))
+        .arg(address.as_str())
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .kill_on_drop(true);
+    if rustix::process::geteuid().is_root() {
+        // Its sandbox refuses root. The page is our own, without scripts.
+        command.arg("--no-sandbox");
+    }
+    let ended = tokio::time::timeout(LIMIT, command.status()).await;
+    let _ = std::fs::remove_dir_all(&profile);
+    let status = match ended {
+        Ok(Ok(status)) => status,
+        Ok(Err(error)) => return Err(failed(error.to_string())),
+        Err(_) => return Err(failed(format!("not done after {} s", LIMIT.as_secs()))),
+    };
+    let written = std::fs::metadata(pdf).is_ok_and(|file| file.len() > 0);
+    if status.success() && written { Ok(()) } else { Err(failed(status.to_string())) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_browser_in_the_path_prints_and_without_one_the_sentence_says_what_to_do() {
+        let folder = std::env::temp_dir().join(format!("palpate-browser-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let path = std::env::join_paths([Path::new("/nonexistent"), &folder]).unwrap();
+        let found = |path: &OsStr| browser(Some(path)).filter(|found| found.starts_with(&folder));
+        assert_eq!(found(&path), None);
+        std::fs::write(folder.join("google-chrome"), "").unwrap();
+        assert_eq!(found(&path), Some(folder.join("google-chrome")));
+        std::fs::remove_dir_all(&folder).unwrap();
+        assert!(PrintError::NoBrowser.to_string().contains("install `chromium`"));
+    }
+}

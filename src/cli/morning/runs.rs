@@ -1,0 +1,152 @@
+//! `palpate runs`: what ran, newest first.
+//! Uses: `client`, `table`. Never: the files of a run (`show` and the API have them).
+
+use futures::{StreamExt, TryStreamExt};
+use jiff::Timestamp;
+use serde::Serialize;
+use serde_json::json;
+
+use super::RunsArgs;
+use super::answers::{duration_words, elapsed, state_words, stored_of, stored_words};
+use crate::api::Page;
+use crate::cli::client::Client;
+use crate::cli::embed;
+use crate::cli::error::CliError;
+use crate::cli::output::{say, say_json};
+use crate::cli::start_time::local;
+use crate::cli::table::{Align, Table, or_dash};
+use crate::ids::RunUid;
+use crate::journal::ExitStatus;
+use crate::state::StoredState;
+use crate::store::{Label, RunKind, RunRow};
+
+/// Number of concurrent requests.
+const REQUESTS: usize = 4;
+
+/// A line of the list.
+#[derive(Debug, Clone, Serialize)]
+struct RunLine {
+    scan_id: i64,
+    run: RunUid,
+    experiment: String,
+    kind: RunKind,
+    label: Label,
+    state: StoredState,
+    exit_status: Option<ExitStatus>,
+    reason: Option<String>,
+    trials_stored: u64,
+    trials_planned: u64,
+    created_at: Timestamp,
+    started_at: Option<Timestamp>,
+    ended_at: Option<Timestamp>,
+    duration_s: Option<f64>,
+    #[serde(skip)]
+    words: String,
+}
+
+impl RunLine {
+    async fn of(client: &Client, run: RunRow) -> Result<Self, CliError> {
+        let trials_stored = stored_of(client, run.uid).await?;
+        let elapsed = elapsed(&run, Timestamp::now());
+        Ok(Self {
+            words: state_words(&run),
+            scan_id: run.scan_id,
+            run: run.uid,
+            experiment: run.experiment,
+            kind: run.kind,
+            label: run.label,
+            state: run.state,
+            exit_status: run.exit_status,
+            reason: run.reason,
+            trials_stored,
+            trials_planned: run.trials_planned,
+            created_at: run.created_at,
+            started_at: run.started_at,
+            ended_at: run.ended_at,
+            duration_s: elapsed.map(|of| of.as_secs_f64()),
+        })
+    }
+
+    fn cells(&self) -> [String; 8] {
+        let took = self.duration_s.and_then(|s| jiff::SignedDuration::try_from_secs_f64(s).ok());
+        [
+            self.scan_id.to_string(),
+            self.experiment.clone(),
+            self.kind.as_str().into(),
+            self.words.clone(),
+            stored_words(self.trials_stored, self.trials_planned),
+            or_dash(self.started_at.map(local)),
+            or_dash(took.map(duration_words)),
+            self.label.as_str().into(),
+        ]
+    }
+}
+
+/// Runs `palpate runs`.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached or started, or refuses.
+pub async fn runs(args: RunsArgs) -> Result<(), CliError> {
+    let at = args.at.clone();
+    embed::with_server(&at, move |client| async move { list(&client, &args).await }).await
+}
+
+async fn list(client: &Client, args: &RunsArgs) -> Result<(), CliError> {
+    let (rows, is_all) = select(client, args).await?;
+    let lines = futures::stream::iter(rows.into_iter().map(|run| RunLine::of(client, run)));
+    let lines: Vec<RunLine> = lines.buffered(REQUESTS).try_collect().await?;
+    if args.at.json {
+        say_json(&json!({ "items": lines, "all": is_all }));
+        return Ok(());
+    }
+    let filtered = !args.state.is_empty() || args.experiment.is_some();
+    let empty = match filtered {
+        true => "no run fits: palpate runs without options lists all",
+        false => "there are no runs: palpate run quickstart",
+    };
+    let heads = [
+        ("run", Align::Right),
+        ("experiment", Align::Left),
+        ("kind", Align::Left),
+        ("state", Align::Left),
+        ("stored", Align::Right),
+        ("started", Align::Left),
+        ("duration", Align::Right),
+        ("label", Align::Left),
+    ];
+    let mut table = Table::new(&heads, empty);
+    lines.iter().for_each(|line| table.push(line.cells()));
+    say(&table);
+    if !is_all {
+        say(format_args!("the newest {}; --limit N shows more", lines.len()));
+    }
+    Ok(())
+}
+
+/// The newest runs that fit, and whether they are all.
+async fn select(client: &Client, args: &RunsArgs) -> Result<(Vec<RunRow>, bool), CliError> {
+    let mut found = Vec::new();
+    let mut path = "/api/v1/runs?".to_owned();
+    loop {
+        let page: Page<RunRow> = client.get(&path).await?;
+        for run in page.items {
+            if !fits(&run, &args.state, args.experiment.as_deref()) {
+                continue;
+            }
+            if found.len() == args.limit {
+                return Ok((found, false));
+            }
+            found.push(run);
+        }
+        let Some(next) = page.next else { return Ok((found, true)) };
+        path = format!("/api/v1/runs?cursor={next}");
+    }
+}
+
+fn fits(run: &RunRow, states: &[String], experiment: Option<&str>) -> bool {
+    let is_in = |state: &String| {
+        state == run.state.as_str() || run.exit_status.is_some_and(|end| state == end.as_str())
+    };
+    (states.is_empty() || states.iter().any(is_in))
+        && experiment.is_none_or(|part| run.experiment.contains(part))
+}

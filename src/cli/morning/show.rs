@@ -1,0 +1,228 @@
+//! `palpate show`: a run drawn in the terminal; a trial is `show_trial`.
+//! Uses: `client`, `chart`, the map of `watch`. Never: a change.
+
+use jiff::Timestamp;
+use ratatui::layout::Rect;
+use serde_json::json;
+
+use super::answers::{
+    TrialFacts, TwinsOf, all_trials, duration_words, elapsed, fit_of, grouped, if_there,
+    state_words, stored_words,
+};
+use super::chart::{AtDepth, by_depth, forces, picture, width};
+use super::{ShowArgs, find, show_trial};
+use crate::api::Summary;
+use crate::cli::client::Client;
+use crate::cli::embed;
+use crate::cli::error::CliError;
+use crate::cli::output::{counted, say, say_drawn, say_json};
+use crate::cli::start_time::local;
+use crate::cli::table::{Align, Table};
+use crate::cli::watch::answers::{Skin, Tour, TourProgress};
+use crate::cli::watch::night::Night;
+use crate::cli::watch::skin;
+use crate::cli::watch::theme::Theme;
+
+/// Height of the map and of the forces, lines.
+const MAP_LINES: u16 = 24;
+const CHART_LINES: u16 = 14;
+const CHART_LINES_MAX: u16 = 20;
+/// Width of the map, columns: the skin is nearly square, and a character twice as high as wide.
+const MAP_COLUMNS: u16 = 50;
+/// Width from which map and forces are next to each other, columns.
+const SIDE_BY_SIDE: u16 = 90;
+/// Width of a bar of counts, characters.
+const BAR: usize = 30;
+
+/// Runs `palpate show`.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached or started, or has no such run or trial.
+pub async fn show(args: ShowArgs) -> Result<(), CliError> {
+    let at = args.at.clone();
+    embed::with_server(&at, move |client| async move {
+        match show_trial::named(&args.what) {
+            Some(trial) => show_trial::show(&client, &trial, args.at.json).await,
+            None => run(&client, &args.what, args.at.json).await,
+        }
+    })
+    .await
+}
+
+/// What is drawn of a run.
+struct Drawn {
+    summary: Summary,
+    twins: TwinsOf,
+    median_fvu: Option<f64>,
+    trials: Vec<TrialFacts>,
+    night: Night,
+}
+
+async fn run(client: &Client, what: &str, as_json: bool) -> Result<(), CliError> {
+    let found = find::run(client, what).await?;
+    let path = format!("/api/v1/runs/{}", found.uid);
+    let summary: Summary = client.summary(found.uid).await?;
+    let (twins, fit) = fit_of(client, found.uid).await?;
+    let median_fvu = fit.median_fvu;
+    if as_json {
+        say_json(&json!({ "summary": summary, "twins": twins, "median_fvu": median_fvu }));
+        return Ok(());
+    }
+    let skin: Option<Skin> = if_there(client, &format!("/api/v1/sensor?run={}", found.uid)).await?;
+    let tour: Option<Tour> = if_there(client, &format!("{path}/tour")).await?;
+    let progress: Option<TourProgress> = match tour {
+        Some(_) => if_there(client, &format!("{path}/progress")).await?,
+        None => None,
+    };
+    let trials = all_trials(client, found.uid, summary.trials_stored).await?;
+    let night = Night { run: Some(found.uid), skin, tour, progress, ..Night::new(client.url()) };
+    draw(&Drawn { summary, twins, median_fvu, trials, night })
+}
+
+fn draw(drawn: &Drawn) -> Result<(), CliError> {
+    say(facts(drawn));
+    let contacts = counts(&drawn.summary.contact_counts);
+    if let Some(contacts) = contacts {
+        say(format_args!("\n{contacts}"));
+    }
+    let curve = by_depth(drawn.trials.iter().filter_map(|t| Some((t.depth_mm?, t.max_force_n?))));
+    let picture = pictures(&drawn.night, &curve)?;
+    if !picture.is_empty() {
+        say("");
+        say_drawn(&picture);
+    }
+    let run = drawn.summary.run.scan_id;
+    let worst = drawn.trials.iter().filter(|trial| trial.contact_count > 0);
+    let worst = worst.filter_map(|t| Some((t.fvu?, t.trial_id))).max_by(|a, b| a.0.total_cmp(&b.0));
+    let mut next = vec![
+        (format!("palpate report {run}"), "all of it as HTML and PDF".to_owned()),
+        (format!("palpate trials {run}"), "its trials".into()),
+    ];
+    next.extend(worst.map(|(fvu, trial)| {
+        (format!("palpate show t{trial}"), format!("the trial with the largest FVU, {fvu:.2}"))
+    }));
+    say("\nnext:");
+    for (command, what) in next {
+        say(format_args!("  {command:<24} {what}"));
+    }
+    Ok(())
+}
+
+fn facts(drawn: &Drawn) -> String {
+    let Drawn { summary, twins, median_fvu, .. } = drawn;
+    let run = &summary.run;
+    let mut lines = vec![format!(
+        "run {}, {} ({}, {}): {}",
+        run.scan_id,
+        run.experiment,
+        run.kind.as_str(),
+        run.label.as_str(),
+        state_words(run),
+    )];
+    let mut line = |name: &str, value: String| lines.push(format!("  {name:<11} {value}"));
+    if let Some(reason) = &run.reason {
+        line("reason", reason.clone());
+    }
+    let times = [("started", run.started_at), ("ended", run.ended_at)];
+    for (name, at) in times {
+        if let Some(at) = at {
+            line(name, local(at));
+        }
+    }
+    if let Some(took) = elapsed(run, Timestamp::now()) {
+        line("duration", duration_words(took));
+    }
+    line(
+        "trials",
+        format!(
+            "{} stored, {} skipped, {}",
+            stored_words(summary.trials_stored, run.trials_planned),
+            grouped(summary.trials_skipped),
+            counted(summary.retries, "retry", "retries"),
+        ),
+    );
+    let settings = summary.settings.iter();
+    let settings: Vec<String> = settings
+        .map(|of| format!("{} with {}", grouped(of.stored), counted(of.tips.into(), "tip", "tips")))
+        .collect();
+    if !settings.is_empty() {
+        line("settings", settings.join(", "));
+    }
+    let fit =
+        median_fvu.map_or_else(String::new, |fvu| format!(", median FVU {fvu:.3} of contacts"));
+    line("twins", format!("{} of {}{fit}", grouped(twins.twins), grouped(twins.trials)));
+    line("uid", run.uid.to_string());
+    line("submitted", run.submitted_by.clone());
+    for skip in summary.skips.iter().take(5) {
+        line("skipped", format!("configuration {}: {}", skip.configuration, skip.reason));
+    }
+    if summary.skips.len() > 5 {
+        line("skipped", format!("and {} more", summary.skips.len() - 5));
+    }
+    lines.join("\n")
+}
+
+/// Trials by contacts with bars; `None` without trials.
+fn counts(contact_counts: &[u64; 7]) -> Option<Table> {
+    let most = contact_counts.iter().copied().max().filter(|most| *most > 0)?;
+    let heads = [("contacts", Align::Right), ("trials", Align::Right), ("", Align::Left)];
+    let mut table = Table::new(&heads, "");
+    let last = contact_counts.iter().rposition(|count| *count > 0).unwrap_or(0);
+    for (contacts, count) in contact_counts.iter().enumerate().take(last + 1) {
+        let bar = super::chart::bar(*count as f64 / most as f64, BAR);
+        table.push([contacts.to_string(), grouped(*count), bar]);
+    }
+    Some(table)
+}
+
+/// The map of the skin and the forces over depth, next to each other where there is room.
+fn pictures(night: &Night, curve: &[AtDepth]) -> Result<String, CliError> {
+    let (width, has_map, has_curve) = (width(), night.tour.is_some(), curve.len() > 1);
+    if !has_map && !has_curve {
+        return Ok(String::new());
+    }
+    let theme = Theme { colour: crate::cli::output::is_coloured() };
+    let n: usize = curve.iter().map(|at| at.n).sum();
+    let title = format!("largest force over depth: quartiles (n = {})", grouped(n as u64));
+    let beside = has_map && has_curve && width >= SIDE_BY_SIDE;
+    let map = Rect::new(0, 0, MAP_COLUMNS.min(width), if has_map { MAP_LINES } else { 0 });
+    let chart = match beside {
+        true => Rect::new(MAP_COLUMNS + 2, 0, width - MAP_COLUMNS - 2, MAP_LINES),
+        false => Rect::new(0, map.height, width, if has_curve { CHART_LINES + 1 } else { 0 }),
+    };
+    picture(width, map.height.max(chart.bottom()), |frame| {
+        if has_map {
+            skin::draw(frame, map, night, theme);
+        }
+        if has_curve {
+            let head = Rect { height: 1, ..chart };
+            frame.render_widget(ratatui::text::Line::from(title.as_str()), head);
+            let below = Rect { y: chart.y + 1, height: chart.height - 1, ..chart };
+            let below = Rect { height: below.height.min(CHART_LINES_MAX), ..below };
+            forces(frame, below, curve);
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_end_with_the_largest_number_of_contacts() {
+        let shown = counts(&[138, 60, 0, 6, 0, 0, 0]).unwrap().to_string();
+        assert_eq!(shown.lines().count(), 5, "{shown}");
+        assert!(shown.lines().nth(1).unwrap().ends_with(&"█".repeat(BAR)), "{shown}");
+        assert!(counts(&[0; 7]).is_none());
+    }
+
+    #[test]
+    fn a_map_and_a_chart_are_drawn_without_a_service() {
+        let tour = Tour { depths_mm: vec![0.0, 1.0], ..Tour::default() };
+        let night = Night { tour: Some(tour), ..Night::new("") };
+        let curve = by_depth([(0.0, 0.0), (1.0, 5.0)].into_iter());
+        let drawn = pictures(&night, &curve).unwrap();
+        assert!(drawn.contains("skin") && drawn.contains("quartiles (n = 2)"), "{drawn}");
+        assert_eq!(pictures(&Night::new(""), &[]).unwrap(), "");
+    }
+}

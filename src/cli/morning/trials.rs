@@ -1,0 +1,175 @@
+//! `palpate trials`: the stored trials, newest first, by the conditions of the API.
+//! Uses: `client`, `table`. Never: frames (`show` draws those of one trial).
+
+use reqwest::Url;
+use serde_json::json;
+
+use super::answers::grouped;
+use super::{TrialsArgs, find};
+use crate::api::Page;
+use crate::cli::client::Client;
+use crate::cli::embed;
+use crate::cli::error::CliError;
+use crate::cli::output::{say, say_json};
+use crate::cli::table::{Align, Table, or_dash};
+use crate::store::{MAX_PAGE, TrialRow};
+
+/// Trials per request: whole trials take about 2 kB each.
+const PAGE: usize = 500;
+
+/// What was asked for: at most one run, and conditions.
+#[derive(Debug, PartialEq, Eq)]
+struct Asked {
+    run: Option<String>,
+    conditions: Vec<(String, String)>,
+}
+
+/// Runs `palpate trials`.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached or started, or refuses a condition.
+pub async fn trials(args: TrialsArgs) -> Result<(), CliError> {
+    let asked = asked(&args.what)?;
+    let at = args.at.clone();
+    embed::with_server(&at, move |client| async move { list(&client, &args, asked).await }).await
+}
+
+/// Separates the run from the conditions.
+fn asked(what: &[String]) -> Result<Asked, CliError> {
+    let mut asked = Asked { run: None, conditions: Vec::new() };
+    for text in what {
+        match text.split_once('=') {
+            Some((key, value)) => asked.conditions.push((key.trim().into(), value.trim().into())),
+            None if asked.run.is_none() => asked.run = Some(text.clone()),
+            None => {
+                let limit = "must be a condition such as tips=4, or the only run";
+                return Err(CliError::argument("RUN", text, limit));
+            }
+        }
+    }
+    Ok(asked)
+}
+
+/// A query string of pairs, encoded.
+fn encoded(pairs: &[(String, String)]) -> String {
+    let mut url = Url::parse("http://palpate/").ok();
+    if let Some(url) = &mut url {
+        url.query_pairs_mut().extend_pairs(pairs);
+    }
+    url.and_then(|url| url.query().map(str::to_owned)).unwrap_or_default()
+}
+
+async fn list(client: &Client, args: &TrialsArgs, asked: Asked) -> Result<(), CliError> {
+    let run = match &asked.run {
+        Some(run) => Some(find::run(client, run).await?),
+        None => None,
+    };
+    let list = run
+        .as_ref()
+        .map_or("/api/v1/trials".into(), |run| format!("/api/v1/runs/{}/trials", run.uid));
+    let mut pairs = asked.conditions;
+    let sort = if args.oldest { "trial_id" } else { "-trial_id" };
+    pairs.push(("sort".into(), sort.into()));
+    let (found, is_all) = read(client, &list, &encoded(&pairs), args.limit).await?;
+    if args.at.json {
+        say_json(&json!({ "items": found, "all": is_all }));
+        return Ok(());
+    }
+    let table = table(&found, run.is_none());
+    say(&table);
+    let dataset = run.map_or("run-N".into(), |run| format!("run-{}", run.scan_id));
+    if !found.is_empty() {
+        let which = if args.oldest { "oldest" } else { "newest" };
+        let shown = match is_all {
+            true => format!("all {}", grouped(found.len() as u64)),
+            false => format!("the {which} {}; --limit N shows more", grouped(found.len() as u64)),
+        };
+        say(format_args!(
+            "{shown}. One trial, drawn: palpate show t{}. As a file, with frames: palpate dataset \
+             export {dataset} --format parquet (or csv, npz, ..)",
+            found[0].trial_id.0
+        ));
+    }
+    Ok(())
+}
+
+/// At most `limit` trials, and whether they are all.
+async fn read(
+    client: &Client,
+    list: &str,
+    query: &str,
+    limit: usize,
+) -> Result<(Vec<TrialRow>, bool), CliError> {
+    let (mut found, mut cursor) = (Vec::new(), String::new());
+    loop {
+        let page = (limit - found.len()).clamp(1, PAGE.min(MAX_PAGE as usize));
+        let path = format!("{list}?{query}&limit={page}{cursor}");
+        let page: Page<TrialRow> = client.get(&path).await?;
+        found.extend(page.items);
+        let is_all = page.next.is_none() && found.len() <= limit;
+        found.truncate(limit);
+        match page.next {
+            Some(next) if found.len() < limit => cursor = format!("&cursor={next}"),
+            _ => return Ok((found, is_all)),
+        }
+    }
+}
+
+fn table(trials: &[TrialRow], with_run: bool) -> Table {
+    let mut heads = vec![("trial", Align::Right)];
+    if with_run {
+        heads.push(("run", Align::Right));
+    }
+    heads.extend([
+        ("configuration", Align::Right),
+        ("depth, mm", Align::Right),
+        ("tips", Align::Right),
+        ("contacts", Align::Right),
+        ("largest, N", Align::Right),
+        ("FVU", Align::Right),
+        ("measured", Align::Left),
+        ("flags", Align::Left),
+    ]);
+    let mut table = Table::new(&heads, "no trial fits");
+    for trial in trials {
+        let flags: Vec<&str> = trial.flags.iter().map(|flag| flag.as_str()).collect();
+        let mut cells = vec![format!("t{}", trial.trial_id.0)];
+        if with_run {
+            cells.push(trial.scan_id.to_string());
+        }
+        cells.extend([
+            trial.configuration.to_string(),
+            or_dash(trial.depth_mm.map(|mm| format!("{mm:.2}"))),
+            trial.tips.to_string(),
+            trial.contact_count.to_string(),
+            or_dash(trial.max_force_n.map(|n| format!("{n:.2}"))),
+            or_dash(trial.fvu.map(|fvu| format!("{fvu:.3}"))),
+            or_dash(trial.measured_at.map(super::when::second)),
+            flags.join(", "),
+        ]);
+        table.push(cells);
+    }
+    table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_and_conditions_stand_in_any_order() {
+        let words =
+            |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
+        let read = asked(&words(&["tips=4", "3", "fvu__gt = 0.5"])).unwrap();
+        assert_eq!(read.run.as_deref(), Some("3"));
+        assert_eq!(read.conditions[1], ("fvu__gt".to_owned(), "0.5".to_owned()));
+        let refused = asked(&words(&["3", "4"])).unwrap_err().to_string();
+        assert!(refused.contains("RUN = 4"), "{refused}");
+    }
+
+    #[test]
+    fn a_condition_cannot_add_another_parameter() {
+        let pairs = [("experiment".to_owned(), "a&limit=9 ä".to_owned())];
+        assert_eq!(encoded(&pairs), "experiment=a%26limit%3D9+%C3%A4");
+    }
+}

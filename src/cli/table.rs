@@ -1,0 +1,142 @@
+//! A table as text: a line of heads, columns as wide as their longest cell, and a sentence instead of an
+//! empty table.
+//! Uses: `output` (the width of the terminal). Never: HTTP, a number that is not in a cell.
+
+use std::fmt;
+
+use super::output::terminal_width;
+
+/// Gap between two columns.
+const GAP: &str = "  ";
+/// Narrowest last column that is still cut to the width of the terminal, characters.
+const NARROWEST: usize = 12;
+
+/// Side to which a column is aligned.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Align {
+    /// For words.
+    Left,
+    /// For numbers.
+    Right,
+}
+
+/// A head of a column with the side of its cells; the unit belongs to the head.
+pub type Head<'a> = (&'a str, Align);
+
+/// A table for people.
+#[derive(Debug, Clone)]
+pub struct Table {
+    heads: Vec<(String, Align)>,
+    rows: Vec<Vec<String>>,
+    empty: &'static str,
+    width: Option<usize>,
+}
+
+impl Table {
+    /// A table without rows; `empty` is shown as long as it has none.
+    pub fn new(heads: &[Head], empty: &'static str) -> Self {
+        let heads = heads.iter().map(|(head, align)| ((*head).to_owned(), *align)).collect();
+        Self { heads, rows: Vec::new(), empty, width: terminal_width() }
+    }
+
+    /// Adds a row: one cell for each head.
+    pub fn push(&mut self, cells: impl IntoIterator<Item = String>) {
+        let mut cells: Vec<String> = cells.into_iter().map(|cell| one_line(&cell)).collect();
+        cells.resize(self.heads.len(), String::new());
+        self.rows.push(cells);
+    }
+
+    fn widths(&self) -> Vec<usize> {
+        let of_column = |(column, (head, _)): (usize, &(String, Align))| {
+            let cells = self.rows.iter().map(|row| length(&row[column]));
+            cells.chain([length(head)]).max().unwrap_or(0)
+        };
+        self.heads.iter().enumerate().map(of_column).collect()
+    }
+
+    fn line<'a>(&self, cells: impl Iterator<Item = &'a str>, widths: &[usize]) -> String {
+        let mut line = String::new();
+        for ((cell, width), (_, align)) in cells.zip(widths).zip(&self.heads) {
+            if !line.is_empty() {
+                line += GAP;
+            }
+            let padding = " ".repeat(width.saturating_sub(length(cell)));
+            match align {
+                Align::Left => line.extend([cell, &padding]),
+                Align::Right => line.extend([&*padding, cell]),
+            }
+        }
+        cut(line.trim_end(), self.width)
+    }
+}
+
+impl fmt::Display for Table {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.rows.is_empty() {
+            return f.write_str(self.empty);
+        }
+        let widths = self.widths();
+        f.write_str(&self.line(self.heads.iter().map(|(head, _)| head.as_str()), &widths))?;
+        for row in &self.rows {
+            write!(f, "\n{}", self.line(row.iter().map(String::as_str), &widths))?;
+        }
+        Ok(())
+    }
+}
+
+/// A cell for a value that may be absent: `-`.
+pub fn or_dash(value: Option<impl fmt::Display>) -> String {
+    value.map_or_else(|| "-".into(), |value| value.to_string())
+}
+
+fn length(cell: &str) -> usize {
+    cell.chars().count()
+}
+
+fn one_line(cell: &str) -> String {
+    if cell.contains(['\n', '\r', '\t']) {
+        return cell.split_whitespace().collect::<Vec<_>>().join(" ");
+    }
+    cell.to_owned()
+}
+
+/// Cuts a line to the width of a terminal; elsewhere it stays whole.
+fn cut(line: &str, width: Option<usize>) -> String {
+    match width {
+        Some(width) if width >= NARROWEST && length(line) > width => {
+            let kept: String = line.chars().take(width - 1).collect();
+            format!("{}…", kept.trim_end())
+        }
+        _ => line.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table(width: Option<usize>) -> Table {
+        let heads = [("run", Align::Right), ("name", Align::Left), ("label", Align::Left)];
+        Table { width, ..Table::new(&heads, "there are no runs") }
+    }
+
+    #[test]
+    fn columns_are_as_wide_as_their_longest_cell_and_lines_end_without_blanks() {
+        let mut table = table(None);
+        assert_eq!(table.to_string(), "there are no runs");
+        table.push(["1".into(), "quickstart".into(), String::new()]);
+        table.push(["1234".into(), "a\nb".into(), "virtual".into()]);
+        let lines = ["run   name        label", "   1  quickstart", "1234  a b         virtual"];
+        assert_eq!(table.to_string().lines().collect::<Vec<_>>()[1..], lines[1..]);
+        assert_eq!(table.to_string().lines().next(), Some(" run  name        label"));
+    }
+
+    #[test]
+    fn a_line_is_cut_to_the_terminal_only() {
+        let mut narrow = table(Some(16));
+        narrow.push(["1".into(), "quickstart".into(), "virtual".into()]);
+        assert_eq!(narrow.to_string().lines().last(), Some("  1  quickstart…"));
+        narrow.width = None;
+        assert_eq!(narrow.to_string().lines().last(), Some("  1  quickstart  virtual"));
+    }
+}

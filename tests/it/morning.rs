@@ -1,0 +1,217 @@
+//! The commands of the morning after, on the data folder of an earlier version: a run that ended, one that
+//! was killed, one that is queued. The values follow from what was recorded when the folder was made.
+
+use std::io::{BufRead, BufReader};
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use tokio::time::timeout;
+
+use crate::datasets::filled::Filled;
+use crate::old_data::{HALF, WHOLE, copy, open, recorded};
+use crate::support::{Folder, PALPATE, Process};
+
+/// Longest wait for anything.
+const LIMIT: Duration = Duration::from_secs(30);
+
+/// A service on a copy of the folder, after it has marked the killed run.
+async fn serve(name: &str) -> (Folder, Filled) {
+    let folder = copy(&format!("morning-{name}"));
+    let lab = Filled::serve(folder.to_path_buf()).await;
+    let start = Instant::now();
+    while lab.get("/api/v1/runs/2").await["state"] != "interrupted" {
+        assert!(start.elapsed() < LIMIT, "the killed run is not marked");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    (folder, lab)
+}
+
+fn command(url: &str, arguments: &[&str]) -> Command {
+    let mut command = Command::new(PALPATE);
+    for name in ["URL", "CA", "KEY", "KEY_FILE", "DATA"] {
+        command.env_remove(format!("PALPATE_{name}"));
+    }
+    command.args(arguments).args(["--url", url]).env("TZ", "UTC");
+    command
+}
+
+/// What a command prints; it must succeed.
+fn said(url: &str, arguments: &[&str]) -> String {
+    let Output { status, stdout, stderr } = command(url, arguments).output().unwrap();
+    let error = String::from_utf8_lossy(&stderr);
+    assert!(status.success(), "{arguments:?}: {error}");
+    let text = String::from_utf8(stdout).unwrap();
+    assert!(!text.contains('\u{1b}'), "no colours without a terminal: {text}");
+    text
+}
+
+fn told(url: &str, arguments: &[&str]) -> Value {
+    serde_json::from_str(&said(url, &[arguments, &["--json"]].concat())).unwrap()
+}
+
+/// Exit code and message of a command that is refused.
+fn refused(url: &str, arguments: &[&str]) -> (i32, String) {
+    let Output { status, stderr, .. } = command(url, arguments).output().unwrap();
+    (status.code().unwrap(), String::from_utf8(stderr).unwrap())
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn runs_are_listed_newest_first_and_found_by_number_start_of_the_id_and_last() {
+    let (_folder, lab) = serve("runs").await;
+    let url = lab.url("");
+    let list = said(&url, &["runs"]);
+    let lines: Vec<&str> = list.lines().collect();
+    assert_eq!(lines.len(), 4, "{list}");
+    assert!(lines[0].trim_start().starts_with("run  experiment"), "{list}");
+    let first: Vec<&str> = lines.iter().filter_map(|line| line.split_whitespace().next()).collect();
+    assert_eq!(first, ["run", "3", "2", "1"]);
+    assert!(lines[3].contains("success") && lines[3].contains("12 of 12"), "{list}");
+    assert!(lines[2].contains("interrupted (restart)") && lines[2].contains("4 of 12"), "{list}");
+    assert!(said(&url, &["runs", "--limit", "1"]).contains("the newest 1; --limit N shows more"));
+    let some = told(&url, &["runs", "--state", "success,queued"]);
+    let numbers: Vec<i64> =
+        some["items"].as_array().unwrap().iter().map(|r| r["scan_id"].as_i64().unwrap()).collect();
+    assert_eq!(numbers, [3, 1]);
+    assert!(said(&url, &["runs", "--experiment", "nothing"]).contains("no run fits"));
+
+    let uid = recorded()["runs"][HALF]["uid"].as_str().unwrap().to_owned();
+    for name in ["2", &uid, &uid[..uid.len() - 1]] {
+        assert_eq!(told(&url, &["show", name])["summary"]["run"]["uid"], uid, "{name}");
+    }
+    assert_eq!(told(&url, &["show", "last"])["summary"]["run"]["scan_id"], 3);
+    let (code, why) = refused(&url, &["show", &uid[..4]]);
+    assert!(code == 2 && why.contains("3 runs begin like this"), "{code}: {why}");
+    let (code, why) = refused(&url, &["show", "the last"]);
+    assert!(code == 2 && why.contains("number, start of the id"), "{code}: {why}");
+    lab.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn trials_are_listed_by_the_conditions_of_the_api() {
+    let (_folder, lab) = serve("trials").await;
+    let url = lab.url("");
+    let list = said(&url, &["trials", "1", "--limit", "3"]);
+    assert!(list.lines().next().unwrap().contains("largest, N"), "{list}");
+    assert_eq!(list.lines().count(), 5, "{list}");
+    assert!(
+        list.contains("the newest 3") && list.contains("dataset export run-1 --format"),
+        "{list}"
+    );
+    let trials = recorded()["trials"].as_array().unwrap().clone();
+    let deep = trials.iter().filter(|t| t["depth_mm"].as_f64().unwrap() > 1.0).count();
+    let found = told(&url, &["trials", "depth_mm__gt=1"]);
+    assert_eq!((found["items"].as_array().unwrap().len(), &found["all"]), (deep, &json!(true)));
+    assert_eq!(told(&url, &["trials", "last"])["items"], json!([]), "the queued run has none");
+    assert!(said(&url, &["trials", "last"]).contains("no trial fits"));
+    let (code, why) = refused(&url, &["trials", "1", "colour=red"]);
+    assert!(code == 2 && why.contains("colour"), "{code}: {why}");
+    lab.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_run_and_a_trial_are_drawn_as_plain_text_without_a_terminal() {
+    let (_folder, lab) = serve("show").await;
+    let url = lab.url("");
+    let run = said(&url, &["show", "1"]);
+    for part in
+        ["run 1, whole (real-hex, virtual): success", "12 of 12 stored", "skin", "depth, mm", "█"]
+    {
+        assert!(run.contains(part), "{part}: {run}");
+    }
+    assert!(run.lines().all(|line| line.chars().count() <= 110), "{run}");
+    let trial = told(&url, &["trials", "1", "--limit", "1"])["items"][0].clone();
+    let id = format!("t{}", trial["trial_id"]);
+    let key = format!("1/{}/{}", trial["configuration"], trial["depth_index"]);
+    let drawn = said(&url, &["show", &id]);
+    assert_eq!(drawn, said(&url, &["show", &key]));
+    for part in ["placement", "arm 1", "measured minus twin", "twin, same scale", " mV"] {
+        assert!(drawn.contains(part), "{part}: {drawn}");
+    }
+    let frame = drawn.lines().skip_while(|line| !line.starts_with("measured  ")).count();
+    assert_eq!(frame, 1 + 28 + 1, "a title, 28 rows and the scale: {drawn}");
+    assert_eq!(told(&url, &["show", &id])["voltages_v"].as_array().unwrap().len(), 784);
+    let (code, why) = refused(&url, &["show", "t99999"]);
+    assert!(code == 2 && why.contains("no trial has this name"), "{code}: {why}");
+    let queued = said(&url, &["show", "3"]);
+    assert!(queued.contains("queued") && queued.contains("0 of"), "{queued}");
+    lab.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn events_are_selected_by_kind_and_followed_as_they_happen() {
+    let (folder, lab) = serve("events").await;
+    let url = lab.url("");
+    let all = told(&url, &["events", "1", "--limit", "1000"])["items"].as_array().unwrap().clone();
+    let kinds: Vec<&str> = all.iter().filter_map(|event| event["event"].as_str()).collect();
+    assert!(kinds.contains(&"state") && kinds.contains(&"ended"), "{kinds:?}");
+    let some = told(&url, &["events", "1", "--kind", "ended,tips"])["items"].clone();
+    let wanted = kinds.iter().filter(|kind| ["ended", "tips"].contains(kind)).count();
+    assert_eq!(some.as_array().unwrap().len(), wanted);
+    let list = said(&url, &["events", "1", "--kind", "ended"]);
+    assert!(list.starts_with("time ") && list.contains("success: "), "{list}");
+    assert_eq!(said(&url, &["events", "--since", "0s", "--kind", "trip"]), "no event fits\n");
+    let page = lab.get("/api/v1/events?kind=ended&run=1&limit=1").await;
+    assert_eq!(page["items"][0]["kind"], "ended");
+    assert_eq!(lab.get("/api/v1/events?kind=no_such_kind").await["items"], json!([]));
+
+    let mut follow = command(&url, &["events", "-f", "--kind", "trip", "--json"]);
+    let mut follow = Process(follow.stdout(Stdio::piped()).spawn().unwrap());
+    let mut lines = BufReader::new(follow.0.stdout.take().unwrap()).lines();
+    let read = tokio::task::spawn_blocking(move || lines.next());
+    // The stream begins with events after it was opened.
+    tokio::time::sleep(Duration::from_millis(1000)).await;
+    let store = open(&folder).await;
+    store.append_event(None, "rig", json!({ "state": "tripped" })).await.unwrap();
+    let trip = store.append_event(None, "trip", json!({ "kind": "force" })).await.unwrap();
+    store.close().await;
+    let line = timeout(LIMIT, read).await.expect("no event").unwrap().unwrap().unwrap();
+    let event: Value = serde_json::from_str(&line).unwrap();
+    assert_eq!((&event["event"], &event["seq"]), (&json!("trip"), &json!(trip.seq)));
+    lab.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_report_is_one_file_that_loads_nothing_and_a_missing_browser_is_a_sentence() {
+    let (folder, lab) = serve("report").await;
+    let url = lab.url("");
+    let out = folder.path("reports");
+    let told = told(&url, &["report", "1", "--out", &out, "--no-pdf"]);
+    assert_eq!(told["pdf"], Value::Null);
+    let page = std::fs::read_to_string(folder.join("reports/run-1.html")).unwrap();
+    for part in ["<!doctype html>", "Run 1, whole (virtual)", "What to look at", "12 of 12", "<svg"]
+    {
+        assert!(page.contains(part), "{part}");
+    }
+    assert!(!page.contains("<script") && !page.contains("src=") && !page.contains("<link"));
+    let mut alone = command(&url, &["report", "2", "--out", &out]);
+    let Output { status, stdout, stderr } = alone.env("PATH", &out).output().unwrap();
+    let (stdout, stderr) = (String::from_utf8_lossy(&stdout), String::from_utf8_lossy(&stderr));
+    assert!(status.success() && stderr.contains("no PDF was written"), "{stderr}");
+    assert!(stdout.contains("has not ended: it is interrupted"), "{stdout}");
+    assert!(folder.join("reports/run-2.html").is_file());
+    lab.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn two_runs_are_compared_at_the_same_place_and_depth() {
+    let (_folder, lab) = serve("diff").await;
+    let url = lab.url("");
+    let same = told(&url, &["diff", "1", "1"]);
+    let pairs = same["forces"]["pairs"].as_u64().unwrap();
+    assert_eq!(pairs, 12);
+    assert_eq!(same["forces"]["all_n"]["median"], 0.0);
+    assert_eq!(same["files"]["experiment"], json!([]));
+    let fvu = &same["frames"]["fvu"];
+    assert!(fvu.is_null() || fvu["median"] == 0.0, "{fvu}");
+    let text = said(&url, &["diff", "1", "2"]);
+    let (whole, half) = (&recorded()["runs"][WHOLE], &recorded()["runs"][HALF]);
+    let head = text.lines().next().unwrap();
+    assert!(head.contains("run 1") && head.contains("run 2"), "{text}");
+    let name = text.lines().find(|line| line.starts_with("experiment")).unwrap();
+    for run in [whole, half] {
+        assert!(name.contains(run["experiment"].as_str().unwrap()), "{text}");
+    }
+    assert!(name.ends_with("differs"), "{text}");
+    lab.end().await;
+}
