@@ -3,8 +3,8 @@
 //! is a crate, and crates only use those before them.
 
 pub use palpate_words::{
-    carried, chance, clock, commit, digest, ids, journal, new_file, plain, problem, record, state,
-    syntax,
+    carried, chance, clock, commit, digest, file_kind, ids, journal, locate, near, new_file, plain,
+    problem, record, state, syntax, toml_words,
 };
 
 pub use palpate_bench::{campaign, rig, schedule};

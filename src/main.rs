@@ -3,11 +3,12 @@
 //! Never: anything else.
 
 use std::fmt::Display;
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use clap::{Args, CommandFactory, Parser, Subcommand};
+use clap::error::ErrorKind;
+use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use clap_complete::Shell;
 use mimalloc::MiMalloc;
 use palpate::cli;
@@ -101,24 +102,27 @@ struct VirtualRigArgs {
 
 fn main() -> ExitCode {
     palpate::commit::set(option_env!("PALPATE_COMMIT"));
-    let CommandLine { command, log } = CommandLine::parse();
+    let (CommandLine { command, log }, as_json) = match parsed() {
+        Ok(parsed) => parsed,
+        Err(code) => return code,
+    };
     // The log is written out when this value is dropped, at the end.
     let _log = cli::log::start(&log);
     match command {
-        Command::Service(command) => cli::main(command),
+        Command::Service(command) => cli::main(command, as_json),
         Command::VirtualOperator(args) => ended(operator_main(args)),
         Command::Completions { shell } => {
             let mut text = Vec::new();
             clap_complete::generate(shell, &mut CommandLine::command(), "palpate", &mut text);
             // Only a closed pipe refuses it.
-            let _ = io::Write::write_all(&mut io::stdout(), &text);
+            let _ = io::stdout().write_all(&text);
             ExitCode::SUCCESS
         }
         Command::Man { folder } => ended(write_manual(&folder)),
         Command::VirtualRig(args) => match args.complete() {
             Ok(args) => ended(rig_main(args)),
             Err(error) => {
-                eprintln!("{error}");
+                cli::report(&error, false);
                 error.exit_code()
             }
         },
@@ -128,9 +132,34 @@ fn main() -> ExitCode {
 fn write_manual(folder: &Path) -> Result<(), String> {
     let write = || {
         std::fs::create_dir_all(folder)?;
-        clap_mangen::generate_to(CommandLine::command(), folder)
+        clap_mangen::generate_to(cli::help::complete(CommandLine::command()), folder)
     };
     write().map_err(|error| format!("{}: {error}", folder.display()))
+}
+
+/// The command line, and whether its errors are printed as JSON; otherwise the exit code.
+fn parsed() -> Result<(CommandLine, bool), ExitCode> {
+    let matches = cli::help::complete(CommandLine::command()).try_get_matches();
+    let read = matches.and_then(|matches| {
+        let line = CommandLine::from_arg_matches(&matches)?;
+        Ok((line, wants_json(&matches)))
+    });
+    read.map_err(|error| {
+        let is_help = !error.use_stderr()
+            || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;
+        match !is_help && std::env::args().any(|word| word == "--json") {
+            true => cli::report_usage(&error.render().to_string()),
+            // A pipe that nobody reads is no error.
+            false => drop(error.print()),
+        }
+        ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2))
+    })
+}
+
+/// Whether the option `--json` of a command or its subcommand was given.
+fn wants_json(matches: &ArgMatches) -> bool {
+    let here = matches.try_get_one::<bool>("json").ok().flatten().copied().unwrap_or(false);
+    here || matches.subcommand().is_some_and(|(_, inner)| wants_json(inner))
 }
 
 impl VirtualRigArgs {
@@ -159,7 +188,8 @@ fn ended(outcome: Result<(), impl Display>) -> ExitCode {
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("{error}");
+            // A pipe that nobody reads is no error.
+            let _ = writeln!(io::stderr(), "error: {error}");
             ExitCode::FAILURE
         }
     }
@@ -169,9 +199,90 @@ fn ended(outcome: Result<(), impl Display>) -> ExitCode {
 mod tests {
     use super::*;
 
+    fn command_line() -> clap::Command {
+        cli::help::complete(CommandLine::command())
+    }
+
     #[test]
     fn the_command_line_is_well_formed() {
-        CommandLine::command().debug_assert();
+        command_line().debug_assert();
+    }
+
+    /// Calls `check` with each command, and its words after `palpate`.
+    fn walk(command: &clap::Command, path: &str, check: &mut impl FnMut(&str, &clap::Command)) {
+        check(path, command);
+        for inner in command.get_subcommands().filter(|inner| inner.get_name() != "help") {
+            walk(inner, format!("{path} {}", inner.get_name()).trim_start(), check);
+        }
+    }
+
+    #[test]
+    fn the_help_of_every_command_ends_with_examples_that_can_be_typed() {
+        let mut root = command_line();
+        root.build();
+        let mut count = 0;
+        walk(&root, "", &mut |path, command| {
+            let help = command.clone().render_long_help().to_string();
+            let (_, examples) = help.split_once("Examples:\n").unwrap_or_else(|| {
+                panic!("palpate {path}: no example; add it to src/cli/help/examples.rs")
+            });
+            let lines = examples.lines().map(str::trim).take_while(|line| !line.is_empty());
+            let lines: Vec<&str> = lines.collect();
+            assert!(!lines.is_empty(), "{path}");
+            for line in lines {
+                count += 1;
+                // What the shell does around the command: pipes and variables of the environment.
+                let words =
+                    line.split(" | ").find_map(|part| Some(&part[part.find("palpate ")?..]));
+                let words = words.unwrap_or_else(|| panic!("{line}: not a command"));
+                let read = command_line().try_get_matches_from(words.split_whitespace());
+                let error = read.err().map(|error| error.to_string());
+                assert_eq!(error, None, "{line}");
+                assert!(words.starts_with(format!("palpate {path}").trim()), "{path}: {line}");
+            }
+        });
+        assert!(count > 60, "{count} examples");
+    }
+
+    #[test]
+    fn no_line_of_a_help_is_wider_than_a_terminal_and_options_state_their_defaults() {
+        let mut root = command_line();
+        root.build();
+        walk(&root, "", &mut |path, command| {
+            let pages = [command.clone().render_help(), command.clone().render_long_help()];
+            for page in pages.map(|page| page.to_string()) {
+                for line in page.lines() {
+                    assert!(line.chars().count() <= 100, "palpate {path}: {line}");
+                }
+            }
+            for option in command.get_opts() {
+                let help = option.get_help().map(ToString::to_string).unwrap_or_default();
+                let name = option.get_long().unwrap_or_default();
+                assert!(!help.is_empty(), "palpate {path} --{name}: no help");
+                let variable = match name {
+                    // It has a default of its own.
+                    _ if path == "virtual-operator" => "",
+                    "url" => "[env: PALPATE_URL]",
+                    "ca" => "[env: PALPATE_CA]",
+                    "data" => "[env: PALPATE_DATA]",
+                    _ => "",
+                };
+                let words = help.split_whitespace().collect::<Vec<_>>().join(" ");
+                assert!(words.contains(variable), "palpate {path} --{name}: {words}");
+                let hidden = option.is_hide_default_value_set();
+                assert!(!hidden || words.contains("[default:"), "palpate {path} --{name}: {words}");
+            }
+        });
+    }
+
+    #[test]
+    fn every_command_is_in_one_group_of_the_help() {
+        let page = command_line().render_help().to_string();
+        for command in CommandLine::command().get_subcommands() {
+            let row = format!("  {} ", command.get_name());
+            let rows = page.lines().filter(|line| line.starts_with(&row)).count();
+            assert_eq!(rows, 1, "{}: add it to GROUPS in src/cli/help/mod.rs", command.get_name());
+        }
     }
 
     #[test]

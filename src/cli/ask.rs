@@ -144,7 +144,8 @@ pub struct Stopped {
 /// it is known. `tell` receives what a person must know of the request.
 ///
 /// # Errors
-/// `CliError` if the request for the stop fails; the acknowledgement is only reported.
+/// `CliError::NotStopped` or `StopUnanswered` if the request for the stop fails; the acknowledgement is only
+/// reported.
 pub async fn press_estop(
     at: &At,
     why: Option<&str>,
@@ -156,11 +157,18 @@ pub async fn press_estop(
         tell(&format!("the stop is requested without a key: {error}"));
         None
     });
-    let mut clients = embed::clients_with(at, key.clone())?;
+    let named =
+        |key| embed::clients_with(at, key).map_err(|error| CliError::NotStopped(Box::new(error)));
+    let mut clients = named(key.clone())?;
     if key.is_some() {
-        clients.extend(embed::clients_with(at, None)?);
+        clients.extend(named(None)?);
     }
     let (mut tries, mut refused) = (0, None);
+    let not_stopped = |error| match error {
+        // It may have arrived.
+        CliError::Http { .. } => CliError::StopUnanswered(Box::new(error)),
+        error => CliError::NotStopped(Box::new(error)),
+    };
     let (client, answer): (&Client, Value) = loop {
         let client = &clients[tries % clients.len()];
         let body = json!({ "why": why, "who": client.who() });
@@ -178,7 +186,7 @@ pub async fn press_estop(
                 refused = refused.or(Some(error));
                 tries += 1;
             }
-            Err(error) => return Err(refused.unwrap_or(error)),
+            Err(error) => return Err(not_stopped(refused.unwrap_or(error))),
         }
     };
     let asked = Instant::now();

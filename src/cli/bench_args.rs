@@ -6,10 +6,12 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::error::CliError;
+use super::error::{CliError, io_words};
 use super::files::{DEFAULT_GAP, DEFAULT_SKIN_SEED, RigFiles, read_or_carried};
 use super::virtual_bench::BenchOptions;
 use crate::carried::GAPS;
+use crate::file_kind::FileKind;
+use crate::problem::Problem;
 
 /// Default speed of the virtual rig.
 const DEFAULT_SPEED: f64 = 20.0;
@@ -38,13 +40,18 @@ pub struct BenchArgs {
 }
 
 impl BenchArgs {
-    /// Whether an option of the virtual rig was stated.
-    pub fn names_virtual(&self) -> bool {
-        self.on_virtual
-            || self.speed.is_some()
-            || self.gap.is_some()
-            || self.skin_seed.is_some()
-            || self.fault.is_some()
+    /// The options that choose a bench and were stated, each with its value; empty without one.
+    pub fn stated(&self) -> Vec<(&'static str, String)> {
+        let path = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
+        let all = [
+            ("--rig", path(&self.rig)),
+            ("--virtual", self.on_virtual.then(|| "given".into())),
+            ("--speed", self.speed.map(|speed| speed.to_string())),
+            ("--gap", path(&self.gap)),
+            ("--skin-seed", self.skin_seed.map(|seed| seed.to_string())),
+            ("--fault", path(&self.fault)),
+        ];
+        all.into_iter().filter_map(|(option, value)| Some((option, value?))).collect()
     }
 
     /// Whether the bench is a virtual one, which must be started.
@@ -57,9 +64,13 @@ impl BenchArgs {
     /// # Errors
     /// `CliError::Problems` with the options.
     pub fn check(&self) -> Result<(), CliError> {
-        if !self.is_virtual() && self.names_virtual() {
+        let stated = self.stated();
+        if !self.is_virtual() && stated.len() > 1 {
             let limit = "must not be combined with --rig, except with --virtual";
-            return Err(CliError::argument("--speed, --gap, --skin-seed, --fault", "given", limit));
+            let wrong = stated.iter().filter(|(option, _)| *option != "--rig");
+            let problems =
+                wrong.map(|(option, value)| Problem::new("command line", option, value, limit));
+            return Err(CliError::Problems(problems.collect()));
         }
         let speed = self.speed();
         if !(0.01..=2000.0).contains(&speed) {
@@ -69,7 +80,7 @@ impl BenchArgs {
         let Some(path) = &self.fault else { return Ok(()) };
         match std::fs::File::open(path) {
             Ok(_) => Ok(()),
-            Err(error) => Err(CliError::argument("--fault", path.display(), error.to_string())),
+            Err(error) => Err(CliError::argument("--fault", path.display(), io_words(&error))),
         }
     }
 
@@ -78,7 +89,8 @@ impl BenchArgs {
     /// # Errors
     /// `CliError::Problems` if the file cannot be read.
     fn gap_text(&self) -> Result<String, CliError> {
-        read_or_carried(self.gap.as_deref().unwrap_or(Path::new(DEFAULT_GAP)), GAPS)
+        let named = self.gap.as_deref().unwrap_or(Path::new(DEFAULT_GAP));
+        read_or_carried(FileKind::Gap, named, GAPS)
     }
 
     /// Process seconds per wall second of the virtual rig.

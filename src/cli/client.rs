@@ -45,6 +45,17 @@ pub struct Client {
     answer_within: Duration,
 }
 
+/// What answers at a URL.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Found {
+    /// A palpate server.
+    Palpate,
+    /// Another program.
+    Stranger,
+    /// Nothing.
+    Nothing,
+}
+
 /// A text that is uploaded with a file.
 #[derive(Debug)]
 pub struct TextPart {
@@ -75,13 +86,14 @@ impl Client {
     /// Client of the service at a URL. `ca`: the certificate of the service or of its authority.
     ///
     /// # Errors
-    /// `CliError::Http` if the HTTP client cannot be created; `Problems` or `Tls` if the certificate
-    /// cannot be used.
+    /// `CliError::Http` if the HTTP client cannot be created; `Problems` if the URL is none, or if the
+    /// certificate cannot be used; `Tls` likewise.
     pub fn new(
         url: &str,
         ca: Option<&Certificates>,
         key: Option<String>,
     ) -> Result<Self, CliError> {
+        check_url(url)?;
         let tls = trust::tls(url, ca)?;
         let http = trust::http(tls.clone())
             .map_err(|source| CliError::Http { operation: "HTTP client".into(), source })?;
@@ -104,20 +116,21 @@ impl Client {
         &self.who
     }
 
-    /// Whether a palpate server answers at the URL.
+    /// What answers at the URL.
     ///
     /// # Errors
     /// `CliError::Untrusted` if its certificate is not trusted.
-    pub async fn is_there(&self) -> Result<bool, CliError> {
+    pub async fn look(&self) -> Result<Found, CliError> {
         let url = format!("{}/health/live", self.url);
         let body: Value = match self.http.get(url).timeout(LOOK).send().await {
             Ok(answer) => answer.json().await.unwrap_or_default(),
             Err(error) => match self.untrusted(&error) {
                 Some(untrusted) => return Err(untrusted),
-                None => return Ok(false),
+                None if error.is_connect() || error.is_timeout() => return Ok(Found::Nothing),
+                None => return Ok(Found::Stranger),
             },
         };
-        Ok(body["service"] == "palpate")
+        Ok(if body["service"] == "palpate" { Found::Palpate } else { Found::Stranger })
     }
 
     /// Returns the status of rig, run and service.
@@ -412,6 +425,7 @@ impl Client {
         operation: String,
         request: RequestBuilder,
     ) -> Result<Response, CliError> {
+        tracing::debug!(operation, url = self.url, "request");
         let request = self.with_key(request).timeout(self.answer_within);
         let sent = repeat::send(request, &operation, self.answer_within);
         // Only requests that may take long have a long deadline.
@@ -459,8 +473,19 @@ impl Client {
     }
 }
 
+/// Rejects what is not the URL of a server.
+fn check_url(url: &str) -> Result<(), CliError> {
+    let limit = match reqwest::Url::parse(url) {
+        Ok(read) if matches!(read.scheme(), "http" | "https") && read.has_host() => return Ok(()),
+        _ if url.contains("://") => "must be like http://127.0.0.1:8080".into(),
+        _ => format!("must start with http:// or https://, as http://{url}"),
+    };
+    Err(CliError::argument("--url or PALPATE_URL", url, limit))
+}
+
 /// Converts a problem body to an error: values outside their limits are bad input.
 fn refusal(operation: String, status: u16, body: &Value) -> CliError {
+    tracing::debug!(operation, status, "the server refused a request");
     let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
     let problems: Vec<Problem> = body["errors"]
         .as_array()
@@ -471,6 +496,8 @@ fn refusal(operation: String, status: u16, body: &Value) -> CliError {
             key: text(&e["key"]),
             value: text(&e["value"]),
             limit: text(&e["limit"]),
+            // The service may have read another text: a recipe with changes.
+            at: None,
         })
         .collect();
     if !problems.is_empty() {
@@ -497,8 +524,21 @@ mod tests {
         assert_eq!(error.to_string(), "e.toml: seed = -1: must be 0 or more");
         let body = json!({ "title": "Conflict", "detail": "run 3 is ended" });
         let error = refusal("POST /q".into(), 409, &body);
-        assert_eq!(error.to_string(), "POST /q: run 3 is ended");
+        assert_eq!(error.to_string(), "run 3 is ended");
         let error = refusal("POST /q".into(), 502, &Value::Null);
         assert!(error.to_string().contains("502"));
+    }
+
+    #[test]
+    fn a_url_has_a_scheme_and_a_host() {
+        let words = |url: &str| check_url(url).err().map(|error| error.to_string());
+        for url in ["http://127.0.0.1:8080", "https://rig.example.org/lab", "http://[::1]:1"] {
+            assert_eq!(words(url), None);
+        }
+        let without = words("127.0.0.1:8399").unwrap();
+        assert!(without.contains("as http://127.0.0.1:8399"), "{without}");
+        assert!(words("rig:8399").unwrap().contains("http://rig:8399"));
+        assert!(words("ftp://rig").unwrap().contains("must be like"));
+        assert!(words("http://").is_some());
     }
 }

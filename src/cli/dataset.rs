@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use super::client::{Client, TextPart};
 use super::error::CliError;
-use super::files::read_input;
+use super::files::{read_as, read_input};
 use super::output::{bytes, counted, say, say_json};
 use super::progress::progress_bar;
 use super::start_time::local;
@@ -23,6 +23,7 @@ use super::{At, embed};
 use crate::dataset::export::ExportRequest;
 use crate::dataset::format::Format;
 use crate::digest::Hashing;
+use crate::file_kind::FileKind;
 use crate::ids::DatasetId;
 
 /// Interval of polling an export's progress.
@@ -224,7 +225,7 @@ async fn make(client: &Client, args: &MakeArgs) -> Result<(), CliError> {
     let what = args.what.display().to_string();
     let is_file = args.what.extension().is_some() || args.what.is_file();
     let body = match is_file {
-        true => json!({ "toml": read_input(&args.what)?, "file": what }),
+        true => json!({ "toml": read_as(FileKind::Dataset, &args.what)?, "file": what }),
         false => json!({ "name": what }),
     };
     let made: Value = client.patient(MAKING).post("/api/v1/datasets", &body).await?;

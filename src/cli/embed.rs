@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use tokio::sync::oneshot;
 
-use super::client::Client;
+use super::client::{Client, Found};
 use super::error::CliError;
 use super::files::{RigFiles, read_sensor_text};
 use super::key::key;
@@ -53,23 +53,35 @@ pub fn clients_with(at: &At, key: Option<String>) -> Result<Vec<Client>, CliErro
 /// address is none for a command that names another data folder.
 ///
 /// # Errors
-/// `CliError::NoServer` if a named server does not answer; otherwise as [`clients`] and
-/// [`Client::is_there`].
+/// `CliError::NoServer` if a named server does not answer, `Stranger` if something else does; otherwise
+/// as [`clients`] and [`Client::look`].
 pub async fn find(at: &At) -> Result<Option<Client>, CliError> {
-    let mut untrusted = None;
+    let looked = look(at).await?;
+    match (looked, at.url()) {
+        (Ok(client), _) => Ok(Some(client)),
+        // Without a named server, one is started at another address.
+        (Err(_), None) => Ok(None),
+        (Err(why), Some(_)) => Err(why),
+    }
+}
+
+/// Returns the server, or why there is none.
+async fn look(at: &At) -> Result<Result<Client, CliError>, CliError> {
+    let (mut untrusted, mut stranger) = (None, None);
     for client in clients(at)? {
-        match client.is_there().await {
-            Ok(true) if serves(&client, at).await => return Ok(Some(client)),
-            Ok(true) => {}
-            Ok(false) => {}
+        match client.look().await {
+            Ok(Found::Palpate) if serves(&client, at).await => return Ok(Ok(client)),
+            Ok(Found::Stranger) => stranger = Some(client.url().to_owned()),
+            Ok(Found::Palpate | Found::Nothing) => {}
             // A killed service may have left the address of what is now another program.
             Err(error) => untrusted = untrusted.or(Some(error)),
         }
     }
-    match (untrusted, at.url()) {
+    let url = at.url().unwrap_or_else(|| DEFAULT_URL.into());
+    match (untrusted, stranger) {
         (Some(error), _) => Err(error),
-        (None, Some(url)) => Err(CliError::NoServer { url }),
-        (None, None) => Ok(None),
+        (None, Some(url)) => Ok(Err(CliError::Stranger { url })),
+        (None, None) => Ok(Err(CliError::NoServer { url })),
     }
 }
 
@@ -88,9 +100,9 @@ async fn serves(client: &Client, at: &At) -> bool {
 /// Returns the server, which must be running.
 ///
 /// # Errors
-/// `CliError::NoServer` if it does not answer.
+/// `CliError::NoServer` if it does not answer, `Stranger` if something else does.
 pub async fn server(at: &At) -> Result<Client, CliError> {
-    find(at).await?.ok_or_else(|| CliError::NoServer { url: DEFAULT_URL.into() })
+    look(at).await?
 }
 
 /// Options of a service in this process that reads and computes, on a free port of the loopback.

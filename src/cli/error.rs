@@ -1,7 +1,8 @@
 //! Errors of commands, with their exit codes.
-//! Uses: `problem`, the errors of `api` and `rig`. Never: printing, HTTP status codes as decisions.
+//! Uses: `problem`, the errors of `api` and `rig`. Never: printing (`drawn` does it), the method or path of
+//! a request in a message: a person asked for a command (`PALPATE_LOG=debug` shows the requests).
 
-use std::io;
+use std::io::{self, ErrorKind};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -12,6 +13,7 @@ use crate::calibrate::CalibrateError;
 use crate::calibrate::skin::SkinError;
 use crate::evaluate::figures::FigureError;
 use crate::journal::error_chain;
+use crate::plain::system_words;
 use crate::problem::Problem;
 use crate::rig::error::RigError;
 use crate::simulate::model::ModelUnavailable;
@@ -33,6 +35,25 @@ pub enum CliError {
         /// URL of the expected server.
         url: String,
     },
+    /// Something else answers at the URL.
+    #[error(
+        "something else than palpate answers at {url}; name the address of palpate with --url or \
+         PALPATE_URL"
+    )]
+    Stranger {
+        /// URL of the expected server.
+        url: String,
+    },
+    /// An emergency stop has not reached a rig.
+    #[error(
+        "NOTHING WAS STOPPED: {0}\nUSE THE EMERGENCY STOP ON THE RIG, or cut the power of its drives."
+    )]
+    NotStopped(Box<CliError>),
+    /// An emergency stop was sent, and nothing answered.
+    #[error(
+        "THE STOP IS NOT CONFIRMED: {0}\nUSE THE EMERGENCY STOP ON THE RIG, or cut the power of its drives."
+    )]
+    StopUnanswered(Box<CliError>),
     /// The certificate of the server is not trusted.
     #[error(
         "the certificate of {url} is not trusted: {why}; name its file, or that of its authority, with \
@@ -48,7 +69,7 @@ pub enum CliError {
     #[error("TLS: {0}; name the certificate of the server with --ca or PALPATE_CA")]
     Tls(#[from] rustls::Error),
     /// A request had no answer, or an invalid one.
-    #[error("{operation}: {source}")]
+    #[error("{}", unanswered(source))]
     Http {
         /// Method and path of the request.
         operation: String,
@@ -56,7 +77,7 @@ pub enum CliError {
         source: reqwest::Error,
     },
     /// A WebSocket failed.
-    #[error("{operation}: {source}")]
+    #[error("the connection to the server failed: {source}")]
     Socket {
         /// Method and path of the request.
         operation: String,
@@ -64,7 +85,7 @@ pub enum CliError {
         source: Box<tokio_tungstenite::tungstenite::Error>,
     },
     /// The service refused the request.
-    #[error("{operation}: {detail}")]
+    #[error("{detail}")]
     Refused {
         /// Method and path of the request.
         operation: String,
@@ -74,7 +95,7 @@ pub enum CliError {
         detail: String,
     },
     /// A file could not be read or written.
-    #[error("{path}: {source}", path = path.display())]
+    #[error("{path}: {}", io_words(source), path = path.display())]
     File {
         /// Path of the file.
         path: PathBuf,
@@ -96,7 +117,7 @@ pub enum CliError {
         source: io::Error,
     },
     /// A child process did not start.
-    #[error("{name}: {why}; its log is {log}", log = log.display())]
+    #[error("{name}: {why} (log: {log})", log = log.display())]
     Child {
         /// Name of the process.
         name: &'static str,
@@ -177,14 +198,55 @@ impl CliError {
 
     /// Exit code: 2 for bad input, 1 for everything else.
     pub fn exit_code(&self) -> ExitCode {
+        ExitCode::from(self.code())
+    }
+
+    /// The exit code as a number.
+    pub fn code(&self) -> u8 {
         match self {
             CliError::Problems(_)
             | CliError::NotConfirmed { .. }
             | CliError::Store(StoreError::Refused { .. })
             | CliError::SimRandom(RandomError::OtherDefinition { .. })
-            | CliError::Refused { status: 400 | 422, .. } => ExitCode::from(2),
-            _ => ExitCode::FAILURE,
+            | CliError::Refused { status: 400 | 422, .. } => 2,
+            _ => 1,
         }
+    }
+}
+
+/// Cause of an error of the operating system, without its number where its meaning is plain.
+pub fn io_words(error: &io::Error) -> String {
+    let words = match error.kind() {
+        ErrorKind::NotFound => "there is no such file or folder",
+        ErrorKind::PermissionDenied => "this user has no right to it",
+        ErrorKind::IsADirectory => "is a folder, not a file",
+        ErrorKind::NotADirectory => "a part of the path is a file, not a folder",
+        ErrorKind::InvalidData => "is not text (UTF-8)",
+        ErrorKind::StorageFull => "no space is left on this disk",
+        ErrorKind::ReadOnlyFilesystem => "is on a disk that can only be read",
+        _ => return system_words(error),
+    };
+    words.into()
+}
+
+/// Why a request has no usable answer.
+fn unanswered(error: &reqwest::Error) -> String {
+    let host = error.url().map_or_else(
+        || "the server".into(),
+        |url| {
+            let port = url.port().map_or_else(String::new, |port| format!(":{port}"));
+            format!("the server at {}{port}", url.host_str().unwrap_or("?"))
+        },
+    );
+    let mut causes = std::iter::successors(Some(error as &dyn std::error::Error), |e| e.source());
+    let cause = causes.by_ref().last().map(ToString::to_string).unwrap_or_default();
+    let cause = cause.split(" (os error").next().unwrap_or_default();
+    match () {
+        () if error.is_timeout() => format!("{host} did not answer in time"),
+        () if error.is_decode() => {
+            format!("{host} answers in another form than palpate: {cause}")
+        }
+        () => format!("{host} did not answer: {cause}"),
     }
 }
 

@@ -1,14 +1,17 @@
 //! Experiment, sensor, rig and calibration files, read and checked; and the files carried in the program.
 //! Uses: `schedule`, `rig::config`, sim-core's sensor. Never: the network, motion.
 
+use std::io;
 use std::path::{Path, PathBuf};
 
 use sim_core::calibration::{Calibration, CalibrationError};
 use sim_core::sensor::{Sensor, SensorError, SensorFile};
 
-use super::error::CliError;
-use crate::carried::{self, EXPERIMENTS, RIGS};
+use super::error::{CliError, io_words};
+use crate::carried::{self, EXPERIMENTS, RECIPES, RIGS};
 use crate::digest::sha256_hex;
+use crate::file_kind::FileKind;
+use crate::near::did_you_mean;
 use crate::problem::Problem;
 use crate::rig::reach::{bench, reach};
 use crate::rig::setup::RigSetup;
@@ -66,8 +69,9 @@ impl ExperimentFiles {
     /// `CliError::Problems` with all problems of the files.
     pub fn read(path: &Path) -> Result<Self, CliError> {
         let file = path.display().to_string();
-        let definition = read_or_carried(path, EXPERIMENTS)?;
-        let experiment = Experiment::from_toml(&file, &definition).map_err(CliError::Problems)?;
+        let definition = read_or_carried(FileKind::Experiment, path, EXPERIMENTS)?;
+        let experiment = Experiment::from_toml(&file, &definition)
+            .map_err(|problems| of_kind(FileKind::Experiment, &file, &definition, problems))?;
         let sensor_path: PathBuf = path.parent().unwrap_or(Path::new("")).join(&experiment.sensor);
         let sensor_text = match carried::sensor(&experiment.sensor) {
             Some(text) if !sensor_path.exists() => text.to_owned(),
@@ -103,7 +107,9 @@ impl RigFiles {
     /// `CliError::Problems` with all problems of the file.
     pub fn read(path: Option<&Path>) -> Result<Self, CliError> {
         match path {
-            Some(path) => Self::parse(path.display().to_string(), read_or_carried(path, RIGS)?),
+            Some(path) => {
+                Self::parse(path.display().to_string(), read_or_carried(FileKind::Rig, path, RIGS)?)
+            }
             None => Self::parse(DEFAULT_RIG_FILE.into(), DEFAULT_RIG.into()),
         }
     }
@@ -113,7 +119,8 @@ impl RigFiles {
     /// # Errors
     /// `CliError::Problems` with all problems of the text.
     pub fn parse(file: String, text: String) -> Result<Self, CliError> {
-        let config = RigSetup::from_toml(&file, &text).map_err(CliError::Problems)?;
+        let config = RigSetup::from_toml(&file, &text)
+            .map_err(|problems| of_kind(FileKind::Rig, &file, &text, problems))?;
         Ok(Self { file, text, config })
     }
 }
@@ -133,7 +140,10 @@ pub fn write(path: &Path, text: &str) -> Result<(), CliError> {
 pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
     let failed = |source| CliError::File { path: path.into(), source };
     if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder).map_err(failed)?;
+        std::fs::create_dir_all(folder).map_err(|error| match error.kind() {
+            io::ErrorKind::AlreadyExists => failed(io::ErrorKind::NotADirectory.into()),
+            _ => failed(error),
+        })?;
     }
     std::fs::write(path, bytes).map_err(failed)
 }
@@ -143,35 +153,74 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), CliError> {
 /// # Errors
 /// `CliError::Problems` if it cannot be read: that is bad input.
 pub fn read_input(path: &Path) -> Result<String, CliError> {
-    std::fs::read_to_string(path).map_err(|e| {
-        CliError::Problems(vec![Problem::whole(&path.display().to_string(), e.to_string())])
+    std::fs::read_to_string(path).map_err(|error| {
+        let words = format!("{}{}", io_words(&error), similar(path, &error));
+        CliError::Problems(vec![Problem::whole(&path.display().to_string(), words)])
     })
 }
 
-/// Reads a file named on the command line, or returns the carried file of that name if there is none.
+/// Reads a file of this kind that is named on the command line, or returns the carried file of that name if there
+/// is none.
 ///
 /// # Errors
-/// `CliError::Problems` if there is neither, with the carried names.
-pub fn read_or_carried(path: &Path, files: &[(&str, &'static str)]) -> Result<String, CliError> {
+/// `CliError::Problems` if there is neither, with the carried names, or the file is of another kind.
+pub fn read_or_carried(
+    kind: FileKind,
+    path: &Path,
+    files: &'static [(&'static str, &'static str)],
+) -> Result<String, CliError> {
     let name = path.to_str().filter(|_| !path.exists());
-    match name.and_then(|name| carried::text(files, name)) {
-        Some(text) => Ok(text.to_owned()),
-        None if path.exists() => read_input(path),
-        None => {
-            let names: Vec<&str> = files.iter().map(|(name, _)| *name).collect();
+    if let Some(text) = name.and_then(|name| carried::text(files, name)) {
+        return Ok(text.to_owned());
+    }
+    match name.filter(|name| !name.contains(['.', '/'])) {
+        None => read_as(kind, path),
+        Some(name) => {
+            let names: Vec<&str> = carried::names(files).collect();
             let words = format!(
-                "there is no such file, and none is carried by this name: {}",
-                names.join(", ")
+                "is neither a file nor {} that palpate carries: {}{}",
+                kind.name(),
+                names.join(", "),
+                did_you_mean(name, names.iter().copied())
             );
-            Err(CliError::Problems(vec![Problem::whole(&path.display().to_string(), words)]))
+            Err(CliError::Problems(vec![Problem::whole(name, words)]))
         }
     }
+}
+
+/// As [`read_input`], for a file of this kind.
+///
+/// # Errors
+/// `CliError::Problems` if it cannot be read, or is of another kind.
+pub fn read_as(kind: FileKind, path: &Path) -> Result<String, CliError> {
+    let text = read_input(path)?;
+    match kind.instead_of(&text) {
+        Some(words) => {
+            Err(CliError::Problems(vec![Problem::whole(&path.display().to_string(), words)]))
+        }
+        None => Ok(text),
+    }
+}
+
+/// A proposal for a file that does not exist: one of its folder with a similar name.
+fn similar(path: &Path, error: &io::Error) -> String {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let entries = std::fs::read_dir(folder.unwrap_or(Path::new("."))).ok();
+    let (Some(name), Some(entries), io::ErrorKind::NotFound) =
+        (path.file_name().and_then(|name| name.to_str()), entries, error.kind())
+    else {
+        return String::new();
+    };
+    let files = entries.flatten().filter(|entry| entry.path().is_file());
+    let names: Vec<String> =
+        files.filter_map(|entry| entry.file_name().into_string().ok()).collect();
+    did_you_mean(name, names.iter().map(String::as_str))
 }
 
 /// Reads a file named in another file.
 fn read_named(file: &str, key: &str, value: &str, path: &Path) -> Result<String, CliError> {
     std::fs::read_to_string(path).map_err(|e| {
-        let limit = format!("{}: {e}", path.display());
+        let limit = format!("{}: {}", path.display(), io_words(&e));
         CliError::Problems(vec![Problem::new(file, key, value, limit)])
     })
 }
@@ -205,8 +254,27 @@ fn parse_sensor(file: &str, text: &str) -> Result<Sensor, CliError> {
                 Ok(_) => Problem::whole(file, words),
             },
         };
-        CliError::Problems(vec![problem])
+        of_kind(FileKind::Sensor, file, text, vec![problem])
     })
+}
+
+/// The error of a file with problems; of a file of another kind only this is reported.
+pub fn of_kind(kind: FileKind, file: &str, text: &str, problems: Vec<Problem>) -> CliError {
+    CliError::Problems(match kind.instead_of(text) {
+        Some(words) => vec![Problem::whole(file, words)],
+        None => problems,
+    })
+}
+
+/// Text of a carried file, by the name that it has in problems.
+pub fn carried_text(file: &str) -> Option<&'static str> {
+    match file {
+        DEFAULT_RIG_FILE => Some(DEFAULT_RIG),
+        DEFAULT_SENSOR_FILE => Some(DEFAULT_SENSOR),
+        name => {
+            [RECIPES, EXPERIMENTS, RIGS].into_iter().find_map(|files| carried::text(files, name))
+        }
+    }
 }
 
 /// Reads a calibration file and checks that it fits the sensor.

@@ -26,11 +26,13 @@ mod calibrate;
 mod care;
 mod client;
 mod dataset;
+mod drawn;
 mod embed;
 mod error;
 mod evaluate;
 mod files;
 mod follow;
+pub mod help;
 mod infer;
 mod init;
 mod job;
@@ -63,6 +65,7 @@ mod view;
 mod virtual_bench;
 mod watch;
 
+pub use drawn::{report, report_usage};
 pub use error::CliError;
 pub use files::DEFAULT_SKIN_SEED;
 use files::{DEFAULT_GAP, DEFAULT_RIG, DEFAULT_SENSOR};
@@ -194,22 +197,16 @@ pub enum Command {
     /// Print the overlay of a sensor.
     Sensor(sensor::SensorArgs),
     /// List the runs, newest first.
-    #[command(after_help = morning::RUNS_EXAMPLES)]
     Runs(morning::RunsArgs),
     /// List stored trials, newest first.
-    #[command(after_help = morning::TRIALS_EXAMPLES)]
     Trials(morning::TrialsArgs),
     /// List what happened, or follow it.
-    #[command(after_help = morning::EVENTS_EXAMPLES)]
     Events(morning::EventsArgs),
     /// Draw a run or a trial: facts, map, forces, frame.
-    #[command(after_help = morning::SHOW_EXAMPLES)]
     Show(morning::ShowArgs),
     /// Write the report of a run as HTML and PDF.
-    #[command(after_help = morning::REPORT_EXAMPLES)]
     Report(morning::ReportArgs),
     /// Compare two runs: files, counts, forces, frames.
-    #[command(after_help = morning::DIFF_EXAMPLES)]
     Diff(morning::DiffArgs),
     /// Emergency stop: every axis stops at once, until a reset.
     #[command(after_help = STOPS)]
@@ -239,15 +236,15 @@ pub enum Command {
     Evaluate(evaluate::EvaluateArgs),
 }
 
-/// Runs a command. Errors are printed on standard error; the exit code is 0, 1, or 2 for bad
-/// input.
-pub fn main(command: Command) -> ExitCode {
+/// Runs a command. Errors are printed on standard error, with `as_json` as one line of JSON; the exit
+/// code is 0, 1, or 2 for bad input.
+pub fn main(command: Command, as_json: bool) -> ExitCode {
     let outcome = match command {
         Command::Plan(args) => plan::plan(&args),
         command => on_runtime(command),
     };
     outcome.unwrap_or_else(|error| {
-        output::note(&error);
+        drawn::report(&error, as_json);
         error.exit_code()
     })
 }

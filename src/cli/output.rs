@@ -19,6 +19,11 @@ pub fn note(text: impl Display) {
     let _ = writeln!(io::stderr().lock(), "{}", shown(text));
 }
 
+/// Prints a text that is safe already, such as a drawn error with colours, on standard error.
+pub fn note_drawn(text: impl Display) {
+    let _ = writeln!(io::stderr().lock(), "{text}");
+}
+
 /// Prints a question on standard error; the answer is entered behind it.
 pub fn ask(question: impl Display) {
     let mut out = io::stderr().lock();

@@ -15,7 +15,7 @@ use tokio::process::{Child, Command};
 use tokio::time::{Instant, sleep, timeout};
 
 use super::bench_args::BenchArgs;
-use super::client::Client;
+use super::client::{Client, Found};
 use super::error::CliError;
 use super::running::Running;
 use super::virtual_bench::spinner;
@@ -135,7 +135,7 @@ async fn answering(
         let running = Running::read(data).filter(|found| Some(found.process) == process);
         if let Some(running) = running {
             let client = Client::new(&running.url, None, None)?;
-            if client.is_there().await? {
+            if client.look().await? == Found::Palpate {
                 return Ok((client, child));
             }
         }

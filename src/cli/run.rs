@@ -22,6 +22,7 @@ use super::summary::Closing;
 use super::view::{PreflightView, StatusView};
 use super::{At, embed};
 use crate::journal::ExitStatus;
+use crate::problem::Problem;
 use crate::rig::setup::RigSetup;
 use crate::state::StoredState;
 use crate::store::RunRow;
@@ -55,18 +56,18 @@ pub struct RunArgs {
 impl RunArgs {
     /// Checks for options that contradict each other, or that a running server does not support.
     fn check(&self, server: Option<&Client>) -> Result<(), CliError> {
-        if let Some(client) = server
-            && (self.bench.rig.is_some() || self.bench.names_virtual())
-        {
+        if let Some(client) = server {
             let limit = format!(
                 "the server at {} has its own rig: stop it, or omit this option",
                 client.url()
             );
-            return Err(CliError::argument(
-                "--rig or an option of the virtual rig",
-                "given",
-                limit,
-            ));
+            let stated = self.bench.stated().into_iter();
+            let problems: Vec<Problem> = stated
+                .map(|(option, value)| Problem::new("command line", option, value, limit.clone()))
+                .collect();
+            if !problems.is_empty() {
+                return Err(CliError::Problems(problems));
+            }
         }
         self.bench.check()
     }

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::asking::Asking;
 use super::client::Client;
 use super::error::CliError;
-use super::files::read_input;
+use super::files::read_or_carried;
 use super::follow::{Asked, Signals};
 use super::job::{JobScreen, LOOK, shown};
 use super::leave::{Choice, Interrupt, QUESTION_ON_TRAINING};
@@ -18,6 +18,8 @@ use super::own_server::OwnServer;
 use super::{At, embed};
 use crate::api::{JobOut, ModelOut};
 use crate::carried::{self, RECIPES};
+use crate::file_kind::FileKind;
+use crate::problem::Problem;
 
 /// Largest side of maps, pixels, that are drawn with fewer layers than a recipe's default: from a
 /// first image of 8 or 4 pixels, as larger maps are from one of 10.
@@ -90,10 +92,7 @@ pub struct Changes {
 /// # Errors
 /// `CliError::Problems` if the recipe cannot be read, or a change does not apply.
 pub fn recipe_text(named: &str, changes: &Changes) -> Result<String, CliError> {
-    let text = match carried::text(RECIPES, named) {
-        Some(text) => text.to_owned(),
-        None => read_input(Path::new(named))?,
-    };
+    let text = read_or_carried(FileKind::Recipe, Path::new(named), RECIPES)?;
     let unread = |error: toml::de::Error| {
         let problem = crate::syntax::syntax_problem(named, &text, &error);
         CliError::Problems(vec![problem])
@@ -162,7 +161,7 @@ pub async fn train(args: TrainArgs) -> Result<(), CliError> {
     }
     let mut signals = Signals::catch()?;
     if let Some(client) = embed::find(&args.at).await? {
-        let asked = request(&client, &recipe).await?;
+        let asked = request(&client, &args.recipe, &recipe).await?;
         return match train_on(&client, asked, &args, None, &mut signals).await? {
             Some(done) => report(&client, &done, args.at.json).await,
             None => Ok(()),
@@ -175,7 +174,7 @@ pub async fn train(args: TrainArgs) -> Result<(), CliError> {
     };
     let client = own.client.clone();
     let done = async {
-        let asked = request(&client, &recipe).await?;
+        let asked = request(&client, &args.recipe, &recipe).await?;
         train_on(&client, asked, &args, own.process(), &mut signals).await
     };
     match done.await {
@@ -192,8 +191,19 @@ pub async fn train(args: TrainArgs) -> Result<(), CliError> {
     }
 }
 
-async fn request(client: &Client, recipe: &str) -> Result<JobOut, CliError> {
-    client.post("/api/v1/trainings", &json!({ "recipe": recipe })).await
+async fn request(client: &Client, named: &str, recipe: &str) -> Result<JobOut, CliError> {
+    let asked = client.post("/api/v1/trainings", &json!({ "recipe": recipe })).await;
+    asked.map_err(|error| of_file(error, named))
+}
+
+/// The error of a service that does not know the name of the recipe.
+fn of_file(error: CliError, named: &str) -> CliError {
+    let CliError::Problems(problems) = error else { return error };
+    let renamed = problems.into_iter().map(|problem| match problem.file.as_str() {
+        "recipe" => Problem { file: named.into(), ..problem },
+        _ => problem,
+    });
+    CliError::Problems(renamed.collect())
 }
 
 /// Follows a training to its end; none if it was left to the service, whose process is told if it is this

@@ -24,6 +24,8 @@ use crate::rig::config::Label;
 const READY: Duration = Duration::from_secs(120);
 /// Longest wait for a child to end after its input is closed.
 const END: Duration = Duration::from_secs(3);
+/// Free space below which a disk counts as full, bytes.
+const NO_SPACE_BYTES: u64 = 4 << 20;
 /// Number of lines of a child's log that are shown when it fails.
 const LOG_LINES: usize = 8;
 
@@ -88,7 +90,8 @@ impl VirtualBench {
         let spinner = spinner(options.quiet, "virtual rig: solving the skin's responses (once)");
         let ready = ready_line(&mut stdout, &log).await;
         spinner.finish_and_clear();
-        let control = ready?.control;
+        // A child cannot write why it ended on a full disk.
+        let control = ready.map_err(|error| disk_full(&folder).unwrap_or(error))?.control;
         let text = std::fs::read_to_string(&served)
             .map_err(|source| CliError::File { path: served.clone(), source })?;
         let rig = RigFiles::parse(served.display().to_string(), text)?;
@@ -177,6 +180,14 @@ async fn ready_line(stdout: &mut BufReader<ChildStdout>, log: &Path) -> Result<R
         Ok(Ok(_)) => serde_json::from_str(&line)
             .map_err(|e| failed(name, &format!("printed {}: {e}", line.trim()), log)),
     }
+}
+
+/// The error of a folder whose disk has no space left.
+fn disk_full(folder: &Path) -> Option<CliError> {
+    let disk = rustix::fs::statvfs(folder).ok()?;
+    let is_full = disk.f_bavail.saturating_mul(disk.f_frsize) < NO_SPACE_BYTES;
+    let source = std::io::ErrorKind::StorageFull.into();
+    is_full.then(|| CliError::File { path: folder.into(), source })
 }
 
 fn failed(name: &'static str, why: &str, log: &Path) -> CliError {

@@ -26,6 +26,17 @@ fn escape(text: &str, of: impl Fn(char) -> bool) -> Cow<'_, str> {
     text.chars().map(shown).collect()
 }
 
+/// Returns the words of an error of the operating system, without its number.
+pub fn system_words(error: &std::io::Error) -> String {
+    let words = error.to_string();
+    match words.split_once(" (os error ") {
+        Some((words, rest)) => {
+            format!("{words}{}", rest.split_once(')').map_or("", |(_, rest)| rest))
+        }
+        None => words,
+    }
+}
+
 /// Returns the limit that a name or note of at most `max_chars` characters violates.
 pub fn violated(text: &str, max_chars: usize) -> Option<String> {
     if text.chars().count() > max_chars {
@@ -45,6 +56,15 @@ mod tests {
         assert_eq!(escaped(text), whole);
         assert_eq!(escaped_lines(text), whole.replace(r"\u{a}\u{9}", "\n\t"));
         assert!(matches!(escaped("Ölfleck – 3"), Cow::Borrowed("Ölfleck – 3")));
+    }
+
+    #[test]
+    fn an_error_of_the_system_is_shown_without_its_number() {
+        let error = std::io::Error::from_raw_os_error(111);
+        assert_eq!(system_words(&error), "Connection refused");
+        let error = std::io::Error::other("port: Connection refused (os error 111); again");
+        assert_eq!(system_words(&error), "port: Connection refused; again");
+        assert_eq!(system_words(&std::io::Error::other("none")), "none");
     }
 
     #[test]

@@ -3,6 +3,17 @@
 
 use std::fmt;
 
+/// A place in a text: line and column from 1, in characters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct Place {
+    /// Line.
+    pub line: u32,
+    /// Column of the first character.
+    pub column: u32,
+    /// Number of characters; the place ends with its line.
+    pub length: u32,
+}
+
 /// A value outside its limits, with the information that a person needs to correct it.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error, serde::Serialize)]
 pub struct Problem {
@@ -14,26 +25,44 @@ pub struct Problem {
     pub value: String,
     /// Allowed values.
     pub limit: String,
+    /// Place in the file, if it is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub at: Option<Place>,
 }
 
 impl Problem {
     /// Creates a problem with the value of one key.
     pub fn new(file: &str, key: &str, value: impl fmt::Display, limit: impl Into<String>) -> Self {
-        Self { file: file.into(), key: key.into(), value: value.to_string(), limit: limit.into() }
+        Self {
+            file: file.into(),
+            key: key.into(),
+            value: value.to_string(),
+            limit: limit.into(),
+            at: None,
+        }
     }
 
     /// Creates a problem with a whole file: it cannot be read, or its TOML has the wrong structure.
     pub fn whole(file: &str, limit: impl Into<String>) -> Self {
-        Self { file: file.into(), key: String::new(), value: String::new(), limit: limit.into() }
+        Self::new(file, "", "", limit)
+    }
+
+    /// The same problem, at a place in its file.
+    pub fn at(self, at: Option<Place>) -> Self {
+        Self { at, ..self }
     }
 }
 
 impl fmt::Display for Problem {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.key.is_empty() {
-            write!(f, "{}: {}", self.file, self.limit)
+            write!(f, "{}: {}", self.file, self.limit)?;
         } else {
-            write!(f, "{}: {} = {}: {}", self.file, self.key, self.value, self.limit)
+            write!(f, "{}: {} = {}: {}", self.file, self.key, self.value, self.limit)?;
+        }
+        match self.at {
+            Some(Place { line, .. }) => write!(f, " (line {line})"),
+            None => Ok(()),
         }
     }
 }

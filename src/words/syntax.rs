@@ -1,41 +1,63 @@
-//! Converts the error of a TOML parser to a problem with file, key, value and limit in one line.
-//! PURE. Uses: `problem`. Never: files (the text is passed in).
+//! Converts the error of a TOML parser to a problem with file, key, value, limit and place.
+//! PURE. Uses: `problem`, `locate`, `toml_words`. Never: files (the text is passed in).
 
+use std::ops::Range;
+
+use crate::locate::{key_at, place};
 use crate::problem::Problem;
+use crate::toml_words::{Meaning, meaning};
 
-/// Problem for an error of the parser: key (with its table) and value of the line that the error
+/// Problem for an error of the parser: key (with its table) and value at the place that the error
 /// refers to. Without such a key, the problem concerns the file as a whole.
 pub fn syntax_problem(file: &str, text: &str, error: &toml::de::Error) -> Problem {
-    let message = error.message();
-    let Some(span) = error.span().filter(|s| !s.is_empty()) else {
-        return Problem::whole(file, message);
-    };
-    let before = &text[..span.start];
-    let start = before.rfind('\n').map_or(0, |at| at + 1);
-    let line = text[start..].lines().next().unwrap_or_default();
-    let limit = format!("{message} (line {})", before.matches('\n').count() + 1);
-    match line.split_once('=') {
-        Some((key, value)) => {
-            let value = value.split(" #").next().unwrap_or_default().trim();
-            Problem::new(file, &in_table(&text[..start], key.trim()), value, limit)
+    let span = error.span();
+    let (key, value) = span.as_ref().map_or_else(Default::default, |span| {
+        let is_twice = error.message().starts_with("duplicate key");
+        key_at(text, span).unwrap_or_else(|| key_of_line(text, span, is_twice))
+    });
+    let at = span.as_ref().map(|span| place(text, span));
+    if span.as_ref().is_some_and(|span| text[span.start..].starts_with("[["))
+        && error.message().contains("invalid type: map")
+    {
+        let limit = format!("must be one table: [{key}], not [[{key}]]");
+        return Problem::new(file, &key, "a list of tables", limit).at(at);
+    }
+    match meaning(error.message(), &value) {
+        Meaning::Missing(missing) => {
+            // The place of a table is its heading, or its braces; that of the file is the whole text.
+            let in_table = span.and_then(|span| text.get(span)).is_some_and(|shown| {
+                shown.starts_with('{') || (shown.starts_with('[') && !shown.contains('\n'))
+            });
+            let (key, at) = match key.is_empty() || !in_table {
+                true => (missing, None),
+                false => (format!("{key}.{missing}"), at),
+            };
+            Problem::new(file, &key, "absent", "must be given").at(at)
         }
-        None => match table_name(line) {
-            Some(name) => Problem::new(file, name, "a table", limit),
-            None => Problem::whole(file, limit),
-        },
+        Meaning::Limit(limit) if key.is_empty() => Problem::whole(file, limit).at(at),
+        Meaning::Limit(limit) => Problem::new(file, &key, value, limit).at(at),
     }
 }
 
-/// Returns `key`, prefixed with the table that the preceding text ends in.
-fn in_table(before: &str, key: &str) -> String {
-    match before.lines().rev().find_map(table_name) {
-        Some(table) => format!("{table}.{key}"),
-        None => key.into(),
+/// Key and value of the line of a place, in a text that is not TOML; empty without a key, and unless the
+/// place is in the value or `is_key` states that it is the key.
+fn key_of_line(text: &str, span: &Range<usize>, is_key: bool) -> (String, String) {
+    let before = text.get(..span.start).unwrap_or(text);
+    let start = before.rfind('\n').map_or(0, |at| at + 1);
+    let line = text[start..].lines().next().unwrap_or_default();
+    let Some((key, value)) = line.split_once('=') else { return Default::default() };
+    if !is_key && span.start <= start + key.len() {
+        return Default::default();
     }
+    let value = value.split(" #").next().unwrap_or_default().trim();
+    let table = text[..start].lines().rev().find_map(table_name);
+    let key = table.map_or_else(|| key.trim().into(), |table| format!("{table}.{}", key.trim()));
+    (key, value.into())
 }
 
 fn table_name(line: &str) -> Option<&str> {
-    line.trim().strip_prefix('[')?.split_once(']').map(|(name, _)| name)
+    let name = line.trim().strip_prefix('[')?;
+    name.trim_start_matches('[').split_once(']').map(|(name, _)| name)
 }
 
 #[cfg(test)]
@@ -65,11 +87,11 @@ mod tests {
     fn an_unknown_key_is_named_with_its_table_value_and_the_keys_there_are() {
         assert_eq!(
             problem("# a file\n[table]\ncuont = 3 # three\n"),
-            "f.toml: table.cuont = 3: unknown field `cuont`, expected `count` (line 3)"
+            "f.toml: table.cuont = 3: unknown key; did you mean `count`? (line 3)"
         );
         assert_eq!(
             problem("[tabel]\n"),
-            "f.toml: tabel = a table: unknown field `tabel`, expected `table` (line 1)"
+            "f.toml: tabel = a table: unknown key; did you mean `table`? (line 1)"
         );
     }
 
@@ -77,12 +99,27 @@ mod tests {
     fn a_value_of_the_wrong_type_is_named_with_what_is_expected() {
         assert_eq!(
             problem("[table]\ncount = -3\n"),
-            "f.toml: table.count = -3: invalid value: integer `-3`, expected u32 (line 2)"
+            "f.toml: table.count = -3: must be a whole number, 0 or more (line 2)"
+        );
+        assert_eq!(
+            problem("[table]\ncount = 3 mm\n"),
+            "f.toml: table.count = 3 mm: a number has no unit: the unit is in the name of its key \
+             (line 2)"
         );
     }
 
     #[test]
-    fn a_missing_table_is_named() {
-        assert_eq!(problem(""), "f.toml: missing field `table`");
+    fn an_error_of_the_syntax_has_its_place() {
+        let text = "[table]\ncount = \"3\n";
+        let error = toml::from_str::<File>(text).unwrap_err();
+        let at = syntax_problem("f.toml", text, &error).at.unwrap();
+        assert_eq!((at.line, at.length), (2, 1));
+        assert!((9..=11).contains(&at.column), "{at:?}");
+    }
+
+    #[test]
+    fn a_missing_key_is_named() {
+        assert_eq!(problem(""), "f.toml: table = absent: must be given");
+        assert_eq!(problem("[table]\n"), "f.toml: table.count = absent: must be given (line 1)");
     }
 }

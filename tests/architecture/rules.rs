@@ -37,9 +37,24 @@ pub const STUDIES: [&str; 11] = [
 ];
 
 /// What everything may use and what uses nothing but each other.
-pub const VOCABULARY: [&str; 13] = [
-    "carried", "chance", "clock", "commit", "digest", "ids", "journal", "new_file", "plain",
-    "problem", "record", "state", "syntax",
+pub const VOCABULARY: [&str; 17] = [
+    "carried",
+    "chance",
+    "clock",
+    "commit",
+    "digest",
+    "file_kind",
+    "ids",
+    "journal",
+    "locate",
+    "near",
+    "new_file",
+    "plain",
+    "problem",
+    "record",
+    "state",
+    "syntax",
+    "toml_words",
 ];
 
 /// Which chapters a chapter's `Cargo.toml` may name. What the stage does is known to the service alone: a

@@ -140,7 +140,10 @@ fn problem_with(from: &str, to: &str) -> String {
 #[test]
 fn an_unknown_key_is_one_error() {
     let problem = problem_with("block = 6", "blok = 6");
-    assert!(problem.starts_with("quickstart.toml: real_hex.blok = 6: unknown field"), "{problem}");
+    assert!(
+        problem.starts_with("quickstart.toml: real_hex.blok = 6: unknown key; did"),
+        "{problem}"
+    );
     assert!(problem.contains("`block`"), "says what there is: {problem}");
 }
 

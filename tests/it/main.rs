@@ -18,6 +18,7 @@ mod golden_plans;
 mod independent;
 mod independent_fit;
 mod morning;
+mod mistakes;
 mod network;
 mod onnx;
 mod night;

@@ -214,7 +214,7 @@ fn commands_on_the_same_machine_find_a_service_with_tls() {
     // From another machine the certificate must be named.
     let refused =
         text(&command(&["status", "--url", url, "--ca", &files.path("none")], &[]).stderr);
-    assert!(refused.starts_with(&files.path("none")), "{refused}");
+    assert!(refused.contains(&files.path("none")), "{refused}");
     let other = self_signed(&files.join("other")).certificate.display().to_string();
     let refused = text(&command(&["status", "--url", url, "--ca", &other], &[]).stderr);
     assert!(refused.contains("is not trusted") && refused.contains("--ca"), "{refused}");

@@ -75,11 +75,14 @@ fn a_line_that_cannot_be_used_ends_the_command_and_is_named() {
         (ONE.replace(":20", ":-2"), "contacts[0].force_n = -2: must be from 0 to 1000 N"),
         (ONE.replace(":20", ":NaN"), "contacts[0].force_n = NaN: expected value"),
         (ONE[..40].into(), "the line is cut off after column 40"),
-        (ONE.replace("y_mm", "y"), "contacts[0].y = \"y\": unknown field `y`"),
+        (
+            ONE.replace("y_mm", "y"),
+            "contacts[0].y = \"y\": unknown key; the unit is part of the name: y_mm",
+        ),
     ] {
         let output = simulate(&["--contacts", "-"], &format!("{NONE}\n{bad}\n{NONE}\n"));
         let told = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(told.starts_with(&format!("standard input line 2: {words}")), "{told}");
+        assert!(told.starts_with(&format!("error: standard input line 2: {words}")), "{told}");
         assert_eq!(output.status.code(), Some(2), "{told}");
         assert_eq!(
             String::from_utf8_lossy(&output.stdout).lines().count(),
@@ -89,7 +92,10 @@ fn a_line_that_cannot_be_used_ends_the_command_and_is_named() {
     }
     let seven = format!("{{\"contacts\":[{}]}}\n", [&ONE[13..ONE.len() - 2]; 7].join(","));
     let told = String::from_utf8(simulate(&[], &seven).stderr).unwrap();
-    assert_eq!(told, "standard input line 1: contacts = 7 contacts: must be at most 6 contacts\n");
+    assert_eq!(
+        told,
+        "error: standard input line 1: contacts = 7 contacts: must be at most 6 contacts\n"
+    );
     assert_eq!(frames(&simulate(&["--max-contacts", "7"], &seven)).len(), 1);
 }
 
@@ -97,7 +103,7 @@ fn a_line_that_cannot_be_used_ends_the_command_and_is_named() {
 fn a_missing_file_and_a_second_trial_to_export_are_refused() {
     let output = simulate(&["--contacts", "none.jsonl"], "");
     assert_eq!(output.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&output.stderr).starts_with("none.jsonl: "));
+    assert!(String::from_utf8_lossy(&output.stderr).starts_with("error: none.jsonl: "));
     let picture = data().join("never.svg");
     let output = simulate(&["--picture", picture.to_str().unwrap()], &format!("{NONE}\n{NONE}\n"));
     assert_eq!(output.status.code(), Some(2));
@@ -130,5 +136,5 @@ fn a_trial_is_written_as_netlist_deck_and_picture() {
 
     let output = simulate(&["--spice", "x.cir", "--inject", "28"], ONE);
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(told, "command line: inject = 28: must be from 0 to 27\n");
+    assert_eq!(told, "error: inject = 28: must be from 0 to 27\n");
 }

@@ -1,6 +1,7 @@
 //! The program `palpate-trainer FOLDER`: carries out the order in a job's folder.
 //! Uses: `palpate_trainer`. Never: anything else.
 
+use std::io::{Write, stderr, stdout};
 use std::path::Path;
 use std::process::ExitCode;
 
@@ -13,11 +14,12 @@ const USAGE: &str = "palpate-trainer FOLDER\n\
 fn main() -> ExitCode {
     let arguments: Vec<_> = std::env::args_os().skip(1).collect();
     match arguments.as_slice() {
-        [flag] if flag == "--version" => println!("palpate-trainer {VERSION}"),
-        [flag] if flag == "--help" => println!("{USAGE}"),
+        // A pipe that nobody reads is no error.
+        [flag] if flag == "--version" => drop(writeln!(stdout(), "palpate-trainer {VERSION}")),
+        [flag] if flag == "--help" => drop(writeln!(stdout(), "{USAGE}")),
         [folder] => return palpate_trainer::job::carry_out(Path::new(folder)),
         _ => {
-            eprintln!("{USAGE}");
+            drop(writeln!(stderr(), "{USAGE}"));
             return ExitCode::from(2);
         }
     }

@@ -213,8 +213,8 @@ pub fn rig_main(args: RigArgs) -> Result<(), RunError> {
             () = &mut ended => return Ok(()),
         };
         let line = serde_json::json!(rig.ready).to_string();
-        println!("{line}");
-        io::stdout().flush().map_err(RunError::Start)?;
+        let mut out = io::stdout();
+        writeln!(out, "{line}").and_then(|()| out.flush()).map_err(RunError::Start)?;
         if let Some(path) = &args.ready_file {
             write_file(path, &line)?;
         }

@@ -101,7 +101,7 @@ export function problemList(problems) {
       'li',
       {},
       el('b', {}, [p.key, p.value].filter(x => x != null && x !== '').join(' = ') || p.file),
-      `: ${p.limit}`,
+      `: ${p.limit}${p.at ? ` (line ${p.at.line})` : ''}`,
       p.key && p.file ? el('span', { className: 'soft' }, ` (${p.file.split('/').at(-1)})`) : '',
     )
   return problems.length ? el('ul', { className: 'problems bad' }, problems.map(line)) : null

@@ -169,6 +169,6 @@ mod tests {
         );
         assert!(problem("electrodes = 28", "electrodes = 1").contains("must be 2 to 64"));
         let half = problem("\n[ert]\n", "\n[cells]\n[ert]\n");
-        assert!(half.contains("missing field"), "{half}");
+        assert!(half.contains("absent: must be given"), "{half}");
     }
 }

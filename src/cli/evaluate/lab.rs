@@ -31,7 +31,7 @@ const MAKING: Duration = Duration::from_secs(3600);
 /// Extent of training and scoring.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 pub enum ScaleName {
-    /// Minutes on two processors: few epochs, few rows. The numbers only show that it works.
+    /// Minutes on two processors: few epochs and rows. It only shows that it works.
     Small,
     /// Hours on two processors.
     Medium,

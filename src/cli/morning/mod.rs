@@ -133,32 +133,3 @@ pub struct DiffArgs {
     #[command(flatten)]
     pub at: At,
 }
-
-/// Examples of `runs`.
-pub const RUNS_EXAMPLES: &str = "Examples:
-  palpate runs
-  palpate runs --state interrupted,fail --limit 5
-  palpate runs --experiment real-hex --json";
-/// Examples of `trials`.
-pub const TRIALS_EXAMPLES: &str = "Examples:
-  palpate trials last
-  palpate trials 3 contact_count__gte=2 fvu__gt=0.5 --limit 50
-  palpate trials 3 flagged=true --json";
-/// Examples of `events`.
-pub const EVENTS_EXAMPLES: &str = "Examples:
-  palpate events last
-  palpate events -f --kind trip,suspended,skipped
-  palpate events 3 --since 8h";
-/// Examples of `show`.
-pub const SHOW_EXAMPLES: &str = "Examples:
-  palpate show last
-  palpate show t812
-  palpate show 3/81/4";
-/// Examples of `report`.
-pub const REPORT_EXAMPLES: &str = "Examples:
-  palpate report last
-  palpate report 3 --out reports";
-/// Examples of `diff`.
-pub const DIFF_EXAMPLES: &str = "Examples:
-  palpate diff 2 3
-  palpate diff 2 last --json";

@@ -11,6 +11,7 @@ use sim_core::forward::Contact;
 use sim_core::sensor::Sensor;
 
 use crate::problem::Problem;
+use crate::toml_words::{Meaning, meaning};
 
 /// Longest line, bytes: about a thousand contacts; bounds the memory for files of another kind.
 const LONGEST_LINE: u64 = 65_536;
@@ -195,7 +196,6 @@ fn syntax_problem(text: &str, file: &str, path: &str, error: &serde_json::Error)
             format!("the line is cut off after column {column}: {message}"),
         );
     }
-    let limit = format!("{message} (column {column})");
     let path = path.trim_matches('.');
     let bytes = text.as_bytes();
     let ends = |b: &u8| b",:{}[]\n\r".contains(b);
@@ -204,6 +204,12 @@ fn syntax_problem(text: &str, file: &str, path: &str, error: &serde_json::Error)
     let end = bytes[from..].iter().position(ends).map_or(bytes.len(), |at| from + at);
     let found = text.get(start..end).unwrap_or_default().trim();
     let found = if found.is_empty() { "{..}" } else { found };
+    let limit = match meaning(message, found) {
+        Meaning::Missing(key) => format!("{key} must be given"),
+        // The words for TOML.
+        Meaning::Limit(limit) => limit.replace("a table", "an object, in { }"),
+    };
+    let limit = format!("{limit} (column {column})");
     match path {
         "" | "?" => Problem::whole(file, limit),
         path => Problem::new(file, path, found, limit),
@@ -266,12 +272,21 @@ mod tests {
         let replaced = |from: &str, to: &str| complaint(&with(&[GOOD, &GOOD.replace(from, to)]));
         for (found, start) in [
             (replaced("20", "NaN"), "contacts[1].force_n = NaN: expected value"),
-            (replaced("20", "null"), "contacts[1].force_n = null: invalid type: null"),
+            (replaced("20", "null"), "contacts[1].force_n = null: must be a number (column"),
             (replaced("20", "1e999"), "contacts[1].force_n = 1e999: number out of range"),
-            (replaced("270", "\"270\""), "contacts[1].x_mm = \"270\": invalid type: string"),
-            (replaced("force_n", "force"), "contacts[1].force = \"force\": unknown field `force`"),
-            (complaint(&with(&["{}"])), "contacts[0] = {..}: missing field `x_mm`"),
-            (complaint("{\"contact\":[]}"), "contact = \"contact\": unknown field `contact`"),
+            (
+                replaced("270", "\"270\""),
+                "contacts[1].x_mm = \"270\": must be a number, without quotes",
+            ),
+            (
+                replaced("force_n", "force"),
+                "contacts[1].force = \"force\": unknown key; the unit is part of the name: force_n",
+            ),
+            (complaint(&with(&["{}"])), "contacts[0] = {..}: x_mm must be given"),
+            (
+                complaint("{\"contact\":[]}"),
+                "contact = \"contact\": unknown key; did you mean `contacts`?",
+            ),
             (complaint(&with(&[GOOD])[..50]), "the line is cut off after column 50: EOF"),
             (complaint(&with(&[GOOD])[..20]), "the line is cut off after column 20: EOF"),
             (complaint("{\"contacts\":[]} {}"), "trailing characters (column 17)"),

@@ -18,6 +18,7 @@ use std::path::{Path, PathBuf};
 use rustix::fs::OFlags;
 
 use crate::digest::sha256_hex;
+use crate::plain::system_words;
 use crate::rig::config::{ErtConfig, LineConfig};
 use crate::rig::setup::RigSetup;
 
@@ -61,7 +62,7 @@ pub enum LockFileError {
         path: PathBuf,
     },
     /// The lock file cannot be opened or written.
-    #[error("lock file {}: {source}", path.display())]
+    #[error("lock file {}: {}", path.display(), system_words(source))]
     File {
         /// Path of the lock file.
         path: PathBuf,

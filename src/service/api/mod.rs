@@ -31,6 +31,7 @@ use crate::infer::serving::Serving;
 use crate::jobs::Jobs;
 use crate::journal::error_chain;
 use crate::placement::watch::PlacementWatch;
+use crate::plain::system_words;
 use crate::schedule::experiment::Experiment;
 use crate::simulate::model::sweep_partial;
 use crate::store::{KeyRing, Soundness, Store, StoreError};
@@ -162,7 +163,7 @@ pub enum ServeError {
         problems: Vec<crate::problem::Problem>,
     },
     /// The data folder cannot be created or made private.
-    #[error("data folder {}: {source}", path.display())]
+    #[error("data folder {}: {}", path.display(), system_words(source))]
     Data {
         /// The data folder.
         path: PathBuf,
@@ -176,7 +177,7 @@ pub enum ServeError {
     #[error("{}", error_chain(.0))]
     Store(#[from] StoreError),
     /// The address is not available.
-    #[error("listening at {bind}: {source}")]
+    #[error("listening at {bind}: {}; choose another address with --bind", system_words(source))]
     Bind {
         /// The address.
         bind: SocketAddr,

@@ -47,8 +47,14 @@ pub enum StoreError {
         transactions: usize,
     },
     /// A migration of the tables failed.
-    #[error("migrating the tables of the database failed")]
-    Migrate(#[source] sqlx::migrate::MigrateError),
+    #[error("migrating the tables of the database {path} failed")]
+    Migrate {
+        /// Path of the database file.
+        path: PathBuf,
+        /// Cause of the failure.
+        #[source]
+        source: sqlx::migrate::MigrateError,
+    },
     /// The writer's thread, or its runtime, cannot be started.
     #[error("starting the writer of the store failed")]
     StartWriter(#[source] std::io::Error),
@@ -154,7 +160,7 @@ impl StoreError {
             Self::Open { .. }
             | Self::Lost { .. }
             | Self::DamagedLog { .. }
-            | Self::Migrate(_)
+            | Self::Migrate { .. }
             | Self::StartWriter(_)
             | Self::NotStored { .. }
             | Self::Closed { .. }

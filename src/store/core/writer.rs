@@ -105,8 +105,10 @@ impl Writer {
         let path = path.to_owned();
         self.hand_over("opening the database", Some(OPEN_DEADLINE), async move |hand| {
             let connecting = hand.options.connect().await;
-            let mut connection = connecting.map_err(|source| StoreError::Open { path, source })?;
-            migrations.run(&mut connection).await.map_err(StoreError::Migrate)?;
+            let opened = |source| StoreError::Open { path: path.clone(), source };
+            let mut connection = connecting.map_err(opened)?;
+            let migrated = migrations.run(&mut connection).await;
+            migrated.map_err(|source| StoreError::Migrate { path, source })?;
             require_columns(&mut connection, migrations).await?;
             hand.connection = Some(connection);
             Ok(())
@@ -320,7 +322,8 @@ async fn require_columns(
     const OPERATION: &str = "comparing the tables with those of this version";
     let options = SqliteConnectOptions::new().in_memory(true).disable_statement_logging();
     let mut fresh = options.connect().await.during(OPERATION)?;
-    migrations.run(&mut fresh).await.map_err(StoreError::Migrate)?;
+    let migrated = migrations.run(&mut fresh).await;
+    migrated.map_err(|source| StoreError::Migrate { path: ":memory:".into(), source })?;
     let present: BTreeSet<String> = columns_of(connection).await.during(OPERATION)?;
     let findings: Vec<String> = columns_of(&mut fresh)
         .await

@@ -1,6 +1,7 @@
 //! A recipe: dataset, net and training. One TOML file.
 //! PURE. Uses: nets (its part of the file), `dataset::force_map`. Never: data.
 
+use nets::error::RecipeError;
 use serde::{Deserialize, Serialize};
 
 use super::task::{Answers, NetTask};
@@ -78,7 +79,13 @@ impl Recipe {
         checks.require(level == 0.0 || self.noise_of.is_some(), "noise_of", noise_of, limit);
         let mut problems = checks.done().err().unwrap_or_default();
         if let Err(error) = self.training.check() {
-            problems.push(Problem::whole(file, format!("training: {error}")));
+            problems.push(match error {
+                RecipeError::Value { field, found, limit } => {
+                    let key = format!("training.{field}");
+                    Problem::new(file, &key, found, format!("must be {limit}"))
+                }
+                RecipeError::Text(error) => Problem::whole(file, format!("training: {error}")),
+            });
         }
         if problems.is_empty() { Ok(()) } else { Err(problems) }
     }

@@ -155,7 +155,7 @@ async fn adam_6017_over_tcp() {
         let module = adam_6017::MODULE.open(station, &cells(adam_6017::MODULE), Clock::new(RATE));
         let early = module.read().await.unwrap_err();
         assert!(matches!(early, RigError::NotReady { .. }), "ranges are not known yet: {early}");
-        assert_eq!(module.prepare().await.unwrap(), "ADAM-6017, Volts0To5");
+        assert_eq!(module.prepare().await.unwrap(), "ADAM-6017, 0 to 5 V");
         for n in 0..5 {
             // Longer than an update of the module.
             tokio::time::sleep(Duration::from_millis(1)).await;

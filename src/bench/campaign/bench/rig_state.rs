@@ -64,9 +64,37 @@ pub enum RigEvent {
     Reset,
 }
 
+impl RigEvent {
+    /// What cannot be done if the state does not allow the event.
+    fn words(self) -> &'static str {
+        match self {
+            RigEvent::Connected => "be connected",
+            RigEvent::Lost => "lose its wires",
+            RigEvent::Homing | RigEvent::Homed => "be homed",
+            RigEvent::Arm => "be armed",
+            RigEvent::Disarm => "be disarmed",
+            RigEvent::Trip => "trip",
+            RigEvent::Reset => "be reset",
+        }
+    }
+}
+
+impl RigState {
+    /// The next step from this state, for a person whose request it does not allow.
+    pub(in crate::campaign) fn next(self) -> &'static str {
+        match self {
+            RigState::Disconnected => "connect it first",
+            RigState::Disarmed => "home it first",
+            RigState::Homed => "it is ready to be armed",
+            RigState::Armed => "a run has it",
+            RigState::Tripped => "check and reset it first",
+        }
+    }
+}
+
 /// An event that the rig's state does not allow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("a rig that is {} does not allow {event:?}", state.as_str())]
+#[error("the rig is {} and cannot {} now: {}", state.as_str(), event.words(), state.next())]
 pub struct Illegal {
     /// State in which the event occurred.
     pub state: RigState,

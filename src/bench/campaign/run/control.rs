@@ -274,8 +274,16 @@ impl Control {
             Some(event) => self.run_event(event),
             None => {
                 let doing = if idle { "the rig moves".into() } else { self.run_words() };
-                let words = format!("{} is not possible while {doing}", name(&request));
-                Err(Refusal::State(words))
+                Err(Refusal::State(match &request {
+                    Request::Confirm { .. } if !idle => {
+                        format!("nothing is to be confirmed: {doing}")
+                    }
+                    _ if idle => format!("{} is not possible while {doing}", name(&request)),
+                    _ => {
+                        let next = self.run.allowed();
+                        format!("{} is not possible while {doing}: {next}", name(&request))
+                    }
+                }))
             }
         };
         let action = outcome.as_ref().ok().copied();
@@ -285,7 +293,14 @@ impl Control {
     }
 
     fn run_words(&self) -> String {
-        format!("a run is {}", self.run.as_str())
+        let phase = self.inbox.status.borrow().run.as_ref().map(|run| run.phase);
+        match (self.run, phase) {
+            (RunState::Running, Some(Phase::Settle)) => "the forces of the trial settle".into(),
+            (RunState::Running, Some(Phase::Measure | Phase::Commit)) => {
+                "the frames of the trial are taken".into()
+            }
+            _ => format!("the run is {}", self.run.as_str()),
+        }
     }
 
     /// Event of the run that a request means; none for requests to the rig.

@@ -132,9 +132,45 @@ pub enum RunAction {
     End(ExitStatus),
 }
 
+impl RunEvent {
+    /// What cannot be done if the state does not allow the event.
+    fn words(self) -> &'static str {
+        match self {
+            RunEvent::Start => "start",
+            RunEvent::PauseAtCheckpoint | RunEvent::PauseNow => "pause",
+            RunEvent::Need(_) => "wait for a person",
+            RunEvent::Suspend(_) => "be suspended",
+            RunEvent::Resume => "resume",
+            RunEvent::Stop => "stop",
+            RunEvent::Abort => "abort",
+            RunEvent::Raised => "wait with raised tips",
+            RunEvent::RaiseFailed => "wait with tips that are not raised",
+            RunEvent::Ended => "end",
+            RunEvent::Reset => "be reset",
+        }
+    }
+}
+
+impl RunState {
+    /// What the state allows, for a person whose request it does not allow.
+    pub(super) fn allowed(self) -> &'static str {
+        match self {
+            RunState::Idle => "queue and start a run first",
+            RunState::Running => "pause, stop or abort it",
+            RunState::Pausing(_) | RunState::Suspending(_) => {
+                "wait until it is paused, or abort it"
+            }
+            RunState::Paused(_) => "resume, stop or abort it",
+            RunState::Stopping => "wait until it has ended, or abort it",
+            RunState::Aborting => "wait until it has ended",
+            RunState::Panicked => "check the rig, then reset it",
+        }
+    }
+}
+
 /// An event that the state does not allow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("a run that is {} does not allow {event:?}", state.as_str())]
+#[error("the run is {} and cannot {} now: {}", state.as_str(), event.words(), state.allowed())]
 pub struct Illegal {
     /// State in which the event occurred.
     pub state: RunState,

@@ -4,6 +4,8 @@
 //! Source: `docs/references.md`, "ADAM-6017": values 0 to 65535 over the channel's range in
 //! registers 0 to 7, type codes in 200 to 207, the model's number in 210.
 
+use std::fmt;
+
 use crate::rig::link::Request;
 
 /// Model number that the module reports.
@@ -22,6 +24,13 @@ pub enum Range {
     PlusMinus5,
     /// -10 to 10 V, type code 0x0143.
     PlusMinus10,
+}
+
+impl fmt::Display for Range {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [low, high] = self.ends_v();
+        write!(f, "{low} to {high} V")
+    }
 }
 
 impl Range {

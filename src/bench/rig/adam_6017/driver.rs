@@ -90,10 +90,11 @@ impl LoadCells for Adam6017 {
         // not mixed.
         let set = *self.ranges.get_or_init(|| ranges);
         if set != ranges {
-            let found = format!("ranges {ranges:?}");
-            return Err(self.station.wrong(found, format!("{set:?}, as at the start")));
+            let shown = |ranges: [Range; ARMS]| ranges.map(|range| range.to_string()).join(", ");
+            let needed = format!("{}, as at the start", shown(set));
+            return Err(self.station.wrong(format!("ranges {}", shown(ranges)), needed));
         }
-        Ok(format!("ADAM-6017, {:?}", ranges[0]))
+        Ok(format!("ADAM-6017, {}", ranges[0]))
     }
 
     async fn read(&self) -> Result<CellVolts, RigError> {

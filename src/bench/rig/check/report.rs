@@ -122,6 +122,12 @@ impl fmt::Display for CheckReport {
             (Some(_), false) => "read only",
         };
         writeln!(f, "rig {} ({}), {scope}\n", self.rig, self.label)?;
+        for problem in &self.problems {
+            writeln!(f, "WRONG  {problem}")?;
+        }
+        if !self.is_sound() {
+            writeln!(f)?;
+        }
         if let Some(cells) = &self.cells {
             self.fmt_bench(cells, f)?;
         }
@@ -130,9 +136,6 @@ impl fmt::Display for CheckReport {
             self.fmt_lines(f)?;
         }
         writeln!(f)?;
-        for problem in &self.problems {
-            writeln!(f, "WRONG  {problem}")?;
-        }
         for unchecked in &self.unchecked {
             writeln!(f, "NOT CHECKED  {unchecked}")?;
         }

@@ -13,6 +13,7 @@ use tokio_modbus::client::Context;
 use tokio_serial::{SerialPort, SerialPortBuilderExt};
 
 use super::swept::Swept;
+use crate::plain::system_words;
 use crate::rig::config::Parity;
 
 /// Silence after which a serial line counts as drained. The rest of a late reply arrives within it.
@@ -54,7 +55,7 @@ pub fn tcp_opener(address: String) -> Opener {
     Box::new(move || {
         let address = address.clone();
         Box::pin(async move {
-            let stream = TcpStream::connect(address).await?;
+            let stream = TcpStream::connect(&address).await.map_err(|e| named(&address, &e))?;
             stream.set_nodelay(true)?;
             Ok(Box::new(stream) as Box<dyn Port>)
         })
@@ -68,7 +69,7 @@ pub fn tcp_stream_opener(address: String, bytes: u32) -> Opener {
         let address = address.clone();
         Box::pin(async move {
             let mut failed = io::Error::from(io::ErrorKind::NotFound);
-            for at in lookup_host(address).await? {
+            for at in lookup_host(&address).await.map_err(|e| named(&address, &e))? {
                 let socket = if at.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
                 socket.set_recv_buffer_size(bytes)?;
                 match socket.connect(at).await {
@@ -76,9 +77,14 @@ pub fn tcp_stream_opener(address: String, bytes: u32) -> Opener {
                     Err(error) => failed = error,
                 }
             }
-            Err(failed)
+            Err(named(&address, &failed))
         })
     })
+}
+
+/// The error of a port, with its address or path.
+fn named(port: &str, error: &io::Error) -> io::Error {
+    io::Error::new(error.kind(), format!("{port}: {}", system_words(error)))
 }
 
 /// Opens a serial port. The port is not claimed exclusively: on a pseudo-terminal this claim
@@ -93,9 +99,11 @@ pub fn serial_opener(settings: SerialSettings) -> Opener {
                 Parity::Even => tokio_serial::Parity::Even,
                 Parity::Odd => tokio_serial::Parity::Odd,
             };
-            let builder = tokio_serial::new(settings.path, settings.baud).parity(parity);
+            let builder = tokio_serial::new(&settings.path, settings.baud).parity(parity);
             #[cfg_attr(not(unix), expect(unused_mut, reason = "only unix claims ports"))]
-            let mut port = builder.open_native_async()?;
+            let mut port = builder
+                .open_native_async()
+                .map_err(|error| named(&settings.path, &io::Error::from(error)))?;
             #[cfg(unix)]
             port.set_exclusive(false)?;
             port.clear(tokio_serial::ClearBuffer::All)?;

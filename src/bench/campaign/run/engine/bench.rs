@@ -99,8 +99,15 @@ impl Engine {
             | Request::Repeat { .. }
             | Request::Shutdown => true,
         };
-        let words =
-            || format!("{} is not possible while the rig is {}", name(request), rig.as_str());
+        let words = || match request {
+            Request::Reset => format!("the rig is {}, not tripped: nothing to reset", rig.as_str()),
+            request => format!(
+                "{} is not possible while the rig is {}: {}",
+                name(request),
+                rig.as_str(),
+                rig.next()
+            ),
+        };
         let needs_stage = matches!(
             request,
             Request::Home | Request::Jog { .. } | Request::Tare | Request::Mounted { .. }

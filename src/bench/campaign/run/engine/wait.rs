@@ -256,8 +256,16 @@ impl Engine {
             | Request::Confirm { .. }
             | Request::PauseAtCheckpoint
             | Request::PauseNow => {
-                let state = self.control.run().as_str();
-                let words = format!("{} is not possible while a run is {state}", name(&request));
+                let run = self.control.run();
+                let (state, next) = (run.as_str(), run.allowed());
+                let words = match &request {
+                    Request::Confirm { .. } => {
+                        format!("nothing is to be confirmed: the run is {state}")
+                    }
+                    other => {
+                        format!("{} is not possible while the run is {state}: {next}", name(other))
+                    }
+                };
                 let _ = answer.send(Err(Refusal::State(words)));
                 None
             }

@@ -1,0 +1,196 @@
+//! An error as people read it: a value in a file with its line under a caret, everything else as a sentence;
+//! and the same error as JSON for scripts.
+//! Uses: annotate-snippets, `locate`, `output`. Never: standard output; a text that controls the terminal.
+
+use std::io::{self, IsTerminal, Read};
+
+use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
+use serde_json::{Value, json};
+
+use super::error::CliError;
+use super::output::{note_drawn, shown};
+use crate::locate::locate;
+use crate::plain::escaped;
+use crate::problem::{Place, Problem};
+
+/// Largest file that is read again for its lines, bytes.
+const FILE_MAX_BYTES: u64 = 1 << 20;
+
+/// Prints an error on standard error: drawn, or with `--json` as one line.
+pub fn report(error: &CliError, as_json: bool) {
+    if as_json {
+        return note_drawn(body(error));
+    }
+    let terminal = io::stderr().is_terminal();
+    let plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    let renderer = if terminal && !plain { Renderer::styled() } else { Renderer::plain() };
+    note_drawn(drawn(error, &renderer));
+}
+
+/// Prints an error of the command line itself as one line of JSON.
+pub fn report_usage(words: &str) {
+    let detail = words.trim().trim_start_matches("error: ");
+    note_drawn(json!({ "type": "about:blank", "title": "invalid input", "exit_code": 2,
+        "detail": shown(detail) }));
+}
+
+/// An error as a problem body (RFC 9457), with the exit code of the command.
+fn body(error: &CliError) -> Value {
+    let code = error.code();
+    let title = if code == 2 { "invalid input" } else { "failed" };
+    let mut body = json!({ "type": "about:blank", "title": title, "detail": error.to_string(),
+        "exit_code": code });
+    if let CliError::Refused { status, .. } = error {
+        body["status"] = (*status).into();
+    }
+    if let CliError::Problems(problems) = error {
+        let located = problems.iter().map(|problem| match in_file(problem) {
+            Some(Line { at, .. }) => problem.clone().at(Some(at)),
+            None => problem.clone(),
+        });
+        body["errors"] = json!(located.collect::<Vec<_>>());
+    }
+    body
+}
+
+fn drawn(error: &CliError, renderer: &Renderer) -> String {
+    let CliError::Problems(problems) = error else {
+        return titled(&error.to_string(), renderer);
+    };
+    let all = problems.iter().map(|problem| match in_file(problem) {
+        Some(line) => line.draw(problem, renderer),
+        None => titled(&without_line(problem), renderer),
+    });
+    all.collect::<Vec<_>>().join("\n")
+}
+
+/// A problem that is not drawn: an option or a request needs no name, a missing key no value.
+fn without_line(problem: &Problem) -> String {
+    let Problem { file, key, value, limit, .. } = problem;
+    match (file.as_str(), is_missing(problem)) {
+        (_, true) => format!("{file}: {key} is missing"),
+        ("command line" | "request", false) if !key.is_empty() => {
+            format!("{key} = {value}: {limit}")
+        }
+        ("command line" | "request", false) => limit.clone(),
+        _ => problem.to_string(),
+    }
+}
+
+fn is_missing(problem: &Problem) -> bool {
+    problem.value == "absent" && problem.limit == "must be given" && !problem.key.is_empty()
+}
+
+/// A sentence after `error: `; further lines follow as they are.
+fn titled(words: &str, renderer: &Renderer) -> String {
+    let words = shown(words);
+    let (first, rest) = words.split_once('\n').unwrap_or((&words, ""));
+    let title = renderer.render(&[Group::with_title(Level::ERROR.primary_title(first))]);
+    if rest.is_empty() { title } else { format!("{title}\n{rest}") }
+}
+
+/// The line of a file with an invalid value.
+struct Line {
+    text: String,
+    at: Place,
+    /// Whether the place is that of the key, not only of a table around it.
+    is_exact: bool,
+}
+
+impl Line {
+    fn draw(&self, problem: &Problem, renderer: &Renderer) -> String {
+        let Problem { key, value, limit, file, .. } = problem;
+        let title = match (key.as_str(), self.is_exact) {
+            ("", _) => limit.clone(),
+            (key, _) if is_missing(problem) => format!("{key} is missing"),
+            (key, true) => format!("{key}: {limit}"),
+            (key, false) => format!("{key} = {value}: {limit}"),
+        };
+        let title = shown(title);
+        let text = escaped(&self.text);
+        let byte = |chars: usize| text.char_indices().nth(chars).map_or(text.len(), |(at, _)| at);
+        let start = self.at.column.saturating_sub(1) as usize;
+        let span = match text.len() == self.text.len() {
+            true => byte(start)..byte(start + self.at.length as usize),
+            false => 0..text.len(),
+        };
+        let snippet = Snippet::source(text.as_ref())
+            .path(escaped(file).into_owned())
+            .line_start(self.at.line as usize)
+            .annotation(AnnotationKind::Primary.span(span));
+        renderer.render(&[Level::ERROR.primary_title(title).element(snippet)])
+    }
+}
+
+/// The line of a problem with a file on this machine, or with one that the program carries.
+fn in_file(problem: &Problem) -> Option<Line> {
+    let text = text_of(&problem.file)?;
+    let (at, is_exact) = match problem.at {
+        Some(at) => (at, problem.value != "absent"),
+        None if problem.key.is_empty() => return None,
+        None => {
+            let found = locate(&text, &problem.key)?;
+            let is_unknown = problem.limit.starts_with("unknown key");
+            (if is_unknown { found.name } else { found.place }, found.is_exact)
+        }
+    };
+    let line = text.lines().nth(at.line.saturating_sub(1) as usize)?.to_owned();
+    Some(Line { text: line, at, is_exact })
+}
+
+fn text_of(file: &str) -> Option<String> {
+    if let Some(text) = super::files::carried_text(file) {
+        return Some(text.to_owned());
+    }
+    let opened = std::fs::File::open(file).ok()?;
+    if !opened.metadata().is_ok_and(|found| found.is_file()) {
+        return None;
+    }
+    let mut text = String::new();
+    opened.take(FILE_MAX_BYTES).read_to_string(&mut text).ok()?;
+    Some(text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn in_folder(text: &str, problem: impl Fn(&str) -> Problem) -> String {
+        let name = format!("palpate-drawn-{}-{}.toml", std::process::id(), text.len());
+        let path = std::env::temp_dir().join(name);
+        std::fs::write(&path, text).unwrap();
+        let file = path.display().to_string();
+        let text = drawn(&CliError::Problems(vec![problem(&file)]), &Renderer::plain());
+        std::fs::remove_file(&path).unwrap();
+        text.replace(&file, "e.toml")
+    }
+
+    #[test]
+    fn a_value_is_drawn_in_its_line() {
+        let text = "name = \"é\"\n[real_hex]\nblock = 0\n";
+        let drawn = in_folder(text, |file| Problem::new(file, "real_hex.block", 0, "must be 1"));
+        let wanted =
+            "error: real_hex.block: must be 1\n --> e.toml:3:9\n  |\n3 | block = 0\n  |         ^";
+        assert_eq!(drawn, wanted);
+        let drawn =
+            in_folder(text, |file| Problem::new(file, "real_hex.tips", "absent", "must be given"));
+        assert!(drawn.contains("error: real_hex.tips is missing"), "{drawn}");
+        assert!(drawn.contains("2 | [real_hex]"), "{drawn}");
+    }
+
+    #[test]
+    fn a_line_that_controls_the_terminal_is_escaped() {
+        let at = Place { line: 1, column: 1, length: 4 };
+        let drawn =
+            in_folder("\u{1b}[31m = 1\n", |file| Problem::whole(file, "no key").at(Some(at)));
+        assert!(drawn.contains(r"\u{1b}[31m") && !drawn.contains('\u{1b}'), "{drawn}");
+    }
+
+    #[test]
+    fn an_error_for_scripts_has_its_values_and_exit_code() {
+        let body = body(&CliError::argument("--speed", 0, "must be from 0.01 to 2000"));
+        assert_eq!((&body["exit_code"], &body["title"]), (&json!(2), &json!("invalid input")));
+        assert_eq!(body["errors"][0]["key"], "--speed");
+        assert!(body["errors"][0].get("at").is_none());
+    }
+}

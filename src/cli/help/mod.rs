@@ -1,0 +1,197 @@
+//! The help of all commands: groups, examples, exit codes, and lines that fit a terminal.
+//! Uses: clap, `examples`. Never: what a command does; the options (their doc comments state them).
+
+use clap::{Arg, Command};
+
+mod examples;
+
+use examples::EXAMPLES;
+
+/// Commands of the root by what they are for; a test demands each command once.
+const GROUPS: &[(&str, &[&str])] = &[
+    ("Runs", &["plan", "run", "serve", "queue", "init"]),
+    ("The active run", &["status", "attach", "pause", "resume", "stop", "abort", "estop"]),
+    ("The morning after", &["runs", "trials", "events", "show", "report", "diff"]),
+    ("Manual trials", &["placement", "confirm", "repeat", "sensor"]),
+    ("Rig and people", &["rig", "lock", "key"]),
+    ("Simulation and calibration", &["simulate", "calibrate"]),
+    ("Data", &["dataset"]),
+    ("Nets", &["train", "job", "model", "infer", "live", "evaluate"]),
+    ("Stand-ins", &["virtual-rig", "virtual-operator"]),
+    ("This program", &["completions", "man"]),
+];
+
+/// Exit codes of all commands, as in `docs/commands.md`.
+pub const EXIT_CODES: &str = "\
+Exit codes:
+  0  success
+  1  failed: the cause is on standard error; a run was stopped, aborted or has failed
+  2  invalid input: a file, an option or a value; nothing was started or changed
+With --json an error is one line of JSON on standard error: title, detail, exit_code and errors,
+each with file, key, value, limit and, if known, its place.";
+
+/// Columns of a terminal.
+const WIDTH: usize = 100;
+/// Indentation of a help below its option.
+const BELOW: usize = 10;
+/// Widest column of options with their helps next to them.
+const SIDE: usize = 42;
+/// Start and end of a heading on a terminal; clap removes them elsewhere.
+const HEADING: [&str; 2] = ["\u{1b}[1m\u{1b}[4m", "\u{1b}[0m"];
+
+/// Completes the command line: what it prints as help, for every command.
+pub fn complete(mut root: Command) -> Command {
+    // Options that hold for subcommands, too, reach them here.
+    root.build();
+    let groups = groups(&root);
+    let root = root.after_help(EXIT_CODES);
+    let template = format!(
+        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{groups}{}\n{{options}}{{after-help}}",
+        heading("Options")
+    );
+    tidy(root, "").help_template(template)
+}
+
+/// The commands in their groups, as text.
+fn groups(root: &Command) -> String {
+    let mut text = String::new();
+    for (name, commands) in GROUPS {
+        text += &format!("{}\n", heading(name));
+        for command in commands.iter().filter_map(|name| root.find_subcommand(name)) {
+            let about = command.get_about().map(ToString::to_string).unwrap_or_default();
+            let about = wrapped(&about, WIDTH - 20).replace('\n', &format!("\n{:20}", ""));
+            text += &format!("  {:<16}  {about}\n", command.get_name());
+        }
+        text.push('\n');
+    }
+    text
+}
+
+fn heading(name: &str) -> String {
+    format!("{}{name}:{}", HEADING[0], HEADING[1])
+}
+
+/// Adds examples to a command and its subcommands, and wraps their texts.
+fn tidy(command: Command, path: &str) -> Command {
+    let after = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+    let mut text = after.trim_end().to_owned();
+    if let Some((_, lines)) = EXAMPLES.iter().find(|(of, _)| *of == path) {
+        if !text.is_empty() {
+            text += "\n\n";
+        }
+        text += &heading("Examples");
+        lines.iter().for_each(|line| text += &format!("\n  {line}"));
+    }
+    let shown = |text: Option<&clap::builder::StyledStr>| text.map(ToString::to_string);
+    let (about, long) = (shown(command.get_about()), shown(command.get_long_about()));
+    let mut command = command.after_help(text);
+    if let Some(about) = about {
+        command = command.about(wrapped(&about, WIDTH - 22));
+    }
+    if let Some(long) = long {
+        command = command.long_about(wrapped(&long, WIDTH));
+    }
+    let arguments: Vec<&Arg> = command.get_arguments().filter(|arg| !arg.is_hide_set()).collect();
+    let column = 8 + arguments.iter().map(|arg| arg.to_string().len()).max().unwrap_or(0);
+    let widest = arguments.iter().map(|arg| tail(arg).len()).max().unwrap_or(0);
+    let beside = column <= SIDE && widest + column < WIDTH;
+    let width = if beside { WIDTH - column } else { WIDTH - BELOW };
+    command = command.next_line_help(!beside).mut_args(|arg| {
+        let help = shown(arg.get_help()).unwrap_or_default();
+        let long = shown(arg.get_long_help()).unwrap_or_else(|| help.clone());
+        let short = with_room(wrapped(&help, width), tail(&arg).len(), width);
+        arg.help(short).long_help(wrapped(&long, WIDTH - BELOW))
+    });
+    command.mut_subcommands(|inner| {
+        let path = format!("{path} {}", inner.get_name());
+        tidy(inner, path.trim_start())
+    })
+}
+
+/// What clap writes behind a help: default and values.
+fn tail(arg: &Arg) -> String {
+    let takes = arg.get_action().takes_values();
+    let defaults = arg.get_default_values().iter().map(|value| value.to_string_lossy());
+    let default = defaults.collect::<Vec<_>>().join(" ");
+    let values = arg.get_possible_values();
+    let values: Vec<&str> =
+        values.iter().filter(|v| !v.is_hide_set()).map(|v| v.get_name()).collect();
+    let mut parts = Vec::new();
+    if takes && !default.is_empty() && !arg.is_hide_default_value_set() {
+        parts.push(format!("[default: {default}]"));
+    }
+    if takes && !values.is_empty() && !arg.is_hide_possible_values_set() {
+        parts.push(format!("[possible values: {}]", values.join(", ")));
+    }
+    parts.join(" ")
+}
+
+/// The text, ended so that `more` characters after it fit the width.
+fn with_room(text: String, more: usize, width: usize) -> String {
+    let last = text.lines().last().unwrap_or_default().chars().count();
+    if more == 0 || last + 1 + more <= width { text } else { text + "\n" }
+}
+
+/// Wraps every line of a text at spaces. A default or variable in brackets stays in one line.
+fn wrapped(text: &str, width: usize) -> String {
+    let lines = text.lines().map(|line| {
+        let (mut wrapped, mut column) = (String::new(), 0);
+        for word in words(line) {
+            let length = word.chars().count();
+            if column > 0 && column + 1 + length > width {
+                wrapped.push('\n');
+                column = 0;
+            } else if column > 0 {
+                wrapped.push(' ');
+                column += 1;
+            }
+            wrapped += &word;
+            column += length;
+        }
+        wrapped
+    });
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+/// Words of a line; `[env: X]` is one.
+fn words(line: &str) -> Vec<String> {
+    let mut words: Vec<String> = Vec::new();
+    let mut is_open = false;
+    for word in line.split(' ').filter(|word| !word.is_empty()) {
+        match words.last_mut().filter(|_| is_open) {
+            Some(last) => *last += &format!(" {word}"),
+            None => words.push(word.into()),
+        }
+        is_open = match (
+            word.starts_with("[env:") || word.starts_with("[default:"),
+            word.contains(']'),
+        ) {
+            (_, true) => false,
+            (true, false) => true,
+            (false, false) => is_open,
+        };
+    }
+    words
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_text_is_wrapped_at_spaces_and_not_within_brackets() {
+        assert_eq!(wrapped("one two three\n\nfour", 7), "one two\nthree\n\nfour");
+        assert_eq!(wrapped("URL [env: A] [default: b]", 9), "URL\n[env: A]\n[default: b]");
+        assert_eq!(with_room("one".into(), 4, 7), "one\n");
+        assert_eq!(with_room("one".into(), 3, 7), "one");
+    }
+
+    #[test]
+    fn the_exit_codes_are_in_the_manual() {
+        let manual = include_str!("../../../docs/commands.md");
+        for line in EXIT_CODES.lines().filter(|line| line.starts_with("  ")) {
+            let (code, words) = line.trim().split_once("  ").unwrap();
+            assert!(manual.contains(&format!("| {code} | {words} |")), "docs/commands.md: {line}");
+        }
+    }
+}
