@@ -15,6 +15,8 @@ use super::output::{self, say};
 use super::rig::{HOMING, until_rig};
 use super::view::{PreflightView, StatusView};
 use crate::campaign::bench::rig_state::RigState;
+use crate::journal::ExitStatus;
+use crate::state::StoredState;
 use crate::store::RunRow;
 
 /// Longest wait for the wires of a rig.
@@ -45,9 +47,7 @@ pub async fn resume(args: &ResumeArgs) -> Result<(), CliError> {
     let named = match &args.run {
         Some(run) => Some(client.run(run).await?),
         None if active.is_some() => None,
-        None => {
-            Some(client.find_run(RunRow::is_resumable).await?.ok_or(CliError::NothingToResume)?)
-        }
+        None => Some(client.find_run(goes_on).await?.ok_or(CliError::NothingToResume)?),
     };
     let paused = active.filter(|active| named.as_ref().is_none_or(|run| run.uid == active.uid));
     if let Some(run) = paused {
@@ -66,6 +66,12 @@ pub async fn resume(args: &ResumeArgs) -> Result<(), CliError> {
     say(format_args!("run {scan_id} {when} at {stored} of {planned} trials"));
     say(format_args!("palpate attach {scan_id}   follows it"));
     Ok(())
+}
+
+/// Whether a run goes on without being named: it was stopped or interrupted. One that was aborted or has failed
+/// is resumed by its number only.
+pub fn goes_on(run: &RunRow) -> bool {
+    run.state == StoredState::Interrupted || run.exit_status == Some(ExitStatus::Stopped)
 }
 
 /// Connects and homes the rig, if it is not connected or homed, and returns the status. A skin alone has

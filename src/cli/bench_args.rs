@@ -189,8 +189,10 @@ mod tests {
         assert_eq!(words(both), None);
         let refused = words(named(|args| args.speed = Some(0.0))).unwrap();
         assert!(refused.contains("--speed = 0"), "{refused}");
-        let missing = words(named(|args| args.gap = Some("no/such/gap.toml".into()))).unwrap();
-        assert!(missing.starts_with("no/such/gap.toml:") && missing.contains("gap-b"), "{missing}");
+        let gap = |name: &str| words(named(|args| args.gap = Some(name.into()))).unwrap();
+        assert!(gap("no/such/gap.toml").starts_with("no/such/gap.toml: there is no such file"));
+        let unknown = gap("gap-z");
+        assert!(unknown.contains("gap-a, gap-b"), "{unknown}");
         assert_eq!(words(named(|args| args.gap = Some("gap-b".into()))), None);
     }
 }

@@ -148,7 +148,10 @@ pub enum CliError {
     #[error("no run is active")]
     Idle,
     /// No run waits for a resumption.
-    #[error("no run is paused, and none can be resumed: each has ended with all its trials")]
+    #[error(
+        "no run is paused, stopped or interrupted; one that was aborted or has failed is resumed by its \
+         number: palpate resume RUN"
+    )]
     NothingToResume,
     /// A deadline has passed.
     #[error("{what} did not happen within {after_s} s")]

@@ -10,7 +10,7 @@ use clap::Args;
 use serde_json::json;
 
 use super::attach::{closed, detached, to_its_end};
-use super::begin::{Begun, arm_and_start, bring_up, last_event};
+use super::begin::{Begun, arm_and_start, bring_up, goes_on, last_event};
 use super::bench_args::BenchArgs;
 use super::client::Client;
 use super::error::CliError;
@@ -21,10 +21,8 @@ use super::own_server::OwnServer;
 use super::summary::Closing;
 use super::view::{PreflightView, StatusView};
 use super::{At, embed};
-use crate::journal::ExitStatus;
 use crate::problem::Problem;
 use crate::rig::setup::RigSetup;
-use crate::state::StoredState;
 use crate::store::RunRow;
 
 /// Options of `run`.
@@ -239,9 +237,6 @@ async fn resumable(
     if order.new {
         return Ok(None);
     }
-    let goes_on = |run: &RunRow| {
-        run.state == StoredState::Interrupted || run.exit_status == Some(ExitStatus::Stopped)
-    };
     client.find_run(|run| goes_on(run) && order.is_of(run, status)).await
 }
 

@@ -8,7 +8,7 @@
 //! diary: records of what happened       shown: status and requests       spans: of the log
 //! ```
 
-/// The four stops: effect on the axes, data kept, how the run resumes, who may stop. One table for
+/// The stops: effect on the axes, data kept, how the run resumes, who may stop. One table for
 /// the manual, the API and the terminal.
 pub const STOPS: &str = include_str!("stops.txt");
 

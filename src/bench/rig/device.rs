@@ -192,14 +192,14 @@ mod tests {
     #[test]
     fn an_unknown_device_is_refused_with_the_names_of_the_supported_ones() {
         let drive = problem("device = \"iai\"", "device = \"iia\"");
-        assert!(drive.starts_with("r.toml: axes.x.device = \"iia\": unknown device"), "{drive}");
+        assert!(drive.starts_with("r.toml: axes.x.device = \"iia\": must be one of"), "{drive}");
         let module = problem("device = \"adam_6017\"", "device = \"adam\"");
-        assert!(module.starts_with("r.toml: cells.device = \"adam\": unknown device"), "{module}");
+        assert!(module.starts_with("r.toml: cells.device = \"adam\": must be one of"), "{module}");
         for device in DRIVES {
-            assert!(drive.contains(&format!("`{}`", device.as_str())), "{drive}");
+            assert!(drive.contains(device.as_str()), "{drive}");
         }
         for device in MODULES {
-            assert!(module.contains(&format!("`{}`", device.as_str())), "{module}");
+            assert!(module.contains(device.as_str()), "{module}");
         }
     }
 

@@ -9,6 +9,7 @@ use std::time::Duration;
 use jiff::Timestamp;
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
+use serde_json::json;
 use sim_core::calibration::Calibration;
 use tokio::sync::Notify;
 use tracing::Instrument;
@@ -203,9 +204,13 @@ impl Conductor {
         }
         self.armings().remove(&run.uid);
         self.waiting().remove(&run.uid);
-        let reason = "aborted while it was interrupted";
-        let ended = self.inner.store.end_run(run.uid, ExitStatus::Abort, reason, Timestamp::now());
-        Ok(ended.await?)
+        let stored: u64 = self.inner.store.contact_counts(run.uid).await?.iter().sum();
+        let reason = format!("aborted at {stored} of {} trials, interrupted", run.trials_planned);
+        let status = ExitStatus::Abort;
+        self.inner.store.end_run(run.uid, status, &reason, Timestamp::now()).await?;
+        let data = json!({ "run": run.uid, "exit_status": status, "reason": reason });
+        self.say(run, "ended", data).await;
+        Ok(())
     }
 
     /// The row of a run as it is stored now.
