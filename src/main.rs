@@ -10,13 +10,8 @@ use std::process::ExitCode;
 use clap::error::ErrorKind;
 use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use clap_complete::Shell;
-use mimalloc::MiMalloc;
 use palpate::cli;
 use virtual_rig::{OperatorArgs, RigArgs, operator_main, rig_main};
-
-/// The threads of the service free large readings: this allocator returns their memory to the system.
-#[global_allocator]
-static ALLOCATOR: MiMalloc = MiMalloc;
 
 /// Touches a robot skin overnight, learns from it, and tells where and how hard it is touched.
 ///

@@ -8,6 +8,7 @@ use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 use serde_json::{Value, json};
 
 use super::error::CliError;
+use super::help::wrapped;
 use super::output::{note_drawn, shown};
 use crate::locate::locate;
 use crate::plain::escaped;
@@ -24,7 +25,8 @@ pub fn report(error: &CliError, as_json: bool) {
     let terminal = io::stderr().is_terminal();
     let plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
     let renderer = if terminal && !plain { Renderer::styled() } else { Renderer::plain() };
-    note_drawn(drawn(error, &renderer));
+    let width = ratatui::crossterm::terminal::size().ok().filter(|_| terminal);
+    note_drawn(drawn(error, &renderer, width.map(|(columns, _)| columns.into())));
 }
 
 /// Prints an error of the command line itself as one line of JSON.
@@ -53,13 +55,18 @@ fn body(error: &CliError) -> Value {
     body
 }
 
-fn drawn(error: &CliError, renderer: &Renderer) -> String {
+fn drawn(error: &CliError, renderer: &Renderer, width: Option<usize>) -> String {
+    let sentence = |words: &str| match width {
+        // Behind `error: `.
+        Some(width) => titled(&wrapped(words, width.saturating_sub(8).max(40)), renderer),
+        None => titled(words, renderer),
+    };
     let CliError::Problems(problems) = error else {
-        return titled(&error.to_string(), renderer);
+        return sentence(&error.to_string());
     };
     let all = problems.iter().map(|problem| match in_file(problem) {
         Some(line) => line.draw(problem, renderer),
-        None => titled(&without_line(problem), renderer),
+        None => sentence(&without_line(problem)),
     });
     all.collect::<Vec<_>>().join("\n")
 }
@@ -160,7 +167,7 @@ mod tests {
         let path = std::env::temp_dir().join(name);
         std::fs::write(&path, text).unwrap();
         let file = path.display().to_string();
-        let text = drawn(&CliError::Problems(vec![problem(&file)]), &Renderer::plain());
+        let text = drawn(&CliError::Problems(vec![problem(&file)]), &Renderer::plain(), None);
         std::fs::remove_file(&path).unwrap();
         text.replace(&file, "e.toml")
     }

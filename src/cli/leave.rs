@@ -33,17 +33,17 @@ impl Choice {
 /// The question, on a run that is driven or paused.
 pub fn question(is_paused: bool) -> &'static str {
     if is_paused {
-        "d detach (the run stays paused)   r resume   s stop (can be resumed later)   c continue\n\
+        "d  detach: the run stays paused\nr  resume\ns  stop: the run can be resumed later\nc  continue\n\
          Ctrl-C again raises the tips now and aborts"
     } else {
-        "d detach (the run goes on)   p pause after this trial   s stop after this trial (can be \
-         resumed later)   c continue\nCtrl-C again raises the tips now and aborts"
+        "d  detach: the run goes on\np  pause after this trial\ns  stop after this trial: the run can be resumed \
+         later\nc  continue\nCtrl-C again raises the tips now and aborts"
     }
 }
 
 /// The question on a training.
-pub const QUESTION_ON_TRAINING: &str = "d detach (the training goes on)   s stop (the same command resumes it)   \
-     c continue\nCtrl-C again stops";
+pub const QUESTION_ON_TRAINING: &str = "d  detach: the training goes on\n\
+     s  stop: the same command resumes it\nc  continue\nCtrl-C again stops";
 
 /// What an interrupt leads to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -89,6 +89,7 @@ impl OwnServer {
         command.arg(data).args(arguments);
         command.stdin(Stdio::null()).stdout(out).stderr(errors);
         let child = command.spawn().map_err(|error| ended(&error.to_string(), &log))?;
+        let child = Starting(Some(child));
         let ready = answering(child, data, &log, begin).await;
         spinner.finish_and_clear();
         let (client, child) = ready?;
@@ -116,17 +117,26 @@ impl OwnServer {
     }
 }
 
+/// A service that does not answer yet; it ends if its start is given up.
+struct Starting(Option<Child>);
+
+impl Drop for Starting {
+    fn drop(&mut self) {
+        self.0.iter().for_each(terminate);
+    }
+}
+
 /// Waits until the service of this data folder answers.
 async fn answering(
-    mut child: Child,
+    mut starting: Starting,
     data: &Path,
     log: &Path,
     begin: u64,
 ) -> Result<(Client, Child), CliError> {
-    let process = child.id().map(u32::cast_signed);
+    let process = starting.0.as_ref().and_then(Child::id).map(u32::cast_signed);
     let started = Instant::now();
     while started.elapsed() < READY {
-        if let Ok(Some(_)) = child.try_wait() {
+        if let Some(Ok(Some(_))) = starting.0.as_mut().map(Child::try_wait) {
             let said = said_since(log, begin);
             let said = said.trim();
             let why = if said.is_empty() { "it ended at its start" } else { said };
@@ -136,12 +146,12 @@ async fn answering(
         if let Some(running) = running {
             let client = Client::new(&running.url, None, None)?;
             if client.look().await? == Found::Palpate {
-                return Ok((client, child));
+                let child = starting.0.take();
+                return child.map(|child| (client, child)).ok_or_else(|| ended("it is gone", log));
             }
         }
         sleep(LOOK).await;
     }
-    terminate(&child);
     Err(CliError::Late { what: "the service's first answer".into(), after_s: READY.as_secs() })
 }
 

@@ -195,22 +195,27 @@ impl Closing {
     }
 
     fn next(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "\nnext:")?;
-        let url = self.follow_url.as_deref().unwrap_or(super::DEFAULT_URL);
-        if self.finished.resumable {
-            writeln!(f, "  the same command again           resumes where it stopped")?;
-        }
-        if self.follow_url.is_none() {
-            writeln!(f, "  palpate serve --data {}", self.data)?;
-        }
-        let path = format!("{url}/api/v1/runs/{}/trials?limit=3", self.finished.scan_id);
-        writeln!(f, "  curl '{path}'")?;
         let run = self.finished.scan_id;
         let place = match &self.follow_url {
-            Some(url) => format!("--url {url}"),
-            None => format!("--data {}", self.data),
+            Some(url) => format!(" --url {url}"),
+            None if self.data == super::DEFAULT_DATA => String::new(),
+            None => format!(" --data {}", self.data),
         };
-        writeln!(f, "  palpate evaluate simulation --run {run} {place} --out fit")
+        let mut next = Vec::new();
+        if self.finished.resumable {
+            next.push(("the same command again".into(), "resumes where it stopped"));
+        }
+        next.push((format!("palpate show {run}{place}"), "draws it in the terminal"));
+        next.push((format!("palpate report {run}{place}"), "what to look at, as HTML and PDF"));
+        if self.follow_url.is_none() {
+            next.push((format!("palpate serve --open{place}"), "shows it in the browser"));
+        }
+        writeln!(f, "\nnext:")?;
+        let width = next.iter().map(|(command, _)| command.len()).max().unwrap_or(0);
+        for (command, what) in next {
+            writeln!(f, "  {command:<width$}   {what}")?;
+        }
+        Ok(())
     }
 }
 

@@ -133,7 +133,7 @@ fn with_room(text: String, more: usize, width: usize) -> String {
 }
 
 /// Wraps every line of a text at spaces. A default or variable in brackets stays in one line.
-fn wrapped(text: &str, width: usize) -> String {
+pub(super) fn wrapped(text: &str, width: usize) -> String {
     let lines = text.lines().map(|line| {
         let (mut wrapped, mut column) = (String::new(), 0);
         for word in words(line) {

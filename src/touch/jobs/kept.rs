@@ -1,4 +1,4 @@
-//! The checkpoint of the training that was stopped or killed last: the same request again resumes from it.
+//! The checkpoints of the trainings that were stopped or killed last: the same request again resumes from one.
 //! Uses: the folders of jobs. Never: a checkpoint of another order, or of a job that may still run.
 
 use std::fs;
@@ -13,13 +13,19 @@ use crate::store::TaskState;
 /// Name of the file that marks the folder of a stopped or killed training.
 const KILLED: &str = "killed";
 
-/// Keeps the checkpoint of a stopped or killed training beyond the end of its job, instead of an earlier
-/// one: checkpoints are large. False if it has none.
+/// Checkpoints of other trainings that are kept.
+const OTHERS_KEPT: usize = 2;
+
+/// Keeps the checkpoint of a stopped or killed training beyond the end of its job, with the last two of others:
+/// checkpoints are large. False if it has none.
 pub fn keep(folder: &Path) -> bool {
     if !folder.join(CHECKPOINT).exists() {
         return false;
     }
-    for other in marked(folder.parent().unwrap_or(folder)) {
+    let mut others = marked(folder.parent().unwrap_or(folder));
+    // Their names are in the order of their requests.
+    others.sort();
+    for other in others.iter().rev().filter(|other| *other != folder).skip(OTHERS_KEPT) {
         fs::remove_file(other.join(CHECKPOINT)).ok();
         fs::remove_file(other.join(KILLED)).ok();
     }
@@ -77,21 +83,25 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_checkpoint_is_kept_and_moves_with_its_losses() {
+    fn three_checkpoints_are_kept_and_move_with_their_losses() {
         let jobs = std::env::temp_dir().join(format!("palpate-kept-{}", std::process::id()));
-        let [first, second, new] = ["one", "two", "new"].map(|name| jobs.join(name));
-        for (folder, text) in [(&first, "1"), (&second, "2")] {
+        let [first, second, third, fourth, new] =
+            ["a", "b", "c", "d", "new"].map(|name| jobs.join(name));
+        for (folder, text) in [(&first, "1"), (&second, "2"), (&third, "3"), (&fourth, "4")] {
             new_file::write(folder, CHECKPOINT, text).unwrap();
             new_file::write(folder, LOSSES, text).unwrap();
-            keep(folder);
+            assert!(keep(folder));
         }
-        assert_eq!(marked(&jobs), [second.as_path()]);
+        let mut kept = marked(&jobs);
+        kept.sort();
+        assert_eq!(kept, [second.as_path(), &third, &fourth]);
         assert!(!first.join(CHECKPOINT).exists() && first.join(LOSSES).exists());
         take(&second, &new).unwrap();
         let read = |name: &str| fs::read_to_string(new.join(name)).unwrap();
         assert_eq!([read(CHECKPOINT), read(LOSSES)], ["2", "2"]);
         assert!(!is_kept(&second) && second.join(LOSSES).exists());
         assert!(take(&second, &new).is_err());
+        assert!(!keep(&second), "it has no checkpoint");
         keep(&new);
         unmark(&new);
         assert!(!is_kept(&new) && new.join(CHECKPOINT).exists());
