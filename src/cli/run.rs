@@ -21,6 +21,7 @@ use super::own_server::OwnServer;
 use super::summary::Closing;
 use super::view::{PreflightView, StatusView};
 use super::{At, embed};
+use crate::new_file::make_folder;
 use crate::problem::Problem;
 use crate::rig::setup::RigSetup;
 use crate::store::RunRow;
@@ -121,6 +122,7 @@ pub async fn run(args: RunArgs) -> Result<ExitCode, CliError> {
         None => {
             sound(&order.files, &rig)?;
             // The skin on the bench is that of the experiment.
+            make_folder(&data).map_err(|source| CliError::File { path: data.clone(), source })?;
             let sensor = data.join("sensor.toml");
             write(&sensor, &order.files.sensor_text)?;
             let own = tokio::select! {

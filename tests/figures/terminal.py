@@ -1,7 +1,7 @@
 """Pictures and transcripts of terminal sessions: python3 tests/figures/terminal.py PALPATE OUT [SCENE ..]
 
 Each scene runs commands of PALPATE in a terminal of 100 columns, in an empty folder, with the virtual rig, and presses
-the keys that a person would press. OUT gets SCENE.svg, the end of what was printed as a picture, and SCENE.txt, all
+the keys that a person would press. OUT gets SCENE.svg, the start of what was printed as a picture, and SCENE.txt, all
 of it. Needs pexpect, pyte and rich.
 """
 
@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
-COLUMNS, LINES, KEPT = 100, 200, 60
+COLUMNS, LINES, KEPT = 100, 200, 52
 PROMPT = "$ "
 COLOURS = {"default": None, "brown": "yellow"}
 
@@ -36,7 +36,7 @@ class Terminal:
         child = pexpect.spawn(self.palpate, words.split(), cwd=self.folder, encoding="utf-8",
                               dimensions=(LINES, COLUMNS), timeout=timeout_s,
                               env={"TERM": "xterm-256color", "HOME": self.folder, "USER": "ann",
-                                   "PATH": "/usr/bin:/bin", "PALPATE_DATA": f"{self.folder}/palpate-data"})
+                                   "PATH": "/usr/bin:/bin"})
         child.logfile_read = self
         for pattern, key in keys:
             child.expect(pattern)
@@ -128,7 +128,7 @@ def main():
         lines = terminal.lines()
         (out / f"{scene.__name__}.txt").write_text("\n".join(line.plain for line in lines) + "\n")
         console = Console(record=True, width=COLUMNS, file=open("/dev/null", "w"))
-        for line in lines[-KEPT:]:
+        for line in lines[:KEPT]:
             console.print(line, no_wrap=True, soft_wrap=True)
         picture = console.export_svg(title="palpate (virtual rig)")
         # No font from elsewhere: the reader's own.
