@@ -91,6 +91,19 @@ pub fn bytes(count: f64) -> String {
     }
 }
 
+/// Formats a count with separated thousands: `33,000`.
+pub fn grouped(count: u64) -> String {
+    let digits = count.to_string();
+    let mut words = String::new();
+    for (place, digit) in digits.chars().enumerate() {
+        if place > 0 && (digits.len() - place).is_multiple_of(3) {
+            words.push(',');
+        }
+        words.push(digit);
+    }
+    words
+}
+
 /// Formats a count with its noun: `1 retry`, `3 retries`.
 pub fn counted(count: u64, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
@@ -114,6 +127,8 @@ mod tests {
         assert_eq!(duration(90_720.0), "25 h 12 min");
         assert_eq!(bytes(12_345.0), "12 kB");
         assert_eq!(bytes(2.1e8), "0.21 GB");
+        let shown: Vec<String> = [0, 999, 1000, 1_234_567].map(grouped).into();
+        assert_eq!(shown, ["0", "999", "1,000", "1,234,567"]);
         assert_eq!(counted(1, "retry", "retries"), "1 retry");
     }
 }

@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
-use crate::cli::output::duration;
+use crate::cli::output::{duration, grouped};
 use crate::cli::progress::progress_bar;
 use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
@@ -173,27 +173,12 @@ pub fn stored_words(stored: u64, planned: u64) -> String {
     }
 }
 
-/// A count with commas: `33,000`.
-pub fn grouped(count: u64) -> String {
-    let digits = count.to_string();
-    let mut words = String::new();
-    for (place, digit) in digits.chars().enumerate() {
-        if place > 0 && (digits.len() - place).is_multiple_of(3) {
-            words.push(',');
-        }
-        words.push(digit);
-    }
-    words
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn counts_are_grouped_by_thousands() {
-        let shown: Vec<String> = [0, 999, 1000, 33_000, 1_234_567].map(grouped).into();
-        assert_eq!(shown, ["0", "999", "1,000", "33,000", "1,234,567"]);
+    fn an_import_has_no_plan() {
         assert_eq!(stored_words(899, 33_000), "899 of 33,000");
         assert_eq!(stored_words(12, 0), "12");
     }

@@ -8,7 +8,7 @@ use serde_json::json;
 use sim_core::stats::fvu;
 
 use super::answers::{
-    TrialFacts, TwinsOf, all_trials, fit_of, grouped, if_there, state_words, stored_words,
+    TrialFacts, TwinsOf, all_trials, fit_of, if_there, state_words, stored_words,
 };
 use super::compare::{
     Change, Difference, Pair, by_depth, by_place, changes, difference, pairs, sampled,
@@ -18,7 +18,7 @@ use crate::api::{Page, Summary};
 use crate::cli::client::Client;
 use crate::cli::embed;
 use crate::cli::error::CliError;
-use crate::cli::output::{say, say_json};
+use crate::cli::output::{grouped, say, say_json};
 use crate::cli::table::{Align, Table, or_dash};
 use crate::cli::watch::answers::Tour;
 use crate::store::{RunRow, TrialRow};

@@ -6,8 +6,8 @@ use ratatui::layout::Rect;
 use serde_json::json;
 
 use super::answers::{
-    TrialFacts, TwinsOf, all_trials, duration_words, elapsed, fit_of, grouped, if_there,
-    state_words, stored_words,
+    TrialFacts, TwinsOf, all_trials, duration_words, elapsed, fit_of, if_there, state_words,
+    stored_words,
 };
 use super::chart::{AtDepth, by_depth, forces, picture, width};
 use super::{ShowArgs, find, show_trial};
@@ -15,7 +15,7 @@ use crate::api::Summary;
 use crate::cli::client::Client;
 use crate::cli::embed;
 use crate::cli::error::CliError;
-use crate::cli::output::{counted, say, say_drawn, say_json};
+use crate::cli::output::{counted, grouped, say, say_drawn, say_json};
 use crate::cli::start_time::local;
 use crate::cli::table::{Align, Table};
 use crate::cli::watch::answers::{Skin, Tour, TourProgress};

@@ -4,13 +4,12 @@
 use reqwest::Url;
 use serde_json::json;
 
-use super::answers::grouped;
 use super::{TrialsArgs, find};
 use crate::api::Page;
 use crate::cli::client::Client;
 use crate::cli::embed;
 use crate::cli::error::CliError;
-use crate::cli::output::{say, say_json};
+use crate::cli::output::{grouped, say, say_json};
 use crate::cli::table::{Align, Table, or_dash};
 use crate::store::{MAX_PAGE, TrialRow};
 

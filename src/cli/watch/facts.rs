@@ -10,7 +10,7 @@ use super::answers::Suspender;
 use super::night::{Level, Night, Told, one_line};
 use super::theme::Theme;
 use crate::campaign::shown::status::{Eta, Phase};
-use crate::cli::output::{bytes, counted, duration};
+use crate::cli::output::{bytes, counted, duration, grouped};
 use crate::cli::view::{RunView, StatusView};
 use crate::state::StoredState;
 
@@ -81,9 +81,9 @@ pub fn progress(run: &RunView, heard_at: Timestamp, now: &Now) -> (f64, String) 
     let done = run.trials_stored + run.trials_skipped;
     let share = done as f64 / run.trials_planned.max(1) as f64;
     let mut words =
-        format!("{} of {} trials", thousands(run.trials_stored), thousands(run.trials_planned));
+        format!("{} of {} trials", grouped(run.trials_stored), grouped(run.trials_planned));
     if run.trials_skipped > 0 {
-        words += &format!(", {} skipped", thousands(run.trials_skipped));
+        words += &format!(", {} skipped", grouped(run.trials_skipped));
     }
     if let Some(eta) = run.eta {
         words += &format!("  {}", eta_words(&eta, heard_at, now));
@@ -137,7 +137,7 @@ pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec
         fact(&shortened(&suspender.name), suspender_words(suspender, now), level);
     }
     if let Some(run) = status.run.as_ref().filter(|run| run.retries > 0) {
-        fact("retries", thousands(run.retries), Level::Fine);
+        fact("retries", grouped(run.retries), Level::Fine);
     }
     fact("queue", counted(status.queue_length as u64, "run", "runs"), Level::Fine);
     if let Some(p) = status.rig.pose {
@@ -174,7 +174,7 @@ fn twins(night: &Night) -> Option<(String, Level)> {
     let mut parts = Vec::new();
     let run = night.run.or(twins.runs.first().map(|run| run.run));
     if let Some(of_run) = twins.runs.iter().find(|of_run| Some(of_run.run) == run) {
-        parts.push(format!("{} pending", thousands(of_run.pending)));
+        parts.push(format!("{} pending", grouped(of_run.pending)));
     }
     let mut level = Level::Fine;
     if let Some(rolling) = &twins.pool.rolling {
@@ -229,27 +229,12 @@ pub fn event(told: &Told, now: &Now, theme: Theme) -> Line<'static> {
     Line::from(vec![time, Span::styled(told.words.clone(), style)])
 }
 
-/// A count with separated thousands.
-fn thousands(count: u64) -> String {
-    let digits = count.to_string();
-    let mut words = String::new();
-    for (i, digit) in digits.chars().enumerate() {
-        if i > 0 && (digits.len() - i).is_multiple_of(3) {
-            words.push(',');
-        }
-        words.push(digit);
-    }
-    words
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn counts_and_values_read_well() {
-        let shown: Vec<String> = [0, 999, 1000, 198_000].map(thousands).into();
-        assert_eq!(shown, ["0", "999", "1,000", "198,000"]);
         assert_eq!([0.0942, 12.34, 1234.5].map(number), ["0.094", "12.3", "1234"]);
     }
 

@@ -6,9 +6,9 @@ use std::collections::BTreeMap;
 use jiff::SignedDuration;
 use sim_core::stats::{median, quantile, sorted};
 
-use super::super::answers::{TrialFacts, duration_words, grouped, state_words, stored_words};
+use super::super::answers::{TrialFacts, duration_words, state_words, stored_words};
 use super::facts::Facts;
-use crate::cli::output::counted;
+use crate::cli::output::{counted, grouped};
 use crate::state::{PausedWhy, StoredState};
 
 /// Share of attempts that may fail.

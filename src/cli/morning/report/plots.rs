@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 
 use sim_core::stats::median;
 
-use super::super::answers::{TrialFacts, grouped};
+use super::super::answers::TrialFacts;
 use super::super::chart::by_depth;
 use super::facts::Facts;
-use crate::cli::output::counted;
+use crate::cli::output::{counted, grouped};
 use crate::cli::summary::table_one;
 use crate::evaluate::charts::Line;
 use crate::evaluate::figures::{FigureError, map};

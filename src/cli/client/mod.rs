@@ -21,11 +21,9 @@ use super::error::CliError;
 use super::progress::shown_wait;
 use super::repeat;
 use super::trust::{self, Certificates};
-use super::view::{ArmedView, EventView, StatusView, TakenUpView};
-use crate::api::{Page, Summary};
-use crate::ids::RunUid;
 use crate::problem::Problem;
-use crate::store::RunRow;
+
+mod questions;
 
 /// Longest wait for an answer; connecting a rig takes longest.
 const ANSWER: Duration = Duration::from_secs(60);
@@ -131,106 +129,6 @@ impl Client {
             },
         };
         Ok(if body["service"] == "palpate" { Found::Palpate } else { Found::Stranger })
-    }
-
-    /// Returns the status of rig, run and service.
-    ///
-    /// # Errors
-    /// As [`Self::send`].
-    pub async fn status(&self) -> Result<StatusView, CliError> {
-        self.get("/api/v1/status").await
-    }
-
-    /// Returns one run, by uid or scan_id.
-    ///
-    /// # Errors
-    /// As [`Self::send`].
-    pub async fn run(&self, run: impl std::fmt::Display) -> Result<RunRow, CliError> {
-        self.get(&format!("/api/v1/runs/{run}")).await
-    }
-
-    /// Returns the summary of a run.
-    ///
-    /// # Errors
-    /// As [`Self::send`].
-    pub async fn summary(&self, run: RunUid) -> Result<Summary, CliError> {
-        self.get(&format!("/api/v1/runs/{run}/summary")).await
-    }
-
-    /// Returns the events of a run after the event number `since`.
-    ///
-    /// # Errors
-    /// As [`Self::send`].
-    pub async fn events(&self, run: RunUid, since: i64) -> Result<Page<EventView>, CliError> {
-        self.get(&format!("/api/v1/events?since={since}&run={run}")).await
-    }
-
-    /// Returns all entries of a list; `path` has its parameters, or none after `?`.
-    ///
-    /// # Errors
-    /// As [`Self::send`].
-    pub async fn all<T: DeserializeOwned>(&self, path: &str) -> Result<Vec<T>, CliError> {
-        let (mut all, mut cursor) = (Vec::new(), String::new());
-        loop {
-            let page: Page<T> = self.get(&format!("{path}{cursor}")).await?;
-            all.extend(page.items);
-            let Some(next) = page.next else { return Ok(all) };
-            cursor = format!("&cursor={next}");
-        }
-    }
-
-    /// Returns the newest of all runs that `fits` accepts.
-    ///
-    /// # Errors
-    /// As [`Self::send`].
-    pub async fn find_run(
-        &self,
-        fits: impl Fn(&RunRow) -> bool,
-    ) -> Result<Option<RunRow>, CliError> {
-        let mut path = "/api/v1/runs?".to_owned();
-        loop {
-            let page: Page<RunRow> = self.get(&path).await?;
-            if let Some(run) = page.items.into_iter().find(&fits) {
-                return Ok(Some(run));
-            }
-            let Some(next) = page.next else { return Ok(None) };
-            path = format!("/api/v1/runs?cursor={next}");
-        }
-    }
-
-    /// Arms a run; returns the code that starts it, and its preflight.
-    ///
-    /// # Errors
-    /// As [`Self::send`].
-    pub async fn arm(&self, run: RunUid) -> Result<ArmedView, CliError> {
-        self.post(&format!("/api/v1/runs/{run}/arm"), &json!({ "who": self.who })).await
-    }
-
-    /// Starts an armed run.
-    ///
-    /// # Errors
-    /// As [`Self::send`].
-    pub async fn start(&self, run: RunUid, code: &str) -> Result<TakenUpView, CliError> {
-        let body = json!({ "action": "start", "code": code, "who": self.who });
-        self.post(&format!("/api/v1/runs/{run}/actions"), &body).await
-    }
-
-    /// Sends an action on a run; `more` are its other fields.
-    ///
-    /// # Errors
-    /// As [`Self::send`].
-    pub async fn act(&self, run: RunUid, action: &str, more: Value) -> Result<(), CliError> {
-        let path = format!("/api/v1/runs/{run}/actions");
-        self.send(Method::POST, &path, Some(&self.body(action, more))).await.map(|_| ())
-    }
-
-    /// Sends an action on the rig; `more` are its other fields.
-    ///
-    /// # Errors
-    /// As [`Self::send`].
-    pub async fn act_on_rig(&self, action: &str, more: Value) -> Result<(), CliError> {
-        let body = self.body(action, more);
-        self.send(Method::POST, "/api/v1/rig/actions", Some(&body)).await.map(|_| ())
     }
 
     /// Sends a GET request and reads the answer.
