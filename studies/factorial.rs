@@ -14,6 +14,7 @@ use crate::evaluate::published::{FIG_11, Held, Marginal};
 use crate::evaluate::request::EvaluationReport;
 use crate::evaluate::table::{self, COLUMNS};
 use crate::evaluate::touch::Metric;
+use crate::figure::Heading;
 use crate::ids::ModelId;
 use crate::infer::methods::Method;
 use crate::lab::{Lab, Noise, StudyError};
@@ -102,6 +103,9 @@ fn sheet(
         "# Fig. 11: the whole pipeline on the held-out part of real, each contact a sample\n",
     );
     let (mut analyses, mut figures) = (Vec::new(), Vec::new());
+    let last = conditions.last();
+    let label = last.map_or("", |condition| condition.report.label.as_str());
+    let rows = last.map_or(0, |condition| condition.report.rows);
     for (key, words, metric) in CRITERIA {
         let mut design = design(budget)?;
         let mut drawn = Vec::new();
@@ -110,7 +114,11 @@ fn sheet(
             design.join(&condition.at, cells.get(key).copied().unwrap_or_default())?;
             drawn.extend(cells.get(key).and_then(|moments| bar(&condition.name(), moments)));
         }
-        figures.push(OutputFile::new(format!("fig-11-{key}.svg"), bars(words, &drawn)?));
+        let title = format!("Fig. 11: {words} by pixel x diameter (mm) and noise of the training");
+        let heading = Heading::new(title, rows, "trials for each condition", label)
+            .with_note(format!("Scale {}", budget.scale.name()));
+        let figure = bars(&heading, words, &drawn)?;
+        figures.push(OutputFile::new(format!("fig-11-{key}.svg"), figure));
         match design.analyse() {
             Ok(anova) => {
                 text += &format!(
@@ -125,7 +133,6 @@ fn sheet(
             Err(why) => text += &format!("\n## {words}\n\nnot analysed: {why}\n"),
         }
     }
-    let label = conditions.last().map_or("", |condition| condition.report.label.as_str());
     text += &format!(
         "\n## A perfect map under the same rule\n\n{}\n{}\n",
         table::markdown(&COLUMNS, &perfects(conditions.iter().map(|c| &c.report))),
@@ -153,7 +160,12 @@ fn design(budget: &Budget) -> Result<Factorial, StudyError> {
 }
 
 fn bar(name: &str, moments: &Moments) -> Option<Bar> {
-    Some(Bar { name: name.into(), mean: moments.mean()?, sd: moments.sd().unwrap_or(0.0) })
+    Some(Bar {
+        name: name.into(),
+        mean: moments.mean()?,
+        sd: moments.sd().unwrap_or(0.0),
+        n: moments.count(),
+    })
 }
 
 /// Table of the estimated marginal means of the main effects.

@@ -146,7 +146,8 @@ pub enum StudyError {
     },
 }
 
-/// A lab for tests: it records what is requested, and its reports have no scores.
+/// A lab for tests: it records what is requested; its reports have no scores, unless it is told to
+/// score.
 #[cfg(test)]
 pub mod fake {
     use std::pin::pin;
@@ -156,6 +157,11 @@ pub mod fake {
     use serde_json::json;
 
     use super::*;
+    use crate::evaluate::request::{Example, Scored};
+    use crate::evaluate::score::Scores;
+    use crate::evaluate::touch::Touch;
+    use crate::evaluate::voltages::VoltageScores;
+    use crate::infer::answer::FoundContact;
 
     /// A lab that records requests.
     #[derive(Default)]
@@ -164,6 +170,49 @@ pub mod fake {
         pub trained: Mutex<Vec<Training>>,
         /// Requested scores, in order.
         pub scored: Mutex<Vec<EvaluationRequest>>,
+        /// Whether reports have scores and examples, and datasets a trial.
+        pub scores: bool,
+    }
+
+    fn contact(x_mm: f64, force_n: f64) -> Contact {
+        let diameter_mm = Some(20.0);
+        Contact { x_mm: Some(x_mm), y_mm: Some(280.0), force_n: Some(force_n), diameter_mm }
+    }
+
+    fn found(x_mm: f64) -> FoundContact {
+        FoundContact { x_mm, y_mm: 290.0, force_n: Some(11.0), ..FoundContact::default() }
+    }
+
+    /// Scores of frames with 1, 2 and 4 contacts (none has 3), and their readings.
+    fn with_scores(request: &EvaluationRequest, mut report: EvaluationReport) -> EvaluationReport {
+        let counts = [1_u32, 2, 4, 1, 2, 4];
+        report.rows = counts.len() as u64;
+        if request.scored == Scored::Voltages {
+            let fits = counts.map(|count| (count, 0.01, Some(0.05 * f64::from(count))));
+            report.voltages = VoltageScores::of(&fits);
+            return report;
+        }
+        let truth = |count: u32| -> Vec<Contact> {
+            (0..count).map(|n| contact(100.0 + 90.0 * f64::from(n), 12.0)).collect()
+        };
+        let reading = |count: u32| Reading {
+            contacts: (0..count).map(|n| found(104.0 + 90.0 * f64::from(n))).collect(),
+            ..Reading::default()
+        };
+        let touches = counts.map(|count| {
+            let estimates: Vec<Contact> =
+                reading(count).contacts.iter().map(Contact::from).collect();
+            Touch::of(&truth(count), &estimates).unwrap()
+        });
+        report.contacts = Some(Scores::of(&touches, 1));
+        report.perfect = report.contacts.clone();
+        report.map = Some("4x20".into());
+        let sums = ["number_percent", "location_mm", "force_percent", "diameter_percent"];
+        let moments = || [4.0, 5.0 + request.threshold_n].into_iter().collect();
+        report.cells = Some(sums.map(|key| (key.to_owned(), moments())).into());
+        let shown = counts.into_iter().take(request.examples as usize);
+        report.examples = shown.map(|n| Example { truth: truth(n), reading: reading(n) }).collect();
+        report
     }
 
     impl Lab for FakeLab {
@@ -183,7 +232,8 @@ pub mod fake {
             self.scored.lock().unwrap().push(request.clone());
             let report = json!({ "scored": request.scored, "dataset": "ds-1", "label": "virtual",
                 "models": [], "rows": 0, "threshold_n": request.threshold_n });
-            Ok(serde_json::from_value(report).unwrap())
+            let report = serde_json::from_value(report).unwrap();
+            Ok(if self.scores { with_scores(request, report) } else { report })
         }
 
         async fn residuals(&self, _: &ModelId) -> Result<Residuals, StudyError> {
@@ -191,7 +241,9 @@ pub mod fake {
         }
 
         async fn first_trial(&self, _: &str, _: &[String]) -> Result<Option<Trial>, StudyError> {
-            Ok(None)
+            let contacts = vec![contact(200.0, 16.0)];
+            let trial = Trial { frame_v: vec![0.0; 784], contacts, label: "virtual".into() };
+            Ok(self.scores.then_some(trial))
         }
 
         async fn reading(

@@ -14,6 +14,7 @@
 //! | `unseen` | Fig. 12, V-D | all methods on contacts that no net was trained on |
 
 use palpate_data::dataset;
+use palpate_model::figure;
 use palpate_store as store;
 use palpate_touch::{evaluate, infer, learn};
 use palpate_words::ids;

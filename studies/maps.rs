@@ -9,6 +9,7 @@ use crate::evaluate::charts::{Heat, heats};
 use crate::evaluate::published::table_iv as published_table_iv;
 use crate::evaluate::score::{Mean, Score};
 use crate::evaluate::table::{Beside, COLUMNS, markdown, published_row, score_row};
+use crate::figure::Heading;
 use crate::infer::methods::Method;
 use crate::lab::{Lab, StudyError};
 use crate::sheet::{OutputFile, Sheet};
@@ -22,6 +23,7 @@ use crate::sheet::{OutputFile, Sheet};
 /// Source: paper, Table IV and Fig. 9.
 pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Error> {
     let (mut rows, mut numbers, mut scores) = (Vec::new(), Vec::new(), Vec::new());
+    let mut scored = 0;
     let mut label = String::new();
     for (number, spec) in (1..).zip(TABLE_IV) {
         let model = lab.train(&budget.map_net(RECON_NET, spec, None)).await?;
@@ -36,6 +38,7 @@ pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Erro
         }
         rows.extend(published_table_iv(spec).map(|paper| published_row("  paper", &paper)));
         numbers.push(json!({ "map": spec.to_string(), "model": model, "report": report }));
+        scored = report.rows;
         label = report.label;
     }
     let text = format!(
@@ -43,7 +46,12 @@ pub async fn table_iv<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Erro
         markdown(&COLUMNS, &rows),
         budget.caption(&format!("simulated; twins of {label} trials"))
     );
-    let fig_9 = heats("Fig. 9", &heats_of(&scores)).map_err(StudyError::from)?;
+    let title = "Fig. 9: errors of a Recon-Net by the pixel and the diameter of its force map";
+    let heading = Heading::new(title, scored, "trials for each map", &label).with_note(format!(
+        "Scale {}; frames: simulated twins of these trials",
+        budget.scale.name()
+    ));
+    let fig_9 = heats(&heading, &heats_of(&scores)).map_err(StudyError::from)?;
     let numbers = json!({ "table": "IV", "scale": budget.scale.name(), "maps": numbers });
     Ok(Sheet::new("table-iv", text, numbers, vec![OutputFile::new("fig-9.svg", fig_9)]))
 }

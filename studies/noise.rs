@@ -5,8 +5,9 @@ use serde_json::json;
 
 use crate::budget::{Budget, R2S, RECON_NET};
 use crate::dataset::force_map::ForceMapSpec;
-use crate::evaluate::charts::{Picture, pictures, residuals};
+use crate::evaluate::force_maps::{Picture, pictures, residuals};
 use crate::evaluate::table::markdown;
+use crate::figure::Heading;
 use crate::infer::answer::FoundContact;
 use crate::lab::{Lab, Noise, StudyError, Trial};
 use crate::sheet::{OutputFile, Sheet};
@@ -58,8 +59,15 @@ pub async fn fig_10<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Error>
         markdown(&["noise", "contacts found", "forces, N"], &rows),
         budget.caption(&label)
     );
-    let fig_10a = residuals(&left.mean_v, &left.sd_v).map_err(StudyError::from)?;
-    let fig_10b = pictures("Fig. 10B", &shown, shown.len()).map_err(StudyError::from)?;
+    let title = "Fig. 10A: transfer error of each reading";
+    let heading = Heading::new(title, left.trials, "validation trials", &label)
+        .with_note(format!("{transfer}, scale {}", budget.scale.name()));
+    let fig_10a = residuals(&heading, &left.mean_v, &left.sd_v).map_err(StudyError::from)?;
+    let title =
+        "Fig. 10B: a trial of three contacts, and the maps of nets at three levels of noise";
+    let heading = Heading::new(title, 1, "trials", &label)
+        .with_note(format!("Map {spec}, scale {}", budget.scale.name()));
+    let fig_10b = pictures(&heading, &shown, shown.len()).map_err(StudyError::from)?;
     let numbers = json!({ "figure": "10", "scale": budget.scale.name(), "label": label,
         "transfer": transfer, "residuals": left, "truth": truth });
     let figures =

@@ -1,20 +1,22 @@
 //! Fig. 7: how well simulated twins fit the measured trials of a run, as text, tables and figures.
-//! PURE. Uses: `evaluate::{simulation, figures}`. Never: computed scores (they are in the report).
+//! PURE. Uses: `evaluate::{simulation, figures, frame_pairs}`. Never: computed scores (they are in the report).
 
 use std::fmt::Write;
 
 use serde_json::json;
 use sim_core::sensor::Sensor;
 
-use crate::evaluate::figures::{FigureError, Outline, Quantity, boxes, by_force, frames, map};
+use crate::evaluate::figures::{FigureError, Quantity, boxes, by_force, map};
+use crate::evaluate::frame_pairs::{FramePair, frame_pairs};
 use crate::evaluate::simulation::{BoxPlot, FORCE_BIN_N, SimulationReport};
+use crate::figure::Heading;
+use crate::figure::skin::Outline;
 use crate::sheet::OutputFile;
 use crate::store::RunRow;
 
 /// Returns the numbers (JSON), the tables (CSV) and the figures (SVG) of a report.
 ///
-/// `example`: measured and simulated frame of one trial, V, 784 each, injection-major; without it
-/// there is no `frames.svg`. Without a readable sensor file of the run there is no `fvu_map.svg`.
+/// `pairs`: trials whose frames are drawn; without any there is no `frames.svg`. Without a readable sensor file of the run there is no `fvu_map.svg`.
 ///
 /// # Errors
 /// `FigureError` if a figure cannot be drawn.
@@ -23,7 +25,7 @@ use crate::store::RunRow;
 pub fn files(
     run: &RunRow,
     report: &SimulationReport,
-    example: Option<(&[f32], &[f32])>,
+    pairs: &[FramePair],
 ) -> Result<Vec<OutputFile>, FigureError> {
     let numbers = json!({
         "run": run.uid, "scan_id": run.scan_id, "experiment": run.experiment, "label": run.label,
@@ -35,16 +37,29 @@ pub fn files(
         file("by_force.csv", by_force_csv(report)),
         file("by_contacts.csv", by_contacts_csv(report)),
         file("by_point.csv", by_point_csv(report)),
-        file("rmse_by_force.svg", by_force(report, Quantity::Rmse)?),
-        file("rmse_by_contacts.svg", boxes(report, Quantity::Rmse)?),
-        file("fvu_by_force.svg", by_force(report, Quantity::Fvu)?),
-        file("fvu_by_contacts.svg", boxes(report, Quantity::Fvu)?),
     ];
-    if let Ok(sensor) = Sensor::from_toml(&run.sensor) {
-        files.push(file("fvu_map.svg", map(&report.by_point, &outline(&sensor))?));
+    let of_run = format!("run {}", run.scan_id);
+    let heading = |title: &str, n: u64, of: &str| {
+        Heading::new(format!("{title}, {of_run}"), n, of, run.label.as_str())
+    };
+    let touched: u64 = report.by_contacts.iter().map(|b| b.trials).sum();
+    for (key, quantity) in [("rmse", Quantity::Rmse), ("fvu", Quantity::Fvu)] {
+        let name = key.to_uppercase();
+        let title = format!("{name} of the twins by force");
+        let figure = by_force(&heading(&title, report.trials, "trials"), report, quantity)?;
+        files.push(file(&format!("{key}_by_force.svg"), figure));
+        let title = format!("{name} of the twins by the number of contacts");
+        let figure = boxes(&heading(&title, touched, "trials with contacts"), report, quantity)?;
+        files.push(file(&format!("{key}_by_contacts.svg"), figure));
     }
-    if let Some((measured_v, simulated_v)) = example {
-        files.push(file("frames.svg", frames(measured_v, simulated_v)?));
+    if let Ok(sensor) = Sensor::from_toml(&run.sensor) {
+        let single: u64 = report.by_point.iter().map(|p| p.trials).sum();
+        let heading = heading("FVU of the twins on the skin", single, "trials of single tips");
+        files.push(file("fvu_map.svg", map(&heading, &report.by_point, &Outline::of(&sensor))?));
+    }
+    if !pairs.is_empty() {
+        let heading = heading("Measured frames and their twins", pairs.len() as u64, "trials");
+        files.push(file("frames.svg", frame_pairs(&heading, pairs)?));
     }
     Ok(files)
 }
@@ -82,14 +97,6 @@ pub fn text(run: &RunRow, report: &SimulationReport) -> String {
     }
     text.pop();
     text
-}
-
-fn outline(sensor: &Sensor) -> Outline {
-    Outline {
-        size_mm: [sensor.file.width_mm, sensor.file.height_mm],
-        electrodes_mm: sensor.electrodes_mm().to_vec(),
-        pitch_mm: sensor.pitch_mm(),
-    }
 }
 
 /// Table of Fig. 7B and 7E: forces in N, RMSE in V.

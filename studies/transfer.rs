@@ -4,11 +4,12 @@
 use serde_json::json;
 
 use crate::budget::{Budget, R2S, up_to};
-use crate::evaluate::charts::{Line, lines};
-use crate::evaluate::published::{TABLE_III, Transfer};
-use crate::evaluate::request::Scored;
+use crate::evaluate::charts::{Line, Panel, panels};
+use crate::evaluate::published::{Rung, TABLE_III, Transfer};
+use crate::evaluate::request::{EvaluationReport, Scored};
 use crate::evaluate::table::markdown;
 use crate::evaluate::voltages::VoltageScores;
+use crate::figure::Heading;
 use crate::lab::{Lab, StudyError};
 use crate::sheet::{OutputFile, Sheet};
 
@@ -46,11 +47,7 @@ pub async fn table_iii<L: Lab>(lab: &L, budget: &Budget, dataset: &str) -> Resul
         let train = lab.score(&request).await?;
         if let (Some(test), Some(train)) = (&test.voltages, &train.voltages) {
             rows.push(row(&format!("1 to {most}"), Some(train), test));
-            let places = test
-                .by_contacts
-                .iter()
-                .filter_map(|score| Some((f64::from(score.contacts?), 100.0 * score.fvu)));
-            curves.push(Line { name: format!("trained to {most}"), places: places.collect() });
+            curves.push(panel(published, test, plain.voltages.as_ref()));
         }
         let cell = |cell: &Transfer| format!("{} / {}", cell.rmse_v, cell.fvu_percent);
         let mut paper = vec![format!("  paper, 1 to {most}"), cell(&published.train)];
@@ -66,12 +63,46 @@ pub async fn table_iii<L: Lab>(lab: &L, budget: &Budget, dataset: &str) -> Resul
     );
     // Each split has its table: by configuration, and by trial as in the paper.
     let name = if dataset == R2S { "table-iii".into() } else { format!("table-iii-{dataset}") };
-    let figure = lines("Table III", "contacts of the test trials", "mean FVU (%)", &curves)
-        .map_err(StudyError::from)?;
+    let figure =
+        panels(&heading(budget, &plain), "contacts of a test trial", "mean FVU (%)", &curves)
+            .map_err(StudyError::from)?;
     let numbers = json!({ "table": "III", "scale": budget.scale.name(), "label": plain.label,
         "dataset": plain.dataset, "no_net": plain.voltages, "rungs": numbers });
     let figures = vec![OutputFile::new(format!("{name}.svg"), figure)];
     Ok(Sheet::new(&name, text, numbers, figures))
+}
+
+fn heading(budget: &Budget, plain: &EvaluationReport) -> Heading {
+    let title =
+        "Table III: voltages of Transfer-Nets, by the numbers of contacts in their training";
+    let rows = plain.voltages.as_ref().map_or(0, |scores| scores.all.trials);
+    Heading::new(title, rows, "test trials", &plain.label).with_note(format!(
+        "Shaded: numbers of contacts in the training; lines end at numbers without a test trial. Scale {}, seed {}",
+        budget.scale.name(),
+        budget.seed
+    ))
+}
+
+/// FVU by the number of contacts: here, published, and without a net.
+fn panel(published: &Rung, test: &VoltageScores, plain: Option<&VoltageScores>) -> Panel {
+    let of = |scores: &VoltageScores| -> Vec<(f64, f64)> {
+        let known = scores.by_contacts.iter().filter(|score| score.contacts > Some(0));
+        known.filter_map(|s| Some((f64::from(s.contacts?), 100.0 * s.fvu))).collect()
+    };
+    let line = |name: &str, places: Vec<(f64, f64)>| Line { name: name.into(), places };
+    let paper =
+        published.test.iter().zip(1..).map(|(cell, count)| (f64::from(count), cell.fvu_percent));
+    let most = published.trained_to;
+    let trained = if most == 1 { "1 contact".into() } else { format!("1 to {most} contacts") };
+    Panel {
+        name: format!("trained on {trained}"),
+        known_to: f64::from(most),
+        lines: vec![
+            line("this training", of(test)),
+            line("paper (measured)", paper.collect()),
+            line("no net", plain.map(of).unwrap_or_default()),
+        ],
+    }
 }
 
 /// A row under [`HEAD`]; a dash where there are no trials.

@@ -8,6 +8,7 @@ use std::process::ExitCode;
 
 use sim_core::calibration::CalibrationError;
 
+use super::picture::PictureError;
 use crate::api::{LockFileError, ServeError};
 use crate::calibrate::CalibrateError;
 use crate::calibrate::skin::SkinError;
@@ -132,6 +133,9 @@ pub enum CliError {
     /// The rig cannot be opened.
     #[error("opening the rig: {0}")]
     Rig(#[from] RigError),
+    /// A figure could not be written as PNG or PDF.
+    #[error(transparent)]
+    Picture(#[from] PictureError),
     /// The model of the skin is not available.
     #[error(transparent)]
     Model(#[from] ModelUnavailable),

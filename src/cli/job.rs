@@ -1,6 +1,7 @@
 //! `palpate job`: waiting, running and ended trainings and evaluations; and the progress of one on the terminal.
 //! Uses: `client`. Never: nets (a process of the service trains).
 
+use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Subcommand};
@@ -13,7 +14,7 @@ use super::output::{duration, note, say, say_json};
 use super::progress::LogLines;
 use super::start_time::local;
 use super::table::{Align, Table};
-use super::{At, embed};
+use super::{At, embed, job_losses};
 use crate::api::JobOut;
 use crate::jobs::Progress;
 use crate::store::TaskState;
@@ -134,8 +135,8 @@ enum JobWhat {
     Show(OneJob),
     /// Stop a waiting or running job.
     Stop(OneJob),
-    /// Print the losses of a running training, one JSON object per epoch.
-    Losses(OneJob),
+    /// Print the losses of a training, one JSON object per epoch, or draw them.
+    Losses(JobLosses),
 }
 
 #[derive(Debug, Args)]
@@ -146,6 +147,17 @@ struct OneJob {
     at: At,
 }
 
+/// Options of `job losses`.
+#[derive(Debug, Args)]
+struct JobLosses {
+    /// Draw training and validation loss over the epochs instead; the ending of the name decides:
+    /// .svg, .png or .pdf.
+    #[arg(long, value_name = "FILE.svg")]
+    plot: Option<PathBuf>,
+    #[command(flatten)]
+    one: OneJob,
+}
+
 /// Runs `palpate job`.
 ///
 /// # Errors
@@ -153,7 +165,8 @@ struct OneJob {
 pub async fn job(args: JobArgs) -> Result<(), CliError> {
     let at = match &args.what {
         JobWhat::List(at) => at.clone(),
-        JobWhat::Show(one) | JobWhat::Stop(one) | JobWhat::Losses(one) => one.at.clone(),
+        JobWhat::Show(one) | JobWhat::Stop(one) => one.at.clone(),
+        JobWhat::Losses(losses) => losses.one.at.clone(),
     };
     embed::with_server(&at, move |client| async move {
         match args.what {
@@ -173,13 +186,11 @@ pub async fn job(args: JobArgs) -> Result<(), CliError> {
                 let job: JobOut = client.post(&path, &Value::Null).await?;
                 shown(&job, one.at.json);
             }
-            JobWhat::Losses(one) => {
-                let path = format!("/api/v1/jobs/{}/losses", one.job);
-                let answer = client.send(reqwest::Method::GET, &path, None::<&Value>).await?;
-                let operation = format!("GET {path}");
-                let text = answer.text().await;
-                let text = text.map_err(|source| CliError::Http { operation, source })?;
-                say(text.trim_end());
+            JobWhat::Losses(JobLosses { plot: None, one }) => {
+                say(job_losses::losses(&client, &one.job).await?.trim_end());
+            }
+            JobWhat::Losses(JobLosses { plot: Some(file), one }) => {
+                job_losses::draw(&client, &one.job, &file).await?;
             }
         }
         Ok(())
@@ -201,19 +212,23 @@ fn table(jobs: &[JobOut]) -> Table {
 }
 
 fn cells(job: &JobOut) -> [String; 5] {
-    let name = match job.request["recipe"].as_str() {
-        Some(recipe) => toml::from_str::<toml::Table>(recipe)
-            .ok()
-            .and_then(|recipe| recipe.get("name")?.as_str().map(str::to_owned))
-            .unwrap_or_default(),
-        None => format!("{} on {}", job.request["scored"], job.request["dataset"]).replace('"', ""),
-    };
+    let name = recipe_name(job).unwrap_or_else(|| {
+        format!("{} on {}", job.request["scored"], job.request["dataset"]).replace('"', "")
+    });
     let more = job.error.clone().or_else(|| {
         let progress = job.progress.as_ref()?;
         Some(format!("{} {} of {}", progress.phase, progress.done, progress.total))
     });
     let requested = local(job.created_at);
     [job.id.to_string(), job.state.to_string(), requested, name, more.unwrap_or_default()]
+}
+
+/// Name in the recipe of a training; `None` for an evaluation.
+pub fn recipe_name(job: &JobOut) -> Option<String> {
+    let recipe = job.request["recipe"].as_str()?;
+    let recipe = toml::from_str::<toml::Table>(recipe).ok();
+    let name = recipe.and_then(|recipe| recipe.get("name")?.as_str().map(str::to_owned));
+    Some(name.unwrap_or_default())
 }
 
 /// Prints one line on a job, or its JSON.

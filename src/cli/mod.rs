@@ -36,6 +36,7 @@ pub mod help;
 mod infer;
 mod init;
 mod job;
+mod job_losses;
 mod key;
 mod leave;
 pub mod log;
@@ -44,7 +45,10 @@ mod morning;
 mod output;
 mod own_server;
 mod placement;
+mod picture;
 mod plan;
+mod plan_plot;
+mod print;
 mod progress;
 mod queue;
 mod read_only;
@@ -240,7 +244,7 @@ pub enum Command {
 /// code is 0, 1, or 2 for bad input.
 pub fn main(command: Command, as_json: bool) -> ExitCode {
     let outcome = match command {
-        Command::Plan(args) => plan::plan(&args),
+        Command::Plan(args) if args.plot.is_none() => plan::plan(&args),
         command => on_runtime(command),
     };
     outcome.unwrap_or_else(|error| {
@@ -263,7 +267,10 @@ fn on_runtime(command: Command) -> Result<ExitCode, CliError> {
 async fn answer(command: Command) -> Result<ExitCode, CliError> {
     let none = || json!({});
     match command {
-        Command::Plan(args) => return plan::plan(&args),
+        Command::Plan(args) => {
+            plan_plot::plot(&args).await?;
+            return plan::plan(&args);
+        }
         Command::Init(args) => init::init(&args)?,
         Command::Calibrate(args) => return calibrate::calibrate(args).await,
         Command::Run(args) => return run::run(args).await,

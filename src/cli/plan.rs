@@ -26,6 +26,10 @@ pub struct PlanArgs {
     /// Show the ordered schedule as well.
     #[arg(long)]
     pub steps: bool,
+    /// Draw the plan on the skin: tips in their order, way of the indenter, electrodes. The ending
+    /// of the name decides: .svg, .png or .pdf.
+    #[arg(long, value_name = "FILE.svg")]
+    pub plot: Option<PathBuf>,
     /// Print one JSON object on standard output.
     #[arg(long)]
     pub json: bool,

@@ -3,6 +3,7 @@
 
 use palpate_words::{chance, commit, digest, ids, new_file, problem, toml_words};
 
+pub mod figure;
 pub mod calibrate;
 pub mod simulate;
 pub mod overlay;

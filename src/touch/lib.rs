@@ -2,7 +2,7 @@
 //! Uses: `words`, `store`, `model`, `data`. Never: motion, HTTP.
 
 use palpate_data::dataset;
-use palpate_model::{calibrate, simulate};
+use palpate_model::{calibrate, figure, simulate};
 use palpate_store as store;
 use palpate_words::{
     chance, clock, commit, digest, ids, journal, new_file, problem, state, syntax,

@@ -16,6 +16,7 @@ use super::data_or_default;
 use super::error::CliError;
 use super::files::{read_calibration, read_input, read_sensor, write};
 use super::output::{counted, say, say_json};
+use super::picture;
 use super::progress::Working;
 use crate::calibrate::{CalibrateError, foam, frames, piezo, plot};
 use crate::cli::simulate::solved;
@@ -63,7 +64,7 @@ struct Common {
     /// Write the calibration file.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Draw data, fit and band.
+    /// Draw data, fit and band; the ending of the name decides: .svg, .png or .pdf.
     #[arg(long, value_name = "FILE.svg")]
     plot: Option<PathBuf>,
     /// Folder of the cache of solved skins [env: PALPATE_DATA] [default: palpate-data].
@@ -81,8 +82,8 @@ struct Common {
 pub async fn calibrate(args: CalibrateArgs) -> Result<ExitCode, CliError> {
     match &args.what {
         What::Skin(args) => skin::skin(args.clone()).await,
-        What::Piezo(common) => of_table(Law::Piezo, common),
-        What::Foam(common) => of_table(Law::Foam, common),
+        What::Piezo(common) => of_table(Law::Piezo, common).await,
+        What::Foam(common) => of_table(Law::Foam, common).await,
     }
 }
 
@@ -94,24 +95,24 @@ enum Law {
 }
 
 /// Fits to a table of measurements.
-fn of_table(law: Law, common: &Common) -> Result<ExitCode, CliError> {
+async fn of_table(law: Law, common: &Common) -> Result<ExitCode, CliError> {
     let sensor = read_sensor(common.sensor.as_deref())?;
     let earlier = common.from.as_deref().map(|path| read_calibration(path, &sensor)).transpose()?;
     let file = common.measurements.display().to_string();
     let text = read_input(&common.measurements)?;
     let alone = Calibration { sensor: sensor.file.name.clone(), ..Calibration::default() };
-    let (alone, picture) = match law {
+    let (alone, drawn) = match law {
         Law::Piezo => {
             let fit = piezo::calibrate(&file, &text, &sensor.file.piezo)?;
-            let picture = common.plot.as_ref().map(|_| plot::piezo(&fit)).transpose()?;
-            (Calibration { piezo: Some(fit.calibration), ..alone }, picture)
+            let drawn = common.plot.as_ref().map(|_| plot::piezo(&fit)).transpose()?;
+            (Calibration { piezo: Some(fit.calibration), ..alone }, drawn)
         }
         Law::Foam => {
             let shown = Working::on("fitting the moduli (each trial solution takes seconds)");
             let fit = foam::calibrate(&file, &text, &sensor)?;
             drop(shown);
-            let picture = common.plot.as_ref().map(|_| plot::foam(&fit)).transpose()?;
-            (Calibration { foam: Some(fit.calibration), ..alone }, picture)
+            let drawn = common.plot.as_ref().map(|_| plot::foam(&fit)).transpose()?;
+            (Calibration { foam: Some(fit.calibration), ..alone }, drawn)
         }
     };
     let mut whole = match &earlier {
@@ -122,8 +123,8 @@ fn of_table(law: Law, common: &Common) -> Result<ExitCode, CliError> {
     if let Some(path) = &common.out {
         write(path, &whole.to_toml()?)?;
     }
-    if let (Some(path), Some(picture)) = (&common.plot, &picture) {
-        write(path, picture)?;
+    if let (Some(path), Some(svg)) = (&common.plot, &drawn) {
+        picture::write(path, svg).await?;
     }
     answer(common, &whole, left_out)?;
     Ok(ExitCode::SUCCESS)

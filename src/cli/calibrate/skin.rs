@@ -18,6 +18,7 @@ use super::super::client::Client;
 use super::super::error::CliError;
 use super::super::files::{calibration_problem, parse_calibration, write};
 use super::super::output::{counted, say, say_json};
+use super::super::picture;
 use super::super::progress::{LogLines, progress_bar};
 use super::super::{At, embed};
 use crate::api::Page;
@@ -96,7 +97,7 @@ async fn fit_run(client: Client, args: SkinArgs) -> Result<(), CliError> {
         None => alone,
     };
     if let Some(path) = &args.plot {
-        write(path, &skin_plot::skin(&sensor, &fitted)?)?;
+        picture::write(path, &skin_plot::skin(&sensor, &fitted)?).await?;
     }
     let (before, after) = (fitted.skin.evidence.before.median, fitted.skin.evidence.after.median);
     if after >= before {

@@ -13,6 +13,7 @@ use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::job::wait_for;
 use crate::cli::output::{note, say, say_json};
+use crate::cli::picture::Pictures;
 use crate::cli::train::{Changes, recipe_text};
 use crate::cli::{At, embed};
 use crate::digest::sha256_hex;
@@ -64,6 +65,8 @@ pub struct LabArgs {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     #[command(flatten)]
+    pictures: Pictures,
+    #[command(flatten)]
     at: At,
 }
 
@@ -101,7 +104,7 @@ where
         let lab = ServiceLab { client, quiet: args.at.json };
         let sheet = study(lab, args.budget()).await?;
         if let Some(folder) = &args.out {
-            write_all(folder, &sheet.files)?;
+            write_all(folder, &sheet.files, &args.pictures).await?;
         }
         if args.at.json {
             say_json(&sheet.numbers);

@@ -9,6 +9,7 @@ use clap::{Args, Subcommand};
 use super::error::CliError;
 use super::files::write;
 use super::infer::methods;
+use super::picture::Pictures;
 use crate::evaluate::request::{EvaluationRequest, FramesRead};
 use crate::ids::CalibrationId;
 use crate::infer::methods::Method;
@@ -177,7 +178,18 @@ impl MethodArgs {
     }
 }
 
-/// Writes files to a folder, and creates it.
-fn write_all(folder: &Path, files: &[OutputFile]) -> Result<(), CliError> {
-    files.iter().try_for_each(|file| write(&folder.join(&file.name), &file.text))
+/// Writes files to a folder, and creates it; figures also in the requested formats.
+async fn write_all(
+    folder: &Path,
+    files: &[OutputFile],
+    pictures: &Pictures,
+) -> Result<(), CliError> {
+    for file in files {
+        let path = folder.join(&file.name);
+        write(&path, &file.text)?;
+        if path.extension().is_some_and(|ending| ending == "svg") {
+            pictures.write_also(&path, &file.text).await?;
+        }
+    }
+    Ok(())
 }

@@ -10,9 +10,12 @@ use serde_json::{Value, json};
 use super::write_all;
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
-use crate::cli::output::{say, say_json};
+use crate::cli::morning::{TrialFacts, all_trials};
+use crate::cli::output::{counted, say, say_json};
+use crate::cli::picture::Pictures;
 use crate::cli::twins::wait_for_twins;
 use crate::cli::{At, embed};
+use crate::evaluate::frame_pairs::FramePair;
 use crate::evaluate::simulation::SimulationReport;
 use crate::store::{RunRow, TrialRow};
 use crate::studies::simulation::{files, text};
@@ -29,6 +32,8 @@ pub struct SimulationArgs {
     /// Folder for numbers, tables and figures.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    pictures: Pictures,
     #[command(flatten)]
     at: At,
 }
@@ -48,9 +53,8 @@ async fn report(client: Client, args: SimulationArgs) -> Result<(), CliError> {
     let path = format!("/api/v1/runs/{}/evaluation/simulation", run.uid);
     let report: SimulationReport = client.get(&path).await?;
     if let Some(folder) = &args.out {
-        let example = example(&client, &run).await?;
-        let example = example.as_ref().map(|[v, sim_v]| (v.as_slice(), sim_v.as_slice()));
-        write_all(folder, &files(&run, &report, example)?)?;
+        let pairs = pairs(&client, &run, report.trials).await?;
+        write_all(folder, &files(&run, &report, &pairs)?, &args.pictures).await?;
     }
     if args.at.json {
         say_json(&json!({ "run": run.uid, "label": run.label, "twins": count, "report": report }));
@@ -72,14 +76,60 @@ async fn run_of(client: &Client, named: Option<String>) -> Result<String, CliErr
     newest.ok_or_else(|| CliError::argument("--run", "none", "there are no trials yet"))
 }
 
-/// Measured and simulated frame of one trial with a single contact of 15 N or more, V.
-async fn example(client: &Client, run: &RunRow) -> Result<Option<[Vec<f32>; 2]>, CliError> {
-    let page: Value = client
-        .get(&format!(
-            "/api/v1/runs/{}/trials?contact_count__eq=1&max_force_n__gte=15&voltages=true&limit=1",
-            run.uid
-        ))
-        .await?;
-    let trial: Option<TrialRow> = serde_json::from_value(page["items"][0].clone()).ok();
-    Ok(trial.and_then(|t| Some([t.voltages_v?, t.sim_voltages_v?])))
+/// Frames of the trials with the best, the median and the worst twin.
+async fn pairs(client: &Client, run: &RunRow, trials: u64) -> Result<Vec<FramePair>, CliError> {
+    let all = all_trials(client, run.uid, trials).await?;
+    let mut pairs = Vec::new();
+    for (name, trial) in shown(&all) {
+        let path = format!("/api/v1/trials?trial_id={}&voltages=true&limit=1", trial.trial_id);
+        let page: Value = client.get(&path).await?;
+        let row: Option<TrialRow> = serde_json::from_value(page["items"][0].clone()).ok();
+        let frames = row.and_then(|row| Some((row.voltages_v?, row.sim_voltages_v?)));
+        let Some((measured_v, simulated_v)) = frames else { continue };
+        let name = format!("{name}: {}", words(trial));
+        pairs.push(FramePair { name, measured_v, simulated_v });
+    }
+    Ok(pairs)
+}
+
+/// The best, the median and the worst fit of the trials with contacts and without flags.
+fn shown(trials: &[TrialFacts]) -> Vec<(&'static str, &TrialFacts)> {
+    let sound = trials.iter().filter(|trial| trial.contact_count > 0 && trial.flags.is_empty());
+    let mut sound: Vec<(f64, &TrialFacts)> =
+        sound.filter_map(|trial| Some((trial.fvu?, trial))).collect();
+    sound.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let last = sound.len().saturating_sub(1);
+    let mut places = vec![("best fit", 0), ("median fit", last / 2), ("worst fit", last)];
+    places.dedup_by_key(|place| place.1);
+    places.into_iter().filter_map(|(name, at)| Some((name, sound.get(at)?.1))).collect()
+}
+
+fn words(trial: &TrialFacts) -> String {
+    let contacts = counted(trial.contact_count.into(), "contact", "contacts");
+    let force = trial.max_force_n.map_or_else(String::new, |n| format!(", up to {n:.1} N"));
+    let fvu = trial.fvu.map_or_else(String::new, |fvu| format!(", FVU {fvu:.3}"));
+    format!("trial t{}, {contacts}{force}{fvu}", trial.trial_id)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn best_median_and_worst_are_chosen_once_each() {
+        let trial = |trial_id: i64, fvu: f64| TrialFacts {
+            trial_id,
+            contact_count: 1,
+            max_force_n: Some(12.34),
+            fvu: Some(fvu),
+            ..TrialFacts::default()
+        };
+        let all = [trial(1, 0.4), trial(2, 0.1), trial(3, 0.9), trial(4, 0.2), trial(5, 0.3)];
+        let chosen: Vec<i64> = shown(&all).iter().map(|(_, trial)| trial.trial_id).collect();
+        assert_eq!(chosen, [2, 5, 3]);
+        assert_eq!(shown(&all[..1]).len(), 1);
+        assert_eq!(words(&all[0]), "trial t1, 1 contact, up to 12.3 N, FVU 0.400");
+        let flagged = TrialFacts { flags: vec!["unsettled".into()], ..trial(6, 0.1) };
+        assert!(shown(&[flagged]).is_empty());
+    }
 }

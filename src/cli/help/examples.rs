@@ -33,6 +33,7 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
         &[
             "palpate plan experiments/real-hex.toml",
             "palpate plan experiments/real-hex.toml --rig rig.toml",
+            "palpate plan quickstart --plot plan.svg",
         ],
     ),
     ("calibrate", &["palpate calibrate piezo examples/calibration/compression.csv"]),
@@ -115,7 +116,10 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
     ("job list", &["palpate job list"]),
     ("job show", &["palpate job show job-0192"]),
     ("job stop", &["palpate job stop job-0192"]),
-    ("job losses", &["palpate job losses job-0192"]),
+    (
+        "job losses",
+        &["palpate job losses job-0192", "palpate job losses job-0192 --plot losses.svg"],
+    ),
     ("model", &["palpate model list", "palpate model promote transfer-net"]),
     ("model list", &["palpate model list"]),
     ("model show", &["palpate model show transfer-net"]),
@@ -128,7 +132,7 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
     ("infer", &["palpate infer --method fast frames.jsonl"]),
     ("live", &["palpate live --method fast", "palpate live --frames 100 --json"]),
     ("evaluate", &["palpate evaluate simulation --run 3"]),
-    ("evaluate simulation", &["palpate evaluate simulation --run 3 --out figures"]),
+    ("evaluate simulation", &["palpate evaluate simulation --run 3 --out figures --also png"]),
     ("evaluate method", &["palpate evaluate method fast --dataset real --part test"]),
     ("evaluate transfer", &["palpate evaluate transfer --scale small --out table-iii"]),
     ("evaluate maps", &["palpate evaluate maps --scale small --out maps"]),

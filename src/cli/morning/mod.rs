@@ -21,6 +21,7 @@ mod trials;
 mod when;
 mod words;
 
+pub use answers::{TrialFacts, all_trials};
 pub use diff::diff;
 pub use events::events;
 pub use report::report;

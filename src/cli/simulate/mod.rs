@@ -57,7 +57,7 @@ pub fn solved(
 /// `CliError` if an input is invalid, or a file cannot be written.
 pub async fn simulate(args: SimulateArgs) -> Result<ExitCode, CliError> {
     match args.command {
-        None => trials::trials(&args.trials),
+        None => trials::trials(&args.trials).await,
         Some(SimulateCommand::Random(args)) => random::random(args).await,
     }
 }

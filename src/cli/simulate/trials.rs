@@ -15,6 +15,7 @@ use sim_core::forward::{Contact, ForwardModel, Workspace};
 use crate::cli::data_or_default;
 use crate::cli::error::CliError;
 use crate::cli::files::{read_calibration, read_sensor, write};
+use crate::cli::picture;
 use crate::cli::simulate::solved;
 use crate::problem::Problem;
 use crate::simulate::contacts::{ContactLines, Limits};
@@ -47,7 +48,8 @@ pub struct TrialArgs {
     /// Write the trial's deformation as an input deck for CalculiX; the input must be one line.
     #[arg(long, value_name = "FILE")]
     calculix: Option<PathBuf>,
-    /// Draw the trial's deformed mesh; the input must be one line.
+    /// Draw the trial's deformed mesh; the input must be one line. The ending of the name decides:
+    /// .svg, .png or .pdf.
     #[arg(long, value_name = "FILE.svg")]
     picture: Option<PathBuf>,
     /// Folder whose `cache` contains solved unit responses [env: PALPATE_DATA] [default:
@@ -70,7 +72,7 @@ struct Answer<'a> {
 /// # Errors
 /// `CliError::Problems` if an option or a line is invalid; other variants if a file cannot be
 /// written.
-pub fn trials(args: &TrialArgs) -> Result<ExitCode, CliError> {
+pub async fn trials(args: &TrialArgs) -> Result<ExitCode, CliError> {
     let mut sensor = CalibratedSensor::from(read_sensor(args.sensor.as_deref())?);
     if let Some(path) = &args.calibration {
         sensor = read_calibration(path, &sensor)?.apply(&sensor)?;
@@ -93,7 +95,7 @@ pub fn trials(args: &TrialArgs) -> Result<ExitCode, CliError> {
     let mut work = Workspace::default();
     while let Some(contacts) = next {
         let file = lines.place();
-        args.export(&model, &contacts, &file)?;
+        args.export(&model, &contacts, &file).await?;
         let voltages_v = model.voltages(&contacts, &mut work).map_err(|e| refused(&file, &e))?;
         if !answer(voltages_v)? {
             break;
@@ -110,7 +112,7 @@ impl TrialArgs {
     }
 
     /// Writes the requested files.
-    fn export(
+    async fn export(
         &self,
         model: &ForwardModel,
         contacts: &[Contact],
@@ -126,7 +128,8 @@ impl TrialArgs {
             written(path, export::deck(model, contacts))?;
         }
         if let Some(path) = &self.picture {
-            written(path, export::picture(model, contacts))?;
+            let svg = export::picture(model, contacts).map_err(|e| refused(file, &e))?;
+            picture::write(path, &svg).await?;
         }
         Ok(())
     }

@@ -17,7 +17,6 @@ pub mod regression;
 pub mod piezo;
 pub mod foam;
 pub mod frames;
-pub mod page;
 pub mod plot;
 pub mod skin;
 pub mod skin_plot;

@@ -1,5 +1,5 @@
 //! Figures of a calibration: data, fit and bands, as SVG text.
-//! PURE. Uses: plotters, `page`. Never: files, fitting.
+//! PURE. Uses: plotters, `figure`. Never: files, fitting.
 
 use std::error::Error;
 
@@ -7,29 +7,32 @@ use plotters::prelude::*;
 
 use super::CalibrateError;
 use super::foam::{FittedRow, FoamFit};
-use super::page::{Area, PageSize, page};
 use super::piezo::PiezoFit;
+use crate::figure::style::{COLOURS, INK, SMALL, TEXT, decade, legend, mesh, plain};
+use crate::figure::{Area, Heading, PageSize, figure};
 
-const SIZE: PageSize = PageSize { width_px: 720, height_px: 480 };
-const INK: RGBColor = RGBColor(40, 40, 40);
-const FIT: RGBColor = RGBColor(0, 90, 160);
+const SIZE: PageSize = PageSize { width_px: 860, height_px: 520 };
+const FIT: RGBColor = COLOURS[1];
 /// Number of points on a curve.
 const STEPS: u32 = 200;
-/// One colour per distance of a gauge; further distances share the last one.
-const SERIES: [RGBColor; 5] = [
-    FIT,
-    RGBColor(200, 90, 20),
-    RGBColor(20, 130, 90),
-    RGBColor(150, 60, 140),
-    RGBColor(120, 120, 120),
-];
+/// Label of the measurements: a table of a test bench.
+const LABEL: &str = "measured";
 
 /// Draws Eq. 1 over a compression test: as Fig. 5, resistance on a logarithmic axis.
 ///
 /// # Errors
 /// `CalibrateError::Plot` if the plotting backend fails.
 pub fn piezo(fit: &PiezoFit) -> Result<String, CalibrateError> {
-    page(SIZE, |area| draw_piezo(area, fit)).map_err(CalibrateError::Plot)
+    figure(SIZE, &piezo_heading(fit), |area| draw_piezo(area, fit)).map_err(CalibrateError::Plot)
+}
+
+fn piezo_heading(fit: &PiezoFit) -> Heading {
+    let c = &fit.calibration;
+    let tail = c.c_ohm.map_or("c not fitted".into(), |c| format!("c = {:.2e} ohm", c.value));
+    let note =
+        format!("Fit: a = {:.2e} ohm, b = {:.3} /mm, {tail}", c.a_ohm.value, c.b_per_mm.value);
+    let title = "Resistance of the compressed foam, and Eq. 1 fitted";
+    Heading::new(title, fit.rows.len() as u64, "rows", LABEL).with_note(note)
 }
 
 fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Result<(), Box<dyn Error>> {
@@ -39,25 +42,21 @@ fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Result<(), Box<dyn Error>> {
     let measured = fit.rows.iter().map(|r| r.resistance_ohm);
     let ends = bands.iter().flat_map(|(_, b)| b.measurement_ohm);
     let (low, high) = measured.chain(ends).fold((f64::MAX, 0f64), |(l, h), v| (l.min(v), h.max(v)));
-    let c = &fit.calibration;
-    let tail = c.c_ohm.map_or("c not fitted".into(), |c| format!("c = {:.2e} ohm", c.value));
-    let title = format!(
-        "a = {:.2e} ohm, b = {:.3} /mm, {tail} ({} rows)",
-        c.a_ohm.value, c.b_per_mm.value, c.rows
-    );
     let mut chart = ChartBuilder::on(area)
-        .caption(title, ("sans-serif", 17))
         .margin(14)
-        .x_label_area_size(44)
-        .y_label_area_size(74)
+        .x_label_area_size(48)
+        .y_label_area_size(84)
         .build_cartesian_2d(0.0..most * 1.03, (low / 1.5..high * 1.5).log_scale())?;
     chart
         .configure_mesh()
-        .x_desc("compression, mm")
-        .y_desc("resistance, ohm")
-        .y_label_formatter(&|v| format!("1e{:.0}", v.log10()))
-        .light_line_style(INK.mix(0.06))
-        .bold_line_style(INK.mix(0.14))
+        .x_desc("compression (mm)")
+        .y_desc("resistance (ohm)")
+        .x_label_formatter(&plain)
+        .y_label_formatter(&decade)
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(mesh())
+        .label_style(SMALL)
+        .axis_desc_style(TEXT)
         .draw()?;
     let ring = |ends: &dyn Fn(usize) -> [f64; 2]| -> Vec<(f64, f64)> {
         let upper = bands.iter().enumerate().map(|(n, (x, _))| (*x, ends(n)[1]));
@@ -84,13 +83,7 @@ fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Result<(), Box<dyn Error>> {
         .draw_series(dots)?
         .label("measured")
         .legend(|(x, y)| Circle::new((x + 9, y), 3, INK.mix(0.7).filled()));
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::UpperRight)
-        .background_style(WHITE.mix(0.85))
-        .border_style(INK.mix(0.3))
-        .draw()?;
-    Ok(())
+    legend(&mut chart, SeriesLabelPosition::UpperRight)
 }
 
 fn dot(x: f64, y: f64, colour: RGBColor) -> Circle<(f64, f64), i32> {
@@ -102,7 +95,18 @@ fn dot(x: f64, y: f64, colour: RGBColor) -> Circle<(f64, f64), i32> {
 /// # Errors
 /// `CalibrateError::Plot` if the plotting backend fails.
 pub fn foam(fit: &FoamFit) -> Result<String, CalibrateError> {
-    page(SIZE, |area| draw_foam(area, fit)).map_err(CalibrateError::Plot)
+    figure(SIZE, &foam_heading(fit), |area| draw_foam(area, fit)).map_err(CalibrateError::Plot)
+}
+
+fn foam_heading(fit: &FoamFit) -> Heading {
+    let c = &fit.calibration;
+    let fabric = if c.fabric_factor.is_some() { "fitted" } else { "not fitted" };
+    let note = format!(
+        "Fit: foam {:.4} MPa, fabrics {:.3} and {:.3} MPa ({fabric}). Lines: fit; bands: 95 % of further measurements; dots: measured",
+        c.foam_mpa.value, c.bottom_mpa, c.top_mpa
+    );
+    let title = "Displacement of the skin by a force, and the moduli fitted";
+    Heading::new(title, fit.rows.len() as u64, "rows", LABEL).with_note(note)
 }
 
 fn draw_foam(area: &Area<'_>, fit: &FoamFit) -> Result<(), Box<dyn Error>> {
@@ -110,27 +114,24 @@ fn draw_foam(area: &Area<'_>, fit: &FoamFit) -> Result<(), Box<dyn Error>> {
     let fitted = fit.rows.iter().map(|r| r.fitted_mm);
     let (low, high) = measured.chain(fitted).fold((0f64, 0f64), |(l, h), v| (l.min(v), h.max(v)));
     let most_n = fit.calibration.force_n;
-    let c = &fit.calibration;
-    let fabric = if c.fabric_factor.is_some() { "fitted" } else { "not fitted" };
-    let title = format!(
-        "foam {:.4} MPa, fabrics {:.3} and {:.3} MPa ({fabric}); {} rows",
-        c.foam_mpa.value, c.bottom_mpa, c.top_mpa, c.rows
-    );
     let mut chart = ChartBuilder::on(area)
-        .caption(title, ("sans-serif", 17))
         .margin(14)
-        .x_label_area_size(44)
-        .y_label_area_size(60)
+        .x_label_area_size(48)
+        .y_label_area_size(70)
         .build_cartesian_2d(0.0..most_n * 1.05, low * 1.1..high * 1.1)?;
     chart
         .configure_mesh()
-        .x_desc("force on the tip, N")
-        .y_desc("displacement, mm")
-        .light_line_style(INK.mix(0.06))
-        .bold_line_style(INK.mix(0.14))
+        .x_desc("force on the tip (N)")
+        .y_desc("displacement (mm)")
+        .x_label_formatter(&plain)
+        .y_label_formatter(&plain)
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(mesh())
+        .label_style(SMALL)
+        .axis_desc_style(TEXT)
         .draw()?;
     for (n, (name, rows)) in series(fit).into_iter().enumerate() {
-        let colour = SERIES[n.min(SERIES.len() - 1)];
+        let colour = COLOURS[1 + n % (COLOURS.len() - 1)];
         // The model is a line through the origin, and its uncertainty a wedge.
         let per_n = |value: fn(&FittedRow) -> f64| {
             rows.iter().map(|r| value(r) / r.measured.force_n).sum::<f64>() / rows.len() as f64
@@ -145,7 +146,7 @@ fn draw_foam(area: &Area<'_>, fit: &FoamFit) -> Result<(), Box<dyn Error>> {
         };
         let inside = edge(1.0).chain(edge(-1.0).collect::<Vec<_>>().into_iter().rev());
         let inside = inside.map(|(x, y)| (x, y.clamp(low * 1.1, high * 1.1)));
-        let band = Polygon::new(inside.collect::<Vec<_>>(), colour.mix(0.1).filled());
+        let band = Polygon::new(inside.collect::<Vec<_>>(), colour.mix(0.16).filled());
         chart.draw_series(std::iter::once(band))?;
         chart
             .draw_series(LineSeries::new(
@@ -157,13 +158,7 @@ fn draw_foam(area: &Area<'_>, fit: &FoamFit) -> Result<(), Box<dyn Error>> {
         let dots = rows.iter().map(|r| dot(r.measured.force_n, r.measured.displacement_mm, colour));
         chart.draw_series(dots)?;
     }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::UpperLeft)
-        .background_style(WHITE.mix(0.85))
-        .border_style(INK.mix(0.3))
-        .draw()?;
-    Ok(())
+    legend(&mut chart, SeriesLabelPosition::UpperLeft)
 }
 
 /// Rows of the tip, then those of gauges by distance (to a millimetre), each with its name.
@@ -172,9 +167,10 @@ fn series(fit: &FoamFit) -> Vec<(String, Vec<FittedRow>)> {
     distances.sort_unstable();
     distances.dedup();
     let named = |distance: Option<i64>| {
-        let rows = fit.rows.iter().filter(|r| whole_mm(r) == distance).copied().collect();
+        let rows: Vec<FittedRow> =
+            fit.rows.iter().filter(|r| whole_mm(r) == distance).copied().collect();
         let name = distance.map_or("tip".into(), |mm| format!("gauge at {mm} mm"));
-        (format!("{name}, fit and 95 % of measurements"), rows)
+        (format!("{name}, n = {}", rows.len()), rows)
     };
     distances.into_iter().map(named).collect()
 }

@@ -64,7 +64,8 @@ pub fn deck(model: &ForwardModel, contacts: &[Contact]) -> Result<String, Export
 pub fn picture(model: &ForwardModel, contacts: &[Contact]) -> Result<String, ExportError> {
     let forces = model.node_forces(contacts)?;
     let deformation = Deformation::solve(model.mesh(), &forces)?;
-    let title = format!("Deformed skin {}: {}", model.sensor().file.name, words(contacts));
+    let name = &model.sensor().file.name;
+    let title = format!("Deformed skin {name}: {} (simulated, n = 1 trial)", words(contacts));
     Ok(picture::draw(&Scene {
         mesh: model.mesh(),
         deformation: &deformation,

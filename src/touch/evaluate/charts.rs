@@ -1,15 +1,15 @@
-//! Scores as pictures: lines, bars, heat maps, force maps. SVG text from numbers.
-//! PURE. Uses: plotters, `evaluate::figures` (page, legend, colours), `dataset::force_map`. Never:
-//! files.
+//! Scores as pictures: small multiples of lines, means, heat maps. SVG text from numbers.
+//! PURE. Uses: plotters, `figure`, `evaluate::figures` (page). Never: files.
 
 use plotters::coord::combinators::WithKeyPoints;
+use plotters::coord::ranged1d::SegmentedCoord;
+use plotters::coord::types::RangedCoordusize;
 use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
 
-use super::figures::{COLOURS, FigureError, SMALL, TEXT, dash, legend, page, whole};
-use crate::calibrate::page::PageSize;
-use crate::dataset::force_map::{ForceMap, ForceMapSpec, SIDE_MM};
-use crate::store::Contact;
+use super::figures::{FigureError, page};
+use crate::figure::style::{COLOURS, INK, SMALL, TEXT, TINY, mesh, plain, whole};
+use crate::figure::{Area, Heading, PageSize};
 
 /// A named line of points.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,6 +29,8 @@ pub struct Bar {
     pub mean: f64,
     /// Standard deviation of the averaged values.
     pub sd: f64,
+    /// Number of the averaged values.
+    pub n: u64,
 }
 
 /// A quantity by pixel size and diameter.
@@ -40,127 +42,202 @@ pub struct Heat {
     pub cells: Vec<([f64; 2], f64)>,
 }
 
-/// A force map with a name.
+/// One panel of several: lines over the number of contacts.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Picture {
-    /// Caption of the map.
+pub struct Panel {
+    /// Name above the panel.
     pub name: String,
-    /// Layout of the map.
-    pub spec: ForceMapSpec,
-    /// N per pixel, row 0 at the least y.
-    pub map: Vec<f32>,
+    /// Largest x that is marked as known, as by the training; 0 for none.
+    pub known_to: f64,
+    /// Values here, published ones, and those without a net, in this order; a legend names them.
+    pub lines: Vec<Line>,
 }
 
-impl Picture {
-    /// Draws the map of contacts on the paper's skin; those without position or force are skipped.
-    ///
-    /// # Errors
-    /// `FigureError` if a contact is outside the map.
-    pub fn of_contacts(
-        name: &str,
-        spec: ForceMapSpec,
-        contacts: &[Contact],
-    ) -> Result<Self, FigureError> {
-        let failed = |error: crate::dataset::force_map::ForceMapError| FigureError {
-            figure: "force map",
-            why: error.to_string(),
-        };
-        let skin = crate::dataset::read::SKIN;
-        let draws = ForceMap::new(spec, skin.width_mm, skin.height_mm).map_err(failed)?;
-        let mut map = vec![0.0; draws.pixels() * draws.pixels()];
-        let pressed = contacts.iter().filter_map(|c| c.pressed());
-        let pressed: Vec<(f64, f64, f64)> = pressed.map(|[x, y, n]| (x, y, n)).collect();
-        draws.render(&pressed, &mut map).map_err(failed)?;
-        Ok(Self { name: name.into(), spec, map })
-    }
-}
+/// Columns of panels, and the size of a panel, px.
+const COLUMNS: usize = 3;
+const PANEL: [u32; 2] = [350, 290];
+/// Height of the legend below the panels, px.
+const LEGEND_PX: u32 = 34;
+/// Colours of the lines of a panel: here, published, without a net.
+const ROLES: [RGBColor; 3] = [COLOURS[1], COLOURS[5], COLOURS[0]];
 
-/// Draws lines over whole numbers, with a logarithmic y axis.
+/// Draws panels with common axes: x whole numbers, y logarithmic. Only neighbouring whole numbers are
+/// joined: a missing one is a gap.
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn lines(title: &str, x: &str, y: &str, lines: &[Line]) -> Result<String, FigureError> {
-    let all = || lines.iter().flat_map(|line| &line.places);
+pub fn panels(
+    heading: &Heading,
+    x: &str,
+    y: &str,
+    panels: &[Panel],
+) -> Result<String, FigureError> {
+    let all = || panels.iter().flat_map(|panel| &panel.lines).flat_map(|line| &line.places);
     let (left, right) = all().fold((f64::MAX, f64::MIN), |(l, r), p| (l.min(p.0), r.max(p.0)));
     let (low, high) =
         all().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(p.1.max(1e-3)), h.max(p.1)));
     if left > right {
-        return empty(title);
+        return empty(heading);
     }
-    let (low, high) = (low / 1.5, high * 1.5);
-    page("lines", PageSize { width_px: 1000, height_px: 560 }, |area| {
-        let (left_area, names) = area.split_horizontally(850);
-        let mut chart = ChartBuilder::on(&left_area)
-            .caption(title, TEXT)
-            .margin(18)
-            .x_label_area_size(50)
-            .y_label_area_size(70)
-            .build_cartesian_2d(left - 0.2..right + 0.2, upwards(low, high))?;
-        chart
-            .configure_mesh()
-            .x_labels((right - left) as usize + 1)
-            .x_label_formatter(&whole)
-            .y_label_formatter(&|value| format!("{value}"))
-            .x_desc(x)
-            .y_desc(y)
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(BLACK.mix(0.10))
-            .label_style(SMALL)
-            .axis_desc_style(TEXT)
-            .draw()?;
-        for (at, (line, colour)) in lines.iter().zip(COLOURS.iter().cycle().skip(1)).enumerate() {
-            let places = line.places.iter().map(|(x, y)| (*x, y.max(1e-3)));
-            chart.draw_series(LineSeries::new(places.clone(), colour.stroke_width(2)))?;
-            chart.draw_series(places.map(|place| Circle::new(place, 3, colour.filled())))?;
-            let y = 60 + 24 * at as i32;
-            names.draw(&PathElement::new([(0, y), (22, y)], colour.stroke_width(3)))?;
-            names.draw(&Text::new(line.name.as_str(), (30, y - 8), SMALL))?;
+    let ends = [left - 0.4, right + 0.4, low / 1.5, high.max(2e-3) * 1.5];
+    let rows = panels.len().div_ceil(COLUMNS) as u32;
+    let panels_px = PANEL[1] * rows;
+    let size = PageSize { width_px: PANEL[0] * COLUMNS as u32, height_px: panels_px + LEGEND_PX };
+    page("panels", size, heading, |area| {
+        let (above, below) = area.split_vertically(panels_px);
+        for (panel, area) in panels.iter().zip(above.split_evenly((rows as usize, COLUMNS))) {
+            draw_panel(&area, [x, y], ends, panel)?;
+        }
+        let names = panels.iter().map(|panel| &panel.lines).max_by_key(|lines| lines.len());
+        for (at, (line, colour)) in names.into_iter().flatten().zip(ROLES).enumerate() {
+            let left = 60 + 300 * at as i32;
+            mark(&below, (left + 11, 12), at, colour)?;
+            below.draw(&Text::new(line.name.as_str(), (left + 32, 4), SMALL))?;
         }
         Ok(())
     })
 }
 
-/// A logarithmic scale with labels at 1, 2 and 5 of every decade.
-fn upwards(low: f64, high: f64) -> WithKeyPoints<LogCoord<f64>> {
-    let decades = low.log10().floor() as i32..=high.log10().floor() as i32;
-    let named = decades.flat_map(|decade| [1.0, 2.0, 5.0].map(|digit| digit * 10f64.powi(decade)));
-    let named = named.filter(|value| (low..high).contains(value)).collect();
-    (low..high).log_scale().with_key_points(named)
+fn draw_panel(
+    area: &Area<'_>,
+    [x, y]: [&str; 2],
+    [left, right, low, high]: [f64; 4],
+    panel: &Panel,
+) -> Result<(), Box<dyn std::error::Error>> {
+    let mut chart = ChartBuilder::on(area)
+        .caption(&panel.name, SMALL)
+        .margin(8)
+        .x_label_area_size(44)
+        .y_label_area_size(60)
+        .build_cartesian_2d(left..right, upwards(low, high))?;
+    if panel.known_to > 0.0 {
+        let known = [(left, low), (panel.known_to + 0.4, high)];
+        chart.draw_series([Rectangle::new(known, COLOURS[2].mix(0.12).filled())])?;
+    }
+    chart
+        .configure_mesh()
+        .x_labels((right - left) as usize + 1)
+        .x_label_formatter(&whole)
+        .y_label_formatter(&plain)
+        .x_desc(x)
+        .y_desc(y)
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(mesh())
+        .label_style(TINY)
+        .axis_desc_style(SMALL)
+        .draw()?;
+    // Values here are drawn last, above the others.
+    for (at, (line, colour)) in panel.lines.iter().zip(ROLES).enumerate().rev() {
+        let places: Vec<(f64, f64)> = line.places.iter().map(|(x, y)| (*x, y.max(1e-3))).collect();
+        for stretch in places.chunk_by(|a, b| b.0 - a.0 < 1.5) {
+            let stretch = stretch.iter().copied();
+            if at == 0 {
+                chart.draw_series(LineSeries::new(stretch, colour.stroke_width(3)))?;
+            } else {
+                let dashed = DashedLineSeries::new(stretch, 6, 4, colour.stroke_width(2));
+                chart.draw_series(dashed)?;
+            }
+        }
+        if at == 0 {
+            chart.draw_series(places.iter().map(|at| Circle::new(*at, 4, colour.filled())))?;
+        } else {
+            let rings = places.iter().map(|at| Circle::new(*at, 4, colour.stroke_width(2)));
+            chart.draw_series(rings)?;
+        }
+    }
+    Ok(())
 }
 
-/// Draws means and standard deviations, one below the other.
+/// Mark of a line in the legend below the panels.
+fn mark(
+    area: &Area<'_>,
+    (x, y): (i32, i32),
+    role: usize,
+    colour: RGBColor,
+) -> Result<(), Box<dyn std::error::Error>> {
+    let stretches = if role == 0 { vec![[-14, 14]] } else { vec![[-14, -8], [-4, 4], [8, 14]] };
+    for [from, to] in stretches {
+        area.draw(&PathElement::new([(x + from, y), (x + to, y)], colour.stroke_width(3)))?;
+    }
+    let style = if role == 0 { colour.filled() } else { colour.stroke_width(2) };
+    area.draw(&Circle::new((x, y), 4, style))?;
+    Ok(())
+}
+
+/// A logarithmic scale with labels at 1, 2 and 5 of every decade; on a short one also between them.
+pub(super) fn upwards(low: f64, high: f64) -> WithKeyPoints<LogCoord<f64>> {
+    let decades = low.log10().floor() as i32..=high.log10().floor() as i32;
+    let named = |step: usize, digits: &[u32]| -> Vec<f64> {
+        let digits = digits.iter().flat_map(|digit| (0..step).map(move |k| (*digit, k)));
+        let digits: Vec<f64> =
+            digits.map(|(digit, k)| f64::from(digit) + k as f64 / step as f64).collect();
+        let all = decades.clone().flat_map(|decade| {
+            digits.iter().map(move |digit| digit * 10f64.powi(decade)).collect::<Vec<_>>()
+        });
+        all.filter(|value| (low..high).contains(value)).collect()
+    };
+    let every: Vec<u32> = (1..10).collect();
+    let choices = [
+        named(1, &[1, 2, 5]),
+        named(1, &every),
+        named(2, &every),
+        named(5, &every),
+        named(10, &every),
+    ];
+    let [.., finest] = &choices;
+    let chosen = choices.iter().find(|points| points.len() > 2).unwrap_or(finest).clone();
+    (low..high).log_scale().with_key_points(chosen)
+}
+
+/// An axis of this many segments; plotters counts the end of a range as one.
+pub(super) fn segments(count: usize) -> SegmentedCoord<RangedCoordusize> {
+    (0..count.saturating_sub(1).max(1)).into_segmented()
+}
+
+/// Draws means and standard deviations, one below the other. `x`: the quantity with its unit.
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn bars(title: &str, bars: &[Bar]) -> Result<String, FigureError> {
+pub fn bars(heading: &Heading, x: &str, bars: &[Bar]) -> Result<String, FigureError> {
     let low = bars.iter().map(|bar| bar.mean - bar.sd).fold(0.0, f64::min);
     let high = bars.iter().map(|bar| bar.mean + bar.sd).fold(0.0, f64::max);
     let room = (0.05 * (high - low)).max(1e-6);
     let count = bars.len();
-    page("bars", PageSize { width_px: 900, height_px: 90 + 30 * count as u32 }, |area| {
+    if count == 0 {
+        return empty(heading);
+    }
+    let heading = heading.clone().with_note(format!(
+        "{}Dots: means; lines: one standard deviation to each side",
+        if heading.note.is_empty() { String::new() } else { format!("{}. ", heading.note) }
+    ));
+    let size = PageSize { width_px: 960, height_px: 80 + 30 * count as u32 };
+    page("bars", size, &heading, |area| {
         let mut chart = ChartBuilder::on(area)
             .margin(18)
             .x_label_area_size(50)
-            .y_label_area_size(230)
-            .build_cartesian_2d(low - room..high + room, (0..count).into_segmented())?;
+            .y_label_area_size(330)
+            .build_cartesian_2d(low - room..high + room, segments(count))?;
         chart
             .configure_mesh()
             .disable_y_mesh()
-            .x_desc(title)
+            .x_desc(x)
+            .x_label_formatter(&plain)
             .y_labels(count)
             .y_label_formatter(&|at| match at {
-                SegmentValue::CenterOf(at) => (count - 1)
-                    .checked_sub(*at)
-                    .map_or(String::new(), |place| bars[place].name.clone()),
+                SegmentValue::CenterOf(at) => {
+                    (count - 1).checked_sub(*at).map_or(String::new(), |place| {
+                        format!("{}, n = {}", bars[place].name, bars[place].n)
+                    })
+                }
                 _ => String::new(),
             })
             .light_line_style(TRANSPARENT)
-            .bold_line_style(BLACK.mix(0.10))
+            .bold_line_style(mesh())
             .label_style(SMALL)
             .axis_desc_style(TEXT)
             .draw()?;
         let zero = [(0.0, SegmentValue::Exact(0)), (0.0, SegmentValue::Last)];
-        chart.draw_series([PathElement::new(zero, BLACK.mix(0.4))])?;
+        chart.draw_series([PathElement::new(zero, INK.mix(0.4))])?;
         for (at, bar) in bars.iter().enumerate() {
             let place = SegmentValue::CenterOf(count - 1 - at);
             let ends = [(bar.mean - bar.sd, place.clone()), (bar.mean + bar.sd, place.clone())];
@@ -176,7 +253,7 @@ pub fn bars(title: &str, bars: &[Bar]) -> Result<String, FigureError> {
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn heats(title: &str, heats: &[Heat]) -> Result<String, FigureError> {
+pub fn heats(heading: &Heading, heats: &[Heat]) -> Result<String, FigureError> {
     let axis = |pick: usize| {
         let cells = heats.iter().flat_map(|heat| &heat.cells);
         let mut values: Vec<f64> = cells.map(|(at, _)| at[pick]).collect();
@@ -186,21 +263,17 @@ pub fn heats(title: &str, heats: &[Heat]) -> Result<String, FigureError> {
     };
     let (pixels, diameters) = (axis(0), axis(1));
     if pixels.is_empty() {
-        return empty(title);
+        return empty(heading);
     }
-    page("heat maps", PageSize { width_px: 1200, height_px: 420 }, |area| {
-        let titled = area.titled(title, TEXT)?;
-        for (heat, area) in heats.iter().zip(titled.split_evenly((1, heats.len()))) {
+    page("heat maps", PageSize { width_px: 1240, height_px: 390 }, heading, |area| {
+        for (heat, area) in heats.iter().zip(area.split_evenly((1, heats.len()))) {
             let largest = heat.cells.iter().map(|cell| cell.1.abs()).fold(1e-9, f64::max);
             let mut chart = ChartBuilder::on(&area)
                 .caption(&heat.name, SMALL)
                 .margin(10)
                 .x_label_area_size(44)
                 .y_label_area_size(52)
-                .build_cartesian_2d(
-                    (0..pixels.len()).into_segmented(),
-                    (0..diameters.len()).into_segmented(),
-                )?;
+                .build_cartesian_2d(segments(pixels.len()), segments(diameters.len()))?;
             let named = |values: &[f64], at: &SegmentValue<usize>| match at {
                 SegmentValue::CenterOf(at) => {
                     values.get(*at).map_or(String::new(), |mm| format!("{mm:.0}"))
@@ -231,7 +304,7 @@ pub fn heats(title: &str, heats: &[Heat]) -> Result<String, FigureError> {
                 ];
                 chart.draw_series([Rectangle::new(corners, colour.filled())])?;
                 let ink = if value.abs() > 0.6 * largest { BLACK } else { WHITE };
-                let style = TextStyle::from(("sans-serif", 14).into_font()).color(&ink);
+                let style = TextStyle::from(TINY.into_font()).color(&ink);
                 let centred = style.pos(plotters::style::text_anchor::Pos::new(
                     plotters::style::text_anchor::HPos::Center,
                     plotters::style::text_anchor::VPos::Center,
@@ -244,100 +317,10 @@ pub fn heats(title: &str, heats: &[Heat]) -> Result<String, FigureError> {
     })
 }
 
-/// Draws force maps, `columns` per row, each with its own colour scale (paper, Fig. 10B and 12A).
-///
-/// # Errors
-/// `FigureError` if the plotting backend fails.
-pub fn pictures(title: &str, maps: &[Picture], columns: usize) -> Result<String, FigureError> {
-    let columns = columns.max(1);
-    let rows = maps.len().div_ceil(columns).max(1);
-    page(
-        "force maps",
-        PageSize { width_px: 320 * columns as u32, height_px: 30 + 350 * rows as u32 },
-        |area| {
-            let titled = area.titled(title, TEXT)?;
-            for (map, area) in maps.iter().zip(titled.split_evenly((rows, columns))) {
-                let largest = map.map.iter().copied().fold(1e-6, f32::max);
-                let half = SIDE_MM / 2.0;
-                let mut chart = ChartBuilder::on(&area)
-                    .caption(format!("{}, to {largest:.2} N per pixel", map.name), SMALL)
-                    .margin(8)
-                    .x_label_area_size(24)
-                    .y_label_area_size(40)
-                    .build_cartesian_2d(-half..half, -half..half)?;
-                chart
-                    .configure_mesh()
-                    .disable_mesh()
-                    .x_labels(3)
-                    .y_labels(3)
-                    .x_label_formatter(&whole)
-                    .y_label_formatter(&whole)
-                    .label_style(SMALL)
-                    .draw()?;
-                chart.draw_series([Rectangle::new(
-                    [(-half, -half), (half, half)],
-                    ViridisRGB.get_color(0.0).filled(),
-                )])?;
-                let (pixels, mm) = (map.spec.pixels(), map.spec.pixel_mm);
-                // Pixels of almost zero are the background: pages of 25,600 squares are slow to
-                // display.
-                let seen = map.map.iter().enumerate().filter(|(_, n)| **n > 0.01 * largest);
-                chart.draw_series(seen.map(|(at, newtons)| {
-                    let (x, y) =
-                        ((at % pixels) as f64 * mm - half, (at / pixels) as f64 * mm - half);
-                    let colour = ViridisRGB.get_color(f64::from(newtons / largest));
-                    Rectangle::new([(x, y), (x + mm, y + mm)], colour.filled())
-                }))?;
-            }
-            Ok(())
-        },
-    )
-}
-
-/// Draws mean and standard deviation of a Transfer-Net's residuals, by reading (paper, Fig. 10A).
-///
-/// # Errors
-/// `FigureError` if the plotting backend fails.
-pub fn residuals(mean_v: &[f32], sd_v: &[f32]) -> Result<String, FigureError> {
-    let millivolts = |v: f32| 1e3 * f64::from(v);
-    let largest = mean_v.iter().zip(sd_v).map(|(m, s)| millivolts(m.abs() + s));
-    let most = 1.08 * largest.fold(1e-6, f64::max);
-    page("residuals", PageSize { width_px: 1100, height_px: 460 }, |area| {
-        let mut chart = ChartBuilder::on(area)
-            .margin(18)
-            .x_label_area_size(50)
-            .y_label_area_size(70)
-            .build_cartesian_2d(0.0..mean_v.len() as f64, -most..most)?;
-        chart
-            .configure_mesh()
-            .x_label_formatter(&whole)
-            .x_desc("reading (28 for each injection)")
-            .y_desc("transfer error (mV)")
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(BLACK.mix(0.10))
-            .label_style(SMALL)
-            .axis_desc_style(TEXT)
-            .draw()?;
-        let spread = mean_v.iter().zip(sd_v).enumerate().map(|(at, (mean, sd))| {
-            let x = at as f64 + 0.5;
-            let ends = [(x, millivolts(mean - sd)), (x, millivolts(mean + sd))];
-            PathElement::new(ends, COLOURS[1].mix(0.5))
-        });
-        chart.draw_series(spread)?.label("standard deviation").legend(dash(COLOURS[1]));
-        let means =
-            mean_v.iter().enumerate().map(|(at, mean)| (at as f64 + 0.5, millivolts(*mean)));
-        chart
-            .draw_series(LineSeries::new(means, COLOURS[5].stroke_width(1)))?
-            .label("mean")
-            .legend(dash(COLOURS[5]));
-        legend(&mut chart, SeriesLabelPosition::UpperRight)
-    })
-}
-
 /// A page that states that there is no data.
-fn empty(title: &str) -> Result<String, FigureError> {
-    page("an empty page", PageSize { width_px: 400, height_px: 120 }, |area| {
-        area.draw_text(&format!("{title}: no data"), &TEXT.into_text_style(area), (20, 50))?;
+pub(super) fn empty(heading: &Heading) -> Result<String, FigureError> {
+    page("an empty page", PageSize { width_px: 500, height_px: 80 }, heading, |area| {
+        area.draw_text("no data", &TEXT.into_text_style(area), (20, 20))?;
         Ok(())
     })
 }

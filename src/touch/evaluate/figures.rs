@@ -1,14 +1,15 @@
-//! The paper's Fig. 7 as pictures: SVG text from numbers.
-//! PURE. Uses: plotters, `calibrate::page`, `evaluate::simulation`. Never: files, a number that is
-//! not in the report.
+//! The paper's Fig. 7B to 7F as pictures: SVG text from numbers.
+//! PURE. Uses: plotters, `figure`, `evaluate::simulation`. Never: files, a number that is not in
+//! the report.
 
-use plotters::coord::CoordTranslate;
 use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
 
-use crate::calibrate::page::{self, Area, PageSize};
+use crate::figure::skin::{Outline, colour_bar};
+use crate::figure::style::{COLOURS, INK, SMALL, TEXT, TINY, legend, mesh, plain, whole};
+use crate::figure::{Area, Heading, PageSize};
 
-use super::simulation::{BoxPlot, FORCE_END_N, ForceBin, PointFit, SimulationReport};
+use super::simulation::{BoxPlot, FORCE_BIN_N, FORCE_END_N, ForceBin, PointFit, SimulationReport};
 
 /// A figure that could not be drawn.
 #[derive(Debug, thiserror::Error)]
@@ -45,119 +46,189 @@ impl Quantity {
     }
 }
 
-/// The outline of a skin, for maps.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Outline {
-    /// Width and height, mm.
-    pub size_mm: [f64; 2],
-    /// Positions of the electrodes, mm.
-    pub electrodes_mm: Vec<[f64; 2]>,
-    /// Distance between neighbouring points, mm.
-    pub pitch_mm: f64,
-}
-
-const SIZE: PageSize = PageSize { width_px: 900, height_px: 560 };
-pub(super) const TEXT: (&str, i32) = ("sans-serif", 18);
-pub(super) const SMALL: (&str, i32) = ("sans-serif", 15);
-/// Dark on white, distinguishable with colour blindness (Okabe and Ito), 0 to 6 contacts.
-pub(super) const COLOURS: [RGBColor; 7] = [
-    RGBColor(120, 120, 120),
-    RGBColor(0, 114, 178),
-    RGBColor(230, 159, 0),
-    RGBColor(0, 158, 115),
-    RGBColor(204, 121, 167),
-    RGBColor(213, 94, 0),
-    RGBColor(86, 180, 233),
-];
+const SIZE: PageSize = PageSize { width_px: 960, height_px: 600 };
 /// Bins with fewer trials are not drawn: their mean is not significant.
 const FEWEST: u64 = 5;
+/// Widths of bins, N: the narrowest is used whose drawn bins hold most of the trials.
+const WIDTHS_N: [f64; 4] = [FORCE_BIN_N, 2.0, 5.0, 10.0];
+/// That share of the trials.
+const MOST: f64 = 0.85;
 /// FVU at the upper end of the map's colour scale.
 const MAP_END: f64 = 1.0;
+/// Width of the skin on the map, px.
+const MAP_PX: u32 = 560;
 
-/// Draws on a white page and returns its SVG text.
+/// Draws a figure with its heading and returns its SVG text.
 pub(super) fn page(
-    figure: &'static str,
+    name: &'static str,
     size: PageSize,
+    heading: &Heading,
     draw: impl FnOnce(&Area<'_>) -> Result<(), Box<dyn std::error::Error>>,
 ) -> Result<String, FigureError> {
-    page::page(size, draw).map_err(|why| FigureError { figure, why })
+    crate::figure::figure(size, heading, draw).map_err(|why| FigureError { figure: name, why })
 }
 
-/// Line next to a name in a legend.
-pub(super) fn dash(colour: RGBColor) -> impl Fn((i32, i32)) -> PathElement<(i32, i32)> {
-    move |(x, y)| PathElement::new([(x, y), (x + 22, y)], colour.stroke_width(3))
+/// Trials with a number of contacts in one bin: its middle, N, number, and mean.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Bin {
+    middle_n: f64,
+    trials: u64,
+    mean: f64,
 }
 
-/// Draws the legend of the named series.
-pub(super) fn legend<'a, 'b: 'a, C: CoordTranslate>(
-    chart: &mut ChartContext<'a, SVGBackend<'b>, C>,
-    position: SeriesLabelPosition,
-) -> Result<(), Box<dyn std::error::Error>> {
-    chart
-        .configure_series_labels()
-        .position(position)
-        .background_style(WHITE.mix(0.9))
-        .border_style(BLACK.mix(0.3))
-        .label_font(SMALL)
-        .draw()?;
-    Ok(())
+/// Bins of this width, by the number of contacts.
+fn binned(report: &SimulationReport, quantity: Quantity, width_n: f64) -> Vec<(u8, Vec<Bin>)> {
+    let of_count = |contacts: u8| {
+        let mut bins: Vec<Bin> = Vec::new();
+        for bin in report.by_force.iter().filter(|bin| bin.contacts == Some(contacts)) {
+            let middle_n = ((bin.from_n / width_n).floor() + 0.5) * width_n;
+            if bins.last().is_none_or(|last| last.middle_n != middle_n) {
+                bins.push(Bin { middle_n, trials: 0, mean: 0.0 });
+            }
+            if let Some(last) = bins.last_mut() {
+                last.trials += bin.trials;
+                let share = bin.trials as f64 / last.trials as f64;
+                last.mean += share * (quantity.of_bin(bin) - last.mean);
+            }
+        }
+        (contacts, bins)
+    };
+    (0..=6).map(of_count).filter(|(_, bins)| !bins.is_empty()).collect()
 }
 
-/// Draws means by the largest force of a trial, one line per number of contacts (Fig. 7B, 7E).
+/// The narrowest bins of which those with enough trials hold most trials.
+fn bins(report: &SimulationReport, quantity: Quantity) -> (f64, Vec<(u8, Vec<Bin>)>) {
+    let holds_most = |lines: &[(u8, Vec<Bin>)]| {
+        let all = || lines.iter().flat_map(|(_, bins)| bins);
+        let shown: u64 = all().map(|bin| bin.trials).filter(|trials| *trials >= FEWEST).sum();
+        shown as f64 >= MOST * all().map(|bin| bin.trials).sum::<u64>() as f64
+    };
+    let all = WIDTHS_N.map(|width_n| (width_n, binned(report, quantity, width_n)));
+    let [.., widest] = &all;
+    all.iter().find(|(_, lines)| holds_most(lines)).unwrap_or(widest).clone()
+}
+
+/// Draws means by the largest force of a trial, one line per number of contacts, above the number of
+/// trials of each bin (Fig. 7B, 7E). Lines end at bins with too few trials.
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn by_force(report: &SimulationReport, quantity: Quantity) -> Result<String, FigureError> {
-    let lines: Vec<(u8, Vec<(f64, f64)>)> = (0..=6)
-        .map(|n| {
-            let bins = report.by_force.iter().filter(|b| b.contacts == Some(n));
-            let drawn = bins.filter(|b| b.trials >= FEWEST);
-            (n, drawn.map(|b| (b.from_n + 0.5, quantity.of_bin(b))).collect::<Vec<_>>())
-        })
-        .filter(|(_, line)| !line.is_empty())
-        .collect();
-    let top = lines.iter().flat_map(|(_, l)| l).map(|p| p.1).fold(0.0, f64::max);
-    page("means by force", SIZE, |area| {
-        let mut chart = ChartBuilder::on(area)
-            .margin(18)
-            .x_label_area_size(50)
-            .y_label_area_size(70)
-            .build_cartesian_2d(0.0..FORCE_END_N, 0.0..(1.08 * top).max(1e-6))?;
+pub fn by_force(
+    heading: &Heading,
+    report: &SimulationReport,
+    quantity: Quantity,
+) -> Result<String, FigureError> {
+    let (width_n, lines) = bins(report, quantity);
+    let all = || lines.iter().flat_map(|(_, bins)| bins);
+    let shown = || all().filter(|bin| bin.trials >= FEWEST);
+    let top = 1.08 * shown().map(|bin| bin.mean).fold(1e-6, f64::max);
+    let end_n = all().map(|bin| bin.middle_n + 0.5 * width_n).fold(10.0, f64::max);
+    let end_n = (10.0 * (end_n / 10.0).ceil()).min(FORCE_END_N);
+    let last = if end_n < FORCE_END_N { "" } else { "; the last one holds all above" };
+    let heading = heading.clone().with_note(format!(
+        "Dots: means of bins of {width_n} N with at least {FEWEST} trials, joined where bins adjoin{last}. Bars: trials"
+    ));
+    page("means by force", SIZE, &heading, |area| {
+        let (above, below) = area.split_vertically(410);
+        let mut chart = ChartBuilder::on(&above)
+            .margin(14)
+            .x_label_area_size(10)
+            .y_label_area_size(78)
+            .build_cartesian_2d(0.0..end_n, 0.0..top)?;
         chart
             .configure_mesh()
-            .x_label_formatter(&whole)
-            .x_desc("largest force (N)")
-            .y_desc(quantity.axis())
+            .x_label_formatter(&|_| String::new())
+            .y_label_formatter(&plain)
+            .y_desc(format!("mean {}", quantity.axis()))
             .light_line_style(TRANSPARENT)
-            .bold_line_style(BLACK.mix(0.10))
+            .bold_line_style(mesh())
             .label_style(SMALL)
             .axis_desc_style(TEXT)
             .draw()?;
-        for (n, line) in lines {
-            let colour = COLOURS[usize::from(n)];
+        for (contacts, bins) in &lines {
+            let colour = COLOURS[usize::from(*contacts)];
+            let shown: Vec<Bin> = bins.iter().copied().filter(|bin| bin.trials >= FEWEST).collect();
+            let adjoin = |a: &Bin, b: &Bin| b.middle_n - a.middle_n < 1.5 * width_n;
+            for stretch in shown.chunk_by(adjoin) {
+                let places = stretch.iter().map(|bin| (bin.middle_n, bin.mean));
+                chart.draw_series(LineSeries::new(places, colour.stroke_width(2)))?;
+            }
+            let dots = shown.iter().map(|bin| (bin.middle_n, bin.mean));
+            let trials: u64 = bins.iter().map(|bin| bin.trials).sum();
             chart
-                .draw_series(LineSeries::new(line.clone(), colour.stroke_width(2)))?
-                .label(match n {
-                    0 => "no contact".to_owned(),
-                    1 => "1 contact".to_owned(),
-                    n => format!("{n} contacts"),
-                })
-                .legend(dash(colour));
-            chart.draw_series(line.iter().map(|p| Circle::new(*p, 3, colour.filled())))?;
+                .draw_series(dots.map(|at| Circle::new(at, 4, colour.filled())))?
+                .label(format!("{}, n = {trials}", contacts_words(*contacts)))
+                .legend(move |(x, y)| Circle::new((x + 11, y), 4, colour.filled()));
         }
         let position = match quantity {
             Quantity::Rmse => SeriesLabelPosition::UpperLeft,
             Quantity::Fvu => SeriesLabelPosition::UpperRight,
         };
-        legend(&mut chart, position)
+        legend(&mut chart, position)?;
+        counts(&below, &lines, width_n, end_n)
     })
+}
+
+/// Number of trials of each bin, one bar above the other.
+fn counts(
+    area: &Area<'_>,
+    lines: &[(u8, Vec<Bin>)],
+    width_n: f64,
+    end_n: f64,
+) -> Result<(), Box<dyn std::error::Error>> {
+    let mut heights = std::collections::BTreeMap::<i64, u64>::new();
+    let mut bars = Vec::new();
+    for (contacts, bins) in lines {
+        for bin in bins {
+            let height = heights.entry((bin.middle_n * 10.0) as i64).or_default();
+            let from = *height as f64;
+            *height += bin.trials;
+            let [left, right] = [-0.46, 0.46].map(|side| bin.middle_n + side * width_n);
+            let colour = COLOURS[usize::from(*contacts)].mix(0.75).filled();
+            bars.push(Rectangle::new([(left, from), (right, *height as f64)], colour));
+        }
+    }
+    let top = heights.values().copied().max().unwrap_or(1) as f64;
+    let mut chart = ChartBuilder::on(area)
+        .margin(14)
+        .margin_top(0)
+        .x_label_area_size(50)
+        .y_label_area_size(78)
+        .build_cartesian_2d(0.0..end_n, 0.0..1.08 * top)?;
+    chart
+        .configure_mesh()
+        .disable_x_mesh()
+        .y_labels(4)
+        .x_label_formatter(&whole)
+        .y_label_formatter(&whole)
+        .x_desc("largest force of a trial (N)")
+        .y_desc("trials")
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(mesh())
+        .label_style(SMALL)
+        .axis_desc_style(TEXT)
+        .draw()?;
+    chart.draw_series(bars)?;
+    Ok(())
+}
+
+fn contacts_words(contacts: u8) -> String {
+    match contacts {
+        0 => "no contact".to_owned(),
+        1 => "1 contact".to_owned(),
+        n => format!("{n} contacts"),
+    }
 }
 
 /// Draws boxes by the number of contacts, without outliers (Fig. 7C, 7F).
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn boxes(report: &SimulationReport, quantity: Quantity) -> Result<String, FigureError> {
+pub fn boxes(
+    heading: &Heading,
+    report: &SimulationReport,
+    quantity: Quantity,
+) -> Result<String, FigureError> {
     let boxes: Vec<(u8, u64, BoxPlot, f64)> = report
         .by_contacts
         .iter()
@@ -167,21 +238,26 @@ pub fn boxes(report: &SimulationReport, quantity: Quantity) -> Result<String, Fi
         })
         .collect();
     let top = boxes.iter().map(|(.., b, scale)| b.high * scale).fold(1e-6, f64::max);
-    page("boxes by contacts", SIZE, |area| {
+    let heading = heading.clone().with_note(
+        "Boxes: quartiles and median; whiskers: outermost values within 1.5 interquartile ranges; \
+         values beyond them are not drawn",
+    );
+    page("boxes by contacts", SIZE, &heading, |area| {
         let mut chart = ChartBuilder::on(area)
-            .margin(18)
+            .margin(14)
             .x_label_area_size(50)
-            .y_label_area_size(70)
+            .y_label_area_size(78)
             .build_cartesian_2d(0.4..6.6_f64, 0.0..1.12 * top)?;
         chart
             .configure_mesh()
             .disable_x_mesh()
             .x_labels(7)
             .x_label_formatter(&whole)
-            .x_desc("contacts")
+            .y_label_formatter(&plain)
+            .x_desc("contacts of a trial")
             .y_desc(quantity.axis())
             .light_line_style(TRANSPARENT)
-            .bold_line_style(BLACK.mix(0.10))
+            .bold_line_style(mesh())
             .label_style(SMALL)
             .axis_desc_style(TEXT)
             .draw()?;
@@ -190,7 +266,7 @@ pub fn boxes(report: &SimulationReport, quantity: Quantity) -> Result<String, Fi
             let colour = COLOURS[usize::from(contacts)];
             let [low, q1, median, q3, high] =
                 [b.low, b.q1, b.median, b.q3, b.high].map(|v| v * scale);
-            let pen = BLACK.stroke_width(1);
+            let pen = INK.stroke_width(1);
             chart.draw_series([
                 PathElement::new([(x, low), (x, q1)], pen),
                 PathElement::new([(x, q3), (x, high)], pen),
@@ -203,38 +279,28 @@ pub fn boxes(report: &SimulationReport, quantity: Quantity) -> Result<String, Fi
                 Rectangle::new(corners, pen),
             ])?;
             let line = [(x - 0.25, median), (x + 0.25, median)];
-            chart.draw_series([PathElement::new(line, BLACK.stroke_width(3))])?;
-            let count = Text::new(format!("n = {trials}"), (x - 0.25, high + 0.04 * top), SMALL);
+            chart.draw_series([PathElement::new(line, INK.stroke_width(3))])?;
+            let count = Text::new(format!("n = {trials}"), (x - 0.25, high + 0.04 * top), TINY);
             chart.draw_series([count])?;
         }
         Ok(())
     })
 }
 
-/// Draws the mean FVU by the position of a single tip, with the electrodes (Fig. 7D). Positions
-/// that no single tip has pressed stay white.
+/// Draws the mean FVU by the position of a single tip, with the outline of the skin and the
+/// electrodes (Fig. 7D). Positions that no single tip has pressed stay white.
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn map(points: &[PointFit], skin: &Outline) -> Result<String, FigureError> {
-    let [width, height] = skin.size_mm;
-    page("map of FVU", PageSize { width_px: 760, height_px: 700 }, |area| {
-        let (left, right) = area.split_horizontally(650);
-        let mut chart = ChartBuilder::on(&left)
-            .margin(18)
-            .x_label_area_size(50)
-            .y_label_area_size(64)
-            .build_cartesian_2d(0.0..width, 0.0..height)?;
-        chart
-            .configure_mesh()
-            .disable_mesh()
-            .x_label_formatter(&whole)
-            .y_label_formatter(&whole)
-            .x_desc("x (mm)")
-            .y_desc("y (mm)")
-            .label_style(SMALL)
-            .axis_desc_style(TEXT)
-            .draw()?;
+pub fn map(heading: &Heading, points: &[PointFit], skin: &Outline) -> Result<String, FigureError> {
+    let panel = skin.panel(MAP_PX);
+    let size = PageSize { width_px: panel.width_px + 112, ..panel };
+    let heading = heading.clone().with_note(
+        "Hexagons: positions that a single tip has pressed; circles: electrodes; frame: edge of the skin",
+    );
+    page("map of FVU", size, &heading, |area| {
+        let (left, right) = area.split_horizontally(panel.width_px);
+        let mut chart = skin.chart(&left, "")?;
         let side = skin.pitch_mm / 3.0_f64.sqrt();
         chart.draw_series(points.iter().map(|p| {
             let corners: Vec<(f64, f64)> = (0..6)
@@ -243,86 +309,50 @@ pub fn map(points: &[PointFit], skin: &Outline) -> Result<String, FigureError> {
                 .collect();
             Polygon::new(corners, colour(p.mean_fvu).filled())
         }))?;
-        chart.draw_series(skin.electrodes_mm.iter().map(|[x, y]| {
-            EmptyElement::at((*x, *y))
-                + Circle::new((0, 0), 6, WHITE.filled())
-                + Circle::new((0, 0), 6, BLACK.stroke_width(2))
-        }))?;
-        bar(&right)
+        skin.edge(&mut chart, 5)?;
+        colour_bar(&right, "mean FVU (1 or more at the top)", [0.0, MAP_END], colour)
     })
-}
-
-/// Draws the colour scale of the map.
-fn bar(area: &Area<'_>) -> Result<(), Box<dyn std::error::Error>> {
-    let mut chart = ChartBuilder::on(area)
-        .margin_top(18)
-        .margin_bottom(68)
-        .margin_right(8)
-        .y_label_area_size(56)
-        .build_cartesian_2d(0.0..1.0, 0.0..MAP_END)?;
-    const STEPS: u32 = 100;
-    chart.draw_series((0..STEPS).map(|i| {
-        let [from, to] = [i, i + 1].map(|i| MAP_END * f64::from(i) / f64::from(STEPS));
-        Rectangle::new([(0.0, from), (1.0, to)], colour(from).filled())
-    }))?;
-    chart
-        .configure_mesh()
-        .disable_mesh()
-        .disable_x_axis()
-        .y_desc("mean FVU (1 or more at the top)")
-        .label_style(SMALL)
-        .axis_desc_style(SMALL)
-        .draw()?;
-    Ok(())
-}
-
-pub(super) fn whole(value: &f64) -> String {
-    format!("{value:.0}")
 }
 
 fn colour(fvu: f64) -> RGBColor {
     ViridisRGB.get_color((fvu / MAP_END).clamp(0.0, 1.0))
 }
 
-/// Draws a measured frame and its twin, V, over the 784 readings (Fig. 7A).
-///
-/// # Errors
-/// `FigureError` if the plotting backend fails.
-pub fn frames(measured_v: &[f32], simulated_v: &[f32]) -> Result<String, FigureError> {
-    let points = |frame: &[f32]| -> Vec<(f64, f64)> {
-        frame.iter().enumerate().map(|(i, v)| (i as f64, 1e3 * f64::from(*v))).collect()
-    };
-    let lines = [
-        ("measured", points(measured_v), COLOURS[1]),
-        ("simulated", points(simulated_v), COLOURS[5]),
-    ];
-    let all = || lines.iter().flat_map(|(_, line, _)| line).map(|p| p.1);
-    let (low, high) = (all().fold(0.0, f64::min), all().fold(0.0, f64::max));
-    let room = (0.06 * (high - low)).max(1e-3);
-    page("a trial's frames", PageSize { width_px: 1100, height_px: 460 }, |area| {
-        let mut chart = ChartBuilder::on(area)
-            .margin(18)
-            .x_label_area_size(50)
-            .y_label_area_size(70)
-            .build_cartesian_2d(0.0..measured_v.len() as f64, low - room..high + room)?;
-        chart
-            .configure_mesh()
-            .x_label_formatter(&whole)
-            .y_label_formatter(&whole)
-            .x_desc("reading (28 for each injection)")
-            .y_desc("voltage (mV)")
-            .light_line_style(TRANSPARENT)
-            .bold_line_style(BLACK.mix(0.10))
-            .label_style(SMALL)
-            .axis_desc_style(TEXT)
-            .draw()?;
-        for (name, line, colour) in &lines {
-            let colour = *colour;
-            chart
-                .draw_series(LineSeries::new(line.clone(), colour.mix(0.8).stroke_width(1)))?
-                .label(*name)
-                .legend(dash(colour));
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluate::simulation::report;
+    use crate::ids::TrialId;
+    use crate::store::Fit;
+
+    fn fit(n: u32, force_n: f64) -> Fit {
+        Fit {
+            trial: TrialId(i64::from(n)),
+            tips: 1,
+            contact_count: 1,
+            max_force_n: Some(force_n),
+            single_tip_mm: Some([100.0, 200.0]),
+            flagged: false,
+            rmse_v: 0.01,
+            fvu: Some(0.25),
         }
-        legend(&mut chart, SeriesLabelPosition::UpperRight)
-    })
+    }
+
+    #[test]
+    fn few_trials_get_wider_bins_and_no_line_crosses_a_gap() {
+        let sparse: Vec<Fit> = (0..20).map(|n| fit(n, f64::from(n % 10))).collect();
+        let (width_n, lines) = bins(&report(&sparse), Quantity::Fvu);
+        assert_eq!((width_n, lines[0].1.len()), (5.0, 2));
+        assert_eq!(lines[0].1[0], Bin { middle_n: 2.5, trials: 10, mean: 0.25 });
+        let apart: Vec<Fit> = (0..20).map(|n| fit(n, if n < 10 { 3.0 } else { 30.0 })).collect();
+        let heading = Heading::new("Fit by force", 20, "trials", "virtual");
+        let svg = by_force(&heading, &report(&apart), Quantity::Fvu).unwrap();
+        let line =
+            format!("stroke=\"#{:02X}{:02X}{:02X}\"", COLOURS[1].0, COLOURS[1].1, COLOURS[1].2);
+        let joined = svg.lines().filter(|l| l.contains("polyline") && l.contains(&line));
+        let joined = joined
+            .filter(|l| l.split("points=").nth(1).is_some_and(|p| p.matches(',').count() > 1));
+        assert_eq!(joined.count(), 0, "{svg}");
+        assert!(svg.contains("1 contact, n = 20") && svg.contains("virtual, n = 20 trials"));
+    }
 }

@@ -1,12 +1,13 @@
 //! A run as pictures: forces over depth, contacts, fit of the twins, drift. SVG text from numbers.
-//! PURE. Uses: plotters, `evaluate::{figures, charts}` (page, legend, colours, lines). Never: files, a
-//! number that was not measured.
+//! PURE. Uses: plotters, `figure`, `evaluate::{figures, charts}` (page, lines). Never: files, a number
+//! that was not measured.
 
 use plotters::prelude::*;
 
 use super::charts::Line;
-use super::figures::{COLOURS, FigureError, SMALL, TEXT, dash, legend, page, whole};
-use crate::calibrate::page::PageSize;
+use super::figures::{FigureError, page};
+use crate::figure::style::{COLOURS, SMALL, TEXT, TINY, dash, legend, mesh, plain, whole};
+use crate::figure::{Heading, PageSize};
 
 const SIZE: PageSize = PageSize { width_px: 900, height_px: 500 };
 /// Bins of a histogram.
@@ -38,24 +39,25 @@ pub struct Contacts {
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn bands(title: &str, x: &str, y: &str, bands: &[Band]) -> Result<String, FigureError> {
+pub fn bands(heading: &Heading, x: &str, y: &str, bands: &[Band]) -> Result<String, FigureError> {
     let all = || bands.iter().flat_map(|band| &band.places);
     let right = all().map(|at| at[0]).fold(1e-6, f64::max);
     let (low, high) =
         all().fold((0.0, 1e-6), |(low, high): (f64, f64), at| (low.min(at[1]), high.max(at[3])));
-    page("bands", SIZE, |area| {
+    page("bands", SIZE, heading, |area| {
         let mut chart = ChartBuilder::on(area)
-            .caption(title, TEXT)
             .margin(18)
             .x_label_area_size(50)
             .y_label_area_size(70)
             .build_cartesian_2d(0.0..right, low..1.06 * high)?;
         chart
             .configure_mesh()
+            .x_label_formatter(&plain)
+            .y_label_formatter(&plain)
             .x_desc(x)
             .y_desc(y)
             .light_line_style(TRANSPARENT)
-            .bold_line_style(BLACK.mix(0.10))
+            .bold_line_style(mesh())
             .label_style(SMALL)
             .axis_desc_style(TEXT)
             .draw()?;
@@ -80,14 +82,13 @@ pub fn bands(title: &str, x: &str, y: &str, bands: &[Band]) -> Result<String, Fi
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn contacts(title: &str, contacts: &Contacts) -> Result<String, FigureError> {
+pub fn contacts(heading: &Heading, contacts: &Contacts) -> Result<String, FigureError> {
     let published = contacts.published.as_ref();
     let here = contacts.here.map(|count| count as f64);
     let top = here.iter().chain(published.iter().flat_map(|(_, all)| all)).copied();
     let top = 1.15 * top.fold(1.0, f64::max);
-    page("contacts", SIZE, |area| {
+    page("contacts", SIZE, heading, |area| {
         let mut chart = ChartBuilder::on(area)
-            .caption(title, TEXT)
             .margin(18)
             .x_label_area_size(50)
             .y_label_area_size(78)
@@ -101,7 +102,7 @@ pub fn contacts(title: &str, contacts: &Contacts) -> Result<String, FigureError>
             .x_desc("contacts")
             .y_desc("trials")
             .light_line_style(TRANSPARENT)
-            .bold_line_style(BLACK.mix(0.10))
+            .bold_line_style(mesh())
             .label_style(SMALL)
             .axis_desc_style(TEXT)
             .draw()?;
@@ -122,7 +123,7 @@ pub fn contacts(title: &str, contacts: &Contacts) -> Result<String, FigureError>
             let numbers = counts.iter().enumerate().filter(|(_, count)| **count > 0.0);
             chart.draw_series(numbers.map(|(n, count)| {
                 let at = (left(n), count + 0.045 * top);
-                Text::new(format!("{count:.0}"), at, ("sans-serif", 13).into_font())
+                Text::new(format!("{count:.0}"), at, TINY)
             }))?;
         }
         legend(&mut chart, SeriesLabelPosition::UpperRight)
@@ -135,7 +136,7 @@ pub fn contacts(title: &str, contacts: &Contacts) -> Result<String, FigureError>
 /// # Errors
 /// `FigureError` if the plotting backend fails.
 pub fn histogram(
-    title: &str,
+    heading: &Heading,
     x: &str,
     values: &[f64],
     end: f64,
@@ -147,9 +148,8 @@ pub fn histogram(
         counts[((value.max(0.0) / width) as usize).min(BINS - 1)] += 1;
     }
     let top = 1.12 * f64::from(counts.iter().copied().max().unwrap_or(0).max(1));
-    page("histogram", SIZE, |area| {
+    page("histogram", SIZE, heading, |area| {
         let mut chart = ChartBuilder::on(area)
-            .caption(title, TEXT)
             .margin(18)
             .x_label_area_size(50)
             .y_label_area_size(70)
@@ -157,11 +157,12 @@ pub fn histogram(
         chart
             .configure_mesh()
             .disable_x_mesh()
+            .x_label_formatter(&plain)
             .y_label_formatter(&whole)
             .x_desc(format!("{x} (the last bin holds all above)"))
             .y_desc("trials")
             .light_line_style(TRANSPARENT)
-            .bold_line_style(BLACK.mix(0.10))
+            .bold_line_style(mesh())
             .label_style(SMALL)
             .axis_desc_style(TEXT)
             .draw()?;
@@ -188,7 +189,12 @@ pub fn histogram(
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn over_time(title: &str, x: &str, y: &str, lines: &[Line]) -> Result<String, FigureError> {
+pub fn over_time(
+    heading: &Heading,
+    x: &str,
+    y: &str,
+    lines: &[Line],
+) -> Result<String, FigureError> {
     let all = || lines.iter().flat_map(|line| &line.places);
     let right = all().map(|at| at.0).fold(1e-6, f64::max);
     let (low, high) =
@@ -197,19 +203,20 @@ pub fn over_time(title: &str, x: &str, y: &str, lines: &[Line]) -> Result<String
     let room = (0.08 * (high - low)).max(1e-3 * high.abs()).max(1e-6);
     // Several lines have a legend above them.
     let above = if lines.len() > 1 { 0.3 * (high - low) } else { 0.0 };
-    page("over time", SIZE, |area| {
+    page("over time", SIZE, heading, |area| {
         let mut chart = ChartBuilder::on(area)
-            .caption(title, TEXT)
             .margin(18)
             .x_label_area_size(50)
             .y_label_area_size(78)
             .build_cartesian_2d(0.0..right, low - room..high + room + above)?;
         chart
             .configure_mesh()
+            .x_label_formatter(&plain)
+            .y_label_formatter(&plain)
             .x_desc(x)
             .y_desc(y)
             .light_line_style(TRANSPARENT)
-            .bold_line_style(BLACK.mix(0.10))
+            .bold_line_style(mesh())
             .label_style(SMALL)
             .axis_desc_style(TEXT)
             .draw()?;
@@ -241,19 +248,20 @@ mod tests {
         let of_paper = Some(("Table I, scaled".to_owned(), [1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.5]));
         let some = Contacts { here: [1, 2, 3, 0, 0, 0, 1], published: of_paper, ..none.clone() };
         let line = Line { name: "arm 1".into(), places: vec![(0.0, 1.0), (2.0, 1.5)] };
+        let heading = Heading::new("forces", 2, "readings", "virtual");
         let all = [
-            bands("forces (n = 2)", "depth (mm)", "force (N)", &[band]),
-            bands("forces (n = 2)", "depth (mm)", "force (N)", &[]),
-            contacts("forces (n = 2)", &none),
-            contacts("forces (n = 2)", &some),
-            histogram("forces (n = 2)", "FVU", &[0.1, 0.2, 9.0], 2.0, Some(("median", 0.2))),
-            histogram("forces (n = 2)", "FVU", &[], 2.0, None),
-            over_time("forces (n = 2)", "time (h)", "tare (mV)", &[line.clone(), line]),
-            over_time("forces (n = 2)", "time (h)", "tare (mV)", &[]),
+            bands(&heading, "depth (mm)", "force (N)", &[band]),
+            bands(&heading, "depth (mm)", "force (N)", &[]),
+            contacts(&heading, &none),
+            contacts(&heading, &some),
+            histogram(&heading, "FVU", &[0.1, 0.2, 9.0], 2.0, Some(("median", 0.2))),
+            histogram(&heading, "FVU", &[], 2.0, None),
+            over_time(&heading, "time (h)", "tare (mV)", &[line.clone(), line]),
+            over_time(&heading, "time (h)", "tare (mV)", &[]),
         ];
         for figure in all {
             let svg = figure.unwrap();
-            assert!(svg.starts_with("<svg") && svg.contains("forces (n = 2)"), "{svg}");
+            assert!(svg.starts_with("<svg") && svg.contains("virtual, n = 2 readings"), "{svg}");
             assert!(!svg.contains("NaN"), "{svg}");
         }
     }

@@ -12,8 +12,8 @@ use crate::api::{Page, Summary};
 use crate::cli::client::Client;
 use crate::cli::error::CliError;
 use crate::cli::view::EventView;
-use crate::evaluate::figures::Outline;
 use crate::evaluate::simulation::SimulationReport;
+use crate::figure::skin::Outline;
 use crate::state::{PausedWhy, StoredState};
 use crate::store::RunRow;
 
@@ -111,11 +111,7 @@ impl Facts {
         let summary = client.summary(uid).await?;
         let history: Value = client.get(&format!("{path}/history?bins=1")).await?;
         let records = |kind: &str| format!("{path}/records/{kind}?limit={PAGE}");
-        let outline = Sensor::from_toml(&run.sensor).ok().map(|sensor| Outline {
-            size_mm: [sensor.file.width_mm, sensor.file.height_mm],
-            electrodes_mm: sensor.electrodes_mm().to_vec(),
-            pitch_mm: sensor.pitch_mm(),
-        });
+        let outline = Sensor::from_toml(&run.sensor).ok().map(|sensor| Outline::of(&sensor));
         let (twins, fit) = fit_of(client, uid).await?;
         Ok(Self {
             twins,

@@ -8,7 +8,6 @@ mod facts;
 mod findings;
 mod html;
 mod plots;
-mod print;
 #[cfg(test)]
 mod tests;
 
@@ -20,6 +19,7 @@ use crate::cli::embed;
 use crate::cli::error::CliError;
 use crate::cli::files::write;
 use crate::cli::output::{counted, note, say, say_json};
+use crate::cli::print;
 
 /// Runs `palpate report`.
 ///
@@ -44,7 +44,7 @@ async fn make(client: &Client, args: &ReportArgs) -> Result<(), CliError> {
         false => match print::print(&file, &pdf).await {
             Ok(()) => Some(pdf),
             Err(error) => {
-                note(error);
+                note(format_args!("no PDF was written: {error}; the HTML prints from any browser"));
                 None
             }
         },

@@ -13,6 +13,7 @@ use crate::cli::summary::table_one;
 use crate::evaluate::charts::Line;
 use crate::evaluate::figures::{FigureError, map};
 use crate::evaluate::run_figures::{Band, Contacts, bands, contacts, histogram, over_time};
+use crate::figure::Heading;
 
 /// FVU at the end of the histogram, and trials in a point of the FVU over time.
 const FVU_END: f64 = 2.0;
@@ -31,10 +32,6 @@ pub struct Plot {
 
 fn plot(svg: String, caption: impl Into<String>) -> Plot {
     Plot { svg, caption: caption.into() }
-}
-
-fn n_of(count: usize, label: &str) -> String {
-    format!("(n = {}, {label})", grouped(count as u64))
 }
 
 /// Force over depth by number of tips, and by arm where several tips press at once.
@@ -58,17 +55,19 @@ pub fn forces(facts: &Facts) -> Result<Vec<Plot>, FigureError> {
     let count = |curves: &[Vec<(f64, f64)>]| curves.iter().map(Vec::len).sum::<usize>();
     let of_tips: Vec<Vec<(f64, f64)>> = by_tips.values().cloned().collect();
     if count(&of_tips) > 0 {
-        let title = format!("Force of a tip over depth {}", n_of(count(&of_tips), label));
+        let heading =
+            Heading::new("Force of a tip over depth", count(&of_tips) as u64, "readings", label);
         let curves = curves(by_tips.iter().map(|(tips, values)| (name_tips(tips), values)));
-        let svg = bands(&title, "depth (mm)", "force of a tip (N)", &curves)?;
+        let svg = bands(&heading, "depth (mm)", "force of a tip (N)", &curves)?;
         plots.push(plot(svg, "Median and quartiles of the force of each attached tip, by the number of tips. n: readings."));
     }
     let of_arms: Vec<Vec<(f64, f64)>> = by_arm.values().cloned().collect();
     if by_arm.len() > 1 {
         let with = counted(most.into(), "tip", "tips");
-        let title = format!("Force of each arm, {with} {}", n_of(count(&of_arms), label));
+        let n = count(&of_arms) as u64;
+        let heading = Heading::new(format!("Force of each arm, {with}"), n, "readings", label);
         let curves = curves(by_arm.iter().map(|(arm, values)| (name_arm(arm), values)));
-        let svg = bands(&title, "depth (mm)", "force (N)", &curves)?;
+        let svg = bands(&heading, "depth (mm)", "force (N)", &curves)?;
         plots.push(plot(
             svg,
             "Median and quartiles by arm: arms that differ have another tip, cell or place.",
@@ -104,7 +103,7 @@ pub fn counts(facts: &Facts) -> Result<Option<Plot>, FigureError> {
         return Ok(None);
     }
     let published = table_one(run.kind, stored);
-    let title = format!("Trials by contacts {}", n_of(stored as usize, run.label.as_str()));
+    let heading = Heading::new("Trials by contacts", stored, "trials", run.label.as_str());
     let name = format!("run {} ({})", run.scan_id, run.label.as_str());
     let caption = match &published {
         Some((name, _)) => format!(
@@ -115,7 +114,7 @@ pub fn counts(facts: &Facts) -> Result<Option<Plot>, FigureError> {
         None => format!("Contacts below {} N are not counted.", run.deadband_n),
     };
     let published = published.map(|(name, all)| (format!("{name}, Table I, scaled"), all));
-    let svg = contacts(&title, &Contacts { here, name, published })?;
+    let svg = contacts(&heading, &Contacts { here, name, published })?;
     Ok(Some(plot(svg, caption)))
 }
 
@@ -129,18 +128,18 @@ pub fn twins(facts: &Facts) -> Result<Vec<Plot>, FigureError> {
         facts.trials.iter().filter(|t| t.contact_count > 0).filter_map(|t| t.fvu).collect();
     let mut plots = Vec::new();
     if !values.is_empty() {
-        let title = format!("FVU of the twins, trials with contacts {}", n_of(values.len(), label));
+        let n = values.len() as u64;
+        let heading = Heading::new("FVU of the twins", n, "trials with contacts", label);
         let mark = median(values.iter().copied()).map(|fvu| ("median", fvu));
-        let svg = histogram(&title, "fraction of variance unexplained", &values, FVU_END, mark)?;
+        let svg = histogram(&heading, "fraction of variance unexplained", &values, FVU_END, mark)?;
         plots.push(plot(svg, "FVU (paper, Eq. 2) of each measured frame by its simulated twin; 0 is a perfect twin, 1 explains nothing."));
     }
     if let Some(outline) = facts.outline.as_ref().filter(|_| facts.fit.by_point.len() > 2) {
-        let n = facts.fit.by_point.iter().map(|point| point.trials).sum::<u64>() as usize;
-        let caption = format!(
-            "Mean FVU by position on the skin, single tips in contact {}; circles: electrodes.",
-            n_of(n, label)
-        );
-        plots.push(plot(map(&facts.fit.by_point, outline)?, caption));
+        let n = facts.fit.by_point.iter().map(|point| point.trials).sum();
+        let heading =
+            Heading::new("FVU of the twins on the skin", n, "trials of single tips", label);
+        let svg = map(&heading, &facts.fit.by_point, outline)?;
+        plots.push(plot(svg, "Mean FVU by position on the skin, single tips in contact."));
     }
     Ok(plots)
 }
@@ -166,8 +165,9 @@ pub fn drift(facts: &Facts) -> Result<Vec<Plot>, FigureError> {
     });
     let changes: Vec<Line> = changes.filter(|line| line.places.len() > 1).collect();
     if !changes.is_empty() {
-        let title = format!("Cells without load, change {}", n_of(facts.tares.len(), label));
-        let svg = over_time(&title, &x, "change of the tare (mV)", &changes)?;
+        let heading =
+            Heading::new("Cells without load, change", facts.tares.len() as u64, "tares", label);
+        let svg = over_time(&heading, &x, "change of the tare (mV)", &changes)?;
         plots.push(plot(svg, "Output of each cell without load, minus its first one. n: tares."));
     }
     let mut presses = BTreeMap::<(usize, u8), Vec<(f64, f64)>>::new();
@@ -186,8 +186,9 @@ pub fn drift(facts: &Facts) -> Result<Vec<Plot>, FigureError> {
         })
         .collect();
     if !lines.is_empty() {
-        let title = format!("Reference press {}", n_of(facts.references.len(), label));
-        let svg = over_time(&title, &x, "force (N)", &lines)?;
+        let heading =
+            Heading::new("Reference press", facts.references.len() as u64, "presses", label);
+        let svg = over_time(&heading, &x, "force (N)", &lines)?;
         plots.push(plot(svg, "Force of presses at a fixed place and depth: its change is that of skin and cells. n: presses."));
     }
     plots.extend(fit_over_time(facts)?);
@@ -216,8 +217,10 @@ fn fit_over_time(facts: &Facts) -> Result<Option<Plot>, FigureError> {
         return Ok(None);
     }
     let x = format!("time since the start ({})", facts.time_unit().0);
-    let title = format!("Fit of the twins over time {}", n_of(n, facts.run().label.as_str()));
-    let svg = over_time(&title, &x, "median FVU", &lines)?;
+    let label = facts.run().label.as_str();
+    let heading =
+        Heading::new("Fit of the twins over time", n as u64, "trials with contacts", label);
+    let svg = over_time(&heading, &x, "median FVU", &lines)?;
     let caption = format!("Median FVU of {size} consecutive trials with contacts.");
     Ok(Some(plot(svg, caption)))
 }

@@ -108,6 +108,11 @@ impl FromIterator<f64> for Moments {
 }
 
 impl Moments {
+    /// Number of values.
+    pub fn count(&self) -> u64 {
+        self.n as u64
+    }
+
     /// The mean; `None` without values.
     pub fn mean(&self) -> Option<f64> {
         (self.n > 0.0).then_some(self.mean)

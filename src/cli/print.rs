@@ -1,4 +1,4 @@
-//! A page of HTML printed to PDF by a browser of this machine, without a window.
+//! A page of HTML as PDF or PNG, by a browser of this machine without a window.
 //! Uses: Chromium or a relative, as a process. Never: the network, a page from elsewhere.
 
 use std::ffi::OsStr;
@@ -22,17 +22,17 @@ const BROWSERS: [&str; 8] = [
 /// Longest time that printing may take.
 const LIMIT: Duration = Duration::from_secs(120);
 
-/// Why there is no PDF.
+/// Pixels of a PNG per pixel of its page.
+const SCALE: u32 = 2;
+
+/// Why there is no PDF or PNG.
 #[derive(Debug, thiserror::Error)]
 pub enum PrintError {
     /// No browser was found.
-    #[error(
-        "no PDF was written: it needs Chromium or Chrome, and none of them is in PATH; install \
-         `chromium`, or print the HTML from any browser"
-    )]
+    #[error("it needs Chromium or Chrome, and none of them is in PATH; install `chromium`")]
     NoBrowser,
     /// The browser failed.
-    #[error("no PDF was written: {browser}: {why}; print the HTML from any browser", browser = browser.display())]
+    #[error("{browser}: {why}", browser = browser.display())]
     Failed {
         /// The browser.
         browser: PathBuf,
@@ -56,6 +56,31 @@ pub fn browser(path: Option<&OsStr>) -> Option<PathBuf> {
 /// # Errors
 /// `PrintError` if there is no browser, or it fails.
 pub async fn print(html: &Path, pdf: &Path) -> Result<(), PrintError> {
+    let options =
+        ["--no-pdf-header-footer".to_owned(), format!("--print-to-pdf={}", pdf.display())];
+    driven(html, pdf, &options).await
+}
+
+/// Draws a page of this width and height, px, to a PNG.
+///
+/// # Errors
+/// `PrintError` if there is no browser, or it fails.
+pub async fn photograph(
+    html: &Path,
+    png: &Path,
+    [width_px, height_px]: [u32; 2],
+) -> Result<(), PrintError> {
+    let options = [
+        "--hide-scrollbars".to_owned(),
+        format!("--force-device-scale-factor={SCALE}"),
+        format!("--window-size={width_px},{height_px}"),
+        format!("--screenshot={}", png.display()),
+    ];
+    driven(html, png, &options).await
+}
+
+/// Lets the browser write a page to a file.
+async fn driven(html: &Path, out: &Path, options: &[String]) -> Result<(), PrintError> {
     let path = std::env::var_os("PATH");
     let browser = browser(path.as_deref()).ok_or(PrintError::NoBrowser)?;
     let failed = |why: String| PrintError::Failed { browser: browser.clone(), why };
@@ -67,9 +92,9 @@ pub async fn print(html: &Path, pdf: &Path) -> Result<(), PrintError> {
     let mut command = Command::new(&browser);
     command
         .args(["--headless", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run"])
-        .args(["--no-pdf-header-footer", "--run-all-compositor-stages-before-draw"])
+        .arg("--run-all-compositor-stages-before-draw")
         .arg(format!("--user-data-dir={}", profile.display()))
-        .arg(format!("--print-to-pdf={}", pdf.display()))
+        .args(options)
         .arg(address.as_str())
         .stdin(Stdio::null())
         .stdout(Stdio::null())
@@ -86,7 +111,7 @@ pub async fn print(html: &Path, pdf: &Path) -> Result<(), PrintError> {
         Ok(Err(error)) => return Err(failed(error.to_string())),
         Err(_) => return Err(failed(format!("not done after {} s", LIMIT.as_secs()))),
     };
-    let written = std::fs::metadata(pdf).is_ok_and(|file| file.len() > 0);
+    let written = std::fs::metadata(out).is_ok_and(|file| file.len() > 0);
     if status.success() && written { Ok(()) } else { Err(failed(status.to_string())) }
 }
 

@@ -1,28 +1,33 @@
 //! Fig. 12 and V-D: contacts that were in no training, by the paper's pipeline, both baselines and
 //! the project's methods.
-//! Uses: `lab`, `budget`, `rows`, `evaluate::{published, table, charts}`. Never: training here.
+//! Uses: `lab`, `budget`, `rows`, `pictures`, `evaluate::{published, table}`. Never: training here.
 
 use serde_json::json;
 
 use crate::budget::{Budget, END_TO_END, R2S, RECON_NET, Scale, up_to};
 use crate::dataset::force_map::{ForceMapSpec, TABLE_IV};
-use crate::evaluate::charts::{Bar, Picture, bars, pictures};
-use crate::evaluate::figures::FigureError;
 use crate::evaluate::published::REAL_UNSEEN;
-use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Example, FramesRead};
-use crate::evaluate::score::{Mean, Score};
+use crate::evaluate::request::{EvaluationReport, EvaluationRequest, FramesRead};
 use crate::evaluate::table::{Beside, COLUMNS, markdown, published_row, score_row};
 use crate::factorial::{COARSE_MM, DIAMETERS_MM};
+use crate::figure::Heading;
 use crate::ids::{CalibrationId, ModelId};
 use crate::infer::methods::Method;
 use crate::lab::{Lab, Noise, StudyError};
 use crate::noise::LEVELS;
 use crate::rows::{by_contacts, perfects, read_by};
 use crate::sheet::{OutputFile, Sheet};
-use crate::store::Contact;
+
+#[cfg(test)]
+mod every_figure;
+mod pictures;
+
+use pictures::{errors, examples, talk};
 
 /// The recipe of the paper's Transfer-Net (V-A).
 const PUBLISHED: &str = "transfer-net-published";
+/// Condition on the trials that are drawn.
+const TOUCHED: &str = "contact_count__gte=1";
 /// Number of trials that are drawn.
 const EXAMPLES: u64 = 3;
 
@@ -182,6 +187,7 @@ impl<L: Lab> Study<'_, L> {
         let mut columns = Vec::new();
         for (name, mut request) in requests {
             (request.limit, request.examples) = (Some(EXAMPLES), EXAMPLES);
+            request.conditions = vec![TOUCHED.into()];
             columns.push((name.into(), self.lab.score(&request).await?));
         }
         Ok(columns)
@@ -242,8 +248,12 @@ fn sheet(budget: &Budget, scores: &Scores, columns: &[Named]) -> Result<Sheet, S
     let numbers = json!({ "figure": "12", "scale": budget.scale.name(), "label": label,
         "real_to_sim": listed(pipeline), "end_to_end": listed(end_to_end), "ours": listed(ours),
         "best": best_pipeline.map(|(name, _)| name), "best_with_published_transfer": published });
-    let mut figures = errors(&[("real-to-sim", pipeline), ("end-to-end", end_to_end), ("", ours)])?;
-    figures.push(OutputFile::new("fig-12a.svg", examples(columns)?));
+    let heading = Heading::new("", any.map_or(0, |report| report.rows), "trials", &label)
+        .with_note(format!("Scale {}", budget.scale.name()));
+    let groups = [("real-to-sim", pipeline), ("end-to-end", end_to_end), ("", ours)];
+    let mut figures = errors(&heading, &groups)?;
+    figures.push(OutputFile::new("fig-12a.svg", examples(&heading, columns)?));
+    figures.push(OutputFile::new("fig-12.svg", talk(&heading, scores, columns)?));
     Ok(Sheet::new("fig-12", text, numbers, figures))
 }
 
@@ -261,56 +271,6 @@ fn nets(pipeline: &[Named], end_to_end: &[Named]) -> String {
         return String::new();
     }
     format!("All nets, by map and noise:\n\n{}\n", markdown(&COLUMNS, &rows))
-}
-
-/// Fig. 12A: trials with each method's answer, one row each, true contacts first.
-fn examples(columns: &[Named]) -> Result<String, FigureError> {
-    let mut maps = Vec::new();
-    for row in 0..EXAMPLES as usize {
-        let of_row = columns.iter().filter_map(|(name, report)| {
-            Some((name.as_str(), report.map.as_deref()?.parse().ok()?, report.examples.get(row)?))
-        });
-        let of_row: Vec<(&str, ForceMapSpec, &Example)> = of_row.collect();
-        let Some((_, _, first)) = of_row.first() else { break };
-        let name = format!("{} contacts", first.truth.len());
-        maps.push(Picture::of_contacts(&name, TABLE_IV[0], &first.truth)?);
-        for (name, spec, example) in of_row {
-            maps.push(match &example.reading.force_map_n {
-                Some(map) => Picture { name: name.into(), spec, map: map.clone() },
-                None => {
-                    let found: Vec<Contact> =
-                        example.reading.contacts.iter().map(Contact::from).collect();
-                    Picture::of_contacts(name, spec, &found)?
-                }
-            });
-        }
-    }
-    pictures("Fig. 12A: true contacts, and each method's answer", &maps, 1 + columns.len())
-}
-
-/// Figures of the errors of location, mm, force and diameter, %: one bar per method.
-fn errors(groups: &[(&str, &Vec<Named>)]) -> Result<Vec<OutputFile>, FigureError> {
-    type Pick = fn(&Score) -> Option<Mean>;
-    let quantities: [(&str, &str, Pick); 3] = [
-        ("location", "contact location error (mm)", |score| score.location_mm),
-        ("force", "contact force error (%)", |score| score.force_percent),
-        ("diameter", "contact diameter error (%)", |score| score.diameter_percent),
-    ];
-    let mut figures = Vec::new();
-    for (key, words, pick) in quantities {
-        let mut all = Vec::new();
-        for (group, scores) in groups {
-            all.extend(scores.iter().filter_map(|(name, report)| {
-                let mean = pick(&report.contacts.as_ref()?.all)?;
-                let name = format!("{group} {name}").trim().to_owned();
-                Some(Bar { name, mean: mean.mean, sd: mean.sd.unwrap_or(0.0) })
-            }));
-        }
-        if !all.is_empty() {
-            figures.push(OutputFile::new(format!("fig-12-{key}.svg"), bars(words, &all)?));
-        }
-    }
-    Ok(figures)
 }
 
 #[cfg(test)]

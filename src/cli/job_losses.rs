@@ -1,0 +1,75 @@
+//! `palpate job losses`: the losses of a training as lines of JSON, or as a learning curve.
+//! Uses: `client`, `evaluate::losses`, `picture`. Never: a loss that the training did not report.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use super::client::Client;
+use super::error::CliError;
+use super::job::recipe_name;
+use super::output::say;
+use super::picture;
+use crate::api::JobOut;
+use crate::evaluate::losses::{best, curve, read};
+use crate::figure::Heading;
+
+/// Returns the losses of a training, a JSON object per line: of a running one, or of the model of an
+/// ended one.
+///
+/// # Errors
+/// As [`Client::send`].
+pub async fn losses(client: &Client, job: &str) -> Result<String, CliError> {
+    let running = text(client, &format!("/api/v1/jobs/{job}/losses")).await?;
+    if !running.is_empty() {
+        return Ok(running);
+    }
+    let job: JobOut = client.get(&format!("/api/v1/jobs/{job}")).await?;
+    match job.result.as_ref().and_then(|result| result["model"].as_str()) {
+        Some(model) => text(client, &format!("/api/v1/models/{model}/losses")).await,
+        None => Ok(String::new()),
+    }
+}
+
+async fn text(client: &Client, path: &str) -> Result<String, CliError> {
+    let answer = client.send(reqwest::Method::GET, path, None::<&Value>).await?;
+    let text = answer.text().await;
+    text.map_err(|source| CliError::Http { operation: format!("GET {path}"), source })
+}
+
+/// Draws the learning curve of a training to a file.
+///
+/// # Errors
+/// `CliError` if the job is no training or has no losses yet, a request fails, or the file cannot be
+/// written.
+pub async fn draw(client: &Client, name: &str, file: &Path) -> Result<(), CliError> {
+    let job: JobOut = client.get(&format!("/api/v1/jobs/{name}")).await?;
+    let Some(net) = recipe_name(&job) else {
+        let limit = "is an evaluation, which has no losses: palpate job list shows the trainings";
+        return Err(CliError::argument("JOB", name, limit));
+    };
+    let losses = read(&losses(client, name).await?);
+    if losses.is_empty() {
+        let limit = "has no losses yet: the first ones come at the end of its first epoch";
+        return Err(CliError::argument("JOB", name, limit));
+    }
+    let label = match &job.dataset {
+        Some(dataset) => {
+            let path = format!("/api/v1/datasets/{dataset}/rows?columns=label&limit=1");
+            let page: Value = client.get(&path).await?;
+            page["items"][0]["label"].as_str().unwrap_or_default().to_owned()
+        }
+        None => String::new(),
+    };
+    let title = format!("Learning curve of {net}");
+    let mut heading = Heading::new(title, losses.len() as u64, "epochs", &label);
+    if let Some(dataset) = &job.dataset {
+        heading = heading.with_note(format!("{}, {}, dataset {dataset}", job.id, job.state));
+    }
+    picture::write(file, &curve(&heading, "mean loss (unit of the net's loss)", &losses)?).await?;
+    let best = best(&losses).map_or_else(String::new, |(epoch, loss)| {
+        format!("best epoch {epoch} of {}, validation loss {loss:.3e}; ", losses.len())
+    });
+    say(format_args!("{best}{}", file.display()));
+    Ok(())
+}
