@@ -189,8 +189,10 @@ impl Follower {
             return Ok(None);
         }
         let row = self.client.run(self.watch.run).await?;
+        // A stopped run that is to be resumed has ended until its turn comes.
+        let waits = self.watch.waiting && !self.seen && row.waiting_since.is_some();
         let left = match row.state {
-            StoredState::Ended | StoredState::Removed => Some(Left::Ended),
+            StoredState::Ended | StoredState::Removed if !waits => Some(Left::Ended),
             StoredState::Interrupted if self.seen => {
                 Some(Left::Open("the service stopped driving it"))
             }

@@ -15,9 +15,10 @@ use super::job::{JobScreen, LOOK, shown};
 use super::leave::{Choice, Interrupt, QUESTION_ON_TRAINING};
 use super::output::{duration, say, say_json};
 use super::own_server::OwnServer;
-use super::{At, embed};
+use super::{At, embed, job_losses};
 use crate::api::{JobOut, ModelOut};
 use crate::carried::{self, RECIPES};
+use crate::evaluate::losses::{best, read};
 use crate::file_kind::FileKind;
 use crate::problem::Problem;
 
@@ -246,6 +247,13 @@ async fn report(client: &Client, done: &JobOut, json: bool) -> Result<(), CliErr
     let took = done.finished_at.zip(done.started_at);
     let took = took.map(|(end, start)| duration(end.duration_since(start).as_secs_f64()));
     say(format_args!("{} {}, trained in {}", model.id, model.name, took.unwrap_or_default()));
+    let losses = read(&job_losses::losses(client, &done.id.to_string()).await?);
+    if let Some((epoch, loss)) = best(&losses) {
+        let epochs = losses.len();
+        say(format_args!("best epoch {epoch} of {epochs}, validation loss {loss:.3e}"));
+    }
+    say(format_args!("\nnext:\n  palpate job losses {} --plot losses.svg", done.id));
+    say(format_args!("  palpate model show {}", model.id));
     Ok(())
 }
 
