@@ -109,12 +109,13 @@ pub async fn server(at: &At) -> Result<Client, CliError> {
 ///
 /// # Errors
 /// `CliError` if the carried sensor file is invalid.
-fn options(data: PathBuf, rig: &RigFiles) -> Result<ServeOptions, CliError> {
+fn options(data: PathBuf, rig: &RigFiles, idle: bool) -> Result<ServeOptions, CliError> {
     let (sensor, sensor_text) = read_sensor_text(None)?;
     Ok(ServeOptions {
         tls: None,
         require_key: false,
         desk: true,
+        idle,
         local_admin: false,
         bind: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)),
         data,
@@ -137,6 +138,31 @@ where
     F: Future<Output = Result<T, CliError>> + Send + 'static,
     T: Send + 'static,
 {
+    with_server_that(false, at, work).await
+}
+
+/// As [`with_server`], for work that only reads: a server that is started for it makes nothing by itself, so
+/// that a look at the data does not resume a training.
+///
+/// # Errors
+/// As [`with_server`].
+pub async fn reading<T, F>(at: &At, work: impl FnOnce(Client) -> F) -> Result<T, CliError>
+where
+    F: Future<Output = Result<T, CliError>> + Send + 'static,
+    T: Send + 'static,
+{
+    with_server_that(true, at, work).await
+}
+
+async fn with_server_that<T, F>(
+    idle: bool,
+    at: &At,
+    work: impl FnOnce(Client) -> F,
+) -> Result<T, CliError>
+where
+    F: Future<Output = Result<T, CliError>> + Send + 'static,
+    T: Send + 'static,
+{
     match find(at).await? {
         Some(client) => work(client).await,
         None => {
@@ -144,7 +170,7 @@ where
             let view =
                 View::of(&data).map_err(|source| CliError::File { path: data.clone(), source })?;
             let folder = view.as_ref().map_or(data, |view| view.folder().to_owned());
-            host(options(folder, &RigFiles::read(None)?)?, work).await
+            host(options(folder, &RigFiles::read(None)?, idle)?, work).await
         }
     }
 }

@@ -109,6 +109,7 @@ async fn serve_rig(
         tls: tls.clone(),
         require_key: args.require_key,
         desk: args.desk,
+        idle: false,
         bind: args.bind,
         local_admin: args.local_admin,
         data: data_or_default(args.data.clone()),

@@ -252,6 +252,7 @@ pub fn options(rig: &VirtualRig, data: &Path) -> ServeOptions {
         tls: None,
         require_key: false,
         desk: false,
+        idle: false,
         local_admin: true,
         bind: "127.0.0.1:0".parse().unwrap(),
         data: data.into(),

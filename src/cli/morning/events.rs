@@ -39,7 +39,7 @@ pub async fn events(args: EventsArgs) -> Result<(), CliError> {
         return follow(&client, &args).await;
     }
     let at = args.at.clone();
-    embed::with_server(&at, move |client| async move { list(&client, &args).await }).await
+    embed::reading(&at, move |client| async move { list(&client, &args).await }).await
 }
 
 /// Parameters that select run and kinds, each with `&` in front.

@@ -40,7 +40,7 @@ const BAR: usize = 30;
 /// `CliError` if the service cannot be reached or started, or has no such run or trial.
 pub async fn show(args: ShowArgs) -> Result<(), CliError> {
     let at = args.at.clone();
-    embed::with_server(&at, move |client| async move {
+    embed::reading(&at, move |client| async move {
         match show_trial::named(&args.what) {
             Some(trial) => show_trial::show(&client, &trial, args.at.json).await,
             None => run(&client, &args.what, args.at.json).await,

@@ -30,7 +30,7 @@ struct Asked {
 pub async fn trials(args: TrialsArgs) -> Result<(), CliError> {
     let asked = asked(&args.what)?;
     let at = args.at.clone();
-    embed::with_server(&at, move |client| async move { list(&client, &args, asked).await }).await
+    embed::reading(&at, move |client| async move { list(&client, &args, asked).await }).await
 }
 
 /// Separates the run from the conditions.

@@ -135,6 +135,8 @@ pub struct ServeOptions {
     pub rig_text: String,
     /// True: nothing is driven. The rig's lock is not taken, and its wires are not opened.
     pub desk: bool,
+    /// True: it answers, and makes nothing by itself: no twins, datasets, exports or jobs that wait.
+    pub idle: bool,
     /// Certificate and key for TLS; `None`: requests and keys travel readable.
     pub tls: Option<Tls>,
     /// True: every request needs a key, on loopback, too, except the e-stop and /health.
@@ -427,19 +429,23 @@ impl Service {
             turns: Turns::default(),
             placement,
         };
-        let tasks = vec![
+        let mut tasks = vec![
             tokio::spawn(app.conductor.clone().follow()),
             tokio::spawn(app.conductor.clone().note_estimates()),
-            tokio::spawn(app.twins.clone().work()),
             tokio::spawn(app.placement.clone().work()),
-            tokio::spawn(app.datasets.clone().work()),
-            tokio::spawn(app.jobs.clone().work()),
-            tokio::spawn(finished::keep(app.clone())),
             tokio::spawn(samples::keep(app.clone())),
             tokio::spawn(live_status::publish(app.clone())),
             tokio::spawn(after_start(app.clone(), options.resume)),
             tokio::spawn(async move { serving.restore().await }),
         ];
+        if !options.idle {
+            tasks.extend([
+                tokio::spawn(app.twins.clone().work()),
+                tokio::spawn(app.datasets.clone().work()),
+                tokio::spawn(app.jobs.clone().work()),
+                tokio::spawn(finished::keep(app.clone())),
+            ]);
+        }
         let answering = app.facts.ending.clone();
         let listener = listener.into_std().map_err(bind)?;
         let secure = tls.is_some();

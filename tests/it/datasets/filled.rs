@@ -222,6 +222,7 @@ impl Filled {
             tls: None,
             require_key: false,
             desk: false,
+            idle: false,
             local_admin: true,
             bind: "127.0.0.1:0".parse().unwrap(),
             data: data.clone(),

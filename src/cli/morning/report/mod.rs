@@ -28,7 +28,7 @@ use crate::cli::print;
 /// A PDF that cannot be printed is reported, and is no error: the HTML has all of it.
 pub async fn report(args: ReportArgs) -> Result<(), CliError> {
     let at = args.at.clone();
-    embed::with_server(&at, move |client| async move { make(&client, &args).await }).await
+    embed::reading(&at, move |client| async move { make(&client, &args).await }).await
 }
 
 async fn make(client: &Client, args: &ReportArgs) -> Result<(), CliError> {
