@@ -2,7 +2,6 @@
 //! Uses: everything before it. Never: motion, SQL, a read that a motion waits for.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -10,8 +9,6 @@ use axum::http::Method;
 use axum::middleware::{from_fn, from_fn_with_state};
 use axum::routing::post;
 use jiff::Timestamp;
-use sim_core::calibration::Calibration;
-use sim_core::sensor::Sensor;
 use tokio::net::TcpListener;
 use tokio::runtime;
 use tokio::sync::{Semaphore, watch};
@@ -24,17 +21,14 @@ use crate::campaign::shown::command::{Handle, Request};
 use crate::clock::Clock;
 use crate::conductor::{Conductor, RigFile};
 use crate::dataset::catalog::Catalog;
-use crate::dataset::error::DatasetError;
-use crate::infer::error::InferError;
 use crate::infer::registry::Registry;
 use crate::infer::serving::Serving;
 use crate::jobs::Jobs;
 use crate::journal::error_chain;
 use crate::placement::watch::PlacementWatch;
-use crate::plain::system_words;
 use crate::schedule::experiment::Experiment;
 use crate::simulate::model::sweep_partial;
-use crate::store::{KeyRing, Soundness, Store, StoreError};
+use crate::store::{KeyRing, Soundness, Store};
 use crate::twins::TwinPool;
 
 mod audit;
@@ -70,6 +64,7 @@ mod models;
 mod once;
 mod overlay;
 mod offline;
+mod options;
 mod pages;
 mod params;
 mod people;
@@ -106,6 +101,7 @@ pub use jobs::JobOut;
 pub use lock_file::{LockFile, LockFileError};
 pub use models::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
 pub use offline::Offline;
+pub use options::{ServeError, ServeOptions};
 pub use pages::Page;
 pub use people::CreatedKey;
 pub use placement::{FeltOut, LastPlacement, PlacementOut, Stage};
@@ -121,92 +117,6 @@ const EXAMINED_TRIALS: u32 = 2000;
 
 /// Longest wait for the campaign's thread, which raises the tips, when the service ends.
 const LEAVE: Duration = Duration::from_secs(60);
-
-/// Options of a service.
-#[derive(Debug, Clone)]
-pub struct ServeOptions {
-    /// Address to listen on; port 0 selects a free port.
-    pub bind: SocketAddr,
-    /// Data folder.
-    pub data: PathBuf,
-    /// Name of the rig file in messages.
-    pub rig_file: String,
-    /// Text of the rig file.
-    pub rig_text: String,
-    /// True: nothing is driven. The rig's lock is not taken, and its wires are not opened.
-    pub desk: bool,
-    /// True: it answers, and makes nothing by itself: no twins, datasets, exports or jobs that wait.
-    pub idle: bool,
-    /// Certificate and key for TLS; `None`: requests and keys travel readable.
-    pub tls: Option<Tls>,
-    /// True: every request needs a key, on loopback, too, except the e-stop and /health.
-    pub require_key: bool,
-    /// True: callers without a key, on loopback, may also make and revoke keys.
-    pub local_admin: bool,
-    /// True: resume an interrupted run automatically, if its policy allows it.
-    pub resume: bool,
-    /// Number of threads that simulate twins; 0 simulates none.
-    pub twin_workers: usize,
-    /// Calibration for the twins of runs on its sensor.
-    pub calibration: Option<Calibration>,
-    /// Sensor of the skin under the rig.
-    pub sensor: Sensor,
-    /// Text of the sensor file.
-    pub sensor_text: String,
-}
-
-/// Why a service did not start.
-#[derive(Debug, thiserror::Error)]
-pub enum ServeError {
-    /// The rig file is invalid.
-    #[error("{}", problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
-    Rig {
-        /// All invalid values.
-        problems: Vec<crate::problem::Problem>,
-    },
-    /// The data folder cannot be created or made private.
-    #[error("data folder {}: {}", path.display(), system_words(source))]
-    Data {
-        /// The data folder.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: std::io::Error,
-    },
-    /// Another process uses the rig or the data folder.
-    #[error(transparent)]
-    Locked(#[from] LockFileError),
-    /// The store cannot be opened.
-    #[error("{}", error_chain(.0))]
-    Store(#[from] StoreError),
-    /// The address is not available.
-    #[error("listening at {bind}: {}; choose another address with --bind", system_words(source))]
-    Bind {
-        /// The address.
-        bind: SocketAddr,
-        /// Error of the operating system.
-        source: std::io::Error,
-    },
-    /// The address is reachable from other machines, and there is no API key.
-    #[error(
-        "bind = {0}: must be a loopback address while there is no API key; run `palpate key create NAME`"
-    )]
-    NoKey(SocketAddr),
-    /// Every request needs a key, and there is none.
-    #[error("require-key = true: there is no API key; run `palpate key create NAME --role admin`")]
-    NoKeyAtAll,
-    /// The certificate or its key cannot be used.
-    #[error("{}", error_chain(.0))]
-    Tls(#[from] TlsError),
-    /// The folders of datasets cannot be opened.
-    #[error(transparent)]
-    Datasets(#[from] DatasetError),
-    /// The folder of models cannot be opened.
-    #[error(transparent)]
-    Models(#[from] InferError),
-    /// The thread of the campaign or of the door cannot be started.
-    #[error("starting a thread: {0}")]
-    Thread(#[source] std::io::Error),
-}
 
 /// State of all handlers. Clones share it.
 #[derive(Clone)]
