@@ -17,8 +17,8 @@ use tokio::time::{Instant, sleep, timeout};
 use super::bench_args::BenchArgs;
 use super::client::{Client, Found};
 use super::error::CliError;
+use super::progress::spinner;
 use super::running::Running;
-use super::virtual_bench::spinner;
 use crate::new_file;
 
 /// Name of the log in the data folder.

@@ -21,6 +21,19 @@ pub fn progress_bar(unit: &str) -> ProgressBar {
     ProgressBar::new(0).with_style(style)
 }
 
+/// A sign of life on standard error while something works, with the time since it began; hidden if `quiet`, or if
+/// that is not a terminal.
+pub fn spinner(quiet: bool, words: &str) -> ProgressBar {
+    if quiet {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("{spinner} {msg}, {elapsed}");
+    let style = style.unwrap_or_else(|_| ProgressStyle::default_spinner());
+    let spinner = ProgressBar::new_spinner().with_style(style).with_message(words.to_owned());
+    spinner.enable_steady_tick(Duration::from_millis(100));
+    spinner
+}
+
 /// Time after which a wait is shown.
 const QUIET: Duration = Duration::from_millis(1500);
 
@@ -48,11 +61,7 @@ impl Working {
             note(format_args!("{words} .."));
             return Self(ProgressBar::hidden());
         }
-        let style = ProgressStyle::with_template("{spinner} {msg}, {elapsed}");
-        let style = style.unwrap_or_else(|_| ProgressStyle::default_spinner());
-        let spinner = ProgressBar::new_spinner().with_style(style).with_message(words.to_owned());
-        spinner.enable_steady_tick(Duration::from_millis(100));
-        Self(spinner)
+        Self(spinner(false, words))
     }
 }
 

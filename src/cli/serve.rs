@@ -128,7 +128,8 @@ async fn serve_rig(
     if operator.is_ok() {
         let (url, name, label) = (service.url(), rig.config.name(), rig.config.label().as_str());
         let (version, folder) = (env!("CARGO_PKG_VERSION"), data.display());
-        say(format_args!("palpate {version} at {url}, data in {folder}, rig {name} ({label})"));
+        let rig = if args.desk { "no rig".into() } else { format!("rig {name} ({label})") };
+        say(format_args!("palpate {version} at {url}, data in {folder}, {rig}"));
         if args.open {
             browser::open(&service.local_url());
         }

@@ -7,7 +7,6 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::Duration;
 
-use indicatif::ProgressBar;
 use serde::Deserialize;
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{Child, ChildStdout, Command};
@@ -16,6 +15,7 @@ use tokio::time::timeout;
 use super::error::CliError;
 use super::files::{RigFiles, write};
 use super::key::KEY_VARIABLE;
+use super::progress::spinner;
 use crate::api::LockFile;
 use crate::new_file;
 use crate::rig::config::Label;
@@ -209,15 +209,4 @@ async fn end(child: &mut Child) {
         tracing::warn!("a child process had to be killed");
         let _ = child.kill().await;
     }
-}
-
-/// A sign of life on standard error while something starts.
-pub fn spinner(quiet: bool, words: &'static str) -> ProgressBar {
-    if quiet {
-        return ProgressBar::hidden();
-    }
-    let spinner = ProgressBar::new_spinner();
-    spinner.set_message(words);
-    spinner.enable_steady_tick(Duration::from_millis(100));
-    spinner
 }
