@@ -15,6 +15,8 @@ pub mod near;
 pub mod new_file;
 pub mod plain;
 pub mod problem;
+pub mod program;
+pub mod query_lines;
 pub mod record;
 pub mod state;
 pub mod syntax;

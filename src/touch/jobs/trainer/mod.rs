@@ -8,10 +8,7 @@
 //!   closes stdin           ->    checkpoint.bin, then ends (also if the service died)
 //! ```
 
-mod build;
 mod end;
-mod lines;
-mod program;
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -24,10 +21,20 @@ use tokio::time::Instant;
 
 use self::end::end;
 pub use self::end::{Ended, TrainerEnd};
-use self::lines::Lines;
-use self::program::{NAME, Program, VARIABLE};
 use crate::jobs::Watch;
 use crate::learn::order::{Event, STOP};
+use crate::program::{Known, Lines, ProgramError};
+
+/// The program of the trainer.
+const TRAINER: Known = Known {
+    name: "palpate-trainer",
+    variable: "PALPATE_TRAINER",
+    folder: "trainer",
+    workspace: "",
+    about: "the trainer",
+};
+/// Phase of a job while the trainer is built.
+const BUILDING: &str = "building the trainer: once, some minutes";
 
 /// Time from a request to stop to the end by force: one batch and a checkpoint take less.
 const STOP_MAX: Duration = Duration::from_secs(20);
@@ -37,21 +44,13 @@ const LOOK: Duration = Duration::from_millis(100);
 /// Why a trainer did not train.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainerError {
-    /// There is no trainer.
-    #[error(
-        "no trainer: {NAME} is not beside {}, and {VARIABLE} does not name it; run \
-         `cargo install --path trainer --locked` in the source of palpate {}, then request the \
-         training again", .0.display(), env!("CARGO_PKG_VERSION")
-    )]
-    Missing(PathBuf),
-    /// Cargo could not be started.
-    #[error("building the trainer: cargo: {0}; run `cargo build --bin palpate-trainer`")]
-    Cargo(io::Error),
-    /// Cargo failed.
-    #[error("building the trainer with `cargo build --bin palpate-trainer` failed:\n{0}")]
-    Build(String),
+    /// There is no trainer, and it cannot be built.
+    #[error(transparent)]
+    Program(#[from] ProgramError),
     /// The process could not be started.
-    #[error("starting the trainer {}: {source}; {VARIABLE} may name another one", program.display())]
+    #[error(
+        "starting the trainer {}: {source}; {} may name another one", program.display(), TRAINER.variable
+    )]
     Start {
         /// Path of the program.
         program: PathBuf,
@@ -71,32 +70,8 @@ pub enum TrainerError {
 /// # Errors
 /// `TrainerError` if there is none and it cannot be built.
 pub async fn path(watch: &Watch) -> Result<Option<PathBuf>, TrainerError> {
-    let stated = std::env::var_os(VARIABLE).map(PathBuf::from);
-    let executable = std::env::current_exe().unwrap_or_default();
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).unwrap_or(Path::new(""));
-    match program::find(stated, &executable, source, Path::exists) {
-        Program::Ready(program) => {
-            warn_if_old(&program, &executable, source);
-            Ok(Some(program))
-        }
-        Program::Source(source) => {
-            Ok(build::build(&source, watch).await?.then_some(source.program))
-        }
-        Program::Missing => Err(TrainerError::Missing(executable)),
-    }
-}
-
-/// Warns if a trainer of the source tree was built before this program: cargo builds only the program
-/// that is run.
-fn warn_if_old(program: &Path, executable: &Path, source: &Path) {
-    let without = |path: &Path| path != program && path.exists();
-    let is_built = matches!(program::find(None, executable, source, without), Program::Source(_));
-    let built = |path: &Path| path.metadata().and_then(|found| found.modified()).ok();
-    if is_built && built(program) < built(executable) {
-        let program = program.display();
-        tracing::warn!(%program, "the trainer is older than this program; if its source has changed \
-            since, run `cargo build --bin palpate-trainer`");
-    }
+    let seen = |line: &str| watch.phase(&format!("{BUILDING}: {line}"), 0);
+    Ok(TRAINER.path(seen, || watch.is_stopped()).await?)
 }
 
 /// Runs the trainer on a job's folder; `seen` receives its events. If this future is dropped, or this
@@ -161,18 +136,6 @@ async fn request_stop(mut input: ChildStdin) {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_missing_trainer_names_what_to_do() {
-        let error = TrainerError::Missing("/usr/bin/palpate".into()).to_string();
-        for words in [
-            "palpate-trainer is not beside /usr/bin/palpate",
-            "PALPATE_TRAINER does not name it",
-            "cargo install --path trainer --locked",
-        ] {
-            assert!(error.contains(words), "{error}");
-        }
-    }
 
     #[tokio::test]
     async fn a_trainer_that_cannot_be_started_is_named() {

@@ -1,14 +1,11 @@
-//! Where the trainer's program is: named, beside this one, to be built from the source, or missing.
+//! Where a program is: named, beside this one, to be built from the source, or missing.
 //! PURE. Never: the disk (what exists is passed in), a build (`build`).
 
 use std::path::{Path, PathBuf};
 
-/// Name of the program.
-pub const NAME: &str = "palpate-trainer";
-/// Environment variable that names its path.
-pub const VARIABLE: &str = "PALPATE_TRAINER";
+use super::Known;
 
-/// How the trainer is available.
+/// How a program is available.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Program {
     /// It is there.
@@ -19,11 +16,11 @@ pub enum Program {
     Missing,
 }
 
-/// A build of the trainer with the profile and the target folder of this program.
+/// A build with the profile and the target folder of this program.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Build {
-    /// Root of the source tree.
-    pub source: PathBuf,
+    /// Folder of its workspace.
+    pub workspace: PathBuf,
     /// Cargo's target folder.
     pub target: PathBuf,
     /// Cargo's profile.
@@ -32,12 +29,13 @@ pub struct Build {
     pub program: PathBuf,
 }
 
-/// Finds the trainer: the stated path, else beside the running executable, else a build if that
+/// Finds a program: the stated path, else beside the running executable, else a build if that
 /// executable is in a target folder of cargo and its source is there.
 ///
 /// `source` is the root of the source tree from which this program was built; `exists` tells which
 /// paths exist.
 pub fn find(
+    known: &Known,
     stated: Option<PathBuf>,
     executable: &Path,
     source: &Path,
@@ -49,7 +47,7 @@ pub fn find(
     let Some(folder) = executable.parent() else { return Program::Missing };
     // Cargo places tests one folder deeper than programs.
     let above = if folder.ends_with("deps") { folder.parent() } else { None };
-    let beside = [Some(folder), above].into_iter().flatten().map(|folder| folder.join(NAME));
+    let beside = [Some(folder), above].into_iter().flatten().map(|folder| folder.join(known.name));
     if let Some(program) = beside.into_iter().find(|program| exists(program)) {
         return Program::Ready(program);
     }
@@ -60,15 +58,15 @@ pub fn find(
     };
     let is_target =
         exists(&target.join("CACHEDIR.TAG")) && exists(&profile_folder.join(".cargo-lock"));
-    if !is_target || !exists(&source.join("trainer/Cargo.toml")) {
+    if !is_target || !exists(&source.join(known.folder).join("Cargo.toml")) {
         return Program::Missing;
     }
     let profile = profile.to_string_lossy();
     Program::Source(Build {
-        source: source.into(),
+        workspace: source.join(known.workspace),
         target: target.into(),
         profile: if profile == "debug" { "dev".into() } else { profile.into_owned() },
-        program: profile_folder.join(NAME),
+        program: profile_folder.join(known.name),
     })
 }
 
@@ -76,6 +74,13 @@ pub fn find(
 mod tests {
     use super::*;
 
+    const TRAINER: Known = Known {
+        name: "palpate-trainer",
+        variable: "PALPATE_TRAINER",
+        folder: "trainer",
+        workspace: "",
+        about: "the trainer",
+    };
     const SOURCE: &str = "/src/palpate";
     const SOURCES: [&str; 1] = ["/src/palpate/trainer/Cargo.toml"];
     const TARGET: [&str; 3] = ["/t/CACHEDIR.TAG", "/t/debug/.cargo-lock", "/t/release/.cargo-lock"];
@@ -83,14 +88,14 @@ mod tests {
     fn found(executable: &str, there: &[&[&str]]) -> Program {
         let there = there.concat();
         let exists = |path: &Path| there.iter().any(|one| Path::new(one) == path);
-        find(None, Path::new(executable), Path::new(SOURCE), exists)
+        find(&TRAINER, None, Path::new(executable), Path::new(SOURCE), exists)
     }
 
     #[test]
     fn a_stated_program_comes_before_all_others() {
         let all = |_: &Path| true;
         let stated = Some(PathBuf::from("/gpu/trainer"));
-        let program = find(stated, Path::new("/t/debug/palpate"), Path::new(SOURCE), all);
+        let program = find(&TRAINER, stated, Path::new("/t/debug/palpate"), Path::new(SOURCE), all);
         assert_eq!(program, Program::Ready("/gpu/trainer".into()));
     }
 
@@ -114,7 +119,7 @@ mod tests {
             ("/t/release/palpate", "release", "release"),
         ] {
             let build = Build {
-                source: SOURCE.into(),
+                workspace: Path::new(SOURCE).join(""),
                 target: "/t".into(),
                 profile: profile.into(),
                 program: format!("/t/{folder}/palpate-trainer").into(),

@@ -1,17 +1,14 @@
-//! Builds the trainer when it is first needed, and shows cargo's progress as the job's phase.
-//! Uses: cargo as a process. Never: which trainer is built (`program`).
+//! Builds a program when it is first needed, and passes on what cargo compiles.
+//! Uses: cargo as a process. Never: which program is built (`find`).
 
 use std::process::Stdio;
 
 use tokio::process::Command;
 
-use super::TrainerError;
+use super::find::Build;
 use super::lines::{Lines, push_last};
-use super::program::{Build, NAME};
-use crate::jobs::Watch;
+use super::{Known, ProgramError};
 
-/// Phase of a job while the trainer is built.
-const PHASE: &str = "building the trainer: once, some minutes";
 /// Interval at which a stop is noticed.
 const LOOK: std::time::Duration = std::time::Duration::from_millis(100);
 
@@ -19,16 +16,22 @@ const LOOK: std::time::Duration = std::time::Duration::from_millis(100);
 const OF_CARGO: [&str; 5] =
     ["CARGO_PKG_", "CARGO_MANIFEST_", "CARGO_BIN_", "CARGO_CRATE_NAME", "CARGO_PRIMARY_PACKAGE"];
 
-/// Builds the trainer; returns `false` if the job was stopped meanwhile.
+/// Builds a program; returns `false` if `is_stopped` became true meanwhile. `seen` receives what cargo
+/// does.
 ///
 /// # Errors
-/// `TrainerError::Cargo` if cargo cannot be started; `Build` if it fails.
-pub async fn build(build: &Build, watch: &Watch) -> Result<bool, TrainerError> {
-    watch.phase(PHASE, 0);
+/// `ProgramError::Cargo` if cargo cannot be started; `Build` if it fails.
+pub async fn build(
+    known: &Known,
+    build: &Build,
+    mut seen: impl FnMut(&str),
+    is_stopped: impl Fn() -> bool,
+) -> Result<bool, ProgramError> {
+    let failed = |source| ProgramError::Cargo { known: *known, source };
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut command = Command::new(cargo);
-    command.args(["build", "--bin", NAME, "--profile", &build.profile]);
-    command.arg("--target-dir").arg(&build.target).current_dir(&build.source);
+    command.args(["build", "--bin", known.name, "--profile", &build.profile]);
+    command.arg("--target-dir").arg(&build.target).current_dir(&build.workspace);
     let names = std::env::vars_os().map(|(name, _)| name);
     let foreign = |name: &str| OF_CARGO.iter().any(|start| name.starts_with(start));
     for name in names.filter(|name| name.to_str().is_some_and(foreign)) {
@@ -37,7 +40,8 @@ pub async fn build(build: &Build, watch: &Watch) -> Result<bool, TrainerError> {
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
     // Cargo builds what is missing, whenever it was ended.
     command.process_group(0).kill_on_drop(true);
-    let mut child = command.spawn().map_err(TrainerError::Cargo)?;
+    seen("starting cargo");
+    let mut child = command.spawn().map_err(failed)?;
     let mut lines = Lines::of(child.stderr.take());
     let mut last = Vec::new();
     let mut look = tokio::time::interval(LOOK);
@@ -47,17 +51,20 @@ pub async fn build(build: &Build, watch: &Watch) -> Result<bool, TrainerError> {
                 let Some(line) = line else { break };
                 let line = line.trim();
                 if line.starts_with("Compiling") || line.starts_with("Blocking") {
-                    watch.phase(&format!("{PHASE}: {line}"), 0);
+                    seen(line);
                 }
                 push_last(&mut last, line.to_owned());
             }
             _ = look.tick() => {
-                if watch.is_stopped() {
+                if is_stopped() {
                     return Ok(false);
                 }
             }
         }
     }
-    let status = child.wait().await.map_err(TrainerError::Cargo)?;
-    if status.success() { Ok(true) } else { Err(TrainerError::Build(last.join("\n"))) }
+    let status = child.wait().await.map_err(failed)?;
+    if status.success() {
+        return Ok(true);
+    }
+    Err(ProgramError::Build { known: *known, said: last.join("\n") })
 }
