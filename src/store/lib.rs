@@ -47,6 +47,6 @@ pub use lab::progress::{ConfigurationTrials, StoredProgress};
 pub use lab::task_queue::TaskQueue;
 pub use lab::tasks::{TaskEnd, TaskKind, TaskRow, TaskState};
 pub use lab::twins::{Fit, NewTwinModel, Twin, TwinCount, TwinModelId, TwinOutcome};
-pub use table::condition::{Comparison, Condition, Operand};
+pub use table::condition::{Comparison, Condition, Operand, Part};
 pub use table::query::{MAX_PAGE, Order, TrialQuery};
 pub use table::trial_row::{Contact, TrialRow, tips_as_contacts};

@@ -5,10 +5,13 @@
 //! with it when it is read, and for the result of its definition when one is made.
 //! Exports are tasks of the store, so that they continue after a restart.
 
+use std::fs::FileTimes;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::SystemTime;
 
 use arrow_schema::Schema;
+use jiff::Timestamp;
 use tracing::{Instrument, error_span};
 
 use super::background::background;
@@ -18,6 +21,7 @@ use super::error::{DatasetError, Product};
 use super::export::{self, ExportFile, ExportRequest, ExportResult};
 use super::format::{Format, Rows};
 use super::inputs::Inputs;
+use super::prune::{self, Pruned};
 use super::read::{DatasetRows, SKIN};
 use super::schema;
 use super::select::{Selection, Wanted};
@@ -143,6 +147,19 @@ impl Catalog {
         }
         let definition = self.definition(name).await?;
         self.make(&definition).await
+    }
+
+    /// Returns the file of a run's dataset; `None` if it has not been made of the trials and twins that
+    /// are stored now.
+    ///
+    /// # Errors
+    /// `DatasetError::Store` if the store fails.
+    pub async fn current_of_run(&self, run: &RunRow) -> Result<Option<PathBuf>, DatasetError> {
+        if run.state != StoredState::Ended {
+            return Ok(None);
+        }
+        let (row, _) = self.existing(&Definition::of_run(run.scan_id)).await?;
+        Ok(row.map(|row| data_file(&self.datasets(), &row.id)))
     }
 
     async fn of_id(&self, id: &DatasetId) -> Result<DatasetRow, DatasetError> {
@@ -296,7 +313,49 @@ impl Catalog {
     /// `DatasetError::Problems` if the selection does not fit the columns; `File` or `Parquet` if
     /// the file cannot be read.
     pub fn rows(&self, id: &DatasetId, wanted: &Wanted) -> Result<DatasetRows, DatasetError> {
-        DatasetRows::open(&data_file(&self.datasets(), id), wanted)
+        let path = data_file(&self.datasets(), id);
+        // The file system may not note reads.
+        if let Ok(file) = std::fs::File::open(&path) {
+            let _ = file.set_times(FileTimes::new().set_accessed(SystemTime::now()));
+        }
+        DatasetRows::open(&path, wanted)
+    }
+
+    /// Removes the datasets of each name but the `keep` newest, and those to which a model or a job refers;
+    /// `dry`: removes none. Returns what becomes of each.
+    ///
+    /// # Errors
+    /// `DatasetError::Store` if the store fails; `File` if a file cannot be removed.
+    pub async fn prune(&self, keep: usize, dry: bool) -> Result<Vec<Pruned>, DatasetError> {
+        let _no_build = self.inner.building.lock().await;
+        let rows = self.inner.store.datasets().await?;
+        let needed = self.inner.store.dataset_users().await?;
+        let decided = prune::decide(&rows, keep, &needed, |id| self.last_used_at(id));
+        let gone: Vec<DatasetId> =
+            decided.iter().filter(|one| one.stays.is_none()).map(|one| one.id.clone()).collect();
+        if dry || gone.is_empty() {
+            return Ok(decided);
+        }
+        self.inner.store.remove_datasets(gone.clone()).await?;
+        for id in &gone {
+            let folder = self.datasets();
+            for path in [data_file(&folder, id), build::card_file(&folder, id)] {
+                match std::fs::remove_file(&path) {
+                    Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                        return Err(DatasetError::file("removing", &path)(error));
+                    }
+                    _ => {}
+                }
+            }
+        }
+        tracing::info!(removed = gone.len(), "datasets were removed");
+        Ok(decided)
+    }
+
+    /// Wall time at which the rows of a dataset were last read; `None` if it is unknown.
+    pub fn last_used_at(&self, id: &DatasetId) -> Option<Timestamp> {
+        let used = data_file(&self.datasets(), id).metadata().ok()?.accessed().ok()?;
+        Timestamp::try_from(used).ok()
     }
 
     /// Returns the card of a dataset, Markdown.

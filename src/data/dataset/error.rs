@@ -152,7 +152,7 @@ impl fmt::Display for Product {
 
 impl DatasetError {
     /// Returns a conversion from an I/O error of an operation on a file.
-    pub(super) fn file(operation: &'static str, path: &Path) -> impl Fn(io::Error) -> Self + use<> {
+    pub(crate) fn file(operation: &'static str, path: &Path) -> impl Fn(io::Error) -> Self + use<> {
         let path = path.to_owned();
         move |source| Self::File { operation, path: path.clone(), source }
     }

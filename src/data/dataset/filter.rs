@@ -12,30 +12,35 @@ use arrow_array::{Array, BooleanArray, RecordBatch};
 use arrow_schema::{DataType, Schema};
 
 use super::schema::comparable;
-use crate::store::{Condition, Operand};
+use crate::store::{Condition, Operand, Part};
 
 /// Checks that a table has the column of a condition.
 ///
 /// # Errors
 /// The limit as text, with the comparable columns of the table.
 pub fn fits(condition: &Condition, schema: &Schema) -> Result<(), String> {
-    let name = condition.column().name;
-    match schema.field_with_name(name) {
-        Ok(_) => Ok(()),
-        Err(_) => {
-            let names = comparable(schema).join(", ");
+    let missing = condition.columns().find(|column| schema.field_with_name(column.name).is_err());
+    match missing {
+        None => Ok(()),
+        Some(column) => {
+            let (name, names) = (column.name, comparable(schema).join(", "));
             Err(format!("must name a column of these rows, which have no {name}: {names}"))
         }
     }
 }
 
-/// Returns which rows meet a condition; none if the batch lacks its column.
+/// Returns which rows meet a condition; a comparison with a column that the batch lacks does not hold.
 pub fn mask(condition: &Condition, batch: &RecordBatch) -> BooleanArray {
-    let Some(column) = batch.column_by_name(condition.column().name) else {
-        return vec![false; batch.num_rows()].into();
+    let parts: Vec<(&Part, &dyn Array)> = condition
+        .parts()
+        .iter()
+        .filter_map(|part| Some((part, batch.column_by_name(part.column().name)?.as_ref())))
+        .collect();
+    let meets = |row: usize, (part, column): &(&Part, &dyn Array)| {
+        !column.is_null(row) && part.is_met(|operand| order(*column, row, operand))
     };
-    let meets = |row| condition.is_met(|operand| order(column.as_ref(), row, operand));
-    (0..batch.num_rows()).map(|row| Some(!column.is_null(row) && meets(row))).collect()
+    let rows = 0..batch.num_rows();
+    rows.map(|row| Some(parts.iter().any(|part| meets(row, part)))).collect()
 }
 
 /// Compares a value with an operand; `None` if their types differ or a number is NaN.

@@ -2,7 +2,7 @@
 //! Uses: `store`, `simulate` (Sim-Random's manifests). Never: HTTP, motion, a dataset that changes.
 //!
 //! PURE: `definition`, `filter`, `split`, `force_map`, `schema`, `batch`, `survey`, `select`,
-//! `sort`, `card`, `pressed`, `space`.
+//! `sort`, `card`, `package`, `prune`, `pressed`, `space`.
 //!
 //! ```text
 //! definition -> build: survey, batch, shards -> file DATA/datasets/ds-..  -> read, select -> format
@@ -29,4 +29,6 @@ pub mod pressed;
 pub mod build;
 pub mod export;
 pub mod import;
+pub mod package;
+pub mod prune;
 pub mod catalog;

@@ -45,6 +45,14 @@ pub fn all(channels: i32) -> Schema {
     Schema::new(TABLE.iter().map(|column| field(column, channels)).collect::<Vec<_>>())
 }
 
+/// The columns of stored trials, with frames of `channels` voltages.
+pub fn stored(channels: i32) -> SchemaRef {
+    let has = |field: &Arc<Field>| Column::find(field.name()).is_some_and(Column::is_of_stored);
+    let fields: Vec<_> =
+        all(channels).fields().iter().filter(|field| has(field)).cloned().collect();
+    Arc::new(Schema::new(fields))
+}
+
 /// A column as a field, with its unit.
 fn field(column: &Column, channels: i32) -> Field {
     let plain = |kind| match column.unit {

@@ -162,7 +162,12 @@ impl Selection {
                 Some(&column) => Some(column),
                 None => self.table.index_of(base::CONTACTS).ok(),
             })
-            .chain(self.filters.iter().filter_map(|f| self.table.index_of(f.column().name).ok()))
+            .chain(
+                self.filters
+                    .iter()
+                    .flat_map(Condition::columns)
+                    .filter_map(|column| self.table.index_of(column.name).ok()),
+            )
             .collect();
         needed.sort_unstable();
         needed.dedup();

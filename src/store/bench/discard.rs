@@ -45,7 +45,9 @@ impl Store {
                     Ok(stored.is_none().then_some(()))
                 },
             )
-            .await
+            .await?;
+        self.count_change(scan_id);
+        Ok(())
     }
 }
 

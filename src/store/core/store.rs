@@ -65,6 +65,8 @@ pub(crate) struct Inner {
     pub(crate) readers: SqlitePool,
     pub(crate) runs: Mutex<HashMap<RunUid, RunFacts>>,
     pub(crate) soundness: Mutex<Soundness>,
+    /// Number of changes of stored trials and of their twins, by scan id, since this store was opened.
+    pub(crate) changes: Mutex<HashMap<i64, u64>>,
 }
 
 impl Store {
@@ -121,13 +123,26 @@ impl Store {
             )
             .await
             .map_err(open)?;
-        let (path, runs, soundness) = (path.to_owned(), Mutex::default(), Mutex::default());
-        Ok(Self { inner: Arc::new(Inner { path, clock, writer, readers, runs, soundness }) })
+        let (path, changes) = (path.to_owned(), Mutex::default());
+        let (runs, soundness) = (Mutex::default(), Mutex::default());
+        let inner = Inner { path, clock, writer, readers, runs, soundness, changes };
+        Ok(Self { inner: Arc::new(inner) })
     }
 
     /// Returns the path of the database file.
     pub fn path(&self) -> &Path {
         &self.inner.path
+    }
+
+    /// Returns a number that grows with each stored twin and each discarded trial of a run: what was read
+    /// of a run that has ended is as it was while the number is. New trials do not count.
+    pub fn changes_of(&self, scan_id: i64) -> u64 {
+        self.inner.changes.lock().get(&scan_id).copied().unwrap_or_default()
+    }
+
+    /// Counts a change of the trials of a run, or of their twins.
+    pub(crate) fn count_change(&self, scan_id: i64) {
+        *self.inner.changes.lock().entry(scan_id).or_default() += 1;
     }
 
     /// Closes all connections after the submitted writes, and merges the log into the file.

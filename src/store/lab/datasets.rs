@@ -1,6 +1,8 @@
 //! Datasets: their rows, and from which inputs each was made.
 //! Uses: `core::writer`. Never: the files themselves, the meaning of a definition.
 
+use std::collections::BTreeMap;
+
 use jiff::Timestamp;
 use serde_json::Value;
 use sqlx::sqlite::SqliteRow;
@@ -213,5 +215,50 @@ impl Store {
             .await
             .during(OPERATION)?;
         rows.iter().map(|row| DatasetRow::read(row, OPERATION)).collect()
+    }
+
+    /// Returns what refers to datasets: models that were made of them, and jobs and waiting exports that
+    /// read them; as text, by dataset.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn dataset_users(&self) -> Result<BTreeMap<DatasetId, String>, StoreError> {
+        const OPERATION: &str = "reading what refers to datasets";
+        let users: Vec<(String, String)> = sqlx::query_as(
+            "SELECT d.id, 'model ' || m.id FROM datasets d JOIN models m ON instr(m.manifest, d.id) > 0
+             UNION ALL
+             SELECT dataset, kind || ' ' || id FROM tasks WHERE dataset IS NOT NULL
+                 AND (kind <> 'export' OR state IN ('waiting', 'running'))",
+        )
+        .fetch_all(&self.inner.readers)
+        .await
+        .during(OPERATION)?;
+        Ok(users.into_iter().map(|(id, user)| (DatasetId::unchecked(id), user)).collect())
+    }
+
+    /// Removes datasets to which nothing refers but exports that have ended.
+    ///
+    /// # Errors
+    /// `Sql`, `Late` or `Closed` if the write fails; a dataset that is referred to fails all.
+    pub async fn remove_datasets(&self, ids: Vec<DatasetId>) -> Result<(), StoreError> {
+        const OPERATION: &str = "removing datasets";
+        self.inner
+            .writer
+            .run(OPERATION, async move |connection| {
+                let statements = [
+                    "UPDATE tasks SET dataset = NULL WHERE dataset = ?1 AND kind = 'export'
+                         AND state NOT IN ('waiting', 'running')",
+                    "DELETE FROM dataset_inputs WHERE dataset = ?1",
+                    "DELETE FROM datasets WHERE id = ?1",
+                ];
+                for id in &ids {
+                    for sql in statements {
+                        let removed = sqlx::query(sql).bind(id.as_str());
+                        removed.execute(&mut *connection).await.during(OPERATION)?;
+                    }
+                }
+                Ok(())
+            })
+            .await
     }
 }

@@ -197,15 +197,22 @@ impl Store {
         twins: Vec<Twin>,
     ) -> Result<(), StoreError> {
         let now = self.now_text();
-        self.inner
+        let trials: Vec<i64> = twins.iter().map(|twin| twin.trial.0).collect();
+        let runs: Vec<i64> = self
+            .inner
             .writer
             .run(STORING, async move |connection| {
                 for twin in twins {
                     insert(connection, model, twin, &now).await?;
                 }
-                Ok(())
+                let runs = "SELECT DISTINCT run FROM trials \
+                            WHERE id IN (SELECT value FROM json_each(?1))";
+                let runs = sqlx::query_scalar(runs).bind(format!("{trials:?}"));
+                runs.fetch_all(connection).await.during(STORING)
             })
-            .await
+            .await?;
+        runs.into_iter().for_each(|run| self.count_change(run));
+        Ok(())
     }
 
     /// Returns the progress of the twins of a run with this model.

@@ -9,7 +9,7 @@ use super::query::{SELECT, SELECT_IDS, SELECT_WITH_VOLTAGES, TrialQuery};
 use super::trial_row::TrialRow;
 use crate::core::columns::Columns;
 use crate::core::{During, Store, StoreError};
-use crate::ids::TrialId;
+use crate::ids::{RunUid, TrialId};
 use crate::record::FrameRecord;
 
 const READING: &str = "reading trials";
@@ -87,6 +87,24 @@ impl Store {
         ids: &[TrialId],
     ) -> Result<Vec<TrialRow>, StoreError> {
         rows_of_ids(&mut *self.read(READING).await?, select, ids, READING).await
+    }
+
+    /// Returns the ids of the trials of a run in the order of storing, each with the number of the model
+    /// of its newest twin; 0 without a twin.
+    ///
+    /// # Errors
+    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
+    pub async fn newest_twins(&self, run: RunUid) -> Result<Vec<(TrialId, i64)>, StoreError> {
+        let scan_id = self.facts(run, READING).await?.scan_id;
+        let rows: Vec<(i64, i64)> = sqlx::query_as(
+            "SELECT t.id, coalesce((SELECT max(model) FROM twins w WHERE w.trial = t.id), 0)
+             FROM trials t INDEXED BY trials_in_order WHERE t.run = ?1 ORDER BY t.id",
+        )
+        .bind(scan_id)
+        .fetch_all(&self.inner.readers)
+        .await
+        .during(READING)?;
+        Ok(rows.into_iter().map(|(trial, model)| (TrialId(trial), model)).collect())
     }
 
     /// Returns the distinct numbers of channels of the frames of these trials, in ascending order.

@@ -102,6 +102,7 @@ async fn a_disk_that_hangs_is_waited_for_by_the_campaign_alone() {
             readers: inner.readers.clone(),
             runs: Mutex::default(),
             soundness: Mutex::default(),
+            changes: Mutex::default(),
         }),
     };
     let hanging = hang();

@@ -6,6 +6,7 @@ use sqlx::Row;
 use super::{Folder, open};
 use crate::core::store::PAGE_BYTES;
 use crate::digest::sha256_hex;
+use crate::table::{Of, TABLE};
 
 /// `migrations/SHA256SUMS` holds the sha256 of each merged migration. A line is added, never changed:
 /// `UPDATE=1` adds the line of a new file.
@@ -131,4 +132,28 @@ fn its_futures_may_move_between_threads() {
         movable(store.close());
     }
     let _ = methods;
+}
+
+/// Other programs read the database by views whose columns are those of the API.
+#[tokio::test]
+async fn the_views_have_the_columns_of_the_api() {
+    let folder = Folder::new();
+    let store = open(&folder.file()).await;
+    let columns = async |view: &str| -> Vec<String> {
+        let sql = format!("SELECT name FROM pragma_table_info('{view}')");
+        let names = sqlx::query_scalar(sqlx::AssertSqlSafe(sql));
+        names.fetch_all(&store.inner.readers).await.unwrap()
+    };
+    let stored: Vec<&str> = TABLE
+        .iter()
+        .filter(|column| !column.sql.is_empty() || matches!(column.of, Of::Flags))
+        .map(|column| column.name)
+        .collect();
+    assert_eq!(columns("trials_flat").await, stored);
+    assert_eq!(columns("runs_flat").await[..3], ["scan_id", "run", "experiment"]);
+    for view in ["trials_flat", "runs_flat"] {
+        let sql = sqlx::AssertSqlSafe(format!("SELECT count(*) FROM {view}"));
+        let rows: i64 = sqlx::query_scalar(sql).fetch_one(&store.inner.readers).await.unwrap();
+        assert_eq!(rows, 0);
+    }
 }

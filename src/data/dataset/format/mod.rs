@@ -15,7 +15,7 @@ mod npy;
 mod npz;
 mod parquet;
 mod stream;
-mod zone;
+pub(crate) mod zone;
 
 use std::fmt;
 use std::io::{self, Write};
@@ -23,7 +23,7 @@ use std::str::FromStr;
 
 use ::parquet::errors::ParquetError;
 use arrow_array::RecordBatch;
-use arrow_ipc::writer::StreamWriter;
+use arrow_ipc::writer::{FileWriter, StreamWriter};
 use arrow_json::LineDelimitedWriter;
 use arrow_schema::{ArrowError, DataType, SchemaRef};
 use serde::{Deserialize, Serialize};
@@ -41,6 +41,8 @@ pub enum Format {
     Parquet,
     /// Arrow IPC stream, uncompressed.
     Arrow,
+    /// Arrow IPC file (Feather 2), uncompressed: readers may map it and skip to a batch.
+    Feather,
     /// CSV (RFC 4180) with a header line. Lists of fixed length have a column for each item
     /// (`voltages_v_0`, `voltages_v_1` ...); other lists are a cell of JSON. A missing value is an
     /// empty cell.
@@ -63,7 +65,8 @@ struct Row {
 
 impl Format {
     /// All formats, in the order in which messages list them.
-    pub const ALL: [Self; 5] = [Self::Parquet, Self::Arrow, Self::Csv, Self::Ndjson, Self::Npz];
+    pub const ALL: [Self; 6] =
+        [Self::Parquet, Self::Arrow, Self::Feather, Self::Csv, Self::Ndjson, Self::Npz];
 
     /// The list of formats. Messages, commands, HTTP and `openapi.yaml` follow from it.
     fn row(self) -> Row {
@@ -80,6 +83,13 @@ impl Format {
                 extension: "arrows",
                 media_type: "application/vnd.apache.arrow.stream",
                 about: "Arrow IPC stream, uncompressed",
+                streams: true,
+            },
+            Self::Feather => Row {
+                name: "feather",
+                extension: "arrow",
+                media_type: "application/vnd.apache.arrow.file",
+                about: "Arrow IPC file (Feather 2), uncompressed",
                 streams: true,
             },
             Self::Csv => Row {
@@ -115,6 +125,7 @@ impl Format {
         Ok(match self {
             Self::Parquet => Box::new(parquet::Writer::new(schema, out)?),
             Self::Arrow => Box::new(StreamWriter::try_new(out, schema)?),
+            Self::Feather => Box::new(FileWriter::try_new(out, schema)?),
             Self::Csv => Box::new(csv::Writer::new(schema, out)?),
             Self::Ndjson => Box::new(LineDelimitedWriter::new(out)),
             Self::Npz => return Err(FormatError::NotAStream),

@@ -4,7 +4,7 @@
 use std::io::Write;
 
 use arrow_array::RecordBatch;
-use arrow_ipc::writer::StreamWriter;
+use arrow_ipc::writer::{FileWriter, StreamWriter};
 use arrow_json::LineDelimitedWriter;
 use arrow_schema::SchemaRef;
 
@@ -59,6 +59,16 @@ impl<W: Write + Send> RowWriter<W> for parquet::Writer<W> {
 }
 
 impl<W: Write + Send> RowWriter<W> for StreamWriter<W> {
+    fn push_batch(&mut self, batch: &RecordBatch) -> Result<(), FormatError> {
+        Ok(self.write(batch)?)
+    }
+
+    fn end(self: Box<Self>) -> Result<W, FormatError> {
+        Ok(self.into_inner()?)
+    }
+}
+
+impl<W: Write + Send> RowWriter<W> for FileWriter<W> {
     fn push_batch(&mut self, batch: &RecordBatch) -> Result<(), FormatError> {
         Ok(self.write(batch)?)
     }

@@ -13,7 +13,7 @@ use arrow_array::{
     UInt32Array, UInt64Array,
 };
 use arrow_buffer::{NullBuffer, OffsetBuffer};
-use arrow_ipc::reader::StreamReader;
+use arrow_ipc::reader::{FileReader, StreamReader};
 use arrow_schema::{DataType, Field, Fields, Schema, SchemaRef};
 use bytes::Bytes;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
@@ -177,6 +177,15 @@ fn parquet_reads_back_with_its_row_groups_and_footer() {
 fn arrow_reads_back() {
     let rows = sample();
     let reader = StreamReader::try_new(Cursor::new(bytes_of(Format::Arrow, &rows)), None).unwrap();
+    assert_eq!(reader.schema(), rows.schema());
+    assert_eq!(reader.map(Result::unwrap).collect::<Vec<_>>(), rows.batches);
+}
+
+#[test]
+fn feather_reads_back() {
+    let rows = sample();
+    let file = Cursor::new(bytes_of(Format::Feather, &rows));
+    let reader = FileReader::try_new(file, None).unwrap();
     assert_eq!(reader.schema(), rows.schema());
     assert_eq!(reader.map(Result::unwrap).collect::<Vec<_>>(), rows.batches);
 }

@@ -1,0 +1,349 @@
+//! Groups of rows and their aggregates, by the conditions of filters, as a statement of the engine:
+//! `group_by=contact_count`, `bin=depth_mm:0.5`, `agg=count,mean(fvu)`.
+//! PURE. Uses: `store`'s columns and conditions. Never: a text of a request inside a statement, except
+//! quoted.
+
+use std::fmt;
+
+use crate::store::table::{self, Column, Kind};
+use crate::store::{Condition, TrialQuery};
+
+/// Largest number of bins, aggregates and columns of groups together.
+const PARTS_MAX: usize = 32;
+
+/// What a group has in common.
+#[derive(Debug, Clone, PartialEq)]
+enum Key {
+    /// A value of a column.
+    Value(&'static str),
+    /// A range of values of a column; holds its width, in the unit of the column.
+    Bin(&'static str, f64),
+}
+
+/// A value of a group.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Function {
+    Count,
+    Mean,
+    Min,
+    Max,
+    Sum,
+    Median,
+    Std,
+    /// Quantile of this many percent.
+    Quantile(u8),
+}
+
+/// A value of a group, of a column or (the count) of its rows.
+#[derive(Debug, Clone, PartialEq)]
+struct Aggregate {
+    function: Function,
+    column: Option<&'static str>,
+}
+
+/// Groups, their aggregates, and their order.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Grouping {
+    keys: Vec<Key>,
+    aggregates: Vec<Aggregate>,
+    sort: Vec<(String, bool)>,
+}
+
+impl Grouping {
+    /// Whether a parameter of a query string belongs to groups.
+    pub fn has(key: &str) -> bool {
+        matches!(key, "group_by" | "bin" | "agg")
+    }
+
+    /// Applies a parameter: `group_by`, `bin`, `agg` or `sort`; `false` for other keys.
+    ///
+    /// # Errors
+    /// A message that names the invalid part and the choices.
+    pub fn apply(&mut self, key: &str, value: &str) -> Result<bool, String> {
+        let parts = value.split(',').map(str::trim).filter(|part| !part.is_empty());
+        for part in parts {
+            // A refusal repeats the whole value.
+            let named =
+                |limit: String| if part == value { limit } else { format!("{part}: {limit}") };
+            match key {
+                "group_by" => self.keys.push(Key::Value(comparable(part).map_err(named)?)),
+                "bin" => self.keys.push(bin(part).map_err(named)?),
+                "agg" => self.aggregates.push(aggregate(part).map_err(named)?),
+                "sort" => {
+                    let descending = part.starts_with('-');
+                    self.sort.push((part.trim_start_matches('-').to_owned(), descending));
+                }
+                _ => return Ok(false),
+            }
+        }
+        if self.keys.len() + self.aggregates.len() > PARTS_MAX {
+            return Err(format!("must be at most {PARTS_MAX} columns, bins and aggregates"));
+        }
+        Ok(matches!(key, "group_by" | "bin" | "agg" | "sort"))
+    }
+
+    /// Returns the statement for the groups of the rows of `table` that meet all conditions.
+    ///
+    /// # Errors
+    /// A message with the columns of the result if `sort` names another one.
+    pub fn sql(&self, table: &str, conditions: &[String], limit: u32) -> Result<String, String> {
+        let counted = [Aggregate { function: Function::Count, column: None }];
+        let aggregates = if self.aggregates.is_empty() { &counted[..] } else { &self.aggregates };
+        let keys: Vec<String> = self.keys.iter().map(Key::name).collect();
+        let names: Vec<String> =
+            keys.iter().cloned().chain(aggregates.iter().map(ToString::to_string)).collect();
+        let mut order = Vec::new();
+        for (name, descending) in &self.sort {
+            if !names.contains(name) {
+                return Err(format!("sort = {name}: must be of {}", names.join(", ")));
+            }
+            let direction = if *descending { " DESC" } else { "" };
+            order.push(format!("{name}{direction} NULLS LAST"));
+        }
+        // Polars refuses a key that is repeated.
+        let more = keys.iter().filter(|key| !self.sort.iter().any(|(name, _)| name == *key));
+        order.extend(more.map(|key| format!("{key} NULLS LAST")));
+        let values = self.keys.iter().map(Key::sql).chain(aggregates.iter().map(Aggregate::sql));
+        let values: Vec<String> =
+            values.zip(&names).map(|(value, name)| format!("{value} AS {name}")).collect();
+        let mut sql = format!("SELECT {} FROM {}", values.join(", "), quoted(table));
+        if !conditions.is_empty() {
+            sql += &format!(" WHERE {}", conditions.join(" AND "));
+        }
+        if !keys.is_empty() {
+            sql += &format!(" GROUP BY {}", keys.join(", "));
+        }
+        if !order.is_empty() {
+            sql += &format!(" ORDER BY {}", order.join(", "));
+        }
+        Ok(format!("{sql} LIMIT {limit}"))
+    }
+}
+
+/// Returns the conditions of a selection of trials as SQL of the engine.
+pub fn conditions(query: &TrialQuery) -> Vec<String> {
+    let run = query.run.iter().map(|run| format!("run = '{run}'"));
+    let filters = query.filters.iter().map(Condition::to_sql);
+    let flagged = query
+        .flagged
+        .iter()
+        .map(|flagged| format!("ARRAY_LENGTH(flags) {} 0", if *flagged { ">" } else { "=" }));
+    let flags =
+        query.flags.iter().map(|flag| format!("ARRAY_CONTAINS(flags, '{}')", flag.as_str()));
+    run.chain(filters).chain(flagged).chain(flags).collect()
+}
+
+/// Returns the statement for the ids of a page of trials in the order of a column.
+///
+/// # Errors
+/// A message with the columns of scalars if there is no such column.
+pub fn sorted_ids(
+    query: &TrialQuery,
+    column: &str,
+    descending: bool,
+    from: u64,
+) -> Result<String, String> {
+    let column = comparable(column)?;
+    let conditions = conditions(query);
+    let filter = match conditions.is_empty() {
+        true => String::new(),
+        false => format!(" WHERE {}", conditions.join(" AND ")),
+    };
+    let direction = if descending { " DESC" } else { "" };
+    Ok(format!(
+        "SELECT trial_id FROM trials{filter} ORDER BY {column}{direction} NULLS LAST, trial_id \
+         LIMIT {} OFFSET {from}",
+        query.limit
+    ))
+}
+
+fn comparable(name: &str) -> Result<&'static str, String> {
+    let is_comparable = |column: &Column| column.kind() != Kind::List;
+    match Column::find(name).filter(|column| is_comparable(column)) {
+        Some(column) => Ok(column.name),
+        None => Err(format!("must be a column: {}", table::names(is_comparable))),
+    }
+}
+
+fn number(name: &str) -> Result<&'static str, String> {
+    let is_number = |column: &Column| column.kind() == Kind::Number;
+    match Column::find(name).filter(|column| is_number(column)) {
+        Some(column) => Ok(column.name),
+        None => Err(format!("must be a column of numbers: {}", table::names(is_number))),
+    }
+}
+
+fn bin(text: &str) -> Result<Key, String> {
+    let form = || "must be COLUMN:WIDTH, such as depth_mm:0.5".to_owned();
+    let (column, width) = text.split_once(':').ok_or_else(form)?;
+    match width.parse::<f64>() {
+        Ok(width) if width.is_finite() && width > 0.0 => Ok(Key::Bin(number(column)?, width)),
+        _ => Err("must have a width that is a number above 0".into()),
+    }
+}
+
+fn aggregate(text: &str) -> Result<Aggregate, String> {
+    const CHOICES: &str = "must be count, or count, mean, min, max, sum, median, std, or a quantile \
+                           (q05, q90) of a column: mean(fvu)";
+    if text == "count" {
+        return Ok(Aggregate { function: Function::Count, column: None });
+    }
+    let unknown = || CHOICES.to_owned();
+    let (function, column) =
+        text.strip_suffix(')').and_then(|text| text.split_once('(')).ok_or_else(unknown)?;
+    let function = match function {
+        "count" => Function::Count,
+        "mean" => Function::Mean,
+        "min" => Function::Min,
+        "max" => Function::Max,
+        "sum" => Function::Sum,
+        "median" => Function::Median,
+        "std" => Function::Std,
+        quantile => {
+            let digits = quantile.strip_prefix('q').filter(|digits| digits.len() == 2);
+            Function::Quantile(digits.and_then(|digits| digits.parse().ok()).ok_or_else(unknown)?)
+        }
+    };
+    let column = match function {
+        Function::Count | Function::Min | Function::Max => comparable(column)?,
+        _ => number(column)?,
+    };
+    Ok(Aggregate { function, column: Some(column) })
+}
+
+/// A name of a table in a statement.
+fn quoted(table: &str) -> String {
+    format!("\"{}\"", table.replace('"', "\"\""))
+}
+
+impl Key {
+    fn name(&self) -> String {
+        match self {
+            Self::Value(column) => (*column).to_owned(),
+            Self::Bin(column, _) => format!("from_{column}"),
+        }
+    }
+
+    fn sql(&self) -> String {
+        match self {
+            Self::Value(column) => (*column).to_owned(),
+            // Rounded: 3 x 0.1 is no multiple of 0.1.
+            Self::Bin(column, width) => {
+                format!("ROUND(FLOOR(CAST({column} AS DOUBLE) / {width}) * {width}, 9)")
+            }
+        }
+    }
+}
+
+impl Aggregate {
+    fn sql(&self) -> String {
+        let column = self.column.unwrap_or("*");
+        match self.function {
+            Function::Count => format!("COUNT({column})"),
+            // In double precision, whatever the column has.
+            Function::Mean => format!("AVG(CAST({column} AS DOUBLE))"),
+            Function::Min => format!("MIN({column})"),
+            Function::Max => format!("MAX({column})"),
+            Function::Sum => format!("SUM(CAST({column} AS DOUBLE))"),
+            Function::Median => format!("MEDIAN({column})"),
+            Function::Std => format!("STDDEV(CAST({column} AS DOUBLE))"),
+            Function::Quantile(percent) => {
+                format!("QUANTILE_CONT({column}, {})", f64::from(percent) / 100.0)
+            }
+        }
+    }
+}
+
+impl fmt::Display for Aggregate {
+    /// The name of the column in the result.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.function {
+            Function::Count => f.write_str("count")?,
+            Function::Mean => f.write_str("mean")?,
+            Function::Min => f.write_str("min")?,
+            Function::Max => f.write_str("max")?,
+            Function::Sum => f.write_str("sum")?,
+            Function::Median => f.write_str("median")?,
+            Function::Std => f.write_str("std")?,
+            Function::Quantile(percent) => write!(f, "q{percent:02}")?,
+        }
+        self.column.map_or(Ok(()), |column| write!(f, "_{column}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::Flag;
+
+    fn grouping(pairs: &[(&str, &str)]) -> Result<Grouping, String> {
+        let mut grouping = Grouping::default();
+        for (key, value) in pairs {
+            assert!(grouping.apply(key, value)?, "{key}");
+        }
+        Ok(grouping)
+    }
+
+    #[test]
+    fn groups_are_one_statement_in_the_order_of_their_keys() {
+        let pairs = [("group_by", "tips"), ("bin", "depth_mm:0.5"), ("agg", "count,q90(fvu)")];
+        let conditions = ["fvu < 1".to_owned(), "tips = 4".to_owned()];
+        assert_eq!(
+            grouping(&pairs).unwrap().sql("ds-1", &conditions, 9).unwrap(),
+            "SELECT tips AS tips, \
+             ROUND(FLOOR(CAST(depth_mm AS DOUBLE) / 0.5) * 0.5, 9) AS from_depth_mm, \
+             COUNT(*) AS count, QUANTILE_CONT(fvu, 0.9) AS q90_fvu FROM \"ds-1\" \
+             WHERE fvu < 1 AND tips = 4 GROUP BY tips, from_depth_mm \
+             ORDER BY tips NULLS LAST, from_depth_mm NULLS LAST LIMIT 9"
+        );
+        let whole = grouping(&[("agg", "mean(fvu)")]).unwrap().sql("trials", &[], 1).unwrap();
+        assert_eq!(whole, "SELECT AVG(CAST(fvu AS DOUBLE)) AS mean_fvu FROM \"trials\" LIMIT 1");
+        let sorted = grouping(&[("group_by", "label"), ("sort", "-count")]).unwrap();
+        assert!(
+            sorted
+                .sql("trials", &[], 1)
+                .unwrap()
+                .contains("GROUP BY label ORDER BY count DESC NULLS LAST, label NULLS LAST")
+        );
+    }
+
+    #[test]
+    fn what_is_wrong_names_the_choices() {
+        let wrong = |key, value| grouping(&[(key, value)]).unwrap_err();
+        assert!(wrong("group_by", "colour").starts_with("must be a column: trial_id"));
+        assert!(wrong("group_by", "tips,colour").starts_with("colour: must be a column"));
+        assert!(wrong("group_by", "voltages_v").contains("must be a column: trial_id"));
+        assert!(wrong("bin", "label:2").contains("of numbers: trial_id"));
+        assert!(wrong("bin", "depth_mm").contains("COLUMN:WIDTH"));
+        assert!(wrong("bin", "depth_mm:0").contains("above 0"));
+        assert!(wrong("agg", "mode(fvu)").contains("q05, q90"));
+        assert!(wrong("agg", "mean(label)").contains("of numbers"));
+        assert!(wrong("agg", "fvu); DROP TABLE trials").contains("must be count"));
+        let sort = grouping(&[("group_by", "tips"), ("sort", "fvu")]).unwrap();
+        assert_eq!(sort.sql("trials", &[], 1).unwrap_err(), "sort = fvu: must be of tips, count");
+        let many = vec!["count"; PARTS_MAX + 1].join(",");
+        assert!(wrong("agg", &many).contains("at most 32"));
+    }
+
+    #[test]
+    fn a_selection_of_trials_is_a_list_of_conditions() {
+        let query = TrialQuery {
+            filters: vec![Condition::parse("tips=4|fvu__gt=1").unwrap()],
+            flags: vec![Flag::Unsettled],
+            flagged: Some(false),
+            limit: 5,
+            ..TrialQuery::default()
+        };
+        let all = "(tips = 4 OR fvu > 1) AND ARRAY_LENGTH(flags) = 0 AND \
+                   ARRAY_CONTAINS(flags, 'unsettled')";
+        assert_eq!(conditions(&query).join(" AND "), all);
+        assert_eq!(
+            sorted_ids(&query, "fvu", true, 10).unwrap(),
+            format!(
+                "SELECT trial_id FROM trials WHERE {all} ORDER BY fvu DESC NULLS LAST, trial_id \
+                 LIMIT 5 OFFSET 10"
+            )
+        );
+        assert!(sorted_ids(&query, "contacts", true, 0).is_err());
+    }
+}

@@ -1,0 +1,92 @@
+//! Questions in SQL: a SELECT statement over the stored trials and the datasets.
+//! Uses: `dataset::{catalog, format}`, `store`, `words::{program, query_lines}`. Never: a write to the store, SQL
+//! of its own, an answer that the campaign waits for.
+//!
+//! ```text
+//! statement -> engine (a process): which tables?   -> tables: their Parquet files
+//!                                                      ended run:  its dataset, if it is current
+//!                                                      other runs: pieces of 1000 trials, kept
+//!              engine: evaluates                   <-
+//!           -> rows: batches, as they arrive
+//! ```
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::sync::Semaphore;
+use tokio::time::timeout;
+
+mod engine;
+mod error;
+pub mod groups;
+mod pieces;
+mod records;
+mod rows;
+mod tables;
+
+pub use engine::{MEMORY_MAX_BYTES, QUERY};
+pub use error::QueryError;
+pub use rows::ResultRows;
+pub use tables::{TABLES, TableAbout};
+
+use crate::dataset::catalog::Catalog;
+use crate::store::Store;
+use engine::{Engine, Starter};
+use tables::Tables;
+
+/// Longest time of a query, without that of sending its result.
+pub const TIME_MAX: Duration = Duration::from_secs(60);
+/// Longest wait for the turn of a query.
+pub const TURN: Duration = Duration::from_secs(10);
+/// Queries in progress; further ones wait.
+pub const QUERIES: usize = 2;
+/// Largest number of rows of a result.
+pub const ROWS_MAX: u64 = 1_000_000;
+
+/// The queries of a service. Clones share them.
+#[derive(Clone)]
+pub struct Queries {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    tables: Tables,
+    starter: Starter,
+    turns: Arc<Semaphore>,
+}
+
+impl Queries {
+    /// Queries over the store and the datasets of a data folder.
+    pub fn new(store: Store, datasets: Catalog, data: &Path) -> Self {
+        let turns = Arc::new(Semaphore::new(QUERIES));
+        let tables = Tables::new(store, datasets, data);
+        Self { inner: Arc::new(Inner { tables, starter: Starter::default(), turns }) }
+    }
+
+    /// Evaluates a SELECT statement. If the result or this future is dropped, the evaluation ends.
+    ///
+    /// # Errors
+    /// `QueryError::Refused` if the statement is invalid, or needs more time, memory or rows than a
+    /// query may use; `Building` while the engine is built, `Busy` if no turn comes; another variant
+    /// if files, the store or the engine fail.
+    pub async fn answer(&self, sql: &str) -> Result<ResultRows, QueryError> {
+        let program = self.inner.starter.program()?;
+        let turn = timeout(TURN, self.inner.turns.clone().acquire_owned()).await;
+        let turn = turn.map_err(|_| QueryError::Busy)?.map_err(|_| QueryError::Busy)?;
+        let work = async {
+            let (engine, names) = Engine::start(&program, sql, ROWS_MAX).await?;
+            let (tables, records) = self.inner.tables.of_names(&names).await?;
+            let answer = engine.evaluate(&tables).await;
+            drop(records);
+            answer
+        };
+        let (engine, count) = timeout(TIME_MAX, work).await.map_err(|_| {
+            QueryError::Refused(format!(
+                "takes more than {} s: select fewer rows, runs or columns",
+                TIME_MAX.as_secs()
+            ))
+        })??;
+        ResultRows::read(engine, count, turn).await
+    }
+}

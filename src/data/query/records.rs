@@ -1,0 +1,167 @@
+//! What the store holds besides trials, as tables: runs, events, reference presses.
+//! Uses: `store`, arrow-json, `dataset::format`. Never: the texts of files that a run was made of.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use arrow_array::RecordBatch;
+use arrow_json::ReaderBuilder;
+use arrow_schema::{DataType, Field, Schema, SchemaRef, TimeUnit};
+use serde_json::{Value, json};
+
+use crate::dataset::error::DatasetError;
+use crate::dataset::format::{Format, Stream, zone};
+use crate::new_file::NewFile;
+use crate::store::{RunRow, Store};
+
+/// Events of a page.
+const PAGE: u32 = 10_000;
+/// Rows that the decoder holds: its default.
+const BATCH: usize = 1024;
+
+/// A file that is removed with this value.
+#[derive(Debug)]
+pub struct Scratch(pub PathBuf);
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        // A file that stays is removed with the unused pieces.
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+/// The rows of a table, and its columns.
+pub struct Records {
+    schema: SchemaRef,
+    rows: Vec<Value>,
+}
+
+impl Records {
+    /// Writes the rows to a file in `folder`.
+    ///
+    /// # Errors
+    /// `DatasetError` if it cannot be written.
+    pub fn write(&self, folder: &Path) -> Result<Scratch, DatasetError> {
+        let failed = DatasetError::file("writing a table in", folder);
+        let file = NewFile::create(folder).map_err(&failed)?;
+        let name = format!("records-{}.parquet", uuid::Uuid::now_v7());
+        let empty = RecordBatch::new_empty(self.schema.clone());
+        let named = zone::renamed(&empty, zone::OFFSET, zone::NAME)?.schema();
+        let mut stream = Stream::new(Format::Parquet, &named, file)?;
+        let mut decoder = ReaderBuilder::new(self.schema.clone()).build_decoder()?;
+        for rows in self.rows.chunks(BATCH) {
+            decoder.serialize(rows)?;
+            if let Some(batch) = decoder.flush()? {
+                stream.push(&zone::renamed(&batch, zone::OFFSET, zone::NAME)?)?;
+            }
+        }
+        stream.finish()?.finish(&name).map_err(failed)?;
+        Ok(Scratch(folder.join(name)))
+    }
+}
+
+fn columns(fields: &[(&str, DataType)]) -> SchemaRef {
+    let fields = fields.iter().map(|(name, kind)| Field::new(*name, kind.clone(), true));
+    Arc::new(Schema::new(fields.collect::<Vec<_>>()))
+}
+
+fn time() -> DataType {
+    DataType::Timestamp(TimeUnit::Millisecond, Some(zone::OFFSET.into()))
+}
+
+/// One row for each run.
+pub fn runs(runs: &[RunRow]) -> Records {
+    let schema = columns(&[
+        ("scan_id", DataType::Int64),
+        ("run", DataType::Utf8),
+        ("experiment", DataType::Utf8),
+        ("kind", DataType::Utf8),
+        ("label", DataType::Utf8),
+        ("state", DataType::Utf8),
+        ("exit_status", DataType::Utf8),
+        ("reason", DataType::Utf8),
+        ("trials_planned", DataType::Int64),
+        ("deadband_n", DataType::Float64),
+        ("tip_diameter_mm", DataType::Float64),
+        ("calibration_id", DataType::Utf8),
+        ("seed", DataType::UInt64),
+        ("version", DataType::Utf8),
+        ("submitted_by", DataType::Utf8),
+        ("created_at", time()),
+        ("started_at", time()),
+        ("ended_at", time()),
+    ]);
+    let row = |run: &RunRow| {
+        json!({
+            "scan_id": run.scan_id, "run": run.uid, "experiment": run.experiment, "kind": run.kind,
+            "label": run.label, "state": run.state, "exit_status": run.exit_status,
+            "reason": run.reason, "trials_planned": run.trials_planned,
+            "deadband_n": run.deadband_n, "tip_diameter_mm": run.tip_diameter_mm,
+            "calibration_id": run.calibration_id, "seed": run.seed, "version": run.version,
+            "submitted_by": run.submitted_by, "created_at": run.created_at,
+            "started_at": run.started_at, "ended_at": run.ended_at,
+        })
+    };
+    Records { schema, rows: runs.iter().map(row).collect() }
+}
+
+/// One row for each event.
+///
+/// # Errors
+/// `StoreError` if the events cannot be read.
+pub async fn events(store: &Store, runs: &[RunRow]) -> Result<Records, DatasetError> {
+    let schema = columns(&[
+        ("seq", DataType::Int64),
+        ("scan_id", DataType::Int64),
+        ("at", time()),
+        ("kind", DataType::Utf8),
+        ("data", DataType::Utf8),
+    ]);
+    let mut rows = Vec::new();
+    let mut after = 0;
+    loop {
+        let page = store.events_since(after, PAGE, None, &[]).await?;
+        let Some(last) = page.last() else { break };
+        after = last.seq;
+        rows.extend(page.into_iter().map(|event| {
+            let run = runs.iter().find(|run| Some(run.uid) == event.run);
+            json!({
+                "seq": event.seq, "scan_id": run.map(|run| run.scan_id), "at": event.at,
+                "kind": event.kind, "data": event.data.to_string(),
+            })
+        }));
+    }
+    Ok(Records { schema, rows })
+}
+
+/// One row for each load cell of each reference press.
+///
+/// # Errors
+/// `StoreError` if they cannot be read.
+pub async fn references(store: &Store, runs: &[RunRow]) -> Result<Records, DatasetError> {
+    let schema = columns(&[
+        ("scan_id", DataType::Int64),
+        ("before_configuration", DataType::Int64),
+        ("depth_mm", DataType::Float64),
+        ("reached_z_mm", DataType::Float64),
+        ("arm", DataType::Int64),
+        ("x_mm", DataType::Float64),
+        ("y_mm", DataType::Float64),
+        ("force_n", DataType::Float64),
+        ("at", time()),
+    ]);
+    let mut rows = Vec::new();
+    for run in runs {
+        for press in store.references(run.uid).await? {
+            rows.extend(press.arms.iter().map(|arm| {
+                json!({
+                    "scan_id": run.scan_id, "before_configuration": press.before_configuration,
+                    "depth_mm": press.depth_mm, "reached_z_mm": press.reached.z_mm,
+                    "arm": arm.arm, "x_mm": arm.x_mm, "y_mm": arm.y_mm, "force_n": arm.force_n,
+                    "at": press.at,
+                })
+            }));
+        }
+    }
+    Ok(Records { schema, rows })
+}
