@@ -136,6 +136,7 @@ class Page:
         kept = ("LANG", "CARGO_HOME", "CARGO_TARGET_DIR", "RUSTUP_HOME", "PALPATE_CHROMIUM")
         self.environment = {name: os.environ[name] for name in kept if name in os.environ} | {
             "HOME": str(folder / "home"), "PYTHONDONTWRITEBYTECODE": "1",
+            "PYTHONPATH": str(self.copy / "python/src"),  # `palpate` for Python, without an installation
             "PATH": f"{folder / 'bin'}:{python}:{os.environ['PATH']}:/usr/sbin"}
         home = pathlib.Path.home()
         for name, place in (("CARGO_HOME", ".cargo"), ("RUSTUP_HOME", ".rustup")):
