@@ -4,11 +4,11 @@
 
 pub use palpate_words::{
     carried, chance, clock, commit, digest, file_kind, ids, journal, locate, near, new_file, plain,
-    problem, record, state, syntax, toml_words,
+    problem, program, record, state, syntax, toml_words,
 };
 
 pub use palpate_bench::{campaign, rig, schedule};
-pub use palpate_data::dataset;
+pub use palpate_data::{dataset, query};
 pub use palpate_model::{calibrate, figure, overlay, simulate};
 pub use palpate_service::{api, conductor, placement, twins};
 pub use palpate_store as store;

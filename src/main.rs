@@ -211,6 +211,15 @@ mod tests {
         }
     }
 
+    /// The arguments of a typed command: what single quotes enclose is one.
+    fn arguments(typed: &str) -> Vec<&str> {
+        let parts = typed.split('\'').enumerate().flat_map(|(n, part)| match n % 2 {
+            0 => part.split_whitespace().collect(),
+            _ => vec![part],
+        });
+        parts.collect()
+    }
+
     #[test]
     fn the_help_of_every_command_ends_with_examples_that_can_be_typed() {
         let mut root = command_line();
@@ -230,7 +239,7 @@ mod tests {
                 let words =
                     line.split(" | ").find_map(|part| Some(&part[part.find("palpate ")?..]));
                 let words = words.unwrap_or_else(|| panic!("{line}: not a command"));
-                let read = command_line().try_get_matches_from(words.split_whitespace());
+                let read = command_line().try_get_matches_from(arguments(words));
                 let error = read.err().map(|error| error.to_string());
                 assert_eq!(error, None, "{line}");
                 assert!(words.starts_with(format!("palpate {path}").trim()), "{path}: {line}");

@@ -18,7 +18,7 @@ use super::files::{read_as, read_input};
 use super::output::{bytes, counted, say, say_json};
 use super::progress::progress_bar;
 use super::start_time::local;
-use super::table::{Align, Table};
+use super::table::{Align, Table, or_dash};
 use super::{At, embed};
 use crate::dataset::export::ExportRequest;
 use crate::dataset::format::Format;
@@ -53,6 +53,8 @@ enum What {
     /// The service writes it first, resumes after a restart and reports its progress; then the file
     /// is downloaded, resumed if a connection breaks, and its sha256 checked.
     Export(ExportArgs),
+    /// Remove the older datasets of each name, except those that a model or a job needs.
+    Prune(PruneArgs),
     /// Import trials measured elsewhere, as a separate run.
     ///
     /// FILE is Parquet with the columns of the trials table, of which `voltages_v` and `contacts`
@@ -78,6 +80,18 @@ struct MakeArgs {
     /// existing dataset, or `run-N`.
     #[arg(value_name = "DATASET.toml|NAME")]
     what: PathBuf,
+    #[command(flatten)]
+    at: At,
+}
+
+#[derive(Debug, Args)]
+struct PruneArgs {
+    /// Number of datasets of each name that stay, the newest ones.
+    #[arg(long, value_name = "N", default_value_t = std::num::NonZeroU32::MIN)]
+    keep: std::num::NonZeroU32,
+    /// Show what would be removed, and remove nothing.
+    #[arg(long)]
+    dry_run: bool,
     #[command(flatten)]
     at: At,
 }
@@ -153,11 +167,15 @@ pub async fn dataset(args: DatasetArgs) -> Result<(), CliError> {
     match args.what {
         What::List(at) => {
             let json = at.json;
-            embed::with_server(&at, move |client| async move { list(&client, json).await }).await
+            embed::reading(&at, move |client| async move { list(&client, json).await }).await
         }
         What::Show(args) => {
             let at = args.at.clone();
-            embed::with_server(&at, move |client| async move { show(&client, &args).await }).await
+            embed::reading(&at, move |client| async move { show(&client, &args).await }).await
+        }
+        What::Prune(args) => {
+            let at = args.at.clone();
+            embed::reading(&at, move |client| async move { prune(&client, &args).await }).await
         }
         What::Make(args) => {
             let at = args.at.clone();
@@ -203,6 +221,42 @@ async fn list(client: &Client, json: bool) -> Result<(), CliError> {
     let names: Vec<&str> =
         found["definitions"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
     say(format_args!("palpate dataset make NAME, of: {}, run-N", names.join(", ")));
+    Ok(())
+}
+
+async fn prune(client: &Client, args: &PruneArgs) -> Result<(), CliError> {
+    let body = json!({ "keep": args.keep, "dry_run": args.dry_run });
+    let pruned: Value = client.patient(MAKING).post("/api/v1/datasets/prune", &body).await?;
+    if args.at.json {
+        say_json(&pruned);
+        return Ok(());
+    }
+    let heads = [
+        ("dataset", Align::Left),
+        ("name", Align::Left),
+        ("size", Align::Right),
+        ("last used", Align::Left),
+        ("", Align::Left),
+    ];
+    let mut table = Table::new(&heads, "there are no datasets");
+    for row in pruned["datasets"].as_array().into_iter().flatten() {
+        let used = row["last_used_at"].as_str().and_then(|at| at.parse().ok());
+        let gone = if args.dry_run { "would be removed" } else { "removed" };
+        let stays = row["stays"].as_str().map(|why| format!("stays: {why}"));
+        table.push([
+            text(&row["id"]).to_owned(),
+            text(&row["name"]).to_owned(),
+            bytes(row["bytes"].as_f64().unwrap_or_default()),
+            or_dash(used.map(local)),
+            stays.unwrap_or_else(|| gone.to_owned()),
+        ]);
+    }
+    say(&table);
+    let freed = bytes(pruned["freed_bytes"].as_f64().unwrap_or_default());
+    say(match args.dry_run {
+        true => format!("{freed} would be freed; without --dry-run it is removed"),
+        false => format!("{freed} freed"),
+    });
     Ok(())
 }
 

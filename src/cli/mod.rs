@@ -50,6 +50,7 @@ mod plan;
 mod plan_plot;
 mod print;
 mod progress;
+mod query;
 mod queue;
 mod read_only;
 mod repeat;
@@ -204,6 +205,13 @@ pub enum Command {
     Runs(morning::RunsArgs),
     /// List stored trials, newest first.
     Trials(morning::TrialsArgs),
+    /// Ask a question in SQL about trials, runs, events and datasets.
+    ///
+    /// Prints a table, or writes CSV, NDJSON, Parquet or Arrow. Without a statement it lists the
+    /// tables. Nothing can be written by a statement.
+    Query(query::QueryArgs),
+    /// Draw the answer to a question: counts, force over depth, FVU, a histogram, or a statement.
+    Plot(query::PlotArgs),
     /// List what happened, or follow it.
     Events(morning::EventsArgs),
     /// Draw a run or a trial: facts, map, forces, frame.
@@ -291,6 +299,8 @@ async fn answer(command: Command) -> Result<ExitCode, CliError> {
         Command::Sensor(args) => sensor::sensor(&args)?,
         Command::Runs(args) => morning::runs(args).await?,
         Command::Trials(args) => morning::trials(args).await?,
+        Command::Query(args) => query::query(args).await?,
+        Command::Plot(args) => query::plot(args).await?,
         Command::Events(args) => morning::events(args).await?,
         Command::Show(args) => morning::show(args).await?,
         Command::Report(args) => morning::report(args).await?,

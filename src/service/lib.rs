@@ -3,10 +3,12 @@
 //! Uses: all chapters before it. Never: motion but by asking the campaign for it.
 
 use palpate_bench::{campaign, rig, schedule};
-use palpate_data::dataset;
+use palpate_data::{dataset, query};
 use palpate_model::{overlay, simulate};
 use palpate_store as store;
 use palpate_touch::{evaluate, infer, jobs, learn};
+#[cfg(test)]
+use palpate_words::query_lines;
 use palpate_words::{
     carried, clock, commit, digest, ids, journal, new_file, plain, problem, record, state, syntax,
 };

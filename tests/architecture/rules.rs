@@ -14,7 +14,7 @@ pub const CHAPTERS: [(&str, &[&str]); 9] = [
     ("bench", &["schedule", "rig", "campaign"]),
     ("store", &["store"]),
     ("model", &["figure", "calibrate", "simulate", "overlay"]),
-    ("data", &["dataset"]),
+    ("data", &["dataset", "query"]),
     ("touch", &["learn", "infer", "evaluate", "jobs"]),
     ("service", &["conductor", "twins", "placement", "api"]),
     ("studies", &STUDIES),
@@ -37,7 +37,7 @@ pub const STUDIES: [&str; 11] = [
 ];
 
 /// What everything may use and what uses nothing but each other.
-pub const VOCABULARY: [&str; 17] = [
+pub const VOCABULARY: [&str; 19] = [
     "carried",
     "chance",
     "clock",
@@ -51,6 +51,8 @@ pub const VOCABULARY: [&str; 17] = [
     "new_file",
     "plain",
     "problem",
+    "program",
+    "query_lines",
     "record",
     "state",
     "syntax",

@@ -73,6 +73,23 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
     ("placement", &["palpate placement", "palpate placement --json"]),
     ("sensor", &["palpate sensor overlay --out overlay.pdf"]),
     ("sensor overlay", &["palpate sensor overlay --paper sheet --out overlay.pdf"]),
+    (
+        "query",
+        &[
+            "palpate query",
+            "palpate query 'SELECT tips, count(*) AS n FROM trials GROUP BY tips ORDER BY tips'",
+            "palpate query 'SELECT * FROM contacts WHERE force_n > 10' --out contacts.csv",
+        ],
+    ),
+    (
+        "plot",
+        &[
+            "palpate plot counts last",
+            "palpate plot force-depth 3 tips=1 --out force-depth.png",
+            "palpate plot fvu contact_count__gte=1 --out fvu.svg",
+            "palpate plot 'SELECT tips, avg(fvu) AS fvu FROM trials GROUP BY tips ORDER BY tips'",
+        ],
+    ),
     ("estop", &["palpate estop", "palpate estop --why smoke --url http://rig.example.org:8080"]),
     ("lock", &["palpate lock", "palpate lock weights-on-the-skin", "palpate lock --clear"]),
     ("key", &["palpate key", "palpate key create ada --role operator"]),
@@ -103,6 +120,7 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
             "palpate dataset export run-3 --where contact_count__gte=3 --map 4x20",
         ],
     ),
+    ("dataset prune", &["palpate dataset prune --keep 2 --dry-run"]),
     ("dataset import", &["palpate dataset import trials.parquet --sensor sensor.toml"]),
     (
         "train",

@@ -15,7 +15,7 @@ const GROUPS: &[(&str, &[&str])] = &[
     ("Manual trials", &["placement", "confirm", "repeat", "sensor"]),
     ("Rig and people", &["rig", "lock", "key"]),
     ("Simulation and calibration", &["simulate", "calibrate"]),
-    ("Data", &["dataset"]),
+    ("Data", &["dataset", "query", "plot"]),
     ("Nets", &["train", "job", "model", "infer", "live", "evaluate"]),
     ("Stand-ins", &["virtual-rig", "virtual-operator"]),
     ("This program", &["completions", "man"]),

@@ -24,6 +24,7 @@ mod words;
 pub use answers::{TrialFacts, all_trials};
 pub use diff::diff;
 pub use events::events;
+pub use find::run as find_run;
 pub use report::report;
 pub use runs::runs;
 pub use show::show;

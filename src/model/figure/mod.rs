@@ -1,7 +1,8 @@
 //! The frame of every figure: a white page as SVG text, with title, label and n above the drawing.
 //! PURE. Uses: plotters (SVG). Never: files, a figure without title, label and n.
 //!
-//! `style`: fonts, colours, legends. `skin`: the outline of a skin. `tour`: a plan on the skin.
+//! `style`: fonts, colours, legends. `skin`: the outline of a skin. `tour`: a plan on the skin. `series`:
+//! bars, lines and dots.
 
 use std::error::Error;
 
@@ -11,6 +12,7 @@ use plotters::prelude::*;
 pub mod style;
 pub mod skin;
 pub mod tour;
+pub mod series;
 
 use style::{FONT, INK};
 

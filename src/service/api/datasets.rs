@@ -12,14 +12,18 @@ use utoipa::ToSchema;
 use super::App;
 use super::audit::Act;
 use super::pages::{Cursors, Page, PageParams, PageRequest};
-use super::params::{FileParams, RowsParams};
+use super::params::{FileParams, RowGroupParams, RowsParams};
 use super::problem::{ApiError, Body, Path, ProblemBody};
-use super::query::{file_query, for_pages, rows_query};
+use super::query::{GroupsRequest, file_query, for_pages, groups_query, rows_query};
 use super::send::{self, Download};
+use super::trials::grouped;
 use crate::dataset::definition::Definition;
 use crate::dataset::error::DatasetError;
 use crate::dataset::format::{Format, Rows, UnknownFormat};
+use crate::dataset::package;
+use crate::dataset::prune::Pruned;
 use crate::ids::DatasetId;
+use crate::query::groups::conditions;
 use crate::store::DatasetRow;
 
 /// A dataset.
@@ -47,6 +51,10 @@ pub struct DatasetOut {
     pub created_at: jiff::Timestamp,
     /// Address of the Parquet file, for pandas, polars and DuckDB.
     pub url: String,
+    /// Wall time at which its rows were last read; absent if unknown.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub last_used_at: Option<jiff::Timestamp>,
     /// False if its definition selects other trials or shards now, so that making it again makes
     /// another dataset. Absent in lists, and if it cannot be made again.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -65,6 +73,7 @@ impl From<DatasetRow> for DatasetOut {
             sha256: row.sha256,
             report: row.report,
             created_at: row.created_at,
+            last_used_at: None,
             is_current: None,
         }
     }
@@ -139,7 +148,11 @@ pub async fn list(
     State(app): State<App>,
     asked: PageRequest,
 ) -> Result<Json<DatasetsPage>, ApiError> {
-    let datasets = app.store.datasets().await?.into_iter().map(DatasetOut::from).collect();
+    let datasets = app.store.datasets().await?.into_iter().map(|row| {
+        let last_used_at = app.datasets.last_used_at(&row.id);
+        DatasetOut { last_used_at, ..row.into() }
+    });
+    let datasets = datasets.collect();
     let page = asked.of_all(datasets, |dataset: &DatasetOut| dataset.id.clone())?;
     Ok(Json(DatasetsPage { page, definitions: Definition::built_in_names().collect() }))
 }
@@ -191,7 +204,8 @@ pub async fn one(
 ) -> Result<Json<DatasetOut>, ApiError> {
     let row = app.datasets.find(&dataset).await?;
     let is_current = app.datasets.is_current(&row).await?;
-    Ok(Json(DatasetOut { is_current, ..row.into() }))
+    let last_used_at = app.datasets.last_used_at(&row.id);
+    Ok(Json(DatasetOut { is_current, last_used_at, ..row.into() }))
 }
 
 /// Returns the lineage of a dataset: runs, models, calibrations, shards and code.
@@ -226,6 +240,63 @@ pub async fn card(
     let row = app.datasets.find(&dataset).await?;
     let text = app.datasets.card(&row.id)?;
     Ok(([(header::CONTENT_TYPE, "text/markdown; charset=utf-8")], text).into_response())
+}
+
+/// Returns the description of a dataset as a Data Package: columns with types, units and meanings,
+/// sources, lineage, address and sha256 of the file.
+#[utoipa::path(get, operation_id = "dataset_package",
+    path = "/api/v1/datasets/{dataset}/datapackage.json", tag = "datasets",
+    params(("dataset" = String, Path, description = "id or name")),
+    responses((status = 200, body = Object),
+        (status = 404, body = ProblemBody,
+            description = "no dataset has this id, or none of this name has been made")))]
+pub async fn package(
+    State(app): State<App>,
+    Path(dataset): Path<String>,
+) -> Result<Json<Value>, ApiError> {
+    let row = app.datasets.find(&dataset).await?;
+    Ok(Json(package::of(&row, &format!("/api/v1/data/{}.parquet", row.id))))
+}
+
+/// Request to remove datasets.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PruneRequest {
+    /// Number of datasets of each name that stay, the newest ones.
+    #[schema(value_type = u32, minimum = 1)]
+    pub keep: std::num::NonZeroU32,
+    /// True: nothing is removed, the response shows what would be.
+    #[serde(default)]
+    pub dry_run: bool,
+}
+
+/// What becomes of the datasets.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct PruneOut {
+    /// All datasets, newest first; those without `stays` are removed.
+    pub datasets: Vec<Pruned>,
+    /// Sum of the lengths of the removed files, bytes.
+    pub freed_bytes: u64,
+    /// Whether nothing was removed.
+    pub dry_run: bool,
+}
+
+/// Removes the older datasets of each name. Those to which a model, a training, an evaluation or a
+/// waiting export refers stay.
+#[utoipa::path(post, operation_id = "prune_datasets",
+    path = "/api/v1/datasets/prune", tag = "datasets", request_body = PruneRequest,
+    responses((status = 200, body = PruneOut),
+        (status = 422, body = ProblemBody, description = "the body is invalid")))]
+pub async fn prune(
+    State(app): State<App>,
+    act: Act,
+    Body(request): Body<PruneRequest>,
+) -> Result<Json<PruneOut>, ApiError> {
+    let datasets = app.datasets.prune(request.keep.get() as usize, request.dry_run).await?;
+    let gone = datasets.iter().filter(|one| one.stays.is_none());
+    let freed_bytes = gone.map(|one| one.bytes).sum();
+    act.about(&format!("keep {}{}", request.keep, if request.dry_run { ", dry run" } else { "" }));
+    Ok(Json(PruneOut { datasets, freed_bytes, dry_run: request.dry_run }))
 }
 
 /// Returns a page of the rows of a dataset.
@@ -282,6 +353,28 @@ pub async fn rows(
         response.map(|response| (link.map(|link| [link]), response).into_response())
     });
     reading.await.map_err(|_| ApiError::from(DatasetError::Worker))?
+}
+
+/// Returns groups of the rows of a dataset with their aggregates, by the conditions of its rows.
+#[utoipa::path(get, operation_id = "dataset_groups",
+    path = "/api/v1/datasets/{dataset}/groups", tag = "datasets",
+    params(("dataset" = String, Path, description = "id or name"), RowGroupParams),
+    responses((status = 200, body = Page<Object>),
+        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid"),
+        (status = 404, body = ProblemBody,
+            description = "no dataset has this id, or none of this name has been made"),
+        (status = 503, body = ProblemBody, description = "as of queries (with `Retry-After`)")))]
+pub async fn groups(
+    State(app): State<App>,
+    Path(dataset): Path<String>,
+    Query(pairs): Pairs,
+    headers: HeaderMap,
+) -> Result<Response, ApiError> {
+    let GroupsRequest { query, groups, format } =
+        groups_query(&pairs, false).map_err(ApiError::bad_query)?;
+    let row = app.datasets.find(&dataset).await?;
+    let sql = groups.sql(row.id.as_str(), &conditions(&query), query.limit);
+    grouped(&app, sql, format.or_else(|| send::accepted(&headers))).await
 }
 
 /// Returns a dataset as a file: `real.parquet`, `ds-0123.npz`, `run-3.csv`.

@@ -30,6 +30,8 @@ pub fn body(operation: &str) -> Option<Value> {
         "promote" => {
             json!({ "what": "transfer-net", "why": "least FVU of the week", "who": "Ada" })
         }
+        "prune_datasets" => json!({ "keep": 2, "dry_run": true }),
+        "query" => json!({ "sql": "SELECT label, count(*) AS trials FROM trials GROUP BY label" }),
         "queue_run" => {
             let mut body = submission();
             body["who"] = "Ada".into();

@@ -169,8 +169,7 @@ fn too_many(caller: &Caller) -> Response {
         "{CALLER_REQUESTS} requests of {} are in progress: wait for one to end",
         caller.name(None)
     );
-    let refused = ApiError::new(StatusCode::TOO_MANY_REQUESTS, words);
-    ([(header::RETRY_AFTER, "1")], refused).into_response()
+    ApiError::new(StatusCode::TOO_MANY_REQUESTS, words).retry_after(1).into_response()
 }
 
 /// Receives the body of an action, then checks key and lock: what changed while it arrived counts.

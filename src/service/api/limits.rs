@@ -44,6 +44,8 @@ pub const MAPS_MAX: usize = 100;
 pub const NET_REQUESTS: usize = 4;
 /// Inferences by `exact` in progress; further ones wait.
 pub const FIT_REQUESTS: usize = 2;
+/// Result of a query as JSON, bytes.
+pub const QUERY_JSON_MAX_BYTES: usize = 64 << 20;
 /// Clients of the live frames.
 pub const FRAME_CLIENTS: usize = 64;
 /// Clients of the live status.
@@ -136,6 +138,8 @@ mod tests {
     use super::*;
     use crate::dataset::import::extent::TRIALS_MAX;
     use crate::dataset::space::KEPT_FREE_BYTES;
+    use crate::query::{MEMORY_MAX_BYTES, QUERIES, ROWS_MAX, TIME_MAX};
+    use crate::query_lines::SQL_MAX_BYTES;
     use crate::schedule::experiment::NAME_MAX_CHARS;
     use crate::simulate::contacts::FORCE_MAX_N;
     use crate::store::MAX_PAGE;
@@ -184,6 +188,12 @@ mod tests {
             line("contacts of a simulation", n(SIMULATED_CONTACTS), "422"),
             line("force of a contact of a simulation", format!("{FORCE_MAX_N} N"), "422"),
             line("wait for the turn of a preflight, a simulation or an inference", seconds(TURN), "503"),
+            line("queries in progress", n(QUERIES), "the request waits, then 503 with Retry-After"),
+            line("statement of a query", bytes(SQL_MAX_BYTES), "400"),
+            line("time of a query, without sending its rows", seconds(TIME_MAX), "400"),
+            line("memory of the engine of a query", bytes(MEMORY_MAX_BYTES as usize), "400"),
+            line("rows of a query", ROWS_MAX.to_string(), "400"),
+            line("result of a query as JSON", bytes(QUERY_JSON_MAX_BYTES), "400"),
             line("inferences by nets in progress", n(NET_REQUESTS), "the request waits, then 503"),
             line("inferences by `exact` in progress", n(FIT_REQUESTS), "the request waits, then 503"),
             line("frames of an inference", n(FRAMES_MAX), "422"),

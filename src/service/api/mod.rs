@@ -26,6 +26,7 @@ use crate::infer::serving::Serving;
 use crate::jobs::Jobs;
 use crate::journal::error_chain;
 use crate::placement::watch::PlacementWatch;
+use crate::query::Queries;
 use crate::schedule::experiment::Experiment;
 use crate::simulate::model::sweep_partial;
 use crate::store::{KeyRing, Soundness, Store};
@@ -83,6 +84,7 @@ mod send;
 mod simulations;
 mod sensor;
 mod spans;
+mod sql;
 mod status;
 mod suspenders;
 mod tls;
@@ -133,6 +135,8 @@ pub struct App {
     pub twins: TwinPool,
     /// Datasets and exports.
     pub datasets: Catalog,
+    /// Questions in SQL.
+    pub queries: Queries,
     /// Stored models.
     pub models: Registry,
     /// Serving models.
@@ -314,6 +318,7 @@ impl Service {
         );
         store.sweep_imports().await?;
         let datasets = Catalog::open(store.clone(), &options.data, Clock::new(1.0))?;
+        let queries = Queries::new(store.clone(), datasets.clone(), &options.data);
         let models = Registry::open(store.clone(), &options.data, Clock::new(1.0))?;
         let (sensor, text) = (options.sensor, options.sensor_text);
         let serving = Serving::new(store.clone(), models.clone(), sensor, text, &options.data);
@@ -334,6 +339,7 @@ impl Service {
             conductor,
             twins,
             datasets,
+            queries,
             models,
             jobs,
             turns: Turns::default(),

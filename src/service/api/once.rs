@@ -245,8 +245,7 @@ fn other_request() -> ApiError {
 
 fn in_progress() -> Response {
     let words = "the first request with this Idempotency-Key is in progress: repeat it later";
-    let refused = ApiError::new(StatusCode::CONFLICT, words);
-    ([(header::RETRY_AFTER, "1")], refused).into_response()
+    ApiError::new(StatusCode::CONFLICT, words).retry_after(1).into_response()
 }
 
 #[cfg(test)]

@@ -14,14 +14,36 @@ pub struct TrialParams;
 pub struct RowsParams;
 /// Parameters of a dataset as a file.
 pub struct FileParams;
+/// Parameters of groups of stored trials.
+pub struct TrialGroupParams;
+/// Parameters of groups of a dataset's rows.
+pub struct RowGroupParams;
+
+impl IntoParams for TrialGroupParams {
+    fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
+        let mut all = groups(Column::is_of_stored);
+        all.push(parameter("flag", "only trials with this flag; may be repeated", text()));
+        all.push(parameter("flagged", "only trials with, or only without, any flag", boolean()));
+        all
+    }
+}
+
+impl IntoParams for RowGroupParams {
+    fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
+        groups(|_| true)
+    }
+}
 
 impl IntoParams for TrialParams {
     fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
-        let mut all = selected(Column::is_of_stored);
+        let mut all = selected(Column::is_of_stored).to_vec();
         all.extend(page("id of the last trial of the page before: its `next`"));
-        let sort = ObjectBuilder::new().schema_type(Type::String);
-        let sort = sort.enum_values(Some(["trial_id", "-trial_id"])).into();
-        all.push(parameter("sort", "oldest first (default) or newest first", sort));
+        all.push(parameter(
+            "sort",
+            "`trial_id` (default: oldest first), `-trial_id`, or another `COLUMN` or `-COLUMN`, for \
+             which the query engine finds the trials; absent values come last",
+            text(),
+        ));
         all.push(parameter("flag", "only trials with this flag; may be repeated", text()));
         all.push(parameter("flagged", "only trials with, or only without, any flag", boolean()));
         all.push(parameter("voltages", "include measured and simulated frames", boolean()));
@@ -31,7 +53,7 @@ impl IntoParams for TrialParams {
 
 impl IntoParams for RowsParams {
     fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
-        let mut all = selected(|_| true);
+        let mut all = selected(|_| true).to_vec();
         all.extend(page("row where the page starts: the `next` of the page before"));
         all.push(parameter("sort", "`COLUMN` or `-COLUMN`; absent values come last", text()));
         all.push(map());
@@ -41,7 +63,7 @@ impl IntoParams for RowsParams {
 
 impl IntoParams for FileParams {
     fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
-        let mut all = selected(|_| true);
+        let mut all = selected(|_| true).to_vec();
         all.push(map());
         all
     }
@@ -54,21 +76,21 @@ pub fn page_formats() -> Vec<&'static str> {
 }
 
 /// Parameters of every selection of rows: conditions, columns and slice.
-fn selected(has: fn(&Column) -> bool) -> Vec<Parameter> {
+fn selected(has: fn(&Column) -> bool) -> [Parameter; 3] {
     let comparable = table::names(|column| has(column) && column.kind() != Kind::List);
     let pattern = format!("^({})(__(eq|gt|gte|lt|lte|in))?=.+$", comparable.replace(", ", "|"));
     let condition = ObjectBuilder::new().schema_type(Type::String).pattern(Some(pattern));
     let about = format!(
         "Condition `COLUMN__gt=VALUE` with eq, gt, gte, lt, lte, or in with values separated by commas; \
-         repeated conditions must all hold, and an absent value meets none. A condition may also be a \
-         separate parameter, `COLUMN__gt=VALUE`. Columns: {comparable}."
+         repeated conditions must all hold, of those separated by `|` one, and an absent value meets none. \
+         A condition may also be a separate parameter, `COLUMN__gt=VALUE`. Columns: {comparable}."
     );
     let conditions = ArrayBuilder::new().items(condition).build();
     let names: Vec<&str> = TABLE.iter().filter(|c| has(c)).map(|c| c.name).collect();
     let name = ObjectBuilder::new().schema_type(Type::String).enum_values(Some(names));
     let columns = ArrayBuilder::new().items(name).build();
     let columns = ParameterBuilder::from(parameter("columns", &meanings(has), columns.into()));
-    vec![
+    [
         parameter("where", &about, conditions.into()),
         columns.explode(Some(false)).build(),
         parameter("slice", "only these values of each frame: `0:28`, the end excluded", text()),
@@ -95,6 +117,31 @@ fn page(cursor: &str) -> [Parameter; 3] {
         parameter("limit", "number of rows per page, default 100", limit.into()),
         parameter("cursor", cursor, text()),
         parameter("format", "format of the response; may also be given by `Accept`", format.into()),
+    ]
+}
+
+/// Parameters of groups: conditions, keys, aggregates, order.
+fn groups(has: fn(&Column) -> bool) -> Vec<Parameter> {
+    let [condition, ..] = selected(has);
+    let [limit, _, format] = page("");
+    let with = |name, about| parameter(name, about, text());
+    vec![
+        condition,
+        with("group_by", "one group for equal values of these columns, separated by commas"),
+        with(
+            "bin",
+            "one group for each range of a column, `COLUMN:WIDTH`, such as `depth_mm:0.5`; \
+             `from_COLUMN` is the lower end of a range",
+        ),
+        with(
+            "agg",
+            "values of each group, separated by commas: `count` (default), or count, mean, min, max, \
+             sum, median, std, or a quantile (q05, q90) of a column, as in `mean(fvu)`, which becomes \
+             `mean_fvu`",
+        ),
+        with("sort", "columns of the result, separated by commas, `-` before one for descending"),
+        limit,
+        format,
     ]
 }
 

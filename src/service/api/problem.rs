@@ -23,6 +23,7 @@ use crate::jobs::JobError;
 use crate::journal::error_chain;
 use crate::plain::violated;
 use crate::problem::Problem;
+use crate::query::QueryError;
 use crate::store::StoreError;
 
 /// A problem body (RFC 9457).
@@ -53,12 +54,18 @@ pub struct ApiError {
     status: StatusCode,
     detail: String,
     errors: Vec<Problem>,
+    retry_after_s: Option<u32>,
 }
 
 impl ApiError {
     /// An error with a status and a description.
     pub fn new(status: StatusCode, detail: impl Into<String>) -> Self {
-        Self { status, detail: detail.into(), errors: Vec::new() }
+        Self { status, detail: detail.into(), errors: Vec::new(), retry_after_s: None }
+    }
+
+    /// The same request may succeed after this time (header `Retry-After`).
+    pub fn retry_after(self, seconds: u32) -> Self {
+        Self { retry_after_s: Some(seconds), ..self }
     }
 
     /// One invalid value of a request (422).
@@ -74,7 +81,7 @@ impl ApiError {
     /// Invalid values (422).
     pub fn problems(errors: Vec<Problem>) -> Self {
         let detail = errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
-        Self { status: StatusCode::UNPROCESSABLE_ENTITY, detail, errors }
+        Self { errors, ..Self::new(StatusCode::UNPROCESSABLE_ENTITY, detail) }
     }
 
     /// A body that could not be read: 408 if it arrived too slowly.
@@ -137,6 +144,9 @@ impl IntoResponse for ApiError {
         let mut response = (self.status, Json(body)).into_response();
         let kind = HeaderValue::from_static("application/problem+json");
         response.headers_mut().insert(header::CONTENT_TYPE, kind);
+        if let Some(seconds) = self.retry_after_s {
+            response.headers_mut().insert(header::RETRY_AFTER, seconds.into());
+        }
         if self.status == StatusCode::UNAUTHORIZED {
             let challenge = HeaderValue::from_static("Bearer");
             response.headers_mut().insert(header::WWW_AUTHENTICATE, challenge);
@@ -201,6 +211,24 @@ impl From<DatasetError> for ApiError {
             tracing::error!(error = error_chain(&error), "an operation on datasets failed");
         }
         Self::new(status, error.to_string())
+    }
+}
+
+impl From<QueryError> for ApiError {
+    fn from(error: QueryError) -> Self {
+        let words = error.to_string();
+        match error {
+            QueryError::Refused(_) => Self::bad_query(vec![Problem::whole("query", words)]),
+            QueryError::Building(_) => {
+                Self::new(StatusCode::SERVICE_UNAVAILABLE, words).retry_after(5)
+            }
+            QueryError::Busy => Self::new(StatusCode::SERVICE_UNAVAILABLE, words).retry_after(1),
+            QueryError::Dataset(error) => error.into(),
+            _ => {
+                tracing::error!(error = error_chain(&error), "a query failed");
+                Self::new(StatusCode::INTERNAL_SERVER_ERROR, words)
+            }
+        }
     }
 }
 

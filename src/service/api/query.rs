@@ -9,8 +9,9 @@ use crate::dataset::select::Wanted;
 use crate::dataset::sort::Sort;
 use crate::ids::RunUid;
 use crate::problem::Problem;
+use crate::query::groups::Grouping;
 use crate::record::Flag;
-use crate::store::table::{self, Column};
+use crate::store::table::{self, Column, Kind};
 use crate::store::{Condition, MAX_PAGE, Order, TrialQuery};
 
 /// Longest part of an invalid parameter that its refusal repeats, characters.
@@ -23,6 +24,8 @@ const PAGE: u32 = 100;
 pub struct TrialsRequest {
     /// Run, conditions, order and page.
     pub query: TrialQuery,
+    /// Order by another column than the id.
+    pub sort: Option<Sort>,
     /// Columns and slice of the frames.
     pub wanted: Wanted,
     /// Format; `None` for JSON or the format of the `Accept` header.
@@ -53,6 +56,15 @@ pub fn trial_query(
     let query = TrialQuery { run, limit: PAGE, ..TrialQuery::default() };
     let mut wanted = TrialsRequest { query, ..TrialsRequest::default() };
     each(pairs, |key, value| {
+        no_groups(key, "/api/v1/trials/groups")?;
+        if key == "sort" {
+            match value {
+                "trial_id" => wanted.query.order = Order::OldestFirst,
+                "-trial_id" => wanted.query.order = Order::NewestFirst,
+                other => wanted.sort = Some(of_trials(Sort::parse(other))?),
+            }
+            return Ok(true);
+        }
         let of_datasets =
             |name: &str| Column::find(name.trim()).is_some_and(|column| !column.is_of_stored());
         if key == "columns" && value.split(',').any(of_datasets) {
@@ -73,6 +85,7 @@ pub fn rows_query(pairs: &[(String, String)]) -> Result<RowsRequest, Vec<Problem
     let wanted = Wanted::default();
     let mut request = RowsRequest { wanted, format: None, sort: None, limit: PAGE };
     each(pairs, |key, value| {
+        no_groups(key, "/api/v1/datasets/NAME/groups")?;
         if common(&mut request.wanted, &mut request.format, &mut request.limit, key, value)? {
             return Ok(true);
         }
@@ -96,12 +109,72 @@ pub fn rows_query(pairs: &[(String, String)]) -> Result<RowsRequest, Vec<Problem
 /// A parameter of pages, or all unknown names and invalid values.
 pub fn file_query(pairs: &[(String, String)]) -> Result<Wanted, Vec<Problem>> {
     const PAGES: [&str; 4] = ["limit", "cursor", "format", "sort"];
-    if let Some((key, value)) = pairs.iter().find(|(key, _)| PAGES.contains(&key.as_str())) {
+    let of_pages = |key: &str| PAGES.contains(&key) || Grouping::has(key);
+    if let Some((key, value)) = pairs.iter().find(|(key, _)| of_pages(key)) {
         let limit = "must be absent for a file, whose name determines the format; for pages use \
                      /api/v1/datasets/NAME/rows";
         return Err(vec![Problem::new("query", key, value, limit)]);
     }
     rows_query(pairs).map(|request| request.wanted)
+}
+
+/// Groups of rows by a query string.
+#[derive(Debug)]
+pub struct GroupsRequest {
+    /// Conditions and number of groups; of the rows of a dataset only `filters` and `limit`.
+    pub query: TrialQuery,
+    /// Groups, aggregates, order.
+    pub groups: Grouping,
+    /// Format; `None` for JSON or the format of the `Accept` header.
+    pub format: Option<Format>,
+}
+
+/// Parses a query string for groups. `stored`: of stored trials, otherwise of the rows of a dataset.
+///
+/// # Errors
+/// All unknown names and invalid values.
+pub fn groups_query(
+    pairs: &[(String, String)],
+    stored: bool,
+) -> Result<GroupsRequest, Vec<Problem>> {
+    let query = TrialQuery { limit: MAX_PAGE, ..TrialQuery::default() };
+    let mut request = GroupsRequest { query, groups: Grouping::default(), format: None };
+    let mut page = Wanted::default();
+    each(pairs, |key, value| {
+        if matches!(key, "columns" | "slice" | "cursor" | "voltages") {
+            return Err("must be absent: groups have the columns of group_by, bin and agg".into());
+        }
+        if request.groups.apply(key, value)?
+            || common(&mut page, &mut request.format, &mut request.query.limit, key, value)?
+        {
+            return Ok(true);
+        }
+        match stored {
+            true => apply(&mut request.query, key, value),
+            false => {
+                request.query.filters.push(condition(key, value)?.0);
+                Ok(true)
+            }
+        }
+    })?;
+    Ok(request)
+}
+
+/// Refuses a parameter of groups where they are not.
+fn no_groups(key: &str, there: &str) -> Result<(), String> {
+    if Grouping::has(key) { Err(format!("must be absent: groups are at {there}")) } else { Ok(()) }
+}
+
+/// Checks that trials can be sorted by a column.
+fn of_trials(sort: Sort) -> Result<Sort, String> {
+    let comparable = |column: &Column| column.is_of_stored() && column.kind() != Kind::List;
+    match Column::find(&sort.column) {
+        Some(column) if comparable(column) => Ok(sort),
+        _ => {
+            let names = table::names(comparable);
+            Err(format!("must be COLUMN or -COLUMN, with a column of {names}"))
+        }
+    }
 }
 
 /// Checks that a page can be written in a format, row by row.
@@ -181,13 +254,6 @@ fn apply(query: &mut TrialQuery, key: &str, value: &str) -> Result<bool, String>
         "voltages" => query.with_voltages = yes_or_no(value)?,
         "flagged" => query.flagged = Some(yes_or_no(value)?),
         "flag" => query.flags.push(flag(value)?),
-        "sort" => {
-            query.order = match value {
-                "trial_id" => Order::OldestFirst,
-                "-trial_id" => Order::NewestFirst,
-                _ => return Err("must be trial_id or -trial_id".into()),
-            }
-        }
         _ => query.filters.push(condition(key, value)?.0.of_stored()?),
     }
     Ok(true)
@@ -228,7 +294,8 @@ mod tests {
             ("limit", "7"),
         ])
         .unwrap();
-        let columns: Vec<&str> = query.filters.iter().map(|c| c.column().name).collect();
+        let columns: Vec<&str> =
+            query.filters.iter().flat_map(Condition::columns).map(|c| c.name).collect();
         assert_eq!(columns, ["contact_count", "tips", "label"]);
         assert_eq!((query.limit, query.order), (7, Order::NewestFirst));
     }

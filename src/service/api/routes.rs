@@ -15,7 +15,7 @@ use super::limits::{
 use super::{
     App, datasets, estop, evaluation, events, experiments, exports, health, history, imports,
     infer, jobs, live, live_status, models, overlay, people, placement, progress, queue, rig, runs,
-    samples, sensor, simulations, status, tour, trials, twins, untouched, wear,
+    samples, sensor, simulations, sql, status, tour, trials, twins, untouched, wear,
 };
 use crate::store::Role;
 
@@ -150,6 +150,7 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(overlay::overlay)),
         (READS, routes!(trials::of_run)),
         (READS, routes!(trials::all)),
+        (READS, routes!(trials::groups)),
         (READS, routes!(trials::one)),
         (READS, routes!(trials::frames)),
         (READS, routes!(trials::bench_records)),
@@ -161,8 +162,14 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(datasets::one)),
         (READS, routes!(datasets::lineage)),
         (READS, routes!(datasets::card)),
+        (READS, routes!(datasets::package)),
+        (acts("prune datasets").role(Admin), routes!(datasets::prune)),
         (READS, routes!(datasets::rows)),
+        (READS, routes!(datasets::groups)),
         (READS, routes!(datasets::data)),
+        (READS.body(BODY_MAX_BYTES), routes!(sql::ask)),
+        (READS, routes!(sql::asked)),
+        (READS, routes!(sql::tables)),
         (READS, routes!(exports::list)),
         // An export reads rows: viewers may, and no lock prevents it.
         (acts("export").role(Viewer).lock(Lock::Ignored).once(), routes!(exports::request)),

@@ -1,6 +1,10 @@
 //! Trials, their frames, and the bench records of a run.
 //! Uses: `store`. Never: a write.
 
+use std::collections::HashMap;
+
+use arrow_array::cast::AsArray;
+use arrow_array::types::Int64Type;
 use arrow_schema::SchemaRef;
 use axum::Json;
 use axum::body::Body;
@@ -16,20 +20,23 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::pages::{Cursors, Page, PageParams, PageRequest};
-use super::params::TrialParams;
+use super::params::{TrialGroupParams, TrialParams};
 use super::problem::{ApiError, Path, ProblemBody};
-use super::query::{TrialsRequest, for_pages, trial_query};
+use super::query::{GroupsRequest, TrialsRequest, for_pages, groups_query, trial_query};
 use super::runs::find;
-use super::send;
+use super::{send, sql};
 use crate::dataset::batch::{self, Row};
 use crate::dataset::error::DatasetError;
 use crate::dataset::format::{Format, Stream};
 use crate::dataset::schema;
 use crate::dataset::select::{Selection, Wanted};
+use crate::dataset::sort::Sort;
 use crate::ids::{RunUid, TrialId};
 use crate::journal::error_chain;
+use crate::problem::Problem;
+use crate::query::groups;
 use crate::store::table::Column;
-use crate::store::{Order, TrialQuery, TrialRow};
+use crate::store::{Store, StoreError, TrialQuery, TrialRow};
 
 /// Number of trials per piece of a page.
 const PIECE_ROWS: usize = 500;
@@ -96,17 +103,18 @@ async fn page(
     cursors: &Cursors,
     headers: &HeaderMap,
 ) -> Result<Response, ApiError> {
-    let TrialsRequest { mut query, wanted, format } =
+    let TrialsRequest { query, sort, wanted, format } =
         trial_query(run, pairs).map_err(ApiError::bad_query)?;
-    query.after = cursors.position(pairs)?.map(TrialId);
-    let (next, response) = match format.or_else(|| send::accepted(headers)) {
+    let format = format.or_else(|| send::accepted(headers));
+    let request = PageOf { query, sort, from: cursors.position(pairs)?.unwrap_or_default() };
+    let (next, response) = match format {
         Some(format) => {
-            let Table { pieces, next } = table(app, query, &wanted, format).await?;
+            let Table { pieces, next } = table(app, request, &wanted, format).await?;
             let next = next.map(|id| cursors.cursor(id));
             (next, send::in_format(format, Body::from_stream(pieces)))
         }
         None => {
-            let (items, next) = whole_trials(app, query, &wanted).await?;
+            let (items, next) = whole_trials(app, &request, &wanted).await?;
             let next = next.map(|id| cursors.cursor(id));
             (next.clone(), Page { items, next }.into_response())
         }
@@ -115,18 +123,62 @@ async fn page(
     Ok((link, response).into_response())
 }
 
+/// Returns groups of the stored trials with their aggregates, by the conditions of lists of trials.
+#[utoipa::path(get, operation_id = "trial_groups", path = "/api/v1/trials/groups", tag = "trials",
+    params(TrialGroupParams),
+    responses((status = 200, body = Page<Object>),
+        (status = 400, body = ProblemBody, description = "a parameter is unknown or invalid"),
+        (status = 503, body = ProblemBody, description = "as of queries (with `Retry-After`)")))]
+pub async fn groups(
+    State(app): State<App>,
+    Query(pairs): Pairs,
+    headers: HeaderMap,
+) -> Result<Response, ApiError> {
+    let GroupsRequest { query, groups, format } =
+        groups_query(&pairs, true).map_err(ApiError::bad_query)?;
+    let sql = groups.sql("trials", &groups::conditions(&query), query.limit);
+    grouped(&app, sql, format.or_else(|| send::accepted(&headers))).await
+}
+
+/// The groups of a statement, as a page.
+///
+/// # Errors
+/// 400 if a parameter is invalid; the errors of queries.
+pub async fn grouped(
+    app: &App,
+    sql: Result<String, String>,
+    format: Option<Format>,
+) -> Result<Response, ApiError> {
+    let sql = sql.map_err(|limit| ApiError::bad_query(vec![Problem::whole("query", limit)]))?;
+    format.map_or(Ok(()), for_pages).map_err(ApiError::bad_query)?;
+    let rows = app.queries.answer(&sql).await?;
+    match format {
+        Some(format) => sql::streamed(format, rows).await,
+        None => Ok(Page::whole(sql::items(rows).await?).into_response()),
+    }
+}
+
+/// A page of trials.
+struct PageOf {
+    query: TrialQuery,
+    /// Order by a column; `None`: by id.
+    sort: Option<Sort>,
+    /// Last id of the page before; with `sort` the number of trials before.
+    from: i64,
+}
+
 /// A page in a row format, encoded in pieces while it is sent, so that only a few pieces are in
 /// memory.
 struct Table {
     pieces: ReceiverStream<std::io::Result<Vec<u8>>>,
-    /// Id of the last trial, if more trials follow.
+    /// Cursor of the next page, if more trials follow.
     next: Option<i64>,
 }
 
-/// The whole trials of a page, and the id of the last of them if more trials follow.
+/// The whole trials of a page, and the cursor of the next one if more trials follow.
 async fn whole_trials(
     app: &App,
-    query: TrialQuery,
+    request: &PageOf,
     wanted: &Wanted,
 ) -> Result<(Vec<TrialRow>, Option<i64>), ApiError> {
     let selects = [("columns", !wanted.columns.is_empty()), ("slice", wanted.slice.is_some())];
@@ -134,40 +186,71 @@ async fn whole_trials(
         let limit = "must be absent for JSON, which holds whole trials: add format=ndjson";
         return Err(ApiError::query(key, "given", limit));
     }
-    let (ids, next) = ids(app, &query).await?;
-    let mut trials = match query.with_voltages {
-        true => {
-            let longest = app.store.frame_lengths(&ids).await?.pop().unwrap_or_default();
-            send::check_numbers(2 * u64::from(longest), query.limit)?;
-            app.store.trials_with_voltages(&ids).await?
-        }
-        false => app.store.trials_of(&ids).await?,
-    };
-    if query.order == Order::NewestFirst {
-        trials.reverse();
+    let query = &request.query;
+    let (ids, next) = ids(app, request).await?;
+    if query.with_voltages {
+        let longest = app.store.frame_lengths(&ids).await?.pop().unwrap_or_default();
+        send::check_numbers(2 * u64::from(longest), query.limit)?;
     }
-    Ok((trials, next))
+    Ok((read(&app.store, &ids, query.with_voltages).await?, next))
 }
 
-/// The ids of a page, and the last of them if more trials follow.
-async fn ids(app: &App, query: &TrialQuery) -> Result<(Vec<TrialId>, Option<i64>), ApiError> {
-    let one_more = TrialQuery { limit: query.limit + 1, ..query.clone() };
-    let mut ids = app.store.trial_ids(&one_more).await?;
-    let more = ids.len() > query.limit as usize;
-    ids.truncate(query.limit as usize);
-    let next = ids.last().filter(|_| more).map(|id| id.0);
-    Ok((ids, next))
+/// The trials with these ids, in the order of the ids.
+async fn read(
+    store: &Store,
+    ids: &[TrialId],
+    with_voltages: bool,
+) -> Result<Vec<TrialRow>, StoreError> {
+    let mut trials = match with_voltages {
+        true => store.trials_with_voltages(ids).await?,
+        false => store.trials_of(ids).await?,
+    };
+    let places: HashMap<TrialId, usize> =
+        ids.iter().enumerate().map(|(place, &id)| (id, place)).collect();
+    trials.sort_by_key(|trial| places.get(&trial.trial_id).copied());
+    Ok(trials)
+}
+
+/// The ids of a page, and the cursor of the next one if more trials follow.
+async fn ids(app: &App, request: &PageOf) -> Result<(Vec<TrialId>, Option<i64>), ApiError> {
+    let PageOf { query, sort, from } = request;
+    let limit = query.limit as usize;
+    let mut one_more = TrialQuery { limit: query.limit + 1, ..query.clone() };
+    let Some(Sort { column, descending }) = sort else {
+        one_more.after = (*from > 0).then_some(TrialId(*from));
+        let mut ids = app.store.trial_ids(&one_more).await?;
+        let more = ids.len() > limit;
+        ids.truncate(limit);
+        let next = ids.last().filter(|_| more).map(|id| id.0);
+        return Ok((ids, next));
+    };
+    let sql = groups::sorted_ids(&one_more, column, *descending, from.unsigned_abs())
+        .map_err(|limit| ApiError::query("sort", column, &limit))?;
+    let mut rows = app.queries.answer(&sql).await?;
+    let mut ids = Vec::new();
+    while let Some(batch) = rows.next().await {
+        let batch = batch.map_err(DatasetError::from)?;
+        if let Some(column) =
+            batch.columns().first().and_then(|c| c.as_primitive_opt::<Int64Type>())
+        {
+            ids.extend(column.values().iter().map(|&id| TrialId(id)));
+        }
+    }
+    let more = ids.len() > limit;
+    ids.truncate(limit);
+    let next = from + ids.len() as i64;
+    Ok((ids, more.then_some(next)))
 }
 
 async fn table(
     app: &App,
-    query: TrialQuery,
+    request: PageOf,
     wanted: &Wanted,
     format: Format,
 ) -> Result<Table, ApiError> {
     for_pages(format).map_err(ApiError::bad_query)?;
     let CheckedPage { ids, next, table, selection, with_voltages } =
-        checked(app, &query, wanted).await?;
+        checked(app, &request, wanted).await?;
     let piece = send::Piece::default();
     let mut stream =
         Stream::new(format, selection.schema(), piece.clone()).map_err(DatasetError::from)?;
@@ -179,21 +262,12 @@ async fn table(
             let frames = with_voltages;
             let reads = chunks.into_iter().map(|chunk| {
                 let store = store.clone();
-                async move {
-                    match frames {
-                        true => store.trials_with_voltages(&chunk).await,
-                        false => store.trials_of(&chunk).await,
-                    }
-                }
+                async move { read(&store, &chunk, frames).await }
             });
             let mut reads = futures::stream::iter(reads).buffered(READS);
             while let Some(trials) = reads.next().await {
-                let mut trials = trials?;
-                if query.order == Order::NewestFirst {
-                    trials.reverse();
-                }
                 let rows: Vec<Row> =
-                    trials.into_iter().map(|trial| Row { trial, part: None }).collect();
+                    trials?.into_iter().map(|trial| Row { trial, part: None }).collect();
                 let batch = selection.apply(&batch::of_trials(&table, &rows)?, None)?;
                 stream.push(&batch)?;
                 if sender.send(Ok(piece.take())).await.is_err() {
@@ -227,8 +301,9 @@ struct CheckedPage {
     with_voltages: bool,
 }
 
-async fn checked(app: &App, query: &TrialQuery, wanted: &Wanted) -> Result<CheckedPage, ApiError> {
-    let (ids, next) = ids(app, query).await?;
+async fn checked(app: &App, request: &PageOf, wanted: &Wanted) -> Result<CheckedPage, ApiError> {
+    let query = &request.query;
+    let (ids, next) = ids(app, request).await?;
     let frames = |name: &String| Column::find(name).is_some_and(Column::is_frame);
     let with_voltages = query.with_voltages || wanted.columns.iter().any(frames);
     let lengths = match with_voltages {
@@ -251,8 +326,8 @@ async fn checked(app: &App, query: &TrialQuery, wanted: &Wanted) -> Result<Check
 
 /// The columns of stored trials; frames only where they are requested.
 fn trials_schema(channels: i32, with_voltages: bool) -> SchemaRef {
-    let all = schema::all(channels);
-    let has = |column: &Column| column.is_of_stored() && (with_voltages || !column.is_frame());
+    let all = schema::stored(channels);
+    let has = |column: &Column| with_voltages || !column.is_frame();
     let fields = all.fields().iter().filter(|f| Column::find(f.name()).is_some_and(has));
     SchemaRef::new(arrow_schema::Schema::new(fields.cloned().collect::<Vec<_>>()))
 }

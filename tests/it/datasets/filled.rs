@@ -46,7 +46,7 @@ pub async fn store(data: &Path) -> Store {
     Store::open(&data.join("palpate.db"), Clock::new(1.0)).await.unwrap()
 }
 
-fn new_run(kind: RunKind, experiment: &str) -> NewRun {
+pub fn new_run(kind: RunKind, experiment: &str) -> NewRun {
     NewRun {
         uid: RunUid::new(),
         experiment: experiment.into(),
@@ -131,7 +131,7 @@ fn press(key: TrialKey, points: &[[f64; 2]], chance: &mut ChaCha8Rng) -> TrialRe
     }
 }
 
-fn placed(key: TrialKey, points: &[[f64; 2]], chance: &mut ChaCha8Rng) -> TrialRecord {
+pub fn placed(key: TrialKey, points: &[[f64; 2]], chance: &mut ChaCha8Rng) -> TrialRecord {
     let weights = 2 + key.configuration % 3;
     let contact = |n: u32| {
         let [x_mm, y_mm] = points[(key.configuration * 53 + n * 17) as usize % points.len()];

@@ -9,4 +9,5 @@ mod models;
 mod notebook;
 mod private;
 mod queries;
+mod sql;
 mod trainings;

@@ -119,6 +119,7 @@ async fn stored_trials_come_in_every_format() {
         let starts = match format {
             Format::Parquet => &b"PAR1"[..],
             Format::Arrow => b"\xff\xff\xff\xff",
+            Format::Feather => b"ARROW1",
             Format::Csv => b"trial_id,run,",
             _ => b"",
         };

@@ -87,7 +87,9 @@ def check_formats(name: str, expected: list[dict], known: dict) -> None:
     columns = table.column_names
     compare(f"{name}.parquet, pyarrow", of_arrow(table), expected)
     compare(f"{name}.parquet, pandas", of_pandas(pd.read_parquet(f"{URL}{path}.parquet")), expected)
-    stream = pa.ipc.open_stream(fetched(f"{path}.arrow")).read_all()
+    stream = pa.ipc.open_stream(fetched(f"{path}.arrows")).read_all()
+    file = pa.ipc.open_file(fetched(f"{path}.arrow")).read_all()
+    assert file.equals(stream), "the file and the stream differ"
     compare(f"{name}.arrow, pyarrow", of_arrow(stream), expected)
     check(stream.column_names == columns, f"{name}.arrow: other columns than Parquet")
     compare(f"{name}.npz, numpy", of_npz(fetched(f"{path}.npz")), expected)

@@ -57,7 +57,7 @@ BAD = [  # Address, status, words that the body must have.
     ("/api/v1/trials?slice=0:28&voltages=true", 400, ["slice", "format=ndjson"]),
     ("/api/v1/trials?voltages=perhaps", 400, ["voltages", "true"]),
     ("/api/v1/trials?cursor=x", 400, ["cursor"]),
-    ("/api/v1/trials?sort=colour", 400, ["sort", "-trial_id"]),
+    ("/api/v1/trials?sort=colour", 400, ["sort", "-COLUMN", "trial_id"]),
     ("/api/v1/trials?flag=colour", 400, ["flag", "unsettled"]),
     ("/api/v1/runs/99/trials?format=csv", 404, ["99"]),
 ]

@@ -1,0 +1,293 @@
+//! Questions in SQL: `palpate query` as a table or a file, `palpate plot` as a picture.
+//! Uses: `client`, `table`, `figure::series`. Never: rows in this process but those that it shows.
+
+use std::io::{IsTerminal, Write};
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use futures::StreamExt;
+use reqwest::Method;
+use serde::Deserialize;
+use serde_json::{Map, Value, json};
+
+use super::client::Client;
+use super::error::CliError;
+use super::output::{bytes, counted, grouped, note, say, say_json};
+use super::progress::{Working, shown_wait};
+use super::table::{Align, Table};
+use super::{At, embed};
+use crate::dataset::format::Format;
+use crate::query::TIME_MAX;
+
+mod plot;
+mod prepared;
+
+pub use plot::{PlotArgs, plot};
+
+/// Interval of asking again while the engine is built.
+const LOOK: Duration = Duration::from_secs(2);
+/// Time for sending a result, in addition to that of the query.
+const SENDING: Duration = Duration::from_secs(600);
+/// Longest cell of a table, characters.
+const CELL_MAX: usize = 60;
+
+/// Options of `query`.
+#[derive(Debug, Clone, Args)]
+pub struct QueryArgs {
+    /// One SELECT statement; `-` reads it from standard input. Without it: the tables.
+    #[arg(value_name = "SELECT ..")]
+    pub sql: Option<String>,
+    /// Format of the file, or of standard output; default: by the ending of --out, else a table.
+    #[arg(long, value_parser = formats())]
+    pub format: Option<Format>,
+    /// Write the rows to this file.
+    #[arg(long, short, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Largest number of rows of a table.
+    #[arg(long, value_name = "N", default_value_t = 100)]
+    pub limit: usize,
+    /// Server, or data folder.
+    #[command(flatten)]
+    pub at: At,
+}
+
+fn formats() -> impl TypedValueParser<Value = Format> {
+    let names = Format::ALL.into_iter().filter(|format| format.streams()).map(Format::name);
+    PossibleValuesParser::new(names).map(|name| name.parse().unwrap_or(Format::Csv))
+}
+
+/// A column of an answer.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+pub struct AnswerColumn {
+    /// Name.
+    pub name: String,
+    /// Type, for people.
+    #[serde(rename = "type")]
+    pub kind: String,
+}
+
+/// The rows that answer a statement.
+#[derive(Debug, Clone, Deserialize)]
+pub struct Answer {
+    /// Columns, in their order.
+    pub columns: Vec<AnswerColumn>,
+    /// Number of rows.
+    pub count: u64,
+    /// Rows; absent values are missing.
+    pub rows: Vec<Map<String, Value>>,
+}
+
+/// Runs `palpate query`.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached or started or refuses the statement, or if the file cannot
+/// be written.
+pub async fn query(args: QueryArgs) -> Result<(), CliError> {
+    let at = args.at.clone();
+    embed::reading(&at, move |client| async move { run(&client, args).await }).await
+}
+
+async fn run(client: &Client, args: QueryArgs) -> Result<(), CliError> {
+    let Some(sql) = args.sql.as_deref().map(statement).transpose()? else {
+        return tables(client, args.at.json).await;
+    };
+    let by_ending = args.out.as_deref().and_then(|out| {
+        let ending = out.extension()?.to_str()?.to_lowercase();
+        Format::ALL
+            .into_iter()
+            .find(|f| f.streams() && (f.extension() == ending || f.name() == ending))
+    });
+    match (args.format.or(by_ending), args.out) {
+        (Some(format), out) => write(client, &sql, format, out).await,
+        (None, Some(out)) => {
+            let limit = "must end in parquet, arrows, csv or ndjson, or name a --format";
+            Err(CliError::argument("--out", out.display(), limit))
+        }
+        (None, None) if args.at.json => {
+            let answer: Value = ask(client, &sql).await?;
+            say_json(&answer);
+            Ok(())
+        }
+        (None, None) => {
+            let answer: Answer = ask(client, &sql).await?;
+            show(&answer, args.limit);
+            Ok(())
+        }
+    }
+}
+
+/// The statement of an argument, or of standard input for `-`.
+fn statement(text: &str) -> Result<String, CliError> {
+    if text != "-" {
+        return Ok(text.to_owned());
+    }
+    let failed = |source| CliError::File { path: "standard input".into(), source };
+    std::io::read_to_string(std::io::stdin()).map_err(failed)
+}
+
+async fn tables(client: &Client, as_json: bool) -> Result<(), CliError> {
+    let tables: Vec<Map<String, Value>> = client.get("/api/v1/query/tables").await?;
+    if as_json {
+        say_json(&tables);
+        return Ok(());
+    }
+    let text = |table: &Map<String, Value>, key: &str| {
+        table.get(key).and_then(Value::as_str).unwrap_or_default().replace('`', "")
+    };
+    let mut shown = Table::new(&[("table", Align::Left), ("a row is", Align::Left)], "no tables");
+    for table in &tables {
+        let about = text(table, "about");
+        shown.push([text(table, "name"), about.trim_start_matches("a row: ").to_owned()]);
+    }
+    say(shown);
+    say(
+        "Names with a hyphen stand in double quotes: palpate query 'SELECT * FROM \"run-1\" LIMIT 5'",
+    );
+    Ok(())
+}
+
+/// Asks a statement; waits while the engine is built.
+///
+/// # Errors
+/// `CliError` if the service refuses the statement, or cannot be reached.
+pub async fn ask<T: serde::de::DeserializeOwned>(
+    client: &Client,
+    sql: &str,
+) -> Result<T, CliError> {
+    let answer = send(client, &json!({ "sql": sql })).await?;
+    let operation = "POST /api/v1/query".to_owned();
+    answer.json().await.map_err(|source| CliError::Http { operation, source })
+}
+
+async fn send(client: &Client, body: &Value) -> Result<reqwest::Response, CliError> {
+    let client = client.patient(TIME_MAX + SENDING);
+    let mut building = None;
+    loop {
+        let sent = client.send(Method::POST, "/api/v1/query", Some(body));
+        match shown_wait("evaluating the query", sent).await {
+            Err(CliError::Refused { status: 503, detail, .. }) => {
+                if building.is_none() {
+                    building = Some(Working::on(&detail));
+                }
+                tokio::time::sleep(LOOK).await;
+            }
+            answered => return answered,
+        }
+    }
+}
+
+async fn write(
+    client: &Client,
+    sql: &str,
+    format: Format,
+    out: Option<PathBuf>,
+) -> Result<(), CliError> {
+    let answer = send(client, &json!({ "sql": sql, "format": format.name() })).await?;
+    let mut pieces = answer.bytes_stream();
+    let operation = || "POST /api/v1/query".to_owned();
+    let Some(path) = out else {
+        if std::io::stdout().is_terminal() && matches!(format, Format::Parquet | Format::Arrow) {
+            let limit = "must go to a file: add --out FILE, or redirect standard output";
+            return Err(CliError::argument("--format", format, limit));
+        }
+        let mut output = std::io::stdout();
+        while let Some(piece) = pieces.next().await {
+            let piece =
+                piece.map_err(|source| CliError::Http { operation: operation(), source })?;
+            // A pipe that nobody reads any more is no error.
+            if output.write_all(&piece).and_then(|()| output.flush()).is_err() {
+                break;
+            }
+        }
+        return Ok(());
+    };
+    // The file appears whole, or not at all.
+    let partial = path.with_added_extension("part");
+    let failed = |source| CliError::File { path: path.clone(), source };
+    let mut file = std::fs::File::create(&partial).map_err(failed)?;
+    let mut length = 0;
+    let written = async {
+        while let Some(piece) = pieces.next().await {
+            let piece =
+                piece.map_err(|source| CliError::Http { operation: operation(), source })?;
+            length += piece.len();
+            file.write_all(&piece).map_err(failed)?;
+        }
+        file.sync_all().and_then(|()| std::fs::rename(&partial, &path)).map_err(failed)
+    };
+    if let Err(error) = written.await {
+        let _ = std::fs::remove_file(&partial);
+        return Err(error);
+    }
+    note(format_args!("{}: {format}, {}", path.display(), bytes(length as f64)));
+    Ok(())
+}
+
+fn show(answer: &Answer, limit: usize) {
+    let align = |kind: &str| match kind.contains("int") || kind.contains("float") {
+        true if !kind.contains(['[', ' ']) => Align::Right,
+        _ => Align::Left,
+    };
+    let heads: Vec<_> = answer.columns.iter().map(|c| (c.name.as_str(), align(&c.kind))).collect();
+    let mut table = Table::new(&heads, "no row");
+    for row in answer.rows.iter().take(limit) {
+        table.push(answer.columns.iter().map(|column| cell(row.get(&column.name))));
+    }
+    say(table);
+    let shown = answer.rows.len().min(limit) as u64;
+    if shown < answer.count {
+        say(format_args!(
+            "{} of {}; --limit N shows more, --out FILE.csv writes all",
+            grouped(shown),
+            counted(answer.count, "row", "rows")
+        ));
+    }
+}
+
+/// A value as text: numbers with at most seven digits, lists cut.
+fn cell(value: Option<&Value>) -> String {
+    let text = match value {
+        None | Some(Value::Null) => return "-".into(),
+        Some(Value::String(text)) => text.clone(),
+        Some(Value::Number(number)) if number.is_f64() => {
+            let number = number.as_f64().unwrap_or_default();
+            return match number.abs() {
+                size if size == 0.0 || (1e-3..1e7).contains(&size) => {
+                    let digits = (6 - size.max(1.0).log10().floor() as i32).max(0) as usize;
+                    let text = format!("{number:.digits$}");
+                    match text.contains('.') {
+                        true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+                        false => text,
+                    }
+                }
+                _ => format!("{number:.4e}"),
+            };
+        }
+        Some(other) => other.to_string(),
+    };
+    match text.char_indices().nth(CELL_MAX) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cells_are_short_and_keep_seven_digits() {
+        let of = |value: Value| cell(Some(&value));
+        assert_eq!(cell(None), "-");
+        assert_eq!(of(json!(3)), "3");
+        assert_eq!(of(json!(0.30000000000000004)), "0.3");
+        assert_eq!(of(json!(1234567.89)), "1234568");
+        assert_eq!(of(json!(12.5)), "12.5");
+        assert_eq!(of(json!(0.000012345)), "1.2345e-5");
+        assert_eq!(of(json!("text")), "text");
+        assert_eq!(of(json!([1, 2])), "[1,2]");
+        assert_eq!(of(json!("x".repeat(100))).chars().count(), CELL_MAX + 1);
+    }
+}

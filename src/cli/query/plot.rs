@@ -1,0 +1,253 @@
+//! `palpate plot`: the answer to a statement, or to a prepared question, as a picture.
+//! Uses: `figure::series`, `picture`. Never: a number that is not in the answer.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use serde_json::Value;
+
+use super::prepared::{NAMES, Question, Trials, number};
+use super::{Answer, ask};
+use crate::cli::client::Client;
+use crate::cli::error::CliError;
+use crate::cli::morning::find_run;
+use crate::cli::output::{note, say, say_json};
+use crate::cli::{At, embed, picture};
+use crate::figure::Heading;
+use crate::figure::series::{Chart, Marks, Places, Series};
+use crate::near::did_you_mean;
+use crate::store::Condition;
+
+/// Options of `plot`.
+#[derive(Debug, Clone, Args)]
+pub struct PlotArgs {
+    /// counts, force-depth, fvu-by-pair; a column, for its histogram; or a SELECT statement, whose
+    /// first column is drawn over the others.
+    #[arg(value_name = "NAME|COLUMN|SELECT ..")]
+    pub what: String,
+    /// A run (number, start of the id, or `last`), and conditions as of `palpate trials`.
+    #[arg(value_name = "RUN|COLUMN__gt=VALUE")]
+    pub of: Vec<String>,
+    /// File of the picture; ends in .svg, .png or .pdf [default: palpate-plot.svg].
+    #[arg(long, short, value_name = "FILE", default_value = "palpate-plot.svg")]
+    pub out: PathBuf,
+    /// How a statement is drawn [default: bars for names and few whole numbers, else lines].
+    #[arg(long, value_enum)]
+    pub marks: Option<MarksArg>,
+    /// Title of the figure.
+    #[arg(long, value_name = "TEXT")]
+    pub title: Option<String>,
+    /// Server, or data folder.
+    #[command(flatten)]
+    pub at: At,
+}
+
+/// How series are drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum MarksArg {
+    /// Bars from zero.
+    Bars,
+    /// Lines.
+    Lines,
+    /// Dots.
+    Dots,
+}
+
+impl From<MarksArg> for Marks {
+    fn from(marks: MarksArg) -> Self {
+        match marks {
+            MarksArg::Bars => Self::Bars,
+            MarksArg::Lines => Self::Lines,
+            MarksArg::Dots => Self::Dots,
+        }
+    }
+}
+
+/// Runs `palpate plot`.
+///
+/// # Errors
+/// `CliError` if the service cannot be reached or started or refuses the question, or if the picture
+/// cannot be written.
+pub async fn plot(args: PlotArgs) -> Result<(), CliError> {
+    let at = args.at.clone();
+    embed::reading(&at, move |client| async move { draw(&client, args).await }).await
+}
+
+async fn draw(client: &Client, args: PlotArgs) -> Result<(), CliError> {
+    let trials = trials(client, &args.of).await?;
+    let is_statement = args.what.contains(char::is_whitespace);
+    let (question, answer, heading) = if is_statement {
+        let answer: Answer = ask(client, &args.what).await?;
+        let title = args.title.clone().unwrap_or_else(|| title_of(&answer));
+        let heading = Heading::new(&title, answer.count, "rows", "query").with_note(&args.what);
+        let question = of_statement(&args.what, &title, &answer);
+        (question, answer, heading)
+    } else {
+        let question = question(client, &trials, &args.what).await?;
+        let answer: Answer = ask(client, &question.sql).await?;
+        let labels: Answer = ask(client, &trials.labels()).await?;
+        let (label, count) = label(&labels);
+        let title = args.title.as_ref().unwrap_or(&question.title);
+        let mut heading = Heading::new(title, count, "trials", &label);
+        if !args.of.is_empty() {
+            heading = heading.with_note(args.of.join(", "));
+        }
+        note(format_args!("palpate query \"{}\"", question.sql.replace('"', "\\\"")));
+        (question, answer, heading)
+    };
+    let marks = args.marks.map_or(question.marks, Marks::from);
+    let chart = chart(&question, marks, &answer)
+        .map_err(|limit| CliError::argument("the answer", &args.what, limit))?;
+    let svg = chart
+        .draw(&heading)
+        .map_err(|limit| CliError::argument("the answer", &args.what, limit))?;
+    picture::write(&args.out, &svg).await?;
+    if args.at.json {
+        say_json(
+            &serde_json::json!({ "sql": question.sql, "rows": answer.count, "file": args.out }),
+        );
+    } else {
+        say(args.out.display());
+    }
+    Ok(())
+}
+
+/// The selected trials.
+async fn trials(client: &Client, of: &[String]) -> Result<Trials, CliError> {
+    let mut trials = Trials::default();
+    for text in of {
+        if text.contains('=') {
+            let condition = Condition::parse(text).and_then(Condition::of_stored);
+            let condition = condition.map_err(|limit| CliError::argument("WHERE", text, limit))?;
+            trials.conditions.push(condition);
+        } else if trials.run.is_none() {
+            trials.run = Some(find_run(client, text).await?.uid);
+        } else {
+            let limit = "must be a condition such as tips=4, or the only run";
+            return Err(CliError::argument("RUN", text, limit));
+        }
+    }
+    Ok(trials)
+}
+
+/// The prepared question of a name, or the histogram of a column.
+async fn question(client: &Client, trials: &Trials, name: &str) -> Result<Question, CliError> {
+    if let Some(question) = trials.named(name) {
+        return Ok(question);
+    }
+    let Some(column) = number(name) else {
+        let known = NAMES.iter().map(|(name, _)| *name);
+        let columns = crate::store::table::TABLE.iter().map(|column| column.name);
+        let meant = did_you_mean(name, known.clone().chain(columns));
+        let limit = format!(
+            "must be {}, a column of numbers, or a SELECT statement{meant}",
+            known.collect::<Vec<_>>().join(", ")
+        );
+        return Err(CliError::argument("NAME", name, limit));
+    };
+    let ends: Answer = ask(client, &trials.ends(column)).await?;
+    let end = |key: &str| ends.rows.first().and_then(|row| row.get(key)).and_then(Value::as_f64);
+    let (Some(low), Some(high)) = (end("low"), end("high")) else {
+        let limit = "has no value in the selected trials";
+        return Err(CliError::argument("COLUMN", name, limit));
+    };
+    Ok(trials.histogram(column, low, high))
+}
+
+/// A statement as a question: what is not known of it follows from its answer.
+fn of_statement(sql: &str, title: &str, answer: &Answer) -> Question {
+    let names: Vec<&str> = answer.columns.iter().map(|column| column.name.as_str()).collect();
+    let x_name = names.first().copied().unwrap_or_default();
+    let first = answer.columns.first().map(|column| column.kind.as_str()).unwrap_or_default();
+    let few = answer.rows.len() <= 40;
+    let bars = first == "string" || first == "bool" || few && first.contains("int");
+    Question {
+        sql: sql.to_owned(),
+        title: title.to_owned(),
+        axes: [x_name.to_owned(), names[1.min(names.len())..].join(", ")],
+        marks: if bars { Marks::Bars } else { Marks::Lines },
+        width: None,
+    }
+}
+
+fn title_of(answer: &Answer) -> String {
+    let names: Vec<&str> = answer.columns.iter().map(|column| column.name.as_str()).collect();
+    match names.split_first() {
+        Some((x, values)) if !values.is_empty() => format!("{} over {x}", values.join(", ")),
+        _ => "Result of a query".into(),
+    }
+}
+
+/// The label of trials, and their number.
+fn label(labels: &Answer) -> (String, u64) {
+    let text = |row: &serde_json::Map<String, Value>| {
+        row.get("label").and_then(Value::as_str).unwrap_or("no label").to_owned()
+    };
+    let names: Vec<String> = labels.rows.iter().map(text).collect();
+    let count = labels.rows.iter().filter_map(|row| row.get("trials")?.as_u64()).sum();
+    (names.join(" and "), count)
+}
+
+/// The first column as places, the other columns of numbers as series.
+fn chart(question: &Question, marks: Marks, answer: &Answer) -> Result<Chart, String> {
+    let (first, values) = answer.columns.split_first().ok_or("has no columns")?;
+    // A row without a place is not drawn.
+    let rows: Vec<_> = answer.rows.iter().filter(|row| row.contains_key(&first.name)).collect();
+    let numbers: Vec<f64> = rows.iter().filter_map(|row| row.get(&first.name)?.as_f64()).collect();
+    let places = if numbers.len() == rows.len() {
+        Places::Numbers(numbers)
+    } else {
+        let name = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+        Places::Names(rows.iter().filter_map(|row| row.get(&first.name).map(name)).collect())
+    };
+    let series: Vec<Series> = values
+        .iter()
+        .map(|column| Series {
+            name: column.name.clone(),
+            values: rows.iter().map(|row| row.get(&column.name)?.as_f64()).collect(),
+        })
+        .filter(|series| series.values.iter().any(Option::is_some))
+        .collect();
+    if series.is_empty() {
+        return Err("has no second column of numbers to draw over the first one".into());
+    }
+    let [x_name, y_name] = question.axes.clone();
+    Ok(Chart { x_name, y_name, places, width: question.width, series, marks })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn answer(columns: &[(&str, &str)], rows: Value) -> Answer {
+        let columns: Vec<Value> =
+            columns.iter().map(|(name, kind)| json!({ "name": name, "type": kind })).collect();
+        let count = rows.as_array().map_or(0, Vec::len);
+        serde_json::from_value(json!({ "columns": columns, "count": count, "rows": rows })).unwrap()
+    }
+
+    #[test]
+    fn the_first_column_is_drawn_over_the_others() {
+        let rows = json!([{ "tips": 1, "n": 3, "who": "a" }, { "tips": 2 }, { "n": 4 }]);
+        let answer = answer(&[("tips", "uint8"), ("n", "uint32"), ("who", "string")], rows);
+        let question = of_statement("SELECT", "Title", &answer);
+        assert_eq!((question.marks, question.axes[0].as_str()), (Marks::Bars, "tips"));
+        let chart = chart(&question, question.marks, &answer).unwrap();
+        assert_eq!(chart.places, Places::Numbers(vec![1.0, 2.0]));
+        assert_eq!(chart.series, [Series { name: "n".into(), values: vec![Some(3.0), None] }]);
+        assert_eq!(title_of(&answer), "n, who over tips");
+    }
+
+    #[test]
+    fn an_answer_without_numbers_is_refused() {
+        let one = answer(&[("label", "string")], json!([{ "label": "virtual" }]));
+        let question = of_statement("SELECT", "", &one);
+        assert!(chart(&question, Marks::Bars, &one).unwrap_err().contains("second column"));
+        let labels = answer(
+            &[("label", "string"), ("trials", "uint32")],
+            json!([{ "label": "measured", "trials": 2 }, { "label": "virtual", "trials": 5 }]),
+        );
+        assert_eq!(label(&labels), ("measured and virtual".into(), 7));
+    }
+}

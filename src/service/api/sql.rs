@@ -1,0 +1,224 @@
+//! Questions in SQL: one SELECT statement, answered in the requested format.
+//! Uses: `data::query`. Never: SQL of its own, an answer that is not whole without an error.
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::HeaderMap;
+use axum::response::{IntoResponse, Response};
+use serde::{Deserialize, Serialize};
+use serde_json::value::RawValue;
+use utoipa::{IntoParams, ToSchema};
+
+use super::App;
+use super::audit::cut;
+use super::limits::QUERY_JSON_MAX_BYTES;
+use super::problem::{ApiError, Body as JsonBody, Params, ProblemBody};
+use super::query::for_pages;
+use super::send;
+use crate::dataset::error::DatasetError;
+use crate::dataset::format::{Format, Stream};
+use crate::dataset::schema::type_words;
+use crate::journal::error_chain;
+use crate::query::{QueryError, ResultRows, TABLES};
+
+/// Longest part of a statement that its refusal repeats, characters.
+const SHOWN_CHARS: usize = 200;
+
+/// A question.
+#[derive(Debug, Clone, Deserialize, ToSchema, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct QueryRequest {
+    /// One SELECT statement, in the dialect of polars.
+    #[schema(
+        example = "SELECT contact_count, count(*) AS trials FROM trials GROUP BY contact_count"
+    )]
+    pub sql: String,
+    /// Format of the rows: json, ndjson, csv, parquet or arrow; default: that of the `Accept` header, or
+    /// json.
+    #[serde(default)]
+    pub format: Option<String>,
+}
+
+/// A column of a result.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct QueryColumn {
+    /// Name.
+    pub name: String,
+    /// Type, for people.
+    #[serde(rename = "type")]
+    pub kind: String,
+}
+
+/// A result as JSON.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct QueryOut {
+    /// Columns, in their order.
+    pub columns: Vec<QueryColumn>,
+    /// Number of rows.
+    pub count: u64,
+    /// The rows; a null value is absent.
+    #[schema(value_type = Vec<Object>)]
+    pub rows: Vec<Box<RawValue>>,
+}
+
+/// A table that statements may read.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct QueryTable {
+    /// Name in statements; names with a hyphen stand in double quotes.
+    pub name: String,
+    /// What a row is.
+    pub about: String,
+}
+
+/// Answers a SELECT statement over the stored trials and the datasets.
+///
+/// Every dataset is a table under its id and its name. Nothing can be written, and no file or address
+/// be read.
+#[utoipa::path(post, operation_id = "query", path = "/api/v1/query", tag = "datasets",
+    request_body = QueryRequest,
+    responses((status = 200, body = QueryOut),
+        (status = 400, body = ProblemBody,
+            description = "the statement is invalid, or needs more time, memory or rows than a query may use"),
+        (status = 503, body = ProblemBody,
+            description = "the query engine is being built, or other queries are in progress (with `Retry-After`)")))]
+pub async fn ask(
+    State(app): State<App>,
+    headers: HeaderMap,
+    JsonBody(request): JsonBody<QueryRequest>,
+) -> Result<Response, ApiError> {
+    answer(&app, &headers, request).await
+}
+
+/// Answers a SELECT statement in the address, as `pandas.read_parquet(url)` needs it.
+///
+/// As the POST of this path.
+#[utoipa::path(get, operation_id = "query_by_address", path = "/api/v1/query", tag = "datasets",
+    params(QueryRequest),
+    responses((status = 200, body = QueryOut),
+        (status = 400, body = ProblemBody,
+            description = "the statement is invalid, or needs more time, memory or rows than a query may use"),
+        (status = 503, body = ProblemBody,
+            description = "the query engine is being built, or other queries are in progress (with `Retry-After`)")))]
+pub async fn asked(
+    State(app): State<App>,
+    headers: HeaderMap,
+    Params(request): Params<QueryRequest>,
+) -> Result<Response, ApiError> {
+    answer(&app, &headers, request).await
+}
+
+/// Lists the tables of statements: those of every data folder, then the datasets.
+#[utoipa::path(get, operation_id = "query_tables", path = "/api/v1/query/tables", tag = "datasets",
+    responses((status = 200, body = Vec<QueryTable>)))]
+pub async fn tables(State(app): State<App>) -> Result<Json<Vec<QueryTable>>, ApiError> {
+    let known = TABLES.iter().map(|table| QueryTable {
+        name: table.name.into(),
+        about: format!("a row: {}", table.about),
+    });
+    let datasets = app.store.datasets().await?;
+    let mut datasets: Vec<_> = datasets.into_iter().map(|dataset| dataset.name).collect();
+    datasets.sort();
+    datasets.dedup();
+    let datasets = datasets.into_iter().map(|name| QueryTable {
+        about: format!("a row of the newest dataset of the name {name}"),
+        name,
+    });
+    Ok(Json(known.chain(datasets).collect()))
+}
+
+async fn answer(
+    app: &App,
+    headers: &HeaderMap,
+    request: QueryRequest,
+) -> Result<Response, ApiError> {
+    let format = match request.format.as_deref() {
+        None => send::accepted(headers),
+        Some("json") => None,
+        Some(name) => Some(
+            name.parse::<Format>()
+                .map_err(|error| ApiError::query("format", name, &format!("{error}, or json")))?,
+        ),
+    };
+    format.map_or(Ok(()), for_pages).map_err(ApiError::bad_query)?;
+    let rows = app.queries.answer(&request.sql).await.map_err(|error| match error {
+        QueryError::Refused(why) => ApiError::query("sql", cut(&request.sql, SHOWN_CHARS), &why),
+        other => other.into(),
+    })?;
+    match format {
+        Some(format) => streamed(format, rows).await,
+        None => {
+            let column = |field: &arrow_schema::FieldRef| QueryColumn {
+                name: field.name().clone(),
+                kind: type_words(field.data_type()),
+            };
+            let columns = rows.schema.fields().iter().map(column).collect();
+            let count = rows.count;
+            Ok(Json(QueryOut { columns, count, rows: items(rows).await? }).into_response())
+        }
+    }
+}
+
+/// The rows in a row format, encoded as they arrive.
+///
+/// # Errors
+/// `ApiError` if the format cannot hold a column, or the first rows cannot be read or encoded.
+pub async fn streamed(format: Format, mut rows: ResultRows) -> Result<Response, ApiError> {
+    let piece = send::Piece::default();
+    let mut stream =
+        Stream::new(format, &rows.schema, piece.clone()).map_err(DatasetError::from)?;
+    if let Some(first) = rows.next().await {
+        stream.push(&first.map_err(DatasetError::from)?).map_err(DatasetError::from)?;
+    }
+    let pieces = futures::stream::unfold(Some((rows, stream)), move |state| {
+        let piece = piece.clone();
+        async move {
+            let (mut rows, mut stream) = state?;
+            let pushed = match rows.next().await {
+                None => {
+                    let end = stream.finish().map(|piece| piece.take());
+                    return Some((end.map_err(std::io::Error::other), None));
+                }
+                Some(batch) => {
+                    batch.map_err(DatasetError::from).and_then(|batch| Ok(stream.push(&batch)?))
+                }
+            };
+            match pushed {
+                Ok(()) => Some((Ok(piece.take()), Some((rows, stream)))),
+                Err(error) => {
+                    tracing::warn!(
+                        error = error_chain(&error),
+                        "the answer to a query is incomplete"
+                    );
+                    Some((Err(std::io::Error::other(error.to_string())), None))
+                }
+            }
+        }
+    });
+    Ok(send::in_format(format, Body::from_stream(pieces)))
+}
+
+/// The rows as JSON objects.
+///
+/// # Errors
+/// 400 if they are too long for JSON; 500 if the engine fails meanwhile.
+pub async fn items(mut rows: ResultRows) -> Result<Vec<Box<RawValue>>, ApiError> {
+    let piece = send::Piece::default();
+    let mut lines =
+        Stream::new(Format::Ndjson, &rows.schema, piece.clone()).map_err(DatasetError::from)?;
+    let mut text = Vec::new();
+    while let Some(batch) = rows.next().await {
+        lines.push(&batch.map_err(DatasetError::from)?).map_err(DatasetError::from)?;
+        text.extend(piece.take());
+        if text.len() > QUERY_JSON_MAX_BYTES {
+            let limit = format!(
+                "must be another one for a result of more than {} MiB: ndjson, csv, parquet or arrow",
+                QUERY_JSON_MAX_BYTES >> 20
+            );
+            return Err(ApiError::query("format", "json", &limit));
+        }
+    }
+    text.extend(lines.finish().map_err(DatasetError::from)?.take());
+    Ok(send::values(&text)?)
+}

@@ -1,0 +1,254 @@
+//! Questions in SQL to a service with the real query engine: what the tables hold, live trials, formats,
+//! groups, refusals. Without the engine the tests say that they were left out, or fail with
+//! `PALPATE_REQUIRE_TOOLS=1`.
+
+use palpate::dataset::format::Format;
+use palpate::ids::TrialKey;
+use palpate::journal::Journal;
+use palpate::program::Program;
+use palpate::query::QUERY;
+use palpate::store::RunKind;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use serde_json::{Value, json};
+
+use super::filled::{self, Filled};
+
+/// A filled service, if there is an engine.
+async fn lab(name: &str) -> Option<Filled> {
+    if !matches!(QUERY.find(), Program::Ready(_)) {
+        let build = "cargo build --manifest-path query/Cargo.toml";
+        assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "no query engine: {build}");
+        println!("LEFT OUT: no query engine ({build})");
+        return None;
+    }
+    Some(Filled::open(&format!("sql-{name}")).await)
+}
+
+async fn ask(lab: &Filled, sql: &str) -> Value {
+    let (status, answer) = lab.post("/api/v1/query", json!({ "sql": sql })).await;
+    assert_eq!(status, 200, "{sql}: {answer}");
+    answer["rows"].clone()
+}
+
+async fn number(lab: &Filled, sql: &str) -> Value {
+    ask(lab, sql).await[0]["n"].clone()
+}
+
+#[tokio::test]
+async fn the_tables_hold_what_is_stored() {
+    let Some(lab) = lab("tables").await else { return };
+    let counts = [
+        ("trials", json!(342)),
+        ("runs", json!(2)),
+        ("twins", json!(327)),
+        ("voltages", json!(342 * 784)),
+        ("frames", json!(342)),
+        ("references", json!(0)),
+        // Depths 3 to 10 of 30 configurations have two contacts, the weights two to four.
+        ("contacts", json!(30 * 8 * 2 + 4 * (2 + 3 + 4))),
+    ];
+    for (table, count) in counts {
+        let found = number(&lab, &format!("SELECT count(*) AS n FROM {table}")).await;
+        assert_eq!(found, count, "{table}");
+    }
+    assert_eq!(
+        number(&lab, "SELECT count(*) AS n FROM events").await,
+        json!(
+            lab.get("/api/v1/events?follow=false&limit=1000").await["items"]
+                .as_array()
+                .map_or(0, Vec::len)
+        )
+    );
+    // The columns of the API, value by value.
+    let names =
+        "trial_id, scan_id, label, depth_mm, tips, contact_count, max_force_n, fvu, measured_at";
+    let sql =
+        format!("SELECT {names} FROM trials WHERE trial_id IN (5, 20, 335) ORDER BY trial_id");
+    let columns = names.replace(' ', "");
+    let path = format!("/api/v1/trials?trial_id__in=5,20,335&format=ndjson&columns={columns}");
+    let lines = lab.answer(&path).await.text().await.unwrap();
+    let rows: Vec<Value> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(ask(&lab, &sql).await, json!(rows));
+    // Frames, measured and simulated, and the FVU by Eq. 2 from the long table.
+    let frame = &ask(&lab, "SELECT * FROM frames WHERE trial_id = 20").await[0];
+    let trial = lab.get("/api/v1/trials/20").await;
+    for column in ["voltages_v", "sim_voltages_v"] {
+        // Of some numbers two shortest texts are the same f32.
+        let volts = |row: &Value| -> Vec<f32> {
+            let values = row[column].as_array().unwrap().iter().filter_map(Value::as_f64);
+            values.map(|v| v as f32).collect()
+        };
+        assert_eq!(volts(frame), volts(&trial), "{column}");
+        assert_eq!(volts(frame).len(), 784);
+    }
+    let long = ask(
+        &lab,
+        "SELECT injection, pair, voltage_v AS v FROM voltages WHERE trial_id = 20 AND position = 29",
+    )
+    .await;
+    assert_eq!(long[0], json!({ "injection": 1, "pair": 1, "v": frame["voltages_v"][29] }));
+    lab.close().await;
+}
+
+#[tokio::test]
+async fn trials_of_a_run_that_goes_on_are_there_and_datasets_are_tables() {
+    let Some(lab) = lab("live").await else { return };
+    let before = number(&lab, "SELECT max(trial_id) AS n FROM trials").await;
+    let store = filled::store(&lab.data).await;
+    let run = store.create_run(filled::new_run(RunKind::RealRandom, "live")).await.unwrap().uid;
+    let mut chance = ChaCha8Rng::seed_from_u64(9);
+    for configuration in 0..3 {
+        let key = TrialKey { configuration, depth_index: 0 };
+        store.trial(run, &filled::placed(key, &[[100.0, 200.0]], &mut chance)).await.unwrap();
+        let sql = "SELECT count(*) AS n FROM trials WHERE experiment = 'live'";
+        assert_eq!(number(&lab, sql).await, json!(configuration + 1));
+    }
+    // Twins arrive later.
+    let sql = "SELECT count(fvu) AS n FROM trials WHERE experiment = 'live'";
+    assert_eq!(number(&lab, sql).await, json!(0));
+    filled::twins(&store, run, "sim-0000000000000002", &mut chance).await;
+    assert_eq!(number(&lab, sql).await, json!(0), "the last three have none");
+    // A discarded trial is gone, and its attempt is no trial.
+    let key = TrialKey { configuration: 2, depth_index: 0 };
+    store.discard(run, key, "slipped").await.unwrap();
+    let sql = "SELECT count(*) AS n FROM trials WHERE experiment = 'live'";
+    assert_eq!(number(&lab, sql).await, json!(2));
+    store.close().await;
+    assert!(before.is_i64());
+
+    let (status, answer) =
+        lab.post("/api/v1/query", json!({ "sql": "SELECT count(*) AS n FROM \"real\"" })).await;
+    assert_eq!(status, 400);
+    assert!(answer["detail"].as_str().unwrap().contains("dataset make real"), "{answer}");
+    let made = lab.make("real").await;
+    for name in ["real", made["id"].as_str().unwrap()] {
+        let sql = format!("SELECT count(*) AS n FROM \"{name}\"");
+        assert_eq!(number(&lab, &sql).await, made["rows"]);
+    }
+    let joined =
+        "SELECT count(*) AS n FROM real r JOIN trials t USING (trial_id) WHERE t.fvu = 0.5";
+    assert_eq!(number(&lab, joined).await, json!(232));
+    let tables = lab.get("/api/v1/query/tables").await;
+    let names: Vec<&str> =
+        tables.as_array().unwrap().iter().filter_map(|table| table["name"].as_str()).collect();
+    assert!(names.contains(&"trials") && names.contains(&"real"), "{names:?}");
+    lab.close().await;
+}
+
+#[tokio::test]
+async fn an_answer_comes_in_every_row_format_and_by_the_address() {
+    let Some(lab) = lab("formats").await else { return };
+    let sql = "SELECT trial_id, label, fvu, measured_at, flags FROM trials ORDER BY trial_id";
+    for format in Format::ALL {
+        let body = json!({ "sql": sql, "format": format.name() });
+        let sent = lab.http.post(lab.url("/api/v1/query")).json(&body).send().await.unwrap();
+        assert_eq!(sent.status().is_success(), format.streams(), "{format}");
+        if !format.streams() {
+            continue;
+        }
+        assert_eq!(sent.headers()["content-type"], format.media_type());
+        let bytes = sent.bytes().await.unwrap();
+        let rows = match format {
+            Format::Csv | Format::Ndjson => {
+                let text = String::from_utf8(bytes.to_vec()).unwrap();
+                text.lines().count() - usize::from(format == Format::Csv)
+            }
+            Format::Parquet => {
+                use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
+                let reader = ParquetRecordBatchReaderBuilder::try_new(bytes).unwrap();
+                reader.metadata().file_metadata().num_rows() as usize
+            }
+            _ => 342,
+        };
+        assert_eq!(rows, 342, "{format}");
+    }
+    let get =
+        lab.answer("/api/v1/query?sql=SELECT%20max(tips)%20AS%20n%20FROM%20trials&format=csv");
+    assert_eq!(get.await.text().await.unwrap(), "n\r\n4\r\n");
+    lab.close().await;
+}
+
+#[tokio::test]
+async fn groups_and_orders_follow_from_the_parameters_of_filters() {
+    let Some(lab) = lab("groups").await else { return };
+    let by_count =
+        lab.get("/api/v1/trials/groups?group_by=contact_count&agg=count,max(max_force_n)").await;
+    let counts: Vec<&Value> =
+        by_count["items"].as_array().unwrap().iter().map(|row| &row["count"]).collect();
+    assert_eq!(counts, [90, 244, 4, 4], "{by_count}");
+    let bins = lab.get("/api/v1/trials/groups?scan_id=1&bin=depth_mm:2&sort=-from_depth_mm").await;
+    assert_eq!(
+        bins["items"],
+        json!([
+            { "from_depth_mm": 4.0, "count": 90 },
+            { "from_depth_mm": 2.0, "count": 120 },
+            { "from_depth_mm": 0.0, "count": 120 },
+        ])
+    );
+    // One of several conditions.
+    let either = "/api/v1/trials/groups?agg=count&contact_count=3|depth_mm__gt=4.9";
+    assert_eq!(lab.get(either).await["items"], json!([{ "count": 34 }]));
+    let listed = lab.get("/api/v1/trials?contact_count=3|depth_mm__gt=4.9&limit=1000").await;
+    assert_eq!(listed["items"].as_array().unwrap().len(), 34);
+    lab.make("real").await;
+    let real = "/api/v1/datasets/real/groups?group_by=split&agg=count,mean(max_force_n)&contact_count=2|tips=9";
+    let parts = lab.get(real).await;
+    let total: u64 =
+        parts["items"].as_array().unwrap().iter().filter_map(|row| row["count"].as_u64()).sum();
+    assert_eq!(total, 235, "{parts}");
+    // Any order, page by page, equals sorting all.
+    let path =
+        "/api/v1/trials?sort=-max_force_n&columns=trial_id,max_force_n&format=ndjson&limit=100";
+    let (mut next, mut forces) = (path.to_owned(), Vec::new());
+    loop {
+        let page = lab.answer(&next).await;
+        let link = page.headers().get("link").map(|link| link.to_str().unwrap().to_owned());
+        let text = page.text().await.unwrap();
+        let rows = text.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+        forces.extend(rows.map(|row| row["max_force_n"].as_f64().unwrap_or(-1.0)));
+        match link {
+            Some(link) => next = link[1..link.find('>').unwrap()].to_owned(),
+            None => break,
+        }
+    }
+    assert_eq!(forces.len(), 342);
+    assert!(forces.windows(2).all(|pair| pair[0] >= pair[1]));
+    lab.close().await;
+}
+
+#[tokio::test]
+async fn a_refusal_names_what_is_wrong() {
+    let Some(lab) = lab("refusals").await else { return };
+    for (sql, word) in [
+        ("DROP TABLE trials", "DROP"),
+        ("SELECT 1; SELECT 2", "2 statements"),
+        ("SELECT fuv FROM trials", "fuv"),
+        ("SELECT * FROM trails", "did you mean `trials`"),
+        ("SELECT * FROM read_parquet('/etc/passwd')", "cannot be read"),
+        ("SELECT a.trial_id FROM voltages a CROSS JOIN voltages b", "rows"),
+    ] {
+        let (status, answer) = lab.post("/api/v1/query", json!({ "sql": sql })).await;
+        assert_eq!(status, 400, "{sql}: {answer}");
+        assert_eq!(answer["errors"][0]["key"], "sql", "{sql}");
+        assert!(answer["detail"].as_str().unwrap().contains(word), "{sql}: {answer}");
+    }
+    for (query, word) in [
+        ("group_by=colour", "contact_count"),
+        ("bin=depth_mm", "COLUMN:WIDTH"),
+        ("agg=mode(fvu)", "q90"),
+        ("group_by=tips&sort=fvu", "tips, count"),
+        ("columns=fvu", "must be absent"),
+    ] {
+        let (status, words) = lab.refused(&format!("/api/v1/trials/groups?{query}")).await;
+        assert_eq!(status, 400, "{query}: {words}");
+        assert!(words.contains(word), "{query}: {words}");
+    }
+    let (status, words) = lab.refused("/api/v1/trials?group_by=tips").await;
+    assert!(status == 400 && words.contains("/api/v1/trials/groups"), "{words}");
+    let (status, words) = lab.refused("/api/v1/trials?sort=contacts").await;
+    assert!(status == 400 && words.contains("max_force_n"), "{words}");
+    // The service is steady.
+    assert_eq!(number(&lab, "SELECT count(*) AS n FROM trials").await, json!(342));
+    lab.close().await;
+}
