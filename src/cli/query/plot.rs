@@ -18,6 +18,9 @@ use crate::figure::series::{Chart, Marks, Places, Series};
 use crate::near::did_you_mean;
 use crate::store::Condition;
 
+/// Most whole numbers that are drawn as names.
+const NAMES_MAX: usize = 40;
+
 /// Options of `plot`.
 #[derive(Debug, Clone, Args)]
 pub struct PlotArgs {
@@ -194,7 +197,10 @@ fn chart(question: &Question, marks: Marks, answer: &Answer) -> Result<Chart, St
     // A row without a place is not drawn.
     let rows: Vec<_> = answer.rows.iter().filter(|row| row.contains_key(&first.name)).collect();
     let numbers: Vec<f64> = rows.iter().filter_map(|row| row.get(&first.name)?.as_f64()).collect();
-    let places = if numbers.len() == rows.len() {
+    let whole = numbers.iter().all(|n| n.fract() == 0.0) && numbers.len() <= NAMES_MAX;
+    // Bars of few whole numbers, such as counts, are parted like names.
+    let as_names = whole && marks == Marks::Bars && question.width.is_none();
+    let places = if numbers.len() == rows.len() && !as_names {
         Places::Numbers(numbers)
     } else {
         let name = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
@@ -233,8 +239,10 @@ mod tests {
         let answer = answer(&[("tips", "uint8"), ("n", "uint32"), ("who", "string")], rows);
         let question = of_statement("SELECT", "Title", &answer);
         assert_eq!((question.marks, question.axes[0].as_str()), (Marks::Bars, "tips"));
+        let lines = chart(&question, Marks::Lines, &answer).unwrap();
+        assert_eq!(lines.places, Places::Numbers(vec![1.0, 2.0]));
         let chart = chart(&question, question.marks, &answer).unwrap();
-        assert_eq!(chart.places, Places::Numbers(vec![1.0, 2.0]));
+        assert_eq!(chart.places, Places::Names(vec!["1".into(), "2".into()]));
         assert_eq!(chart.series, [Series { name: "n".into(), values: vec![Some(3.0), None] }]);
         assert_eq!(title_of(&answer), "n, who over tips");
     }

@@ -110,6 +110,13 @@ fn plain(schema: &SchemaRef, batch: &RecordBatch) -> Result<RecordBatch, ArrowEr
         DataType::Timestamp(..) => {
             let bare = cast(column, &DataType::Timestamp(TimeUnit::Millisecond, None))?;
             let times = bare.as_primitive::<TimestampMillisecondType>().clone();
+            let is_time = |at: i64| jiff::Timestamp::from_millisecond(at).is_ok();
+            if let Some(at) = times.iter().flatten().find(|&at| !is_time(at)) {
+                return Err(ArrowError::InvalidArgumentError(format!(
+                    "column {} holds {at} ms, which is no time",
+                    field.name()
+                )));
+            }
             Ok(Arc::new(times.with_timezone(zone::NAME)) as ArrayRef)
         }
         // Durations are counted in milliseconds.

@@ -93,8 +93,11 @@ impl Chart {
             Marks::Bars => (low.min(0.0), high.max(0.0)),
             Marks::Lines | Marks::Dots => (low, high),
         };
-        let above = ((high - low) * 0.06).max(f64::MIN_POSITIVE.max(high.abs() * 1e-6));
-        let below = if self.marks == Marks::Bars && low == 0.0 { 0.0 } else { above };
+        let room_y = ((high - low) * 0.06).max(f64::MIN_POSITIVE.max(high.abs() * 1e-6));
+        // The legend is above the values.
+        let legend = if self.series.len() > 1 { 1.2 * self.series.len() as f64 } else { 0.0 };
+        let above = room_y * (1.0 + legend.min(8.0));
+        let below = if self.marks == Marks::Bars && low == 0.0 { 0.0 } else { room_y };
         let x_range = left - before - room..right + after + room;
         let y_range = low - below..high + above;
         figure(SIZE, heading, |area| {

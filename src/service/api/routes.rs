@@ -163,7 +163,7 @@ pub fn table() -> Vec<Operation> {
         (READS, routes!(datasets::lineage)),
         (READS, routes!(datasets::card)),
         (READS, routes!(datasets::package)),
-        (acts("prune datasets").role(Admin), routes!(datasets::prune)),
+        (acts("prune datasets"), routes!(datasets::prune)),
         (READS, routes!(datasets::rows)),
         (READS, routes!(datasets::groups)),
         (READS, routes!(datasets::data)),

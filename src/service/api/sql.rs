@@ -1,6 +1,7 @@
 //! Questions in SQL: one SELECT statement, answered in the requested format.
 //! Uses: `data::query`. Never: SQL of its own, an answer that is not whole without an error.
 
+use arrow_schema::ArrowError;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
@@ -169,7 +170,7 @@ pub async fn streamed(format: Format, mut rows: ResultRows) -> Result<Response, 
     let mut stream =
         Stream::new(format, &rows.schema, piece.clone()).map_err(DatasetError::from)?;
     if let Some(first) = rows.next().await {
-        stream.push(&first.map_err(DatasetError::from)?).map_err(DatasetError::from)?;
+        stream.push(&first.map_err(unreadable)?).map_err(DatasetError::from)?;
     }
     let pieces = futures::stream::unfold(Some((rows, stream)), move |state| {
         let piece = piece.clone();
@@ -199,6 +200,14 @@ pub async fn streamed(format: Format, mut rows: ResultRows) -> Result<Response, 
     Ok(send::in_format(format, Body::from_stream(pieces)))
 }
 
+/// A value that no format can hold is the statement's; anything else is a failure.
+fn unreadable(error: ArrowError) -> ApiError {
+    match error {
+        ArrowError::InvalidArgumentError(why) => QueryError::Refused(why).into(),
+        other => DatasetError::from(other).into(),
+    }
+}
+
 /// The rows as JSON objects.
 ///
 /// # Errors
@@ -209,7 +218,7 @@ pub async fn items(mut rows: ResultRows) -> Result<Vec<Box<RawValue>>, ApiError>
         Stream::new(Format::Ndjson, &rows.schema, piece.clone()).map_err(DatasetError::from)?;
     let mut text = Vec::new();
     while let Some(batch) = rows.next().await {
-        lines.push(&batch.map_err(DatasetError::from)?).map_err(DatasetError::from)?;
+        lines.push(&batch.map_err(unreadable)?).map_err(DatasetError::from)?;
         text.extend(piece.take());
         if text.len() > QUERY_JSON_MAX_BYTES {
             let limit = format!(
