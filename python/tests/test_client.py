@@ -147,7 +147,7 @@ def test_any_other_path_is_json(lab: Palpate[pl.DataFrame]) -> None:
 def test_a_refused_question_reaches_the_user_with_the_words_of_the_service(
     lab: Palpate[pl.DataFrame], service: Service
 ) -> None:
-    with pytest.raises(PalpateError, match="unable to find column \"force\"") as refused:
+    with pytest.raises(PalpateError, match="no column force in trials") as refused:
         lab.sql("SELECT force FROM trials")
     assert refused.value.status == 400 and refused.value.title == "Bad Request"
     assert refused.value.errors[0]["key"] == "sql" and "max_force_n" in refused.value.detail
