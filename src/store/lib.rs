@@ -1,5 +1,5 @@
 //! Durable records in one SQLite file: runs, trials, events, and who did what.
-//! Uses: `words` (its records and its `Journal`, which the store implements), sqlx.
+//! Uses: `words` (its records and its `Journal`, which the store implements), sqlx, rusqlite.
 //! Never: HTTP, the rig, a write from a connection other than the writer's.
 //!
 //! ```text

@@ -1,6 +1,6 @@
 """Latency figures of a running service (standard library only).
 
-    python3 tests/figures/latency.py URL gaps RUN [SECONDS [OF]]  gaps between trials, with and without load
+    python3 tests/figures/latency.py URL gaps RUN [SECONDS [OF]]  (RUN: its number) gaps between trials, with and without load
     python3 tests/figures/latency.py URL estop COUNT [moving] e-stop request to the last acknowledgement
     python3 tests/figures/latency.py URL load SECONDS         200 read requests a second against the API
 
@@ -8,7 +8,8 @@
 commit and everything else that is neither motion, settling nor frame. While the run is under way, for so
 many seconds, each second minute is under load. Without SECONDS: a run as it was. With OF, another run's
 name such as `run-1`, the load is exports of it, one after the other, instead of reads; with `dashboards` it is
-20 pages of the night: live status, live frames, and what a page reads again and again.
+20 pages of the night: live status, live frames, and what a page reads again and again; with `analysts` ten
+people who ask one question after the other, in SQL, as groups, or for 10,000 trials with their frames.
 `estop moving`: x is on its way at each stop (a rig that may move, homed before each).
 """
 
@@ -18,12 +19,25 @@ import statistics
 import sys
 import threading
 import time
+import urllib.error
 import urllib.request
 from datetime import datetime
 from urllib.parse import urlsplit
 
 READS = ["/api/v1/status", "/api/v1/trials?limit=20&sort=-trial_id", "/api/v1/events?since=-50", "/metrics"]
 PERIOD_S = 60.0
+QUESTIONS = [
+    "SELECT contact_count, COUNT(*) AS n FROM trials GROUP BY contact_count",
+    "SELECT depth_mm, MEDIAN(max_force_n) AS force_n FROM trials WHERE tips = 1 GROUP BY depth_mm",
+    "SELECT scan_id, AVG(fvu) AS fvu, COUNT(*) AS n FROM trials GROUP BY scan_id",
+    "SELECT x_mm, y_mm, force_n FROM contacts WHERE force_n > 40 LIMIT 20000",
+    "/api/v1/trials/groups?group_by=tips&agg=mean(max_force_n)",
+    "/api/v1/trials?contact_count=3&max_force_n__gt=10&voltages=true&limit=10000&format=arrow",
+    "/api/v1/trials?limit=1000&format=csv",
+    "SELECT trial_id, fvu FROM trials ORDER BY fvu DESC LIMIT 10",
+    "SELECT t.trial_id, f.voltages_v FROM trials t JOIN frames f ON t.trial_id = f.trial_id WHERE t.contact_count = 6 LIMIT 500",
+    "SELECT FLOOR(max_force_n) AS bin, COUNT(*) AS n FROM trials GROUP BY bin ORDER BY bin",
+]
 
 
 def call(url: str, path: str, body: dict | None = None) -> dict | str:
@@ -44,13 +58,15 @@ def spread(name: str, values: list[float], unit: str) -> None:
 
 
 def gaps(url: str, run: str, seconds: float, of: str) -> None:
+    call(url, f"/api/v1/runs/{run}/trials?limit=1")  # a wrong RUN fails now, not after the load
     loaded, end = [], time.time() + seconds
     while time.time() < end:
         time.sleep(min(PERIOD_S, end - time.time()))
         if time.time() < end:
             begun = time.time()
             left = min(PERIOD_S, end - begun)
-            dashboards(url, run, left) if of == "dashboards" else exports(url, of, left) if of else load(url, left)
+            loads = {"": load, "dashboards": lambda *at: dashboards(*at, run), "analysts": analysts}
+            loads.get(of, lambda *at: exports(*at, of))(url, left)
             loaded.append((begun, time.time()))
     rows, cursor = [], ""
     while cursor is not None:
@@ -71,7 +87,37 @@ def gaps(url: str, run: str, seconds: float, of: str) -> None:
             print(f"  share of a trial's time: mean {100 * statistics.mean(shares):.2f} %")
 
 
-def exports(url: str, of: str, seconds: float) -> None:
+def analysts(url: str, seconds: float, count: int = 10) -> None:
+    """One question after the other from each analyst; who is refused for now asks the next."""
+    end, took, refused = time.monotonic() + seconds, [], []
+
+    def ask(turn: int) -> None:
+        while time.monotonic() < end:
+            turn, question = turn + 1, QUESTIONS[turn % len(QUESTIONS)]
+            is_sql = question.startswith("SELECT")
+            path, body = ("/api/v1/query", {"sql": question}) if is_sql else (question, None)
+            data = body and json.dumps(body).encode()
+            begun = time.monotonic()
+            try:
+                request = urllib.request.Request(url + path, data, {"Content-Type": "application/json"})
+                with urllib.request.urlopen(request, timeout=90) as answer:
+                    answer.read()
+                took.append(time.monotonic() - begun)
+            except urllib.error.HTTPError as error:
+                refused.append(error.code)
+                time.sleep(0.5)
+
+    threads = [threading.Thread(target=ask, args=(n,)) for n in range(count)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    codes = ", ".join(f"{refused.count(code)} with {code}" for code in sorted(set(refused))) or "none"
+    print(f"{count} analysts: {len(took)} answers in {seconds:.0f} s, refused: {codes}")
+    spread("answer", took, "s")
+
+
+def exports(url: str, seconds: float, of: str) -> None:
     """One export after the other, each of other values, so that none is there already."""
     end, done = time.time() + seconds, 0
     while time.time() < end:
@@ -83,7 +129,7 @@ def exports(url: str, of: str, seconds: float) -> None:
     print(f"{done} exports of {of} in {seconds:.0f} s, the last one not finished")
 
 
-def dashboards(url: str, run: str, seconds: float, count: int = 20) -> None:
+def dashboards(url: str, seconds: float, run: str, count: int = 20) -> None:
     """As many pages as `count`: two WebSockets each, whose messages are read, and the repeated requests."""
     end, received = time.monotonic() + seconds, []
 

@@ -38,6 +38,8 @@ function lines(item) {
         ? `import io, os, polars as pl, urllib.request as r; df = pl.read_parquet(io.BytesIO(r.urlopen(r.Request("${at}", headers=${bearer})).read()))`
         : `import polars as pl; df = pl.scan_parquet("${at}").collect()`,
     ],
+    ['palpate (Python)', `from palpate import Palpate; df = Palpate("${location.origin}").dataset("${item.name}").polars()`],
+    ['SQL', `palpate query 'SELECT contact_count, COUNT(*) AS n FROM "${item.name}" GROUP BY contact_count'`],
     ['DuckDB', `SELECT contact_count, count(*) FROM read_parquet('${at}') GROUP BY 1`],
     ['curl', `curl -OJ ${key ? '-H "Authorization: Bearer $PALPATE_KEY" ' : ''}${at}`],
   ]
@@ -86,8 +88,9 @@ export function datasetView({ signal, go, onmade, onexport }) {
     fill(node, el('section', {}, el('p', { className: 'soft' }, `Reading ${wanted} …`)))
     const path = `/datasets/${encodeURIComponent(wanted)}`
     try {
-      const [item, lineage, nets] = await Promise.all([
+      const [item, described, lineage, nets] = await Promise.all([
         get(path, {}, { signal }),
+        get(`${path}/datapackage.json`, {}, { signal }),
         get(`${path}/lineage`, {}, { signal }),
         all('/models', {}, { most: 200, signal }).catch(() => []),
       ])
@@ -98,6 +101,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
       if (name !== wanted || signal.aborted) return
       draw(
         item,
+        described,
         lineage.lineage,
         nets.filter(net => net.manifest.datasets?.includes(item.id)),
         card,
@@ -109,7 +113,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
     }
   }
 
-  function draw(item, lineage, nets, card, query) {
+  function draw(item, described, lineage, nets, card, query) {
     const said = outcome(),
       { report } = item,
       labels = [...new Set(lineage.runs.map(run => run.label))]
@@ -160,6 +164,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
         ['Label', el('span', { className: label === 'virtual' ? 'virtual-word' : '' }, label)],
         ['Made', moment(item.created_at)],
         ['Channels', count(report.channels)],
+        ['Licence', described.licenses?.[0].name ?? 'not stated'],
       ]),
       el('p', {}, `Parts: ${partsWords(report)}.`)
     )
@@ -192,6 +197,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
         )
       ),
       lines(item).map(([words, text]) => copyable(words, text)),
+      copyable('Cite', described.citation),
       el(
         'p',
         { className: 'soft small' },
@@ -199,12 +205,14 @@ export function datasetView({ signal, go, onmade, onexport }) {
         `The name stands for the newest dataset made with it; ${item.id} always refers to these rows.`
       )
     )
+    const meanings = new Map(described.resources[0].schema.fields.map(field => [field.name, field.description]))
     const heads = table({
       columns: [
         { head: 'Column', cell: one => el('code', {}, one.name), left: true },
         { head: 'Type', cell: one => one.type, left: true },
         { head: 'Unit', cell: one => one.unit ?? '', left: true },
         { head: 'In conditions', cell: one => (one.filterable ? 'yes' : 'no'), left: true },
+        { head: 'Meaning', cell: one => meanings.get(one.name), left: true },
       ],
       rows: report.columns,
     }).node
@@ -214,7 +222,14 @@ export function datasetView({ signal, go, onmade, onexport }) {
     const graph = panel('What it was made from', { aside: el('span', {}, 'dataset, runs, trials, frame') }, walk.node)
     const about = panel(
       'Card',
-      { aside: save('Save as Markdown', `/api/v1/datasets/${item.id}/card`, `${item.id}.md`) },
+      {
+        aside: el(
+          'span',
+          { className: 'row' },
+          save('Save as Markdown', `/api/v1/datasets/${item.id}/card`, `${item.id}.md`),
+          save('Save as Data Package', `/api/v1/datasets/${item.id}/datapackage.json`, 'datapackage.json')
+        ),
+      },
       el('details', { className: 'card' }, el('summary', {}, 'Read the card'), markdown(card))
     )
     fill(node, head, counts, el('div', { className: 'columns two' }, files, columns), graph, about)

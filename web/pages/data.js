@@ -85,7 +85,7 @@ export async function show(root, { query, signal, set, go }) {
       'p',
       { className: 'soft small' },
       'Keys: name, task (trials, real, r2s-transfer, s2s-recon, real-unseen), runs, label, deadband_n, flagged, untouched, ',
-      'contact_counts, where, sim_random, [split].'
+      'contact_counts, where, sim_random, license, [split].'
     ),
     el('label', { htmlFor: 'ds-text' }, 'Definition (TOML)'),
     text,

@@ -531,7 +531,8 @@ fn wrong(expected: Expected, outcome: &Outcome) -> Option<String> {
         }
         Outcome::Ended(status, said) => {
             // As the service knows them.
-            let memory = said.contains("memory allocation");
+            let memory = ["memory allocation", "failed to initiate panic"];
+            let memory = memory.iter().any(|words| said.contains(words));
             let stack = said.contains("overflowed its stack");
             expected == Bounded && status.signal() == Some(SIGABRT) && (memory || stack)
         }
@@ -566,8 +567,8 @@ fn hostile_statements_are_refused_or_bounded_and_change_nothing() {
             sums[match &outcome {
                 Outcome::Refused(_) => 0,
                 Outcome::Rows(_) => 1,
-                Outcome::Ended(_, said) if said.contains("memory") => 2,
-                Outcome::Ended(..) => 3,
+                Outcome::Ended(_, said) if said.contains("overflowed its stack") => 3,
+                Outcome::Ended(..) => 2,
                 Outcome::Killed => 4,
             }] += 1;
             if let Some(found) = wrong(*expected, &outcome) {

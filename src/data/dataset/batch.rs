@@ -151,13 +151,15 @@ fn forces<'a>(trials: impl Iterator<Item = &'a TrialRow>) -> ArrayRef {
 /// Converts frames to the column of `field`; a frame of another length is an error.
 fn frames<'a>(
     field: &Field,
-    frames: impl Iterator<Item = Option<&'a [f32]>>,
+    frames: impl ExactSizeIterator<Item = Option<&'a [f32]>>,
 ) -> Result<ArrayRef, ArrowError> {
     let DataType::FixedSizeList(element, channels) = field.data_type() else {
         return Err(ArrowError::SchemaError(format!("column {} holds no frames", field.name())));
     };
-    let values: PrimitiveBuilder<Float32Type> = PrimitiveBuilder::new();
-    let mut column = FixedSizeListBuilder::new(values, *channels).with_field(element.clone());
+    let values: PrimitiveBuilder<Float32Type> =
+        PrimitiveBuilder::with_capacity(frames.len() * *channels as usize);
+    let mut column = FixedSizeListBuilder::with_capacity(values, *channels, frames.len())
+        .with_field(element.clone());
     for frame in frames {
         match frame {
             Some(frame) if frame.len() == *channels as usize => {

@@ -89,12 +89,16 @@ fn write(card: &mut String, row: &DatasetRow) -> std::fmt::Result {
         "\nA frame is injection-major: `v[28 k + j] = V_j - V_(j+1 mod 28)` while electrode k is \
          the sink, V after gain. Contacts are in skin coordinates, mm from the skin's corner."
     )?;
-    writeln!(
-        card,
-        "\n## Citation\n\nDataset {}, Palpate {}. After: {PAPER}.",
-        row.id,
-        code(lineage)
-    )
+    let license = row.definition["license"].as_str();
+    writeln!(card, "\n## Licence\n\n{}.", license.unwrap_or("Not stated in its definition"))?;
+    writeln!(card, "\n## Citation\n\n{}", citation(row))
+}
+
+/// How to cite a dataset, one line.
+pub fn citation(row: &DatasetRow) -> String {
+    let (name, id, code) = (&row.name, &row.id, code(&row.lineage));
+    let year = row.created_at.strftime("%Y");
+    format!("Dataset {name} ({id}, {} rows), Palpate {code}, {year}. After: {PAPER}.", row.rows)
 }
 
 fn labels(lineage: &Value) -> Vec<&str> {

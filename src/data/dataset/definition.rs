@@ -15,6 +15,9 @@ use crate::syntax::syntax_problem;
 /// Largest number of runs, counts, conditions or folders of one definition.
 const LIST_MAX: usize = 1000;
 
+/// Longest name of a licence, characters.
+const LICENSE_MAX: usize = 100;
+
 /// Input and output that a dataset is made for (paper, Table II).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -139,6 +142,9 @@ pub struct Definition {
     /// Division into train, validation and test.
     #[serde(default)]
     pub split: Split,
+    /// Licence under which the rows may be used, as an SPDX identifier or in words; for the card.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub license: Option<String>,
 }
 
 impl Definition {
@@ -166,6 +172,7 @@ impl Definition {
             conditions: Vec::new(),
             sim_random: Vec::new(),
             split: Split { by: SplitBy::None, ..Split::default() },
+            license: None,
         }
     }
 
@@ -192,6 +199,12 @@ impl Definition {
         checks.require(named && self.name.parse::<DatasetId>().is_err(), "name", &self.name, limit);
         if let Some(deadband_n) = self.deadband_n {
             checks.within("deadband_n", deadband_n, 0.0, 1000.0);
+        }
+        if let Some(license) = &self.license {
+            let one_line = !license.contains(char::is_control);
+            let fits = (1..=LICENSE_MAX).contains(&license.chars().count());
+            let limit = format!("must be one line of 1 to {LICENSE_MAX} characters");
+            checks.require(one_line && fits, "license", license, &limit);
         }
         let ratio = self.split.ratio;
         let sum = ratio.iter().map(|&part| u64::from(part)).sum::<u64>();
@@ -249,11 +262,19 @@ mod tests {
     #[test]
     fn every_wrong_value_is_named() {
         let text = "name = \"Big One\"\ntask = \"real\"\ndeadband_n = -1.0\nsim_random = [\"../x\"]\n\
-                    where = [\"voltages_v__gt=1\", \"tips__near=3\"]\n[split]\nratio = [0, 1, 1]\n";
+                    license = \"\"\nwhere = [\"voltages_v__gt=1\", \"tips__near=3\"]\n[split]\nratio = [0, 1, 1]\n";
         let problems = Definition::from_toml("d.toml", text).unwrap_err();
         let keys: Vec<&str> = problems.iter().map(|p| p.key.as_str()).collect();
-        let wanted =
-            ["name", "deadband_n", "split.ratio", "sim_random", "sim_random", "where", "where"];
+        let wanted = [
+            "name",
+            "deadband_n",
+            "license",
+            "split.ratio",
+            "sim_random",
+            "sim_random",
+            "where",
+            "where",
+        ];
         assert_eq!(keys, wanted);
         let unknown = Definition::from_toml("d.toml", "name = \"a\"\ntask = \"fly\"\n");
         assert!(unknown.unwrap_err()[0].limit.contains("r2s-transfer"));

@@ -106,18 +106,7 @@ impl Inputs {
 }
 
 async fn select_runs(store: &Store, definition: &Definition) -> Result<Vec<RunRow>, DatasetError> {
-    let mut all = Vec::new();
-    let mut before = None;
-    loop {
-        let page = store.runs(1000, before).await?;
-        all.extend(page.runs);
-        before = page.next;
-        if before.is_none() {
-            break;
-        }
-    }
-    all.retain(|run| run.state != StoredState::Removed);
-    all.sort_by_key(|run| run.scan_id);
+    let all = store.all_runs().await?;
     let labelled = |run: &RunRow| definition.label.is_none_or(|label| run.label == label);
     if definition.runs.is_empty() {
         let kinds = definition.task.kinds();

@@ -3,6 +3,7 @@
 
 use serde_json::{Value, json};
 
+use super::card;
 use crate::store::DatasetRow;
 use crate::store::table::Column;
 
@@ -34,7 +35,7 @@ pub fn of(row: &DatasetRow, url: &str) -> Value {
             json!({ "title": format!("run {number}, {} ({})", words(experiment), words(label)) })
         })
         .collect();
-    json!({
+    let mut package = json!({
         "$schema": PROFILE,
         "name": row.name,
         "id": row.id,
@@ -44,6 +45,7 @@ pub fn of(row: &DatasetRow, url: &str) -> Value {
         "created": row.created_at,
         "version": row.id,
         "sources": sources,
+        "citation": card::citation(row),
         "lineage": lineage,
         "resources": [{
             "name": row.id,
@@ -54,7 +56,11 @@ pub fn of(row: &DatasetRow, url: &str) -> Value {
             "hash": format!("sha256:{}", row.sha256),
             "schema": { "fields": fields },
         }],
-    })
+    });
+    if let Some(license) = row.definition["license"].as_str() {
+        package["licenses"] = json!([{ "name": license }]);
+    }
+    package
 }
 
 /// The type of Table Schema for a type as people read it.
@@ -85,7 +91,7 @@ mod tests {
         let row = DatasetRow {
             id: DatasetId::unchecked("ds-1"),
             name: "real".into(),
-            definition: Value::Null,
+            definition: json!({ "license": "CC-BY-4.0" }),
             rows: 3,
             bytes: 9,
             sha256: "ab".into(),
@@ -100,6 +106,8 @@ mod tests {
         assert!(fields[0]["description"].as_str().unwrap().starts_with("depth below"));
         assert_eq!([&fields[1]["type"], &fields[2]["type"]], ["array", "integer"]);
         assert_eq!(package["sources"][0]["title"], "run 4, hex (virtual)");
+        assert_eq!(package["licenses"][0]["name"], "CC-BY-4.0");
+        assert!(package["citation"].as_str().unwrap().starts_with("Dataset real (ds-1, 3 rows)"));
         assert_eq!(package["resources"][0]["hash"], "sha256:ab");
     }
 }

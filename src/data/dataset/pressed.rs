@@ -25,6 +25,15 @@ pub fn contacts(trial: &TrialRow, kind: RunKind, force_noise_n: f64) -> Option<V
     }
 }
 
+/// Returns the process seconds per wall second from the text of a rig file: 1 if it states none.
+pub fn clock_rate(rig: &str) -> f64 {
+    #[derive(Deserialize)]
+    struct Rig {
+        clock_rate: f64,
+    }
+    toml::from_str(rig).map_or(1.0, |rig: Rig| rig.clock_rate)
+}
+
 /// Returns the noise of the load cells from the text of a rig file, N; `None` if the text has no
 /// such value. A force that does not exceed it is no contact.
 pub fn force_noise_n(rig: &str) -> Option<f64> {

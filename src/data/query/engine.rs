@@ -171,11 +171,15 @@ impl Engine {
             Err(error) => return error.into(),
         };
         let said = (&mut self.said).await.unwrap_or_default();
+        // With its memory exhausted, the engine may not be able to begin a panic.
+        let memory = ["memory allocation", "failed to initiate panic"];
         match status.signal() {
-            Some(ABORT) if said.contains("memory allocation") => QueryError::Refused(format!(
-                "needs more than {} MiB of memory: select fewer rows or columns",
-                MEMORY_MAX_BYTES >> 20
-            )),
+            Some(ABORT) if memory.iter().any(|words| said.contains(words)) => {
+                QueryError::Refused(format!(
+                    "needs more than {} MiB of memory: select fewer rows or columns",
+                    MEMORY_MAX_BYTES >> 20
+                ))
+            }
             Some(SEGV | ABORT) if said.contains("overflowed its stack") => {
                 QueryError::Refused("the statement is nested too deeply".into())
             }

@@ -1,7 +1,7 @@
 //! The tables of a statement: their names, and the files with their rows.
 //! Uses: `dataset::catalog`, `pieces`, `records`. Never: a table that a statement does not read.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
 use jiff::Timestamp;
@@ -77,7 +77,7 @@ impl Tables {
         &self,
         names: &[String],
     ) -> Result<(Vec<Table>, Vec<Scratch>), QueryError> {
-        let runs = self.runs().await?;
+        let runs = self.store.all_runs().await?;
         let (mut tables, mut scratch) = (Vec::new(), Vec::new());
         let mut trials = None;
         for name in names {
@@ -105,22 +105,6 @@ impl Tables {
             tables.push(Table { name: name.clone(), form: known.form, files });
         }
         Ok((tables, scratch))
-    }
-
-    async fn runs(&self) -> Result<Vec<RunRow>, DatasetError> {
-        let mut runs = Vec::new();
-        let mut before = None;
-        loop {
-            let page = self.store.runs(1000, before).await?;
-            runs.extend(page.runs);
-            before = page.next;
-            if before.is_none() {
-                break;
-            }
-        }
-        runs.retain(|run| run.state != StoredState::Removed);
-        runs.sort_by_key(|run| run.scan_id);
-        Ok(runs)
     }
 
     /// The files with all stored trials.
@@ -166,9 +150,9 @@ impl Tables {
             Err(DatasetError::NoDataset { .. }) => {
                 let made = self.store.datasets().await?;
                 let made = made.iter().map(|dataset| dataset.name.as_str());
-                let mut names: Vec<&str> =
+                let names: BTreeSet<&str> =
                     TABLES.iter().map(|table| table.name).chain(made).collect();
-                names.dedup();
+                let names: Vec<&str> = names.into_iter().collect();
                 let meant = did_you_mean(name, names.iter().copied());
                 let names = names.join(", ");
                 Err(QueryError::Refused(format!("no table {name}{meant}; there are {names}")))

@@ -178,7 +178,10 @@ pub struct Piece(Arc<Mutex<Vec<u8>>>);
 impl Piece {
     /// Removes and returns the buffered bytes.
     pub fn take(&self) -> Vec<u8> {
-        std::mem::take(&mut self.0.lock())
+        let mut bytes = self.0.lock();
+        // The next piece is about as long.
+        let next = Vec::with_capacity(bytes.len());
+        std::mem::replace(&mut bytes, next)
     }
 }
 

@@ -39,7 +39,7 @@ use crate::store::table::Column;
 use crate::store::{Store, StoreError, TrialQuery, TrialRow};
 
 /// Number of trials per piece of a page.
-const PIECE_ROWS: usize = 500;
+const PIECE_ROWS: usize = 250;
 /// Number of pieces that are read concurrently.
 const READS: usize = 3;
 

@@ -14,7 +14,6 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::App;
-use super::limits::LIST_MAX;
 use super::problem::ApiError;
 use crate::ids::RunUid;
 use crate::rig::config::ARMS;
@@ -98,16 +97,8 @@ pub async fn wear(State(app): State<App>) -> Result<Json<Arc<Wear>>, ApiError> {
 
 async fn read(app: &App) -> Result<Wear, StoreError> {
     let mut by_run = Vec::new();
-    let mut before = None;
-    loop {
-        let page = app.store.runs(LIST_MAX, before).await?;
-        for run in page.runs.iter().filter(|run| is_of_this_skin(app, run)) {
-            by_run.push(of_run(app, run).await?);
-        }
-        before = page.next;
-        if before.is_none() {
-            break;
-        }
+    for run in app.store.all_runs().await?.iter().rev().filter(|run| is_of_this_skin(app, run)) {
+        by_run.push(of_run(app, run).await?);
     }
     let today = Timestamp::now().to_zoned(TimeZone::UTC).date();
     let bench = app.facts.rig.config.bench();

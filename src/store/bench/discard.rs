@@ -1,12 +1,16 @@
 //! Discarding a stored trial: it is moved to the attempts, with its raw frames.
-//! Uses: `core::writer`, `table::assemble`. Never: a decision to discard one (`campaign` makes it).
+//! Uses: `core::{writer, bulk}`, `table::assemble`. Never: a decision to discard one (`campaign` makes it).
 
+use rusqlite::Connection;
 use sqlx::sqlite::SqliteConnection;
 
 use super::trials::id_of_key;
+use crate::core::bulk::Statement;
 use crate::core::{During, Store, StoreError};
 use crate::ids::{RunUid, TrialKey};
-use crate::table::assemble::row_of_key;
+use crate::table::assemble::rows_of_ids;
+use crate::table::pages::id;
+use crate::table::query::SELECT_WITH_VOLTAGES;
 use crate::table::trial_row::TrialRow;
 
 const DISCARDING: &str = "discarding a trial";
@@ -26,18 +30,30 @@ impl Store {
     ) -> Result<(), StoreError> {
         let scan_id = self.facts_to_write(run, DISCARDING).await?.scan_id;
         let (reason, now) = (reason.to_owned(), self.now_text());
+        let read = move |c: &Connection| {
+            let mut of_key = Statement::new("SELECT id FROM trials WHERE run = ");
+            of_key.bind(scan_id).push(" AND configuration = ").bind(key.configuration);
+            of_key.push(" AND depth_index = ").bind(key.depth_index);
+            let ids = of_key.rows(c, DISCARDING, id)?;
+            Ok(rows_of_ids(c, SELECT_WITH_VOLTAGES, &ids, DISCARDING)?.pop())
+        };
+        let row = self.inner.bulk.read(DISCARDING, read).await?;
+        let row = row.ok_or(StoreError::NoSuchTrial { run, key })?;
+        let record = serde_json::to_string(&row).map_err(|e| {
+            let value = e.to_string();
+            StoreError::Unreadable { operation: DISCARDING, column: "record", value }
+        })?;
         self.inner
             .writer
             .patient()
             .run_and_settle(
                 DISCARDING,
                 async move |connection| {
-                    let row = row_of_key(connection, scan_id, key, DISCARDING).await?;
-                    let row = row.ok_or(StoreError::NoSuchTrial { run, key })?;
-                    let record = serde_json::to_string(&row).map_err(|e| {
-                        let value = e.to_string();
-                        StoreError::Unreadable { operation: DISCARDING, column: "record", value }
-                    })?;
+                    // Another caller may have discarded it since it was read.
+                    let stored = id_of_key(connection, scan_id, key, DISCARDING).await?;
+                    if stored != Some(row.trial_id) {
+                        return Err(StoreError::NoSuchTrial { run, key });
+                    }
                     move_to_attempts(connection, scan_id, &row, record, reason, now).await
                 },
                 async move |connection| {

@@ -6,9 +6,11 @@ use std::collections::HashMap;
 use std::time::Duration;
 
 use futures::TryStreamExt;
+use rusqlite::Connection;
 use sqlx::ConnectOptions;
 use sqlx::sqlite::SqliteConnection;
 
+use crate::core::bulk::Statement;
 use crate::core::columns::Columns;
 use crate::core::store::Soundness;
 use crate::core::{During, Store, StoreError};
@@ -16,6 +18,7 @@ use crate::digest::sha256_hex;
 use crate::ids::TrialId;
 use crate::table::assemble::rows_of_ids;
 use crate::table::checksum;
+use crate::table::pages::id;
 use crate::table::query::SELECT_WITH_VOLTAGES;
 
 const OPERATION: &str = "examining the database";
@@ -45,7 +48,11 @@ impl Store {
         let examined = tokio::time::timeout(DEADLINE, async {
             let options = self.inner.readers.connect_options();
             let mut own = options.connect().await.during(OPERATION)?;
-            findings(&mut own, last).await
+            let mut findings = of_file(&mut own).await?;
+            let room = FINDINGS_MAX.saturating_sub(findings.len());
+            let trials = move |c: &Connection| of_trials(c, last, room);
+            findings.extend(self.inner.bulk.read(OPERATION, trials).await?);
+            Ok(findings)
         });
         let late = || StoreError::Late { operation: OPERATION, limit_s: DEADLINE.as_secs() };
         let mut findings = examined.await.unwrap_or_else(|_| Err(late()))?;
@@ -68,26 +75,33 @@ impl Store {
     }
 }
 
-/// Returns all findings; trials are checked until there are `FINDINGS_MAX`.
-async fn findings(connection: &mut SqliteConnection, last: u32) -> Result<Vec<String>, StoreError> {
+/// Returns the findings about the structure of the file and the texts of its runs.
+async fn of_file(connection: &mut SqliteConnection) -> Result<Vec<String>, StoreError> {
     let mut findings = structure(connection).await.or_else(StoreError::into_findings)?;
     match changed_texts(connection).await {
         Ok(changed) => findings.extend(changed),
         Err(error) => findings.extend(error.into_findings()?),
     }
-    match newest(connection, last).await {
-        Ok(ids) => {
-            for ids in ids.chunks(TRIALS_AT_ONCE) {
-                if findings.len() >= FINDINGS_MAX {
-                    break;
-                }
-                if let Err(error) = check_trials(connection, ids).await {
-                    error.into_findings()?;
-                    findings.extend(one_by_one(connection, ids).await?);
-                }
-            }
+    Ok(findings)
+}
+
+/// Returns the findings about the newest `last` trials, which are checked until there are `room`.
+fn of_trials(connection: &Connection, last: u32, room: usize) -> Result<Vec<String>, StoreError> {
+    let mut newest = Statement::new("SELECT id FROM trials ORDER BY id DESC LIMIT ");
+    newest.bind(last);
+    let ids = match newest.rows(connection, OPERATION, id) {
+        Ok(ids) => ids,
+        Err(error) => return error.into_findings(),
+    };
+    let mut findings = Vec::new();
+    for ids in ids.chunks(TRIALS_AT_ONCE) {
+        if findings.len() >= room {
+            break;
         }
-        Err(error) => findings.extend(error.into_findings()?),
+        if let Err(error) = check_trials(connection, ids) {
+            error.into_findings()?;
+            findings.extend(one_by_one(connection, ids)?);
+        }
     }
     Ok(findings)
 }
@@ -141,24 +155,11 @@ async fn changed_texts(connection: &mut SqliteConnection) -> Result<Vec<String>,
     Ok(findings)
 }
 
-/// Returns the ids of the newest `last` trials, newest first.
-async fn newest(connection: &mut SqliteConnection, last: u32) -> Result<Vec<TrialId>, StoreError> {
-    let ids: Vec<i64> = sqlx::query_scalar("SELECT id FROM trials ORDER BY id DESC LIMIT ?1")
-        .bind(last)
-        .fetch_all(connection)
-        .await
-        .during(OPERATION)?;
-    Ok(ids.into_iter().map(TrialId).collect())
-}
-
 /// Checks trials one by one and returns their findings, each with the id of its trial.
-async fn one_by_one(
-    connection: &mut SqliteConnection,
-    ids: &[TrialId],
-) -> Result<Vec<String>, StoreError> {
+fn one_by_one(connection: &Connection, ids: &[TrialId]) -> Result<Vec<String>, StoreError> {
     let mut findings = Vec::new();
     for id in ids {
-        if let Err(error) = check_trials(connection, &[*id]).await {
+        if let Err(error) = check_trials(connection, &[*id]) {
             let words = error.into_findings()?;
             findings.extend(words.into_iter().map(|word| format!("trial {}: {word}", id.0)));
         }
@@ -170,26 +171,20 @@ async fn one_by_one(
 ///
 /// # Errors
 /// `Damaged` if a trial differs from its checksums or lacks voltages or frames.
-async fn check_trials(
-    connection: &mut SqliteConnection,
-    ids: &[TrialId],
-) -> Result<(), StoreError> {
-    let trials = rows_of_ids(connection, SELECT_WITH_VOLTAGES, ids, OPERATION).await?;
+fn check_trials(connection: &Connection, ids: &[TrialId]) -> Result<(), StoreError> {
+    let trials = rows_of_ids(connection, SELECT_WITH_VOLTAGES, ids, OPERATION)?;
     let wanted: Vec<i64> = ids.iter().map(|id| id.0).collect();
-    let rows = sqlx::query(
-        "SELECT f.* FROM json_each(?1) wanted CROSS JOIN frames f ON f.trial = wanted.value",
-    )
-    .bind(format!("{wanted:?}"))
-    .fetch_all(connection)
-    .await
-    .during(OPERATION)?;
+    let mut of_ids = Statement::new("SELECT f.* FROM json_each(");
+    of_ids
+        .bind(format!("{wanted:?}"))
+        .push(") wanted CROSS JOIN frames f ON f.trial = wanted.value");
     let mut frames: HashMap<i64, u32> = HashMap::new();
-    for row in &rows {
-        let c = Columns::of(row, OPERATION);
+    of_ids.rows(connection, OPERATION, |c| {
         let trial: i64 = c.get("trial")?;
-        checksum::frame(&c, || format!("trial {trial}"))?;
+        checksum::frame(c, || format!("trial {trial}"))?;
         *frames.entry(trial).or_default() += 1;
-    }
+        Ok(())
+    })?;
     if trials.len() != ids.len() {
         let (there, all) = (trials.len(), ids.len());
         return Err(StoreError::damaged(format!("{there} of {all} rows have their voltages")));

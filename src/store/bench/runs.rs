@@ -73,6 +73,19 @@ impl Store {
         Ok(RunPage { runs, next })
     }
 
+    /// Returns all runs but the removed ones, oldest first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn all_runs(&self) -> Result<Vec<RunRow>, StoreError> {
+        const OPERATION: &str = "reading all runs";
+        let rows = sqlx::query("SELECT * FROM runs WHERE state <> 'removed' ORDER BY scan_id")
+            .fetch_all(&self.inner.readers)
+            .await
+            .during(OPERATION)?;
+        run_row::read_all(&rows, OPERATION)
+    }
+
     /// Returns the runs in a state of the engine, oldest first. Before an engine starts, these are the
     /// runs that an earlier process did not end.
     ///

@@ -1,7 +1,10 @@
 //! Encoding of values in columns (times, ids, words, arrays of numbers), and their decoding.
 //! Uses: `core::error`. Never: statements.
 
+use std::cell::Cell;
+
 use jiff::Timestamp;
+use rusqlite::types::{FromSql, FromSqlError, ValueRef};
 use serde::de::IntoDeserializer;
 use serde::de::value::StrDeserializer;
 use sqlx::Row;
@@ -25,30 +28,122 @@ pub(crate) fn volts_blob(volts: &[f32]) -> Vec<u8> {
     volts.iter().flat_map(|v| v.to_le_bytes()).collect()
 }
 
-/// A row with the operation that reads it. Every method returns `StoreError::Sql` if the column is
-/// missing or has another type, and `StoreError::Unreadable` if its value cannot be decoded.
+/// A row with the operation that reads it. Every method returns `StoreError::Sql` or `Read` if the column
+/// is missing or has another type, and `StoreError::Unreadable` if its value cannot be decoded.
 pub(crate) struct Columns<'r> {
-    row: &'r SqliteRow,
+    row: Source<'r>,
     operation: &'static str,
+}
+
+/// A row of either reader.
+enum Source<'r> {
+    /// A copy of the row.
+    Copied(&'r SqliteRow),
+    /// A row inside SQLite, until its statement goes on.
+    Lent(&'r rusqlite::Row<'r>, &'r Names),
+}
+
+/// The names of the columns of a statement.
+pub(crate) struct Names {
+    names: Vec<String>,
+    /// Where to look first: columns are mostly read in their order.
+    next: Cell<usize>,
+}
+
+impl Names {
+    /// The names of the columns of this statement.
+    pub(crate) fn of(statement: &rusqlite::Statement<'_>) -> Self {
+        let names = statement.column_names().into_iter().map(str::to_owned).collect();
+        Self { names, next: Cell::new(0) }
+    }
+
+    fn position(&self, column: &str) -> Option<usize> {
+        let (before, after) = self.names.split_at(self.next.get().min(self.names.len()));
+        let same = |name: &String| name == column;
+        let later = after.iter().position(same).map(|place| place + before.len());
+        let place = later.or_else(|| before.iter().position(same))?;
+        self.next.set(place + 1);
+        Some(place)
+    }
+}
+
+/// A type that a column may have.
+pub(crate) trait Value<'r>: sqlx::Decode<'r, Sqlite> + sqlx::Type<Sqlite> {
+    /// Returns the value.
+    ///
+    /// # Errors
+    /// `FromSqlError` if it has another type.
+    fn of(value: ValueRef<'r>) -> Result<Self, FromSqlError>;
+}
+
+macro_rules! owned {
+    ($($kind:ty),*) => {$(
+        impl Value<'_> for $kind {
+            fn of(value: ValueRef<'_>) -> Result<Self, FromSqlError> {
+                FromSql::column_result(value)
+            }
+        }
+    )*};
+}
+
+owned!(bool, u16, i64, f32, f64, String, Vec<u8>);
+
+impl<'r> Value<'r> for &'r str {
+    fn of(value: ValueRef<'r>) -> Result<Self, FromSqlError> {
+        value.as_str()
+    }
+}
+
+impl<'r> Value<'r> for &'r [u8] {
+    fn of(value: ValueRef<'r>) -> Result<Self, FromSqlError> {
+        value.as_blob()
+    }
+}
+
+impl<'r, T: Value<'r>> Value<'r> for Option<T> {
+    fn of(value: ValueRef<'r>) -> Result<Self, FromSqlError> {
+        if value == ValueRef::Null { Ok(None) } else { T::of(value).map(Some) }
+    }
 }
 
 impl<'r> Columns<'r> {
     /// Wraps `row`; errors name `operation`.
     pub(crate) fn of(row: &'r SqliteRow, operation: &'static str) -> Self {
-        Self { row, operation }
+        Self { row: Source::Copied(row), operation }
+    }
+
+    /// Wraps a row of a statement with these columns; errors name `operation`.
+    pub(crate) fn lent(
+        row: &'r rusqlite::Row<'r>,
+        names: &'r Names,
+        operation: &'static str,
+    ) -> Self {
+        Self { row: Source::Lent(row, names), operation }
     }
 
     /// Whether the query selected this column.
     pub(crate) fn has(&self, column: &str) -> bool {
-        self.row.try_column(column).is_ok()
+        match self.row {
+            Source::Copied(row) => row.try_column(column).is_ok(),
+            Source::Lent(_, names) => names.position(column).is_some(),
+        }
     }
 
-    /// Returns the value of a column whose type sqlx decodes.
-    pub(crate) fn get<T>(&self, column: &'static str) -> Result<T, StoreError>
-    where
-        T: sqlx::Decode<'r, Sqlite> + sqlx::Type<Sqlite>,
-    {
-        self.row.try_get(column).during(self.operation)
+    /// Returns the value of a column.
+    pub(crate) fn get<T: Value<'r>>(&self, column: &'static str) -> Result<T, StoreError> {
+        match self.row {
+            Source::Copied(row) => row.try_get(column).during(self.operation),
+            Source::Lent(row, names) => {
+                let place = names.position(column);
+                let place = place.ok_or_else(|| rusqlite::Error::InvalidColumnName(column.into()));
+                let read = place.and_then(|place| row.get_ref(place)).and_then(|value| {
+                    T::of(value).map_err(|_| {
+                        rusqlite::Error::InvalidColumnType(0, column.into(), value.data_type())
+                    })
+                });
+                read.during(self.operation)
+            }
+        }
     }
 
     /// Returns an integer that was stored from a narrower or unsigned type.

@@ -1,7 +1,7 @@
 //! The errors of the store: one enum, whose variants name the failed operation.
-//! Uses: sqlx's errors as sources. Never: HTTP, logging.
+//! Uses: sqlx's and rusqlite's errors as sources. Never: HTTP, logging.
 //!
-//! A method that reads returns `Sql` if its statement fails and `Unreadable` or `Damaged` if a stored
+//! A method that reads returns `Sql` or `Read` if its statement fails and `Unreadable` or `Damaged` if a stored
 //! value cannot be decoded or differs from its checksum. A method that writes returns `Sql` if its
 //! statement fails, and `Late` or `Closed` if the writer does not answer.
 
@@ -67,6 +67,15 @@ pub enum StoreError {
         /// Cause of the failure.
         #[source]
         source: sqlx::Error,
+    },
+    /// A statement that only reads failed.
+    #[error("{operation} failed in the database")]
+    Read {
+        /// Operation that failed, as text.
+        operation: &'static str,
+        /// Cause of the failure.
+        #[source]
+        source: rusqlite::Error,
     },
     /// A write failed. A later read of the database shows that it is not stored.
     #[error("{operation} failed, and nothing of it is stored")]
@@ -162,6 +171,7 @@ impl StoreError {
             | Self::DamagedLog { .. }
             | Self::Migrate { .. }
             | Self::StartWriter(_)
+            | Self::Read { .. }
             | Self::NotStored { .. }
             | Self::Closed { .. }
             | Self::Refused { .. }
@@ -215,6 +225,11 @@ impl StoreError {
                 sqlx::Error::ColumnDecode { .. } | sqlx::Error::Decode(_) => true,
                 _ => false,
             },
+            Self::Read { source, .. } => match source {
+                rusqlite::Error::SqliteFailure(e, _) => DAMAGE.contains(&(e.extended_code & 0xff)),
+                rusqlite::Error::InvalidColumnType(..) => true,
+                _ => false,
+            },
             _ => false,
         };
         if damage { Ok(vec![error_chain(&self)]) } else { Err(self) }
@@ -234,12 +249,18 @@ pub(crate) trait During<T> {
     /// Adds the name of the operation.
     ///
     /// # Errors
-    /// `StoreError::Sql` if `self` is an error.
+    /// `StoreError::Sql` or `Read` if `self` is an error.
     fn during(self, operation: &'static str) -> Result<T, StoreError>;
 }
 
 impl<T> During<T> for Result<T, sqlx::Error> {
     fn during(self, operation: &'static str) -> Result<T, StoreError> {
         self.map_err(|source| StoreError::Sql { operation, source })
+    }
+}
+
+impl<T> During<T> for Result<T, rusqlite::Error> {
+    fn during(self, operation: &'static str) -> Result<T, StoreError> {
+        self.map_err(|source| StoreError::Read { operation, source })
     }
 }

@@ -5,6 +5,8 @@
 pub(crate) mod error;
 /// Encoding and decoding of values in columns.
 pub(crate) mod columns;
+/// The connections that read many rows.
+pub(crate) mod bulk;
 /// The thread with the one connection that writes.
 pub(crate) mod writer;
 /// Damage in SQLite's write-ahead log that SQLite does not report.

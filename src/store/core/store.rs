@@ -14,6 +14,7 @@ use sqlx::sqlite::{
 };
 use sqlx::{ConnectOptions, Sqlite, Transaction};
 
+use super::bulk::Bulk;
 use super::columns;
 use super::error::{During, StoreError};
 use super::facts::RunFacts;
@@ -63,6 +64,7 @@ pub(crate) struct Inner {
     pub(crate) clock: Clock,
     pub(crate) writer: Writer,
     pub(crate) readers: SqlitePool,
+    pub(crate) bulk: Bulk,
     pub(crate) runs: Mutex<HashMap<RunUid, RunFacts>>,
     pub(crate) soundness: Mutex<Soundness>,
     /// Number of changes of stored trials and of their twins, by scan id, since this store was opened.
@@ -125,7 +127,8 @@ impl Store {
             .map_err(open)?;
         let (path, changes) = (path.to_owned(), Mutex::default());
         let (runs, soundness) = (Mutex::default(), Mutex::default());
-        let inner = Inner { path, clock, writer, readers, runs, soundness, changes };
+        let bulk = Bulk::new(&path, BUSY_TIMEOUT);
+        let inner = Inner { path, clock, writer, readers, bulk, runs, soundness, changes };
         Ok(Self { inner: Arc::new(inner) })
     }
 
@@ -147,6 +150,7 @@ impl Store {
 
     /// Closes all connections after the submitted writes, and merges the log into the file.
     pub async fn close(&self) {
+        self.inner.bulk.close().await;
         self.inner.readers.close().await;
         self.inner.writer.close().await;
     }

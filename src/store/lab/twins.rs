@@ -2,16 +2,18 @@
 //! Uses: `core`, `table`. Never: a row for a pending twin; a twin is pending while it is absent
 //! (`docs/decisions/0008`).
 
+use rusqlite::Connection;
 use serde::{Deserialize, Serialize};
-use sqlx::QueryBuilder;
 use sqlx::sqlite::SqliteConnection;
 use utoipa::ToSchema;
 
+use crate::core::bulk::Statement;
 use crate::core::columns::{Columns, volts_blob};
 use crate::core::{During, Store, StoreError};
 use crate::ids::{CalibrationId, RunUid, TrialId};
-use crate::table::assemble::assemble;
+use crate::table::assemble::rows_of_ids;
 use crate::table::checksum;
+use crate::table::pages::id;
 use crate::table::query::SELECT_WITH_VOLTAGES;
 use crate::table::trial_row::TrialRow;
 
@@ -176,14 +178,15 @@ impl Store {
     ) -> Result<Vec<TrialRow>, StoreError> {
         const OPERATION: &str = "reading pending twins";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        let mut view = self.read(OPERATION).await?;
-        let mut query = QueryBuilder::new(SELECT_WITH_VOLTAGES);
-        query.push(" WHERE t.run = ").push_bind(scan_id);
-        query.push(" AND t.id > ").push_bind(after.0);
-        query.push(" AND NOT EXISTS (SELECT 1 FROM twins o WHERE o.trial = t.id AND o.model = ");
-        query.push_bind(model.0).push(") ORDER BY t.id LIMIT ").push_bind(limit);
-        let rows = query.build().fetch_all(&mut *view).await.during(OPERATION)?;
-        assemble(&mut view, rows, OPERATION).await
+        let mut ids = Statement::new("SELECT t.id FROM trials t WHERE t.run = ");
+        ids.bind(scan_id).push(" AND t.id > ").bind(after.0);
+        ids.push(" AND NOT EXISTS (SELECT 1 FROM twins o WHERE o.trial = t.id AND o.model = ");
+        ids.bind(model.0).push(") ORDER BY t.id LIMIT ").bind(limit);
+        let read = move |c: &Connection| {
+            let ids = ids.rows(c, OPERATION, id)?;
+            rows_of_ids(c, SELECT_WITH_VOLTAGES, &ids, OPERATION)
+        };
+        self.inner.bulk.read(OPERATION, read).await
     }
 
     /// Stores twins of one model in one transaction. A stored twin is not changed. A twin of a trial

@@ -1,17 +1,18 @@
 //! Rows of the database joined to trials, each compared with its checksum.
-//! Uses: `core::columns`, `checksum`, `trial_row`. Never: a query per row, a value that differs from its
+//! Uses: `core::{bulk, columns}`, `checksum`, `trial_row`. Never: a query per row, a value that differs from its
 //! checksum.
 
-use sqlx::QueryBuilder;
-use sqlx::sqlite::{SqliteConnection, SqliteRow};
+use std::iter::Peekable;
+
+use rusqlite::Connection;
 
 use super::checksum::{self, Numbers};
-use super::query::SELECT_WITH_VOLTAGES;
 use super::trial_row::{Contact, TrialRow, tips_as_contacts};
+use crate::core::StoreError;
+use crate::core::bulk::Statement;
 use crate::core::columns::Columns;
 use crate::core::facts::RunKind;
-use crate::core::{During, StoreError};
-use crate::ids::{TrialId, TrialKey};
+use crate::ids::TrialId;
 use crate::record::{ArmReading, FrameQuality, Pose, TrialScalars};
 
 /// Returns the reading of an attached tip from its columns.
@@ -26,110 +27,58 @@ pub(crate) fn arm(c: &Columns<'_>) -> Result<ArmReading, StoreError> {
     })
 }
 
-/// Returns a trial by its key, as a transaction of the writer reads it; `None` if it is not stored.
-pub(crate) async fn row_of_key(
-    connection: &mut SqliteConnection,
-    scan_id: i64,
-    key: TrialKey,
-    operation: &'static str,
-) -> Result<Option<TrialRow>, StoreError> {
-    let mut query = QueryBuilder::new(SELECT_WITH_VOLTAGES);
-    query.push(" WHERE t.run = ").push_bind(scan_id);
-    query.push(" AND t.configuration = ").push_bind(key.configuration);
-    query.push(" AND t.depth_index = ").push_bind(key.depth_index);
-    let rows = query.build().fetch_all(&mut *connection).await.during(operation)?;
-    Ok(assemble(connection, rows, operation).await?.pop())
-}
-
-/// Returns trials by their ids, in the order of the ids, with the columns of `select`. Missing trials
-/// are omitted.
-pub(crate) async fn rows_of_ids(
-    connection: &mut SqliteConnection,
-    select: &'static str,
+/// Returns trials by their ids, in ascending order of the ids, with the columns of `select`. Missing
+/// trials are omitted.
+///
+/// # Errors
+/// `Read` or `Unreadable` if a read fails; `Damaged` if a trial differs from its checksum.
+pub(crate) fn rows_of_ids(
+    connection: &Connection,
+    select: &str,
     ids: &[TrialId],
     operation: &'static str,
 ) -> Result<Vec<TrialRow>, StoreError> {
-    let wanted: Vec<i64> = ids.iter().map(|id| id.0).collect();
-    let mut query = QueryBuilder::new(select);
-    query.push(" WHERE t.id IN (SELECT value FROM json_each(");
-    query.push_bind(format!("{wanted:?}")).push(")) ORDER BY t.id");
-    let rows = query.build().fetch_all(&mut *connection).await.during(operation)?;
-    assemble(connection, rows, operation).await
+    let mut wanted: Vec<i64> = ids.iter().map(|id| id.0).collect();
+    wanted.sort_unstable();
+    let wanted = format!("{wanted:?}");
+    let mut tips = Belonging::read(connection, "trial_tips", &wanted, operation, arm)?;
+    let mut placed = Belonging::read(connection, "placed_contacts", &wanted, operation, |c| {
+        let (x_mm, y_mm) = (c.get("x_mm")?, c.get("y_mm")?);
+        let (force_n, diameter_mm) = (c.get("force_n")?, c.get("diameter_mm")?);
+        Ok(Contact { x_mm, y_mm, force_n, diameter_mm })
+    })?;
+    let mut query = Statement::new(select);
+    query.push(" WHERE t.id IN (SELECT value FROM json_each(").bind(wanted);
+    query.push(")) ORDER BY t.id");
+    query.rows(connection, operation, |c| {
+        let trial = c.get("id")?;
+        trial_row(c, tips.take(trial), placed.take(trial))
+    })
 }
 
-/// Joins a page of trials with their tips and placed contacts: two queries for the whole page.
-///
-/// # Errors
-/// `Sql` or `Unreadable` if a read fails; `Damaged` if a trial differs from its checksum.
-pub(crate) async fn assemble(
-    connection: &mut SqliteConnection,
-    rows: Vec<SqliteRow>,
-    operation: &'static str,
-) -> Result<Vec<TrialRow>, StoreError> {
-    let ids = rows
-        .iter()
-        .map(|row| Columns::of(row, operation).get::<i64>("id"))
-        .collect::<Result<Vec<_>, _>>()?;
-    let wanted = format!("{ids:?}");
-    let tips = sqlx::query(
-        "SELECT p.* FROM json_each(?1) wanted CROSS JOIN trial_tips p ON p.trial = wanted.value
-         ORDER BY wanted.key, p.arm",
-    )
-    .bind(&wanted)
-    .fetch_all(&mut *connection)
-    .await
-    .during(operation)?;
-    let placed = sqlx::query(
-        "SELECT p.* FROM json_each(?1) wanted CROSS JOIN placed_contacts p
-         ON p.trial = wanted.value ORDER BY wanted.key, p.n",
-    )
-    .bind(&wanted)
-    .fetch_all(&mut *connection)
-    .await
-    .during(operation)?;
-    let mut tips = Belonging::of(&tips, operation);
-    let mut placed = Belonging::of(&placed, operation);
-    ids.iter()
-        .zip(&rows)
-        .map(|(id, row)| {
-            let arms = tips.take(*id, arm)?;
-            let placed = placed.take(*id, |c| {
-                let (x_mm, y_mm) = (c.get("x_mm")?, c.get("y_mm")?);
-                let (force_n, diameter_mm) = (c.get("force_n")?, c.get("diameter_mm")?);
-                Ok(Contact { x_mm, y_mm, force_n, diameter_mm })
-            })?;
-            trial_row(&Columns::of(row, operation), arms, placed)
-        })
-        .collect()
-}
+/// Rows of a child table in ascending order of their trials.
+struct Belonging<T>(Peekable<std::vec::IntoIter<(i64, T)>>);
 
-/// Rows of a child table in the order of their parents.
-struct Belonging<'r> {
-    rows: &'r [SqliteRow],
-    operation: &'static str,
-}
-
-impl<'r> Belonging<'r> {
-    fn of(rows: &'r [SqliteRow], operation: &'static str) -> Self {
-        Self { rows, operation }
+impl<T> Belonging<T> {
+    /// Reads the rows of these trials, a JSON array, in the order of the primary key.
+    fn read(
+        connection: &Connection,
+        table: &str,
+        wanted: &str,
+        operation: &'static str,
+        read: impl Fn(&Columns<'_>) -> Result<T, StoreError>,
+    ) -> Result<Self, StoreError> {
+        let mut query = Statement::new("SELECT p.* FROM json_each(");
+        query.bind(wanted.to_owned()).push(") wanted CROSS JOIN ").push(table);
+        query.push(" p ON p.trial = wanted.value");
+        let rows = query.rows(connection, operation, |c| Ok((c.get("trial")?, read(c)?)))?;
+        Ok(Self(rows.into_iter().peekable()))
     }
 
-    /// Removes and returns the first rows that belong to this trial.
-    fn take<T>(
-        &mut self,
-        trial: i64,
-        read: impl Fn(&Columns<'_>) -> Result<T, StoreError>,
-    ) -> Result<Vec<T>, StoreError> {
-        let mut taken = Vec::new();
-        while let Some((first, rest)) = self.rows.split_first() {
-            let columns = Columns::of(first, self.operation);
-            if columns.get::<i64>("trial")? != trial {
-                break;
-            }
-            taken.push(read(&columns)?);
-            self.rows = rest;
-        }
-        Ok(taken)
+    /// Removes and returns the rows of this trial, and removes those of trials before it.
+    fn take(&mut self, trial: i64) -> Vec<T> {
+        while self.0.next_if(|(of, _)| *of < trial).is_some() {}
+        std::iter::from_fn(|| self.0.next_if(|(of, _)| *of == trial)).map(|(_, row)| row).collect()
     }
 }
 

@@ -1,11 +1,11 @@
 //! Filters of trials, `COLUMN__gt=VALUE`: one language for stored trials, where a condition becomes
 //! SQL, and for the rows of datasets, where it becomes a mask. A NULL meets no condition.
-//! Uses: `column`, sqlx's query builder. Never: text of a request inside a statement.
+//! Uses: `column`. Never: text of a request inside a statement.
 
 use jiff::Timestamp;
-use sqlx::{QueryBuilder, Sqlite};
 
 use super::column::{self, Column, Kind};
+use crate::core::bulk::Statement;
 use crate::core::columns::time_text;
 
 /// Operator of a condition.
@@ -104,7 +104,7 @@ impl Condition {
     }
 
     /// Appends ` AND` and the condition. It selects nothing if stored trials do not have its column.
-    pub(crate) fn push_onto(&self, query: &mut QueryBuilder<Sqlite>) {
+    pub(crate) fn push_onto(&self, query: &mut Statement) {
         let several = self.0.len() > 1;
         query.push(if several { " AND (" } else { " AND " });
         for (n, part) in self.0.iter().enumerate() {
@@ -192,7 +192,7 @@ impl Part {
     }
 
     /// Appends the comparison; `alternative`: it is one of several, of which one must hold.
-    fn push_onto(&self, query: &mut QueryBuilder<Sqlite>, alternative: bool) {
+    fn push_onto(&self, query: &mut Statement, alternative: bool) {
         let column = if self.column.sql.is_empty() { "NULL" } else { self.column.sql };
         let several = self.operands.len() > 1;
         // `+` prevents an index: for several values SQLite would use it and sort the result, and a page
@@ -204,9 +204,9 @@ impl Part {
         for (n, operand) in self.operands.iter().enumerate() {
             query.push(if n == 0 { "" } else { ", " });
             match operand {
-                Operand::Number(number) => query.push_bind(*number),
-                Operand::Time(time) => query.push_bind(time_text(*time)),
-                Operand::Word(word) => query.push_bind(word.clone()),
+                Operand::Number(number) => query.bind(*number),
+                Operand::Time(time) => query.bind(time_text(*time)),
+                Operand::Word(word) => query.bind(word.clone()),
             };
         }
         query.push(if several { ")" } else { "" });

@@ -14,6 +14,6 @@ pub(crate) mod checksum;
 /// Rows of the database, joined to trials.
 pub(crate) mod assemble;
 /// Single trials, pages of trials, voltages and frames.
-mod pages;
+pub(crate) mod pages;
 
 pub use column::{Column, Kind, Of, TABLE, names};

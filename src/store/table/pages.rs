@@ -1,12 +1,13 @@
 //! Reads of trials: single trials, pages that follow an index, voltages and raw frames.
 //! Uses: `query`, `assemble`, `checksum`. Never: a write, a value that differs from its checksum.
 
-use sqlx::QueryBuilder;
+use rusqlite::Connection;
 
-use super::assemble::{assemble, rows_of_ids};
+use super::assemble::rows_of_ids;
 use super::checksum;
-use super::query::{SELECT, SELECT_IDS, SELECT_WITH_VOLTAGES, TrialQuery};
+use super::query::{Order, SELECT, SELECT_WITH_VOLTAGES, TrialQuery};
 use super::trial_row::TrialRow;
+use crate::core::bulk::Statement;
 use crate::core::columns::Columns;
 use crate::core::{During, Store, StoreError};
 use crate::ids::{RunUid, TrialId};
@@ -15,68 +16,64 @@ use crate::record::FrameRecord;
 const READING: &str = "reading trials";
 
 impl Store {
-    /// Returns a page of trials. Set `after` to its last id for the next page.
+    /// Returns a page of trials, in the order of the query. Set `after` to its last id for the next page.
     ///
     /// # Errors
     /// `NoSuchRun` if the run of the query is not stored; `Damaged` if a trial differs from its
-    /// checksum; `Sql` or `Unreadable` if the read fails.
+    /// checksum; `Read` or `Unreadable` if the read fails.
     pub async fn trials(&self, query: &TrialQuery) -> Result<Vec<TrialRow>, StoreError> {
-        let scan_id = match query.run {
-            Some(run) => Some(self.facts(run, READING).await?.scan_id),
-            None => None,
+        let select = if query.with_voltages { SELECT_WITH_VOLTAGES } else { SELECT };
+        let ids = query.ids(self.scan_id_of(query).await?);
+        let order = query.order;
+        let read = move |c: &Connection| {
+            let ids = ids.rows(c, READING, id)?;
+            let mut trials = rows_of_ids(c, select, &ids, READING)?;
+            if order == Order::NewestFirst {
+                trials.reverse();
+            }
+            Ok(trials)
         };
-        let mut view = self.read(READING).await?;
-        let rows = query.build(scan_id).build().fetch_all(&mut *view).await.during(READING)?;
-        assemble(&mut view, rows, READING).await
+        self.inner.bulk.read(READING, read).await
     }
 
     /// Returns the ids of a page of trials, for a caller that reads the trials in smaller pieces.
     ///
     /// # Errors
-    /// `NoSuchRun` if the run of the query is not stored; `Sql` if the read fails.
+    /// `NoSuchRun` if the run of the query is not stored; `Read` if the read fails.
     pub async fn trial_ids(&self, query: &TrialQuery) -> Result<Vec<TrialId>, StoreError> {
-        let scan_id = match query.run {
-            Some(run) => Some(self.facts(run, READING).await?.scan_id),
-            None => None,
-        };
-        let ids: Vec<i64> = query
-            .select(SELECT_IDS, scan_id)
-            .build_query_scalar()
-            .fetch_all(&self.inner.readers)
-            .await
-            .during(READING)?;
-        Ok(ids.into_iter().map(TrialId).collect())
+        let ids = query.ids(self.scan_id_of(query).await?);
+        self.inner.bulk.read(READING, move |c| ids.rows(c, READING, id)).await
+    }
+
+    async fn scan_id_of(&self, query: &TrialQuery) -> Result<Option<i64>, StoreError> {
+        match query.run {
+            Some(run) => Ok(Some(self.facts(run, READING).await?.scan_id)),
+            None => Ok(None),
+        }
     }
 
     /// Returns a trial with its voltages; `None` if it is not stored.
     ///
     /// # Errors
-    /// `Damaged` if it differs from its checksum; `Sql` or `Unreadable` if the read fails.
+    /// `Damaged` if it differs from its checksum; `Read` or `Unreadable` if the read fails.
     pub async fn trial_by_id(&self, trial: TrialId) -> Result<Option<TrialRow>, StoreError> {
-        let mut view = self.read(READING).await?;
-        let mut query = QueryBuilder::new(SELECT_WITH_VOLTAGES);
-        let rows = query
-            .push(" WHERE t.id = ")
-            .push_bind(trial.0)
-            .build()
-            .fetch_all(&mut *view)
-            .await
-            .during(READING)?;
-        Ok(assemble(&mut view, rows, READING).await?.pop())
+        Ok(self.trials_with_voltages(&[trial]).await?.pop())
     }
 
-    /// Returns these trials with their voltages, by id. Missing trials are omitted.
+    /// Returns these trials with their voltages, in ascending order of the ids. Missing trials are
+    /// omitted.
     ///
     /// # Errors
-    /// `Damaged` if a trial differs from its checksum; `Sql` or `Unreadable` if the read fails.
+    /// `Damaged` if a trial differs from its checksum; `Read` or `Unreadable` if the read fails.
     pub async fn trials_with_voltages(&self, ids: &[TrialId]) -> Result<Vec<TrialRow>, StoreError> {
         self.trials_by(SELECT_WITH_VOLTAGES, ids).await
     }
 
-    /// Returns these trials without their voltages, by id. Missing trials are omitted.
+    /// Returns these trials without their voltages, in ascending order of the ids. Missing trials are
+    /// omitted.
     ///
     /// # Errors
-    /// `Damaged` if a trial differs from its checksum; `Sql` or `Unreadable` if the read fails.
+    /// `Damaged` if a trial differs from its checksum; `Read` or `Unreadable` if the read fails.
     pub async fn trials_of(&self, ids: &[TrialId]) -> Result<Vec<TrialRow>, StoreError> {
         self.trials_by(SELECT, ids).await
     }
@@ -86,7 +83,8 @@ impl Store {
         select: &'static str,
         ids: &[TrialId],
     ) -> Result<Vec<TrialRow>, StoreError> {
-        rows_of_ids(&mut *self.read(READING).await?, select, ids, READING).await
+        let ids = ids.to_vec();
+        self.inner.bulk.read(READING, move |c| rows_of_ids(c, select, &ids, READING)).await
     }
 
     /// Returns the ids of the trials of a run in the order of storing, each with the number of the model
@@ -107,20 +105,23 @@ impl Store {
         Ok(rows.into_iter().map(|(trial, model)| (TrialId(trial), model)).collect())
     }
 
-    /// Returns the distinct numbers of channels of the frames of these trials, in ascending order.
+    /// Returns the distinct numbers of channels of the frames of these trials, in ascending order. All
+    /// frames of a run have the same.
     ///
     /// # Errors
-    /// `Sql` if the read fails.
+    /// `Read` if the read fails.
     pub async fn frame_lengths(&self, ids: &[TrialId]) -> Result<Vec<u32>, StoreError> {
         let wanted: Vec<i64> = ids.iter().map(|id| id.0).collect();
-        sqlx::query_scalar(
-            "SELECT DISTINCT length(v.voltages_v) / 4 FROM json_each(?1) wanted
-             CROSS JOIN trial_voltages v ON v.trial = wanted.value ORDER BY 1",
-        )
-        .bind(format!("{wanted:?}"))
-        .fetch_all(&self.inner.readers)
-        .await
-        .during(READING)
+        let mut lengths = Statement::new(
+            "SELECT DISTINCT length(v.voltages_v) / 4 AS channels FROM (
+                 SELECT min(t.id) AS id FROM trials t
+                 WHERE t.id IN (SELECT value FROM json_each(",
+        );
+        lengths.bind(format!("{wanted:?}"));
+        lengths.push(")) GROUP BY t.run) first CROSS JOIN trial_voltages v ON v.trial = first.id");
+        lengths.push(" ORDER BY 1");
+        let read = move |c: &Connection| lengths.rows(c, READING, |c| c.whole("channels"));
+        self.inner.bulk.read(READING, read).await
     }
 
     /// Returns the mean of the frames of a trial, V, injection-major; `None` if it is not stored.
@@ -154,19 +155,15 @@ impl Store {
         rows.iter().map(|row| checksum::frame(&Columns::of(row, OPERATION), of)).collect()
     }
 
-    /// Returns the query plan of SQLite for a page, one line per step.
+    /// Returns the query plan of SQLite for the ids of a page, one line per step.
     #[cfg(test)]
     pub(crate) async fn explain(&self, query: &TrialQuery) -> Result<Vec<String>, StoreError> {
-        let scan_id = match query.run {
-            Some(run) => Some(self.facts(run, READING).await?.scan_id),
-            None => None,
-        };
-        let sql = format!("EXPLAIN QUERY PLAN {}", query.build(scan_id).sql().as_str());
-        let mut statement = sqlx::query(sqlx::AssertSqlSafe(sql));
-        for _ in 0..query.filters.len() + query.flags.len() + 3 {
-            statement = statement.bind(1);
-        }
-        let rows = statement.fetch_all(&self.inner.readers).await.during("explaining a query")?;
-        rows.iter().map(|row| Columns::of(row, "explaining a query").get("detail")).collect()
+        let ids = query.ids(self.scan_id_of(query).await?);
+        self.inner.bulk.read(READING, move |c| ids.explain(c)).await
     }
+}
+
+/// The id of a row of [`TrialQuery::ids`].
+pub(crate) fn id(c: &Columns<'_>) -> Result<TrialId, StoreError> {
+    c.get("id").map(TrialId)
 }

@@ -1,9 +1,8 @@
 //! A query for trials (which, in which order), and its SQL statement.
-//! Uses: `condition`, sqlx's builder. Never: a connection, an OFFSET.
-
-use sqlx::{QueryBuilder, Sqlite};
+//! PURE. Uses: `condition`. Never: a connection, an OFFSET.
 
 use super::condition::Condition;
+use crate::core::bulk::Statement;
 use crate::ids::{RunUid, TrialId};
 use crate::record::Flag;
 
@@ -19,12 +18,11 @@ pub(crate) const SELECT: &str = "SELECT t.*, r.uid, r.experiment, r.kind, r.labe
          AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)
      LEFT JOIN twin_models m ON m.id = w.model";
 
-/// Only the ids.
-pub(crate) const SELECT_IDS: &str =
-    "SELECT t.id FROM trials t CROSS JOIN runs r ON r.scan_id = t.run
-     LEFT JOIN twins w ON w.trial = t.id
-         AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)
-     LEFT JOIN twin_models m ON m.id = w.model";
+/// Joins of the tables that conditions may need besides `trials`.
+const JOIN_RUN: &str = " CROSS JOIN runs r ON r.scan_id = t.run";
+const JOIN_TWIN: &str = " LEFT JOIN twins w ON w.trial = t.id
+         AND w.model = (SELECT max(model) FROM twins n WHERE n.trial = t.id)";
+const JOIN_MODEL: &str = " LEFT JOIN twin_models m ON m.id = w.model";
 
 /// Columns of a row, with the mean voltages and the frame of its newest twin.
 pub(crate) const SELECT_WITH_VOLTAGES: &str =
@@ -71,28 +69,33 @@ pub struct TrialQuery {
 }
 
 impl TrialQuery {
-    /// Returns the statement for the rows of these trials; `scan_id` is the number of `run`.
-    pub(crate) fn build(&self, scan_id: Option<i64>) -> QueryBuilder<Sqlite> {
-        self.select(if self.with_voltages { SELECT_WITH_VOLTAGES } else { SELECT }, scan_id)
-    }
-
-    /// Returns the statement with the columns and joins of `select`; `scan_id` is the number of `run`.
-    pub(crate) fn select(
-        &self,
-        select: &'static str,
-        scan_id: Option<i64>,
-    ) -> QueryBuilder<Sqlite> {
-        let mut query = QueryBuilder::new(select);
+    /// Returns the statement for the ids of these trials; `scan_id` is the number of `run`.
+    pub(crate) fn ids(&self, scan_id: Option<i64>) -> Statement {
+        let mut query = Statement::new("SELECT t.id FROM trials t");
+        let needs = |table: &str| {
+            let mut columns = self.filters.iter().flat_map(Condition::columns);
+            columns.any(|column| column.sql.starts_with(table))
+        };
+        let model = needs("m.");
+        if needs("r.") {
+            query.push(JOIN_RUN);
+        }
+        if model || needs("w.") {
+            query.push(JOIN_TWIN);
+        }
+        if model {
+            query.push(JOIN_MODEL);
+        }
         query.push(" WHERE TRUE");
         if let Some(scan_id) = scan_id {
-            query.push(" AND t.run = ").push_bind(scan_id);
+            query.push(" AND t.run = ").bind(scan_id);
         }
         if let Some(after) = self.after {
             let side = match self.order {
                 Order::OldestFirst => " AND t.id > ",
                 Order::NewestFirst => " AND t.id < ",
             };
-            query.push(side).push_bind(after.0);
+            query.push(side).bind(after.0);
         }
         for filter in &self.filters {
             filter.push_onto(&mut query);
@@ -103,15 +106,15 @@ impl TrialQuery {
             None => {}
         }
         for flag in &self.flags {
-            let word = serde_json::to_value(flag).unwrap_or_default();
+            let word = flag.as_str().to_owned();
             query.push(" AND EXISTS (SELECT 1 FROM json_each(t.flags) WHERE value = ");
-            query.push_bind(word.as_str().unwrap_or_default().to_owned()).push(")");
+            query.bind(word).push(")");
         }
         query.push(match self.order {
             Order::OldestFirst => " ORDER BY t.id LIMIT ",
             Order::NewestFirst => " ORDER BY t.id DESC LIMIT ",
         });
-        query.push_bind(i64::from(self.limit.min(MAX_PAGE + 1)));
+        query.bind(i64::from(self.limit.min(MAX_PAGE + 1)));
         query
     }
 }

@@ -100,6 +100,7 @@ async fn a_disk_that_hangs_is_waited_for_by_the_campaign_alone() {
             clock: inner.clock.clone(),
             writer: inner.writer.hurried(Duration::from_millis(20)),
             readers: inner.readers.clone(),
+            bulk: inner.bulk.clone(),
             runs: Mutex::default(),
             soundness: Mutex::default(),
             changes: Mutex::default(),
