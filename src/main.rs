@@ -69,6 +69,9 @@ struct VirtualRigArgs {
     /// started with the rig file that --out-rig writes to know of it.
     #[arg(long, value_name = "N")]
     speed: Option<f64>,
+    /// Days since the readout was first switched on: its offsets have drifted since.
+    #[arg(long, value_name = "DAYS", default_value_t = 0.0)]
+    age_days: f64,
     /// Serve every wire at a free port or a new pseudo-terminal, whatever the rig file says.
     #[arg(long)]
     ephemeral: bool,
@@ -168,6 +171,7 @@ impl VirtualRigArgs {
             sensor: files.sensor,
             seed: self.seed,
             speed: self.speed,
+            age_days: self.age_days,
             ephemeral: self.ephemeral,
             out_rig: self.out_rig,
             fault: self.fault,

@@ -28,12 +28,15 @@ pub struct BenchArgs {
     /// Virtual rig: process seconds per wall second [default: 20].
     #[arg(long, value_name = "N")]
     pub speed: Option<f64>,
-    /// Virtual rig: differences of its skin from the model, a file or gap-a or gap-b [default: gap-a].
+    /// Virtual rig: differences of its skin from the model, a file or gap-a to gap-d [default: gap-a].
     #[arg(long, value_name = "FILE")]
     pub gap: Option<PathBuf>,
     /// Virtual rig: seed of its skin [default: 3].
     #[arg(long, value_name = "N")]
     pub skin_seed: Option<u64>,
+    /// Virtual rig: days since the readout of its skin was first switched on [default: 0].
+    #[arg(long, value_name = "DAYS")]
+    pub skin_age_days: Option<f64>,
     /// Virtual rig: script of faults, with their times.
     #[arg(long, value_name = "SCRIPT")]
     pub fault: Option<PathBuf>,
@@ -49,6 +52,7 @@ impl BenchArgs {
             ("--speed", self.speed.map(|speed| speed.to_string())),
             ("--gap", path(&self.gap)),
             ("--skin-seed", self.skin_seed.map(|seed| seed.to_string())),
+            ("--skin-age-days", self.skin_age_days.map(|days| days.to_string())),
             ("--fault", path(&self.fault)),
         ];
         all.into_iter().filter_map(|(option, value)| Some((option, value?))).collect()
@@ -75,6 +79,10 @@ impl BenchArgs {
         let speed = self.speed();
         if !(0.01..=2000.0).contains(&speed) {
             return Err(CliError::argument("--speed", speed, "must be from 0.01 to 2000"));
+        }
+        let age_days = self.skin_age_days.unwrap_or(0.0);
+        if !(0.0..=3650.0).contains(&age_days) {
+            return Err(CliError::argument("--skin-age-days", age_days, "must be from 0 to 3650"));
         }
         self.gap_text()?;
         let Some(path) = &self.fault else { return Ok(()) };
@@ -109,6 +117,7 @@ impl BenchArgs {
             .chain(value("--speed", self.speed.map(|n| n.to_string().into())))
             .chain(value("--gap", path(&self.gap)))
             .chain(value("--skin-seed", self.skin_seed.map(|n| n.to_string().into())))
+            .chain(value("--skin-age-days", self.skin_age_days.map(|n| n.to_string().into())))
             .chain(value("--fault", path(&self.fault)))
             .collect()
     }
@@ -130,6 +139,7 @@ impl BenchArgs {
             sensor_text,
             gap_text: self.gap_text()?,
             seed: self.skin_seed.unwrap_or(DEFAULT_SKIN_SEED),
+            age_days: self.skin_age_days.unwrap_or(0.0),
             speed: self.speed(),
             fault: self.fault.clone(),
             quiet,
@@ -168,6 +178,7 @@ mod tests {
             speed: Some(0.5),
             gap: Some("g.toml".into()),
             skin_seed: Some(4),
+            skin_age_days: Some(1.0),
             fault: Some("f.txt".into()),
         };
         for bench in [BenchArgs::default(), all] {

@@ -237,6 +237,9 @@ fn tell(serves: &ServesOut, as_json: bool) {
         serves.slot.name(),
         serves.what.as_ref().map_or("nothing", PromotedId::as_str)
     ));
+    if let Some(limitation) = &serves.limitation {
+        say(format_args!("          note: {limitation}"));
+    }
 }
 
 /// Models with their last scores.

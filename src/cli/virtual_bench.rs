@@ -42,6 +42,8 @@ pub struct BenchOptions {
     pub gap_text: String,
     /// Seed of the skin.
     pub seed: u64,
+    /// Days since the readout of the skin was first switched on.
+    pub age_days: f64,
     /// Process seconds per wall second.
     pub speed: f64,
     /// Script of faults.
@@ -138,6 +140,7 @@ fn rig_command(options: &BenchOptions, folder: &Path, served: &Path) -> Result<C
     let mut command = this_program("virtual-rig")?;
     command.arg("--rig").arg(rig).arg("--gap").arg(gap).arg("--sensor").arg(sensor);
     command.arg("--seed").arg(options.seed.to_string());
+    command.arg("--age-days").arg(options.age_days.to_string());
     command.arg("--speed").arg(options.speed.to_string());
     command.arg("--ephemeral").arg("--out-rig").arg(served);
     command.arg("--cache").arg(options.data.join("cache")).arg("--with-parent");

@@ -38,7 +38,7 @@ pub const RIGS: &[(&str, &str)] = carried![
 ];
 
 /// The differences of virtual skins from the model.
-pub const GAPS: &[(&str, &str)] = carried!["gaps": "gap-a", "gap-b"];
+pub const GAPS: &[(&str, &str)] = carried!["gaps": "gap-a", "gap-b", "gap-c", "gap-d"];
 
 /// The sensors.
 pub const SENSORS: &[(&str, &str)] = carried!["sensors": "ert-28"];

@@ -32,6 +32,7 @@ impl FileKind {
             () if has("real_hex") || has("real_random") => Self::Experiment,
             () if has("axes") || has("lines") || has("ert") => Self::Rig,
             () if has("training") => Self::Recipe,
+            () if has("laminate") => Self::Gap,
             () if has("fields") && has("foam") && has("electrodes") => Self::Gap,
             () if has("layers") && has("points") => Self::Sensor,
             () if has("id") && has("sensor") => Self::Calibration,
@@ -79,7 +80,7 @@ impl FileKind {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::carried::{DATASETS, EXPERIMENTS, RECIPES, SENSORS};
+    use crate::carried::{DATASETS, EXPERIMENTS, GAPS, RECIPES, SENSORS};
 
     #[test]
     fn every_carried_file_is_recognised() {
@@ -87,6 +88,7 @@ mod tests {
             (FileKind::Experiment, EXPERIMENTS),
             (FileKind::Sensor, SENSORS),
             (FileKind::Dataset, DATASETS),
+            (FileKind::Gap, GAPS),
             (FileKind::Recipe, RECIPES),
         ] {
             for (name, text) in files {
@@ -98,8 +100,6 @@ mod tests {
         assert_eq!(FileKind::of(rig), Some(FileKind::Rig));
         let skin = include_str!("../../experiments/rigs/skin-only.toml");
         assert_eq!(FileKind::of(skin), Some(FileKind::Rig));
-        let gap = include_str!("../../experiments/gaps/gap-a.toml");
-        assert_eq!(FileKind::of(gap), Some(FileKind::Gap));
         let faults = include_str!("../../virtual-rig/examples/faults.toml");
         assert_eq!(FileKind::of(faults), Some(FileKind::Faults));
         assert_eq!(FileKind::of("name = 1\n"), None);

@@ -187,6 +187,9 @@ fn effects_in_pure_files_are_found() {
     }
     assert!(!impure_physics(&[file("sim-core/src/a.rs", "std::time::Instant::now()")]).is_empty());
     assert!(!impure_physics(&[file("sim-core/Cargo.toml", "tokio.workspace = true")]).is_empty());
+    let other = |text| impure_physics(&[file("virtual-rig/laminate/Cargo.toml", text)]);
+    assert!(!other("sim-core = { path = \"..\" }").is_empty());
+    none(other("# Never `sim-core`\nfaer = \"0\""));
     none(impure_physics(&[file("sim-core/src/a.rs", "//! Never: async, tokio, std::fs.\n")]));
 }
 

@@ -74,12 +74,13 @@ pub const ARROWS: [(&str, &[&str]); 8] = [
 ];
 
 /// Crates and macros of the command line, of HTTP, of the database and of the terminal.
-pub const OUTSIDE: [&str; 12] = [
+pub const OUTSIDE: [&str; 13] = [
     "clap",
     "reqwest",
     "axum",
     "hyper",
     "tokio",
+    "rusqlite",
     "sqlx",
     "indicatif",
     "print",
@@ -105,7 +106,8 @@ pub const REFERENCES: &str = "docs/references.md";
 pub const WITHOUT_CIRCLES: [&str; 3] = ["nets/src/", "sim-core/src/", "trainer/src/"];
 
 /// Crates and modules that do something, or wait for something.
-pub const EFFECTS: [&str; 6] = ["async", "tokio", "sqlx", "axum", "reqwest", "tokio_serial"];
+pub const EFFECTS: [&str; 7] =
+    ["async", "tokio", "rusqlite", "sqlx", "axum", "reqwest", "tokio_serial"];
 
 /// Where a module stands in the flow; vocabulary stands nowhere.
 pub fn rank(module: &str) -> Option<usize> {
@@ -307,15 +309,25 @@ pub fn training_outside_the_trainer(files: &[File]) -> Vec<String> {
     findings
 }
 
-/// sim-core holds physics: nothing that waits, reads, stores or looks at a clock.
+/// Folders of physics: that of the model, and that of the skins which share nothing with it.
+const PHYSICS: [&str; 2] = ["sim-core/", LAMINATE];
+const LAMINATE: &str = "virtual-rig/laminate/";
+
+/// Physics: nothing that waits, reads, stores or looks at a clock; and nothing of the model in the skins that
+/// it is measured against.
 pub fn impure_physics(files: &[File]) -> Vec<String> {
     let mut findings = Vec::new();
-    for file in files.iter().filter(|f| f.path.starts_with("sim-core/")) {
-        if file.path.starts_with("sim-core/src/") && file.is_rust() {
-            findings.extend(effects(file, &["fs", "time", "net", "process"]));
-        } else if file.path == "sim-core/Cargo.toml" {
-            let heavy = file.text.lines().filter(|l| EFFECTS.iter().any(|e| l.starts_with(e)));
-            findings.extend(heavy.map(|l| format!("sim-core/Cargo.toml: depends on {l}")));
+    for root in PHYSICS {
+        for file in files.iter().filter(|f| f.path.starts_with(root)) {
+            if file.path.starts_with(&format!("{root}src/")) && file.is_rust() {
+                findings.extend(effects(file, &["fs", "time", "net", "process"]));
+            } else if file.path == format!("{root}Cargo.toml") {
+                let shares = |line: &str| root == LAMINATE && line.starts_with("sim-core");
+                let heavy =
+                    |line: &&str| EFFECTS.iter().any(|e| line.starts_with(e)) || shares(line);
+                let found = file.text.lines().filter(heavy);
+                findings.extend(found.map(|line| format!("{}: depends on {line}", file.path)));
+            }
         }
     }
     findings

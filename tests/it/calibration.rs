@@ -143,7 +143,7 @@ fn single_contacts() -> String {
     for (n, &point) in POINTS.iter().enumerate() {
         let p = sensor().points()[point];
         let force_n = [8.0, 16.0, 32.0][n % 3];
-        let load = TipLoad { arm: 0, x_mm: p.x_mm, y_mm: p.y_mm, force_n };
+        let load = TipLoad { arm: 0, x_mm: p.x_mm, y_mm: p.y_mm, force_n, stroke: Stroke::Loading };
         let held = skin().solve(&[load]);
         let mut frame = vec![0f32; held.len()];
         readout.frame(&held, 10.0 * n as f64, &mut frame);

@@ -28,6 +28,7 @@ pub fn rig_args(rig: &str, speed: f64) -> RigArgs {
         sensor: file("sensors/ert-28.toml"),
         seed: 3,
         speed: Some(speed),
+        age_days: 0.0,
         ephemeral: true,
         out_rig: None,
         fault: None,

@@ -22,8 +22,7 @@ use crate::ert::sinks::{PtySink, Sinks};
 use crate::ert::stream::Stream;
 use crate::fault::{self, FaultError};
 use crate::lab::Lab;
-use crate::skin::mechanics::Mechanics;
-use crate::skin::{Gap, GapError, Readout, Skin, SkinError};
+use crate::skin::{AnyMechanics, AnyReadout, AnySkin, GapError, GapFile, SkinError};
 use crate::solver::Solver;
 use crate::{control, wire};
 
@@ -52,6 +51,9 @@ pub struct RigArgs {
     /// Process seconds per wall second; absent: the clock_rate of the rig file.
     #[arg(long, value_name = "N")]
     pub speed: Option<f64>,
+    /// Days since the readout was first switched on: its offsets have drifted since.
+    #[arg(long, value_name = "DAYS", default_value_t = 0.0)]
+    pub age_days: f64,
     /// Serve every TCP wire at a free local port and every serial wire at a new pseudo-terminal,
     /// independent of the rig file.
     #[arg(long)]
@@ -276,7 +278,7 @@ impl VirtualRig {
             .map_err(|source| RunError::Rig { path: args.rig.clone(), source })?;
         let sensor = Sensor::from_toml(&read_file(&args.sensor)?)
             .map_err(|source| RunError::Sensor { path: args.sensor.clone(), source })?;
-        let gap = Gap::from_toml(&read_file(&args.gap)?)
+        let gap = GapFile::from_toml(&read_file(&args.gap)?)
             .map_err(|source| RunError::Gap { path: args.gap.clone(), source })?;
         let faults = match &args.fault {
             Some(path) => fault::script(&read_file(path)?, &rig)
@@ -295,12 +297,12 @@ impl VirtualRig {
         let size = [sensor.file.width_mm, sensor.file.height_mm];
         let circuit = &sensor.file.circuit;
         let amplifier = Amplifier { source_v: circuit.source_v * circuit.gain };
-        let mechanics = Mechanics::new(&gap.mechanics, args.seed);
-        let readout = Readout::new(&gap, args.seed);
+        let readout = AnyReadout::new(&sensor, &gap, args.seed, args.age_days);
         let (seed, cache) = (args.seed, args.cache.clone());
-        let solver = tokio::task::spawn_blocking(move || {
-            let skin = Skin::new(sensor, gap, seed, cache.as_deref())?;
-            Solver::start(skin).map_err(RunError::Start)
+        let (solver, mechanics) = tokio::task::spawn_blocking(move || {
+            let mechanics = AnyMechanics::new(&sensor, &gap, seed)?;
+            let skin = AnySkin::new(sensor, gap, seed, cache.as_deref())?;
+            Ok::<_, RunError>((Solver::start(skin).map_err(RunError::Start)?, mechanics))
         })
         .await
         .map_err(|e| RunError::Start(io::Error::other(e)))??;

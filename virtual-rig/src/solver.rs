@@ -12,7 +12,7 @@ use std::time::Duration;
 use parking_lot::Mutex;
 
 use crate::bench::Load;
-use crate::skin::Skin;
+use crate::skin::AnySkin;
 
 /// Number of loads whose voltages are stored.
 const KEPT: usize = 32;
@@ -40,11 +40,12 @@ impl Solver {
     ///
     /// # Errors
     /// The operating system's error if the thread cannot be created.
-    pub fn start(skin: Skin) -> io::Result<Self> {
+    pub fn start(skin: AnySkin) -> io::Result<Self> {
         let (requests, inbox) = sync_channel(WAITING);
         let known: Arc<Known> = Arc::default();
         let untouched = Arc::new(Load::default());
-        remember(&known, Arc::clone(&untouched), Arc::new(skin.solve(&untouched.tips)));
+        let at_rest = skin.solve(&untouched.tips).map_err(io::Error::other)?;
+        remember(&known, Arc::clone(&untouched), Arc::new(at_rest));
         let shelf = Arc::clone(&known);
         thread::Builder::new().name("skin".into()).spawn(move || work(&skin, &inbox, &shelf))?;
         Ok(Self { requests, known })
@@ -75,7 +76,7 @@ fn remember(known: &Known, load: Arc<Load>, solved: Solved) {
     known.truncate(KEPT);
 }
 
-fn work(skin: &Skin, inbox: &Receiver<Arc<Load>>, known: &Known) {
+fn work(skin: &AnySkin, inbox: &Receiver<Arc<Load>>, known: &Known) {
     loop {
         let mut load = match inbox.recv_timeout(PATIENCE) {
             Ok(load) => load,
@@ -94,8 +95,11 @@ fn work(skin: &Skin, inbox: &Receiver<Arc<Load>>, known: &Known) {
             known.iter().any(|(l, _)| *l == load)
         };
         if !have {
-            let solved = Arc::new(skin.solve(&load.tips));
-            remember(known, load, solved);
+            match skin.solve(&load.tips) {
+                Ok(solved) => remember(known, load, Arc::new(solved)),
+                // No frame of this load is ever sent.
+                Err(error) => tracing::error!(%error, ?load, "the skin has no solution"),
+            }
         }
     }
 }

@@ -43,7 +43,8 @@ export function servingPart() {
       shown = text
       const filled = serving.serves.filter(one => one.what)
       const models = filled.map(one => [SLOTS[one.slot]?.holds ?? plain(one.slot), link('/nets', one.what)])
-      fill(list, el('ul', {}, METHODS.map(method => row(method, serving))), facts(models))
+      const limits = filled.filter(one => one.limitation).map(one => el('p', { className: 'soft' }, `${SLOTS[one.slot]?.name ?? plain(one.slot)}: ${one.limitation}`))
+      fill(list, el('ul', {}, METHODS.map(method => row(method, serving))), facts(models), limits)
       fill(none, !bestMethod(serving) && howTo())
     },
     failed(error) { shown = ''; fill(list, el('p', { className: 'soft' }, `It is not known what serves: ${error.message}`)) },

@@ -86,6 +86,9 @@ pub struct ServesOut {
     /// Id of the serving model or calibration; null if the slot is empty.
     #[schema(value_type = Option<String>)]
     pub what: Option<PromotedId>,
+    /// What limits its answers; absent if nothing is known to.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub limitation: Option<String>,
 }
 
 /// Serving models and calibrations, with the history of promotions.
@@ -292,7 +295,7 @@ pub async fn add_calibration(
     responses((status = 200, body = ServingOut)))]
 pub async fn serving(State(app): State<App>) -> Result<Json<ServingOut>, ApiError> {
     let serves = app.serving.promoted().await?;
-    let serves = serves.into_iter().map(|(slot, what)| ServesOut { slot, what }).collect();
+    let serves = serves.into_iter().map(|(slot, what)| serves_out(&app, slot, what)).collect();
     let history = app.serving.history().await?.into_iter().map(|row| PromotionOut {
         slot: row.slot,
         what: row.what,
@@ -322,7 +325,7 @@ pub async fn promote(
     act.stated(who, why);
     act.about(&request.what);
     let (slot, what) = app.serving.promote(&request.what, &act.name(), why).await?;
-    Ok(Json(ServesOut { slot, what: Some(what) }))
+    Ok(Json(serves_out(&app, slot, Some(what))))
 }
 
 /// Restores the previous model or calibration of a slot.
@@ -339,7 +342,12 @@ pub async fn roll_back(
     let (who, why, slot) = (request.who.as_deref(), request.why.as_deref(), request.slot);
     act.stated(who, why);
     let what = app.serving.roll_back(slot, &act.name(), why).await?;
-    Ok(Json(ServesOut { slot, what }))
+    Ok(Json(serves_out(&app, slot, what)))
+}
+
+fn serves_out(app: &App, slot: Slot, what: Option<PromotedId>) -> ServesOut {
+    let skin = (slot == Slot::Skin).then(|| app.serving.current().skin().cloned()).flatten();
+    ServesOut { slot, what, limitation: skin.and_then(|skin| skin.limitation()) }
 }
 
 /// True if a report is a score of a model of this task: by a method that uses the task, on rows

@@ -2,8 +2,8 @@
 //! PURE. Uses: `config`, `skin`. Never: time, registers.
 
 use crate::config::{ARMS, Placement, Slot};
-use crate::skin::TipLoad;
-use crate::skin::mechanics::{Mechanics, Stroke, TipPosition};
+use crate::skin::mechanics::{Stroke, TipPosition};
+use crate::skin::{AnyMechanics, TipLoad};
 
 /// Height above the nominal surface at which no unevenness lets a tip touch, mm.
 const SURELY_CLEAR_MM: f64 = 5.0;
@@ -42,7 +42,7 @@ pub struct Load {
 
 impl PartialEq for Load {
     fn eq(&self, other: &Self) -> bool {
-        let bits = |t: &TipLoad| (t.arm, [t.x_mm, t.y_mm, t.force_n].map(f64::to_bits));
+        let bits = |t: &TipLoad| (t.arm, t.stroke, [t.x_mm, t.y_mm, t.force_n].map(f64::to_bits));
         self.tips.len() == other.tips.len()
             && self.tips.iter().zip(&other.tips).all(|(a, b)| bits(a) == bits(b))
     }
@@ -79,7 +79,7 @@ pub struct Indenter {
     placement: Placement,
     size_mm: [f64; 2],
     surface_z_mm: f64,
-    mechanics: Mechanics,
+    mechanics: AnyMechanics,
     mounted: usize,
     missing: [bool; ARMS],
 }
@@ -90,7 +90,7 @@ impl Indenter {
         placement: Placement,
         size_mm: [f64; 2],
         surface_z_mm: f64,
-        mechanics: Mechanics,
+        mechanics: AnyMechanics,
     ) -> Self {
         let missing = [false; ARMS];
         Self { placement, size_mm, surface_z_mm, mechanics, mounted: ARMS, missing }
@@ -171,7 +171,7 @@ impl Indenter {
         let mut tips: Vec<TipLoad> = pressing
             .map(|(arm, &force_n)| {
                 let [x_mm, y_mm] = self.tip(arm, pose);
-                TipLoad { arm, x_mm, y_mm, force_n }
+                TipLoad { arm, x_mm, y_mm, force_n, stroke }
             })
             .collect();
         tips.extend(weights.iter().map(|w| TipLoad {
@@ -179,6 +179,7 @@ impl Indenter {
             x_mm: w.x_mm,
             y_mm: w.y_mm,
             force_n: w.force_n,
+            stroke: Stroke::Loading,
         }));
         Load { tips }
     }
@@ -207,8 +208,9 @@ mod tests {
 
     #[test]
     fn equal_bits_are_equal_loads() {
-        let load =
-            |force_n: f64| Load { tips: vec![TipLoad { arm: 0, x_mm: 1.0, y_mm: 2.0, force_n }] };
+        let load = |force_n: f64| Load {
+            tips: vec![TipLoad { arm: 0, x_mm: 1.0, y_mm: 2.0, force_n, stroke: Stroke::Loading }],
+        };
         assert_eq!(load(5.0), load(5.0));
         assert_ne!(load(5.0), load(5.0 + 1e-12));
         assert_ne!(load(5.0), Load::default());

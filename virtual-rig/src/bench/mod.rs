@@ -27,7 +27,8 @@ use crate::device::{AxisMap, CellsMap, INPUTS};
 use crate::drive::{Alarm, Drive, Mechanism};
 use crate::fault::{Board, Fault, Kind, Target, WireFault};
 use crate::modbus::{Exception, Request, answer};
-use crate::skin::mechanics::{Mechanics, Stroke};
+use crate::skin::AnyMechanics;
+use crate::skin::mechanics::Stroke;
 
 /// Largest number of stop receipts that are stored.
 const RECEIPTS_MAX: usize = 4096;
@@ -121,7 +122,7 @@ impl Bench {
     pub fn power_up(
         rig: &RigFile,
         skin_size_mm: [f64; 2],
-        mechanics: Mechanics,
+        mechanics: AnyMechanics,
         faults: Vec<Fault>,
         seed: u64,
     ) -> Self {

@@ -18,7 +18,7 @@ use super::sinks::Sinks;
 use crate::bench::TakenFrame;
 use crate::fault::Kind;
 use crate::lab::Lab;
-use crate::skin::Readout;
+use crate::skin::AnyReadout;
 
 /// Shortest sleep: an accelerated rig sends several frames at once.
 const TICK_MIN: Duration = Duration::from_micros(500);
@@ -40,7 +40,7 @@ impl Stream {
     /// The operating system's error if the thread cannot be created.
     pub fn start(
         lab: Arc<Lab>,
-        readout: Readout,
+        readout: AnyReadout,
         sinks: Sinks,
         amplifier: Amplifier,
         seed: u64,
@@ -80,7 +80,7 @@ impl Drop for Stream {
 struct Sender {
     stop: Arc<AtomicBool>,
     lab: Arc<Lab>,
-    readout: Readout,
+    readout: AnyReadout,
     sinks: Sinks,
     amplifier: Amplifier,
     writer: PacketWriter,

@@ -5,6 +5,7 @@
 //! [`Skin`] returns the static voltages of a held load; [`Readout`] creates frames from them, with
 //! drift and noise; [`mechanics::Mechanics`] determines the force of each tip.
 
+mod any;
 mod cache;
 pub mod chance;
 pub mod gap;
@@ -23,8 +24,10 @@ use sim_core::mesh::Mesh;
 use sim_core::responses::ResponsesError;
 use sim_core::sensor::Sensor;
 
+pub use any::{AnyMechanics, AnyReadout, AnySkin, GapFile};
 use chance::{SmoothField, normal_at, stream};
 pub use gap::{Gap, GapError};
+use mechanics::Stroke;
 pub use readout::Readout;
 
 /// Linear compression at the end of the table of the foam's law, mm; beyond it the table is
@@ -43,6 +46,9 @@ pub enum SkinError {
     /// The law of the foam is not monotonic.
     #[error("gap: foam law: {0}")]
     Foam(#[from] LutError),
+    /// A skin of another physics has an invalid law, or no solution.
+    #[error("gap: laminate: {0}")]
+    Laminate(#[from] laminate::LaminateError),
 }
 
 /// A tip or a weight that presses on the skin.
@@ -56,6 +62,8 @@ pub struct TipLoad {
     pub y_mm: f64,
     /// Force, N; a load without a positive force or without a valid position is ignored.
     pub force_n: f64,
+    /// Whether the force has fallen since it was largest: only a skin of another physics knows it.
+    pub stroke: Stroke,
 }
 
 /// One virtual skin: a sensor, a gap and a seed. `Send + Sync`.

@@ -10,7 +10,7 @@ use sim_core::stats::{fvu, sorted, upper_quantile};
 
 use super::gap::{Gap, GapError};
 use super::mechanics::{Mechanics, Stroke, TipPosition};
-use super::{Readout, Skin, TipLoad, points_under};
+use super::{AnyMechanics, AnyReadout, AnySkin, GapFile, Readout, Skin, TipLoad, points_under};
 
 const GAP_A: &str = include_str!("../../../experiments/gaps/gap-a.toml");
 const GAP_B: &str = include_str!("../../../experiments/gaps/gap-b.toml");
@@ -214,7 +214,13 @@ fn fits(skin: &Skin, gap: &Gap, per_setting: usize) -> Vec<Fit> {
                 continue;
             }
             let loads: Vec<TipLoad> = (stand.tips.iter().zip(&f).enumerate())
-                .map(|(arm, (p, &force_n))| TipLoad { arm, x_mm: p[0], y_mm: p[1], force_n })
+                .map(|(arm, (p, &force_n))| TipLoad {
+                    arm,
+                    x_mm: p[0],
+                    y_mm: p[1],
+                    force_n,
+                    stroke: Stroke::Loading,
+                })
                 .collect();
             let contacts: Vec<Contact> = loads
                 .iter()
@@ -280,7 +286,8 @@ fn an_untouched_skin_reads_nothing_and_a_press_off_the_points_is_in_between() {
     let rest = skin().solve(&[]);
     assert_eq!(rest.len(), 784);
     assert!(rest.iter().all(|v| v.is_finite()) && rms(&rest) < 1e-3);
-    let dead = TipLoad { arm: 0, x_mm: 270.0, y_mm: 280.0, force_n: f64::NAN };
+    let dead =
+        TipLoad { arm: 0, x_mm: 270.0, y_mm: 280.0, force_n: f64::NAN, stroke: Stroke::Loading };
     assert_eq!(skin().solve(&[dead]), rest);
     let sensor = sensor();
     let p = sensor.points()[400];
@@ -288,7 +295,9 @@ fn an_untouched_skin_reads_nothing_and_a_press_off_the_points_is_in_between() {
     let under = points_under(&sensor, x, y);
     assert_eq!(under.len(), 3);
     assert!(under.iter().all(|&(_, w)| (w - 1.0 / 3.0).abs() < 0.01), "{under:?}");
-    let press = |x_mm, y_mm| skin().solve(&[TipLoad { arm: 0, x_mm, y_mm, force_n: 20.0 }]);
+    let press = |x_mm, y_mm| {
+        skin().solve(&[TipLoad { arm: 0, x_mm, y_mm, force_n: 20.0, stroke: Stroke::Loading }])
+    };
     let (on, between) = (rms(&press(p.x_mm, p.y_mm)), rms(&press(x, y)));
     assert!(between > 0.2 * on && between < 2.0 * on, "{on} {between}");
     assert!(press(3.0, 3.0).iter().all(|v| v.is_finite()), "outside the lattice");
@@ -297,7 +306,8 @@ fn an_untouched_skin_reads_nothing_and_a_press_off_the_points_is_in_between() {
 #[test]
 fn a_seed_is_a_skin() {
     let cache = std::env::temp_dir().join("palpate-test-cache");
-    let load = [TipLoad { arm: 2, x_mm: 270.0, y_mm: 280.0, force_n: 15.0 }];
+    let load =
+        [TipLoad { arm: 2, x_mm: 270.0, y_mm: 280.0, force_n: 15.0, stroke: Stroke::Loading }];
     let first = skin().solve(&load); // creates the cache for the others
     let again = Skin::new(sensor(), gap_a(), SEED, Some(&cache)).unwrap();
     assert_eq!(again.solve(&load), first);
@@ -384,4 +394,44 @@ fn gap_files_parse_and_refuse_what_they_do_not_know() {
     let negative = GAP_A.replace("noise_sd_mv = 1.2", "noise_sd_mv = -1.2");
     let error = Gap::from_toml(&negative).unwrap_err().to_string();
     assert_eq!(error, "readout.noise_sd_mv = -1.2: must be a number >= 0");
+}
+
+#[test]
+fn a_gap_file_with_the_table_laminate_is_a_skin_of_other_physics() {
+    let files = [
+        include_str!("../../../experiments/gaps/gap-c.toml"),
+        include_str!("../../../experiments/gaps/gap-d.toml"),
+    ];
+    assert!(matches!(GapFile::from_toml(GAP_A), Ok(GapFile::Model(_))));
+    for text in files {
+        let gap = GapFile::from_toml(text).unwrap();
+        assert!(matches!(gap, GapFile::Laminate(_)));
+        let mechanics = AnyMechanics::new(&sensor(), &gap, 1).unwrap();
+        let at = TipPosition {
+            arm: 0,
+            centre_mm: [270.0, 280.0],
+            radius_mm: 60.0,
+            tip_mm: [330.0, 280.0],
+        };
+        let force_n = mechanics.force_n(&at, 4.0, Stroke::Loading);
+        assert!((5.0..60.0).contains(&force_n), "{force_n} N at 4 mm");
+        let skin = AnySkin::new(sensor(), gap.clone(), 1, None).unwrap();
+        let load = TipLoad { arm: 0, x_mm: 330.0, y_mm: 280.0, force_n, stroke: Stroke::Loading };
+        let [rest, held] = [&[][..], &[load]].map(|tips| skin.solve(tips).unwrap());
+        let largest = |v: &[f64]| v.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+        assert!(largest(&held) > 10.0 * largest(&rest) && largest(&held) < 1.0);
+        // The offsets of the readout are those of its age.
+        let [young, old] = [0.0, 3.0].map(|age_days| {
+            let mut readout = AnyReadout::new(&sensor(), &gap, 1, age_days);
+            let mut frame = vec![0.0f32; 784];
+            readout.frame(&rest, 0.0, &mut frame);
+            frame
+        });
+        assert!(young != old, "three days changed no offset");
+    }
+    let unknown = files[0].replace("loft_mm =", "loft =");
+    assert!(matches!(GapFile::from_toml(&unknown), Err(GapError::Syntax(_))));
+    let zero = files[0].replace("loft_mm = 0.30", "loft_mm = 0.0");
+    let error = AnyMechanics::new(&sensor(), &GapFile::from_toml(&zero).unwrap(), 1).unwrap_err();
+    assert!(error.to_string().contains("cover.loft_mm = 0: must be a number > 0"), "{error}");
 }

@@ -6,6 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use sim_core::forward::{Contact, ForwardModel};
 use sim_core::inverse::skin::{MeasuredTrial, SkinFitOptions, fit, fvus, noise_v, summary};
 use sim_core::sensor::Sensor;
+use virtual_rig::skin::mechanics::Stroke;
 use virtual_rig::skin::{Gap, Readout, Skin, TipLoad};
 
 /// Trials of one to three tips on points, as returned by the stream of the rig.
@@ -19,7 +20,7 @@ fn measured(skin: &Skin, gap: &Gap, count: usize, seed: u64) -> Vec<MeasuredTria
                 .map(|arm| {
                     let p = points[rng.random_range(0..points.len())];
                     let force_n = rng.random_range(7.0..48.0);
-                    TipLoad { arm, x_mm: p.x_mm, y_mm: p.y_mm, force_n }
+                    TipLoad { arm, x_mm: p.x_mm, y_mm: p.y_mm, force_n, stroke: Stroke::Loading }
                 })
                 .collect();
             let mut frame_v = vec![0.0; 784];

@@ -74,6 +74,7 @@ pub async fn serve(
         sensor,
         seed: 3,
         speed: Some(speed),
+        age_days: 0.0,
         ephemeral,
         out_rig: Some(dir.join("served.toml")),
         fault: Some(fault),

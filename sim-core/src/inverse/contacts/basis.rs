@@ -42,6 +42,12 @@ pub(super) struct Basis {
     rows: Vec<f64>,
     /// The untouched frame, V.
     rest_v: Vec<f64>,
+    /// Variance of each number by the drift of the offsets.
+    drift: Vec<f64>,
+    /// Variance of a channel by it, mean of all.
+    drift_mean: f64,
+    /// Drift of the offsets, summed over the channels, V^2.
+    drift_v2: f64,
     /// Variance of each number by the model's error, per V^2 of signal.
     relative: Vec<f64>,
     /// Variance of a channel outside the basis by the model's error, per V^2 of signal.
@@ -88,6 +94,17 @@ impl Basis {
             flat.extend(row.iter().zip(&inverse_sd).map(|(b, scale)| b * scale));
         }
         flat.resize(width * channels, 0.0);
+        // What is correlated between the numbers is dropped: their variances stay.
+        let pairs = channels.isqrt().max(1);
+        let by_drift = |row: &Vec<f64>| -> f64 {
+            let of_pair = |pair: usize| {
+                let injections = (pair..channels).step_by(pairs);
+                error.offset_sd_v * injections.map(|c| row[c] * inverse_sd[c]).sum::<f64>()
+            };
+            (0..pairs).map(|pair| of_pair(pair).powi(2)).sum()
+        };
+        let mut drift: Vec<f64> = rows.iter().map(by_drift).collect();
+        drift.resize(width, 0.0);
         let mean_precision = inverse_sd.iter().map(|s| s * s).sum::<f64>() / channels as f64;
         let mut basis = Self {
             channels,
@@ -95,6 +112,9 @@ impl Basis {
             width,
             rows: flat,
             rest_v: rest_v.to_vec(),
+            drift,
+            drift_mean: error.offset_sd_v.powi(2) * mean_precision,
+            drift_v2: channels as f64 * error.offset_sd_v.powi(2),
             relative,
             relative_outside: error.floor.powi(2) / channels as f64 * mean_precision,
             inverse_sd,
@@ -138,16 +158,18 @@ impl Basis {
         out: &mut Projected,
     ) {
         self.project_frame(frame_v, scratch, &mut out.z);
-        let (mut signal_v2, mut scaled) = (0.0, 0.0);
+        let (mut signal_v2, mut scaled) = (-self.drift_v2, 0.0);
         for (v, scale) in scratch.iter().zip(&self.inverse_sd) {
             signal_v2 += v * v - 1.0 / (frames * scale * scale);
             scaled += (v * scale).powi(2);
         }
         let signal_v2 = signal_v2.max(0.0);
         out.weights.clear();
-        out.weights.extend(self.relative.iter().map(|c| 1.0 / (1.0 / frames + signal_v2 * c)));
+        let variances = self.relative.iter().zip(&self.drift);
+        let weight = |(c, drift): (&f64, &f64)| 1.0 / (1.0 / frames + drift + signal_v2 * c);
+        out.weights.extend(variances.map(weight));
         let inside: f64 = out.z.iter().map(|z| z * z).sum();
-        let variance = 1.0 / frames + signal_v2 * self.relative_outside;
+        let variance = 1.0 / frames + self.drift_mean + signal_v2 * self.relative_outside;
         out.outside_chi2 = (scaled - inside).max(0.0) / variance;
     }
 }

@@ -3,6 +3,8 @@
 //! skin. Never: files (`skins` has them).
 
 pub mod skins;
+mod untouched;
+mod zero;
 
 use std::sync::Arc;
 use std::thread;
@@ -16,6 +18,8 @@ use sim_core::inverse::contacts::{
 use sim_core::inverse::skin::{MeasuredTrial, noise_v};
 use sim_core::stats::{sorted, upper_quantile};
 
+pub use self::untouched::Untouched;
+use self::zero::Zero;
 use super::fast::{PROPOSED, PointPipeline};
 use super::{ReadyMethod, UsedSkin};
 use crate::ids::CalibrationId;
@@ -58,6 +62,15 @@ pub struct KnownTrial {
     pub frames: f64,
 }
 
+/// The trials of a run from which the errors of a skin are estimated.
+#[derive(Debug, Clone, Default)]
+pub struct KnownTrials {
+    /// With contacts, of configurations that no skin is fitted to.
+    pub pressed: Vec<KnownTrial>,
+    /// Without contacts.
+    pub untouched: Untouched,
+}
+
 /// A skin for fits of contacts. Its preparation takes most of a minute.
 pub struct ExactSkin {
     /// Id of its calibration; `None` for the nominal skin.
@@ -83,6 +96,8 @@ pub struct SkinErrors {
     /// Factors on the standard deviations of positions and forces: contacts imitate a part of the
     /// model's error, which the fit cannot detect.
     stretch: Stretch,
+    /// Number of known trials from which the model's error was estimated; 0 if it was not.
+    learnt_from: usize,
 }
 
 impl SkinErrors {
@@ -111,16 +126,22 @@ impl ExactSkin {
     ///
     /// # Errors
     /// `InferError` if the error model is invalid or a known trial cannot be fitted.
-    pub fn new(model: &ForwardModel, known: &[KnownTrial]) -> Result<Self, InferError> {
+    pub fn new(model: &ForwardModel, trials: &KnownTrials) -> Result<Self, InferError> {
+        let KnownTrials { pressed: known, untouched } = trials;
         let channels = model.sensor().channels();
         let offset_v = offset_v(model);
         let enough = known.len() >= LEAST_KNOWN;
-        let noise_sd_v = Some(known).filter(|_| enough).and_then(|known| seen(known, &offset_v));
+        let noise_sd_v = untouched.noise_sd_v().filter(|_| enough);
+        let noise_sd_v = noise_sd_v.or_else(|| enough.then(|| seen(known, &offset_v)).flatten());
         let evidence = model.sensor().skin().map(|skin| skin.evidence.noise_v);
         let noise_sd_v = noise_sd_v.or(evidence).unwrap_or(NOISE_SD_V);
-        let white = ErrorModel::white(channels, noise_sd_v)?;
+        let drift_sd_v = untouched.drift_sd_v(&offset_v);
+        let white = ErrorModel::white(channels, noise_sd_v)?.with_offset(drift_sd_v)?;
         let stretch = Stretch { place: 1.0, force: 1.0 };
-        let skin = Self::with(model, SkinErrors { noise_sd_v, model: white.clone(), stretch })?;
+        let skin = Self::with(
+            model,
+            SkinErrors { noise_sd_v, model: white.clone(), stretch, learnt_from: 0 },
+        )?;
         if !enough {
             return Ok(skin);
         }
@@ -130,7 +151,9 @@ impl ExactSkin {
             Err(InferError::Errors(ErrorModelError::FewPairs { .. })) => return Ok(skin),
             Err(error) => return Err(error),
         };
-        let mut skin = Self::with(model, SkinErrors { noise_sd_v, model: learnt, stretch })?;
+        let learnt_from = known.len();
+        let errors = SkinErrors { noise_sd_v, model: learnt, stretch, learnt_from };
+        let mut skin = Self::with(model, errors)?;
         skin.errors.stretch = skin.stretch(known)?;
         Ok(skin)
     }
@@ -154,6 +177,21 @@ impl ExactSkin {
     /// Width and height, mm.
     pub fn size_mm(&self) -> [f64; 2] {
         self.size_mm
+    }
+
+    /// What limits the answers of this skin, if anything is known to.
+    pub fn limitation(&self) -> Option<String> {
+        let unknown = self.errors.learnt_from == 0;
+        unknown.then(|| {
+            let of_run = match &self.run {
+                Some(run) => format!("the run {run}, to which it was calibrated,"),
+                None => "a Real-Hex run on this sensor".to_owned(),
+            };
+            format!(
+                "the errors of its model are unknown: the database has fewer than {LEAST_KNOWN} trials of \
+                 {of_run} of 1 to 3 contacts that it was not fitted to; every misfit counts as noise"
+            )
+        })
     }
 
     /// The estimated errors of the model.
@@ -302,6 +340,7 @@ pub struct Tracked {
     frame_v: Vec<f64>,
     last: Option<Fit>,
     steady: Option<Steady>,
+    zero: Zero,
     /// Id of the skin of this state.
     skin: Option<String>,
 }
@@ -326,12 +365,13 @@ impl ReadyMethod for ExactPipeline {
     }
 
     /// Fits the mean of the frames since the last change of the load, starting from the last fit if
-    /// it is still valid.
+    /// it is still valid. While nothing is found, the zero follows the offsets.
     fn follow(&self, frame: &[f32], _: bool, tracked: &mut Tracked) -> Result<Reading, InferError> {
         if tracked.skin.as_deref() != Some(self.skin.id()) {
             *tracked = Tracked { skin: Some(self.skin.id().to_owned()), ..Tracked::default() };
         }
         self.skin.take_offsets(frame, &mut tracked.frame_v);
+        tracked.zero.take_off(&mut tracked.frame_v);
         let steady = match &mut tracked.steady {
             Some(steady) => steady,
             none => {
@@ -349,6 +389,7 @@ impl ReadyMethod for ExactPipeline {
                 self.skin.fitter.fit(&observation, &proposals, &mut tracked.work)?
             }
         };
+        tracked.zero.learn(&tracked.frame_v, fit.contacts.len(), mean.frames);
         let mut reading = self.skin.reading(&fit);
         reading.averaged = Some(mean.frames);
         reading.searched = Some(fit.origin == Origin::Search);

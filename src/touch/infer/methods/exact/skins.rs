@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 
 use sim_core::calibrated::CalibratedSensor;
 use sim_core::calibration::Calibration;
-use sim_core::forward::ForwardModel;
+use sim_core::forward::{Contact, ForwardModel};
 use sim_core::sensor::Sensor;
 use tracing::Span;
 
-use super::{ExactSkin, KnownTrial, SkinErrors};
+use super::{ExactSkin, KnownTrial, KnownTrials, SkinErrors, Untouched};
 use crate::calibrate::skin;
-use crate::dataset::pressed::{contacts, force_noise_n};
+use crate::dataset::pressed::{clock_rate, contacts, force_noise_n};
 use crate::digest::Hashing;
 use crate::ids::CalibrationId;
 use crate::infer::error::InferError;
@@ -30,9 +30,13 @@ const KNOWN_TRIALS: usize = 1000;
 /// errors, and contacts that are hard to distinguish are light.
 const KNOWN_CONTACTS: f64 = 3.0;
 const KNOWN_FORCE_N: f64 = 40.0;
+/// Largest number of untouched trials, and the force below which a trial is one, N: a twentieth of the
+/// signal of the paper's deadband.
+const UNTOUCHED_TRIALS: usize = 300;
+const UNTOUCHED_N: f64 = 0.5;
 
 /// Version of the estimation of errors: part of the cache's key.
-const ERRORS_VERSION: &str = "2";
+const ERRORS_VERSION: &str = "3";
 
 /// The file of a stored calibration.
 #[derive(Debug, Clone)]
@@ -86,9 +90,9 @@ impl Skins {
     }
 
     /// Trials of the run that a skin was calibrated to, or else of the newest Real-Hex run on this
-    /// sensor: taken evenly from those with few contacts above its deadband, of configurations to
-    /// which no skin is fitted. Empty if the store does not have that run.
-    async fn known_trials(&self, sensor: &CalibratedSensor) -> Result<Vec<KnownTrial>, InferError> {
+    /// sensor: taken evenly from the untouched ones, and from those with few contacts above its deadband,
+    /// of configurations to which no skin is fitted. Empty if the store does not have that run.
+    async fn known_trials(&self, sensor: &CalibratedSensor) -> Result<KnownTrials, InferError> {
         let of_skin = sensor.skin().map(|skin| skin.evidence.run.clone());
         let runs = self.store.runs(RUNS_LOOKED_AT, None).await?.runs;
         let fits = |run: &&RunRow| match &of_skin {
@@ -98,23 +102,58 @@ impl Skins {
                 run.kind == RunKind::RealHex && run.state == StoredState::Ended && same
             }
         };
-        let Some(run) = runs.iter().find(fits) else { return Ok(Vec::new()) };
+        let Some(run) = runs.iter().find(fits) else { return Ok(KnownTrials::default()) };
         let force_noise_n = run.rig.as_deref().and_then(force_noise_n).unwrap_or(0.0);
-        let known = [
+        let with_frame = |contacts: Vec<Contact>, trial: &TrialRow| {
+            let frame_v = trial.voltages_v.clone()?;
+            Some(KnownTrial { contacts, frame_v, frames: f64::from(trial.frame_count.max(1)) })
+        };
+        let light = [
             format!("max_force_n__gte={}", run.deadband_n),
             format!("max_force_n__lt={KNOWN_FORCE_N}"),
             format!("contact_count__lte={KNOWN_CONTACTS}"),
         ];
+        let pressed = |trial: &TrialRow| {
+            let contacts = contacts(trial, run.kind, force_noise_n)?;
+            let tips_mm: Vec<[f64; 2]> = match run.kind {
+                RunKind::RealHex => trial.arms.iter().map(|arm| [arm.x_mm, arm.y_mm]).collect(),
+                _ => contacts.iter().map(|c| [c.x_mm, c.y_mm]).collect(),
+            };
+            skin::is_held_out(&tips_mm).then_some(())?;
+            with_frame(contacts, trial)
+        };
+        let all = self.evenly(run, &light, KNOWN_TRIALS * skin::HELD_OUT_IN as usize).await?;
+        let pressed = all.iter().filter_map(pressed).take(KNOWN_TRIALS).collect();
+        let untouched = [format!("max_force_n__lt={UNTOUCHED_N}")];
+        let untouched = self.evenly(run, &untouched, UNTOUCHED_TRIALS).await?;
+        let at = |trial: Option<&TrialRow>| trial.and_then(|trial| trial.measured_at);
+        let wall_s = match (at(untouched.first()), at(untouched.last())) {
+            (Some(first), Some(last)) => last.as_second().saturating_sub(first.as_second()) as f64,
+            _ => 0.0,
+        };
+        let hours = wall_s * run.rig.as_deref().map_or(1.0, clock_rate) / 3600.0;
+        let frames_v = untouched.iter().filter_map(|trial| trial.voltages_v.clone()).collect();
+        let frames = untouched.iter().map(|trial| f64::from(trial.frame_count.max(1)));
+        let averaged = frames.sum::<f64>() / untouched.len().max(1) as f64;
+        Ok(KnownTrials { pressed, untouched: Untouched { frames_v, averaged, hours } })
+    }
+
+    /// At most `most` trials of a run that meet conditions, without flags, evenly in their order.
+    async fn evenly(
+        &self,
+        run: &RunRow,
+        conditions: &[String],
+        most: usize,
+    ) -> Result<Vec<TrialRow>, InferError> {
         let condition = |text: &String| {
             let wrong = |limit| vec![Problem::new("request", "where", text, limit)];
             Condition::parse(text).map_err(wrong).map_err(InferError::Problems)
         };
-        let filters = known.iter().map(condition).collect::<Result<_, _>>()?;
         let mut query = TrialQuery {
             run: Some(run.uid),
             flagged: Some(false),
             limit: MAX_PAGE,
-            filters,
+            filters: conditions.iter().map(condition).collect::<Result<_, _>>()?,
             ..TrialQuery::default()
         };
         // All of them: settings with more tips are late in a run.
@@ -127,23 +166,9 @@ impl Skins {
             }
             query.after = page.last().copied();
         }
-        let count = ids.len().min(KNOWN_TRIALS * skin::HELD_OUT_IN as usize);
+        let count = ids.len().min(most);
         let chosen: Vec<_> = (0..count).map(|i| ids[i * ids.len() / count]).collect();
-        let trials = self.store.trials_with_voltages(&chosen).await?;
-        let known = |trial: &TrialRow| {
-            let contacts = contacts(trial, run.kind, force_noise_n)?;
-            let tips_mm: Vec<[f64; 2]> = match run.kind {
-                RunKind::RealHex => trial.arms.iter().map(|arm| [arm.x_mm, arm.y_mm]).collect(),
-                _ => contacts.iter().map(|c| [c.x_mm, c.y_mm]).collect(),
-            };
-            skin::is_held_out(&tips_mm).then_some(())?;
-            Some(KnownTrial {
-                contacts,
-                frame_v: trial.voltages_v.clone()?,
-                frames: f64::from(trial.frame_count.max(1)),
-            })
-        };
-        Ok(trials.iter().filter_map(known).take(KNOWN_TRIALS).collect())
+        Ok(self.store.trials_with_voltages(&chosen).await?)
     }
 
     /// Builds the model of a stored calibration, or the nominal one.
@@ -203,11 +228,7 @@ impl Skins {
 }
 
 /// Prepares a skin with the cached errors of these trials, or estimates them and writes the cache.
-fn ready(
-    model: &ForwardModel,
-    known: &[KnownTrial],
-    cache: &Path,
-) -> Result<ExactSkin, InferError> {
+fn ready(model: &ForwardModel, known: &KnownTrials, cache: &Path) -> Result<ExactSkin, InferError> {
     let name = format!("skin-errors-{}.json", &key(model, known)[..16]);
     let path = cache.join(&name);
     let kept = std::fs::read(&path).ok();
@@ -226,14 +247,18 @@ fn ready(
 }
 
 /// Hash (sha256) of everything on which a skin's errors depend.
-fn key(model: &ForwardModel, known: &[KnownTrial]) -> String {
+fn key(model: &ForwardModel, known: &KnownTrials) -> String {
     let mut digest = Hashing::default();
     let calibration = model.sensor().calibration().unwrap_or_default();
     for words in [ERRORS_VERSION, env!("CARGO_PKG_VERSION"), model.model_hash(), calibration] {
         digest.update(words);
         digest.update([0]);
     }
-    for trial in known {
+    for frame_v in &known.untouched.frames_v {
+        frame_v.iter().for_each(|v| digest.update(v.to_le_bytes()));
+    }
+    digest.update(known.untouched.hours.to_le_bytes());
+    for trial in &known.pressed {
         digest.update(trial.frames.to_le_bytes());
         for contact in &trial.contacts {
             for value in [contact.x_mm, contact.y_mm, contact.force_n] {
@@ -251,7 +276,7 @@ mod tests {
 
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
-    use sim_core::forward::{Contact, Workspace};
+    use sim_core::forward::Workspace;
     use sim_core::responses::UnitResponses;
 
     use super::*;
@@ -284,9 +309,11 @@ mod tests {
         let model = ForwardModel::new(&sensor, responses).unwrap();
         let cache = std::env::temp_dir().join(format!("palpate-skins-{}", std::process::id()));
         let trials = trials(&model, 80);
-        let (known, other) = (&trials[..70], &trials[75]);
+        let known =
+            |count: usize| KnownTrials { pressed: trials[..count].to_vec(), ..Default::default() };
+        let (known, fewer, other) = (known(70), known(69), &trials[75]);
         let answer = || {
-            let skin = Arc::new(ready(&model, known, &cache).unwrap());
+            let skin = Arc::new(ready(&model, &known, &cache).unwrap());
             let read = ExactPipeline { skin, points: None }.read(&other.frame_v, 1.0, false);
             read.unwrap().remove(0)
         };
@@ -300,8 +327,8 @@ mod tests {
         let [is, was] = [is, was].map(|contact| contact.force_sd_n.unwrap());
         assert!((is - was).abs() < 1e-6 * was, "{is} N for {was}");
         // Other trials have other errors.
-        assert_ne!(key(&model, known), key(&model, &trials[..69]));
-        std::fs::write(cache.join(format!("skin-errors-{}.json", &key(&model, known)[..16])), "{")
+        assert_ne!(key(&model, &known), key(&model, &fewer));
+        std::fs::write(cache.join(format!("skin-errors-{}.json", &key(&model, &known)[..16])), "{")
             .unwrap();
         assert_eq!(answer().contacts.len(), 1);
         std::fs::remove_dir_all(&cache).unwrap();
