@@ -164,7 +164,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
         ['Label', el('span', { className: label === 'virtual' ? 'virtual-word' : '' }, label)],
         ['Made', moment(item.created_at)],
         ['Channels', count(report.channels)],
-        ['Licence', described.licenses?.[0].name ?? 'not stated'],
+        ['Licence', described.licenses?.[0].title ?? described.licenses?.[0].name ?? 'not stated'],
       ]),
       el('p', {}, `Parts: ${partsWords(report)}.`)
     )

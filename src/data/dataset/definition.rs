@@ -202,7 +202,7 @@ impl Definition {
         }
         if let Some(license) = &self.license {
             let one_line = !license.contains(char::is_control);
-            let fits = (1..=LICENSE_MAX).contains(&license.chars().count());
+            let fits = license.chars().count() <= LICENSE_MAX && !license.trim().is_empty();
             let limit = format!("must be one line of 1 to {LICENSE_MAX} characters");
             checks.require(one_line && fits, "license", license, &limit);
         }

@@ -58,7 +58,12 @@ pub fn of(row: &DatasetRow, url: &str) -> Value {
         }],
     });
     if let Some(license) = row.definition["license"].as_str() {
-        package["licenses"] = json!([{ "name": license }]);
+        // A name is an identifier; other words are a title, which needs a name too.
+        let word = |c: char| c.is_ascii_alphanumeric() || "-._".contains(c);
+        package["licenses"] = match license.chars().all(word) {
+            true => json!([{ "name": license }]),
+            false => json!([{ "name": "notspecified", "title": license }]),
+        };
     }
     package
 }

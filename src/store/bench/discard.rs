@@ -16,12 +16,14 @@ use crate::table::trial_row::TrialRow;
 const DISCARDING: &str = "discarding a trial";
 
 impl Store {
-    /// Moves a trial to the attempts: its row as JSON, its raw frames unchanged.
+    /// Moves a trial to the attempts: its row as JSON, its raw frames unchanged. A twin that is stored
+    /// between reading and moving is not in the record; it can be computed again.
     ///
     /// # Errors
     /// `NoSuchTrial` if the run has no trial with this key; `NoSuchRun` if the run is not stored;
     /// `Damaged` if the trial differs from its checksum; `NotStored` if the commit failed and the trial
-    /// is still stored; `Sql`, `Unreadable` or `Closed` if the database fails.
+    /// is still stored; `Sql`, `Read`, `Unreadable` or `Closed` if the
+    /// database fails.
     pub(crate) async fn discard_trial(
         &self,
         run: RunUid,
@@ -37,7 +39,7 @@ impl Store {
             let ids = of_key.rows(c, DISCARDING, id)?;
             Ok(rows_of_ids(c, SELECT_WITH_VOLTAGES, &ids, DISCARDING)?.pop())
         };
-        let row = self.inner.bulk.read(DISCARDING, read).await?;
+        let row = self.inner.bulk.read_apart(DISCARDING, read).await?;
         let row = row.ok_or(StoreError::NoSuchTrial { run, key })?;
         let record = serde_json::to_string(&row).map_err(|e| {
             let value = e.to_string();

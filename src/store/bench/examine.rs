@@ -43,7 +43,7 @@ impl Store {
     /// so that no other caller waits. Damage is a result, not an error.
     ///
     /// # Errors
-    /// `Sql` if the file cannot be examined; `Late` after 600 s.
+    /// `Sql` or `Read` if the file cannot be examined; `Late` after 600 s.
     pub async fn examine(&self, last: u32) -> Result<Soundness, StoreError> {
         let examined = tokio::time::timeout(DEADLINE, async {
             let options = self.inner.readers.connect_options();
@@ -51,7 +51,15 @@ impl Store {
             let mut findings = of_file(&mut own).await?;
             let room = FINDINGS_MAX.saturating_sub(findings.len());
             let trials = move |c: &Connection| of_trials(c, last, room);
-            findings.extend(self.inner.bulk.read(OPERATION, trials).await?);
+            match self.inner.bulk.read_apart(OPERATION, trials).await {
+                Ok(of_trials) => findings.extend(of_trials),
+                Err(error) => match error.into_findings() {
+                    Ok(damage) => findings.extend(damage),
+                    // What was found before counts.
+                    Err(error) if findings.is_empty() => return Err(error),
+                    Err(_) => {}
+                },
+            }
             Ok(findings)
         });
         let late = || StoreError::Late { operation: OPERATION, limit_s: DEADLINE.as_secs() };

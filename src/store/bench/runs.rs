@@ -73,7 +73,7 @@ impl Store {
         Ok(RunPage { runs, next })
     }
 
-    /// Returns all runs but the removed ones, oldest first.
+    /// Returns all runs except the removed ones, oldest first.
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.

@@ -3,6 +3,7 @@
 //! Uses: rusqlite, tokio's blocking threads. Never: a write, a read on a thread of the runtime, a mapped
 //! file (an error of the disk would end the process).
 
+use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,7 +12,7 @@ use std::time::Duration;
 use parking_lot::Mutex;
 use rusqlite::types::Value;
 use rusqlite::{Connection, OpenFlags, params_from_iter};
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::timeout;
 
 use super::columns::{Columns, Names};
@@ -23,8 +24,9 @@ const CONNECTIONS: u32 = 4;
 const TURN: Duration = Duration::from_secs(5);
 /// Memory of the pages that a connection keeps, KiB.
 const CACHE_KIB: i64 = 8 << 10;
-/// Steps of SQLite's machine between two looks whether the caller still waits.
+/// Steps of SQLite's machine after which a read checks whether its caller still waits.
 const STEPS: i32 = 10_000;
+
 /// The connections of a store. Clones share them.
 #[derive(Clone)]
 pub(crate) struct Bulk {
@@ -38,7 +40,7 @@ struct Inner {
     idle: Mutex<Vec<Connection>>,
 }
 
-/// Tells a read that its caller no longer waits.
+/// Set when the caller of a read no longer waits for it.
 struct Gone(Arc<AtomicBool>);
 
 impl Drop for Gone {
@@ -69,26 +71,58 @@ impl Bulk {
         let turn = timeout(TURN, self.inner.turns.clone().acquire_owned()).await;
         let turn = turn.map_err(|_| busy()).during(operation)?;
         let turn = turn.map_err(|_| StoreError::Closed { operation })?;
+        self.view(operation, Some(turn), work).await
+    }
+
+    /// Like [`Self::read`], on a new connection that waits for no other: for what must not wait behind
+    /// people who read, and for what must see the file and not the pages that a connection keeps.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub(crate) async fn read_apart<T: Send + 'static>(
+        &self,
+        operation: &'static str,
+        work: impl FnOnce(&Connection) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, StoreError> {
+        if self.inner.turns.is_closed() {
+            return Err(StoreError::Closed { operation });
+        }
+        self.view(operation, None, work).await
+    }
+
+    /// Runs `work` on a kept connection, which belongs to the turn, or without one on a new connection.
+    async fn view<T: Send + 'static>(
+        &self,
+        operation: &'static str,
+        turn: Option<OwnedSemaphorePermit>,
+        work: impl FnOnce(&Connection) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, StoreError> {
         let (inner, gone) = (self.inner.clone(), Arc::new(AtomicBool::new(false)));
         let caller = Gone(gone.clone());
         let reading = tokio::task::spawn_blocking(move || {
-            let kept = inner.idle.lock().pop();
+            let kept = turn.as_ref().and_then(|_| inner.idle.lock().pop());
             let connection = kept.map_or_else(|| inner.open(), Ok).during(operation)?;
             let stops = move || gone.load(Ordering::Relaxed);
             connection.progress_handler(STEPS, Some(stops)).during(operation)?;
             let view = connection.unchecked_transaction().during(operation)?;
             let result = work(&view)?;
             view.finish().during(operation)?;
-            inner.idle.lock().push(connection);
+            if turn.is_some() {
+                inner.idle.lock().push(connection);
+            }
             drop(turn);
             Ok(result)
         });
         let result = reading.await;
         drop(caller);
-        result.map_err(|_| StoreError::Closed { operation })?
+        match result {
+            Ok(result) => result,
+            Err(error) if error.is_panic() => resume_unwind(error.into_panic()),
+            Err(_) => Err(StoreError::Closed { operation }),
+        }
     }
 
-    /// Closes the connections after the reads in progress; further reads return `Closed`.
+    /// Closes the connections after the reads in progress, except those apart; further reads return `Closed`.
     pub(crate) async fn close(&self) {
         let all = self.inner.turns.acquire_many(CONNECTIONS).await;
         self.inner.turns.close();

@@ -39,14 +39,14 @@ pub(crate) struct Columns<'r> {
 enum Source<'r> {
     /// A copy of the row.
     Copied(&'r SqliteRow),
-    /// A row inside SQLite, until its statement goes on.
+    /// A row inside SQLite, until its statement steps to the next.
     Lent(&'r rusqlite::Row<'r>, &'r Names),
 }
 
 /// The names of the columns of a statement.
 pub(crate) struct Names {
     names: Vec<String>,
-    /// Where to look first: columns are mostly read in their order.
+    /// Place at which a search starts: columns are mostly read in their order.
     next: Cell<usize>,
 }
 

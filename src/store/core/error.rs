@@ -3,7 +3,7 @@
 //!
 //! A method that reads returns `Sql` or `Read` if its statement fails and `Unreadable` or `Damaged` if a stored
 //! value cannot be decoded or differs from its checksum. A method that writes returns `Sql` if its
-//! statement fails, and `Late` or `Closed` if the writer does not answer.
+//! statement fails, and `Late` or `Closed` if the writer does not answer; one that reads first also `Read`.
 
 use std::path::PathBuf;
 

@@ -40,6 +40,7 @@ pub(crate) fn rows_of_ids(
 ) -> Result<Vec<TrialRow>, StoreError> {
     let mut wanted: Vec<i64> = ids.iter().map(|id| id.0).collect();
     wanted.sort_unstable();
+    wanted.dedup();
     let wanted = format!("{wanted:?}");
     let mut tips = Belonging::read(connection, "trial_tips", &wanted, operation, arm)?;
     let mut placed = Belonging::read(connection, "placed_contacts", &wanted, operation, |c| {
