@@ -20,7 +20,7 @@ pub struct Value {
 impl FoamLaw {
     /// Pressure at a compressive strain, and its slope by the strain: Avalle's law with m = 0,
     /// `A (1 - exp(-E e / A)) + B (e / (1 - e))^n`, linear in tension; or the Ogden foam of one term
-    /// without lateral strain, `(mu / a) ((1-e)^-q - (1-e)^(a-1))`.
+    /// without lateral strain, `(mu / (a - 1 + q)) ((1-e)^-q - (1-e)^(a-1))`.
     pub fn pressure(&self, strain: f64) -> Value {
         if strain > STRAIN_MAX {
             let at = self.pressure(STRAIN_MAX);

@@ -273,6 +273,11 @@ impl Laws {
             ("readout.offset_mv", r.offset_mv),
             ("readout.offset_per_day_mv", r.offset_per_day_mv),
             ("readout.hours_k", r.hours_k),
+            ("readout.offset_per_k_mv", r.offset_per_k_mv),
+            ("readout.relaxation_per_decade", r.relaxation_per_decade),
+            ("readout.conductance_per_k", r.conductance_per_k),
+            ("readout.day_k", r.day_k),
+            ("stage.height_mm", s.height_mm),
         ];
         for (key, value) in not_negative {
             require(key, value, value >= 0.0, "must be a number >= 0")?;
@@ -342,6 +347,8 @@ impl Laws {
             let fits = whole(size_mm / g.sheet_mm);
             require("grid.sheet_mm", g.sheet_mm, fits, "must divide the size of the skin")?;
         }
+        let within = plan.size_mm.iter().all(|size_mm| e.diameter_mm < *size_mm);
+        require("electrodes.diameter_mm", e.diameter_mm, within, "must be smaller than the skin")?;
         for value in &s.arm_offsets_mm {
             require("stage.arm_offsets_mm", *value, true, "must be numbers")?;
         }

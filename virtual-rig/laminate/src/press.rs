@@ -366,8 +366,10 @@ struct State {
 }
 
 impl State {
+    /// Largest force that is not balanced, N; infinite if one is not a number.
     fn residual_n(&self) -> f64 {
-        self.squares_n.iter().chain(&self.tips_n).fold(0.0, |m: f64, v| m.max(v.abs()))
+        let size = |v: &f64| if v.is_nan() { f64::INFINITY } else { v.abs() };
+        self.squares_n.iter().chain(&self.tips_n).map(size).fold(0.0, f64::max)
     }
 }
 

@@ -14,6 +14,7 @@ use crate::field::{normal, stream};
 use crate::laws::{Laws, ReadoutLaw};
 
 const DAY_S: f64 = 86_400.0;
+const HOUR_S: f64 = 3_600.0;
 /// Correlation time of the temperature's irregular part, s.
 const HOURS_S: f64 = 7_200.0;
 /// Correlation times of the parts of 1/f noise, s: equal variance in each decade.
@@ -37,9 +38,31 @@ pub struct Readout {
 /// Buffer of one electrode, V.
 #[derive(Debug, Clone)]
 struct Buffer {
-    offset_v: f64,
+    offset: Drift,
     per_k: f64,
     flicker: [Walk; FLICKER_S.len()],
+}
+
+/// A random walk that does not return, V: its value at every hour, straight lines between. It is a function of
+/// the time alone, so that a session continues the one of the day before.
+#[derive(Debug, Clone)]
+struct Drift {
+    step_v: f64,
+    rng: ChaCha8Rng,
+    at_hours_v: Vec<f64>,
+}
+
+impl Drift {
+    fn at(&mut self, time_s: f64) -> f64 {
+        let hours = time_s.max(0.0) / HOUR_S;
+        let before = hours as usize;
+        while self.at_hours_v.len() < before + 2 {
+            let last_v = self.at_hours_v.last().copied().unwrap_or(0.0);
+            self.at_hours_v.push(last_v + self.step_v * normal(&mut self.rng));
+        }
+        let (a, b) = (self.at_hours_v[before], self.at_hours_v[before + 1]);
+        a + (b - a) * (hours - before as f64)
+    }
 }
 
 /// A random walk that returns to zero.
@@ -67,9 +90,14 @@ impl Readout {
     pub fn new(laws: &Laws, seed: u64, electrodes: usize) -> Self {
         let law = laws.readout;
         let mut rng = stream(seed, "readout");
+        let step_v = 1e-3 * law.offset_per_day_mv * (HOUR_S / DAY_S).sqrt();
         let buffers = (0..electrodes)
-            .map(|_| Buffer {
-                offset_v: 1e-3 * law.offset_mv * normal(&mut rng),
+            .map(|electrode| Buffer {
+                offset: Drift {
+                    step_v,
+                    rng: stream(seed, &format!("offset {electrode}")),
+                    at_hours_v: vec![1e-3 * law.offset_mv * normal(&mut rng)],
+                },
                 per_k: 1e-3 * law.offset_per_k_mv * normal(&mut rng),
                 flicker: FLICKER_S.map(|time_s| {
                     let sd = 1e-3 * law.flicker_mv / (FLICKER_S.len() as f64).sqrt();
@@ -98,9 +126,7 @@ impl Readout {
         let elapsed_s = (process_time_s - self.at_s).max(0.0);
         self.at_s = self.at_s.max(process_time_s);
         self.temperature.advance(elapsed_s, &mut self.rng);
-        let walk_v = 1e-3 * self.law.offset_per_day_mv * (elapsed_s / DAY_S).sqrt();
         for buffer in &mut self.buffers {
-            buffer.offset_v += walk_v * normal(&mut self.rng);
             for part in &mut buffer.flicker {
                 part.advance(elapsed_s, &mut self.rng);
             }
@@ -111,12 +137,12 @@ impl Readout {
         let gain =
             (1.0 + self.law.conductance_per_k * warm_k) * self.relaxed(static_v, process_time_s);
         let count = self.buffers.len();
-        let volts = |buffer: &Buffer| {
-            buffer.offset_v
+        let volts = |buffer: &mut Buffer| {
+            buffer.offset.at(process_time_s)
                 + buffer.per_k * warm_k
                 + buffer.flicker.iter().map(|w| w.value).sum::<f64>()
         };
-        let buffers_v: Vec<f64> = self.buffers.iter().map(volts).collect();
+        let buffers_v: Vec<f64> = self.buffers.iter_mut().map(volts).collect();
         for (i, (out, v)) in out.iter_mut().zip(static_v).enumerate() {
             let j = i % count;
             let at_s = process_time_s + i as f64 / self.law.sample_hz;
