@@ -4,7 +4,7 @@
 
 use crate::dataset::force_map::ForceMapSpec;
 use crate::dataset::force_map::peaks::THRESHOLD_N;
-use crate::evaluate::request::{EvaluationRequest, FramesRead, Scored};
+use crate::evaluate::request::{EvaluationRequest, FramesRead, OffsetsRead, Scored};
 use crate::lab::{Noise, Training};
 
 /// The dataset of Transfer-Nets.
@@ -172,6 +172,7 @@ impl Budget {
             points: None,
             skin: None,
             frames: FramesRead::default(),
+            offsets: OffsetsRead::default(),
             threshold_n: THRESHOLD_N,
             place_sd_mm: None,
             limit: self.scored.or(self.scale.scored()),

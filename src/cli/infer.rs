@@ -131,6 +131,9 @@ fn words(answer: &FrameAnswer) -> String {
     for contact in &reading.contacts {
         words += &format!("\n  {}", contact_words(contact));
     }
+    for note in &reading.notes {
+        words += &format!("\n  note: {note}");
+    }
     for outside in &reading.outside {
         words += &format!("\n  outside the trained range: {outside}");
     }

@@ -91,6 +91,10 @@ fn words(placement: &PlacementOut) -> String {
     }
     lines.push(format!("verdict  {}", placement.verdict.kind.as_str()));
     lines.extend(placement.verdict.words.iter().map(|words| format!("         {words}")));
+    lines.push(match placement.untouched_at {
+        Some(at) => format!("skin     untouched at {at:.0}: offsets are taken from there"),
+        None => "skin     not tared: take everything off it, then run `palpate rig tare`".into(),
+    });
     if let Some(last) = &placement.last {
         let verdict = last.verdict.map_or("not known", |verdict| verdict.as_str());
         lines.push(format!("last     trial {}, verdict {verdict}", last.trial));

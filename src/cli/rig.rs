@@ -76,7 +76,7 @@ pub enum RigCommand {
         #[arg(allow_negative_numbers = true)]
         to_mm: f64,
     },
-    /// Read the load cells' zeros.
+    /// Read the load cells' zeros; in a manual run, the offsets of the empty skin.
     Tare,
     /// State the number of mounted tips, on arms 1 to n; the cells must not contradict.
     Tips {

@@ -38,6 +38,7 @@ pub use bench::attempts::SkipRow;
 pub use bench::counts::SettingCount;
 pub use bench::placed::LastPlaced;
 pub use bench::run_row::{NewRun, RunPage, RunRow};
+pub use bench::untouched::BeforeTrial;
 pub use bench::wear::{PressedPoint, StoredWear};
 pub use lab::datasets::{DatasetRow, RunExtent};
 pub use lab::history::{BinTrials, Bins, StoredHistory};

@@ -5,7 +5,7 @@ use palpate_data::dataset;
 use palpate_model::{calibrate, figure, simulate};
 use palpate_store as store;
 use palpate_words::{
-    chance, clock, commit, digest, ids, journal, new_file, problem, program, state, syntax,
+    chance, clock, commit, digest, ids, journal, new_file, problem, program, record, state, syntax,
 };
 
 pub mod learn;

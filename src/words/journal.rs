@@ -13,7 +13,9 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::ids::{RunUid, TrialId, TrialKey};
-use crate::record::{AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord};
+use crate::record::{
+    AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord, Untouched,
+};
 use crate::state::StateChange;
 
 /// A record could not be made durable, or could not be read.
@@ -133,6 +135,8 @@ pub trait Journal: Send + Sync {
     async fn attempt(&self, run: RunUid, attempt: &AttemptRecord) -> Result<(), JournalError>;
     /// Stores a tare.
     async fn tare(&self, run: RunUid, tare: &TareRecord) -> Result<(), JournalError>;
+    /// Stores a frame of the untouched skin.
+    async fn untouched(&self, run: RunUid, skin: &Untouched) -> Result<(), JournalError>;
     /// Stores a reference press.
     async fn reference(&self, run: RunUid, press: &ReferenceRecord) -> Result<(), JournalError>;
     /// Stores a touch-off.

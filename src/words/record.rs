@@ -1,4 +1,5 @@
-//! Records of a run as plain values: trials, attempts, tares, reference presses, touch-offs.
+//! Records of a run as plain values: trials, attempts, tares, the untouched skin, reference presses,
+//! touch-offs.
 //! PURE. Uses: `ids`. Never: the rig, the store, the clock.
 //!
 //! Contacts are in skin coordinates (from the corner of the skin), poses in machine coordinates. A
@@ -8,7 +9,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::ids::TrialKey;
+use crate::ids::{RunUid, TrialKey};
 
 /// Disk space reserved for the log of the database in addition to the trials, bytes: the store
 /// truncates it to this size.
@@ -242,6 +243,20 @@ pub struct AttemptRecord {
     pub reason: String,
     /// Wall time of the failure.
     pub at: Timestamp,
+}
+
+/// The untouched skin: mean of frames that were taken while nothing touched it.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct Untouched {
+    /// Mean voltages, V, injection-major.
+    pub voltages_v: Vec<f32>,
+    /// Wall time of the last frame.
+    #[schema(value_type = String, format = DateTime)]
+    pub at: Timestamp,
+    /// Number of frames.
+    pub frames: usize,
+    /// Run during which they were taken; null outside a run.
+    pub run: Option<RunUid>,
 }
 
 /// Zeros of the cells, measured before a configuration.

@@ -137,8 +137,15 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
     let run = lab.queue(FOUR).await;
     lab.start(&run).await;
 
+    // The empty skin is tared once.
+    let page = asked(&lab, 0).await;
+    assert_eq!(page["untouched_at"], Value::Null);
+    lab.posted("/api/v1/rig/actions", json!({ "action": "tare", "who": WHO })).await;
+
     // Refused with the weight and where it is felt; nothing is stored.
     let page = asked(&lab, 0).await;
+    let tared_at = page["untouched_at"].clone();
+    assert!(tared_at.is_string(), "{page:#}");
     assert_eq!((&page["of"], &page["done"], &page["last"]), (&json!(4), &json!(0), &Value::Null));
     assert!(page["contacts"][0]["point"].as_str().unwrap().starts_with('R'), "{page:#}");
     place(&lab, &page, true).await;
@@ -166,6 +173,15 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
     assert_eq!(page["last"]["trial"], 0, "{page:#}");
     assert_eq!(page["last"]["verdict"], "right", "{page:#}");
     assert_eq!(lab.act(&run, confirm(0)).await.0, 409, "it was confirmed");
+
+    // The skin is seen untouched once the weights are lifted, and not before.
+    let known_at = page["untouched_at"].clone();
+    tokio::time::sleep(Duration::from_secs_f64(5.0 / SPEED)).await;
+    assert_eq!(asked(&lab, 1).await["untouched_at"], known_at);
+    lab.tell_rig(json!({ "cmd": "clear" })).await;
+    let seen = |page: &Value| page["untouched_at"].as_str() > known_at.as_str();
+    let page = lab.eventually("the untouched skin", "/api/v1/placement", seen).await;
+    assert!(known_at.as_str() >= tared_at.as_str(), "{known_at} {tared_at}");
 
     // Anyway.
     place(&lab, &page, true).await;

@@ -33,6 +33,9 @@ const AWAY_MAX: Duration = Duration::from_secs(10);
 const ANSWER: Duration = Duration::from_millis(9500);
 /// Refusals of one confirmation to which the operator reacts; later ones are reported.
 const REFUSALS_MAX: u32 = 2;
+/// Time for which the skin is left clear until the service has seen it, process, and at least this wall time.
+const CLEAR: Duration = Duration::from_secs(6);
+const CLEAR_MIN: Duration = Duration::from_secs(1);
 /// Time after which a request that is still shown is handled again: the confirmation was lost, or
 /// the trial is repeated.
 const AGAIN: Duration = Duration::from_secs(1);
@@ -173,6 +176,8 @@ struct Operator {
     control: Option<BufReader<TcpStream>>,
     weights_down: bool,
     confirmed: Option<(String, Wish, Instant)>,
+    /// Uid of the run in which the skin was tared.
+    tared: Option<String>,
     hand: Hand,
     /// A confirmation that was refused, and how often.
     refused: Option<(Wish, u32)>,
@@ -189,8 +194,9 @@ impl Operator {
         let client = reqwest::Client::builder().tls_backend_preconfigured(tls).timeout(ANSWER);
         let client = client.build().map_err(OperatorError::Client)?;
         let hand = Hand::new(args.mistakes, args.seed, args.sensor.as_deref())?;
-        let (control, confirmed, refused) = (None, None, None);
-        Ok(Self { args, key, client, control, weights_down: false, confirmed, hand, refused })
+        let (control, confirmed, tared, refused) = (None, None, None, None);
+        let weights_down = false;
+        Ok(Self { args, key, client, control, weights_down, confirmed, tared, hand, refused })
     }
 
     /// Checks and acts until the service has not replied for `away_max`.
@@ -201,8 +207,9 @@ impl Operator {
         loop {
             let outcome = match self.look().await {
                 Ok(status) => {
+                    let outcome = self.act(status).await;
                     seen = Instant::now();
-                    self.act(status).await
+                    outcome
                 }
                 Err(error) => Err(error),
             };
@@ -251,7 +258,7 @@ impl Operator {
         // After a first refusal the weights are placed as asked; after a second one they are right, and
         // the skin is wrong.
         let refusals = self.refused.as_ref().filter(|(w, _)| *w == wish).map_or(0, |(_, n)| *n);
-        let why = self.do_by_hand(&wish, refusals).await?;
+        let why = self.do_by_hand(&run.uid, &wish, refusals).await?;
         match self.confirm(&run.uid, &wish, &why, refusals > 1).await {
             Err(HandError::Refused { status, .. })
                 if status == reqwest::StatusCode::CONFLICT && refusals < REFUSALS_MAX =>
@@ -268,7 +275,50 @@ impl Operator {
         Ok(())
     }
 
-    async fn do_by_hand(&mut self, wish: &Wish, refusals: u32) -> Result<String, HandError> {
+    /// Takes everything off the skin until the service has seen it untouched, and tares it if it has not.
+    async fn clear_skin(&mut self, uid: &str) -> Result<(), HandError> {
+        let before = self.untouched_at().await?;
+        self.tell_rig(&json!({ "cmd": "clear" })).await?;
+        self.weights_down = false;
+        if self.tared.as_deref() == Some(uid) {
+            let since = Instant::now();
+            while since.elapsed() < CLEAR.div_f64(self.args.speed.max(1.0)).max(CLEAR_MIN) {
+                if self.untouched_at().await? != before {
+                    return Ok(());
+                }
+                tokio::time::sleep(LOOK_MIN).await;
+            }
+        }
+        let url = format!("{}/api/v1/rig/actions", self.args.url.trim_end_matches('/'));
+        let body = json!({ "action": "tare", "who": self.args.who, "why": "the skin is clear" });
+        let answer = self.with_key(self.client.post(url)).json(&body).send().await?;
+        if !answer.status().is_success() {
+            return Err(HandError::Refused { action: "tare", status: answer.status() });
+        }
+        self.tared = Some(uid.to_owned());
+        Ok(())
+    }
+
+    /// Time of the untouched frame that the service knows; none if it knows none.
+    async fn untouched_at(&self) -> Result<Option<String>, HandError> {
+        let url = format!("{}/api/v1/frames/untouched", self.args.url.trim_end_matches('/'));
+        let answer = self.with_key(self.client.get(url)).send().await?;
+        match answer.status() {
+            reqwest::StatusCode::NOT_FOUND => Ok(None),
+            status if status.is_success() => {
+                let untouched: Value = answer.json().await?;
+                Ok(untouched["at"].as_str().map(str::to_owned))
+            }
+            status => Err(HandError::Refused { action: "untouched frame", status }),
+        }
+    }
+
+    async fn do_by_hand(
+        &mut self,
+        uid: &str,
+        wish: &Wish,
+        refusals: u32,
+    ) -> Result<String, HandError> {
         match wish {
             Wish::Tips(tips) => {
                 if self.weights_down {
@@ -280,7 +330,10 @@ impl Operator {
             }
             Wish::Weights { trial, contacts } => {
                 let placed = match refusals {
-                    0 => self.hand.places(contacts),
+                    0 => {
+                        self.clear_skin(uid).await?;
+                        self.hand.places(contacts)
+                    }
                     _ => contacts.clone(),
                 };
                 self.tell_rig(&json!({ "cmd": "place", "weights": placed })).await?;
@@ -390,6 +443,11 @@ mod tests {
                 };
                 let body = if text.starts_with("GET /api/v1/status ") {
                     format!("{{\"run\":{{\"uid\":\"u1\",{}}}}}", wishes[0])
+                } else if text.starts_with("GET /api/v1/frames/untouched ") {
+                    r#"{"at":"2026-11-20T18:00:00Z"}"#.to_owned()
+                } else if text.starts_with("POST /api/v1/rig/actions ") {
+                    heard.lock().unwrap().push(text.lines().last().unwrap().to_owned());
+                    "{}".to_owned()
                 } else {
                     assert!(text.starts_with("POST /api/v1/runs/u1/actions "), "{text}");
                     assert!(text.to_lowercase().contains("authorization: bearer k"));
@@ -431,6 +489,8 @@ mod tests {
         assert_eq!(
             heard,
             [
+                json!({ "cmd": "clear" }),
+                json!({ "action": "tare", "who": who, "why": "the skin is clear" }),
                 json!({ "cmd": "place", "weights": [weight] }),
                 json!({ "action": "confirm", "who": who, "why": placed, "trial": 12 }),
                 json!({ "cmd": "clear" }),

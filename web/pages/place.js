@@ -2,9 +2,9 @@
 // skin feels of it. Confirmed by a key or a foot switch; a press confirms the shown placement alone.
 
 import { all, get, person } from '../lib/api.js'
-import { actOnRun, confirm, named, outcome, runButtons } from '../lib/actions.js'
+import { actOnRig, actOnRun, actor, confirm, named, outcome, runButtons } from '../lib/actions.js'
 import { button, el, fill, note, pane, say, sleep } from '../lib/dom.js'
-import { count, counted } from '../lib/format.js'
+import { age, count, counted, span } from '../lib/format.js'
 import { live, who } from '../lib/live.js'
 import { manual } from '../lib/manual.js'
 import { overlay } from '../lib/overlay.js'
@@ -67,11 +67,12 @@ function placing(signal) {
   const done = button('Done', () => press(false), { className: 'main done' })
   const anyway = button('Store anyway', storeAnyway, { className: 'danger', hidden: true })
   const again = button('Repeat the last one', repeat)
+  const zero = el('span', { className: 'soft' }), tare = actor('Tare the empty skin', said, () => actOnRig('tare'))
   const by = el('p', { className: 'soft small' }), buttons = runButtons(said, { without: ['confirm'] })
   const node = el('div', { className: 'placing live' }, pane(view.node), el('section', { 'aria-label': 'What to do now' },
     el('div', { className: 'row spread' }, head, resting), bar, weights, words, refusal,
     el('div', { className: 'row' }, done, anyway), hint,
-    el('div', { className: 'row' }, again, buttons.node), said.node, by,
+    el('div', { className: 'row' }, tare, zero), el('div', { className: 'row' }, again, buttons.node), said.node, by,
     el('details', {}, el('summary', {}, 'Overlay to print'), overlay(said))))
   const now = () => state.placement?.contacts.find(({ number }) => number === (state.chosen ?? present(state.placement)))
   live.on('status', buttons.show, signal)
@@ -122,6 +123,10 @@ function placing(signal) {
       || (busy ? 'The next placement appears by itself.' : `${STAGES.place} Keys: Enter, Space, Page Down.`))
     again.disabled = !placement.last || busy || state.open
     again.title = placement.last ? `Withdraws trial ${placement.last.trial + 1} and asks for it again` : 'No trial of this run can be repeated yet'
+    const { untouched_at: at } = placement
+    say(zero, at ? `Untouched ${span(Math.floor(age(at)))} ago. Lift all weights for five seconds before you place the next.`
+      : 'Take everything off the skin and tare it: the offsets of the readout drift.')
+    if (!tare.dataset.busy) tare.disabled = busy
     say(by, `Placed by ${who() || 'a name that is asked for at the first press'}. The run waits as long as you need.`)
     view.redraw()
   }

@@ -67,7 +67,7 @@ fn known_contacts_come_back_from_a_rough_start_and_from_none() {
     let options = FitOptions { tolerance: 1e-6, iterations: 60, ..FitOptions::default() };
     let fitter = ContactFitter::new(model(), &error, options).unwrap();
     let frame_v = frame(&three());
-    let observation = Observation { frame_v: &frame_v, frames: 1.0 };
+    let observation = Observation { frame_v: &frame_v, frames: 1.0, offset_sd_v: 0.0 };
     let mut work = FitWork::default();
     let rough = three().map(|c| Contact {
         x_mm: c.x_mm + 9.0,
@@ -96,7 +96,11 @@ fn standard_deviations_are_those_of_repeated_frames() {
     for _ in 0..draws {
         let frame_v = measured(&load, 30.0, &mut rng);
         let fit = fitter()
-            .refine(&Observation { frame_v: &frame_v, frames: 30.0 }, &load, &mut work)
+            .refine(
+                &Observation { frame_v: &frame_v, frames: 30.0, offset_sd_v: 0.0 },
+                &load,
+                &mut work,
+            )
             .unwrap();
         for truth in &load {
             let c = nearest(&fit, truth);
@@ -120,7 +124,11 @@ fn an_untouched_skin_has_no_contacts() {
     for frames in [1.0, 30.0] {
         for _ in 0..10 {
             let frame_v = measured(&[], frames, &mut rng);
-            let fit = fitter().fit(&Observation { frame_v: &frame_v, frames }, &[], &mut work);
+            let fit = fitter().fit(
+                &Observation { frame_v: &frame_v, frames, offset_sd_v: 0.0 },
+                &[],
+                &mut work,
+            );
             assert_eq!(fit.unwrap().contacts, []);
         }
     }
@@ -135,7 +143,7 @@ fn the_number_of_contacts_follows_from_the_evidence() {
     let loads = [vec![press(300, 8.0)], pair.to_vec(), three().to_vec()];
     for load in loads {
         let frame_v = measured(&load, 30.0, &mut rng);
-        let observation = Observation { frame_v: &frame_v, frames: 30.0 };
+        let observation = Observation { frame_v: &frame_v, frames: 30.0, offset_sd_v: 0.0 };
         let fit = fitter().fit(&observation, &[], &mut work).unwrap();
         assert_eq!(fit.contacts.len(), load.len(), "{load:?} {fit:?}");
         for truth in &load {
@@ -154,7 +162,7 @@ fn a_moved_load_is_followed_and_a_new_one_is_searched() {
     let mut work = FitWork::default();
     let fit_of = |load: &[Contact], before: Option<&Fit>, rng: &mut _, work: &mut _| {
         let frame_v = measured(load, 30.0, rng);
-        let observation = Observation { frame_v: &frame_v, frames: 30.0 };
+        let observation = Observation { frame_v: &frame_v, frames: 30.0, offset_sd_v: 0.0 };
         match before {
             None => fitter().fit(&observation, &[], work).unwrap(),
             Some(before) => fitter().track(&observation, before, work).unwrap(),
@@ -185,7 +193,7 @@ fn a_still_load_is_looked_at_again_as_its_frames_add_up() {
     for n in 1..=30 {
         let frame_v = measured(&load, 1.0, &mut rng);
         mean_v.iter_mut().zip(&frame_v).for_each(|(m, v)| *m += (v - *m) / f64::from(n));
-        let observation = Observation { frame_v: &mean_v, frames: f64::from(n) };
+        let observation = Observation { frame_v: &mean_v, frames: f64::from(n), offset_sd_v: 0.0 };
         let fit = match fits.last() {
             None => fitter().fit(&observation, &[], &mut work).unwrap(),
             Some(before) => fitter().track(&observation, before, &mut work).unwrap(),
@@ -198,7 +206,7 @@ fn a_still_load_is_looked_at_again_as_its_frames_add_up() {
     // Contacts too weak for one frame are found, and no search runs at every frame.
     assert_eq!((fits[0].contacts.len(), fits[29].contacts.len()), (3, 4), "{:?}", fits[29]);
     assert!(searches.len() <= 4 && searches.contains(&25), "{searches:?}");
-    let observation = Observation { frame_v: &mean_v, frames: 30.0 };
+    let observation = Observation { frame_v: &mean_v, frames: 30.0, offset_sd_v: 0.0 };
     let anew = fitter().fit(&observation, &[], &mut work).unwrap();
     for (tracked, found) in fits[29].contacts.iter().zip(&anew.contacts) {
         assert!(distance_mm(&tracked.contact, &found.contact) < 0.2 * found.x_sd_mm);
@@ -209,7 +217,7 @@ fn a_still_load_is_looked_at_again_as_its_frames_add_up() {
 fn bad_frames_and_settings_are_refused_by_name() {
     let mut work = FitWork::default();
     let mut fit = |frame_v: &[f64], frames: f64| {
-        fitter().fit(&Observation { frame_v, frames }, &[], &mut work)
+        fitter().fit(&Observation { frame_v, frames, offset_sd_v: 0.0 }, &[], &mut work)
     };
     let mut frame_v = frame(&three());
     let short = fit(&frame_v[1..], 1.0);
@@ -219,7 +227,7 @@ fn bad_frames_and_settings_are_refused_by_name() {
     assert_eq!(fit(&frame_v, 1.0), Err(FitError::NotFinite { channel: 77 }));
     let off = Contact { x_mm: -1.0, y_mm: 100.0, force_n: 5.0 };
     let sound = frame(&[]);
-    let observation = Observation { frame_v: &sound, frames: 1.0 };
+    let observation = Observation { frame_v: &sound, frames: 1.0, offset_sd_v: 0.0 };
     let proposals = [Proposal { contact: off, weight: 1.0 }];
     let refused = fitter().fit(&observation, &proposals, &mut work);
     assert!(matches!(refused, Err(FitError::Contact(_))), "{refused:?}");

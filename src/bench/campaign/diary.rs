@@ -22,7 +22,9 @@ use tracing::{Instrument, Span};
 
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::{ExitStatus, Journal, JournalError, Mounting, error_chain};
-use crate::record::{AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord};
+use crate::record::{
+    AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord, Untouched,
+};
 use crate::state::{PausedWhy, StateChange, StoredState};
 
 /// Notes that may wait for the store. A rig at rest creates a few per hour.
@@ -50,6 +52,8 @@ pub enum Note {
     Attempt(RunUid, AttemptRecord),
     /// Tare of the cells.
     Tare(RunUid, TareRecord),
+    /// Frame of the untouched skin.
+    Untouched(RunUid, Arc<Untouched>),
     /// Result of a reference press.
     Reference(RunUid, Box<ReferenceRecord>),
     /// Result of a touch-off.
@@ -278,7 +282,11 @@ fn log(note: &Note) {
             }
             kind => tracing::debug!(kind, "an event was recorded"),
         },
-        Note::Tare(..) | Note::Reference(..) | Note::TouchOff(..) | Note::Mounted(_) => {}
+        Note::Tare(..)
+        | Note::Untouched(..)
+        | Note::Reference(..)
+        | Note::TouchOff(..)
+        | Note::Mounted(_) => {}
     }
 }
 
@@ -299,6 +307,7 @@ async fn put(journal: &dyn Journal, note: &Note, at: Timestamp) -> Result<(), Jo
         Note::EndRun(run, status, reason) => journal.end_run(*run, *status, reason, at).await,
         Note::Attempt(run, attempt) => journal.attempt(*run, attempt).await,
         Note::Tare(run, tare) => journal.tare(*run, tare).await,
+        Note::Untouched(run, skin) => journal.untouched(*run, skin).await,
         Note::Reference(run, press) => journal.reference(*run, press).await,
         Note::TouchOff(run, found) => journal.touch_off(*run, found).await,
         Note::Skip(run, configuration, reason) => {

@@ -10,7 +10,7 @@ use super::error::CliError;
 use super::files::write;
 use super::infer::methods;
 use super::picture::Pictures;
-use crate::evaluate::request::{EvaluationRequest, FramesRead};
+use crate::evaluate::request::{EvaluationRequest, FramesRead, OffsetsRead};
 use crate::ids::CalibrationId;
 use crate::infer::methods::Method;
 use crate::studies::budget::{Budget, R2S};
@@ -85,6 +85,9 @@ struct MethodArgs {
     /// Read only the first frame of each trial, instead of the mean of all.
     #[arg(long)]
     first_frame: bool,
+    /// Take the offsets of the calibration off, not those of the untouched skin before each trial.
+    #[arg(long)]
+    calibrated_offsets: bool,
     /// Least force of a peak, N.
     #[arg(long, value_name = "N", default_value_t = 5.0)]
     threshold_n: f64,
@@ -173,6 +176,10 @@ impl MethodArgs {
             threshold_n: self.threshold_n,
             place_sd_mm: self.place_sd_mm,
             frames: if self.first_frame { FramesRead::First } else { FramesRead::Mean },
+            offsets: match self.calibrated_offsets {
+                true => OffsetsRead::Calibration,
+                false => OffsetsRead::Untouched,
+            },
             ..budget.request(self.method, &self.dataset, self.part.as_deref())
         }
     }

@@ -29,8 +29,8 @@ use crate::clock::Clock;
 use crate::dataset::background::background;
 use crate::infer::answer::Reading;
 use crate::infer::error::InferError;
-use crate::infer::methods::Method;
 use crate::infer::methods::exact::Tracked;
+use crate::infer::methods::{Frames, Method};
 use crate::infer::pipeline::{Followed, Pipeline};
 use crate::infer::slot::Slot;
 
@@ -121,7 +121,9 @@ pub async fn infer(
     let work = move || {
         let _turn = turn;
         let started_s = clock.process_s();
-        let answered = pipeline.answer(options.method, &frames, options.averaged, options.map)?;
+        let averaged = options.averaged;
+        let frames = Frames { averaged, ..Frames::single(&frames) };
+        let answered = pipeline.answer(options.method, &frames, options.map)?;
         let count = answered.readings.len().max(1) as f64;
         let latency_us = (1e6 * (clock.process_s() - started_s) / count) as u64;
         let answer = |reading| FrameAnswer {

@@ -19,8 +19,8 @@ use super::status::StoredPart;
 use super::suspenders::Beyond;
 use super::tour::KeptTour;
 use super::wear::{EndedWear, Wear};
-use crate::campaign::shown::samples::Untouched;
 use crate::ids::RunUid;
+use crate::record::Untouched;
 use crate::schedule::experiment::TwinLimits;
 use crate::store::StoredProgress;
 

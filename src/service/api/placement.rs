@@ -4,6 +4,7 @@
 use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
+use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -46,6 +47,9 @@ pub struct PlacementOut {
     pub verdict: Verdict,
     /// The placement that was stored last; null before the first.
     pub last: Option<LastPlacement>,
+    /// Wall time at which the untouched skin was last seen in this run; null until it is tared.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub untouched_at: Option<Timestamp>,
 }
 
 /// Stage of a placement.
@@ -119,6 +123,7 @@ pub async fn placement(State(app): State<App>) -> Result<Json<PlacementOut>, Api
         (None, None) => return Err(none()),
     };
     let last = app.store.last_placed(run.uid).await?.map(LastPlacement::from);
+    let untouched = app.campaign.untouched().filter(|skin| skin.run == Some(run.uid));
     Ok(Json(PlacementOut {
         run: run.uid,
         scan_id: run.scan_id,
@@ -132,6 +137,7 @@ pub async fn placement(State(app): State<App>) -> Result<Json<PlacementOut>, Api
         felt: judged.felt.map(FeltOut::from),
         verdict: judged.verdict,
         last,
+        untouched_at: untouched.map(|skin| skin.at),
     }))
 }
 

@@ -48,7 +48,7 @@ pub enum RigAction {
     Home,
     /// Move one axis.
     Jog,
-    /// Measure the output of the load cells without load.
+    /// Measure the output of the load cells without load; in a manual run, the frame of the untouched skin.
     Tare,
     /// Enter the number of mounted tips.
     Tips,

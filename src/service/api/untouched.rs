@@ -8,7 +8,7 @@ use axum::extract::State;
 
 use super::App;
 use super::problem::{ApiError, ProblemBody};
-use crate::campaign::shown::samples::Untouched;
+use crate::record::Untouched;
 use crate::store::{RunKind, StoreError, TrialRow};
 
 /// Largest force of a stored trial that counts as untouched, N: noise of the cells.

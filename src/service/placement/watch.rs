@@ -5,6 +5,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use jiff::Timestamp;
 use sim_core::sensor::Sensor;
 use tokio::sync::watch;
 use tokio::time::{Instant, timeout};
@@ -18,8 +19,9 @@ use crate::campaign::shown::status::{Status, Wanted};
 use crate::dataset::background::background;
 use crate::ids::RunUid;
 use crate::infer::answer::FoundContact;
-use crate::infer::methods::Method;
+use crate::infer::methods::{Frames, Method, UntouchedBefore};
 use crate::infer::serving::Serving;
+use crate::infer::untouched::Tared;
 use crate::journal::error_chain;
 use crate::record::PlacedContact;
 use crate::store::Store;
@@ -172,6 +174,17 @@ impl PlacementWatch {
         )
     }
 
+    /// The untouched skin that was measured last in a run.
+    async fn untouched(&self, run: RunUid) -> Option<UntouchedBefore> {
+        let skin = self.inner.campaign.untouched().filter(|skin| skin.run == Some(run))?;
+        let tared = Tared::of_run(&self.inner.store, run).await;
+        let tared = tared.inspect_err(|error| {
+            tracing::warn!(error = error_chain(error), "the untouched skin of a run is unknown");
+        });
+        let wall_s = Timestamp::now().duration_since(skin.at).as_secs_f64();
+        Some(tared.ok()?.before(&skin, wall_s))
+    }
+
     /// Follows every placement until the campaign's thread ends.
     pub async fn work(self) {
         let mut status = self.inner.campaign.watch_status();
@@ -288,7 +301,12 @@ impl<'a> Follower<'a> {
         self.inferred = Some(Instant::now());
         let pipeline = self.watch.inner.serving.current();
         let Mean { volts, frames, since } = mean;
-        let work = move || pipeline.answer(method, &volts, frames, false);
+        let untouched = self.watch.untouched(self.judged.run).await;
+        let work = move || {
+            let untouched = untouched.as_ref();
+            let frames = Frames { voltages_v: &volts, averaged: frames, untouched };
+            pipeline.answer(method, &frames, false)
+        };
         let answered = match background(work).await {
             Ok(Ok(answered)) => answered,
             Ok(Err(error)) => return self.fail(since, &error_chain(&error)),

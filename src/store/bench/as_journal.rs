@@ -7,7 +7,9 @@ use jiff::Timestamp;
 use crate::core::{Store, StoreError};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::{Event, ExitStatus, Journal, JournalError, Mounting, Progress};
-use crate::record::{AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord};
+use crate::record::{
+    AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord, Untouched,
+};
 use crate::state::StateChange;
 
 #[async_trait]
@@ -22,6 +24,10 @@ impl Journal for Store {
 
     async fn tare(&self, run: RunUid, tare: &TareRecord) -> Result<(), JournalError> {
         self.insert_tare(run, tare).await.map_err(StoreError::of("a tare"))
+    }
+
+    async fn untouched(&self, run: RunUid, skin: &Untouched) -> Result<(), JournalError> {
+        self.insert_untouched(run, skin).await.map_err(StoreError::of("the untouched skin"))
     }
 
     async fn reference(&self, run: RunUid, press: &ReferenceRecord) -> Result<(), JournalError> {

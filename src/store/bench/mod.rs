@@ -20,6 +20,8 @@ mod discard;
 pub(crate) mod attempts;
 /// Tares, reference presses and touch-offs.
 mod auxiliary;
+/// Frames of the untouched skin.
+pub(crate) mod untouched;
 /// The number of mounted tips.
 mod mountings;
 /// Progress of a run, and counts of its trials.

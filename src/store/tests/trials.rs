@@ -1,11 +1,13 @@
 //! Trials: stored and read bit for bit, once per key, labelled by the deadband, discarded, in pages.
 //! Uses: `store`, `campaign`. Never: processes (see `tests/it/store_durability.rs`).
 
+use std::sync::Arc;
+
 use super::{Folder, hex_trial, new_run, now, open, random_trial, time};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::Journal;
 use crate::record::{
-    AttemptRecord, Flag, ReferenceRecord, TareRecord, TouchOffRecord, TrialScalars,
+    AttemptRecord, Flag, ReferenceRecord, TareRecord, TouchOffRecord, TrialScalars, Untouched,
 };
 use crate::{Condition, Order, RunKind, SettingCount, Store, StoreError, TrialQuery};
 
@@ -309,6 +311,43 @@ async fn pages_follow_an_index_without_sorting() {
     let steps = store.explain(&query).await.unwrap();
     assert!(steps[0].contains("trials_by_contacts (contact_count=? AND id>?)"), "{steps:?}");
     assert!(steps[0].contains("COVERING") && steps.len() == 1, "{steps:?}");
+}
+
+#[tokio::test]
+async fn a_trial_has_the_untouched_skin_that_was_measured_last_before_it() {
+    let folder = Folder::new();
+    let (store, run) = with_run(&folder, RunKind::RealHex).await;
+    let trial = |configuration| hex_trial(configuration, 0, &[10.0]);
+    let started_at = trial(0).started_at;
+    let skin = |before_s: i64, volts: f32| Untouched {
+        voltages_v: vec![volts, -volts, 1e-3],
+        at: started_at - jiff::SignedDuration::from_secs(before_s),
+        frames: 4,
+        run: Some(run),
+    };
+    let early = store.trial(run, &trial(0)).await.unwrap();
+    assert!(store.untouched_before(&[early]).await.unwrap().is_empty());
+    for (before_s, volts) in [(60, 1.0), (2, 2.0), (-5, 3.0)] {
+        store.untouched(run, &skin(before_s, volts)).await.unwrap();
+    }
+    let late = store.trial(run, &trial(1)).await.unwrap();
+    let before = store.untouched_before(&[early, late, TrialId(99)]).await.unwrap();
+    let found = before.get(&early).unwrap();
+    assert_eq!((*found.skin).clone(), skin(2, 2.0));
+    assert_eq!((found.trial_started_at, before.len()), (started_at, 2));
+    assert!(Arc::ptr_eq(&found.skin, &before[&late].skin));
+    let all = store.untouched_frames(run, 2).await.unwrap();
+    assert_eq!(all, [skin(60, 1.0), skin(2, 2.0)]);
+    let nothing = Untouched { voltages_v: vec![f32::NAN], ..skin(1, 0.0) };
+    assert!(store.untouched(run, &nothing).await.unwrap_err().refused);
+    let damage = async |c: &mut sqlx::SqliteConnection| {
+        let change = "UPDATE untouched_frames SET voltages_v = zeroblob(12)";
+        sqlx::query(change).execute(c).await.unwrap();
+        Ok(())
+    };
+    store.inner.writer.run("damaging", damage).await.unwrap();
+    let error = store.untouched_before(&[early]).await.unwrap_err().to_string();
+    assert!(error.contains("the untouched skin 2 was changed"), "{error}");
 }
 
 #[tokio::test]

@@ -122,6 +122,18 @@ pub enum FramesRead {
     First,
 }
 
+/// Offsets of the readout that are taken off a frame before contacts are fitted to it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum OffsetsRead {
+    /// Those of the untouched skin before the trial, where it was measured; elsewhere those of the
+    /// calibration.
+    #[default]
+    Untouched,
+    /// Those of the calibration.
+    Calibration,
+}
+
 /// A request for an evaluation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -152,6 +164,10 @@ pub struct EvaluationRequest {
     /// Frame of a trial that is read: the mean, or the first.
     #[serde(default)]
     pub frames: FramesRead,
+    /// Offsets that `exact` takes off a frame: those of the untouched skin before the trial, or of the
+    /// calibration.
+    #[serde(default)]
+    pub offsets: OffsetsRead,
     /// Least force of a peak, N.
     #[serde(default = "threshold_n")]
     pub threshold_n: f64,

@@ -56,6 +56,9 @@ pub struct Reading {
     /// Properties of the frame outside the trained range of the model, as text.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub outside: Vec<String>,
+    /// What limits the answer, as text.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
     /// Mean square of the fit's residual, in units of the assumed noise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub misfit: Option<f64>,

@@ -14,5 +14,6 @@ pub mod registry;
 pub mod maps;
 pub mod slot;
 pub mod methods;
+pub mod untouched;
 pub mod pipeline;
 pub mod serving;

@@ -8,7 +8,7 @@ use super::error::InferError;
 use super::maps::draw;
 use super::methods::exact::{ExactSkin, Tracked};
 use super::methods::fast::PointPipeline;
-use super::methods::{Method, Models, ReadyMethod};
+use super::methods::{Frames, Method, Models, ReadyMethod};
 use super::registry::Model;
 use super::slot::Slot;
 use crate::learn::task::Reads;
@@ -100,19 +100,18 @@ impl Pipeline {
         Method::served().rev().find(|method| self.ready(*method).is_ok())
     }
 
-    /// Answers frames (V, one after the other), each the mean of `averaged` frames.
+    /// Answers frames one by one.
     ///
     /// # Errors
     /// `InferError::NotServed` if a model is missing; other variants if a frame cannot be answered.
     pub fn answer(
         &self,
         method: Method,
-        frames: &[f32],
-        averaged: f64,
+        frames: &Frames<'_>,
         with_map: bool,
     ) -> Result<Answered, InferError> {
         let ready = self.ready(method)?;
-        let mut readings = ready.read(frames, averaged, with_map)?;
+        let mut readings = ready.read(frames, with_map)?;
         if with_map {
             draw(&mut readings, ready.size_mm())?;
         }

@@ -17,17 +17,20 @@ use crate::dataset::build::data_file;
 use crate::dataset::force_map::ForceMap;
 use crate::evaluate::held_out::{Made, is_held_out};
 use crate::evaluate::perfect::perfect;
-use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Example, FramesRead, Scored};
+use crate::evaluate::request::{
+    EvaluationReport, EvaluationRequest, Example, FramesRead, OffsetsRead, Scored,
+};
 use crate::evaluate::score::Scores;
 use crate::evaluate::touch::{Metric, Touch};
 use crate::evaluate::voltages::VoltageScores;
-use crate::ids::{CalibrationId, DatasetId};
+use crate::ids::{CalibrationId, DatasetId, TrialId};
 use crate::infer::answer::FoundContact;
 use crate::infer::error::InferError;
 use crate::infer::methods::fast::PointPipeline;
-use crate::infer::methods::{Models, ReadyMethod};
+use crate::infer::methods::{Frames, Models, ReadyMethod};
 use crate::infer::registry::Model;
 use crate::infer::slot::Slot;
+use crate::infer::untouched::UntouchedSkins;
 use crate::learn::error::LearnError;
 use crate::learn::examples::{MEASURED, SIMULATED};
 use crate::learn::task::Reads;
@@ -103,6 +106,13 @@ pub(super) async fn run(
         FramesRead::Mean => None,
         FramesRead::First => Some(first_frames(&jobs.inner.store, &gathered).await?),
     };
+    let takes = reader.method().is_some_and(|method| method.takes_untouched());
+    let untouched = match (request.offsets, takes) {
+        (OffsetsRead::Untouched, true) => {
+            UntouchedSkins::before(&jobs.inner.store, &gathered.trials()).await?
+        }
+        _ => UntouchedSkins::default(),
+    };
     let held_out = held_out(jobs, &reader, &dataset, request.part.as_deref()).await?;
     let (watch, clock) = (watch.clone(), jobs.inner.clock.clone());
     let sensor = jobs.inner.serving.sensor();
@@ -113,6 +123,7 @@ pub(super) async fn run(
         held_out,
         gathered,
         raw,
+        untouched,
         reader,
         measured,
         rig_sensor,
@@ -187,6 +198,8 @@ struct Scoring {
     held_out: bool,
     gathered: Gathered,
     raw: Option<Vec<Vec<f32>>>,
+    /// The untouched skin before the rows.
+    untouched: UntouchedSkins,
     reader: Reader,
     /// Whether measured frames are read.
     measured: bool,
@@ -321,12 +334,18 @@ impl Scoring {
     ) -> Result<bool, JobError> {
         let began_s = self.clock.process_s();
         let (mut touches, mut latencies) = (Vec::new(), Vec::new());
+        let mut calibrated = 0;
         // One frame at a time, as on a rig: the latency is measured.
         for (at, rows) in self.gathered.rows.chunks(1).enumerate() {
-            let frames = self.frames(at, rows)?;
+            let voltages_v = self.frames(at, rows)?;
+            let trial = self.gathered.examples.trial_id(rows[0]);
+            let untouched = trial.and_then(|trial| self.untouched.of(TrialId(trial)));
+            calibrated += u64::from(untouched.is_none());
+            let (averaged, untouched) = (self.averaged(rows[0]), untouched.as_ref());
+            let frames = Frames { voltages_v: &voltages_v, averaged, untouched };
             let before_s = self.clock.process_s();
             let shown = (self.request.examples as usize).saturating_sub(report.examples.len());
-            let readings = method.read(&frames, self.averaged(rows[0]), shown > 0)?;
+            let readings = method.read(&frames, shown > 0)?;
             latencies.push(1e3 * (self.clock.process_s() - before_s));
             for (&row, reading) in rows.iter().zip(&readings) {
                 let sure = reading.contacts.iter().filter(|found| self.is_sure(found));
@@ -341,6 +360,12 @@ impl Scoring {
             if !self.goes_on(touches.len(), began_s) {
                 return Ok(false);
             }
+        }
+        if calibrated > 0 && method.takes_untouched() {
+            report.notes.push(format!(
+                "{calibrated} of {} rows were read with the offsets of the calibration, which drift",
+                touches.len()
+            ));
         }
         let latencies = sorted(latencies);
         report.latency_ms =

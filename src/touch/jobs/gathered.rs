@@ -61,6 +61,14 @@ impl Gathered {
     }
 }
 
+impl Gathered {
+    /// Ids of the trials of the rows; a row that is no trial has none.
+    pub fn trials(&self) -> Vec<TrialId> {
+        let id = |&row: &u32| self.examples.trial_id(row).map(TrialId);
+        self.rows.iter().filter_map(id).collect()
+    }
+}
+
 /// Reads the first raw frame of each row's trial, V.
 ///
 /// # Errors

@@ -8,7 +8,9 @@ use async_trait::async_trait;
 use jiff::Timestamp;
 use palpate::ids::{RunUid, TrialId, TrialKey};
 use palpate::journal::{Event, ExitStatus, Journal, JournalError, Mounting, Progress};
-use palpate::record::{AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord};
+use palpate::record::{
+    AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord, Untouched,
+};
 use palpate::state::StateChange;
 use serde_json::Value;
 use tokio::sync::watch;
@@ -96,6 +98,10 @@ impl Journal for Scripted {
 
     async fn tare(&self, _: RunUid, _: &TareRecord) -> Result<(), JournalError> {
         self.write("tare").await.map(drop)
+    }
+
+    async fn untouched(&self, _: RunUid, _: &Untouched) -> Result<(), JournalError> {
+        self.write("untouched").await.map(drop)
     }
 
     async fn reference(&self, _: RunUid, _: &ReferenceRecord) -> Result<(), JournalError> {

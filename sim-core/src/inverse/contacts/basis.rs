@@ -12,6 +12,7 @@ use faer::{Mat, Side};
 
 use super::FitterError;
 use super::error::ErrorModel;
+use super::fit::Observation;
 use crate::batch::{BatchModel, BatchWork};
 use crate::forward::Contact;
 use crate::sensor::Sensor;
@@ -42,12 +43,10 @@ pub(super) struct Basis {
     rows: Vec<f64>,
     /// The untouched frame, V.
     rest_v: Vec<f64>,
-    /// Variance of each number by the drift of the offsets.
+    /// Variance of each number by the drift of the offsets, per V^2 of drift.
     drift: Vec<f64>,
-    /// Variance of a channel by it, mean of all.
-    drift_mean: f64,
-    /// Drift of the offsets, summed over the channels, V^2.
-    drift_v2: f64,
+    /// Variance of a channel outside the basis by it, per V^2 of drift.
+    drift_outside: f64,
     /// Variance of each number by the model's error, per V^2 of signal.
     relative: Vec<f64>,
     /// Variance of a channel outside the basis by the model's error, per V^2 of signal.
@@ -99,13 +98,17 @@ impl Basis {
         let by_drift = |row: &Vec<f64>| -> f64 {
             let of_pair = |pair: usize| {
                 let injections = (pair..channels).step_by(pairs);
-                error.offset_sd_v * injections.map(|c| row[c] * inverse_sd[c]).sum::<f64>()
+                injections.map(|c| row[c] * inverse_sd[c]).sum::<f64>()
             };
             (0..pairs).map(|pair| of_pair(pair).powi(2)).sum()
         };
         let mut drift: Vec<f64> = rows.iter().map(by_drift).collect();
         drift.resize(width, 0.0);
-        let mean_precision = inverse_sd.iter().map(|s| s * s).sum::<f64>() / channels as f64;
+        let precision: f64 = inverse_sd.iter().map(|s| s * s).sum();
+        let mean_precision = precision / channels as f64;
+        // What the numbers have of the drift is not outside.
+        let outside = channels.saturating_sub(rows.len()).max(1) as f64;
+        let drift_outside = (precision - drift.iter().sum::<f64>()).max(0.0) / outside;
         let mut basis = Self {
             channels,
             directions: rows.len(),
@@ -113,8 +116,7 @@ impl Basis {
             rows: flat,
             rest_v: rest_v.to_vec(),
             drift,
-            drift_mean: error.offset_sd_v.powi(2) * mean_precision,
-            drift_v2: channels as f64 * error.offset_sd_v.powi(2),
+            drift_outside,
             relative,
             relative_outside: error.floor.powi(2) / channels as f64 * mean_precision,
             inverse_sd,
@@ -148,17 +150,17 @@ impl Basis {
         self.project(scratch, out);
     }
 
-    /// Projects a measured frame that is the mean of `frames` frames. If `frames` is large, the
-    /// model error dominates.
+    /// Projects a measured frame. If it is the mean of many, drift and model error dominate.
     pub fn measure(
         &self,
-        frame_v: &[f64],
-        frames: f64,
+        observation: &Observation<'_>,
         scratch: &mut Vec<f64>,
         out: &mut Projected,
     ) {
+        let Observation { frame_v, frames, offset_sd_v } = *observation;
+        let drift_v2 = offset_sd_v.powi(2);
         self.project_frame(frame_v, scratch, &mut out.z);
-        let (mut signal_v2, mut scaled) = (-self.drift_v2, 0.0);
+        let (mut signal_v2, mut scaled) = (-drift_v2 * self.channels as f64, 0.0);
         for (v, scale) in scratch.iter().zip(&self.inverse_sd) {
             signal_v2 += v * v - 1.0 / (frames * scale * scale);
             scaled += (v * scale).powi(2);
@@ -166,10 +168,13 @@ impl Basis {
         let signal_v2 = signal_v2.max(0.0);
         out.weights.clear();
         let variances = self.relative.iter().zip(&self.drift);
-        let weight = |(c, drift): (&f64, &f64)| 1.0 / (1.0 / frames + drift + signal_v2 * c);
+        let weight = |(relative, drift): (&f64, &f64)| {
+            1.0 / (1.0 / frames + drift_v2 * drift + signal_v2 * relative)
+        };
         out.weights.extend(variances.map(weight));
         let inside: f64 = out.z.iter().map(|z| z * z).sum();
-        let variance = 1.0 / frames + self.drift_mean + signal_v2 * self.relative_outside;
+        let variance =
+            1.0 / frames + drift_v2 * self.drift_outside + signal_v2 * self.relative_outside;
         out.outside_chi2 = (scaled - inside).max(0.0) / variance;
     }
 }

@@ -3,10 +3,11 @@
 //!
 //! Covariance of a frame's error:
 //! `diag(sd^2) / frames + offset^2 (1 1') x I + |v|^2 (sum of m m' + floor^2 I / channels)`: white
-//! noise that averaging lowers; the drift of the offsets since they were measured, which is that of
-//! the buffers of the electrodes and so the same in every injection; and a model error in proportion
-//! to the signal `|v|`. Averaging lowers neither of the latter. The columns m come from held-out pairs
-//! of measured and modelled frames.
+//! noise that averaging lowers; the drift of the offsets since the skin was last untouched, which is
+//! that of the buffers of the electrodes and so the same in every injection; and a model error in
+//! proportion to the signal `|v|`. Averaging lowers neither of the latter. The drift belongs to the
+//! observation, the others to the model. The columns m come from held-out pairs of measured and
+//! modelled frames.
 
 use faer::{Mat, Side};
 use serde::{Deserialize, Serialize};
@@ -34,13 +35,7 @@ pub enum ErrorModelError {
         /// The relative error, as a share of the signal.
         value: f64,
     },
-    /// The drift of the offsets is not a finite number >= 0.
-    #[error("error model: drift of the offsets {value_v} V is not a finite number >= 0")]
-    Offset {
-        /// Its standard deviation, V.
-        value_v: f64,
-    },
-    /// The frames of a pair have the wrong length, or contain a value that is not finite.
+    /// The frames of a pair have the wrong length, or a value is not finite.
     #[error("error model: pair {pair} is not two frames of {channels} finite voltages")]
     Pair {
         /// Index of the pair.
@@ -72,6 +67,8 @@ pub struct FramePair<'a> {
     pub modelled_v: &'a [f64],
     /// Number of frames in the mean of the measured one.
     pub frames: f64,
+    /// Standard deviation of the offset of a pair of electrodes in the measured one, V.
+    pub offset_sd_v: f64,
 }
 
 /// The error model of one readout and one model.
@@ -79,9 +76,6 @@ pub struct FramePair<'a> {
 pub struct ErrorModel {
     /// Standard deviation of the noise of each channel in a single frame, V.
     pub(super) channel_sd_v: Vec<f64>,
-    /// Standard deviation of the offset of a pair of electrodes since it was measured, V: the same in
-    /// every injection.
-    pub(super) offset_sd_v: f64,
     /// Directions of the relative error; a column's square is its variance.
     pub(super) modes: Vec<Vec<f64>>,
     /// Residual of the relative error, as a share of the signal: the same on all channels.
@@ -106,26 +100,7 @@ impl ErrorModel {
         if let Some(channel) = channel_sd_v.iter().position(bad) {
             return Err(ErrorModelError::Noise { channel, sd_v: channel_sd_v[channel] });
         }
-        Ok(Self { channel_sd_v, offset_sd_v: 0.0, modes: Vec::new(), floor: 0.0 })
-    }
-
-    /// Adds a drift of the offsets since they were measured, V: of each pair of electrodes, the same in
-    /// every injection.
-    ///
-    /// # Errors
-    /// `ErrorModelError::Offset` if `sd_v` is not a finite number >= 0.
-    pub fn with_offset(mut self, sd_v: f64) -> Result<Self, ErrorModelError> {
-        if !(sd_v >= 0.0 && sd_v.is_finite()) {
-            return Err(ErrorModelError::Offset { value_v: sd_v });
-        }
-        self.offset_sd_v = sd_v;
-        Ok(self)
-    }
-
-    /// Sum over the channels of the variance of a mean of `frames` frames without signal, V^2.
-    fn without_signal_v2(&self, frames: f64) -> f64 {
-        let white: f64 = self.channel_sd_v.iter().map(|sd| sd * sd).sum();
-        white / frames + self.channel_sd_v.len() as f64 * self.offset_sd_v.powi(2)
+        Ok(Self { channel_sd_v, modes: Vec::new(), floor: 0.0 })
     }
 
     /// Adds a relative error that is the same on all channels, as a share of the signal.
@@ -159,16 +134,19 @@ impl ErrorModel {
         rank: usize,
     ) -> Result<Self, ErrorModelError> {
         let channels = self.channel_sd_v.len();
+        let white_v2: f64 = self.channel_sd_v.iter().map(|sd| sd * sd).sum();
         let mut errors: Vec<Vec<f64>> = Vec::with_capacity(pairs.len());
         let (mut noise_share, mut weights) = (0.0, 0.0);
         for (index, pair) in pairs.iter().enumerate() {
             let sound =
                 |frame: &[f64]| frame.len() == channels && frame.iter().all(|v| v.is_finite());
-            if !(sound(pair.measured_v) && sound(pair.modelled_v) && pair.frames > 0.0) {
+            let offset_v2 = pair.offset_sd_v.powi(2);
+            let known = pair.frames > 0.0 && offset_v2.is_finite();
+            if !(sound(pair.measured_v) && sound(pair.modelled_v) && known) {
                 return Err(ErrorModelError::Pair { pair: index, channels });
             }
             let signal_v2: f64 = pair.modelled_v.iter().map(|v| v * v).sum();
-            let noise_v2 = self.without_signal_v2(pair.frames);
+            let noise_v2 = white_v2 / pair.frames + channels as f64 * offset_v2;
             if signal_v2 < LEAST_SIGNAL.powi(2) * noise_v2 / channels as f64 {
                 continue;
             }

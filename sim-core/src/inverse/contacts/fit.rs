@@ -56,6 +56,12 @@ pub enum FitError {
         /// Number of averaged frames found.
         frames: f64,
     },
+    /// The standard deviation of the offsets is not a finite number >= 0.
+    #[error("fitting contacts: offset_sd_v = {offset_sd_v} is not a finite number >= 0")]
+    Offset {
+        /// Standard deviation found, V.
+        offset_sd_v: f64,
+    },
     /// A proposal or a contact to refine is not a contact on this skin.
     #[error("fitting contacts: proposal: {0}")]
     Contact(#[from] ContactError),
@@ -104,6 +110,9 @@ pub struct Observation<'a> {
     pub frame_v: &'a [f64],
     /// Number of frames in the mean, >= 1.
     pub frames: f64,
+    /// Standard deviation of the offset of a pair of electrodes that is left in the frame, V, >= 0:
+    /// the same in every injection.
+    pub offset_sd_v: f64,
 }
 
 /// A contact proposed by the caller, for example by a net.

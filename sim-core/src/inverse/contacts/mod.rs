@@ -187,7 +187,7 @@ impl ContactFitter {
     }
 
     fn measure(&self, observation: &Observation<'_>, work: &mut FitWork) -> Result<(), FitError> {
-        let (frame_v, frames) = (observation.frame_v, observation.frames);
+        let Observation { frame_v, frames, offset_sd_v } = *observation;
         let needed = self.model.sensor().channels();
         if frame_v.len() != needed {
             return Err(FitError::Length { found: frame_v.len(), needed });
@@ -198,7 +198,10 @@ impl ContactFitter {
         if !(frames >= 1.0 && frames.is_finite()) {
             return Err(FitError::Frames { frames });
         }
-        self.basis.measure(frame_v, frames, &mut work.scratch, &mut work.frame);
+        if !(offset_sd_v >= 0.0 && offset_sd_v.is_finite()) {
+            return Err(FitError::Offset { offset_sd_v });
+        }
+        self.basis.measure(observation, &mut work.scratch, &mut work.frame);
         Ok(())
     }
 

@@ -1,14 +1,12 @@
 //! Zeros of the cells and of the skin, measured in the air before each configuration, with limits.
 //! Uses: `campaign::bench::stage`. Never: storage.
 
-use std::sync::Arc;
-
 use crate::campaign::bench::evidence::SkinWatch;
 use crate::campaign::bench::interlock::{FOREIGN_N, TripKind};
 use crate::campaign::bench::stage::Stage;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
-use crate::campaign::shown::samples::Untouched;
+use crate::record::Untouched;
 use crate::rig::config::{ARMS, RigConfig};
 
 /// Limit of the spread of a cell's readings in the air, as a multiple of its noise.
@@ -43,13 +41,12 @@ pub async fn tare_untouched(
     let frames = frames.map_err(|e| stage.no_frames(e))?;
     stage.skin = SkinWatch::untouched(&frames);
     if let Some(watch) = &stage.skin {
-        let untouched = Untouched {
+        control.untouched(Untouched {
             voltages_v: watch.untouched_v(),
             at: stage.clock.timestamp(),
             frames: frames.len(),
             run: control.run_uid(),
-        };
-        control.inbox.untouched.send_replace(Some(Arc::new(untouched)));
+        });
     }
     stage.begin_watch();
     Ok(zeros)

@@ -19,6 +19,7 @@ use crate::campaign::shown::command::{Envelope, Inbox, Refusal, Request};
 use crate::campaign::shown::status::{Phase, RunStatus, Status};
 use crate::ids::RunUid;
 use crate::journal::{Journal, JournalError};
+use crate::record::Untouched;
 use crate::state::StateChange;
 
 /// Longest wait for the store, for a trial or for earlier notes to be durable.
@@ -174,6 +175,15 @@ impl Control {
     /// Id of the active run.
     pub fn run_uid(&self) -> Option<RunUid> {
         self.current
+    }
+
+    /// Publishes a frame of the untouched skin, and records it if a run is active.
+    pub fn untouched(&self, skin: Untouched) {
+        let skin = Arc::new(skin);
+        if let Some(run) = skin.run {
+            self.diary.note(Note::Untouched(run, skin.clone()));
+        }
+        self.inbox.untouched.send_replace(Some(skin));
     }
 
     /// Ends the run: later events belong to no run.

@@ -14,8 +14,9 @@ use tracing::Span;
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::run::job::Job;
 use crate::campaign::shown::placement::Confirmation;
-use crate::campaign::shown::samples::{ForceSample, Samples, Untouched};
+use crate::campaign::shown::samples::{ForceSample, Samples};
 use crate::campaign::shown::status::{Done, Status};
+use crate::record::Untouched;
 use crate::rig::traits::Frame;
 
 /// Capacity of the request queue.

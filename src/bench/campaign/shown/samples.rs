@@ -1,13 +1,9 @@
-//! Every sample of the load cells, and the untouched skin, published for whoever follows them.
+//! Every sample of the load cells, published for whoever follows them.
 //! Uses: tokio's broadcast channel, `rig::config`. Never: a wait for a follower; one that is too slow
 //! misses samples.
 
-use jiff::Timestamp;
-use serde::Serialize;
 use tokio::sync::broadcast;
-use utoipa::ToSchema;
 
-use crate::ids::RunUid;
 use crate::rig::config::ARMS;
 
 /// Samples that a follower may be behind: a second of the fastest rig.
@@ -45,20 +41,6 @@ impl Samples {
     pub fn follow(&self) -> broadcast::Receiver<ForceSample> {
         self.0.subscribe()
     }
-}
-
-/// The untouched skin: mean of frames that were taken while the tips were in the air.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
-pub struct Untouched {
-    /// Mean voltages, V, injection-major.
-    pub voltages_v: Vec<f32>,
-    /// Wall time of the frames.
-    #[schema(value_type = String, format = DateTime)]
-    pub at: Timestamp,
-    /// Number of frames.
-    pub frames: usize,
-    /// Run during which they were taken; null outside a run.
-    pub run: Option<RunUid>,
 }
 
 #[cfg(test)]

@@ -4,4 +4,5 @@
 pub mod press;
 pub mod measure;
 pub mod rest;
+pub mod untouched;
 pub mod manual;

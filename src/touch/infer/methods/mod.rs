@@ -244,19 +244,50 @@ pub struct UsedSkin<'a> {
     pub run: Option<&'a str>,
 }
 
+/// Frames that are read one by one.
+#[derive(Debug, Clone, Copy)]
+pub struct Frames<'a> {
+    /// Voltages, V, one frame after the other.
+    pub voltages_v: &'a [f32],
+    /// Number of frames that each of them is the mean of, >= 1.
+    pub averaged: f64,
+    /// The untouched skin before them, if it was measured.
+    pub untouched: Option<&'a UntouchedBefore>,
+}
+
+impl<'a> Frames<'a> {
+    /// Single frames, with the offsets of the calibration.
+    pub fn single(voltages_v: &'a [f32]) -> Self {
+        Self { voltages_v, averaged: 1.0, untouched: None }
+    }
+}
+
+/// Frame of the untouched skin, measured before other frames.
+#[derive(Debug, Clone, PartialEq)]
+pub struct UntouchedBefore {
+    /// Mean voltages, V, injection-major.
+    pub voltages_v: Vec<f32>,
+    /// Process time from it to the frames, h, >= 0.
+    pub hours: f64,
+    /// Standard deviation of the offset of a pair of electrodes between two such frames of its run, V;
+    /// `None` if the run has too few.
+    pub scatter_v: Option<f64>,
+}
+
+impl UntouchedBefore {
+    /// Share of the drift of a day that its age has: that of a random walk.
+    pub fn share_of_day(&self) -> f64 {
+        (self.hours / 24.0).sqrt()
+    }
+}
+
 /// A method with its models, ready to read frames.
 pub trait ReadyMethod: Send + Sync {
-    /// Reads frames (V, one after the other), each the mean of `averaged` frames; keeps the
-    /// method's own maps, if it has maps, only if `with_map`.
+    /// Reads frames; keeps the method's own maps, if it has maps, only if `with_map`.
     ///
     /// # Errors
     /// `InferError` if a frame cannot be answered.
-    fn read(
-        &self,
-        frames: &[f32],
-        averaged: f64,
-        with_map: bool,
-    ) -> Result<Vec<Reading>, InferError>;
+    fn read(&self, frames: &Frames<'_>, with_map: bool) -> Result<Vec<Reading>, InferError>;
 
     /// Reads the next frame of a stream (V).
     ///
@@ -268,7 +299,7 @@ pub trait ReadyMethod: Send + Sync {
         with_map: bool,
         _tracked: &mut Tracked,
     ) -> Result<Reading, InferError> {
-        Ok(self.read(frame, 1.0, with_map)?.into_iter().next().unwrap_or_default())
+        Ok(self.read(&Frames::single(frame), with_map)?.into_iter().next().unwrap_or_default())
     }
 
     /// Its nets, in the order of use.
@@ -283,6 +314,11 @@ pub trait ReadyMethod: Send + Sync {
     /// The exact model that it uses, if any.
     fn skin(&self) -> Option<UsedSkin<'_>> {
         None
+    }
+
+    /// Whether it takes the offsets of the readout from the untouched skin.
+    fn takes_untouched(&self) -> bool {
+        false
     }
 
     /// Frames that it reads.

@@ -18,6 +18,7 @@ use tokio::task::JoinHandle;
 use tokio::time::Instant;
 use tracing::{Instrument, Span};
 
+use self::skin::EmptySkin;
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::bench::rig_state::RigState;
@@ -42,6 +43,7 @@ use crate::state::{StateChange, StoredState};
 mod bench;
 mod decide;
 mod session;
+mod skin;
 mod wait;
 
 /// Period at which an idle or waiting engine checks its bench, wall.
@@ -112,6 +114,8 @@ struct Engine {
     prepared_setting: Option<u32>,
     /// Tips that are mounted, and whether they were entered since this thread started.
     mounting: Option<(Mounting, bool)>,
+    /// The empty skin of a manual run.
+    empty_skin: EmptySkin,
     /// Parts of the last safe end that are not complete.
     owed: Owed,
     /// Span of the driven run, for the log; none outside a run.
@@ -156,6 +160,7 @@ impl Engine {
             connection: None,
             prepared_setting: None,
             mounting: None,
+            empty_skin: EmptySkin::default(),
             owed: Owed::Nothing,
             driven: Span::none(),
         }

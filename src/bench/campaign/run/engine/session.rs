@@ -6,6 +6,7 @@ use serde_json::json;
 use tokio::time::Instant;
 use tracing::Instrument;
 
+use super::skin::EmptySkin;
 use super::{Attempts, Engine, Last, Next, no_stage, no_wires, trip_of};
 use crate::campaign::bench::evidence::SilentArms;
 use crate::campaign::bench::interlock::{self, ForceLimits, TripKind};
@@ -100,7 +101,10 @@ impl Engine {
         if job.plan.kind == Kind::RealRandom {
             // Weights and hands are on the skin: before the next press a person confirms the tips again.
             self.mounting = None;
+            // What an earlier session saw is not followed: a person tares the skin again.
+            self.control.inbox.untouched.send_replace(None);
         }
+        self.empty_skin = EmptySkin::default();
         loop {
             let halt = match self.advance(job, &mut pace, &mut attempts).await {
                 Ok(None) => continue,

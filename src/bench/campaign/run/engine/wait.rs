@@ -4,6 +4,7 @@
 use serde_json::json;
 use tokio::time::Instant;
 
+use super::skin::next_window;
 use super::{Attempts, Engine, IDLE_TICK, Last, Next, Owed, Waited, backoff};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
 use crate::campaign::diary::Note;
@@ -44,12 +45,24 @@ impl Engine {
         let mut failures = 0;
         let mut tick = tokio::time::interval(IDLE_TICK);
         tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
+        let mut window = Box::pin(next_window(self.watched_skin()));
         loop {
             let waited = tokio::select! {
                 envelope = self.control.inbox.requests.recv() => match envelope {
-                    Some(envelope) => self.waiting_request(job, envelope, attempts.last).await,
+                    Some(envelope) => {
+                        // The request may close the wires: no window keeps them.
+                        window.set(next_window(None));
+                        let waited = self.waiting_request(job, envelope, attempts.last).await;
+                        window.set(next_window(self.watched_skin()));
+                        waited
+                    }
                     None => Some(Waited::Left),
                 },
+                seen = &mut window => {
+                    self.saw(seen);
+                    window.set(next_window(self.watched_skin()));
+                    None
+                }
                 _ = tick.tick() => {
                     self.look().await;
                     let ended = self.raise_when_possible(job).await;
@@ -90,6 +103,7 @@ impl Engine {
                 Some(Waited::Resume) => return Next::Again,
                 Some(Waited::Confirmed(confirmation)) => {
                     if let Some(trial) = self.wanted_trial() {
+                        self.weights_are_placed();
                         self.control.say("placed", confirmation.event(trial));
                         attempts.confirmed = Some((trial, confirmation));
                     }
@@ -267,6 +281,10 @@ impl Engine {
                     }
                 };
                 let _ = answer.send(Err(Refusal::State(words)));
+                None
+            }
+            Request::Tare if job.plan.kind == Kind::RealRandom => {
+                self.tare_skin(answer);
                 None
             }
             Request::Home | Request::Jog { .. } if job.plan.kind == Kind::RealRandom => {

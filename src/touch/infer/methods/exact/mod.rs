@@ -18,10 +18,11 @@ use sim_core::inverse::contacts::{
 use sim_core::inverse::skin::{MeasuredTrial, noise_v};
 use sim_core::stats::{sorted, upper_quantile};
 
-pub use self::untouched::Untouched;
+use self::untouched::Drift;
+pub use self::untouched::{Untouched, scatter_v};
 use self::zero::Zero;
 use super::fast::{PROPOSED, PointPipeline};
-use super::{ReadyMethod, UsedSkin};
+use super::{Frames, ReadyMethod, UntouchedBefore, UsedSkin};
 use crate::ids::CalibrationId;
 use crate::infer::answer::{FoundContact, Reading};
 use crate::infer::error::InferError;
@@ -48,6 +49,10 @@ const CLEAR_N: f64 = 5.0;
 /// `TOLD_BY_SD` is this quantile of |x|, for a normal x of standard deviation 1.
 const TOLD_BY: f64 = 0.9;
 const TOLD_BY_SD: f64 = 1.645;
+/// Drift in a day, in standard deviations of the noise of a pair, from which offsets must be measured anew.
+const DRIFT_MATTERS: f64 = 2.0;
+/// Largest offset that the live zero takes off, in standard deviations of the drift.
+const ZERO_SD: f64 = 3.0;
 /// A fit whose residual exceeds this multiple of the assumed noise does not explain the frame.
 const MISFIT_EXPLAINED: f64 = 3.0;
 
@@ -60,6 +65,8 @@ pub struct KnownTrial {
     pub frame_v: Vec<f32>,
     /// Number of averaged frames.
     pub frames: f64,
+    /// The untouched skin before it, if it was measured.
+    pub untouched: Option<UntouchedBefore>,
 }
 
 /// The trials of a run from which the errors of a skin are estimated.
@@ -92,6 +99,8 @@ pub struct ExactSkin {
 pub struct SkinErrors {
     /// Standard deviation of a voltage's noise in one frame, V.
     noise_sd_v: f64,
+    /// What the offsets of the readout differ by from those that are subtracted.
+    drift: Drift,
     model: ErrorModel,
     /// Factors on the standard deviations of positions and forces: contacts imitate a part of the
     /// model's error, which the fit cannot detect.
@@ -135,12 +144,12 @@ impl ExactSkin {
         let noise_sd_v = noise_sd_v.or_else(|| enough.then(|| seen(known, &offset_v)).flatten());
         let evidence = model.sensor().skin().map(|skin| skin.evidence.noise_v);
         let noise_sd_v = noise_sd_v.or(evidence).unwrap_or(NOISE_SD_V);
-        let drift_sd_v = untouched.drift_sd_v(&offset_v);
-        let white = ErrorModel::white(channels, noise_sd_v)?.with_offset(drift_sd_v)?;
+        let drift = untouched.drift(&offset_v);
+        let white = ErrorModel::white(channels, noise_sd_v)?;
         let stretch = Stretch { place: 1.0, force: 1.0 };
         let skin = Self::with(
             model,
-            SkinErrors { noise_sd_v, model: white.clone(), stretch, learnt_from: 0 },
+            SkinErrors { noise_sd_v, drift, model: white.clone(), stretch, learnt_from: 0 },
         )?;
         if !enough {
             return Ok(skin);
@@ -152,7 +161,7 @@ impl ExactSkin {
             Err(error) => return Err(error),
         };
         let learnt_from = known.len();
-        let errors = SkinErrors { noise_sd_v, model: learnt, stretch, learnt_from };
+        let errors = SkinErrors { noise_sd_v, drift, model: learnt, stretch, learnt_from };
         let mut skin = Self::with(model, errors)?;
         skin.errors.stretch = skin.stretch(known)?;
         Ok(skin)
@@ -228,8 +237,9 @@ impl ExactSkin {
             let mut work = FitWork::default();
             let one = |trial: &&KnownTrial| {
                 let mut frame_v = Vec::new();
-                self.take_offsets(&trial.frame_v, &mut frame_v);
-                let observation = Observation { frame_v: &frame_v, frames: trial.frames };
+                let untouched = trial.untouched.as_ref();
+                self.take_offsets(&trial.frame_v, untouched, &mut frame_v);
+                let observation = self.observation(&frame_v, trial.frames, untouched);
                 let fit = self.fitter.refine(&observation, &trial.contacts, &mut work)?;
                 Ok((frame_v, fit))
             };
@@ -261,14 +271,16 @@ impl ExactSkin {
         for (trial, (measured_v, fit)) in known.iter().zip(fits) {
             let refined: Vec<Contact> = fit.contacts.iter().map(|found| found.contact).collect();
             let modelled_v = model.voltages(&refined, &mut forward).map_err(FitError::from)?;
-            frames.push((measured_v, modelled_v.to_vec(), trial.frames));
+            let offset_sd_v = self.errors.drift.after_v(trial.untouched.as_ref());
+            frames.push((measured_v, modelled_v.to_vec(), trial.frames, offset_sd_v));
         }
         let pairs: Vec<FramePair<'_>> = frames
             .iter()
-            .map(|(measured_v, modelled_v, frames)| FramePair {
+            .map(|(measured_v, modelled_v, frames, offset_sd_v)| FramePair {
                 measured_v,
                 modelled_v,
                 frames: *frames,
+                offset_sd_v: *offset_sd_v,
             })
             .collect();
         Ok(white.with_pairs(&pairs, ERROR_DIRECTIONS.min(pairs.len() / KNOWN_FOR_EACH))?)
@@ -294,8 +306,19 @@ impl ExactSkin {
         self.offset_v.len()
     }
 
-    /// Converts a fit to a reading.
-    fn reading(&self, fit: &Fit) -> Reading {
+    /// Warns of offsets that may have drifted by more than the noise of a mean of `frames` frames.
+    fn drifted(&self, is_tared: bool, frames: f64) -> Option<String> {
+        let drift_v = self.errors.drift.sd_v(None);
+        let pairs = self.channels().isqrt() as f64;
+        let matters = drift_v > DRIFT_MATTERS * self.errors.noise_sd_v / (pairs * frames).sqrt();
+        (matters && !is_tared).then(|| {
+            let drift_mv = 1e3 * drift_v;
+            format!("offsets of the calibration, which drift by {drift_mv:.2} mV a day: tare the empty skin")
+        })
+    }
+
+    /// Converts the fit of a mean of `frames` frames to a reading.
+    fn reading(&self, fit: &Fit, is_tared: bool, frames: f64) -> Reading {
         let Stretch { place, force } = self.errors.stretch;
         let contact = |found: &FittedContact| FoundContact {
             x_mm: found.contact.x_mm,
@@ -313,14 +336,41 @@ impl ExactSkin {
             format!("misfit = {misfit:.1}: limit {MISFIT_EXPLAINED} for contacts on this skin")
         });
         let outside = outside.into_iter().collect();
-        Reading { contacts, misfit: Some(misfit), outside, ..Reading::default() }
+        let notes = self.drifted(is_tared, frames).into_iter().collect();
+        Reading { contacts, misfit: Some(misfit), outside, notes, ..Reading::default() }
     }
 
-    /// Subtracts the offsets of the untouched skin from a frame, V.
-    fn take_offsets(&self, frame: &[f32], frame_v: &mut Vec<f64>) {
+    /// Subtracts the offsets of the untouched skin from a frame, V: those of the calibration, and their
+    /// drift since, if the untouched skin was measured.
+    fn take_offsets(
+        &self,
+        frame: &[f32],
+        untouched: Option<&UntouchedBefore>,
+        frame_v: &mut Vec<f64>,
+    ) {
+        self.take_calibrated(frame, frame_v);
+        if let Some(untouched) = untouched {
+            let mut drifted_v = Vec::new();
+            self.take_calibrated(&untouched.voltages_v, &mut drifted_v);
+            Zero::of(&drifted_v).take_off(frame_v);
+        }
+    }
+
+    fn take_calibrated(&self, frame: &[f32], frame_v: &mut Vec<f64>) {
         frame_v.clear();
         let offsets = self.offset_v.iter();
         frame_v.extend(frame.iter().zip(offsets).map(|(v, offset)| f64::from(*v) - offset));
+    }
+
+    /// A mean of `frames` frames without offsets, V, as the fit reads it.
+    fn observation<'a>(
+        &self,
+        frame_v: &'a [f64],
+        frames: f64,
+        untouched: Option<&UntouchedBefore>,
+    ) -> Observation<'a> {
+        let offset_sd_v = self.errors.drift.after_v(untouched);
+        Observation { frame_v, frames, offset_sd_v }
     }
 }
 
@@ -352,14 +402,17 @@ impl ReadyMethod for ExactPipeline {
         format!("{}{}", self.skin.id(), net.unwrap_or_default())
     }
 
-    fn read(&self, frames: &[f32], averaged: f64, _: bool) -> Result<Vec<Reading>, InferError> {
+    fn read(&self, frames: &Frames<'_>, _: bool) -> Result<Vec<Reading>, InferError> {
+        let Frames { voltages_v, averaged, untouched } = *frames;
+        let untouched = untouched.filter(|skin| skin.voltages_v.len() == self.skin.channels());
         let (mut work, mut frame_v) = (FitWork::default(), Vec::new());
         let mut readings = Vec::new();
-        for frame in frames.chunks_exact(self.skin.channels()) {
-            self.skin.take_offsets(frame, &mut frame_v);
-            let observation = Observation { frame_v: &frame_v, frames: averaged };
-            let fit = self.skin.fitter.fit(&observation, &self.proposals(frame)?, &mut work)?;
-            readings.push(self.skin.reading(&fit));
+        for frame in voltages_v.chunks_exact(self.skin.channels()) {
+            self.skin.take_offsets(frame, untouched, &mut frame_v);
+            let observation = self.skin.observation(&frame_v, averaged, untouched);
+            let proposals = self.proposals(&frame_v)?;
+            let fit = self.skin.fitter.fit(&observation, &proposals, &mut work)?;
+            readings.push(self.skin.reading(&fit, untouched.is_some(), averaged));
         }
         Ok(readings)
     }
@@ -370,7 +423,7 @@ impl ReadyMethod for ExactPipeline {
         if tracked.skin.as_deref() != Some(self.skin.id()) {
             *tracked = Tracked { skin: Some(self.skin.id().to_owned()), ..Tracked::default() };
         }
-        self.skin.take_offsets(frame, &mut tracked.frame_v);
+        self.skin.take_calibrated(frame, &mut tracked.frame_v);
         tracked.zero.take_off(&mut tracked.frame_v);
         let steady = match &mut tracked.steady {
             Some(steady) => steady,
@@ -380,17 +433,22 @@ impl ReadyMethod for ExactPipeline {
             }
         };
         let mean = steady.push(&tracked.frame_v)?;
-        let observation = Observation { frame_v: mean.mean_v, frames: mean.frames };
+        let offset_sd_v = self.skin.errors.drift.sd_v(tracked.zero.left());
+        let observation = Observation { frame_v: mean.mean_v, frames: mean.frames, offset_sd_v };
         let before = tracked.last.take().filter(|_| !mean.changed);
         let fit = match before {
             Some(last) => self.skin.fitter.track(&observation, &last, &mut tracked.work)?,
             None => {
-                let proposals = self.proposals(frame)?;
+                let proposals = self.proposals(&tracked.frame_v)?;
                 self.skin.fitter.fit(&observation, &proposals, &mut tracked.work)?
             }
         };
-        tracked.zero.learn(&tracked.frame_v, fit.contacts.len(), mean.frames);
-        let mut reading = self.skin.reading(&fit);
+        if fit.contacts.is_empty() {
+            let SkinErrors { noise_sd_v, drift, .. } = &self.skin.errors;
+            let most_v = ZERO_SD * drift.sd_v(None).max(*noise_sd_v);
+            tracked.zero.learn(&tracked.frame_v, mean.frames, most_v);
+        }
+        let mut reading = self.skin.reading(&fit, tracked.zero.left().is_some(), mean.frames);
         reading.averaged = Some(mean.frames);
         reading.searched = Some(fit.origin == Origin::Search);
         tracked.last = Some(fit);
@@ -406,15 +464,22 @@ impl ReadyMethod for ExactPipeline {
         Some(UsedSkin { id: self.skin.id(), calibration, run })
     }
 
+    fn takes_untouched(&self) -> bool {
+        true
+    }
+
     fn size_mm(&self) -> [f64; 2] {
         self.skin.size_mm()
     }
 }
 
 impl ExactPipeline {
-    fn proposals(&self, frame: &[f32]) -> Result<Vec<Proposal>, InferError> {
+    /// Proposals for a frame without offsets, V. The net reads it with those of the calibration.
+    fn proposals(&self, frame_v: &[f64]) -> Result<Vec<Proposal>, InferError> {
         let Some(points) = &self.points else { return Ok(Vec::new()) };
-        let candidates = points.candidates(frame, PROPOSED)?;
+        let offsets = self.skin.offset_v.iter();
+        let frame: Vec<f32> = frame_v.iter().zip(offsets).map(|(v, o)| (v + o) as f32).collect();
+        let candidates = points.candidates(&frame, PROPOSED)?;
         let proposal = |found: &FoundContact| {
             Some(Proposal {
                 contact: sim_core::forward::Contact {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use sim_core::calibrated::CalibratedSensor;
 use sim_core::calibration::Calibration;
-use sim_core::forward::{Contact, ForwardModel};
+use sim_core::forward::ForwardModel;
 use sim_core::sensor::Sensor;
 use tracing::Span;
 
@@ -14,8 +14,9 @@ use super::{ExactSkin, KnownTrial, KnownTrials, SkinErrors, Untouched};
 use crate::calibrate::skin;
 use crate::dataset::pressed::{clock_rate, contacts, force_noise_n};
 use crate::digest::Hashing;
-use crate::ids::CalibrationId;
+use crate::ids::{CalibrationId, TrialId};
 use crate::infer::error::InferError;
+use crate::infer::untouched::UntouchedSkins;
 use crate::new_file;
 use crate::problem::Problem;
 use crate::simulate::model::load_or_build;
@@ -36,7 +37,7 @@ const UNTOUCHED_TRIALS: usize = 300;
 const UNTOUCHED_N: f64 = 0.5;
 
 /// Version of the estimation of errors: part of the cache's key.
-const ERRORS_VERSION: &str = "3";
+const ERRORS_VERSION: &str = "4";
 
 /// The file of a stored calibration.
 #[derive(Debug, Clone)]
@@ -104,15 +105,13 @@ impl Skins {
         };
         let Some(run) = runs.iter().find(fits) else { return Ok(KnownTrials::default()) };
         let force_noise_n = run.rig.as_deref().and_then(force_noise_n).unwrap_or(0.0);
-        let with_frame = |contacts: Vec<Contact>, trial: &TrialRow| {
-            let frame_v = trial.voltages_v.clone()?;
-            Some(KnownTrial { contacts, frame_v, frames: f64::from(trial.frame_count.max(1)) })
-        };
         let light = [
             format!("max_force_n__gte={}", run.deadband_n),
             format!("max_force_n__lt={KNOWN_FORCE_N}"),
             format!("contact_count__lte={KNOWN_CONTACTS}"),
         ];
+        let all = self.evenly(run, &light, KNOWN_TRIALS * skin::HELD_OUT_IN as usize).await?;
+        let skins = UntouchedSkins::before(&self.store, &ids(&all)).await?;
         let pressed = |trial: &TrialRow| {
             let contacts = contacts(trial, run.kind, force_noise_n)?;
             let tips_mm: Vec<[f64; 2]> = match run.kind {
@@ -120,9 +119,10 @@ impl Skins {
                 _ => contacts.iter().map(|c| [c.x_mm, c.y_mm]).collect(),
             };
             skin::is_held_out(&tips_mm).then_some(())?;
-            with_frame(contacts, trial)
+            let frame_v = trial.voltages_v.clone()?;
+            let (frames, untouched) = (frames(trial), skins.of(trial.trial_id));
+            Some(KnownTrial { contacts, frame_v, frames, untouched })
         };
-        let all = self.evenly(run, &light, KNOWN_TRIALS * skin::HELD_OUT_IN as usize).await?;
         let pressed = all.iter().filter_map(pressed).take(KNOWN_TRIALS).collect();
         let untouched = [format!("max_force_n__lt={UNTOUCHED_N}")];
         let untouched = self.evenly(run, &untouched, UNTOUCHED_TRIALS).await?;
@@ -132,10 +132,15 @@ impl Skins {
             _ => 0.0,
         };
         let hours = wall_s * run.rig.as_deref().map_or(1.0, clock_rate) / 3600.0;
-        let frames_v = untouched.iter().filter_map(|trial| trial.voltages_v.clone()).collect();
-        let frames = untouched.iter().map(|trial| f64::from(trial.frame_count.max(1)));
-        let averaged = frames.sum::<f64>() / untouched.len().max(1) as f64;
-        Ok(KnownTrials { pressed, untouched: Untouched { frames_v, averaged, hours } })
+        let skins = UntouchedSkins::before(&self.store, &ids(&untouched)).await?;
+        let averaged = untouched.iter().map(frames).sum::<f64>() / untouched.len().max(1) as f64;
+        let (mut frames_v, mut tared_v) = (Vec::new(), Vec::new());
+        for trial in untouched {
+            let Some(frame_v) = trial.voltages_v else { continue };
+            frames_v.push(frame_v);
+            tared_v.push(skins.of(trial.trial_id).map_or_else(Vec::new, |skin| skin.voltages_v));
+        }
+        Ok(KnownTrials { pressed, untouched: Untouched { frames_v, tared_v, averaged, hours } })
     }
 
     /// At most `most` trials of a run that meet conditions, without flags, evenly in their order.
@@ -227,6 +232,14 @@ impl Skins {
     }
 }
 
+fn ids(trials: &[TrialRow]) -> Vec<TrialId> {
+    trials.iter().map(|trial| trial.trial_id).collect()
+}
+
+fn frames(trial: &TrialRow) -> f64 {
+    f64::from(trial.frame_count.max(1))
+}
+
 /// Prepares a skin with the cached errors of these trials, or estimates them and writes the cache.
 fn ready(model: &ForwardModel, known: &KnownTrials, cache: &Path) -> Result<ExactSkin, InferError> {
     let name = format!("skin-errors-{}.json", &key(model, known)[..16]);
@@ -254,7 +267,10 @@ fn key(model: &ForwardModel, known: &KnownTrials) -> String {
         digest.update(words);
         digest.update([0]);
     }
-    for frame_v in &known.untouched.frames_v {
+    let untouched = &known.untouched;
+    let before = known.pressed.iter().filter_map(|trial| trial.untouched.as_ref());
+    let frames = untouched.frames_v.iter().chain(&untouched.tared_v);
+    for frame_v in frames.chain(before.map(|skin| &skin.voltages_v)) {
         frame_v.iter().for_each(|v| digest.update(v.to_le_bytes()));
     }
     digest.update(known.untouched.hours.to_le_bytes());
@@ -274,9 +290,10 @@ fn key(model: &ForwardModel, known: &KnownTrials) -> String {
 mod tests {
     use std::sync::Arc;
 
+    use crate::infer::methods::Frames;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
-    use sim_core::forward::Workspace;
+    use sim_core::forward::{Contact, Workspace};
     use sim_core::responses::UnitResponses;
 
     use super::*;
@@ -295,7 +312,8 @@ mod tests {
             let pressed = Contact { force_n: 1.1 * contact.force_n, ..contact };
             let volts = model.voltages(&[pressed], &mut work).expect("a contact on the skin");
             let frame_v = volts.iter().map(|v| (v + rng.random_range(-2e-3..2e-3)) as f32);
-            KnownTrial { contacts: vec![contact], frame_v: frame_v.collect(), frames: 1.0 }
+            let (contacts, frame_v) = (vec![contact], frame_v.collect());
+            KnownTrial { contacts, frame_v, frames: 1.0, untouched: None }
         };
         (0..count).map(&mut one).collect()
     }
@@ -314,7 +332,8 @@ mod tests {
         let (known, fewer, other) = (known(70), known(69), &trials[75]);
         let answer = || {
             let skin = Arc::new(ready(&model, &known, &cache).unwrap());
-            let read = ExactPipeline { skin, points: None }.read(&other.frame_v, 1.0, false);
+            let read =
+                ExactPipeline { skin, points: None }.read(&Frames::single(&other.frame_v), false);
             read.unwrap().remove(0)
         };
         let learnt = answer();

@@ -1,5 +1,10 @@
 //! The noise of a readout and the drift of its offsets, from the untouched frames of a run.
-//! PURE. Uses: nothing. Never: a frame with a contact.
+//! PURE. Uses: `zero`. Never: a frame with a contact.
+
+use serde::{Deserialize, Serialize};
+
+use super::super::UntouchedBefore;
+use super::zero::of_pairs;
 
 /// Number of parts of the run between which offsets are compared.
 const PARTS: usize = 10;
@@ -7,14 +12,58 @@ const PARTS: usize = 10;
 const PART_FRAMES: usize = 4;
 /// Age of the offsets for which an answer allows: a skin that was calibrated yesterday.
 const AGE_HOURS: f64 = 24.0;
+/// Number of frames in the untouched frame of a configuration.
+const TARED_FRAMES: f64 = 4.0;
 /// Shortest run from which the growth of the drift is extrapolated to that age.
 const LEAST_HOURS: f64 = 2.0;
+
+/// Standard deviation of the offset of a pair of electrodes from one frame of the untouched skin to the next,
+/// V; `None` with too few frames, or of different lengths.
+pub fn scatter_v(frames: &[&[f32]]) -> Option<f64> {
+    let mut squares = Vec::new();
+    for (before, after) in frames.iter().zip(frames.iter().skip(1)) {
+        if before.len() != after.len() {
+            return None;
+        }
+        let change_v: Vec<f64> = before.iter().zip(*after).map(|(a, b)| f64::from(b - a)).collect();
+        squares.extend(of_pairs(&change_v).iter().map(|v| v * v));
+    }
+    let enough = frames.len() > PART_FRAMES;
+    enough.then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
+}
+
+/// What the offset of a pair of electrodes differs by from the one that is subtracted.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(super) struct Drift {
+    /// Standard deviation a day after the calibration, V.
+    day_sd_v: f64,
+    /// Standard deviation just after a frame of the untouched skin, V.
+    tared_sd_v: f64,
+}
+
+impl Drift {
+    /// Standard deviation of an offset, V: with a share of a day's drift since the untouched skin was
+    /// measured, or with the offsets of the calibration.
+    pub(super) fn sd_v(self, share_of_day: Option<f64>) -> f64 {
+        share_of_day
+            .map_or(self.day_sd_v, |share| self.tared_sd_v.hypot(share.max(0.0) * self.day_sd_v))
+    }
+
+    /// Standard deviation of an offset of frames before which the untouched skin was measured, or was not, V.
+    pub(super) fn after_v(self, untouched: Option<&UntouchedBefore>) -> f64 {
+        let scatter_v = untouched.and_then(|skin| skin.scatter_v);
+        let tared_sd_v = scatter_v.unwrap_or(self.tared_sd_v);
+        Self { tared_sd_v, ..self }.sd_v(untouched.map(UntouchedBefore::share_of_day))
+    }
+}
 
 /// Frames of a run without contacts.
 #[derive(Debug, Clone, Default)]
 pub struct Untouched {
     /// The frames in the order of time, V.
     pub frames_v: Vec<Vec<f32>>,
+    /// For each of them the frame by which its configuration was tared, V; empty if there is none.
+    pub tared_v: Vec<Vec<f32>>,
     /// Number of frames that each of them is the mean of.
     pub averaged: f64,
     /// Time between the first and the last, h.
@@ -45,11 +94,37 @@ impl Untouched {
         (noise_v > 0.0).then_some(noise_v)
     }
 
+    /// The drift of the offsets, from those of a calibration, V.
+    pub(super) fn drift(&self, offset_v: &[f64]) -> Drift {
+        // Without tared frames: the noise of one.
+        let pairs = offset_v.len().isqrt().max(1) as f64;
+        let noise_v = self.noise_sd_v().map_or(0.0, |sd_v| sd_v / (TARED_FRAMES * pairs).sqrt());
+        let tared_sd_v = self.tared_sd_v().unwrap_or(noise_v);
+        Drift { day_sd_v: self.day_sd_v(offset_v), tared_sd_v }
+    }
+
+    /// Standard deviation, V, of what the offset of a pair of electrodes differs from that of the frame by
+    /// which a configuration was tared; none with too few of them.
+    fn tared_sd_v(&self) -> Option<f64> {
+        let both = self.frames_v.iter().zip(&self.tared_v).filter(|(f, t)| f.len() == t.len());
+        let change = |(frame, tared): (&Vec<f32>, &Vec<f32>)| {
+            let change_v: Vec<f64> =
+                frame.iter().zip(tared).map(|(v, before)| f64::from(v - before)).collect();
+            of_pairs(&change_v)
+        };
+        let changes: Vec<Vec<f64>> = both.map(change).collect();
+        let pairs = changes.first().filter(|_| changes.len() >= PARTS * PART_FRAMES)?.len();
+        let squares: f64 = changes.iter().flatten().map(|v| v * v).sum();
+        // The noise of the frame itself is no offset.
+        let noise_v2 = self.noise_sd_v()?.powi(2) / (self.averaged * pairs as f64);
+        Some((squares / (changes.len() * pairs) as f64 - noise_v2).max(0.0).sqrt())
+    }
+
     /// Standard deviation, V, of what the offset of a pair of electrodes differs from the stated one a day
     /// after the run. Offsets belong to the buffers of the electrodes, so the mean over the injections has
     /// them. The difference over the run is taken as a random walk: its variance grows with time. 0 with
     /// too few frames.
-    pub(super) fn drift_sd_v(&self, offset_v: &[f64]) -> f64 {
+    fn day_sd_v(&self, offset_v: &[f64]) -> f64 {
         let pairs = offset_v.len().isqrt().max(1);
         let of_pair = |frame: &Vec<f32>, pair: usize| -> f64 {
             let channels = (pair..offset_v.len()).step_by(pairs);
@@ -99,8 +174,9 @@ mod tests {
 
     #[test]
     fn a_drift_is_told_from_noise_and_extrapolated_to_a_day() {
-        let untouched = |frames_v, hours| Untouched { frames_v, averaged: 2.0, hours };
-        let sd_mv = |frames_v, hours| 1e3 * untouched(frames_v, hours).drift_sd_v(&[0.0; 16]);
+        let untouched =
+            |frames_v, hours| Untouched { frames_v, averaged: 2.0, hours, ..Untouched::default() };
+        let sd_mv = |frames_v, hours| 1e3 * untouched(frames_v, hours).day_sd_v(&[0.0; 16]);
         let noise = untouched(frames(1e-3, 1e-3), 12.0).noise_sd_v().unwrap();
         assert!((1e3 * noise / 2f64.sqrt() - 1.0).abs() < 0.03, "{noise}");
         assert_eq!(untouched(frames(0.0, 1e-3)[..30].to_vec(), 12.0).noise_sd_v(), None);
@@ -111,5 +187,24 @@ mod tests {
         let short = sd_mv(frames(1e-3, 1e-4), 0.5);
         assert!((short - 0.94).abs() < 0.05, "{short}");
         assert_eq!(sd_mv(frames(1e-3, 1e-4)[..30].to_vec(), 12.0), 0.0);
+    }
+
+    #[test]
+    fn a_tare_takes_the_drift_off_and_ages() {
+        let frames_v = frames(1e-3, 1e-4);
+        // Each frame is tared by the one before it.
+        let tared_v: Vec<_> =
+            frames_v.first().into_iter().chain(&frames_v).take(300).cloned().collect();
+        let run = Untouched { frames_v, tared_v, averaged: 1.0, hours: 12.0 };
+        let drift = run.drift(&[0.0; 16]);
+        let sd_mv = |hours| 1e3 * drift.sd_v(hours);
+        // The noise of the mean of four injections: 1e-4 / sqrt(4).
+        assert!((sd_mv(Some(0.0)) - 0.05).abs() < 0.01, "{}", sd_mv(Some(0.0)));
+        assert!((sd_mv(None) - 1.37).abs() < 0.05);
+        assert!((sd_mv(Some(0.5)) - 0.5 * sd_mv(None)).abs() < 0.01);
+        let without = Untouched { tared_v: vec![Vec::new(); 300], ..run };
+        let drift = without.drift(&[0.0; 16]);
+        // That of a mean of four frames.
+        assert!((1e3 * drift.sd_v(Some(0.0)) - 0.025).abs() < 0.005, "{drift:?}");
     }
 }

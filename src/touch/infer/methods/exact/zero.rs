@@ -1,6 +1,11 @@
-//! What the offsets of a readout have drifted by since the skin was calibrated, from live frames in which
-//! nothing is found.
+//! What the offsets of a readout have drifted by since the skin was calibrated: from a frame of the untouched
+//! skin, or from live frames in which nothing is found.
 //! PURE. Uses: nothing. Never: a frame with a contact.
+//!
+//! Offsets drift in the buffers of the electrodes, so each pair of electrodes has one, the same in every
+//! injection. The place of a light contact is in the same numbers: its frame is `I (d_j - d_k)`, with the
+//! current I and, for each pair, a number d that depends on the place. A drift looks like a contact, and must be
+//! measured.
 
 /// Number of untouched frames over which the zero follows, 10 s at 30 frames per second: slowly enough that
 /// the noise averages out, quickly enough for drifts over minutes.
@@ -9,7 +14,7 @@ const FOLLOWS: f64 = 300.0;
 /// a light touch.
 const SURE_FRAMES: f64 = 15.0;
 
-/// Offsets of a stream of frames, relative to those of the calibration.
+/// Offsets of the pairs of electrodes, relative to those of the calibration.
 #[derive(Debug, Clone, Default)]
 pub struct Zero {
     offset_v: Vec<f64>,
@@ -17,44 +22,89 @@ pub struct Zero {
 }
 
 impl Zero {
-    /// Subtracts the zero from a frame, V.
-    pub fn take_off(&self, frame_v: &mut [f64]) {
-        frame_v.iter_mut().zip(&self.offset_v).for_each(|(v, offset)| *v -= offset);
+    /// The zero of a frame of the untouched skin from which the offsets of the calibration are subtracted, V.
+    pub fn of(untouched_v: &[f64]) -> Self {
+        Self { offset_v: of_pairs(untouched_v), frames: f64::INFINITY }
     }
 
-    /// Learns from a frame from which the zero is already subtracted, V: `contacts` were found in the mean
-    /// of the last `averaged` frames.
-    pub fn learn(&mut self, frame_v: &[f64], contacts: usize, averaged: f64) {
-        if contacts > 0 || averaged < SURE_FRAMES {
+    /// Share of the first offset that is left; none before an untouched frame.
+    pub fn left(&self) -> Option<f64> {
+        (self.frames > 0.0).then(|| SURE_FRAMES / (self.frames + SURE_FRAMES))
+    }
+
+    /// Subtracts the zero from a frame, V.
+    pub fn take_off(&self, frame_v: &mut [f64]) {
+        if !self.offset_v.is_empty() {
+            let offsets = self.offset_v.iter().cycle();
+            frame_v.iter_mut().zip(offsets).for_each(|(v, offset)| *v -= offset);
+        }
+    }
+
+    /// Learns from a frame from which the zero is already subtracted, V: the mean of the last `averaged`
+    /// frames shows no contact. Offsets stay within `most_v`: beyond it, something rests on the skin.
+    pub fn learn(&mut self, frame_v: &[f64], averaged: f64, most_v: f64) {
+        if averaged < SURE_FRAMES {
             return;
         }
-        self.offset_v.resize(frame_v.len(), 0.0);
+        let left_v = of_pairs(frame_v);
+        self.offset_v.resize(left_v.len(), 0.0);
         self.frames = (self.frames + 1.0).min(FOLLOWS);
         let share = 1.0 / (self.frames + SURE_FRAMES);
-        self.offset_v.iter_mut().zip(frame_v).for_each(|(offset, v)| *offset += share * v);
+        for (offset, v) in self.offset_v.iter_mut().zip(left_v) {
+            *offset = (*offset + share * v).clamp(-most_v, most_v);
+        }
     }
+}
+
+/// Mean of each pair of electrodes over the injections, V.
+pub(super) fn of_pairs(frame_v: &[f64]) -> Vec<f64> {
+    let pairs = frame_v.len().isqrt().max(1);
+    let mut sums = vec![0.0; pairs];
+    for injection in frame_v.chunks_exact(pairs) {
+        sums.iter_mut().zip(injection).for_each(|(sum, v)| *sum += v);
+    }
+    sums.iter_mut().for_each(|sum| *sum /= pairs as f64);
+    sums
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    /// A frame of two pairs with these offsets, V.
+    fn frame(offset_v: f64) -> [f64; 4] {
+        [offset_v, -offset_v, offset_v, -offset_v]
+    }
+
+    fn left(zero: &Zero, mut frame_v: [f64; 4]) -> [f64; 4] {
+        zero.take_off(&mut frame_v);
+        frame_v
+    }
+
     #[test]
-    fn the_zero_follows_untouched_frames_and_no_others() {
+    fn the_zero_follows_means_without_contacts_up_to_a_bound() {
         let mut zero = Zero::default();
-        let read = |zero: &Zero, v: f64| {
-            let mut frame = [v, -v];
-            zero.take_off(&mut frame);
-            frame
-        };
         for _ in 0..1000 {
-            let frame = read(&zero, 1e-3);
-            zero.learn(&frame, 0, 30.0);
+            zero.learn(&left(&zero, frame(1e-3)), 30.0, 2e-3);
         }
-        assert!(read(&zero, 1e-3).iter().all(|v| v.abs() < 1e-4));
+        assert!(zero.left().unwrap() < 0.05);
+        assert!(left(&zero, frame(1e-3)).iter().all(|v| v.abs() < 1e-4));
         let before = zero.clone();
-        zero.learn(&[5e-3, 5e-3], 1, 30.0);
-        zero.learn(&[5e-3, 5e-3], 0, 1.0);
-        assert_eq!(read(&before, 1e-3), read(&zero, 1e-3));
+        zero.learn(&frame(5e-3), 1.0, 2e-3);
+        assert_eq!(left(&before, frame(1e-3)), left(&zero, frame(1e-3)));
+        for _ in 0..1000 {
+            zero.learn(&left(&zero, frame(5e-3)), 30.0, 2e-3);
+        }
+        assert!((left(&zero, frame(5e-3))[0] - 3e-3).abs() < 1e-9, "it is bounded");
+    }
+
+    #[test]
+    fn an_untouched_frame_is_the_zero_of_its_pairs_and_keeps_what_differs_between_injections() {
+        let zero = Zero::of(&frame(2e-3));
+        assert!(zero.left() == Some(0.0) && left(&zero, frame(2e-3)) == [0.0; 4]);
+        let zero = Zero::of(&[1e-3, 0.0, -1e-3, 0.0]);
+        assert_eq!(left(&zero, frame(2e-3)), frame(2e-3));
+        assert_eq!(Zero::default().left(), None);
+        assert_eq!(left(&Zero::default(), frame(2e-3)), frame(2e-3));
     }
 }

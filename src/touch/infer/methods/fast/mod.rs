@@ -7,7 +7,7 @@
 
 use std::sync::Arc;
 
-use super::ReadyMethod;
+use super::{Frames, ReadyMethod};
 use crate::ids::ModelId;
 use crate::infer::answer::{FoundContact, Reading};
 use crate::infer::error::InferError;
@@ -77,10 +77,10 @@ impl PointPipeline {
 }
 
 impl ReadyMethod for PointPipeline {
-    fn read(&self, frames: &[f32], _: f64, _: bool) -> Result<Vec<Reading>, InferError> {
+    fn read(&self, frames: &Frames<'_>, _: bool) -> Result<Vec<Reading>, InferError> {
         let range = &self.model.manifest.model.trained_on;
-        let candidates = self.candidates(frames, SAID)?;
-        let frames = frames.chunks_exact(self.model.plan.channels());
+        let candidates = self.candidates(frames.voltages_v, SAID)?;
+        let frames = frames.voltages_v.chunks_exact(self.model.plan.channels());
         let read = |(frame, mut contacts): (&[f32], Vec<FoundContact>)| {
             contacts.sort_by(|a, b| {
                 b.force_n.partial_cmp(&a.force_n).unwrap_or(std::cmp::Ordering::Equal)

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use sim_core::forward::ForwardModel;
 use sim_core::inverse::linear::{OneStep, Penalty, PointSlopes, Regularisation};
 
-use super::{ReadyMethod, UsedSkin};
+use super::{Frames, ReadyMethod, UsedSkin};
 use crate::dataset::force_map::ForceMap;
 use crate::ids::CalibrationId;
 use crate::infer::answer::Reading;
@@ -63,9 +63,9 @@ impl OneStepPipeline {
 }
 
 impl ReadyMethod for OneStepPipeline {
-    fn read(&self, frames: &[f32], _: f64, with_map: bool) -> Result<Vec<Reading>, InferError> {
+    fn read(&self, frames: &Frames<'_>, with_map: bool) -> Result<Vec<Reading>, InferError> {
         let mut readings = Vec::new();
-        for frame in frames.chunks_exact(self.offset_v.len()) {
+        for frame in frames.voltages_v.chunks_exact(self.offset_v.len()) {
             let frame = frame.iter().zip(&self.offset_v).map(|(v, offset)| f64::from(*v) - offset);
             let forces = self.step.solve(&frame.collect::<Vec<_>>(), Penalty::Gcv)?.forces_n;
             let pressed = self.points_mm.iter().zip(forces).filter(|(_, n)| *n > 0.0);

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use super::ReadyMethod;
+use super::{Frames, ReadyMethod};
 use crate::dataset::force_map::{ForceMap, ForceMapSpec};
 use crate::infer::answer::Reading;
 use crate::infer::error::InferError;
@@ -103,10 +103,10 @@ impl MapPipeline {
 }
 
 impl ReadyMethod for MapPipeline {
-    fn read(&self, frames: &[f32], _: f64, with_map: bool) -> Result<Vec<Reading>, InferError> {
+    fn read(&self, frames: &Frames<'_>, with_map: bool) -> Result<Vec<Reading>, InferError> {
         let mut readings = Vec::new();
         let first = self.transfer.as_ref().unwrap_or(&self.map);
-        for frames in frames.chunks(FRAMES_AT_ONCE * first.plan.channels()) {
+        for frames in frames.voltages_v.chunks(FRAMES_AT_ONCE * first.plan.channels()) {
             readings.extend(self.read_some(frames, with_map)?);
         }
         Ok(readings)

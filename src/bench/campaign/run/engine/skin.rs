@@ -1,0 +1,131 @@
+//! The empty skin of a manual run: tared by a person, then followed while the run waits for placements.
+//! Uses: `trial::untouched`. Never: motion, the load cells.
+
+use std::future::pending;
+use std::sync::Arc;
+
+use tokio::sync::oneshot;
+
+use super::Engine;
+use crate::campaign::run::run_state::PausedWhy;
+use crate::campaign::shown::command::Refusal;
+use crate::campaign::trial::rest::Window;
+use crate::campaign::trial::untouched::{FRAMES, Seen, UntouchedSkin};
+use crate::clock::Clock;
+use crate::record::Untouched;
+use crate::rig::error::RigError;
+use crate::rig::traits::SkinReader;
+
+/// Windows in which a skin that is tared must come to rest.
+const TARE_WINDOWS: u32 = 4;
+/// Pause after frames that did not arrive, process s.
+const PAUSE_S: f64 = 1.0;
+
+type Answer = oneshot::Sender<Result<(), Refusal>>;
+
+/// What is known of the empty skin.
+#[derive(Debug, Default)]
+pub(super) enum EmptySkin {
+    /// Nothing.
+    #[default]
+    Unknown,
+    /// A person states that it is empty; it must come to rest.
+    Tared { answer: Answer, before: Option<Window>, windows: u32 },
+    /// It is followed.
+    Followed(UntouchedSkin),
+}
+
+/// What the next window is read from.
+pub(super) type SkinWires = (Arc<dyn SkinReader>, Clock);
+
+/// Takes the next window; never returns without wires.
+pub(super) async fn next_window(wires: Option<SkinWires>) -> Result<Seen, RigError> {
+    let Some((skin, clock)) = wires else { return pending().await };
+    let seen = Seen::next(&skin, &clock).await;
+    if seen.is_err() {
+        clock.sleep(PAUSE_S).await;
+    }
+    seen
+}
+
+impl Engine {
+    /// The wires of the next window, if the empty skin is watched: while the run waits for a placement.
+    pub(super) fn watched_skin(&self) -> Option<SkinWires> {
+        let waits = self.control.run().why() == Some(PausedWhy::ManualTrial);
+        let is_watched = waits && !matches!(self.empty_skin, EmptySkin::Unknown);
+        let connection = self.connection.as_ref().filter(|_| is_watched)?;
+        Some((connection.skin.clone(), connection.clock.clone()))
+    }
+
+    /// A person states that nothing touches the skin; answered once it is at rest.
+    pub(super) fn tare_skin(&mut self, answer: Answer) {
+        let refusal = match (&self.connection, self.control.run().why()) {
+            (None, _) => super::no_wires(),
+            (Some(_), Some(PausedWhy::ManualTrial)) => {
+                self.empty_skin = EmptySkin::Tared { answer, before: None, windows: 0 };
+                return;
+            }
+            (Some(_), _) => {
+                Refusal::State("tare is not possible: the run awaits no placement".into())
+            }
+        };
+        // A person who no longer waits needs no answer.
+        let _ = answer.send(Err(refusal));
+    }
+
+    /// Takes in the next window of the watched skin.
+    pub(super) fn saw(&mut self, seen: Result<Seen, RigError>) {
+        match (std::mem::take(&mut self.empty_skin), seen) {
+            (EmptySkin::Tared { answer, before, windows }, Ok(seen)) => {
+                if before.is_some_and(|before| seen.window.rests_after(&before)) {
+                    self.record_untouched(&seen);
+                    self.empty_skin = EmptySkin::Followed(UntouchedSkin::tared(seen));
+                    let _ = answer.send(Ok(()));
+                } else if windows < TARE_WINDOWS {
+                    let (before, windows) = (Some(seen.window), windows + 1);
+                    self.empty_skin = EmptySkin::Tared { answer, before, windows };
+                } else {
+                    let words =
+                        "tare is not possible: the skin is not at rest; take everything off it";
+                    let _ = answer.send(Err(Refusal::State(words.into())));
+                }
+            }
+            (EmptySkin::Tared { answer, .. }, Err(error)) => {
+                let words = format!("tare is not possible: {error}");
+                let _ = answer.send(Err(Refusal::State(words)));
+            }
+            (EmptySkin::Followed(mut skin), Ok(seen)) => {
+                let found = skin.push(seen);
+                self.empty_skin = EmptySkin::Followed(skin);
+                found.iter().for_each(|found| self.record_untouched(found));
+            }
+            (kept, _) => self.empty_skin = kept,
+        }
+    }
+
+    /// A person has confirmed that weights are on the skin.
+    pub(super) fn weights_are_placed(&mut self) {
+        match &mut self.empty_skin {
+            EmptySkin::Unknown => {}
+            EmptySkin::Tared { .. } => {
+                if let EmptySkin::Tared { answer, .. } = std::mem::take(&mut self.empty_skin) {
+                    let words = "tare is not possible: a placement was confirmed meanwhile";
+                    let _ = answer.send(Err(Refusal::State(words.into())));
+                }
+            }
+            EmptySkin::Followed(skin) => {
+                let found = skin.touched();
+                found.iter().for_each(|found| self.record_untouched(found));
+            }
+        }
+    }
+
+    fn record_untouched(&self, seen: &Seen) {
+        self.control.untouched(Untouched {
+            voltages_v: seen.window.mean_v.iter().map(|v| *v as f32).collect(),
+            at: seen.at,
+            frames: FRAMES,
+            run: self.control.run_uid(),
+        });
+    }
+}
