@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 use std::time::Duration;
 
 use serde_json::{Value, json};
@@ -22,6 +23,12 @@ const FOUR: &str = "name = 'weights'\nseed = 2\nsensor = 's'\n[real_random]\ncon
 
 /// A skin that is as its nominal model says, except for noise: what a calibrated one is to its model.
 fn gap_free() -> PathBuf {
+    static WRITTEN: LazyLock<PathBuf> = LazyLock::new(write_gap_free);
+    WRITTEN.clone()
+}
+
+/// Tests run at the same time: one of them writes the file.
+fn write_gap_free() -> PathBuf {
     let text = std::fs::read_to_string(file("gaps/gap-a.toml")).unwrap();
     let line = |line: &str| {
         let key = line.split(" = ").next().unwrap().to_owned();

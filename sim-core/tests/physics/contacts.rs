@@ -244,6 +244,37 @@ fn bad_frames_and_settings_are_refused_by_name() {
 }
 
 #[test]
+fn offsets_move_light_contacts_and_standard_deviations_state_it() {
+    let load = [press(330, 8.0)];
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let mut work = FitWork::default();
+    let (draws, drift_v) = (30, 3e-4);
+    // Mean squared error of a position, in variances: offsets unknown to the fit, and known.
+    let mut squares = [0.0; 2];
+    for _ in 0..draws {
+        let buffers_v: Vec<f64> =
+            (0..28).map(|_| drift_v / 2f64.sqrt() * normal(&mut rng)).collect();
+        let mut frame_v = measured(&load, 30.0, &mut rng);
+        for (i, v) in frame_v.iter_mut().enumerate() {
+            *v += buffers_v[i % 28] - buffers_v[(i + 1) % 28];
+        }
+        for (square, offset_sd_v) in squares.iter_mut().zip([0.0, drift_v]) {
+            let observation = Observation { frame_v: &frame_v, frames: 30.0, offset_sd_v };
+            let fit = fitter().refine(&observation, &load, &mut work).unwrap();
+            let found = nearest(&fit, &load[0]);
+            *square += ((found.contact.x_mm - load[0].x_mm) / found.x_sd_mm).powi(2) / 2.0;
+            *square += ((found.contact.y_mm - load[0].y_mm) / found.y_sd_mm).powi(2) / 2.0;
+        }
+    }
+    let [unknown, known] = squares.map(|square| square / f64::from(draws));
+    println!("offsets of {drift_v} V: {unknown:.1} variances if unknown, {known:.2} if known");
+    assert!(unknown > 4.0 && (0.2..2.5).contains(&known), "{unknown} {known}");
+    let observation = Observation { frame_v: &frame(&load), frames: 1.0, offset_sd_v: -1.0 };
+    let refused = fitter().fit(&observation, &[], &mut work);
+    assert!(matches!(refused, Err(FitError::Offset { .. })));
+}
+
+#[test]
 fn the_models_error_is_learnt_from_pairs() {
     // Errors of 5 % along one direction and 2 % spread over all channels.
     let mut rng = ChaCha8Rng::seed_from_u64(8);
@@ -264,7 +295,12 @@ fn the_models_error_is_learnt_from_pairs() {
         .collect();
     let pairs: Vec<FramePair<'_>> = pairs
         .iter()
-        .map(|[measured_v, modelled_v]| FramePair { measured_v, modelled_v, frames: 4.0 })
+        .map(|[measured_v, modelled_v]| FramePair {
+            measured_v,
+            modelled_v,
+            frames: 4.0,
+            offset_sd_v: 0.0,
+        })
         .collect();
     let white = ErrorModel::white(CHANNELS, NOISE_V).unwrap();
     let learnt = white.clone().with_pairs(&pairs, 3).unwrap();

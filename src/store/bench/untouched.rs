@@ -134,9 +134,10 @@ fn last_before(
     last.push(") wanted CROSS JOIN trials t ON t.id = wanted.value");
     let all = last.rows(connection, operation, |c| {
         let (trial, skin): (i64, Option<i64>) = (c.get("trial")?, c.get("skin")?);
-        Ok((TrialId(trial), skin, c.time("started_at")?))
+        // An imported trial may state no time.
+        Ok((TrialId(trial), skin, c.time_or_none("started_at")?))
     })?;
-    Ok(all.into_iter().filter_map(|(trial, skin, at)| Some((trial, skin?, at))).collect())
+    Ok(all.into_iter().filter_map(|(trial, skin, at)| Some((trial, skin?, at?))).collect())
 }
 
 /// The frame of a row.

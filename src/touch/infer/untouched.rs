@@ -3,6 +3,7 @@
 //! Never: a trial's frame.
 
 use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 
 use super::methods::UntouchedBefore;
 use super::methods::exact::scatter_v;
@@ -46,7 +47,12 @@ impl Tared {
     /// The untouched skin before frames that are `wall_s` younger.
     pub fn before(self, skin: &Untouched, wall_s: f64) -> UntouchedBefore {
         let hours = (self.clock_rate * wall_s / 3600.0).max(0.0);
-        UntouchedBefore { voltages_v: skin.voltages_v.clone(), hours, scatter_v: self.scatter_v }
+        UntouchedBefore {
+            voltages_v: skin.voltages_v.clone(),
+            frames: skin.frames.max(1) as f64,
+            hours,
+            scatter_v: self.scatter_v,
+        }
     }
 }
 
@@ -59,8 +65,8 @@ impl UntouchedSkins {
         let before = store.untouched_before(trials).await?;
         let mut runs = HashMap::new();
         for run in before.values().filter_map(|before| before.skin.run) {
-            if !runs.contains_key(&run) {
-                runs.insert(run, Tared::of_run(store, run).await?);
+            if let Entry::Vacant(unread) = runs.entry(run) {
+                unread.insert(Tared::of_run(store, run).await?);
             }
         }
         Ok(Self { before, runs })

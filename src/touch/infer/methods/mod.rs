@@ -267,6 +267,8 @@ impl<'a> Frames<'a> {
 pub struct UntouchedBefore {
     /// Mean voltages, V, injection-major.
     pub voltages_v: Vec<f32>,
+    /// Number of frames that it is the mean of, >= 1.
+    pub frames: f64,
     /// Process time from it to the frames, h, >= 0.
     pub hours: f64,
     /// Standard deviation of the offset of a pair of electrodes between two such frames of its run, V;

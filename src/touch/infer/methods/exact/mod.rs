@@ -237,7 +237,7 @@ impl ExactSkin {
             let mut work = FitWork::default();
             let one = |trial: &&KnownTrial| {
                 let mut frame_v = Vec::new();
-                let untouched = trial.untouched.as_ref();
+                let untouched = self.better(trial.untouched.as_ref());
                 self.take_offsets(&trial.frame_v, untouched, &mut frame_v);
                 let observation = self.observation(&frame_v, trial.frames, untouched);
                 let fit = self.fitter.refine(&observation, &trial.contacts, &mut work)?;
@@ -271,7 +271,7 @@ impl ExactSkin {
         for (trial, (measured_v, fit)) in known.iter().zip(fits) {
             let refined: Vec<Contact> = fit.contacts.iter().map(|found| found.contact).collect();
             let modelled_v = model.voltages(&refined, &mut forward).map_err(FitError::from)?;
-            let offset_sd_v = self.errors.drift.after_v(trial.untouched.as_ref());
+            let offset_sd_v = self.offset_sd_v(self.better(trial.untouched.as_ref()));
             frames.push((measured_v, modelled_v.to_vec(), trial.frames, offset_sd_v));
         }
         let pairs: Vec<FramePair<'_>> = frames
@@ -304,6 +304,24 @@ impl ExactSkin {
     /// Number of voltages in a frame.
     pub fn channels(&self) -> usize {
         self.offset_v.len()
+    }
+
+    /// The untouched skin, if it gives better offsets than the calibration.
+    fn better<'a>(&self, untouched: Option<&'a UntouchedBefore>) -> Option<&'a UntouchedBefore> {
+        let fits = |skin: &&UntouchedBefore| skin.voltages_v.len() == self.channels();
+        let day_sd_v = self.errors.drift.day_sd_v;
+        let is_better = |skin: &&UntouchedBefore| {
+            day_sd_v.is_none_or(|day_sd_v| self.offset_sd_v(Some(skin)) < day_sd_v)
+        };
+        untouched.filter(fits).filter(is_better)
+    }
+
+    /// Standard deviation of what is left of an offset, V: at least the noise of the untouched frame.
+    fn offset_sd_v(&self, untouched: Option<&UntouchedBefore>) -> f64 {
+        let pairs = self.channels().isqrt() as f64;
+        let noise_v =
+            |skin: &UntouchedBefore| self.errors.noise_sd_v / (pairs * skin.frames).sqrt();
+        self.errors.drift.after_v(untouched).max(untouched.map_or(0.0, noise_v))
     }
 
     /// Warns of offsets that may have drifted by more than the noise of a mean of `frames` frames.
@@ -369,7 +387,7 @@ impl ExactSkin {
         frames: f64,
         untouched: Option<&UntouchedBefore>,
     ) -> Observation<'a> {
-        let offset_sd_v = self.errors.drift.after_v(untouched);
+        let offset_sd_v = self.offset_sd_v(untouched);
         Observation { frame_v, frames, offset_sd_v }
     }
 }
@@ -404,7 +422,7 @@ impl ReadyMethod for ExactPipeline {
 
     fn read(&self, frames: &Frames<'_>, _: bool) -> Result<Vec<Reading>, InferError> {
         let Frames { voltages_v, averaged, untouched } = *frames;
-        let untouched = untouched.filter(|skin| skin.voltages_v.len() == self.skin.channels());
+        let untouched = self.skin.better(untouched);
         let (mut work, mut frame_v) = (FitWork::default(), Vec::new());
         let mut readings = Vec::new();
         for frame in voltages_v.chunks_exact(self.skin.channels()) {
@@ -412,7 +430,7 @@ impl ReadyMethod for ExactPipeline {
             let observation = self.skin.observation(&frame_v, averaged, untouched);
             let proposals = self.proposals(&frame_v)?;
             let fit = self.skin.fitter.fit(&observation, &proposals, &mut work)?;
-            readings.push(self.skin.reading(&fit, untouched.is_some(), averaged));
+            readings.push(self.skin.reading(&fit, frames.untouched.is_some(), averaged));
         }
         Ok(readings)
     }

@@ -35,8 +35,8 @@ pub fn scatter_v(frames: &[&[f32]]) -> Option<f64> {
 /// What the offset of a pair of electrodes differs by from the one that is subtracted.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct Drift {
-    /// Standard deviation a day after the calibration, V.
-    day_sd_v: f64,
+    /// Standard deviation a day after the calibration, V; absent if it is unknown.
+    pub(super) day_sd_v: Option<f64>,
     /// Standard deviation just after a frame of the untouched skin, V.
     tared_sd_v: f64,
 }
@@ -45,8 +45,8 @@ impl Drift {
     /// Standard deviation of an offset, V: with a share of a day's drift since the untouched skin was
     /// measured, or with the offsets of the calibration.
     pub(super) fn sd_v(self, share_of_day: Option<f64>) -> f64 {
-        share_of_day
-            .map_or(self.day_sd_v, |share| self.tared_sd_v.hypot(share.max(0.0) * self.day_sd_v))
+        let day_sd_v = self.day_sd_v.unwrap_or(0.0);
+        share_of_day.map_or(day_sd_v, |share| self.tared_sd_v.hypot(share.max(0.0) * day_sd_v))
     }
 
     /// Standard deviation of an offset of frames before which the untouched skin was measured, or was not, V.
@@ -122,15 +122,15 @@ impl Untouched {
 
     /// Standard deviation, V, of what the offset of a pair of electrodes differs from the stated one a day
     /// after the run. Offsets belong to the buffers of the electrodes, so the mean over the injections has
-    /// them. The difference over the run is taken as a random walk: its variance grows with time. 0 with
-    /// too few frames.
-    fn day_sd_v(&self, offset_v: &[f64]) -> f64 {
+    /// them. The difference over the run is taken as a random walk: its variance grows with time. None
+    /// with too few frames.
+    fn day_sd_v(&self, offset_v: &[f64]) -> Option<f64> {
         let pairs = offset_v.len().isqrt().max(1);
         let of_pair = |frame: &Vec<f32>, pair: usize| -> f64 {
             let channels = (pair..offset_v.len()).step_by(pairs);
             channels.map(|c| f64::from(frame[c]) - offset_v[c]).sum::<f64>() / pairs as f64
         };
-        let Some(count) = self.part() else { return 0.0 };
+        let count = self.part()?;
         let (mut means, mut noise_v2) = (Vec::with_capacity(PARTS), 0.0);
         for part in self.frames_v.chunks_exact(count).take(PARTS) {
             let mean = |pair| part.iter().map(|f| of_pair(f, pair)).sum::<f64>() / count as f64;
@@ -151,7 +151,7 @@ impl Untouched {
         let change_v2 = mean_square(&mut ends.map(|(a, b)| a - b), pairs) - 2.0 * noise_v2;
         let between_hours = self.hours * (1.0 - 1.0 / PARTS as f64);
         let growth = if self.hours >= LEAST_HOURS { AGE_HOURS / between_hours } else { 1.0 };
-        (in_run_v2.max(0.0) + growth * change_v2.max(0.0)).sqrt()
+        Some((in_run_v2.max(0.0) + growth * change_v2.max(0.0)).sqrt())
     }
 }
 
@@ -176,7 +176,8 @@ mod tests {
     fn a_drift_is_told_from_noise_and_extrapolated_to_a_day() {
         let untouched =
             |frames_v, hours| Untouched { frames_v, averaged: 2.0, hours, ..Untouched::default() };
-        let sd_mv = |frames_v, hours| 1e3 * untouched(frames_v, hours).day_sd_v(&[0.0; 16]);
+        let day_sd_v = |frames_v, hours| untouched(frames_v, hours).day_sd_v(&[0.0; 16]);
+        let sd_mv = |frames_v, hours| 1e3 * day_sd_v(frames_v, hours).unwrap();
         let noise = untouched(frames(1e-3, 1e-3), 12.0).noise_sd_v().unwrap();
         assert!((1e3 * noise / 2f64.sqrt() - 1.0).abs() < 0.03, "{noise}");
         assert_eq!(untouched(frames(0.0, 1e-3)[..30].to_vec(), 12.0).noise_sd_v(), None);
@@ -186,7 +187,7 @@ mod tests {
         assert!((day - 1.37).abs() < 0.05, "{day}");
         let short = sd_mv(frames(1e-3, 1e-4), 0.5);
         assert!((short - 0.94).abs() < 0.05, "{short}");
-        assert_eq!(sd_mv(frames(1e-3, 1e-4)[..30].to_vec(), 12.0), 0.0);
+        assert_eq!(day_sd_v(frames(1e-3, 1e-4)[..30].to_vec(), 12.0), None);
     }
 
     #[test]
@@ -204,6 +205,13 @@ mod tests {
         assert!((sd_mv(Some(0.5)) - 0.5 * sd_mv(None)).abs() < 0.01);
         let without = Untouched { tared_v: vec![Vec::new(); 300], ..run };
         let drift = without.drift(&[0.0; 16]);
+        let before = |scatter_v| {
+            let (voltages_v, frames, hours) = (Vec::new(), 4.0, 0.0);
+            UntouchedBefore { voltages_v, frames, hours, scatter_v }
+        };
+        assert_eq!(drift.after_v(Some(&before(Some(2e-3)))), 2e-3);
+        assert_eq!(drift.after_v(Some(&before(None))), drift.sd_v(Some(0.0)));
+        assert_eq!(Untouched::default().drift(&[0.0; 16]).sd_v(None), 0.0);
         // That of a mean of four frames.
         assert!((1e3 * drift.sd_v(Some(0.0)) - 0.025).abs() < 0.005, "{drift:?}");
     }
