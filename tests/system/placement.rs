@@ -256,9 +256,12 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
         .filter(|e| e["kind"] == "placed")
         .map(|e| (e["data"]["trial"].as_u64().unwrap(), e["data"]["verdict"].clone()))
         .collect();
-    let kinds = ["right", "wrong", "right", "right", "right", "right"].map(|kind| json!(kind));
-    let expected: Vec<_> = [0, 1, 1, 0, 2, 3].into_iter().zip(kinds).collect();
-    assert_eq!(placed, expected);
+    let trials: Vec<u64> = placed.iter().map(|(trial, _)| *trial).collect();
+    assert_eq!(trials, [0, 1, 1, 0, 2, 3]);
+    assert_eq!((&placed[0].1, &placed[1].1), (&json!("right"), &json!("wrong")), "{placed:?}");
+    // Those that nobody waited for may be within their standard deviations.
+    let fits = |(_, kind): &(u64, Value)| *kind == "right" || *kind == "unsure";
+    assert!(placed[2..].iter().all(fits), "{placed:?}");
     assert_eq!(lab.post("/api/v1/placement", json!({})).await.0, 405);
     lab.close().await;
 }
