@@ -435,3 +435,37 @@ fn a_gap_file_with_the_table_laminate_is_a_skin_of_other_physics() {
     let error = AnyMechanics::new(&sensor(), &GapFile::from_toml(&zero).unwrap(), 1).unwrap_err();
     assert!(error.to_string().contains("cover.loft_mm = 0: must be a number > 0"), "{error}");
 }
+
+/// Frames of one tip of 9.81 N: a skin of another physics has a conductance of its own, whose scale is
+/// set so that they are as large as by the paper's Eq. 1, the only figures of a real skin that there are.
+#[test]
+fn the_signal_of_other_physics_is_that_of_eq_1_at_one_weight() {
+    let responses = std::sync::Arc::clone(skin().model().responses());
+    let nominal = ForwardModel::new(&sensor(), responses).unwrap();
+    let mut work = Workspace::default();
+    let places = sensor().points().iter().step_by(16).map(|p| [p.x_mm, p.y_mm]).collect::<Vec<_>>();
+    let size_mv = |frame: &[f64]| 1e3 * (frame.iter().map(|v| v * v).sum::<f64>() / 784.0).sqrt();
+    let median = |sizes: Vec<f64>| upper_quantile(&sorted(sizes.into_iter()), 0.5).unwrap();
+    for name in ["gap-c", "gap-d"] {
+        let text = std::fs::read_to_string(format!("../experiments/gaps/{name}.toml")).unwrap();
+        let skin = AnySkin::new(sensor(), GapFile::from_toml(&text).unwrap(), 5, None).unwrap();
+        let rest = skin.solve(&[]).unwrap();
+        let mut sizes = |force_n: f64| {
+            let (mut theirs, mut ours) = (Vec::new(), Vec::new());
+            for &[x_mm, y_mm] in &places {
+                let load = TipLoad { arm: 0, x_mm, y_mm, force_n, stroke: Stroke::Loading };
+                let held = skin.solve(&[load]).unwrap();
+                theirs.push(size_mv(&held.iter().zip(&rest).map(|(a, b)| a - b).collect::<Vec<_>>()));
+                let contact = Contact { x_mm, y_mm, force_n };
+                ours.push(size_mv(nominal.voltages(&[contact], &mut work).unwrap()));
+            }
+            [median(theirs), median(ours)]
+        };
+        for force_n in [4.905, 20.0, 40.0] {
+            println!("{name}, {force_n} N: {:.2?} mV, that of Eq. 1", sizes(force_n));
+        }
+        let [theirs, ours] = sizes(9.81);
+        println!("{name}, 9.81 N: {theirs:.2} mV, {ours:.2} by Eq. 1");
+        assert!((theirs / ours - 1.0).abs() < 0.05, "{name}: {theirs} mV, {ours} by Eq. 1");
+    }
+}
