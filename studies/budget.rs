@@ -128,8 +128,9 @@ impl Budget {
             stem: format!("{stem}-{}", self.scale.name()),
             dataset: Some(dataset.into()),
             conditions: conditions.to_vec(),
+            answers: None,
             map: None,
-            epochs: self.epochs.unwrap_or(epochs),
+            epochs: Some(self.epochs.unwrap_or(epochs)),
             rows: self.rows.or(rows),
             batch: None,
             noise: None,
@@ -146,8 +147,9 @@ impl Budget {
             stem: format!("{recipe}-{map}-{percent:.0}-{}", self.scale.name()),
             dataset: None,
             conditions: Vec::new(),
+            answers: None,
             map: Some(map),
-            epochs: self.epochs.unwrap_or(epochs),
+            epochs: Some(self.epochs.unwrap_or(epochs)),
             rows: self.rows.or(rows),
             batch,
             noise,
@@ -170,6 +172,7 @@ impl Budget {
             transfer: None,
             map: None,
             points: None,
+            net: None,
             skin: None,
             frames: FramesRead::default(),
             offsets: OffsetsRead::default(),
@@ -237,7 +240,7 @@ mod tests {
     fn a_change_replaces_the_value_of_the_scale() {
         let changed = Budget { epochs: Some(3), rows: Some(50), scored: Some(7), ..small() };
         let training = changed.transfer_to_6();
-        assert_eq!((training.epochs, training.rows), (3, Some(50)));
+        assert_eq!((training.epochs, training.rows), (Some(3), Some(50)));
         assert_eq!(changed.request(Method::Exact, "real", None).limit, Some(7));
         assert_eq!(small().request(Method::Exact, "real", None).limit, Some(2_000));
         assert!(changed.caption("virtual").contains("3 epochs of up to 50 rows"));

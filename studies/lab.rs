@@ -8,6 +8,7 @@ use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
 use crate::ids::ModelId;
 use crate::infer::answer::Reading;
 use crate::learn::residuals::Residuals;
+use crate::learn::targets::Quantity;
 use crate::store::Contact;
 
 /// Where nets are trained and methods are scored. A lab reports the progress of its work; a study
@@ -86,10 +87,12 @@ pub struct Training {
     pub dataset: Option<String>,
     /// Conditions on its rows, each `COLUMN__lte=VALUE`.
     pub conditions: Vec<String>,
+    /// Quantity that the net answers, if it answers one.
+    pub answers: Option<Quantity>,
     /// The force maps that the net draws.
     pub map: Option<ForceMapSpec>,
-    /// Number of passes over the data.
-    pub epochs: i64,
+    /// Number of passes over the data; that of the recipe if absent.
+    pub epochs: Option<i64>,
     /// Largest number of rows; all if absent.
     pub rows: Option<i64>,
     /// Number of samples in a batch; that of the recipe if absent.

@@ -6,6 +6,7 @@ use crate::initial::Initial;
 use crate::input::Input;
 use crate::loss::Loss;
 use crate::network::Network;
+use crate::quantity::Quantity;
 use crate::statistics::Statistics;
 
 /// Frames that a net reads.
@@ -29,15 +30,30 @@ pub enum Answer {
     },
     /// Logit of presence and `ln` of the force, N, at each point; the target is the force.
     Points,
+    /// Few numbers for a whole frame.
+    Quantity(Quantity),
+}
+
+/// A net that is fitted in closed form, not by steps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ClosedForm {
+    /// Ridge regression.
+    Ridge,
+    /// Kernel ridge regression.
+    KernelRidge {
+        /// Largest number of centres.
+        centres: usize,
+    },
 }
 
 impl Answer {
-    /// Length of a target.
+    /// Length of a target; `points`: the number of points of the sensor, or of known places.
     pub fn target_len(self, channels: usize, points: usize) -> usize {
         match self {
             Self::Frame => channels,
             Self::Map { side } => side * side,
             Self::Points => points,
+            Self::Quantity(quantity) => quantity.len(points),
         }
     }
 }
@@ -61,4 +77,9 @@ pub trait Architecture {
 
     /// The net before the first step; `target` is the length of a target.
     fn first(&self, statistics: &Statistics, target: usize, initial: &mut Initial) -> Network;
+
+    /// How it is fitted in closed form; `None`: it is trained by steps.
+    fn closed_form(&self) -> Option<ClosedForm> {
+        None
+    }
 }

@@ -94,6 +94,9 @@ pub enum TrainError {
         /// Number of the batch, from 0.
         batch: u64,
     },
+    /// A closed-form fit has no solution.
+    #[error("training: the fit has no solution: its rows are all alike, or have no finite numbers")]
+    Singular,
     /// The trainer was not built for a device.
     #[error(
         "training: the trainer was not built for {0}: `cargo install --path trainer --features {0}`"

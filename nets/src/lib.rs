@@ -1,5 +1,5 @@
-//! Palpate's nets (paper V) as plain numbers: Transfer-Net, Recon-Net, the end-to-end net, Point-Net;
-//! their recipes, samples and checkpoints, and what a training reports. The trainer computes.
+//! Palpate's nets (paper V) as plain numbers: Transfer-Net, Recon-Net, the end-to-end net, Point-Net, and
+//! those of other skins (perceptron, ridge and kernel ridge regression); their recipes, samples and checkpoints, and what a training reports. The trainer computes.
 //! Uses: sim-core, to simulate trials while Point-Net trains. Never: tensors, the store, datasets'
 //! files, HTTP.
 //!
@@ -9,6 +9,7 @@
 // Shared parts: what a net is made of, and what describes it.
 pub mod error;
 mod chance;
+pub mod quantity;
 pub mod samples;
 pub mod network;
 pub mod initial;
@@ -22,6 +23,8 @@ pub mod architecture;
 pub mod transfer;
 pub mod recon;
 pub mod points;
+pub mod mlp;
+pub mod ridge;
 pub mod net;
 
 // Of every training.

@@ -13,6 +13,9 @@ pub enum Loss {
     },
     /// `|p - y|^2 / |y|^2`: light touches count as much as heavy ones.
     Relative,
+    /// Targets are 1 at the pressed places, 0 at others; answers are logits. Binary cross entropy, mean
+    /// over places.
+    Presence,
     /// Targets are the force at each point, N, 0 without contact. Binary cross entropy of presence
     /// summed over points, and the weighted squared error of `ln` force summed over the pressed points.
     PresenceAndForce {
@@ -26,7 +29,7 @@ impl Loss {
     pub fn in_units(self, minimised: f64) -> f64 {
         match self {
             Self::MeanSquare { unit } => minimised * f64::from(unit).powi(2),
-            Self::Relative | Self::PresenceAndForce { .. } => minimised,
+            Self::Relative | Self::Presence | Self::PresenceAndForce { .. } => minimised,
         }
     }
 }

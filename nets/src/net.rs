@@ -5,11 +5,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::architecture::{Answer, Architecture, Frames};
 use crate::input::Input;
+use crate::mlp::Mlp;
 use crate::points::PointNet;
 use crate::recon::ReconNet;
+use crate::ridge::{KernelRidge, Ridge};
 use crate::transfer::TransferNet;
 
-/// The nets of the paper (V), and Point-Net.
+/// The nets of the paper (V), Point-Net, and those that answer a quantity.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
 pub enum Net {
@@ -21,6 +23,12 @@ pub enum Net {
     EndToEnd(ReconNet),
     /// Voltages to presence and force at each point.
     PointNet(PointNet),
+    /// Measured voltages to a quantity.
+    Mlp(Mlp),
+    /// Measured voltages to a quantity, linear.
+    Ridge(Ridge),
+    /// Measured voltages to a quantity, by their likeness to training rows.
+    KernelRidge(KernelRidge),
 }
 
 impl Net {
@@ -31,6 +39,9 @@ impl Net {
             Self::ReconNet(net) => (Frames::Simulated, net),
             Self::EndToEnd(net) => (Frames::Measured, net),
             Self::PointNet(net) => (Frames::Simulated, net),
+            Self::Mlp(net) => (Frames::Measured, net),
+            Self::Ridge(net) => (Frames::Measured, net),
+            Self::KernelRidge(net) => (Frames::Measured, net),
         }
     }
 

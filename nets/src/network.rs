@@ -93,6 +93,15 @@ pub enum Layer {
         /// Standard deviation, per number, > 0.
         sd: Vec<f32>,
     },
+    /// `exp(-gamma |x - c|^2)` for each centre c.
+    Kernel {
+        /// Length of x.
+        inputs: usize,
+        /// Centres, `[centres][inputs]`.
+        centres: Vec<f32>,
+        /// gamma, > 0.
+        gamma: f32,
+    },
     /// `x scale + shift`, one number each for all.
     Scale {
         /// Factor on every number.
@@ -152,6 +161,10 @@ impl Network {
                 Layer::Standardise { mean, sd } => [mean, sd].into_iter().for_each(|x| see(x)),
                 Layer::Scale { scale, shift } => {
                     [scale, shift].into_iter().for_each(|x| see(std::slice::from_mut(x)))
+                }
+                Layer::Kernel { centres, gamma, .. } => {
+                    see(centres);
+                    see(std::slice::from_mut(gamma));
                 }
                 Layer::Relu
                 | Layer::Gelu

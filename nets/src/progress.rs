@@ -58,6 +58,9 @@ pub trait Observer {
     /// Called after every batch, and after each epoch with its validation loss.
     fn see(&mut self, progress: &Progress) -> Flow;
 
+    /// Receives a message on something that does not end the training.
+    fn warn(&mut self, _message: String) {}
+
     /// Receives a requested checkpoint, from which a training of the same plan resumes.
     fn keep(&mut self, checkpoint: Vec<u8>);
 }

@@ -17,9 +17,12 @@ use crate::statistics::Statistics;
 pub struct Recipe {
     /// Seed of the first weights, the order of samples and the noise.
     pub seed: u64,
-    /// Number of passes over the training data; for a stream, over its `len` samples.
+    /// Number of passes over the training data; for a stream, over its `len` samples. Nets that are
+    /// fitted in closed form use neither this nor `batch`.
+    #[serde(default = "one")]
     pub epochs: u32,
     /// Number of samples in a step.
+    #[serde(default = "usual_batch")]
     pub batch: usize,
     /// Number of epochs without a better validation loss after which training ends; `None`: never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -32,6 +35,14 @@ pub struct Recipe {
     /// Noise that is added to the inputs.
     #[serde(default)]
     pub noise: Noise,
+}
+
+fn one() -> u32 {
+    1
+}
+
+fn usual_batch() -> usize {
+    64
 }
 
 impl Recipe {

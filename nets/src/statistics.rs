@@ -3,10 +3,11 @@
 
 use faer::{Mat, Side};
 use rand::RngExt;
+use sim_core::stats::median;
 
 use crate::chance::{Purpose, generator};
 use crate::error::SamplesError;
-use crate::network::NORM_FLOOR_V;
+use crate::network::{Layer, NORM_FLOOR_V};
 use crate::noise::NoiseSource;
 use crate::samples::{Samples, read_finite};
 
@@ -14,14 +15,23 @@ use crate::samples::{Samples, read_finite};
 pub const MEASURED_MAX: u64 = 8192;
 /// Number of samples in memory at a time.
 const CHUNK: usize = 64;
+/// A channel whose standard deviation is below this share of the channels' median is constant: what it
+/// does later says nothing, and would be scaled up without a bound.
+const CONSTANT: f64 = 1e-4;
+/// Standard deviation of a constant channel: its standardised value is zero.
+const NEVER_V: f32 = 1e30;
 
 /// Statistics of the training data.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Statistics {
     /// Mean of each input channel.
     pub mean: Vec<f32>,
-    /// Standard deviation of each input channel; 1 where it is zero.
+    /// Standard deviation of each input channel; huge where a channel is constant, so that it is ignored.
     pub sd: Vec<f32>,
+    /// Mean of each number of a target.
+    pub target_mean: Vec<f32>,
+    /// Standard deviation of each number of a target; 1 where it is zero.
+    pub target_sd: Vec<f32>,
     /// Root mean square of all targets' numbers; 1 where it is zero.
     pub target_size: f32,
     /// From `(v / |v|, ln |v|)` to whitened components and standardised logarithm: weight
@@ -53,22 +63,35 @@ impl Moments {
         self.sum[i] / self.count
     }
 
+    fn spread(&self, i: usize) -> f64 {
+        (self.square[i] / self.count - self.mean(i).powi(2)).max(0.0).sqrt()
+    }
+
     fn sd(&self, i: usize) -> f64 {
-        let sd = (self.square[i] / self.count - self.mean(i).powi(2)).max(0.0).sqrt();
+        let sd = self.spread(i);
         if sd > 0.0 { sd } else { 1.0 }
+    }
+
+    /// Standard deviations of channels; those of constant ones are [`NEVER_V`].
+    fn sds_of_channels(&self) -> Vec<f32> {
+        let sds: Vec<f64> = (0..self.sum.len()).map(|i| self.spread(i)).collect();
+        let least = CONSTANT * median(sds.iter().copied()).unwrap_or(0.0);
+        let of = |&sd: &f64| if sd > least { sd as f32 } else { NEVER_V };
+        sds.iter().map(of).collect()
     }
 }
 
 impl Statistics {
     /// Placeholder without data: determines the shape of networks, and nothing else.
-    pub fn unknown(components: Option<usize>, channels: usize) -> Self {
+    pub fn unknown(components: Option<usize>, channels: usize, target: usize) -> Self {
         let whitening = components.map(|components| {
             let width = components.min(channels) + 1;
             (vec![0.0; width * (channels + 1)], vec![0.0; width])
         });
         let whitening = whitening.unwrap_or_default();
-        let of = |x| vec![x; channels];
-        Self { mean: of(0.0), sd: of(1.0), target_size: 1.0, whitening }
+        let [mean, target_mean] = [channels, target].map(|len| vec![0.0; len]);
+        let [sd, target_sd] = [channels, target].map(|len| vec![1.0; len]);
+        Self { mean, sd, target_mean, target_sd, target_size: 1.0, whitening }
     }
 
     /// Measures up to [`MEASURED_MAX`] samples with the noise of the first epoch: components that
@@ -87,6 +110,7 @@ impl Statistics {
         let mut of_inputs = Moments::new(channels);
         let mut of_logs = Moments::new(1);
         let mut of_targets = Moments::new(1);
+        let mut of_each_target = Moments::new(targets);
         let rows = components.map_or(0, |_| channels);
         let mut products = Mat::<f64>::zeros(rows, rows);
         let mut unit_sum = vec![0.0; channels];
@@ -107,15 +131,20 @@ impl Statistics {
                 }
             }
             y.iter().for_each(|&v| of_targets.add([f64::from(v)].into_iter()));
+            for target in y.chunks_exact(targets) {
+                of_each_target.add(target.iter().map(|&v| f64::from(v)));
+            }
             if products.nrows() > 0 {
                 products += &units * units.transpose();
             }
         }
-        let each = |f: &dyn Fn(usize) -> f64| (0..channels).map(|i| f(i) as f32).collect();
+        let each = |len: usize, f: &dyn Fn(usize) -> f64| (0..len).map(|i| f(i) as f32).collect();
         let size = (of_targets.square[0] / of_targets.count).sqrt();
         let mut statistics = Self {
-            mean: each(&|i| of_inputs.mean(i)),
-            sd: each(&|i| of_inputs.sd(i)),
+            mean: each(channels, &|i| of_inputs.mean(i)),
+            sd: of_inputs.sds_of_channels(),
+            target_mean: each(targets, &|i| of_each_target.mean(i)),
+            target_sd: each(targets, &|i| of_each_target.sd(i)),
             target_size: if size > 0.0 { size as f32 } else { 1.0 },
             whitening: (Vec::new(), Vec::new()),
         };
@@ -129,6 +158,20 @@ impl Statistics {
                 whitening(&covariance, &mean, [of_logs.mean(0), of_logs.sd(0)], components)?;
         }
         Ok(statistics)
+    }
+}
+
+impl Statistics {
+    /// Number of channels that are constant in the training data, and therefore ignored.
+    pub fn constant_channels(&self) -> usize {
+        self.sd.iter().filter(|&&sd| sd == NEVER_V).count()
+    }
+
+    /// The layer `target_sd x + target_mean + shift`, for each number of a target.
+    pub fn in_units_of_targets(&self, shift: f32) -> Layer {
+        let sd: Vec<f32> = self.target_sd.iter().map(|sd| 1.0 / sd).collect();
+        let terms = self.target_mean.iter().zip(&sd);
+        Layer::Standardise { mean: terms.map(|(mean, sd)| -(mean + shift) * sd).collect(), sd }
     }
 }
 

@@ -7,13 +7,15 @@ use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use serde_json::Value;
 
+use super::client::Client;
 use super::error::CliError;
 use super::files::read_input;
 use super::output::{note, say, say_json};
 use super::{At, embed};
-use crate::api::{FrameAnswer, InferOptions, InferRequest, LiveAnswer};
+use crate::api::{FrameAnswer, InferOptions, InferRequest, LiveAnswer, QuantityRequest};
 use crate::infer::answer::FoundContact;
 use crate::infer::methods::Method;
+use crate::infer::quantity::QuantityAnswer;
 use crate::problem::Problem;
 
 /// Number of frames per request.
@@ -25,9 +27,9 @@ pub struct InferArgs {
     /// JSON lines: each an array of voltages, or an object with voltages_v; - for standard input.
     #[arg(value_name = "FILE|-")]
     file: PathBuf,
-    /// Method.
-    #[arg(long, value_parser = methods(Method::served()))]
-    method: Method,
+    /// Method; not for a --model that answers a position, pattern, count or force.
+    #[arg(long, value_parser = methods(Method::served()), required_unless_present = "model")]
+    method: Option<Method>,
     /// Id or name of a model, instead of the serving one.
     #[arg(long, value_name = "MODEL")]
     model: Option<String>,
@@ -75,9 +77,15 @@ pub async fn infer(args: InferArgs) -> Result<(), CliError> {
     let frames = frames(&args.file)?;
     let at = args.at.clone();
     embed::with_server(&at, move |client| async move {
+        let method = match (args.method, &args.model) {
+            (Some(method), _) => method,
+            (None, Some(model)) => return quantities(&client, model, &frames, at.json).await,
+            // clap requires one of them.
+            (None, None) => return Ok(()),
+        };
         for frames in frames.chunks(FRAMES_AT_ONCE) {
             let wish = InferOptions {
-                method: args.method,
+                method,
                 model: args.model.clone(),
                 transfer: args.transfer.clone(),
                 map: args.map,
@@ -96,6 +104,48 @@ pub async fn infer(args: InferArgs) -> Result<(), CliError> {
         Ok(())
     })
     .await
+}
+
+/// Shows the answers of a net that gives a quantity of a whole frame.
+async fn quantities(
+    client: &Client,
+    model: &str,
+    frames: &[Vec<f32>],
+    json: bool,
+) -> Result<(), CliError> {
+    for frames in frames.chunks(FRAMES_AT_ONCE) {
+        let request = QuantityRequest { frames: frames.to_vec() };
+        let path = format!("/api/v1/models/{model}/quantities");
+        let answers: Vec<QuantityAnswer> = client.post(&path, &request).await?;
+        for answer in answers {
+            if json {
+                say_json(&answer);
+            } else {
+                say(quantity_words(&answer));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Formats a quantity for people.
+fn quantity_words(answer: &QuantityAnswer) -> String {
+    let QuantityAnswer { position_mm, pressed_mm, count, force_n, outside } = answer;
+    let position = position_mm.map(|[x, y]| format!("x {x:.1} mm, y {y:.1} mm"));
+    let pressed = pressed_mm.as_ref().map(|places| match places.as_slice() {
+        [] => "no place pressed".to_owned(),
+        places => {
+            let place = |[x, y]: &[f64; 2]| format!("({x:.1}, {y:.1})");
+            format!("pressed at {} mm", places.iter().map(place).collect::<Vec<_>>().join(", "))
+        }
+    });
+    let count = count.map(|count| super::output::counted(count.into(), "contact", "contacts"));
+    let force = force_n.map(|force_n| format!("{force_n:.1} N"));
+    let mut words = [position, pressed, count, force].into_iter().flatten().collect::<String>();
+    for outside in outside {
+        words += &format!("\n  outside the trained range: {outside}");
+    }
+    words
 }
 
 /// Reads the frames of a file, V.

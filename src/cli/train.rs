@@ -4,6 +4,7 @@
 use std::path::Path;
 
 use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use serde_json::{Value, json};
 
 use super::asking::Asking;
@@ -20,6 +21,7 @@ use crate::api::{JobOut, ModelOut};
 use crate::carried::{self, RECIPES};
 use crate::evaluate::losses::{best, read};
 use crate::file_kind::FileKind;
+use crate::learn::targets::Quantity;
 use crate::problem::Problem;
 
 /// Largest side of maps, pixels, that are drawn with fewer layers than a recipe's default: from a
@@ -62,6 +64,9 @@ pub struct Changes {
     /// A condition on its rows, `COLUMN__lte=VALUE`; may be repeated.
     #[arg(long = "where", value_name = "CONDITION")]
     pub conditions: Vec<String>,
+    /// Quantity that it answers: position, pattern, count or force.
+    #[arg(long, value_name = "QUANTITY", value_parser = quantities())]
+    pub answers: Option<Quantity>,
     /// Pixel and diameter of the force maps, mm.
     #[arg(long, value_name = "4x20")]
     pub map: Option<String>,
@@ -86,6 +91,13 @@ pub struct Changes {
     /// Learn all epochs, without early stopping.
     #[arg(long)]
     pub all_epochs: bool,
+}
+
+/// Parser of the name of a quantity.
+pub fn quantities() -> impl TypedValueParser<Value = Quantity> {
+    let named = |name: String| Quantity::ALL.into_iter().find(|quantity| quantity.name() == name);
+    PossibleValuesParser::new(Quantity::ALL.map(Quantity::name))
+        .try_map(move |name| named(name).ok_or("must be the name of a quantity"))
 }
 
 /// Text of a recipe file, or of a carried recipe, with changes.
@@ -139,7 +151,10 @@ impl Changes {
         }
         // The side of the maps follows from their pixels.
         let pixel_mm = self.map.as_ref().and_then(|map| map.split('x').next()?.parse::<f64>().ok());
-        let net = training.get_mut("net").and_then(|net| net.as_table_mut());
+        let mut net = training.get_mut("net").and_then(|net| net.as_table_mut());
+        if let (Some(answers), Some(net)) = (self.answers, &mut net) {
+            net.insert("answers".into(), answers.name().into());
+        }
         if let (Some(pixel_mm), Some(net)) = (pixel_mm, net) {
             let side = (crate::dataset::force_map::SIDE_MM / pixel_mm).round() as i64;
             net.insert("side".into(), side.into());

@@ -62,6 +62,9 @@ pub const RECIPES: &[(&str, &str)] = carried![
     "recon-net",
     "end-to-end",
     "point-net",
+    "mlp",
+    "ridge",
+    "kernel-ridge",
 ];
 
 /// All files, by their folder in `experiments/`.

@@ -22,13 +22,14 @@ pub const CHAPTERS: [(&str, &[&str]); 9] = [
 ];
 
 /// The studies, after what they have in common.
-pub const STUDIES: [&str; 11] = [
+pub const STUDIES: [&str; 12] = [
     "lab",
     "budget",
     "sheet",
     "rows",
     "simulation",
     "method",
+    "quantity",
     "transfer",
     "maps",
     "noise",

@@ -192,6 +192,7 @@ impl Work<'_> {
             channels: facts.channels,
             output_shape: learned.trained.network.output.clone(),
             force_map: self.recipe.map,
+            places_mm: learned.places_mm,
             datasets: from.dataset.into_iter().collect(),
             calibration: from.calibration,
             simulation: from.simulation,

@@ -165,10 +165,20 @@ impl Model {
             Layer::Dense { .. } => biased(x.matmul(p[0].clone()), p),
             Layer::Relu => activation::relu(x),
             Layer::Gelu => activation::gelu(x),
-            Layer::Standardise { .. } => (x - c[0].clone()) / c[1].clone(),
+            Layer::Standardise { .. } => {
+                let like_x =
+                    |t: &Tensor<2>| if x.is_autodiff() { t.clone().autodiff() } else { t.clone() };
+                let [mean, sd] = [&c[0], &c[1]].map(like_x);
+                (x - mean) / sd
+            }
             Layer::Scale { scale, shift } => {
                 let scaled = if *scale == 1.0 { x } else { x.mul_scalar(*scale) };
                 if *shift == 0.0 { scaled } else { scaled.add_scalar(*shift) }
+            }
+            Layer::Kernel { gamma, .. } => {
+                let square = (x.clone() * x.clone()).sum_dim(1);
+                let apart = square + c[1].clone() - x.matmul(c[0].clone()).mul_scalar(2.0);
+                apart.mul_scalar(-*gamma).exp()
             }
             Layer::UnitNorm { floor, log_scale } => {
                 let size = norm(&x, *floor);
@@ -322,6 +332,13 @@ fn matrices(layer: &Layer) -> [Vec<Matrix>; 2] {
             [weights(weight, [taps, *outputs], bias), vec![]]
         }
         Layer::Standardise { mean, sd } => [vec![], vec![row(mean), row(sd)]],
+        Layer::Kernel { inputs, centres, .. } => {
+            let count = centres.len() / (*inputs).max(1);
+            let square = |centre: &[f32]| centre.iter().map(|x| x * x).sum();
+            let squares: Vec<f32> = centres.chunks_exact((*inputs).max(1)).map(square).collect();
+            let centres = (transposed(centres, [count, *inputs]), [*inputs, count]);
+            [vec![], vec![centres, row(&squares)]]
+        }
         Layer::Relu
         | Layer::Gelu
         | Layer::Image { .. }

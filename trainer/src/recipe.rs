@@ -22,8 +22,9 @@ use crate::learn::examples::Examples;
 use crate::learn::model_file::TrainedRange;
 use crate::learn::recipe::Recipe;
 use crate::learn::residuals::Residuals;
+use crate::learn::targets::Targets;
 use crate::learn::task::Answers;
-use crate::rows::{Fixed, FramePairs, FramesAndMaps};
+use crate::rows::{Fixed, FramePairs, FramesAndMaps, FramesAndTargets};
 use crate::train;
 
 /// Largest number of rows on which the residuals of a Transfer-Net are measured.
@@ -61,6 +62,8 @@ pub struct Learned {
     pub range: TrainedRange,
     /// Residuals; only of a Transfer-Net.
     pub residuals: Option<Residuals>,
+    /// Known places, mm; only of a net that answers patterns.
+    pub places_mm: Vec<[f64; 2]>,
 }
 
 /// Trains on a dataset's rows: those of the training part, validated on those of the validation
@@ -93,15 +96,32 @@ pub fn train(
         start: None,
         compute: given.compute,
     };
+    let targets = recipe.task().quantity().map(|quantity| {
+        let contacts = learn.iter().map(|&row| given.examples.contacts(row));
+        Targets::of(quantity, contacts)
+    });
+    let targets = targets.transpose()?;
+    if let Some(targets) = &targets {
+        for (rows, part) in [(&mut learn, "train"), (&mut choose, "validation")] {
+            rows.retain(|&row| targets.of_row(given.examples.contacts(row)).is_some());
+            if rows.is_empty() {
+                let limit =
+                    format!("has no rows in part {part} with a {}", targets.quantity.name());
+                return Err(LearnError::value("dataset", &given.data, &limit));
+            }
+        }
+    }
     let range = given.examples.range(&learn);
-    let [learn, choose] = [learn, choose].map(|rows| samples(recipe, given, rows));
+    let [learn, choose] =
+        [learn, choose].map(|rows| samples(recipe, given, rows, targets.as_ref()));
     let (learn, choose) = (learn?, choose?);
     let trained = train::train(&plan, &*learn, &*choose, checkpoint, observer)?;
     let residuals = match recipe.task().answers() {
         Answers::Frame => Some(residuals(&trained.network, given)?),
-        Answers::Map | Answers::Points => None,
+        Answers::Map | Answers::Points | Answers::Quantity(_) => None,
     };
-    Ok(Learned { trained, range, residuals })
+    let places_mm = targets.map_or_else(Vec::new, |targets| targets.places_mm);
+    Ok(Learned { trained, range, residuals, places_mm })
 }
 
 /// Trains a Point-Net on simulations of this model that are made during training; the model's hash
@@ -148,7 +168,7 @@ pub fn train_on_stream(
         forces_unknown: false,
         max_norm_v: choose.max_norm_v(),
     };
-    Ok(Learned { trained, range, residuals: None })
+    Ok(Learned { trained, range, residuals: None, places_mm: Vec::new() })
 }
 
 /// Keeps at most `most` rows, taken evenly.
@@ -163,8 +183,12 @@ fn samples<'a>(
     recipe: &Recipe,
     given: &Given<'a>,
     rows: Vec<u32>,
+    targets: Option<&Targets>,
 ) -> Result<Box<dyn Samples + 'a>, LearnError> {
     let examples = given.examples;
+    if let Some(targets) = targets {
+        return Ok(Box::new(FramesAndTargets { examples, rows, targets: targets.clone() }));
+    }
     match (recipe.training.net.answer(), recipe.map) {
         (Answer::Frame, _) => Ok(Box::new(FramePairs { examples, rows })),
         (Answer::Map { side }, Some(map)) => {

@@ -7,6 +7,7 @@ use nets::samples::Samples;
 use crate::dataset::force_map::ForceMap;
 use crate::learn::error::LearnError;
 use crate::learn::examples::Examples;
+use crate::learn::targets::Targets;
 use crate::store::Contact;
 
 /// Frames to frames (Transfer-Net): of each row the first gathered column, and the second.
@@ -31,6 +32,17 @@ pub struct FramesAndMaps<'a> {
     /// Force of a contact without a stated force, N: 1 if no contact has one, so that a map
     /// contains positions only.
     pub force_of_unknown_n: Option<f64>,
+}
+
+/// Frames to a quantity: of each row the first gathered column, and the quantity of its contacts.
+#[derive(Debug)]
+pub struct FramesAndTargets<'a> {
+    /// Source of the frames.
+    pub examples: &'a Examples,
+    /// Indices of the rows, each with a target.
+    pub rows: Vec<u32>,
+    /// The quantity.
+    pub targets: Targets,
 }
 
 /// Samples in memory: few, and read again after every epoch.
@@ -172,6 +184,38 @@ impl Samples for FramesAndMaps<'_> {
             let contacts = drawn(self.examples.contacts(row), self.force_of_unknown_n);
             let contacts = contacts.map_err(|error| failed(row, error))?;
             self.draws.render(&contacts, map).map_err(|error| failed(row, error))?;
+        }
+        Ok(())
+    }
+}
+
+impl Samples for FramesAndTargets<'_> {
+    fn len(&self) -> u64 {
+        self.rows.len() as u64
+    }
+
+    fn input_len(&self) -> usize {
+        self.examples.channels
+    }
+
+    fn target_len(&self) -> usize {
+        self.targets.len()
+    }
+
+    fn read(
+        &self,
+        samples: &[u64],
+        inputs: &mut [f32],
+        targets: &mut [f32],
+    ) -> Result<(), SamplesError> {
+        let frames = inputs.chunks_exact_mut(self.examples.channels);
+        let frames = frames.zip(targets.chunks_exact_mut(self.targets.len()));
+        for (&sample, (input, target)) in samples.iter().zip(frames) {
+            let row = self.rows[sample as usize];
+            self.examples.frame(row, 0, input).map_err(|error| failed(row, error))?;
+            let of_row = self.targets.of_row(self.examples.contacts(row));
+            let of_row = of_row.ok_or_else(|| failed(row, "contacts without this quantity"))?;
+            target.copy_from_slice(&of_row);
         }
         Ok(())
     }

@@ -12,6 +12,7 @@ use nets::network::Network;
 use nets::noise::NoiseSource;
 use nets::progress::{End, Flow, Observer, Plan, Progress, Trained};
 use nets::recipe::Recipe;
+use nets::ridge::fit::constant_channels;
 use nets::samples::Samples;
 use nets::statistics::Statistics;
 
@@ -39,7 +40,13 @@ pub fn train(
     observer: &mut (dyn Observer + Send),
 ) -> Result<Trained, TrainError> {
     plan.recipe.check()?;
-    device::run(plan.compute, || Training::new(plan, train, validation, checkpoint)?.run(observer))?
+    device::run(plan.compute, || match plan.recipe.net.architecture().closed_form() {
+        Some(form) => {
+            check(plan, train, validation)?;
+            nets::ridge::fit::fit(plan, form, [train, validation], observer)
+        }
+        None => Training::new(plan, train, validation, checkpoint, observer)?.run(observer),
+    })?
 }
 
 /// Checks that the net can be trained on the data.
@@ -69,6 +76,11 @@ fn check(plan: &Plan, train: &dyn Samples, validation: &dyn Samples) -> Result<(
             require(target == square, "numbers of a target", target, "the square of net.side")
         }
         Answer::Points => require(target > 0, "points", target, "at least 1"),
+        Answer::Quantity(quantity) => {
+            let limit = "as many as the quantity has";
+            let fits = target > 0 && target == quantity.len(target);
+            require(fits, "numbers of a target", target, limit)
+        }
     }
 }
 
@@ -92,6 +104,7 @@ impl<'a> Training<'a> {
         train: &'a dyn Samples,
         validation: &'a dyn Samples,
         checkpoint: Option<&[u8]>,
+        observer: &mut dyn Observer,
     ) -> Result<Self, TrainError> {
         check(plan, train, validation)?;
         let recipe = &plan.recipe;
@@ -107,16 +120,21 @@ impl<'a> Training<'a> {
         let noise =
             NoiseSource::new(recipe.seed, recipe.noise, plan.noise_sd_v.as_deref(), channels);
         let components = recipe.net.input().components();
+        let unknown = Statistics::unknown(components, channels, target);
         let state = checkpoint.map(|bytes| checkpoint::read(bytes, &subject)).transpose()?;
         let mut network = match (&state, &plan.start) {
             (None, None) => {
                 let statistics = Statistics::measure(train, components, &noise, recipe.seed)?;
+                let constant = statistics.constant_channels();
+                if constant > 0 && recipe.net.input() == Input::Standardised {
+                    observer.warn(constant_channels(constant, channels));
+                }
                 recipe.first(&statistics, target)
             }
             (_, Some(start)) => start.clone(),
-            (Some(_), None) => recipe.first(&Statistics::unknown(components, channels), target),
+            (Some(_), None) => recipe.first(&unknown, target),
         };
-        let described = recipe.first(&Statistics::unknown(components, channels), target);
+        let described = recipe.first(&unknown, target);
         if network.shape() != described.shape() {
             return Err(TrainError::Start("its layers are not those of the recipe"));
         }

@@ -234,14 +234,16 @@ fn changes(training: &Training, name: &str) -> Changes {
         name: Some(name.into()),
         dataset: training.dataset.clone(),
         conditions: training.conditions.clone(),
+        answers: training.answers,
         map: training.map.map(|map| map.to_string()),
         seed: Some(training.seed),
-        epochs: Some(training.epochs),
+        epochs: training.epochs,
         rows: training.rows,
         batch: training.batch,
         noise: training.noise.as_ref().map(|noise| noise.level),
         noise_of: training.noise.as_ref().map(|noise| noise.of.to_string()),
-        all_epochs: true,
+        // A net with the recipe's epochs also ends as the recipe says.
+        all_epochs: training.epochs.is_some(),
     }
 }
 

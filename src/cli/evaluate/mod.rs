@@ -10,14 +10,18 @@ use super::error::CliError;
 use super::files::write;
 use super::infer::methods;
 use super::picture::Pictures;
+use super::train::quantities;
 use crate::evaluate::request::{EvaluationRequest, FramesRead, OffsetsRead};
 use crate::ids::CalibrationId;
 use crate::infer::methods::Method;
+use crate::learn::targets::Quantity;
+use crate::studies;
 use crate::studies::budget::{Budget, R2S};
 use crate::studies::factorial::fig_11;
 use crate::studies::maps::table_iv;
 use crate::studies::method::scores;
 use crate::studies::noise::fig_10;
+use crate::studies::quantity::Compared;
 use crate::studies::sheet::OutputFile;
 use crate::studies::transfer::table_iii;
 use crate::studies::unseen::{Unseen, fig_12};
@@ -43,6 +47,11 @@ enum What {
     Simulation(simulation::SimulationArgs),
     /// Score a method on a dataset: estimated compared with true contacts, by their number.
     Method(MethodArgs),
+    /// Compare nets with ridge and kernel ridge regression on a position, pattern, count or force.
+    ///
+    /// For any skin, also of imported trials. Trains both regressions and the nets of --recipe on the
+    /// dataset's rows, and scores all of them on the same rows of its part test.
+    Quantity(QuantityArgs),
     /// Table III: Transfer-Nets trained on 1, 1 to 2, .. 1 to 6 contacts, tested on each number.
     Transfer(TransferArgs),
     /// Table IV and Fig. 9: Recon-Nets of twelve force maps, on simulated voltages.
@@ -98,6 +107,28 @@ struct MethodArgs {
     lab: LabArgs,
 }
 
+/// Options of `evaluate quantity`.
+#[derive(Debug, Clone, Args)]
+struct QuantityArgs {
+    /// Quantity: position (of one contact), pattern (of known places), count or force.
+    #[arg(value_name = "QUANTITY", value_parser = quantities())]
+    quantity: Quantity,
+    /// Name or id of a dataset with a split.
+    #[arg(long, value_name = "NAME", default_value = "real")]
+    dataset: String,
+    /// A condition on its rows; may be repeated.
+    #[arg(long = "where", value_name = "CONDITION")]
+    conditions: Vec<String>,
+    /// A recipe to train: a carried one, or a file; may be repeated [default: mlp].
+    #[arg(long = "recipe", value_name = "RECIPE")]
+    recipes: Vec<String>,
+    /// Id or name of a trained net; may be repeated.
+    #[arg(long = "net", value_name = "MODEL")]
+    nets: Vec<String>,
+    #[command(flatten)]
+    lab: LabArgs,
+}
+
 /// Options of `evaluate transfer`.
 #[derive(Debug, Clone, Args)]
 struct TransferArgs {
@@ -135,6 +166,15 @@ pub async fn evaluate(args: EvaluateArgs) -> Result<(), CliError> {
     match args.what {
         What::Simulation(args) => simulation::simulation(args).await,
         What::Method(args) => method(args).await,
+        What::Quantity(QuantityArgs { quantity, dataset, conditions, recipes, nets, lab }) => {
+            let default = recipes.is_empty() && nets.is_empty();
+            let recipes = if default { vec!["mlp".into()] } else { recipes };
+            let compared = Compared { quantity, dataset, conditions, recipes, nets };
+            with_lab(lab, |lab, budget| async move {
+                studies::quantity::quantity(&lab, &budget, &compared).await
+            })
+            .await
+        }
         What::Transfer(TransferArgs { dataset, lab }) => {
             with_lab(lab, |lab, budget| async move { table_iii(&lab, &budget, &dataset).await })
                 .await

@@ -11,7 +11,7 @@ use axum::http::{StatusCode, header};
 use axum::response::Response;
 use axum::{Extension, Json, extract::Query};
 use serde::{Deserialize, Serialize};
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, sleep_until, timeout};
 use tracing::Instrument;
 use utoipa::{IntoParams, ToSchema};
@@ -32,7 +32,6 @@ use crate::infer::error::InferError;
 use crate::infer::methods::exact::Tracked;
 use crate::infer::methods::{Frames, Method};
 use crate::infer::pipeline::{Followed, Pipeline};
-use crate::infer::slot::Slot;
 
 /// Longest time for sending a message; a slower client is disconnected.
 const SEND: Duration = Duration::from_secs(5);
@@ -112,10 +111,9 @@ pub async fn infer(
     let channels = app.serving.sensor().channels();
     let (options, frames) = received(&app, request, channels).await?;
     let pipeline = pipeline(&app, &options).await?;
-    let turns = if options.method.is_fit() { &app.turns.fits } else { &app.turns.answers };
-    let Ok(Ok(turn)) = timeout(TURN, turns.clone().acquire_owned()).await else {
-        let words = "too many requests: none could be started within 10 s; retry";
-        return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
+    let turn = match options.method.is_fit() {
+        true => Turns::turn(&app.turns.fits).await?,
+        false => app.turns.answer().await?,
     };
     let clock = Clock::new(1.0);
     let work = move || {
@@ -144,7 +142,7 @@ async fn pipeline(app: &App, options: &InferOptions) -> Result<Pipeline, ApiErro
     for name in options.transfer.iter().chain(&options.model) {
         let model = app.models.load(name).await?;
         app.serving.fits(&model)?;
-        if !options.method.slots().contains(&Slot::of(model.manifest.model.task)) {
+        if !options.method.slots().contains(&model.slot()?) {
             return Err(InferError::OtherTask {
                 id: model.manifest.id.clone(),
                 task: model.manifest.model.task.as_str(),
@@ -298,6 +296,21 @@ pub struct Turns {
     pub(super) preflights: Arc<Semaphore>,
     /// Simulations of contacts.
     pub(super) simulations: Arc<Semaphore>,
+}
+
+impl Turns {
+    /// Waits for the turn of an answer by a net.
+    pub(super) async fn answer(&self) -> Result<OwnedSemaphorePermit, ApiError> {
+        Self::turn(&self.answers).await
+    }
+
+    async fn turn(of: &Arc<Semaphore>) -> Result<OwnedSemaphorePermit, ApiError> {
+        let Ok(Ok(turn)) = timeout(TURN, of.clone().acquire_owned()).await else {
+            let words = "too many requests: none could be started within 10 s; retry";
+            return Err(ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words));
+        };
+        Ok(turn)
+    }
 }
 
 impl Default for Turns {

@@ -357,7 +357,11 @@ fn is_score(task: &str, report: &Value) -> bool {
     let scored = Scored::deserialize(&report["scored"]).ok();
     let trained_on = report["held_out"] == false
         || matches!(report["part"].as_str(), Some("train" | "validation"));
-    let is_for = scored.zip(task).is_some_and(|(scored, task)| scored.rates(Slot::of(task)));
+    let rates = |(scored, task): (Scored, NetTask)| match Slot::of(task) {
+        Some(slot) => scored.rates(slot),
+        None => scored == Scored::Quantity,
+    };
+    let is_for = scored.zip(task).is_some_and(rates);
     is_for && !trained_on && report["examples"].is_null()
 }
 

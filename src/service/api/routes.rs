@@ -14,8 +14,9 @@ use super::limits::{
 };
 use super::{
     App, datasets, estop, evaluation, events, experiments, exports, health, history, imports,
-    infer, jobs, live, live_status, models, overlay, people, placement, progress, queue, rig, runs,
-    samples, sensor, simulations, sql, status, tour, trials, twins, untouched, wear,
+    infer, jobs, live, live_status, models, overlay, people, placement, progress, quantities,
+    queue, rig, runs, samples, sensor, simulations, sql, status, tour, trials, twins, untouched,
+    wear,
 };
 use crate::store::Role;
 
@@ -193,6 +194,7 @@ pub fn table() -> Vec<Operation> {
         (acts("promote").once().of(Edited::Serving), routes!(models::promote)),
         (acts("roll back").once().of(Edited::Serving), routes!(models::roll_back)),
         (READS.body(FRAMES_MAX_BYTES), routes!(infer::infer)),
+        (READS.body(FRAMES_MAX_BYTES), routes!(quantities::quantities)),
         (SOCKET, routes!(infer::live)),
         (READS, routes!(events::events)),
         (SOCKET, routes!(live::frames)),

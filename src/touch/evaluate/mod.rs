@@ -17,6 +17,7 @@ pub mod published;
 pub mod table;
 pub mod anova;
 pub mod voltages;
+pub mod quantities;
 pub mod request;
 pub mod frame_pairs;
 pub mod charts;

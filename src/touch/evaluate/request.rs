@@ -9,6 +9,7 @@ use utoipa::openapi::schema::Schema;
 use utoipa::{PartialSchema, ToSchema};
 
 use super::anova::Moments;
+use super::quantities::QuantityScores;
 use super::score::Scores;
 use super::voltages::VoltageScores;
 use crate::ids::{CalibrationId, DatasetId, ModelId};
@@ -30,6 +31,8 @@ pub enum Scored {
     /// Voltages of a Transfer-Net (or the measured ones) compared with simulated ones (paper, Table
     /// III).
     Voltages,
+    /// A quantity that a net answers: a position, pattern, count or force.
+    Quantity,
     /// Contacts of a method.
     Method(Method),
 }
@@ -37,13 +40,16 @@ pub enum Scored {
 impl Scored {
     /// All that can be scored.
     pub fn all() -> impl Iterator<Item = Self> {
-        [Self::Voltages].into_iter().chain(Method::ALL.into_iter().map(Self::Method))
+        [Self::Voltages, Self::Quantity]
+            .into_iter()
+            .chain(Method::ALL.into_iter().map(Self::Method))
     }
 
     /// Name in requests and reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Voltages => "voltages",
+            Self::Quantity => "quantity",
             Self::Method(method) => method.name(),
         }
     }
@@ -52,6 +58,7 @@ impl Scored {
     pub fn slots(self) -> &'static [Slot] {
         match self {
             Self::Voltages => &[Slot::Transfer],
+            Self::Quantity => &[],
             Self::Method(method) => method.slots(),
         }
     }
@@ -64,7 +71,7 @@ impl Scored {
     /// The slots whose model a request must name.
     fn named_slots(self) -> &'static [Slot] {
         match self {
-            Self::Voltages => &[],
+            Self::Voltages | Self::Quantity => &[],
             Self::Method(method) => method.named_slots(),
         }
     }
@@ -80,7 +87,7 @@ impl From<Method> for Scored {
     }
 }
 
-/// The name is not of a method or of voltages.
+/// The name is not of a method, of voltages or of a quantity.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "scored = {name}: must be one of {}",
@@ -157,6 +164,9 @@ pub struct EvaluationRequest {
     /// Id or name of a Point-Net.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub points: Option<String>,
+    /// Id or name of a net that answers a quantity; only for `quantity`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub net: Option<String>,
     /// Id of the calibration of the exact model; if absent, the serving one, or the sensor file's
     /// values.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -213,6 +223,10 @@ impl EvaluationRequest {
             let missing = self.scored.named_slots().contains(&slot) && !is_set;
             checks.require(!missing, slot.name(), "none", &format!("must be set for {scored}"));
         }
+        let is_quantity = self.scored == Scored::Quantity;
+        let limit = "must be set for quantity, and only for it";
+        let net = self.net.as_deref().unwrap_or("none");
+        checks.require(is_quantity == self.net.is_some(), "net", net, limit);
         if let Some(limit_mm) = self.place_sd_mm {
             checks.within("place_sd_mm", limit_mm, 1.0, 1000.0);
             let unused =
@@ -222,9 +236,9 @@ impl EvaluationRequest {
         checks.require(self.limit != Some(0), "limit", 0, "must be at least 1, or absent");
         let few = self.examples <= EXAMPLES_MAX;
         checks.require(few, "examples", self.examples, &format!("must be 0..{EXAMPLES_MAX}"));
-        let unused = "must be 0 for voltages, which have no readings";
-        let has_readings = self.scored != Scored::Voltages;
-        checks.require(has_readings || self.examples == 0, "examples", self.examples, unused);
+        let unused = format!("must be 0 for {scored}, which has no readings");
+        let has_readings = matches!(self.scored, Scored::Method(_));
+        checks.require(has_readings || self.examples == 0, "examples", self.examples, &unused);
         checks.done()
     }
 }
@@ -275,6 +289,9 @@ pub struct EvaluationReport {
     /// Scores of voltages.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub voltages: Option<VoltageScores>,
+    /// Scores of a quantity.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quantity: Option<QuantityScores>,
     /// Sums over contacts, each a sample, for an analysis of variance over several reports.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cells: Option<BTreeMap<String, Moments>>,
@@ -319,8 +336,9 @@ mod tests {
 
     #[test]
     fn a_model_without_use_is_named_and_so_is_a_missing_one() {
+        let is_quantity = |scored: &Scored| *scored == Scored::Quantity;
         let every = json!({ "transfer": "t", "map": "m", "points": "p", "skin": "cal-1" });
-        for scored in Scored::all() {
+        for scored in Scored::all().filter(|scored| !is_quantity(scored)) {
             let unused: Vec<&str> = Slot::ALL
                 .into_iter()
                 .filter(|slot| !scored.slots().contains(slot))
@@ -338,6 +356,10 @@ mod tests {
         assert_eq!(problems(Method::Fast.into(), place.clone()), ["place_sd_mm"]);
         assert_eq!(problems(Method::Exact.into(), place), Vec::<String>::new());
         assert_eq!(problems(Scored::Voltages, json!({ "examples": 2 })), ["examples"]);
+        assert_eq!(problems(Scored::Voltages, json!({ "net": "n" })), ["net"]);
+        assert_eq!(problems(Scored::Quantity, json!({})), ["net"]);
+        let net = json!({ "net": "n", "points": "p", "examples": 1 });
+        assert_eq!(problems(Scored::Quantity, net), ["points", "examples"]);
     }
 
     #[test]

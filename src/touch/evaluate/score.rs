@@ -101,6 +101,18 @@ pub struct Scores {
     pub by_contacts: Vec<CountScore>,
 }
 
+impl Mean {
+    /// The mean of values, one of each row, with its interval by the bootstrap; `None` without values.
+    pub fn of_rows(values: &[f64], seed: u64) -> Option<Self> {
+        let mut hands = vec![[Tally::default()]; values.len().min(HANDS)];
+        for (row, value) in values.iter().enumerate() {
+            hands[row % HANDS][0].sum += value;
+            hands[row % HANDS][0].count += 1.0;
+        }
+        mean_of(values, &hands, &resampled(&hands, seed), 0)
+    }
+}
+
 impl Scores {
     /// Computes the scores of frames; `seed` is that of the bootstrap.
     pub fn of(touches: &[Touch], seed: u64) -> Self {
@@ -160,7 +172,7 @@ struct Tally {
     count: f64,
 }
 
-type Tallies = [Tally; Metric::ALL.len()];
+type Tallies<const METRICS: usize> = [Tally; METRICS];
 
 /// The mean of each metric, in the order of [`Metric::ALL`].
 fn means(touches: &[&Touch], seed: u64) -> [Option<Mean>; Metric::ALL.len()] {
@@ -170,30 +182,38 @@ fn means(touches: &[&Touch], seed: u64) -> [Option<Mean>; Metric::ALL.len()] {
         .collect();
     let hands = dealt(touches);
     let rounds = resampled(&hands, seed);
-    std::array::from_fn(|metric| {
-        let values = &values[metric];
-        if values.is_empty() {
-            return None;
-        }
-        let n = values.len() as f64;
-        let mean = values.iter().sum::<f64>() / n;
-        // All rounds drawn from one frame's values would be equal.
-        let several = hands.iter().filter(|hand| hand[metric].count > 0.0).count() > 1;
-        let end = |share| quantile(&rounds[metric], share).filter(|_| several);
-        let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
-        Some(Mean {
-            mean,
-            sd: (values.len() > 1).then(|| (squares / (n - 1.0)).sqrt()),
-            n: values.len() as u64,
-            low_95: end(TAIL),
-            high_95: end(1.0 - TAIL),
-        })
+    std::array::from_fn(|metric| mean_of(&values[metric], &hands, &rounds, metric))
+}
+
+/// The mean of the values of a metric, with the interval of the rounds.
+fn mean_of<const METRICS: usize>(
+    values: &[f64],
+    hands: &[Tallies<METRICS>],
+    rounds: &[Vec<f64>; METRICS],
+    metric: usize,
+) -> Option<Mean> {
+    if values.is_empty() {
+        return None;
+    }
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    // All rounds drawn from one frame's values would be equal.
+    let several = hands.iter().filter(|hand| hand[metric].count > 0.0).count() > 1;
+    let end = |share| quantile(&rounds[metric], share).filter(|_| several);
+    let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+    Some(Mean {
+        mean,
+        sd: (values.len() > 1).then(|| (squares / (n - 1.0)).sqrt()),
+        n: values.len() as u64,
+        low_95: end(TAIL),
+        high_95: end(1.0 - TAIL),
     })
 }
 
 /// Assigns frames to at most [`HANDS`] groups in turn, and sums the values of each group.
-fn dealt(touches: &[&Touch]) -> Vec<Tallies> {
-    let mut hands = vec![Tallies::default(); touches.len().min(HANDS)];
+fn dealt(touches: &[&Touch]) -> Vec<Tallies<{ Metric::ALL.len() }>> {
+    let none = [Tally::default(); Metric::ALL.len()];
+    let mut hands = vec![none; touches.len().min(HANDS)];
     for (frame, touch) in touches.iter().enumerate() {
         for (tally, metric) in hands[frame % HANDS].iter_mut().zip(Metric::ALL) {
             for value in touch.values(metric) {
@@ -207,15 +227,15 @@ fn dealt(touches: &[&Touch]) -> Vec<Tallies> {
 
 /// The sorted means of each metric over the rounds of the bootstrap; empty for fewer than two
 /// groups.
-fn resampled(hands: &[Tallies], seed: u64) -> [Vec<f64>; Metric::ALL.len()] {
-    let mut rounds: [Vec<f64>; Metric::ALL.len()] = Default::default();
+fn resampled<const METRICS: usize>(hands: &[Tallies<METRICS>], seed: u64) -> [Vec<f64>; METRICS] {
+    let mut rounds: [Vec<f64>; METRICS] = std::array::from_fn(|_| Vec::new());
     let count = hands.len() as u32;
     if count < 2 {
         return rounds;
     }
     let mut chance = Chance::named(seed, "bootstrap");
     for _ in 0..RESAMPLES {
-        let mut drawn = Tallies::default();
+        let mut drawn = [Tally::default(); METRICS];
         for _ in 0..count {
             let hand = &hands[chance.below(count) as usize];
             for (total, tally) in drawn.iter_mut().zip(hand) {

@@ -16,4 +16,5 @@ pub mod slot;
 pub mod methods;
 pub mod untouched;
 pub mod pipeline;
+pub mod quantity;
 pub mod serving;

@@ -44,7 +44,7 @@ impl Pipeline {
     /// # Errors
     /// `InferError::OtherTask` if the net does not fit its slot.
     pub fn with(mut self, model: Arc<Model>) -> Result<Self, InferError> {
-        match Slot::of(model.manifest.model.task) {
+        match model.slot()? {
             Slot::Transfer => self.models.transfer = Some(model),
             Slot::Points => self.models.points = Some(PointPipeline::new(model)?),
             Slot::Map | Slot::Skin => self.models.map = Some(model),

@@ -14,6 +14,7 @@ use sim_core::sensor::Sensor;
 
 use super::error::InferError;
 use super::plan::Plan;
+use super::slot::Slot;
 use crate::clock::Clock;
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::ids::ModelId;
@@ -80,6 +81,22 @@ impl Model {
     /// Width and height of the skin, mm.
     pub fn size_mm(&self) -> [f64; 2] {
         [self.skin.width_mm, self.skin.height_mm]
+    }
+
+    /// The slot in which the model serves.
+    ///
+    /// # Errors
+    /// `InferError::OtherTask` if models of its task do not serve.
+    pub fn slot(&self) -> Result<Slot, InferError> {
+        let wanted =
+            "such models answer requests by their id and do not serve (`palpate infer --model`)";
+        Slot::of(self.manifest.model.task).ok_or_else(|| self.of_other_task(wanted))
+    }
+
+    /// The error for a model whose task is not the one needed.
+    pub fn of_other_task(&self, wanted: &'static str) -> InferError {
+        let (id, task) = (self.manifest.id.clone(), self.manifest.model.task.as_str());
+        InferError::OtherTask { id, task, wanted }
     }
 }
 

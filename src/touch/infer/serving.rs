@@ -180,7 +180,7 @@ impl Serving {
         } else {
             let model = self.inner.models.load(id_or_name).await?;
             let id = model.manifest.id.clone();
-            (Slot::of(model.manifest.model.task), PromotedId::Model(id))
+            (model.slot()?, PromotedId::Model(id))
         };
         // It serves once the promotion is stored, not before.
         let next = self.with(slot, Some(&what)).await?;

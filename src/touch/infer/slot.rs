@@ -34,12 +34,13 @@ impl Slot {
         }
     }
 
-    /// The slot of models with a task.
-    pub fn of(task: NetTask) -> Self {
+    /// The slot of models with a task; `None`: models of the task do not serve.
+    pub fn of(task: NetTask) -> Option<Self> {
         match task.answers() {
-            Answers::Frame => Self::Transfer,
-            Answers::Map => Self::Map,
-            Answers::Points => Self::Points,
+            Answers::Frame => Some(Self::Transfer),
+            Answers::Map => Some(Self::Map),
+            Answers::Points => Some(Self::Points),
+            Answers::Quantity(_) => None,
         }
     }
 }

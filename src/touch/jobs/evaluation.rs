@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
+use nets::quantity::Quantity;
 use serde_json::Value;
 use sim_core::stats::{quantile, sorted};
 
@@ -17,6 +18,7 @@ use crate::dataset::build::data_file;
 use crate::dataset::force_map::ForceMap;
 use crate::evaluate::held_out::{Made, is_held_out};
 use crate::evaluate::perfect::perfect;
+use crate::evaluate::quantities::QuantityScores;
 use crate::evaluate::request::{
     EvaluationReport, EvaluationRequest, Example, FramesRead, OffsetsRead, Scored,
 };
@@ -33,6 +35,7 @@ use crate::infer::slot::Slot;
 use crate::infer::untouched::UntouchedSkins;
 use crate::learn::error::LearnError;
 use crate::learn::examples::{MEASURED, SIMULATED};
+use crate::learn::targets::Targets;
 use crate::learn::task::Reads;
 use crate::simulate::compare::difference;
 use crate::store::{Contact, DatasetRow, TaskRow};
@@ -44,6 +47,8 @@ const FRAMES_AT_ONCE: usize = 8;
 enum Reader {
     /// A Transfer-Net, or none: the frames themselves.
     Voltages(Option<Arc<Model>>),
+    /// A net that answers a quantity.
+    Quantity(Arc<Model>, Quantity),
     /// A method from a frame to contacts.
     Contacts(Box<dyn ReadyMethod>),
 }
@@ -52,7 +57,7 @@ impl Reader {
     /// The method, if contacts are read.
     fn method(&self) -> Option<&dyn ReadyMethod> {
         match self {
-            Self::Voltages(_) => None,
+            Self::Voltages(_) | Self::Quantity(..) => None,
             Self::Contacts(method) => Some(method.as_ref()),
         }
     }
@@ -61,16 +66,20 @@ impl Reader {
     fn nets(&self) -> Vec<&Model> {
         match self {
             Self::Voltages(transfer) => transfer.iter().map(Arc::as_ref).collect(),
+            Self::Quantity(net, _) => vec![net],
             Self::Contacts(method) => method.nets(),
         }
     }
 
     /// Columns of frames that are needed.
     fn columns(&self) -> &'static [&'static str] {
-        match self.method().map(|method| method.reads()) {
-            None => &[MEASURED, SIMULATED],
-            Some(Reads::Simulated) => &[SIMULATED],
-            Some(Reads::Measured) => &[MEASURED],
+        match self {
+            Self::Voltages(_) => &[MEASURED, SIMULATED],
+            Self::Quantity(..) => &[MEASURED],
+            Self::Contacts(method) => match method.reads() {
+                Reads::Simulated => &[SIMULATED],
+                Reads::Measured => &[MEASURED],
+            },
         }
     }
 }
@@ -147,8 +156,14 @@ async fn reader(jobs: &Jobs, request: &EvaluationRequest) -> Result<Reader, JobE
         threshold_n: request.threshold_n,
         ..Models::default()
     };
-    let Scored::Method(method) = request.scored else {
-        return Ok(Reader::Voltages(ready.transfer));
+    let method = match request.scored {
+        Scored::Voltages => return Ok(Reader::Voltages(ready.transfer)),
+        Scored::Quantity => {
+            let net = models.load(request.net.as_deref().unwrap_or_default()).await?;
+            let quantity = net.quantity()?;
+            return Ok(Reader::Quantity(net, quantity));
+        }
+        Scored::Method(method) => method,
     };
     if method.slots().contains(&Slot::Skin) {
         let (serving, calibration) = (&jobs.inner.serving, skin(jobs, request).await?);
@@ -216,6 +231,7 @@ impl Scoring {
         self.watch.phase("scoring", self.gathered.rows.len() as u64);
         let done = match &self.reader {
             Reader::Voltages(transfer) => self.voltages(transfer.as_deref(), &mut report)?,
+            Reader::Quantity(net, quantity) => self.quantity(net, *quantity, &mut report)?,
             Reader::Contacts(method) => self.contacts(method.as_ref(), &mut report)?,
         };
         Ok(done.then_some(report))
@@ -280,6 +296,7 @@ impl Scoring {
             perfect: None,
             map: None,
             voltages: None,
+            quantity: None,
             cells: None,
             latency_ms: None,
             notes: self.notes(),
@@ -323,6 +340,33 @@ impl Scoring {
             }
         }
         report.voltages = VoltageScores::of(&fits);
+        Ok(true)
+    }
+
+    /// Scores a quantity; returns `false` if it was stopped.
+    fn quantity(
+        &self,
+        net: &Model,
+        quantity: Quantity,
+        report: &mut EvaluationReport,
+    ) -> Result<bool, JobError> {
+        let began_s = self.clock.process_s();
+        let mut answers = Vec::new();
+        for (at, rows) in self.gathered.rows.chunks(FRAMES_AT_ONCE).enumerate() {
+            let frames = self.frames(at * FRAMES_AT_ONCE, rows)?;
+            net.plan.answer(&frames, &mut answers).map_err(InferError::from)?;
+            if !self.goes_on(at * FRAMES_AT_ONCE + rows.len(), began_s) {
+                return Ok(false);
+            }
+        }
+        let targets = Targets { quantity, places_mm: net.manifest.model.places_mm.clone() };
+        let contacts = self.gathered.rows.iter().map(|&row| self.gathered.examples.contacts(row));
+        let rows: Vec<_> = contacts.zip(answers.chunks_exact(targets.len())).collect();
+        report.quantity = QuantityScores::of(&targets, &rows, self.request.seed);
+        if report.quantity.is_none() {
+            let limit = format!("must have rows with a {}", quantity.name());
+            return Err(LearnError::value("dataset", &self.dataset.id, &limit).into());
+        }
         Ok(true)
     }
 

@@ -10,6 +10,7 @@ pub mod task;
 pub mod model_file;
 pub mod onnx;
 pub mod examples;
+pub mod targets;
 pub mod residuals;
 pub mod recipe;
 pub mod order;

@@ -2,6 +2,7 @@
 //! PURE. Uses: the names of a dataset's columns, the layout of a map. Never: a net, a file.
 
 use nets::architecture::{Answer as NetAnswer, Frames as NetFrames};
+use nets::quantity::Quantity;
 use serde::{Deserialize, Serialize};
 
 use super::examples::{MEASURED, SIMULATED};
@@ -20,6 +21,14 @@ pub enum NetTask {
     EndToEnd,
     /// Voltages to presence (logit) and log-force of a contact at each point of the sensor.
     Points,
+    /// Measured voltages to the position of the one contact.
+    Position,
+    /// Measured voltages to the pressed ones of known places.
+    Pattern,
+    /// Measured voltages to the number of contacts.
+    Count,
+    /// Measured voltages to the sum of the contacts' forces.
+    Force,
 }
 
 /// Frames that a net reads when it serves.
@@ -40,6 +49,19 @@ pub enum Answers {
     Map,
     /// Presence and force at each point.
     Points,
+    /// Few numbers for a whole frame.
+    Quantity(Quantity),
+}
+
+impl From<Quantity> for NetTask {
+    fn from(quantity: Quantity) -> Self {
+        match quantity {
+            Quantity::Position => Self::Position,
+            Quantity::Pattern => Self::Pattern,
+            Quantity::Count => Self::Count,
+            Quantity::Force => Self::Force,
+        }
+    }
 }
 
 /// A row of the list of tasks.
@@ -58,11 +80,18 @@ impl NetTask {
     fn row(self) -> Row {
         use Reads::{Measured, Simulated};
         let row = |name, reads, answers, columns| Row { name, reads, answers, columns };
+        let of = |quantity: Quantity| {
+            row(quantity.name(), Measured, Answers::Quantity(quantity), &[MEASURED])
+        };
         match self {
             Self::Transfer => row("transfer", Measured, Answers::Frame, &[MEASURED, SIMULATED]),
             Self::Recon => row("recon", Simulated, Answers::Map, &[SIMULATED]),
             Self::EndToEnd => row("end-to-end", Measured, Answers::Map, &[MEASURED]),
             Self::Points => row("points", Measured, Answers::Points, &[SIMULATED]),
+            Self::Position => of(Quantity::Position),
+            Self::Pattern => of(Quantity::Pattern),
+            Self::Count => of(Quantity::Count),
+            Self::Force => of(Quantity::Force),
         }
     }
 
@@ -73,6 +102,7 @@ impl NetTask {
             (NetAnswer::Map { .. }, NetFrames::Simulated) => Self::Recon,
             (NetAnswer::Map { .. }, NetFrames::Measured) => Self::EndToEnd,
             (NetAnswer::Points, _) => Self::Points,
+            (NetAnswer::Quantity(quantity), _) => quantity.into(),
         }
     }
 
@@ -89,6 +119,14 @@ impl NetTask {
     /// Kind of the answer.
     pub fn answers(self) -> Answers {
         self.row().answers
+    }
+
+    /// The quantity that is answered, if it is one.
+    pub fn quantity(self) -> Option<Quantity> {
+        match self.answers() {
+            Answers::Quantity(quantity) => Some(quantity),
+            Answers::Frame | Answers::Map | Answers::Points => None,
+        }
     }
 
     /// Whether the answer is a force map.
@@ -117,19 +155,28 @@ impl NetTask {
                 ["force_map_n", "newtons per pixel, row = y, column = x, row 0 at the lowest y"]
             }
             Answers::Points => ["points", "logit of a contact, and ln(force / N), at each point"],
+            Answers::Quantity(Quantity::Position) => ["position_mm", "x and y of the contact, mm"],
+            Answers::Quantity(Quantity::Pattern) => {
+                ["pattern", "above zero at each of the known places that is pressed"]
+            }
+            Answers::Quantity(Quantity::Count) => ["count", "number of contacts, not rounded"],
+            Answers::Quantity(Quantity::Force) => ["force_n", "sum of all contacts' forces, N"],
         }
     }
 
-    /// Shape of one answer for a sensor; `None` if it depends on a map that is not stated.
+    /// Shape of one answer for a sensor; `None` if it depends on a map that is not stated. `places`: number
+    /// of known places.
     pub fn output_shape(
         self,
         sensor: &SensorFacts,
         map: Option<ForceMapSpec>,
+        places: usize,
     ) -> Option<Vec<usize>> {
         match self.answers() {
             Answers::Frame => Some(vec![sensor.channels]),
             Answers::Map => map.map(|map| vec![map.pixels(); 2]),
             Answers::Points => Some(vec![2, sensor.points]),
+            Answers::Quantity(quantity) => Some(vec![quantity.len(places)]),
         }
     }
 }

@@ -104,13 +104,13 @@ fn trial(key: TrialKey, chance: &mut ChaCha8Rng) -> TrialRecord {
     }
 }
 
-/// Presses with two tips on two points, harder with each depth: the first depths make no contact.
-fn press(key: TrialKey, points: &[[f64; 2]], chance: &mut ChaCha8Rng) -> TrialRecord {
+/// Presses with tips on as many points, harder with each depth: the first depths make no contact.
+pub fn press(key: TrialKey, tips: u8, points: &[[f64; 2]], chance: &mut ChaCha8Rng) -> TrialRecord {
     let draw = key.configuration - key.configuration % 3 / 2;
     let place = |n: u32| points[(draw * 37 + n * 101) as usize % points.len()];
     let z_mm = 0.5 * f64::from(key.depth_index);
     let pose = |z_mm| Pose { x_mm: place(0)[0], y_mm: place(0)[1], z_mm, radius_mm: 34.641 };
-    let arms = (0..2_u32).map(|n| {
+    let arms = (0..u32::from(tips)).map(|n| {
         let [x_mm, y_mm] = place(n);
         let force_n = 1.7 * f64::from(key.depth_index) + 0.3 * f64::from(n) - 0.1;
         ArmReading { arm: n as u8 + 1, x_mm, y_mm, force_n, cell_v: 1.0, tare_v: 0.5 }
@@ -121,7 +121,7 @@ fn press(key: TrialKey, points: &[[f64; 2]], chance: &mut ChaCha8Rng) -> TrialRe
         Vec::new()
     };
     TrialRecord {
-        tips: 2,
+        tips,
         depth_mm: Some(z_mm),
         target: Some(pose(z_mm)),
         reached: Some(pose(z_mm + 0.004)),
@@ -155,7 +155,7 @@ pub async fn fill(data: &Path) {
     for configuration in 0..CONFIGURATIONS {
         for depth_index in 0..DEPTHS {
             let key = TrialKey { configuration, depth_index };
-            store.trial(hex, &press(key, &points, &mut chance)).await.unwrap();
+            store.trial(hex, &press(key, 2, &points, &mut chance)).await.unwrap();
         }
     }
     twins(&store, hex, "sim-0000000000000001", &mut chance).await;

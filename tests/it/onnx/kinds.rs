@@ -28,6 +28,7 @@ pub fn kinds(draw: &mut Draw) -> Vec<(&'static str, Network)> {
         weight: kernel,
         bias: vec![],
     };
+    let near = Layer::Kernel { inputs: 12, centres: draw.numbers(5 * 12, -0.1, 0.1), gamma: 40.0 };
     vec![
         ("dense", plain(&[7], vec![draw.dense(12, 7)])),
         ("relu", plain(&[12], vec![Layer::Relu])),
@@ -46,6 +47,7 @@ pub fn kinds(draw: &mut Draw) -> Vec<(&'static str, Network)> {
                 vec![image(), conv(draw, 3, 8, 1, true), Layer::PixelShuffle { factor: 2 }],
             ),
         ),
+        ("kernel", plain(&[5], vec![near])),
         ("standardise", plain(&[12], vec![Layer::Standardise { mean, sd }])),
         ("scale", plain(&[12], vec![Layer::Scale { scale: 30.0, shift: -0.25 }])),
         ("unit-norm", plain(&[12], vec![unit(None)])),
@@ -77,8 +79,9 @@ pub fn kind_index(layer: &Layer) -> usize {
         Layer::Standardise { .. } => 8,
         Layer::Scale { .. } => 9,
         Layer::UnitNorm { .. } => 10,
+        Layer::Kernel { .. } => 11,
     }
 }
 
 /// Kinds of layers that there are.
-pub const KINDS: usize = 11;
+pub const KINDS: usize = 12;

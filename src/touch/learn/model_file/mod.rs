@@ -118,6 +118,9 @@ pub struct ModelFacts {
     /// Resolution and spread of its force map; absent for other tasks.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub force_map: Option<ForceMapSpec>,
+    /// Known places of a pattern, mm, in the order of its numbers; empty for other tasks.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub places_mm: Vec<[f64; 2]>,
     /// Ids of the datasets used in training.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub datasets: Vec<DatasetId>,
@@ -213,7 +216,15 @@ impl ModelFacts {
             map,
             limit,
         );
-        let wanted = self.task.output_shape(sensor, self.force_map);
+        let is_pattern = self.task == NetTask::Pattern;
+        let limit = "must be set for the task pattern, and only for it";
+        checks.require(
+            is_pattern != self.places_mm.is_empty(),
+            "model.places_mm",
+            self.places_mm.len(),
+            limit,
+        );
+        let wanted = self.task.output_shape(sensor, self.force_map, self.places_mm.len());
         let wanted = wanted.unwrap_or_else(|| self.output_shape.clone());
         let numbers = wanted.iter().try_fold(1, |n: usize, &l| n.checked_mul(l)).unwrap_or(0);
         let limit = format!("must be {wanted:?} for {} on this sensor", self.task.as_str());

@@ -15,6 +15,7 @@ fn facts() -> ModelFacts {
         sensor: "ert-28".into(),
         channels: 4,
         output_shape: vec![8, 8],
+        places_mm: Vec::new(),
         force_map: Some("80x160".parse().unwrap()),
         datasets: vec![DatasetId::unchecked("ds-0123456789abcdef")],
         calibration: Some(CalibrationId::unchecked("cal-1")),

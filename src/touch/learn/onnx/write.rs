@@ -199,6 +199,7 @@ impl Writer {
                 self.part("Sub", "centred", &[&mean_name]);
                 self.step("Div", &[&sd], []);
             }
+            Layer::Kernel { inputs, centres, gamma } => self.kernel(*inputs, centres, *gamma)?,
             Layer::Scale { scale, shift } => {
                 let scale = self.tensor("scale", &[], &[*scale])?;
                 let shift = self.tensor("shift", &[], &[*shift])?;
@@ -220,6 +221,31 @@ impl Writer {
         self.part("Add", "erf_plus_one", &[&one]);
         self.part("Mul", "twice", &[&x]);
         self.step("Mul", &[&half], []);
+    }
+
+    /// `exp(2 gamma x c - gamma |c|^2 - gamma |x|^2)` for each centre c.
+    fn kernel(&mut self, inputs: usize, centres: &[f32], gamma: f32) -> Result<(), WriteError> {
+        self.vector_of(inputs)?;
+        let count = centres.len() / inputs.max(1);
+        let doubled: Vec<f32> = centres.iter().map(|x| 2.0 * gamma * x).collect();
+        let square = |centre: &[f32]| -gamma * centre.iter().map(|x| x * x).sum::<f32>();
+        let squares: Vec<f32> = centres.chunks_exact(inputs.max(1)).map(square).collect();
+        let weight = self.tensor("centres", &[count, inputs], &doubled)?;
+        let bias = self.tensor("squares", &[count], &squares)?;
+        let scale = self.tensor("gamma", &[], &[gamma])?;
+        let x = self.last.clone();
+        let [length, square, scaled, near, apart] = ["length", "square", "scaled", "near", "apart"]
+            .map(|part| format!("{}.{part}", self.name));
+        let attributes = [ints("axes", [1]), int("keepdims", 1)];
+        self.graph.node("ReduceL2", &length, &[&x], attributes);
+        self.graph.node("Mul", &square, &[&length, &length], []);
+        self.graph.node("Mul", &scaled, &[&square, &scale], []);
+        self.graph.node("Gemm", &near, &[&x, &weight, &bias], [int("transB", 1)]);
+        self.graph.node("Sub", &apart, &[&near, &scaled], []);
+        self.last = apart;
+        self.step("Exp", &[], []);
+        self.shape = Shape::Vector(count);
+        Ok(())
     }
 
     fn conv_transpose(&mut self, layer: &Layer) -> Result<(), WriteError> {
@@ -405,6 +431,7 @@ fn kind(layer: &Layer) -> &'static str {
         Layer::Conv { .. } => "conv",
         Layer::PixelShuffle { .. } => "pixel_shuffle",
         Layer::Standardise { .. } => "standardise",
+        Layer::Kernel { .. } => "kernel",
         Layer::Scale { .. } => "scale",
         Layer::UnitNorm { .. } => "unit_norm",
     }

@@ -1,0 +1,131 @@
+//! Ridge regression and kernel ridge regression from measured voltages to a quantity: fitted in closed
+//! form, and what every net must be compared with. Channels are standardised; the penalty, and the width
+//! of the kernel, are those of the least error on the validation rows.
+//! PURE. Uses: the shared parts; `fit` computes. Never: data.
+//!
+//! Source: C. Saunders, A. Gammerman, V. Vovk, Ridge Regression Learning Algorithm in Dual Variables,
+//! ICML 1998.
+
+pub mod fit;
+
+use serde::{Deserialize, Serialize};
+
+use crate::architecture::{Answer, Architecture, ClosedForm};
+use crate::error::{RecipeError, require};
+use crate::initial::Initial;
+use crate::input::Input;
+use crate::loss::Loss;
+use crate::network::{Form, Layer, Network};
+use crate::quantity::Quantity;
+use crate::statistics::Statistics;
+
+/// Threshold of a pattern's targets, 0 and 1.
+const HALF: f32 = 0.5;
+
+/// Parameters of a ridge regression.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Ridge {
+    /// Quantity that it answers.
+    pub answers: Quantity,
+}
+
+/// Parameters of a kernel ridge regression with the kernel `exp(-gamma |x - c|^2)`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct KernelRidge {
+    /// Quantity that it answers.
+    pub answers: Quantity,
+    /// Largest number of training rows that are centres of the kernel, taken evenly. Time grows with its
+    /// cube.
+    pub centres: usize,
+}
+
+impl Default for Ridge {
+    fn default() -> Self {
+        Self { answers: Quantity::Force }
+    }
+}
+
+impl Default for KernelRidge {
+    fn default() -> Self {
+        Self { answers: Quantity::Force, centres: 4000 }
+    }
+}
+
+/// The layers around a regression: `middle` maps standardised frames to standardised targets.
+fn network(
+    answers: Quantity,
+    statistics: &Statistics,
+    target: usize,
+    middle: impl IntoIterator<Item = Layer>,
+) -> Network {
+    let mut layers = Input::Standardised.layers(statistics);
+    layers.extend(middle);
+    // A pattern's answer is above zero where a place is pressed.
+    let shift = if answers == Quantity::Pattern { -HALF } else { 0.0 };
+    layers.push(statistics.in_units_of_targets(shift));
+    let inputs = statistics.mean.len();
+    Network { inputs, output: vec![target], layers, form: Form::Plain }
+}
+
+fn dense(inputs: usize, outputs: usize) -> Layer {
+    Layer::Dense { inputs, outputs, weight: vec![0.0; inputs * outputs], bias: vec![0.0; outputs] }
+}
+
+impl Architecture for Ridge {
+    fn input(&self) -> Input {
+        Input::Standardised
+    }
+
+    fn answer(&self) -> Answer {
+        Answer::Quantity(self.answers)
+    }
+
+    fn check(&self) -> Result<(), RecipeError> {
+        Ok(())
+    }
+
+    fn loss(&self, _: f32) -> Loss {
+        Loss::MeanSquare { unit: 1.0 }
+    }
+
+    fn first(&self, statistics: &Statistics, target: usize, _: &mut Initial) -> Network {
+        let channels = statistics.mean.len();
+        network(self.answers, statistics, target, [dense(channels, target)])
+    }
+
+    fn closed_form(&self) -> Option<ClosedForm> {
+        Some(ClosedForm::Ridge)
+    }
+}
+
+impl Architecture for KernelRidge {
+    fn input(&self) -> Input {
+        Input::Standardised
+    }
+
+    fn answer(&self) -> Answer {
+        Answer::Quantity(self.answers)
+    }
+
+    fn check(&self) -> Result<(), RecipeError> {
+        let limit = "10..20000: the kernel's matrix has its square";
+        require((10..=20_000).contains(&self.centres), "net.centres", self.centres, limit)
+    }
+
+    fn loss(&self, _: f32) -> Loss {
+        Loss::MeanSquare { unit: 1.0 }
+    }
+
+    /// Without centres: the rows that are centres are known after the fit.
+    fn first(&self, statistics: &Statistics, target: usize, _: &mut Initial) -> Network {
+        let channels = statistics.mean.len();
+        let kernel = Layer::Kernel { inputs: channels, centres: Vec::new(), gamma: 1.0 };
+        network(self.answers, statistics, target, [kernel, dense(0, target)])
+    }
+
+    fn closed_form(&self) -> Option<ClosedForm> {
+        Some(ClosedForm::KernelRidge { centres: self.centres })
+    }
+}

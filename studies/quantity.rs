@@ -1,0 +1,257 @@
+//! A quantity of whole frames on any skin: nets beside ridge and kernel ridge regression, on the same rows.
+//! Uses: `lab`, `budget`, `evaluate::table`. Never: a net without the two regressions beside it.
+
+use serde_json::{Value, json};
+
+use crate::budget::Budget;
+use crate::evaluate::quantities::QuantityScores;
+use crate::evaluate::request::{EvaluationReport, Scored};
+use crate::evaluate::score::Mean;
+use crate::evaluate::table::markdown;
+use crate::ids::ModelId;
+use crate::lab::{Lab, Training};
+use crate::learn::targets::Quantity;
+use crate::sheet::Sheet;
+
+/// The regressions that every net is compared with, and their names.
+const BASELINES: [(&str, &str); 2] = [("ridge", "ridge"), ("kernel-ridge", "kernel ridge")];
+
+/// What is compared.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Compared {
+    /// Quantity that is answered.
+    pub quantity: Quantity,
+    /// Name or id of a dataset with a split.
+    pub dataset: String,
+    /// Conditions on its rows, each `COLUMN__lte=VALUE`.
+    pub conditions: Vec<String>,
+    /// Recipes of nets to train: carried ones, or files.
+    pub recipes: Vec<String>,
+    /// Ids or names of trained nets.
+    pub nets: Vec<String>,
+}
+
+/// A scored net.
+struct Entry {
+    name: String,
+    is_baseline: bool,
+    scores: QuantityScores,
+    models: Vec<ModelId>,
+}
+
+/// Trains both regressions and the nets of the recipes, and scores them and the named nets on the rows of
+/// the test part.
+///
+/// # Errors
+/// Error of the lab if a training or an evaluation fails.
+pub async fn quantity<L: Lab>(
+    lab: &L,
+    budget: &Budget,
+    compared: &Compared,
+) -> Result<Sheet, L::Error> {
+    let split_by = lab.split_by(&compared.dataset).await?;
+    let (mut entries, mut reports) = (Vec::new(), Vec::new());
+    let baselines = BASELINES.map(|(recipe, name)| (recipe.to_owned(), name.to_owned(), true));
+    let recipes = compared.recipes.iter().map(|recipe| (recipe.clone(), recipe.clone(), false));
+    let mut scored: Vec<(String, bool, String)> = Vec::new();
+    for (recipe, name, is_baseline) in baselines.into_iter().chain(recipes) {
+        let model = lab.train(&training(budget, compared, &recipe)).await?;
+        scored.push((name, is_baseline, model.to_string()));
+    }
+    scored.extend(compared.nets.iter().map(|net| (net.clone(), false, net.clone())));
+    for (name, is_baseline, net) in scored {
+        let mut request = budget.request(Scored::Quantity, &compared.dataset, Some("test"));
+        request.conditions.clone_from(&compared.conditions);
+        request.net = Some(net);
+        let report = lab.score(&request).await?;
+        if let Some(scores) = report.quantity.clone() {
+            entries.push(Entry { name, is_baseline, scores, models: report.models.clone() });
+        }
+        reports.push(report);
+    }
+    let label = reports.first().map_or("", |report| report.label.as_str());
+    let name = compared.quantity.name();
+    let text = format!(
+        "# {}{} on the test part of {} ({label}, split by {split_by})\n\n{}\n{}{}",
+        name[..1].to_uppercase(),
+        &name[1..],
+        compared.dataset,
+        markdown(&head(compared.quantity), &rows(&entries)),
+        verdicts(&entries),
+        notes(&reports),
+    );
+    let numbers = json!({ "quantity": name, "dataset": compared.dataset, "split_by": split_by,
+        "label": label, "nets": entries.iter().map(Entry::numbers).collect::<Vec<Value>>() });
+    Ok(Sheet::new(&format!("quantity-{name}"), text, numbers, Vec::new()))
+}
+
+fn training(budget: &Budget, compared: &Compared, recipe: &str) -> Training {
+    // A recipe file's name, without its folder and ending.
+    let stem = recipe.rsplit('/').next().unwrap_or(recipe).trim_end_matches(".toml");
+    Training {
+        recipe: recipe.into(),
+        stem: format!("{stem}-{}", compared.quantity.name()),
+        dataset: Some(compared.dataset.clone()),
+        conditions: compared.conditions.clone(),
+        answers: Some(compared.quantity),
+        map: None,
+        epochs: budget.epochs,
+        rows: budget.rows,
+        batch: None,
+        noise: None,
+        seed: budget.seed,
+    }
+}
+
+fn head(quantity: Quantity) -> [&'static str; 6] {
+    let error = match quantity {
+        Quantity::Position => "wrong by mm",
+        Quantity::Pattern => "wrong places",
+        Quantity::Count => "wrong by",
+        Quantity::Force => "wrong by N",
+    };
+    ["net", "rows", error, "median", "right %", "of ridge"]
+}
+
+fn rows(entries: &[Entry]) -> Vec<Vec<String>> {
+    let Some(first) = entries.first() else { return Vec::new() };
+    let ridge = first.scores.cost();
+    let mut rows: Vec<Vec<String>> = entries.iter().map(|entry| entry.row(ridge)).collect();
+    let constant = format!("{:.2}", first.scores.constant_error);
+    let absent = || "-".to_owned();
+    rows.push(vec![
+        "best constant".into(),
+        first.scores.rows.to_string(),
+        constant,
+        absent(),
+        absent(),
+        absent(),
+    ]);
+    rows
+}
+
+fn with_interval(mean: Mean, scale: f64, digits: usize) -> String {
+    let shown = |value: f64| format!("{:.digits$}", scale * value);
+    match mean.low_95.zip(mean.high_95) {
+        Some((low, high)) => format!("{} [{}, {}]", shown(mean.mean), shown(low), shown(high)),
+        None => shown(mean.mean),
+    }
+}
+
+impl Entry {
+    fn row(&self, ridge: f64) -> Vec<String> {
+        let QuantityScores { rows, error, median_error, right, .. } = &self.scores;
+        vec![
+            self.name.clone(),
+            rows.to_string(),
+            with_interval(*error, 1.0, 2),
+            format!("{median_error:.2}"),
+            right.map_or("-".into(), |right| with_interval(right, 100.0, 1)),
+            if ridge > 0.0 { format!("{:.2}", self.scores.cost() / ridge) } else { "-".into() },
+        ]
+    }
+
+    fn numbers(&self) -> Value {
+        json!({ "name": self.name, "models": self.models, "scores": self.scores })
+    }
+}
+
+/// For each net whether it beats each regression: a net that does not is not worth its training.
+fn verdicts(entries: &[Entry]) -> String {
+    let (baselines, nets): (Vec<&Entry>, Vec<&Entry>) =
+        entries.iter().partition(|entry| entry.is_baseline);
+    let mut text = String::new();
+    for net in nets {
+        for baseline in &baselines {
+            let (cost, other) = (net.scores.cost(), baseline.scores.cost());
+            let words = if cost < other {
+                format!("beats {}: {:.0} % less error", baseline.name, 100.0 * (1.0 - cost / other))
+            } else {
+                format!("does NOT beat {}", baseline.name)
+            };
+            text += &format!("{} {words}.\n", net.name);
+        }
+    }
+    let left_out = entries.first().map_or(0, |entry| entry.scores.left_out);
+    if left_out > 0 {
+        text += &format!("{left_out} rows without this quantity have no score.\n");
+    }
+    text + "Error of a pattern or a count: the share of rows that are not right.\n"
+}
+
+/// Restrictions of the reports, each once.
+fn notes(reports: &[EvaluationReport]) -> String {
+    let mut notes: Vec<&String> = reports.iter().flat_map(|report| &report.notes).collect();
+    notes.sort();
+    notes.dedup();
+    notes.into_iter().map(|note| format!("Note: {note}.\n")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::budget::small;
+    use crate::lab::fake::{FakeLab, result};
+
+    fn compared() -> Compared {
+        Compared {
+            quantity: Quantity::Position,
+            dataset: "pad".into(),
+            conditions: vec!["contact_count=1".into()],
+            recipes: vec!["my/mlp.toml".into()],
+            nets: vec!["mine".into()],
+        }
+    }
+
+    #[test]
+    fn both_regressions_are_trained_on_the_rows_of_the_nets_and_scored_on_the_same() {
+        let lab = FakeLab::default();
+        result(quantity(&lab, &small(), &compared())).unwrap();
+        let trained = lab.trained.lock().unwrap();
+        let recipes: Vec<&str> = trained.iter().map(|t| t.recipe.as_str()).collect();
+        assert_eq!(recipes, ["ridge", "kernel-ridge", "my/mlp.toml"]);
+        assert_eq!(trained[2].stem, "mlp-position");
+        let same = |t: &Training| {
+            (t.dataset.clone(), t.conditions.clone(), t.answers, t.rows, t.seed)
+                == (
+                    Some("pad".into()),
+                    vec!["contact_count=1".into()],
+                    Some(Quantity::Position),
+                    None,
+                    1,
+                )
+        };
+        assert!(trained.iter().all(same), "{trained:?}");
+        let scored = lab.scored.lock().unwrap();
+        let nets: Vec<&str> = scored.iter().filter_map(|request| request.net.as_deref()).collect();
+        assert_eq!(nets, ["mdl-1", "mdl-2", "mdl-3", "mine"]);
+        assert!(
+            scored.iter().all(|r| r.part.as_deref() == Some("test") && r.limit == scored[0].limit)
+        );
+    }
+
+    #[test]
+    fn a_net_that_does_not_beat_a_regression_says_so() {
+        let entry = |name: &str, is_baseline, error| Entry {
+            name: name.into(),
+            is_baseline,
+            scores: QuantityScores {
+                quantity: "force".into(),
+                rows: 2,
+                left_out: 1,
+                error: Mean::of_rows(&[error, error], 1).unwrap(),
+                median_error: error,
+                right: None,
+                constant_error: 9.0,
+            },
+            models: Vec::new(),
+        };
+        let entries =
+            [entry("ridge", true, 4.0), entry("kernel ridge", true, 2.0), entry("mlp", false, 3.0)];
+        let text = verdicts(&entries);
+        assert!(text.contains("mlp beats ridge: 25 % less error."), "{text}");
+        assert!(text.contains("mlp does NOT beat kernel ridge."), "{text}");
+        assert!(text.contains("1 rows without"), "{text}");
+        assert_eq!(rows(&entries)[2], ["mlp", "2", "3.00 [3.00, 3.00]", "3.00", "-", "0.75"]);
+    }
+}

@@ -1,0 +1,140 @@
+//! Every `palpate evaluate` command, run as a person runs it, on few trials with made-up frames: what each
+//! trains and scores, the form of its table, and its files. The scores themselves mean nothing here.
+
+use std::path::Path;
+use std::process::Command;
+
+use palpate::ids::TrialKey;
+use palpate::journal::{ExitStatus, Journal};
+use palpate::store::RunKind;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use serde_json::Value;
+
+use crate::datasets::filled::{fill, folder, new_run, press, store, twins};
+use crate::support::{PALPATE, sensor};
+
+/// Configurations of three tips: enough for one in the part test.
+const TRIPLES: u32 = 15;
+
+/// The trials of `fill`, and a run of three tips, whose twins are complete.
+async fn trials(data: &Path) {
+    fill(data).await;
+    let store = store(data).await;
+    let points: Vec<[f64; 2]> = sensor().points().iter().map(|p| [p.x_mm, p.y_mm]).collect();
+    let mut chance = ChaCha8Rng::seed_from_u64(6);
+    let run = store.create_run(new_run(RunKind::RealHex, "made-up-triples")).await.unwrap().uid;
+    for configuration in 0..TRIPLES {
+        for depth_index in 0..11 {
+            let key = TrialKey { configuration, depth_index };
+            store.trial(run, &press(key, 3, &points, &mut chance)).await.unwrap();
+        }
+    }
+    twins(&store, run, "sim-0000000000000001", &mut chance).await;
+    store.end_run(run, ExitStatus::Success, "made up", jiff::Timestamp::now()).await.unwrap();
+    store.close().await;
+}
+
+/// Runs `palpate evaluate`; returns its numbers. Its files are in the folder `tables` of the data.
+fn evaluate(data: &Path, command: &str, options: &[&str]) -> Value {
+    let tables = data.join("tables");
+    let out = Command::new(PALPATE)
+        .args(["evaluate", command, "--json", "--out"])
+        .arg(&tables)
+        .args(options)
+        .env("PALPATE_DATA", data)
+        .current_dir(data)
+        .output()
+        .unwrap();
+    let (text, words) =
+        (String::from_utf8_lossy(&out.stdout), String::from_utf8_lossy(&out.stderr));
+    assert!(out.status.success(), "evaluate {command}: {words}{text}");
+    serde_json::from_str(&text).unwrap_or_else(|error| panic!("{command}: {error}: {text}"))
+}
+
+/// Number of rows of a table file, whose columns are `head`.
+fn rows(data: &Path, name: &str, head: &[&str]) -> usize {
+    let text = std::fs::read_to_string(data.join("tables").join(name)).unwrap();
+    let mut lines = text.lines().filter(|line| line.starts_with('|'));
+    let cells = |line: &str| {
+        line.trim_matches('|').split('|').map(|cell| cell.trim().to_owned()).collect::<Vec<_>>()
+    };
+    assert_eq!(cells(lines.next().unwrap_or_default()), head, "{name}:\n{text}");
+    assert!(lines.all(|line| cells(line).len() == head.len()), "{name}:\n{text}");
+    // Without the head and the rule below it.
+    text.lines().filter(|line| line.starts_with('|')).count() - 2
+}
+
+fn is_svg(data: &Path, name: &str) {
+    let text = std::fs::read_to_string(data.join("tables").join(name)).unwrap();
+    assert!(text.starts_with("<svg") && text.contains("virtual"), "{name}");
+}
+
+#[tokio::test]
+async fn every_command_trains_scores_and_writes_what_it_is_for() {
+    let data = folder("evaluate-commands");
+    trials(&data).await;
+    // Few passes over few rows, one for every command, so that nets are shared as in a real study.
+    let tiny = ["--epochs", "1", "--rows", "40", "--scored", "20"];
+    let all = |more: &[&'static str]| [&tiny[..], more].concat();
+
+    let table = evaluate(&data, "transfer", &tiny);
+    let rungs = table["rungs"].as_array().unwrap();
+    let to: Vec<u64> = rungs.iter().map(|rung| rung["trained_to"].as_u64().unwrap()).collect();
+    assert_eq!((&table["table"], to), (&"III".into(), vec![1, 2, 3, 4, 5, 6]));
+    assert_eq!(table["label"], "virtual");
+    let fvu = table["no_net"]["all"]["fvu"].as_f64().unwrap();
+    assert!(fvu > 0.5, "frames and twins were drawn apart: FVU {fvu}");
+    let head = ["trained on", "train", "I", "II", "III", "IV", "V", "VI"];
+    // Measured voltages, and a row each of ours and of the paper's for six nets.
+    assert_eq!(rows(&data, "table-iii.md", &head), 13);
+    is_svg(&data, "table-iii.svg");
+
+    let table = evaluate(&data, "maps", &tiny);
+    let maps = table["maps"].as_array().unwrap();
+    let names: Vec<&str> = maps.iter().map(|map| map["map"].as_str().unwrap()).collect();
+    assert_eq!(names.len(), 12);
+    assert!(names.contains(&"4x20") && names.contains(&"20x160"), "{names:?}");
+    assert!(maps.iter().all(|map| map["report"]["part"] == "test" && map["report"]["rows"] == 20));
+    is_svg(&data, "fig-9.svg");
+
+    let figure = evaluate(&data, "noise", &tiny);
+    assert_eq!(figure["truth"].as_array().unwrap().len(), 3);
+    let sds = figure["residuals"]["sd_v"].as_array().unwrap();
+    assert!(sds.len() == 784 && sds.iter().all(|sd| sd.as_f64().unwrap() > 0.0));
+    assert_eq!(rows(&data, "fig-10.md", &["noise", "contacts found", "forces, N"]), 3);
+    is_svg(&data, "fig-10a.svg");
+    is_svg(&data, "fig-10b.svg");
+
+    let figure = evaluate(&data, "factorial", &tiny);
+    let conditions = figure["conditions"].as_array().unwrap();
+    let noises: std::collections::BTreeSet<String> =
+        conditions.iter().map(|condition| condition["noise"].to_string()).collect();
+    // Two pixels, two diameters, three levels of noise, as in the paper.
+    assert_eq!((conditions.len(), noises.len()), (12, 3), "{conditions:?}");
+
+    let figure = evaluate(&data, "unseen", &all(&["--ours"]));
+    let ours = figure["ours"].as_array().unwrap();
+    let names: Vec<&str> = ours.iter().map(|method| method["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["one step, Tikhonov", "one step, NOSER", "exact, 1 frame", "exact, mean"]);
+    assert!(ours.iter().all(|method| method["report"]["rows"] == 12), "all of Real-Random");
+    is_svg(&data, "fig-12.svg");
+
+    let scored =
+        evaluate(&data, "method", &all(&["tikhonov", "--dataset", "real", "--part", "test"]));
+    assert_eq!((&scored["method"], &scored["report"]["rows"]), (&"tikhonov".into(), &20.into()));
+    assert!(scored["report"]["perfect"]["all"]["trials"].as_u64() > Some(0));
+
+    let table = evaluate(&data, "quantity", &all(&["count"]));
+    let nets = table["nets"].as_array().unwrap();
+    let names: Vec<&str> = nets.iter().map(|net| net["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["ridge", "kernel ridge", "mlp"]);
+    let scores: Vec<&Value> = nets.iter().map(|net| &net["scores"]["rows"]).collect();
+    assert!(scores.iter().all(|rows| **rows == 20), "the same rows: {scores:?}");
+    let head = ["net", "rows", "wrong by", "median", "right %", "of ridge"];
+    assert_eq!(rows(&data, "quantity-count.md", &head), 4);
+
+    let report = evaluate(&data, "simulation", &["--run", "3"]);
+    assert_eq!((&report["label"], report["twins"].as_u64().is_some()), (&"virtual".into(), true));
+    assert!(data.join("tables/simulation.json").exists());
+}

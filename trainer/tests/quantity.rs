@@ -1,0 +1,182 @@
+//! Nets that answer a quantity: regressions in closed form, and perceptrons.
+
+use nets::compute::Compute;
+use nets::error::SamplesError;
+use nets::progress::{Flow, Observer, Plan, Progress, Trained};
+use nets::recipe::Recipe;
+use nets::samples::Samples;
+use palpate_trainer::answer::answer;
+use palpate_trainer::train::train;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+const CHANNELS: usize = 12;
+
+/// Rows in memory.
+struct Rows {
+    inputs: Vec<Vec<f32>>,
+    targets: Vec<Vec<f32>>,
+}
+
+impl Samples for Rows {
+    fn len(&self) -> u64 {
+        self.inputs.len() as u64
+    }
+    fn input_len(&self) -> usize {
+        self.inputs[0].len()
+    }
+    fn target_len(&self) -> usize {
+        self.targets[0].len()
+    }
+    fn read(&self, samples: &[u64], x: &mut [f32], y: &mut [f32]) -> Result<(), SamplesError> {
+        for (nth, &sample) in samples.iter().enumerate() {
+            let (input, target) = (&self.inputs[sample as usize], &self.targets[sample as usize]);
+            x[nth * input.len()..][..input.len()].copy_from_slice(input);
+            y[nth * target.len()..][..target.len()].copy_from_slice(target);
+        }
+        Ok(())
+    }
+}
+
+/// Random frames of a few hundredths of a volt, and `target` of each.
+fn rows(count: usize, seed: u64, target: impl Fn(&[f32]) -> Vec<f32>) -> Rows {
+    let mut chance = ChaCha8Rng::seed_from_u64(seed);
+    let mut frame =
+        || (0..CHANNELS).map(|_| chance.random_range(-0.03..0.03)).collect::<Vec<f32>>();
+    let inputs: Vec<Vec<f32>> = (0..count).map(|_| frame()).collect();
+    let targets = inputs.iter().map(|frame| target(frame)).collect();
+    Rows { inputs, targets }
+}
+
+/// Records losses and warnings; stops after a number of steps.
+#[derive(Default)]
+struct Watch {
+    stop_after: Option<usize>,
+    losses: Vec<f64>,
+    warnings: Vec<String>,
+}
+
+impl Observer for Watch {
+    fn see(&mut self, progress: &Progress) -> Flow {
+        self.losses.extend(progress.validation_loss);
+        if self.stop_after == Some(self.losses.len()) { Flow::Stop } else { Flow::Continue }
+    }
+    fn warn(&mut self, message: String) {
+        self.warnings.push(message);
+    }
+    fn keep(&mut self, _: Vec<u8>) {}
+}
+
+fn trained(net: &str, learn: &Rows, choose: &Rows, watch: &mut Watch) -> Trained {
+    let recipe = Recipe::from_toml(&format!("seed = 1\n{net}")).unwrap();
+    let compute = Compute::Cpu { threads: 1 };
+    let plan = Plan { recipe, data: "ds-test".into(), noise_sd_v: None, start: None, compute };
+    train(&plan, learn, choose, None, watch).unwrap()
+}
+
+/// Root mean square error on rows.
+fn error(trained: &Trained, rows: &Rows) -> f64 {
+    let answers = answer(&trained.network, &rows.inputs.concat(), Compute::Cpu { threads: 1 });
+    let targets = rows.targets.concat();
+    let square = |(a, b): (&f32, &f32)| f64::from(a - b).powi(2);
+    let sum: f64 = answers.unwrap().iter().zip(&targets).map(square).sum();
+    (sum / targets.len() as f64).sqrt()
+}
+
+/// x and y by a linear law, mm.
+fn linear(frame: &[f32]) -> Vec<f32> {
+    let along = |phase: f32| {
+        frame.iter().zip(0u8..).map(|(v, c)| 900.0 * v * (f32::from(c) + phase).cos()).sum::<f32>()
+    };
+    vec![270.0 + along(0.0), 280.0 + along(1.0)]
+}
+
+/// A force that no linear law describes: its best linear answer is constant.
+fn even(frame: &[f32]) -> Vec<f32> {
+    vec![10.0 + 4e4 * frame[0] * frame[1] + 2e4 * frame[2] * frame[2]]
+}
+
+#[test]
+fn ridge_regression_finds_a_linear_law_also_with_fewer_rows_than_channels() {
+    let net = "[net]\nkind = 'ridge'\nanswers = 'position'\n";
+    let (learn, other) = (rows(200, 1, linear), rows(50, 2, linear));
+    let spread = 30.0;
+    let of_many = error(&trained(net, &learn, &other, &mut Watch::default()), &other);
+    assert!(of_many < 1e-3 * spread, "{of_many} mm");
+    // In dual variables: the law is one of eight rows, their differences from the mean are seven.
+    let few = rows(8, 1, linear);
+    let of_few = trained(net, &few, &few, &mut Watch::default());
+    assert!(error(&of_few, &few) < 1e-3 * spread, "{} mm", error(&of_few, &few));
+    assert!(error(&of_few, &other) > 5.0);
+}
+
+#[test]
+fn kernel_ridge_regression_finds_what_is_not_linear_and_ridge_does_not() {
+    let (learn, choose, other) = (rows(900, 1, even), rows(200, 2, even), rows(200, 3, even));
+    let constant = 20.0;
+    let errors = ["ridge", "kernel-ridge"].map(|kind| {
+        let net = format!("[net]\nkind = '{kind}'\nanswers = 'force'\n");
+        let mut watch = Watch::default();
+        let trained = trained(&net, &learn, &choose, &mut watch);
+        assert_eq!(trained.curve.len(), watch.losses.len());
+        error(&trained, &other)
+    });
+    assert!(errors[0] > 0.4 * constant && errors[1] < 0.2 * errors[0], "{errors:?} N");
+}
+
+#[test]
+fn a_perceptron_learns_each_quantity() {
+    let pattern = |frame: &[f32]| vec![f32::from(frame[0] > 0.0), f32::from(frame[1] > frame[2])];
+    let count = |frame: &[f32]| vec![f32::from(frame[3] > 0.0) + f32::from(frame[4] > 0.0)];
+    let net = |answers: &str| {
+        format!(
+            "epochs = 120\nbatch = 16\n[net]\nkind = 'mlp'\nanswers = '{answers}'\nwidth = 64\n\
+             [optimiser]\nschedule = 'cosine'\n"
+        )
+    };
+    for (answers, learn, other, most) in [
+        ("position", rows(600, 1, linear), rows(200, 2, linear), 5.0),
+        ("force", rows(600, 1, even), rows(200, 2, even), 8.0),
+        ("count", rows(600, 1, count), rows(200, 2, count), 0.45),
+    ] {
+        let trained = trained(&net(answers), &learn, &other, &mut Watch::default());
+        assert!(error(&trained, &other) < most, "{answers}: {}", error(&trained, &other));
+    }
+    let (learn, other) = (rows(600, 1, pattern), rows(200, 2, pattern));
+    let trained = trained(&net("pattern"), &learn, &other, &mut Watch::default());
+    let compute = Compute::Cpu { threads: 1 };
+    let logits = answer(&trained.network, &other.inputs.concat(), compute).unwrap();
+    let right =
+        logits.iter().zip(other.targets.concat()).filter(|(z, t)| (**z > 0.0) == (*t > 0.5));
+    assert!(right.count() > 370, "of 400");
+}
+
+/// A channel that is constant in training once gave a loss of 1e21 when it moved.
+#[test]
+fn a_channel_that_is_constant_in_training_is_ignored_and_named() {
+    let mut learn = rows(200, 1, linear);
+    learn.inputs.iter_mut().for_each(|frame| frame.push(0.1));
+    let mut other = rows(100, 2, linear);
+    other.inputs.iter_mut().enumerate().for_each(|(row, frame)| frame.push(row as f32));
+    let answers = "answers = 'position'\n";
+    for net in [
+        format!("[net]\nkind = 'ridge'\n{answers}"),
+        format!("[net]\nkind = 'kernel-ridge'\n{answers}"),
+        format!("epochs = 60\nbatch = 16\n[net]\nkind = 'mlp'\n{answers}"),
+    ] {
+        let mut watch = Watch::default();
+        let trained = trained(&net, &learn, &other, &mut watch);
+        assert!(error(&trained, &other) < 15.0, "{net}: {} mm", error(&trained, &other));
+        let words = "1 of 13 channels are constant in the training rows";
+        assert!(watch.warnings[0].starts_with(words), "{:?}", watch.warnings);
+    }
+}
+
+#[test]
+fn a_fit_in_closed_form_can_be_stopped() {
+    let (learn, other) = (rows(100, 1, even), rows(50, 2, even));
+    let mut watch = Watch { stop_after: Some(2), ..Watch::default() };
+    let net = "[net]\nkind = 'kernel-ridge'\nanswers = 'force'\n";
+    let trained = trained(net, &learn, &other, &mut watch);
+    assert_eq!((trained.end, watch.losses.len()), (nets::progress::End::Stopped, 2));
+}
