@@ -58,8 +58,10 @@ enum What {
     /// Import trials measured elsewhere, as a separate run.
     ///
     /// FILE is Parquet with the columns of the trials table, of which `voltages_v` and `contacts`
-    /// are required. Contacts may lack force or position. Exit code 2 if a value cannot be used:
-    /// each problem names row, column, value and limit, and nothing is stored.
+    /// are required; or CSV (columns v0, v1, .., x_mm, y_mm, force_n), NPZ or MAT of version 5 to 7
+    /// (arrays voltages_v, contacts_xy_mm, force_n). Contacts may lack force or position. Exit code
+    /// 2 if a value cannot be used: each problem names row, column, value and limit, and nothing is
+    /// stored.
     Import(ImportArgs),
 }
 
@@ -124,7 +126,7 @@ struct ExportArgs {
 
 #[derive(Debug, Args)]
 struct ImportArgs {
-    /// Parquet file.
+    /// Parquet, CSV, NPZ or MAT file.
     file: PathBuf,
     /// Sensor file: TOML with name, channels, width_mm and height_mm, or one of Palpate's.
     #[arg(long, value_name = "SENSOR.toml")]

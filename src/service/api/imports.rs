@@ -41,7 +41,7 @@ pub struct ImportOut {
 #[derive(Debug, ToSchema)]
 #[expect(dead_code, reason = "describes the request for openapi.yaml")]
 pub struct ImportForm {
-    /// Parquet file with columns of the trials table.
+    /// Trials: Parquet with columns of the trials table, CSV, NPZ, or MAT of version 5 to 7.
     #[schema(value_type = String, format = Binary)]
     file: Vec<u8>,
     /// Sensor file (TOML), at most 1 MiB.

@@ -455,7 +455,8 @@ fn the_signal_of_other_physics_is_that_of_eq_1_at_one_weight() {
             for &[x_mm, y_mm] in &places {
                 let load = TipLoad { arm: 0, x_mm, y_mm, force_n, stroke: Stroke::Loading };
                 let held = skin.solve(&[load]).unwrap();
-                theirs.push(size_mv(&held.iter().zip(&rest).map(|(a, b)| a - b).collect::<Vec<_>>()));
+                theirs
+                    .push(size_mv(&held.iter().zip(&rest).map(|(a, b)| a - b).collect::<Vec<_>>()));
                 let contact = Contact { x_mm, y_mm, force_n };
                 ours.push(size_mv(nominal.voltages(&[contact], &mut work).unwrap()));
             }

@@ -1,17 +1,15 @@
-//! Import of trials measured elsewhere: a Parquet file becomes a separate run.
-//! Uses: `store::imports`, parquet. Never: HTTP; an incomplete import that counts as a run.
+//! Import of trials measured elsewhere: a file (Parquet, CSV, NPZ, MAT) becomes a separate run.
+//! Uses: `store::imports`, `source`. Never: HTTP; an incomplete import that counts as a run.
 
 pub mod extent;
-pub mod rows;
 pub mod sensor;
+pub mod rows;
+mod foreign;
+pub mod source;
 
 use std::fs::File;
 use std::path::Path;
 
-use arrow_schema::FieldRef;
-use parquet::arrow::ProjectionMask;
-use parquet::arrow::arrow_reader::{ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder};
-use parquet::errors::ParquetError;
 use tokio::sync::mpsc;
 
 use super::background::background;
@@ -23,9 +21,9 @@ use crate::problem::Problem;
 use crate::store::{
     IMPORTED_MODEL, ImportedTrial, Label, NewRun, NewTwinModel, RunKind, RunRow, Store, TwinModelId,
 };
-use extent::Extent;
 use rows::Reader;
 use sensor::ImportedSensor;
+use source::Source;
 
 /// Number of trials per transaction.
 const BATCH_TRIALS: usize = 500;
@@ -37,7 +35,7 @@ pub struct Import {
     pub name: String,
     /// Origin of the data.
     pub label: Label,
-    /// Name of the Parquet file in messages.
+    /// Name of the file in messages.
     pub file: String,
     /// Name of the sensor file in messages.
     pub sensor_file: String,
@@ -106,12 +104,12 @@ fn check(
     sensor: &ImportedSensor,
     free: u64,
 ) -> Result<Checked, DatasetError> {
-    let opened = open(path, file)?;
+    let source = Source::open(path, file)?;
     let mut reader = Reader::new(file, sensor);
-    reader.check(opened.schema()).map_err(DatasetError::Problems)?;
+    reader.check(source.schema()).map_err(DatasetError::Problems)?;
     // A few bytes of a compressed file may stand for any number of values.
-    let extent = Extent::of(opened.metadata());
-    let needed = extent.needed(file, sensor).map_err(DatasetError::Problems)?;
+    let rows = source.extent().rows();
+    let needed = source.extent().needed(file, sensor).map_err(DatasetError::Problems)?;
     space::check(Product::Import, needed, free)?;
     let mut hashing = Hashing::default();
     let mut bytes = File::open(path).map_err(DatasetError::file("opening", path))?;
@@ -119,14 +117,14 @@ fn check(
     let mut checked = Checked {
         trials: 0,
         simulated: false,
-        columns_left_out: rows::ignored(opened.schema()),
+        columns_left_out: rows::ignored(source.schema()),
         sha256: hashing.finish(),
     };
-    for batch in batches(opened, file)? {
+    for batch in source.batches()? {
         let trials = reader.read(&batch?).map_err(DatasetError::Problems)?;
         checked.trials += trials.len() as u64;
         checked.simulated |= trials.iter().any(|trial| trial.sim_voltages_v.is_some());
-        if checked.trials > extent.rows() {
+        if checked.trials > rows {
             return Err(whole(file, "must not hold more rows than its footer states"));
         }
     }
@@ -134,28 +132,6 @@ fn check(
         return Err(whole(file, "must hold at least one trial"));
     }
     Ok(checked)
-}
-
-fn open(path: &Path, file: &str) -> Result<ParquetRecordBatchReaderBuilder<File>, DatasetError> {
-    let opened = File::open(path).map_err(DatasetError::file("opening", path))?;
-    ParquetRecordBatchReaderBuilder::try_new(opened).map_err(|error| unreadable(file, &error))
-}
-
-/// Reads the columns that an import uses.
-fn batches(
-    opened: ParquetRecordBatchReaderBuilder<File>,
-    file: &str,
-) -> Result<ParquetRecordBatchReader, DatasetError> {
-    let used = |(at, field): (usize, &FieldRef)| rows::is_read(field.name()).then_some(at);
-    let used: Vec<usize> = opened.schema().fields().iter().enumerate().filter_map(used).collect();
-    let mask = ProjectionMask::roots(opened.parquet_schema(), used);
-    let built = opened.with_projection(mask).with_batch_size(BATCH_TRIALS).build();
-    built.map_err(|error| unreadable(file, &error))
-}
-
-fn unreadable(file: &str, error: &ParquetError) -> DatasetError {
-    let limit = format!("must be a Parquet file with the columns of the trials table: {error}");
-    whole(file, limit)
 }
 
 fn whole(file: &str, limit: impl Into<String>) -> DatasetError {
@@ -221,7 +197,7 @@ async fn store_trials(
     let (path, file, sensor) = (path.to_owned(), import.file.clone(), sensor.clone());
     let reading = background(move || -> Result<(), DatasetError> {
         let mut reader = Reader::new(&file, &sensor);
-        for batch in batches(open(&path, &file)?, &file)? {
+        for batch in Source::open(&path, &file)?.batches()? {
             let trials = reader.read(&batch?).map_err(DatasetError::Problems)?;
             if sender.blocking_send(trials).is_err() {
                 break;

@@ -1,4 +1,4 @@
-//! Rows of a foreign Parquet file as trials: known columns by their names, each value checked.
+//! Rows of a foreign file as trials: known columns by their names, each value checked.
 //! PURE. Uses: arrow, `store`'s imported trial. Never: files; a default for a missing measurement.
 
 use std::collections::HashSet;
@@ -72,8 +72,12 @@ impl<'a> Reader<'a> {
     pub fn check(&self, schema: &Schema) -> Result<(), Vec<Problem>> {
         let names: Vec<&str> = schema.fields().iter().map(|f| f.name().as_str()).collect();
         let wanted = [
-            (VOLTAGES_V, "lists of voltages"),
-            (CONTACTS, "lists of contacts, empty for an untouched skin"),
+            (VOLTAGES_V, "lists of voltages (CSV: columns v0, v1, ..)"),
+            (
+                CONTACTS,
+                "lists of contacts, empty for an untouched skin (CSV: x_mm, y_mm, force_n; NPZ and MAT: \
+                 contacts_xy_mm)",
+            ),
         ];
         let missing = wanted.into_iter().filter(|(name, _)| schema.index_of(name).is_err());
         let problems: Vec<Problem> = missing
