@@ -52,6 +52,8 @@ pub struct ImportedTrial {
     pub quality: FrameQuality,
     /// Wall time of the measurement; absent if unknown.
     pub started_at: Option<Timestamp>,
+    /// Part that the file states: `train`, `validation` or `test`.
+    pub split: Option<String>,
 }
 
 impl Store {
@@ -203,12 +205,14 @@ async fn insert(
         max_force_n: largest,
         frame_count: 0,
         times: [trial.started_at, None],
+        imported_split: trial.split.as_deref(),
     };
     let id: i64 = sqlx::query_scalar(
         "INSERT INTO trials (run, configuration, depth_index, attempt, tips, depth_mm, flags,
              contact_count, max_force_n, frame_count, started_at, measured_at, saturated_channels,
-             stuck_channels, missing_channels, injection_sum_v, dropped_packets, crc32)
-         VALUES (?1, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8, 0, ?9, NULL, ?10, ?11, ?12, ?13, ?14, ?15)
+             stuck_channels, missing_channels, injection_sum_v, dropped_packets, crc32,
+             imported_split)
+         VALUES (?1, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8, 0, ?9, NULL, ?10, ?11, ?12, ?13, ?14, ?15, ?16)
          RETURNING id",
     )
     .bind(scan_id)
@@ -226,6 +230,7 @@ async fn insert(
     .bind(trial.quality.injection_sum_v)
     .bind(trial.quality.dropped_packets)
     .bind(numbers.crc32())
+    .bind(&trial.split)
     .fetch_one(&mut *connection)
     .await
     .during(STORING)?;

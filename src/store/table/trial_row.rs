@@ -101,6 +101,9 @@ pub struct TrialRow {
     /// Wall time of its last frame.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub measured_at: Option<Timestamp>,
+    /// Part that the imported file states: `train`, `validation` or `test`; absent if it states none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub imported_split: Option<String>,
     /// Mean of its frames, V, injection-major; absent if not requested.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub voltages_v: Option<Vec<f32>>,

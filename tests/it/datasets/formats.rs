@@ -67,6 +67,10 @@ async fn every_format_gives_the_same_trials() {
                 assert_eq!(found[1]["missing_channels"], 1);
                 assert!(found[2]["contacts"].as_array().unwrap().is_empty());
                 assert!(found[3]["contacts"][1].get("force_n").is_none());
+                assert_eq!(
+                    (&found[2]["imported_split"], found[4].get("imported_split")),
+                    (&"test".into(), None)
+                );
                 wanted = Some(found);
             }
         }
@@ -76,6 +80,96 @@ async fn every_format_gives_the_same_trials() {
     let output = import(&lab, &files, "new.mat", &[]).await;
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.code() == Some(2) && errors.contains("'-v7'"), "{errors}");
+    lab.close().await;
+    std::fs::remove_dir_all(files).unwrap();
+}
+
+/// Makes a dataset of all trials of these runs with a split: the status and the answer.
+async fn split(lab: &Filled, name: &str, runs: &[&str], split: Value) -> (u16, Value) {
+    let definition = serde_json::json!({ "name": name, "task": "trials", "runs": runs,
+        "untouched": "keep", "split": split });
+    lab.post("/api/v1/datasets", serde_json::json!({ "definition": definition })).await
+}
+
+/// Part of each row of a dataset, by experiment and configuration.
+async fn parts(lab: &Filled, made: &Value) -> Vec<(String, u64, String)> {
+    let id = made["id"].as_str().unwrap_or_else(|| panic!("{made}"));
+    let path = format!("/api/v1/datasets/{id}/rows?columns=experiment,configuration,split");
+    let page = lab.get(&path).await;
+    let rows = page["items"].as_array().unwrap().iter();
+    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+    rows.map(|row| {
+        (text(&row["experiment"]), row["configuration"].as_u64().unwrap(), text(&row["split"]))
+    })
+    .collect()
+}
+
+/// A CSV file of `trials` trials, each a configuration at another position, with a part if `split` names one.
+fn table(trials: u32, split: &str) -> String {
+    let mut text = "v0,v1,v2,v3,v4,v5,x_mm,y_mm,force_n,split\n".to_owned();
+    for n in 0..trials {
+        text += &format!("{n},1,2,3,4,5,{},{},5,{split}\n", n % 100, trials % 90);
+    }
+    text
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
+    let lab = Filled::open("imported-splits").await;
+    let files = folder("imported-splits-files");
+    let pad = "name = \"pad\"\nchannels = 6\nwidth_mm = 100\nheight_mm = 100\n";
+    std::fs::write(files.join("pad.toml"), pad).unwrap();
+    let some = "v0,v1,v2,v3,v4,v5,x_mm,y_mm,split\n0,1,2,3,4,5,1,1,test\n0,1,2,3,4,5,1,1,train\n\
+                0,1,2,3,4,5,1,1,\n0,1,2,3,4,5,1,1,validation\n";
+    for (name, text) in [("some", some), ("one", &table(40, "")), ("two", &table(30, ""))] {
+        std::fs::write(files.join(format!("{name}.csv")), text).unwrap();
+        let output = import(&lab, &files, &format!("{name}.csv"), &[]).await;
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    // Equal positions are in different parts, because the file says so.
+    let (status, made) =
+        split(&lab, "imported", &["some"], serde_json::json!({ "by": "imported" })).await;
+    assert_eq!(
+        (status, &made["report"]["left_out"]),
+        (200, &serde_json::json!({ "no imported part": 1 })),
+        "{made}"
+    );
+    let found: Vec<String> = parts(&lab, &made).await.into_iter().map(|(.., part)| part).collect();
+    assert_eq!(found, ["test", "train", "validation"]);
+    let (status, refused) =
+        split(&lab, "none", &["one"], serde_json::json!({ "by": "imported" })).await;
+    let detail = refused["detail"].as_str().unwrap();
+    assert!(status != 200 && detail.contains("a column split with train"), "{status} {refused}");
+    // Leave one batch out: the named run is the test part, and the other is divided.
+    let by =
+        |tests: &str| serde_json::json!({ "by": "run", "ratio": [3, 1, 1], "test_runs": [tests] });
+    let (status, made) = split(&lab, "left-out", &["one", "two"], by("two")).await;
+    assert_eq!(status, 200, "{made}");
+    let found = parts(&lab, &made).await;
+    let count =
+        |run: &str, part: &str| found.iter().filter(|(r, _, p)| r == run && p == part).count();
+    assert_eq!(
+        [count("one", "train"), count("one", "validation"), count("one", "test")],
+        [30, 10, 0]
+    );
+    assert_eq!(
+        [count("two", "train"), count("two", "validation"), count("two", "test")],
+        [0, 0, 30]
+    );
+    let (status, refused) = split(&lab, "unknown", &["one"], by("two")).await;
+    let detail = refused["detail"].as_str().unwrap();
+    assert!(
+        status == 400 && detail.contains("split.test_runs = two: must be one of"),
+        "{status} {refused}"
+    );
+    let (status, refused) = split(&lab, "all", &["two"], by("two")).await;
+    let detail = refused["detail"].as_str().unwrap();
+    assert!(status == 400 && detail.contains("must leave at least one"), "{status} {refused}");
+    // A part that is none is refused with its row.
+    std::fs::write(files.join("bad.csv"), table(2, "training")).unwrap();
+    let output = import(&lab, &files, "bad.csv", &[]).await;
+    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(errors.contains("split = training: must be train, validation or test"), "{errors}");
     lab.close().await;
     std::fs::remove_dir_all(files).unwrap();
 }

@@ -12,7 +12,8 @@ use arrow_schema::{DataType, Field, Schema, TimeUnit};
 use jiff::Timestamp;
 
 use super::sensor::ImportedSensor;
-use crate::dataset::schema::VOLTAGES_V;
+use crate::dataset::schema::{SPLIT, VOLTAGES_V};
+use crate::dataset::split::Part;
 use crate::problem::Problem;
 use crate::record::{Flag, FrameQuality};
 use crate::simulate::compare::difference;
@@ -20,7 +21,7 @@ use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
 use crate::store::{Contact, IMPORTED_CONTACTS_MAX, ImportedTrial};
 
 /// Columns that are read.
-const READ: [&str; 9] = [
+const READ: [&str; 10] = [
     VOLTAGES_V,
     SIM_VOLTAGES_V,
     CONTACTS,
@@ -30,6 +31,7 @@ const READ: [&str; 9] = [
     "tips",
     "flags",
     "started_at",
+    SPLIT,
 ];
 /// Fields of a contact.
 const CONTACT: [&str; 4] = ["x_mm", "y_mm", "force_n", "diameter_mm"];
@@ -159,6 +161,12 @@ impl<'a> Reader<'a> {
             let ms = times.as_primitive::<TimestampMillisecondType>().value(at);
             Timestamp::from_millisecond(ms).ok()
         });
+        let split = columns.split.as_ref().filter(|parts| !parts.is_null(at));
+        let split = split.map(|parts| parts.as_string::<i32>().value(at).trim().to_owned());
+        let split = split.filter(|part| !part.is_empty());
+        if let Some(part) = split.as_ref().filter(|part| Part::named(part).is_none()) {
+            self.wrong(SPLIT, part, "must be train, validation or test, or null");
+        }
         if self.problems.len() > before {
             return None;
         }
@@ -182,6 +190,7 @@ impl<'a> Reader<'a> {
                 ..FrameQuality::default()
             },
             started_at,
+            split,
             voltages_v,
         })
     }
@@ -292,6 +301,7 @@ struct Columns {
     tips: Option<ArrayRef>,
     flags: Option<ArrayRef>,
     started_at: Option<ArrayRef>,
+    split: Option<ArrayRef>,
 }
 
 impl Columns {
@@ -324,6 +334,7 @@ impl Columns {
             tips: column("tips", DataType::Int64, "whole numbers")?,
             flags: column("flags", list(DataType::Utf8), "lists of words")?,
             started_at: column("started_at", time, "times")?,
+            split: column(SPLIT, DataType::Utf8, "words")?,
         })
     }
 }

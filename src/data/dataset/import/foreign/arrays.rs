@@ -184,7 +184,7 @@ impl Layout {
             let (fits, words) = match (scalar, shape.kind) {
                 (Scalar::Number, kind) => (kind == Kind::Numbers, "numbers"),
                 (Scalar::Time, kind) => (matches!(kind, Kind::Times | Kind::Texts(_)), "times"),
-                (Scalar::Words, kind) => (matches!(kind, Kind::Texts(_)), "texts"),
+                (Scalar::Text | Scalar::Words, kind) => (matches!(kind, Kind::Texts(_)), "texts"),
             };
             if !fits || !is_list(shape) {
                 wrong(name, &shape.shown(), format!("must be {words} of the shape ({rows})"));
@@ -422,6 +422,9 @@ impl Batches {
                     batch::parse_time(text).map_err(|limit| wrong(first + at, text, limit))
                 });
                 batch::times(times.collect::<Result<_, _>>()?)
+            }
+            (Scalar::Text, Values::Texts(texts)) => {
+                batch::texts(texts[first..end].iter().map(String::as_str))
             }
             (_, Values::Texts(texts)) => {
                 let words = texts[first..end].iter().enumerate().map(|(at, text)| {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use arrow_array::builder::{ListBuilder, StringBuilder};
 use arrow_array::{
-    ArrayRef, FixedSizeListArray, Float32Array, Float64Array, ListArray, StructArray,
+    ArrayRef, FixedSizeListArray, Float32Array, Float64Array, ListArray, StringArray, StructArray,
     TimestampMillisecondArray,
 };
 use arrow_buffer::{NullBuffer, OffsetBuffer};
@@ -21,18 +21,21 @@ pub(super) enum Scalar {
     Number,
     /// Times.
     Time,
+    /// Texts.
+    Text,
     /// Lists of words.
     Words,
 }
 
 /// Columns with one value per trial.
-pub(super) const SCALARS: [(&str, Scalar); 6] = [
+pub(super) const SCALARS: [(&str, Scalar); 7] = [
     ("configuration", Scalar::Number),
     ("depth_index", Scalar::Number),
     ("depth_mm", Scalar::Number),
     ("tips", Scalar::Number),
     ("flags", Scalar::Words),
     ("started_at", Scalar::Time),
+    ("split", Scalar::Text),
 ];
 
 /// Frames of `channels` voltages, V, one after the other; NaN for a missing channel. With `may_lack` a frame
@@ -85,6 +88,12 @@ pub(super) fn numbers(values: impl Iterator<Item = Option<f64>>) -> ArrayRef {
 /// Times, ms since 1970, UTC.
 pub(super) fn times(values: Vec<Option<i64>>) -> ArrayRef {
     Arc::new(TimestampMillisecondArray::from(values).with_timezone("UTC"))
+}
+
+/// Texts; an empty one is unknown.
+pub(super) fn texts<'t>(values: impl Iterator<Item = &'t str>) -> ArrayRef {
+    let values = values.map(str::trim).map(|text| (!text.is_empty()).then_some(text));
+    Arc::new(values.collect::<StringArray>())
 }
 
 /// Lists of words.

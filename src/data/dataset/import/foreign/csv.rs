@@ -301,6 +301,7 @@ struct Page {
     numbers: BTreeMap<&'static str, Vec<Option<f64>>>,
     times: BTreeMap<&'static str, Vec<Option<i64>>>,
     words: BTreeMap<&'static str, Vec<Vec<String>>>,
+    texts: BTreeMap<&'static str, Vec<String>>,
     problems: Vec<Problem>,
 }
 
@@ -344,6 +345,7 @@ impl Page {
             let cell = text(*at);
             match scalar {
                 Scalar::Number => {}
+                Scalar::Text => self.texts.entry(name).or_default().push(cell.into_owned()),
                 Scalar::Time => {
                     let time = batch::parse_time(&cell).unwrap_or_else(|limit| {
                         wrong(name, &cell, &limit);
@@ -393,6 +395,10 @@ impl Page {
                 match scalar {
                     Scalar::Number => {
                         batch::numbers(self.numbers.remove(name).unwrap_or_default().into_iter())
+                    }
+                    Scalar::Text => {
+                        let texts = self.texts.remove(name).unwrap_or_default();
+                        batch::texts(texts.iter().map(String::as_str))
                     }
                     Scalar::Time => batch::times(self.times.remove(name).unwrap_or_default()),
                     Scalar::Words => {
