@@ -93,7 +93,7 @@ pub struct TrialRow {
     #[serde(flatten)]
     #[schema(inline)]
     pub scalars: TrialScalars,
-    /// Number of stored raw frames.
+    /// Number of raw frames in the mean; of an import as its file states, 0 if it does not.
     pub frame_count: u32,
     /// Wall time at which its motion started.
     #[schema(value_type = Option<String>, format = DateTime)]

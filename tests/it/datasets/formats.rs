@@ -71,6 +71,7 @@ async fn every_format_gives_the_same_trials() {
                     (&found[2]["imported_split"], found[4].get("imported_split")),
                     (&"test".into(), None)
                 );
+                assert_eq!(found[2]["frame_count"], 8);
                 wanted = Some(found);
             }
         }

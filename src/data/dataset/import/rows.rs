@@ -21,7 +21,7 @@ use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
 use crate::store::{Contact, IMPORTED_CONTACTS_MAX, ImportedTrial};
 
 /// Columns that are read.
-const READ: [&str; 10] = [
+const READ: [&str; 11] = [
     VOLTAGES_V,
     SIM_VOLTAGES_V,
     CONTACTS,
@@ -31,8 +31,11 @@ const READ: [&str; 10] = [
     "tips",
     "flags",
     "started_at",
+    FRAME_COUNT,
     SPLIT,
 ];
+/// Column of the number of frames in the mean.
+const FRAME_COUNT: &str = "frame_count";
 /// Fields of a contact.
 const CONTACT: [&str; 4] = ["x_mm", "y_mm", "force_n", "diameter_mm"];
 /// Number of problems after which checking ends.
@@ -144,6 +147,10 @@ impl<'a> Reader<'a> {
         if tips.is_err() {
             self.wrong("tips", "out of range", "must be from 0 to 255");
         }
+        let frame_count = u32::try_from(whole(&columns.frame_count).unwrap_or(0));
+        if frame_count.is_err() {
+            self.wrong(FRAME_COUNT, "out of range", limit);
+        }
         let has_key = configuration.is_ok() && depth_index.is_ok();
         let (configuration, depth_index, tips) =
             (configuration.unwrap_or(0), depth_index.unwrap_or(0), tips.ok().flatten());
@@ -190,6 +197,7 @@ impl<'a> Reader<'a> {
                 ..FrameQuality::default()
             },
             started_at,
+            frame_count: frame_count.unwrap_or(0),
             split,
             voltages_v,
         })
@@ -301,6 +309,7 @@ struct Columns {
     tips: Option<ArrayRef>,
     flags: Option<ArrayRef>,
     started_at: Option<ArrayRef>,
+    frame_count: Option<ArrayRef>,
     split: Option<ArrayRef>,
 }
 
@@ -334,6 +343,7 @@ impl Columns {
             tips: column("tips", DataType::Int64, "whole numbers")?,
             flags: column("flags", list(DataType::Utf8), "lists of words")?,
             started_at: column("started_at", time, "times")?,
+            frame_count: column(FRAME_COUNT, DataType::Int64, "whole numbers")?,
             split: column(SPLIT, DataType::Utf8, "words")?,
         })
     }

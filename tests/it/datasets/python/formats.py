@@ -23,10 +23,11 @@ force = np.array([[2.5, 3.5], [nan, nan], [nan, nan], [1, nan], [7, nan]])
 depth = np.array([0.5, 1.0, 1.5, nan, 2.5])
 configuration = np.array([4, 4, 7, 8, 9], dtype=np.int32)
 depth_index = np.array([0, 1, 0, 0, 0], dtype=np.int64)
+frame_count = np.array([8, 8, 8, 1, 0], dtype=np.uint32)
 split = np.array(["train", "train", "test", "validation", ""])
 
 arrays = {"voltages_v": volts, "contacts_xy_mm": xy, "force_n": force, "depth_mm": depth,
-          "configuration": configuration, "depth_index": depth_index, "weather": np.arange(5), "split": split}
+          "configuration": configuration, "depth_index": depth_index, "weather": np.arange(5), "frame_count": frame_count, "split": split}
 np.savez_compressed(out / "trials.npz", **{**arrays, "voltages_v": np.asfortranarray(volts)})
 scipy.io.savemat(out / "trials.mat", arrays, do_compression=False, oned_as="column")
 arrays["split"] = split.astype(object)  # a cell array
@@ -42,7 +43,7 @@ def contacts(row: int) -> list[dict]:
     return found
 
 
-scalars = {"depth_mm": depth, "configuration": configuration, "depth_index": depth_index, "weather": np.arange(5),
+scalars = {"depth_mm": depth, "configuration": configuration, "depth_index": depth_index, "weather": np.arange(5), "frame_count": frame_count,
            "split": [part or None for part in split]}
 pd.DataFrame({"voltages_v": [list(row) for row in volts], "contacts": [contacts(row) for row in range(5)],
               **scalars}).to_parquet(out / "trials.parquet")

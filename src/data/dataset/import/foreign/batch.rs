@@ -28,13 +28,14 @@ pub(super) enum Scalar {
 }
 
 /// Columns with one value per trial.
-pub(super) const SCALARS: [(&str, Scalar); 7] = [
+pub(super) const SCALARS: [(&str, Scalar); 8] = [
     ("configuration", Scalar::Number),
     ("depth_index", Scalar::Number),
     ("depth_mm", Scalar::Number),
     ("tips", Scalar::Number),
     ("flags", Scalar::Words),
     ("started_at", Scalar::Time),
+    ("frame_count", Scalar::Number),
     ("split", Scalar::Text),
 ];
 
