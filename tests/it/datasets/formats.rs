@@ -174,3 +174,43 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
     lab.close().await;
     std::fs::remove_dir_all(files).unwrap();
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_dry_run_shows_what_was_understood_and_stores_nothing() {
+    let lab = Filled::open("dry-run").await;
+    let files = folder("dry-run-files");
+    let pad = "name = \"pad\"\nchannels = 3\nwidth_mm = 100\nheight_mm = 100\n";
+    std::fs::write(files.join("pad.toml"), pad).unwrap();
+    let text = "v0,v1,v2,x_mm,y_mm,force_n,weather,split\n0.5,,-1.5,10,20,2.5,rain,train\n1,2,3,,,,sun,test\n";
+    std::fs::write(files.join("pad.csv"), text).unwrap();
+    let runs = async || lab.get("/api/v1/runs").await["items"].as_array().unwrap().len();
+    let before = runs().await;
+    let output = import(&lab, &files, "pad.csv", &["--dry-run"]).await;
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let words = String::from_utf8(output.stdout).unwrap();
+    for wanted in [
+        "2 trials",
+        "voltages_v, contacts, split",
+        "unused columns   weather",
+        "3 channels, -1.5 to 3 V, 1 values missing",
+        "1 with 0, 1 with 1",
+        "x                10 to 10 mm",
+        "forces           2.5 to 2.5 N",
+        "1 test, 1 train",
+        "nothing was stored",
+    ] {
+        assert!(words.contains(wanted), "{wanted}: {words}");
+    }
+    assert_eq!(runs().await, before);
+    let output = import(&lab, &files, "pad.csv", &[]).await;
+    let words = String::from_utf8(output.stdout).unwrap();
+    assert!(words.contains("3 channels, -1.5 to 3 V") && words.contains("its dataset"), "{words}");
+    assert_eq!(runs().await, before + 1);
+    std::fs::write(files.join("counts.csv"), text.replace("-1.5", "4096")).unwrap();
+    let output = import(&lab, &files, "counts.csv", &["--dry-run"]).await;
+    let errors = String::from_utf8_lossy(&output.stderr);
+    let wanted = "row 0, voltages_v[2] = 4096: must be from -1000 to 1000 V";
+    assert!(output.status.code() == Some(2) && errors.contains(wanted), "{errors}");
+    lab.close().await;
+    std::fs::remove_dir_all(files).unwrap();
+}

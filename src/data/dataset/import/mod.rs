@@ -6,6 +6,7 @@ pub mod sensor;
 pub mod rows;
 mod foreign;
 pub mod source;
+pub mod summary;
 
 use std::fs::File;
 use std::path::Path;
@@ -24,6 +25,7 @@ use crate::store::{
 use rows::Reader;
 use sensor::ImportedSensor;
 use source::Source;
+use summary::Summary;
 
 /// Number of trials per transaction.
 const BATCH_TRIALS: usize = 500;
@@ -87,14 +89,32 @@ pub async fn import(
     let target = Target { run: run.uid, model };
     store_trials(store, path, &import, &sensor, target).await?;
     let run = store.end_import(run.uid).await?;
-    Ok(Imported { run, trials: checked.trials, columns_left_out: checked.columns_left_out })
+    Ok(Imported {
+        run,
+        trials: checked.summary.rows,
+        columns_left_out: checked.summary.columns_left_out,
+    })
+}
+
+/// Checks a file as an import does, and returns what it understood; nothing is stored. `sensor` is the text
+/// of the sensor file; `file` and `sensor_file` are names in messages.
+///
+/// # Errors
+/// As [`import`], except those of the store and the disk.
+pub fn preview(
+    path: &Path,
+    file: &str,
+    sensor_file: &str,
+    sensor: &str,
+) -> Result<Summary, DatasetError> {
+    let sensor = ImportedSensor::from_toml(sensor_file, sensor).map_err(DatasetError::Problems)?;
+    check(path, file, &sensor, u64::MAX).map(|checked| checked.summary)
 }
 
 /// Result of the first reading of a file.
 struct Checked {
-    trials: u64,
+    summary: Summary,
     simulated: bool,
-    columns_left_out: Vec<String>,
     sha256: String,
 }
 
@@ -115,20 +135,23 @@ fn check(
     let mut bytes = File::open(path).map_err(DatasetError::file("opening", path))?;
     std::io::copy(&mut bytes, &mut hashing).map_err(DatasetError::file("reading", path))?;
     let mut checked = Checked {
-        trials: 0,
+        summary: Summary {
+            columns: rows::read(source.schema()),
+            columns_left_out: rows::ignored(source.schema()),
+            ..Summary::default()
+        },
         simulated: false,
-        columns_left_out: rows::ignored(source.schema()),
         sha256: hashing.finish(),
     };
     for batch in source.batches()? {
         let trials = reader.read(&batch?).map_err(DatasetError::Problems)?;
-        checked.trials += trials.len() as u64;
+        trials.iter().for_each(|trial| checked.summary.add(trial));
         checked.simulated |= trials.iter().any(|trial| trial.sim_voltages_v.is_some());
-        if checked.trials > rows {
+        if checked.summary.rows > rows {
             return Err(whole(file, "must not hold more rows than its footer states"));
         }
     }
-    if checked.trials == 0 {
+    if checked.summary.rows == 0 {
         return Err(whole(file, "must hold at least one trial"));
     }
     Ok(checked)
@@ -140,8 +163,8 @@ fn whole(file: &str, limit: impl Into<String>) -> DatasetError {
 
 fn new_run(import: &Import, sensor: &ImportedSensor, checked: &Checked) -> NewRun {
     let definition = serde_json::json!({
-        "imported": import.file, "sha256": checked.sha256, "trials": checked.trials,
-        "sensor": sensor.name, "columns_left_out": checked.columns_left_out,
+        "imported": import.file, "sha256": checked.sha256, "trials": checked.summary.rows,
+        "sensor": sensor.name, "columns_left_out": checked.summary.columns_left_out,
     });
     NewRun {
         uid: RunUid::new(),
@@ -159,7 +182,7 @@ fn new_run(import: &Import, sensor: &ImportedSensor, checked: &Checked) -> NewRu
         deadband_n: 0.0,
         tip_diameter_mm: sensor.tip_diameter_mm,
         plan: None,
-        trials_planned: checked.trials,
+        trials_planned: checked.summary.rows,
         auto_resume: false,
         not_before: None,
         submitted_by: import.submitted_by.clone(),

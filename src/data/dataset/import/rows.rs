@@ -42,10 +42,18 @@ const CONTACT: [&str; 4] = ["x_mm", "y_mm", "force_n", "diameter_mm"];
 const PROBLEMS_MAX: usize = 20;
 /// Largest valid force of a contact, N.
 const FORCE_MAX_N: f64 = 100_000.0;
+/// Largest plausible magnitude of a voltage, V: beyond it the unit is another one, such as mV or counts.
+const VOLTAGE_MAX_V: f32 = 1000.0;
 
 /// Whether an import reads the column with this name.
 pub fn is_read(name: &str) -> bool {
     READ.contains(&name)
+}
+
+/// Names of the columns of a file that an import reads.
+pub fn read(schema: &Schema) -> Vec<String> {
+    let names = schema.fields().iter().map(|field| field.name());
+    names.filter(|name| is_read(name)).cloned().collect()
 }
 
 /// Names of the columns of a file that an import ignores.
@@ -221,6 +229,13 @@ impl<'a> Reader<'a> {
             values.iter().map(|v| v.filter(|v| !v.is_nan()).unwrap_or(f32::NAN)).collect();
         if frame.iter().any(|v| v.is_infinite()) {
             self.wrong(column, "infinite", "must be finite, V; null or NaN for a missing channel");
+            return None;
+        }
+        let large = |v: &f32| v.abs() > VOLTAGE_MAX_V;
+        if let Some((channel, volts)) = frame.iter().enumerate().find(|(_, v)| large(v)) {
+            let limit =
+                format!("must be from -{VOLTAGE_MAX_V} to {VOLTAGE_MAX_V} V: check the unit");
+            self.wrong(&format!("{column}[{channel}]"), volts, limit);
             return None;
         }
         if frame.iter().all(|v| v.is_nan()) {

@@ -103,6 +103,10 @@ fn an_invalid_table_is_refused_by_row_and_column() {
             "row 1, v2 = 3;0: must be a number with a point",
         ),
         (format!("{head}1,2,3,4,900\n"), "row 0, contacts[0].y_mm = 900: must be from 0 to 80"),
+        (
+            format!("{head}1,2,3,4,5\n1,2,-1500,4,5\n"),
+            "row 1, voltages_v[2] = -1500: must be from -1000 to 1000 V",
+        ),
         (format!("{head}1,2,3\n"), "each line with as many cells as the first"),
         ("v0,v2,x_mm,y_mm\n1,2,3,4\n".into(), "v1 = absent: must be present"),
         ("v0,v0,x_mm,y_mm\n1,2,3,4\n".into(), "v0 = twice"),
