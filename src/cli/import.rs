@@ -15,6 +15,7 @@ use super::files::read_input;
 use super::output::{counted, say, say_json};
 use super::{At, embed};
 use crate::dataset::error::DatasetError;
+use crate::dataset::import::coordinates::Coordinates;
 use crate::dataset::import::preview;
 use crate::dataset::import::summary::Summary;
 
@@ -35,6 +36,10 @@ pub struct ImportArgs {
     /// Name of the experiment [default: the file's].
     #[arg(long)]
     name: Option<String>,
+    /// Map from the coordinates of the file to those of the skin: TOML with any of rotate_deg, mirror_x,
+    /// offset_mm = [x, y] and scale.
+    #[arg(long, value_name = "FILE.toml")]
+    coordinates: Option<PathBuf>,
     /// Check the file, show what was understood, and store nothing. Needs no service.
     #[arg(long)]
     dry_run: bool,
@@ -48,7 +53,8 @@ pub struct ImportArgs {
 /// `CliError` if a file cannot be read, a value is invalid, or the server refuses.
 pub async fn import(args: ImportArgs) -> Result<(), CliError> {
     let sensor = read_input(&args.sensor)?;
-    let summary = understood(&args, sensor.clone()).await?;
+    let map = args.coordinates.as_deref().map(read_input).transpose()?;
+    let summary = understood(&args, sensor.clone(), map.as_deref()).await?;
     if !args.at.json {
         show(&summary);
     }
@@ -60,19 +66,26 @@ pub async fn import(args: ImportArgs) -> Result<(), CliError> {
         return Ok(());
     }
     let at = args.at.clone();
-    embed::with_server(
-        &at,
-        move |client| async move { store(&client, &args, sensor, &summary).await },
-    )
+    embed::with_server(&at, move |client| async move {
+        store(&client, &args, sensor, map, &summary).await
+    })
     .await
 }
 
 /// Checks the file as the service does.
-async fn understood(args: &ImportArgs, sensor: String) -> Result<Summary, CliError> {
+async fn understood(
+    args: &ImportArgs,
+    sensor: String,
+    map: Option<&str>,
+) -> Result<Summary, CliError> {
+    let map_file = args.coordinates.as_ref().map(|path| path.display().to_string());
+    let map = Coordinates::from_toml(&map_file.unwrap_or_default(), map.unwrap_or_default())
+        .map_err(CliError::Problems)?;
     let (path, sensor_file) = (args.file.clone(), args.sensor.display().to_string());
     let file = path.display().to_string();
     let reading =
-        tokio::task::spawn_blocking(move || preview(&path, &file, &sensor_file, &sensor)).await;
+        tokio::task::spawn_blocking(move || preview(&path, &file, &sensor_file, &sensor, map))
+            .await;
     match reading.unwrap_or(Err(DatasetError::Worker)) {
         Ok(summary) => Ok(summary),
         Err(DatasetError::Problems(problems)) => Err(CliError::Problems(problems)),
@@ -88,20 +101,25 @@ async fn store(
     client: &Client,
     args: &ImportArgs,
     sensor: String,
+    map: Option<String>,
     summary: &Summary,
 ) -> Result<(), CliError> {
     let name = args.name.clone().unwrap_or_else(|| {
         args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
     });
     let file_name = Some(args.sensor.display().to_string());
+    let map_file = args.coordinates.as_ref().map(|path| path.display().to_string());
+    let map = map.map(|text| TextPart { key: "coordinates", text, file_name: map_file });
     let texts = [
         TextPart { key: "sensor", text: sensor, file_name },
         TextPart::value("name", name),
         TextPart::value("label", args.label.clone()),
         TextPart::value("who", client.who().to_owned()),
     ];
-    let mut made: Value =
-        client.patient(STORING).upload("/api/v1/imports", &args.file, texts).await?;
+    let mut made: Value = client
+        .patient(STORING)
+        .upload("/api/v1/imports", &args.file, texts.into_iter().chain(map))
+        .await?;
     if args.at.json {
         made["summary"] = json!(summary);
         say_json(&made);

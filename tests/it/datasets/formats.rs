@@ -214,3 +214,36 @@ async fn a_dry_run_shows_what_was_understood_and_stores_nothing() {
     lab.close().await;
     std::fs::remove_dir_all(files).unwrap();
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn positions_of_a_robot_become_positions_on_the_skin() {
+    let lab = Filled::open("coordinates").await;
+    let files = folder("coordinates-files");
+    let pad = "name = \"pad\"\nchannels = 3\nwidth_mm = 100\nheight_mm = 80\n";
+    std::fs::write(files.join("pad.toml"), pad).unwrap();
+    // The robot counts in metres from the corner opposite to the skin's.
+    let text = "v0,v1,v2,x_mm,y_mm,force_n\n1,2,3,-0.1,-0.08,2\n1,2,3,0,-0.03,2\n";
+    std::fs::write(files.join("robot.csv"), text).unwrap();
+    let output = import(&lab, &files, "robot.csv", &[]).await;
+    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(errors.contains("x_mm = -0.1: must be from 0 to 100"), "{errors}");
+    std::fs::write(files.join("map.toml"), "scale = 1000\noffset_mm = [100, 80]\n").unwrap();
+    let output = import(&lab, &files, "robot.csv", &["--coordinates", "map.toml", "--json"]).await;
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let made: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let found = trials(&lab, made["run"]["scan_id"].as_i64().unwrap()).await;
+    let place =
+        |n: usize| ["x_mm", "y_mm"].map(|key| found[n]["contacts"][0][key].as_f64().unwrap());
+    assert_eq!((place(0), place(1)), ([0.0, 0.0], [100.0, 50.0]));
+    assert!(
+        made["run"]["definition"].as_str().is_none_or(|text| text.contains("coordinates")),
+        "{made}"
+    );
+    std::fs::write(files.join("map.toml"), "rotate_deg = 400\n").unwrap();
+    let output = import(&lab, &files, "robot.csv", &["--coordinates", "map.toml"]).await;
+    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+    let wanted = "map.toml: rotate_deg = 400: must be from -360 to 360";
+    assert!(output.status.code() == Some(2) && errors.contains(wanted), "{errors}");
+    lab.close().await;
+    std::fs::remove_dir_all(files).unwrap();
+}

@@ -1,6 +1,7 @@
 //! Import of trials measured elsewhere: a file (Parquet, CSV, NPZ, MAT) becomes a separate run.
 //! Uses: `store::imports`, `source`. Never: HTTP; an incomplete import that counts as a run.
 
+pub mod coordinates;
 pub mod extent;
 pub mod sensor;
 pub mod rows;
@@ -22,6 +23,7 @@ use crate::problem::Problem;
 use crate::store::{
     IMPORTED_MODEL, ImportedTrial, Label, NewRun, NewTwinModel, RunKind, RunRow, Store, TwinModelId,
 };
+use coordinates::Coordinates;
 use rows::Reader;
 use sensor::ImportedSensor;
 use source::Source;
@@ -43,6 +45,8 @@ pub struct Import {
     pub sensor_file: String,
     /// Text of the sensor file.
     pub sensor: String,
+    /// Map from the coordinates of the file to those of the skin.
+    pub coordinates: Coordinates,
     /// Name of the person or key that requested the import.
     pub submitted_by: String,
 }
@@ -75,7 +79,8 @@ pub async fn import(
         .map_err(DatasetError::Problems)?;
     let checked = {
         let (path, file, sensor) = (path.to_owned(), import.file.clone(), sensor.clone());
-        background(move || check(&path, &file, &sensor, free)).await??
+        let map = import.coordinates;
+        background(move || check(&path, &file, &sensor, map, free)).await??
     };
     let new = new_run(&import, &sensor, &checked);
     if let Some(run) = store.imported_as(&new).await? {
@@ -106,9 +111,10 @@ pub fn preview(
     file: &str,
     sensor_file: &str,
     sensor: &str,
+    coordinates: Coordinates,
 ) -> Result<Summary, DatasetError> {
     let sensor = ImportedSensor::from_toml(sensor_file, sensor).map_err(DatasetError::Problems)?;
-    check(path, file, &sensor, u64::MAX).map(|checked| checked.summary)
+    check(path, file, &sensor, coordinates, u64::MAX).map(|checked| checked.summary)
 }
 
 /// Result of the first reading of a file.
@@ -122,10 +128,11 @@ fn check(
     path: &Path,
     file: &str,
     sensor: &ImportedSensor,
+    map: Coordinates,
     free: u64,
 ) -> Result<Checked, DatasetError> {
     let source = Source::open(path, file)?;
-    let mut reader = Reader::new(file, sensor);
+    let mut reader = Reader::new(file, sensor, map);
     reader.check(source.schema()).map_err(DatasetError::Problems)?;
     // A few bytes of a compressed file may stand for any number of values.
     let rows = source.extent().rows();
@@ -162,10 +169,14 @@ fn whole(file: &str, limit: impl Into<String>) -> DatasetError {
 }
 
 fn new_run(import: &Import, sensor: &ImportedSensor, checked: &Checked) -> NewRun {
-    let definition = serde_json::json!({
+    let mut definition = serde_json::json!({
         "imported": import.file, "sha256": checked.sha256, "trials": checked.summary.rows,
         "sensor": sensor.name, "columns_left_out": checked.summary.columns_left_out,
     });
+    // An import without a map has the definition that it had before there were maps.
+    if import.coordinates != Coordinates::default() {
+        definition["coordinates"] = serde_json::json!(import.coordinates);
+    }
     NewRun {
         uid: RunUid::new(),
         experiment: import.name.clone(),
@@ -218,8 +229,9 @@ async fn store_trials(
 ) -> Result<(), DatasetError> {
     let (sender, mut pages) = mpsc::channel::<Vec<ImportedTrial>>(2);
     let (path, file, sensor) = (path.to_owned(), import.file.clone(), sensor.clone());
+    let map = import.coordinates;
     let reading = background(move || -> Result<(), DatasetError> {
-        let mut reader = Reader::new(&file, &sensor);
+        let mut reader = Reader::new(&file, &sensor, map);
         for batch in Source::open(&path, &file)?.batches()? {
             let trials = reader.read(&batch?).map_err(DatasetError::Problems)?;
             if sender.blocking_send(trials).is_err() {

@@ -11,6 +11,7 @@ use arrow_cast::{CastOptions, cast, cast_with_options};
 use arrow_schema::{DataType, Field, Schema, TimeUnit};
 use jiff::Timestamp;
 
+use super::coordinates::Coordinates;
 use super::sensor::ImportedSensor;
 use crate::dataset::schema::{SPLIT, VOLTAGES_V};
 use crate::dataset::split::Part;
@@ -67,15 +68,17 @@ pub fn ignored(schema: &Schema) -> Vec<String> {
 pub struct Reader<'a> {
     file: &'a str,
     sensor: &'a ImportedSensor,
+    map: Coordinates,
     keys: HashSet<(u32, u32)>,
     row: u64,
     problems: Vec<Problem>,
 }
 
 impl<'a> Reader<'a> {
-    /// Starts a reader for trials of a sensor; `file` is the name of the file in messages.
-    pub fn new(file: &'a str, sensor: &'a ImportedSensor) -> Self {
-        Self { file, sensor, keys: HashSet::new(), row: 0, problems: Vec::new() }
+    /// Starts a reader for trials of a sensor, whose positions `map` converts to skin coordinates; `file` is
+    /// the name of the file in messages.
+    pub fn new(file: &'a str, sensor: &'a ImportedSensor, map: Coordinates) -> Self {
+        Self { file, sensor, map, keys: HashSet::new(), row: 0, problems: Vec::new() }
     }
 
     /// Checks that the required columns exist.
@@ -263,7 +266,11 @@ impl<'a> Reader<'a> {
         };
         let mut contacts = Vec::with_capacity(found.len());
         for contact in 0..found.len() {
-            let [x_mm, y_mm, force_n, diameter_mm] = CONTACT.map(|name| number(name, contact));
+            let [mut x_mm, mut y_mm, force_n, diameter_mm] =
+                CONTACT.map(|name| number(name, contact));
+            if let (Some(x), Some(y)) = (x_mm, y_mm) {
+                [x_mm, y_mm] = self.map.apply([x, y]).map(Some);
+            }
             let (width_mm, height_mm) = (self.sensor.width_mm, self.sensor.height_mm);
             for (name, value, least, most) in [
                 ("x_mm", x_mm, 0.0, width_mm),

@@ -8,6 +8,7 @@ use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
 use crate::dataset::error::DatasetError;
+use crate::dataset::import::coordinates::Coordinates;
 use crate::dataset::import::rows::{Reader, ignored};
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::dataset::import::source::Source;
@@ -38,7 +39,7 @@ fn read(name: &str, bytes: &[u8]) -> Result<(Vec<ImportedTrial>, Vec<String>), D
     let file = Written::new(name, bytes);
     let sensor = ImportedSensor::from_toml("pad.toml", PAD).unwrap();
     let source = Source::open(&file.0, name)?;
-    let mut reader = Reader::new(name, &sensor);
+    let mut reader = Reader::new(name, &sensor, Coordinates::default());
     reader.check(source.schema()).map_err(DatasetError::Problems)?;
     source.extent().needed(name, &sensor).map_err(DatasetError::Problems)?;
     let left_out = ignored(source.schema());
