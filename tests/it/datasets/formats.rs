@@ -242,7 +242,7 @@ async fn positions_of_a_robot_become_positions_on_the_skin() {
     std::fs::write(files.join("map.toml"), "rotate_deg = 400\n").unwrap();
     let output = import(&lab, &files, "robot.csv", &["--coordinates", "map.toml"]).await;
     let errors = String::from_utf8_lossy(&output.stderr).into_owned();
-    let wanted = "map.toml: rotate_deg = 400: must be from -360 to 360";
+    let wanted = "rotate_deg: must be from -360 to 360";
     assert!(output.status.code() == Some(2) && errors.contains(wanted), "{errors}");
     lab.close().await;
     std::fs::remove_dir_all(files).unwrap();
