@@ -1,5 +1,5 @@
-//! `palpate dataset`: lists, shows, makes and exports datasets; imports trials.
-//! Uses: `client`. Never: rows in this process (the service reads and writes them).
+//! `palpate dataset`: lists, shows, makes and exports datasets.
+//! Uses: `client`, `import`. Never: rows in this process (the service reads and writes them).
 
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -12,9 +12,10 @@ use reqwest::Method;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::client::{Client, TextPart};
+use super::client::Client;
 use super::error::CliError;
-use super::files::{read_as, read_input};
+use super::files::read_as;
+use super::import::{ImportArgs, import};
 use super::output::{bytes, counted, say, say_json};
 use super::progress::progress_bar;
 use super::start_time::local;
@@ -28,7 +29,7 @@ use crate::ids::DatasetId;
 
 /// Interval of polling an export's progress.
 const LOOK: Duration = Duration::from_millis(200);
-/// Longest wait until a dataset is made, or an import is stored.
+/// Longest wait until a dataset is made.
 const MAKING: Duration = Duration::from_secs(3600);
 /// Number of attempts of a download whose connection breaks.
 const TRIES: u32 = 5;
@@ -58,8 +59,10 @@ enum What {
     /// Import trials measured elsewhere, as a separate run.
     ///
     /// FILE is Parquet with the columns of the trials table, of which `voltages_v` and `contacts`
-    /// are required. Contacts may lack force or position. Exit code 2 if a value cannot be used:
-    /// each problem names row, column, value and limit, and nothing is stored.
+    /// are required; or CSV (columns v0, v1, .., x_mm, y_mm, force_n), NPZ or MAT of version 5 to 7
+    /// (arrays voltages_v, contacts_xy_mm, force_n). Contacts may lack force or position. Exit code
+    /// 2 if a value cannot be used: each problem names row, column, value and limit, and nothing is
+    /// stored.
     Import(ImportArgs),
 }
 
@@ -122,23 +125,6 @@ struct ExportArgs {
     at: At,
 }
 
-#[derive(Debug, Args)]
-struct ImportArgs {
-    /// Parquet file.
-    file: PathBuf,
-    /// Sensor file: TOML with name, channels, width_mm and height_mm, or one of Palpate's.
-    #[arg(long, value_name = "SENSOR.toml")]
-    sensor: PathBuf,
-    /// Label: measured, virtual or simulated.
-    #[arg(long, default_value = "measured")]
-    label: String,
-    /// Name of the experiment [default: the file's].
-    #[arg(long)]
-    name: Option<String>,
-    #[command(flatten)]
-    at: At,
-}
-
 /// Parser of the name of a format; the help lists the formats.
 fn formats() -> impl TypedValueParser<Value = Format> {
     let of = |format: Format| PossibleValue::new(format.name()).help(format.about());
@@ -185,10 +171,7 @@ pub async fn dataset(args: DatasetArgs) -> Result<(), CliError> {
             let at = args.at.clone();
             embed::with_server(&at, move |client| async move { export(&client, &args).await }).await
         }
-        What::Import(args) => {
-            let at = args.at.clone();
-            embed::with_server(&at, move |client| async move { import(&client, &args).await }).await
-        }
+        What::Import(args) => import(args).await,
     }
 }
 
@@ -416,39 +399,6 @@ async fn fetch(client: &Client, done: &ExportView, out: &Path) -> Result<(), Cli
     }
     file.seek(SeekFrom::End(0)).and_then(|_| file.sync_all()).map_err(failed)?;
     std::fs::rename(&partial, out).map_err(failed)
-}
-
-async fn import(client: &Client, args: &ImportArgs) -> Result<(), CliError> {
-    let sensor = read_input(&args.sensor)?;
-    let name = args.name.clone().unwrap_or_else(|| {
-        args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
-    });
-    let file_name = Some(args.sensor.display().to_string());
-    let texts = [
-        TextPart { key: "sensor", text: sensor, file_name },
-        TextPart::value("name", name),
-        TextPart::value("label", args.label.clone()),
-        TextPart::value("who", client.who().to_owned()),
-    ];
-    let made: Value = client.patient(MAKING).upload("/api/v1/imports", &args.file, texts).await?;
-    if args.at.json {
-        say_json(&made);
-        return Ok(());
-    }
-    let run = &made["run"];
-    let trials = counted(made["trials"].as_u64().unwrap_or_default(), "trial", "trials");
-    say(format_args!("run {}: {trials} ({})", run["scan_id"], text(&run["label"])));
-    let left_out: Vec<&str> = made["columns_left_out"]
-        .as_array()
-        .into_iter()
-        .flatten()
-        .filter_map(Value::as_str)
-        .collect();
-    if !left_out.is_empty() {
-        say(format_args!("  unused columns: {}", left_out.join(", ")));
-    }
-    say(format_args!("  its dataset: palpate dataset show {}", text(&made["dataset"])));
-    Ok(())
 }
 
 fn text(value: &Value) -> &str {

@@ -33,6 +33,7 @@ mod evaluate;
 mod files;
 mod follow;
 pub mod help;
+pub mod import;
 mod infer;
 mod init;
 mod job;

@@ -121,7 +121,13 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
         ],
     ),
     ("dataset prune", &["palpate dataset prune --keep 2 --dry-run"]),
-    ("dataset import", &["palpate dataset import trials.parquet --sensor sensor.toml"]),
+    (
+        "dataset import",
+        &[
+            "palpate dataset import trials.parquet --sensor sensor.toml",
+            "palpate dataset import trials.csv --sensor sensor.toml --dry-run",
+        ],
+    ),
     (
         "train",
         &[

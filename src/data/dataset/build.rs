@@ -31,7 +31,7 @@ use super::inputs::Inputs;
 use super::schema::{self, BATCH_ROWS};
 use super::shards::ShardFolder;
 use super::split::{Group, Part, divide, place};
-use super::survey::{Survey, Surveyed, label};
+use super::survey::{NO_PART, Survey, Surveyed, label};
 use crate::digest::Hashing;
 use crate::ids::DatasetId;
 use crate::new_file::{self, Finished, NewFile};
@@ -58,7 +58,8 @@ pub struct Progress {
 /// A folder of shards with its split.
 struct SplitShards {
     folder: ShardFolder,
-    /// Part of each trial, in the order of the shards; `None` without a split.
+    /// Part of each trial, in the order of the shards; `None` without a split. With a split by run they
+    /// are train or validation.
     parts: Vec<Option<Part>>,
 }
 
@@ -79,6 +80,12 @@ pub async fn build(
     let definition = &inputs.definition;
     let columns = schema::of_dataset(definition, channels);
     let (mut surveyed, rows_of_run) = survey(store, &inputs).await?;
+    let without = surveyed.excluded.get(NO_PART).copied().unwrap_or_default();
+    if without > 0 && without == rows_of_run.values().sum::<u64>() {
+        let why = "split.by is imported, and no trial of its runs has a part: the imported file needs a \
+                   column split with train, validation or test";
+        return Err(DatasetError::Empty { name: definition.name.clone(), why: why.into() });
+    }
     let shards = divide_shards(&inputs, &mut surveyed)?;
     let shard_rows: u64 = shards.iter().map(|shards| shards.folder.trials()).sum();
     progress.total.store(surveyed.kept.len() as u64 + shard_rows, Ordering::Relaxed);
@@ -179,8 +186,10 @@ fn divide_shards(
             })
             .collect();
         let parts = match split.by {
-            SplitBy::None => vec![None; groups.len()],
-            _ => divide(&groups, split).into_iter().map(Some).collect(),
+            SplitBy::None | SplitBy::Imported => vec![None; groups.len()],
+            SplitBy::Configuration | SplitBy::Trial | SplitBy::Run => {
+                divide(&groups, split).into_iter().map(Some).collect()
+            }
         };
         divided.push(SplitShards { folder: folder.clone(), parts });
     }

@@ -82,6 +82,11 @@ pub enum SplitBy {
     Configuration,
     /// A trial, as in the paper's tables. Neighbouring depths may be in different parts.
     Trial,
+    /// The part that the imported file states (`imported_split`). Rows without one are excluded.
+    Imported,
+    /// The runs of `test_runs` are the test part; the configurations of the others are divided into
+    /// train and validation (leave-one-batch-out).
+    Run,
     /// No split: the rows have no part.
     None,
 }
@@ -98,11 +103,34 @@ pub struct Split {
     pub seed: u64,
     /// Split each number of contacts separately, so that all parts have similar shares of each.
     pub stratify: bool,
+    /// With `by = "run"`: the runs of the test part, each by uid, scan id or experiment.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub test_runs: Vec<String>,
+}
+
+impl Split {
+    /// Shares of train, validation and test in what is drawn: with `by = "run"` no row is drawn as test.
+    pub fn drawn_ratio(&self) -> [u32; 3] {
+        let [train, validation, test] = self.ratio;
+        [train, validation, if self.by == SplitBy::Run { 0 } else { test }]
+    }
+
+    /// Whether a run is one of `test_runs`.
+    pub fn tests(&self, uid: &str, scan_id: i64, experiment: &str) -> bool {
+        let scan_id = scan_id.to_string();
+        self.test_runs.iter().any(|name| *name == uid || *name == scan_id || *name == experiment)
+    }
 }
 
 impl Default for Split {
     fn default() -> Self {
-        Self { by: SplitBy::default(), ratio: [3, 1, 1], seed: 1, stratify: false }
+        Self {
+            by: SplitBy::default(),
+            ratio: [3, 1, 1],
+            seed: 1,
+            stratify: false,
+            test_runs: Vec::new(),
+        }
     }
 }
 
@@ -213,6 +241,7 @@ impl Definition {
         checks.require(ratio[0] >= 1 && sum <= 3000, "split.ratio", shown, limit);
         for (key, length) in [
             ("runs", self.runs.len()),
+            ("split.test_runs", self.split.test_runs.len()),
             ("contact_counts", self.contact_counts.len()),
             ("where", self.conditions.len()),
             ("sim_random", self.sim_random.len()),
@@ -220,6 +249,15 @@ impl Definition {
             let limit = format!("must hold at most {LIST_MAX}");
             checks.require(length <= LIST_MAX, key, length, &limit);
         }
+        let (by, tests) = (self.split.by, &self.split.test_runs);
+        let limit = "must name the runs of the test part: split.by is run";
+        checks.require(by != SplitBy::Run || !tests.is_empty(), "split.test_runs", "absent", limit);
+        let limit = "must be absent: only split.by = \"run\" uses it";
+        let unused = by != SplitBy::Run && !tests.is_empty();
+        checks.require(!unused, "split.test_runs", tests.join(", "), limit);
+        let limit = "must be absent with split.by = \"imported\": Sim-Random has no imported parts";
+        let both = by == SplitBy::Imported && !self.sim_random.is_empty();
+        checks.require(!both, "sim_random", self.sim_random.join(", "), limit);
         let takes_simulations = self.task == Task::S2sRecon;
         let limit = "must be empty: only the task s2s-recon uses Sim-Random";
         let none = self.sim_random.is_empty();
@@ -276,6 +314,14 @@ mod tests {
             "where",
         ];
         assert_eq!(keys, wanted);
+        for (split, key) in [
+            ("by = \"run\"", "split.test_runs"),
+            ("by = \"trial\"\ntest_runs = [\"2\"]", "split.test_runs"),
+        ] {
+            let text = format!("name = \"a\"\ntask = \"real\"\n[split]\n{split}\n");
+            let problems = Definition::from_toml("d.toml", &text).unwrap_err();
+            assert_eq!((problems.len(), problems[0].key.as_str()), (1, key));
+        }
         let unknown = Definition::from_toml("d.toml", "name = \"a\"\ntask = \"fly\"\n");
         assert!(unknown.unwrap_err()[0].limit.contains("r2s-transfer"));
     }

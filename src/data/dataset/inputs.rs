@@ -5,11 +5,12 @@ use std::path::Path;
 
 use serde_json::json;
 
-use super::definition::{Definition, Task};
+use super::definition::{Definition, SplitBy, Task};
 use super::error::DatasetError;
 use super::schema;
 use super::shards::{self, ShardFolder};
 use crate::digest::sha256_hex;
+use crate::problem::Problem;
 use crate::state::StoredState;
 use crate::store::{Label, RunExtent, RunRow, Store};
 
@@ -48,6 +49,7 @@ impl Inputs {
             runs.push((run, extent));
         }
         check_labels(definition, &runs)?;
+        check_test_runs(definition, &runs)?;
         let folders = shards::find(data, &definition.sim_random)?;
         let text = json!({
             "version": BUILD_VERSION,
@@ -127,6 +129,32 @@ async fn select_runs(store: &Store, definition: &Definition) -> Result<Vec<RunRo
 /// True if an entry of `runs` in a definition names this run.
 fn names(run: &RunRow, wanted: &str) -> bool {
     run.scan_id.to_string() == wanted || run.uid.to_string() == wanted || run.experiment == wanted
+}
+
+/// Checks that each test run is one of the selected runs, and that another one remains.
+fn check_test_runs(
+    definition: &Definition,
+    runs: &[(RunRow, RunExtent)],
+) -> Result<(), DatasetError> {
+    let wrong = |value: &str, limit: String| {
+        let problem = Problem::new(&definition.name, "split.test_runs", value, limit);
+        Err(DatasetError::Problems(vec![problem]))
+    };
+    let selected: Vec<String> = runs.iter().map(|(run, _)| run.scan_id.to_string()).collect();
+    let selected = selected.join(", ");
+    for wanted in &definition.split.test_runs {
+        if !runs.iter().any(|(run, _)| names(run, wanted)) {
+            return wrong(wanted, format!("must be one of the selected runs: {selected}"));
+        }
+    }
+    let split = &definition.split;
+    let is_test = |run: &RunRow| split.tests(&run.uid.to_string(), run.scan_id, &run.experiment);
+    if split.by == SplitBy::Run && !runs.is_empty() && runs.iter().all(|(run, _)| is_test(run)) {
+        let limit =
+            format!("must leave at least one of the selected runs for training: {selected}");
+        return wrong(&split.test_runs.join(", "), limit);
+    }
+    Ok(())
 }
 
 /// Checks that the runs with trials have one label; labels are only combined on request.

@@ -100,6 +100,8 @@ pub fn of_dataset(definition: &Definition, channels: i32) -> SchemaRef {
             Some((Of::Simulated(_), _)) | Some((_, "sim_model" | "rmse_v" | "fvu")) => {
                 task.has_simulated()
             }
+            // Elsewhere it is the split, or of no use; equal datasets keep their ids.
+            Some((_, "imported_split")) => task == Task::Trials,
             Some((Of::Part, _)) => definition.split.by != SplitBy::None,
             Some((Of::Drawn, _)) => task == Task::S2sRecon,
             _ => true,

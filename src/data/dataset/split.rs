@@ -26,6 +26,11 @@ impl Part {
     /// All parts, in the order of their shares.
     pub const ALL: [Self; 3] = [Self::Train, Self::Validation, Self::Test];
 
+    /// The part with this name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|part| part.name() == name)
+    }
+
     /// Name of the part in the column `split`.
     pub fn name(self) -> &'static str {
         match self {
@@ -66,7 +71,7 @@ pub fn divide(groups: &[Group], split: &Split) -> Vec<Part> {
         let mut before = 0;
         for &at in stratum {
             // The middle of the group decides: the cut is at the nearest border between groups.
-            parts[at] = part_of(2 * before + groups[at].rows, 2 * rows, split.ratio);
+            parts[at] = part_of(2 * before + groups[at].rows, 2 * rows, split.drawn_ratio());
             before += groups[at].rows;
         }
     }
@@ -93,7 +98,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn split(ratio: [u32; 3], seed: u64) -> Split {
-        Split { by: SplitBy::Configuration, ratio, seed, stratify: true }
+        Split { by: SplitBy::Configuration, ratio, seed, stratify: true, test_runs: Vec::new() }
     }
 
     fn rows_of(groups: &[Group], parts: &[Part], part: Part) -> u64 {

@@ -12,6 +12,9 @@ use super::split::{Group, Part, divide, place};
 use crate::ids::TrialId;
 use crate::store::{Condition, RunKind, RunRow, TrialRow, tips_as_contacts};
 
+/// Why a row is excluded whose file states no part.
+pub const NO_PART: &str = "no imported part";
+
 /// Applies the deadband of a definition, if it has one, to contacts and contact count of a Real-Hex
 /// trial.
 pub fn label(trial: &mut TrialRow, definition: &Definition, run: &RunRow) {
@@ -26,7 +29,10 @@ pub fn label(trial: &mut TrialRow, definition: &Definition, run: &RunRow) {
 #[derive(Debug, Clone, Copy)]
 struct Candidate {
     trial: TrialId,
-    group: usize,
+    /// Index of its group; `None` if its part is fixed, or there are no parts.
+    group: Option<usize>,
+    /// Part that its run or its file determines.
+    fixed: Option<Part>,
     /// Index of the reason why the trial is excluded; `None` if it is selected.
     excluded: Option<usize>,
 }
@@ -79,14 +85,34 @@ impl<'a> Survey<'a> {
         let masks: Vec<_> = self.filters.iter().map(|condition| mask(condition, &batch)).collect();
         for (at, Row { trial, .. }) in rows.iter().enumerate() {
             let failed = masks.iter().position(|mask| !mask.value(at));
-            let why = self.why_excluded(trial).or_else(|| {
+            let fixed = self.fixed_part(trial);
+            let part_lacks = self.definition.split.by == SplitBy::Imported && fixed.is_none();
+            let why = part_lacks.then(|| NO_PART.to_owned()).or_else(|| self.why_excluded(trial));
+            let why = why.or_else(|| {
                 failed.map(|condition| format!("not {}", self.definition.conditions[condition]))
             });
             let excluded = why.map(|why| self.reason(why));
-            let group = self.group(trial);
-            self.candidates.push(Candidate { trial: trial.trial_id, group, excluded });
+            let is_drawn = match self.definition.split.by {
+                SplitBy::Configuration | SplitBy::Trial => true,
+                SplitBy::Run => fixed.is_none(),
+                SplitBy::Imported | SplitBy::None => false,
+            };
+            let group = is_drawn.then(|| self.group(trial));
+            self.candidates.push(Candidate { trial: trial.trial_id, group, fixed, excluded });
         }
         Ok(())
+    }
+
+    /// Part of a trial that its file or its run determines, before anything is drawn.
+    fn fixed_part(&self, trial: &TrialRow) -> Option<Part> {
+        let split = &self.definition.split;
+        match split.by {
+            SplitBy::Imported => trial.imported_split.as_deref().and_then(Part::named),
+            SplitBy::Run => split
+                .tests(&trial.run.to_string(), trial.scan_id, &trial.experiment)
+                .then_some(Part::Test),
+            _ => None,
+        }
     }
 
     /// Reason of exclusion, as text; these texts are keys of the report.
@@ -148,8 +174,7 @@ impl<'a> Survey<'a> {
 
     /// Divides the groups and returns the result.
     pub fn finish(self) -> Surveyed {
-        let divided = (self.definition.split.by != SplitBy::None)
-            .then(|| divide(&self.groups, &self.definition.split));
+        let divided = divide(&self.groups, &self.definition.split);
         let mut found = Surveyed::default();
         for candidate in &self.candidates {
             match candidate.excluded {
@@ -157,7 +182,7 @@ impl<'a> Survey<'a> {
                     *found.excluded.entry(self.reasons[reason].clone()).or_default() += 1;
                 }
                 None => {
-                    let part = divided.as_ref().map(|parts| parts[candidate.group]);
+                    let part = candidate.fixed.or_else(|| candidate.group.map(|at| divided[at]));
                     found.kept.push((candidate.trial, part));
                 }
             }
@@ -166,10 +191,10 @@ impl<'a> Survey<'a> {
     }
 }
 
-/// Key of the group of a trial. For a split by configuration it is the pressed positions,
-/// independent of run and depth; otherwise it is unique for each trial.
+/// Key of the group of a trial. For a split by configuration or run it is the pressed positions,
+/// independent of run and depth; for a split by trial it is unique.
 fn group_key(trial: &TrialRow, by: SplitBy) -> String {
-    if by != SplitBy::Configuration {
+    if by == SplitBy::Trial {
         return format!("{} {} {}", trial.run, trial.configuration, trial.depth_index);
     }
     let tips = trial.arms.iter().map(|a| (a.x_mm, a.y_mm));

@@ -15,6 +15,7 @@ use super::guard::announced_bytes;
 use super::limits::WHO_MAX_CHARS;
 use super::problem::{ApiError, ProblemBody};
 use super::send::Created;
+use crate::dataset::import::coordinates::Coordinates;
 use crate::dataset::import::{Import, import};
 use crate::new_file::NewFile;
 use crate::plain::violated;
@@ -41,7 +42,7 @@ pub struct ImportOut {
 #[derive(Debug, ToSchema)]
 #[expect(dead_code, reason = "describes the request for openapi.yaml")]
 pub struct ImportForm {
-    /// Parquet file with columns of the trials table.
+    /// Trials: Parquet with columns of the trials table, CSV, NPZ, or MAT of version 5 to 7.
     #[schema(value_type = String, format = Binary)]
     file: Vec<u8>,
     /// Sensor file (TOML), at most 1 MiB.
@@ -50,6 +51,9 @@ pub struct ImportForm {
     name: String,
     /// Origin of the data: `measured`, `virtual` or `simulated`.
     label: String,
+    /// Map from the coordinates of the file to those of the skin: TOML with any of `rotate_deg`, `mirror_x`,
+    /// `offset_mm` and `scale`; absent: the file has skin coordinates, mm.
+    coordinates: Option<String>,
     /// Name of the person, for the log of actions.
     who: Option<String>,
 }
@@ -60,6 +64,7 @@ struct Parts {
     sensor: Option<(String, String)>,
     name: Option<String>,
     label: Option<Label>,
+    coordinates: Coordinates,
     who: Option<String>,
 }
 
@@ -94,6 +99,7 @@ pub async fn add(
         file,
         sensor_file,
         sensor,
+        coordinates: parts.coordinates,
         submitted_by: act.name(),
     };
     let free = app.store.free_bytes().await?;
@@ -155,12 +161,20 @@ async fn receive(app: &App, mut form: Form) -> Result<Parts, ApiError> {
                 }
                 parts.name = Some(text.trim().into());
             }
+            "coordinates" => {
+                parts.coordinates =
+                    Coordinates::from_toml(&file, &text).map_err(ApiError::bad_query)?;
+            }
             "who" => parts.who = Some(text),
             "label" => match serde_json::from_value(text.clone().into()) {
                 Ok(label) => parts.label = Some(label),
                 Err(_) => return Err(wrong("must be measured, virtual or simulated")),
             },
-            _ => return Err(wrong("unknown part: must be file, sensor, name, label or who")),
+            _ => {
+                return Err(wrong(
+                    "unknown part: must be file, sensor, name, label, coordinates or who",
+                ));
+            }
         }
     }
     Ok(parts)

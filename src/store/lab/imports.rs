@@ -52,6 +52,10 @@ pub struct ImportedTrial {
     pub quality: FrameQuality,
     /// Wall time of the measurement; absent if unknown.
     pub started_at: Option<Timestamp>,
+    /// Number of frames that the measured frame is the mean of; 0 if unknown. Raw frames are not stored.
+    pub frame_count: u32,
+    /// Part that the file states: `train`, `validation` or `test`.
+    pub split: Option<String>,
 }
 
 impl Store {
@@ -201,14 +205,16 @@ async fn insert(
         scalars: TrialScalars::default(),
         contact_count: contacts,
         max_force_n: largest,
-        frame_count: 0,
+        frame_count: trial.frame_count,
         times: [trial.started_at, None],
+        imported_split: trial.split.as_deref(),
     };
     let id: i64 = sqlx::query_scalar(
         "INSERT INTO trials (run, configuration, depth_index, attempt, tips, depth_mm, flags,
              contact_count, max_force_n, frame_count, started_at, measured_at, saturated_channels,
-             stuck_channels, missing_channels, injection_sum_v, dropped_packets, crc32)
-         VALUES (?1, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8, 0, ?9, NULL, ?10, ?11, ?12, ?13, ?14, ?15)
+             stuck_channels, missing_channels, injection_sum_v, dropped_packets, crc32,
+             imported_split)
+         VALUES (?1, ?2, ?3, 1, ?4, ?5, ?6, ?7, ?8, ?17, ?9, NULL, ?10, ?11, ?12, ?13, ?14, ?15, ?16)
          RETURNING id",
     )
     .bind(scan_id)
@@ -226,6 +232,8 @@ async fn insert(
     .bind(trial.quality.injection_sum_v)
     .bind(trial.quality.dropped_packets)
     .bind(numbers.crc32())
+    .bind(&trial.split)
+    .bind(trial.frame_count)
     .fetch_one(&mut *connection)
     .await
     .during(STORING)?;

@@ -153,6 +153,7 @@ fn trial_row(
         frame_count: c.whole("frame_count")?,
         started_at: c.time_or_none("started_at")?,
         measured_at: c.time_or_none("measured_at")?,
+        imported_split: c.get("imported_split")?,
         voltages_v: match c.has("voltages_v") {
             true => checksum::volts(c, "voltages_v", "volts_crc32", of)?,
             false => None,

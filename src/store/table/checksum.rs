@@ -101,6 +101,7 @@ pub(crate) struct Numbers<'a> {
     pub max_force_n: Option<f64>,
     pub frame_count: u32,
     pub times: [Option<Timestamp>; 2],
+    pub imported_split: Option<&'a str>,
 }
 
 impl<'a> Numbers<'a> {
@@ -128,6 +129,7 @@ impl<'a> Numbers<'a> {
             max_force_n,
             frame_count: record.frames.len() as u32,
             times: [Some(record.started_at), Some(record.measured_at)],
+            imported_split: None,
         }
     }
 
@@ -150,6 +152,7 @@ impl<'a> Numbers<'a> {
             max_force_n: row.max_force_n,
             frame_count: row.frame_count,
             times: [row.started_at, row.measured_at],
+            imported_split: row.imported_split.as_deref(),
         }
     }
 
@@ -192,6 +195,11 @@ impl<'a> Numbers<'a> {
         }
         // The overshoot is as old as the checksums.
         sum.if_present(self.scalars.columns().filter(|(name, _)| *name != "overshoot_n"));
+        // Older rows have none, and their checksum is that of before the column.
+        if self.imported_split.is_some() {
+            sum.text(Some("imported_split"));
+            sum.text(self.imported_split);
+        }
         sum.0.finalize()
     }
 }
@@ -264,8 +272,11 @@ mod tests {
             max_force_n: Some(5.5),
             frame_count: 2,
             times: [Some("2026-11-20T18:00:00.123Z".parse().unwrap()), None],
+            imported_split: None,
         };
         assert_eq!(numbers.crc32(), 0x10e258d5);
+        let split = Numbers { imported_split: Some("test"), ..numbers };
+        assert_ne!(split.crc32(), 0x10e258d5);
     }
 
     /// Returns scalars of a row from before any other scalar.

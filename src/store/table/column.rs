@@ -111,7 +111,7 @@ const fn c(
 
 /// All columns, in the order of every table.
 #[rustfmt::skip]
-pub static TABLE: [Column; 34] = [
+pub static TABLE: [Column; 35] = [
     c("trial_id", "", Of::Id(|t| t.trial_id.0), "t.id", "number of the stored trial"),
     c("run", "", Of::Text(|t| Some(t.run.to_string())), "r.uid", "id of its run"),
     c("scan_id", "", Of::Id(|t| t.scan_id), "t.run", "number of its run"),
@@ -142,9 +142,10 @@ pub static TABLE: [Column; 34] = [
     c("depth_error_mm", "mm", Of::Number(TrialRow::depth_error_mm), "(t.reached_z_mm - t.target_z_mm)", "measured z minus its target"),
     c("settle_ms", "ms", Of::Number(|t| t.settle_ms), "t.settle_ms", "time between the end of motion and the measurement, process clock"),
     c("overshoot_n", "N", Of::Number(|t| t.scalars.overshoot_n), "t.overshoot_n", "largest force while approaching and settling minus the measured one"),
-    c("frame_count", "", Of::Count(|t| Some(t.frame_count)), "t.frame_count", "raw frames in the mean"),
+    c("frame_count", "", Of::Count(|t| Some(t.frame_count)), "t.frame_count", "raw frames in the mean; 0 if an imported file does not state it"),
     c("started_at", "", Of::Time(|t| t.started_at), "t.started_at", "start of its motion"),
     c("measured_at", "", Of::Time(|t| t.measured_at), "t.measured_at", "time of its last frame"),
+    c("imported_split", "", Of::Text(|t| t.imported_split.clone()), "t.imported_split", "part that the imported file states: `train`, `validation` or `test`"),
     c("split", "", Of::Part, "", "part of the dataset: `train`, `validation` or `test`"),
 ];
 

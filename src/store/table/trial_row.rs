@@ -93,7 +93,7 @@ pub struct TrialRow {
     #[serde(flatten)]
     #[schema(inline)]
     pub scalars: TrialScalars,
-    /// Number of stored raw frames.
+    /// Number of raw frames in the mean; of an import as its file states, 0 if it does not.
     pub frame_count: u32,
     /// Wall time at which its motion started.
     #[schema(value_type = Option<String>, format = DateTime)]
@@ -101,6 +101,9 @@ pub struct TrialRow {
     /// Wall time of its last frame.
     #[schema(value_type = Option<String>, format = DateTime)]
     pub measured_at: Option<Timestamp>,
+    /// Part that the imported file states: `train`, `validation` or `test`; absent if it states none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub imported_split: Option<String>,
     /// Mean of its frames, V, injection-major; absent if not requested.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub voltages_v: Option<Vec<f32>>,

@@ -34,6 +34,8 @@ fn elsewhere(configuration: u32) -> ImportedTrial {
         voltages_v: vec![0.5, f32::NAN, -0.25],
         sim_voltages_v: Some(vec![0.4, 0.0, -0.2]),
         fit: Some((0.07, None)),
+        frame_count: 3 * configuration,
+        split: (configuration > 0).then(|| "test".to_owned()),
         ..ImportedTrial::default()
     }
 }
@@ -68,7 +70,8 @@ async fn an_import_is_a_run_whose_trials_lack_what_was_not_known() {
     assert_eq!(trial.contacts[0].pressed(), None);
     assert_eq!(trial.contacts[0].diameter_mm, Some(20.0));
     assert_eq!(trial.max_force_n, Some(3.5));
-    assert_eq!((trial.settle_ms, trial.started_at, trial.frame_count), (None, None, 0));
+    assert_eq!((trial.settle_ms, trial.started_at, trial.frame_count), (None, None, 12));
+    assert_eq!((&trials[0].imported_split, trial.imported_split.as_deref()), (&None, Some("test")));
     assert!(trial.voltages_v.as_ref().unwrap()[1].is_nan());
     assert_eq!(trial.sim_voltages_v, Some(vec![0.4, 0.0, -0.2]));
     assert_eq!((trial.sim_model.as_deref(), trial.rmse_v), (Some("sim-1"), Some(0.07)));

@@ -11,6 +11,7 @@ use reqwest::multipart::{Form, Part};
 use serde_json::Value;
 
 use palpate::dataset::error::{DatasetError, Product};
+use palpate::dataset::import::coordinates::Coordinates;
 use palpate::dataset::import::{Import, import as import_file};
 use palpate::dataset::space::KEPT_FREE_BYTES;
 use palpate::store::Label;
@@ -188,6 +189,7 @@ async fn an_import_that_the_disk_cannot_hold_stores_nothing() {
         file: "pad.parquet".into(),
         sensor_file: "pad.toml".into(),
         sensor: PAD.into(),
+        coordinates: Coordinates::default(),
         submitted_by: "local".into(),
     };
     // Three trials without their numbers take 2400 bytes.

@@ -3,6 +3,7 @@
 
 mod exports;
 pub mod filled;
+mod formats;
 mod imports;
 mod names;
 mod models;

@@ -1,17 +1,17 @@
-//! Import of trials measured elsewhere: a Parquet file becomes a separate run.
-//! Uses: `store::imports`, parquet. Never: HTTP; an incomplete import that counts as a run.
+//! Import of trials measured elsewhere: a file (Parquet, CSV, NPZ, MAT) becomes a separate run.
+//! Uses: `store::imports`, `source`. Never: HTTP; an incomplete import that counts as a run.
 
+pub mod coordinates;
 pub mod extent;
-pub mod rows;
 pub mod sensor;
+pub mod rows;
+mod foreign;
+pub mod source;
+pub mod summary;
 
 use std::fs::File;
 use std::path::Path;
 
-use arrow_schema::FieldRef;
-use parquet::arrow::ProjectionMask;
-use parquet::arrow::arrow_reader::{ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder};
-use parquet::errors::ParquetError;
 use tokio::sync::mpsc;
 
 use super::background::background;
@@ -23,9 +23,11 @@ use crate::problem::Problem;
 use crate::store::{
     IMPORTED_MODEL, ImportedTrial, Label, NewRun, NewTwinModel, RunKind, RunRow, Store, TwinModelId,
 };
-use extent::Extent;
+use coordinates::Coordinates;
 use rows::Reader;
 use sensor::ImportedSensor;
+use source::Source;
+use summary::Summary;
 
 /// Number of trials per transaction.
 const BATCH_TRIALS: usize = 500;
@@ -37,12 +39,14 @@ pub struct Import {
     pub name: String,
     /// Origin of the data.
     pub label: Label,
-    /// Name of the Parquet file in messages.
+    /// Name of the file in messages.
     pub file: String,
     /// Name of the sensor file in messages.
     pub sensor_file: String,
     /// Text of the sensor file.
     pub sensor: String,
+    /// Map from the coordinates of the file to those of the skin.
+    pub coordinates: Coordinates,
     /// Name of the person or key that requested the import.
     pub submitted_by: String,
 }
@@ -75,7 +79,8 @@ pub async fn import(
         .map_err(DatasetError::Problems)?;
     let checked = {
         let (path, file, sensor) = (path.to_owned(), import.file.clone(), sensor.clone());
-        background(move || check(&path, &file, &sensor, free)).await??
+        let map = import.coordinates;
+        background(move || check(&path, &file, &sensor, map, free)).await??
     };
     let new = new_run(&import, &sensor, &checked);
     if let Some(run) = store.imported_as(&new).await? {
@@ -89,14 +94,33 @@ pub async fn import(
     let target = Target { run: run.uid, model };
     store_trials(store, path, &import, &sensor, target).await?;
     let run = store.end_import(run.uid).await?;
-    Ok(Imported { run, trials: checked.trials, columns_left_out: checked.columns_left_out })
+    Ok(Imported {
+        run,
+        trials: checked.summary.rows,
+        columns_left_out: checked.summary.columns_left_out,
+    })
+}
+
+/// Checks a file as an import does, and returns what it understood; nothing is stored. `sensor` is the text
+/// of the sensor file; `file` and `sensor_file` are names in messages.
+///
+/// # Errors
+/// As [`import`], except those of the store and the disk.
+pub fn preview(
+    path: &Path,
+    file: &str,
+    sensor_file: &str,
+    sensor: &str,
+    coordinates: Coordinates,
+) -> Result<Summary, DatasetError> {
+    let sensor = ImportedSensor::from_toml(sensor_file, sensor).map_err(DatasetError::Problems)?;
+    check(path, file, &sensor, coordinates, u64::MAX).map(|checked| checked.summary)
 }
 
 /// Result of the first reading of a file.
 struct Checked {
-    trials: u64,
+    summary: Summary,
     simulated: bool,
-    columns_left_out: Vec<String>,
     sha256: String,
 }
 
@@ -104,58 +128,40 @@ fn check(
     path: &Path,
     file: &str,
     sensor: &ImportedSensor,
+    map: Coordinates,
     free: u64,
 ) -> Result<Checked, DatasetError> {
-    let opened = open(path, file)?;
-    let mut reader = Reader::new(file, sensor);
-    reader.check(opened.schema()).map_err(DatasetError::Problems)?;
+    let source = Source::open(path, file)?;
+    let mut reader = Reader::new(file, sensor, map);
+    reader.check(source.schema()).map_err(DatasetError::Problems)?;
     // A few bytes of a compressed file may stand for any number of values.
-    let extent = Extent::of(opened.metadata());
-    let needed = extent.needed(file, sensor).map_err(DatasetError::Problems)?;
+    let rows = source.extent().rows();
+    let needed = source.extent().needed(file, sensor).map_err(DatasetError::Problems)?;
     space::check(Product::Import, needed, free)?;
     let mut hashing = Hashing::default();
     let mut bytes = File::open(path).map_err(DatasetError::file("opening", path))?;
     std::io::copy(&mut bytes, &mut hashing).map_err(DatasetError::file("reading", path))?;
     let mut checked = Checked {
-        trials: 0,
+        summary: Summary {
+            columns: rows::read(source.schema()),
+            columns_left_out: rows::ignored(source.schema()),
+            ..Summary::default()
+        },
         simulated: false,
-        columns_left_out: rows::ignored(opened.schema()),
         sha256: hashing.finish(),
     };
-    for batch in batches(opened, file)? {
+    for batch in source.batches()? {
         let trials = reader.read(&batch?).map_err(DatasetError::Problems)?;
-        checked.trials += trials.len() as u64;
+        trials.iter().for_each(|trial| checked.summary.add(trial));
         checked.simulated |= trials.iter().any(|trial| trial.sim_voltages_v.is_some());
-        if checked.trials > extent.rows() {
+        if checked.summary.rows > rows {
             return Err(whole(file, "must not hold more rows than its footer states"));
         }
     }
-    if checked.trials == 0 {
+    if checked.summary.rows == 0 {
         return Err(whole(file, "must hold at least one trial"));
     }
     Ok(checked)
-}
-
-fn open(path: &Path, file: &str) -> Result<ParquetRecordBatchReaderBuilder<File>, DatasetError> {
-    let opened = File::open(path).map_err(DatasetError::file("opening", path))?;
-    ParquetRecordBatchReaderBuilder::try_new(opened).map_err(|error| unreadable(file, &error))
-}
-
-/// Reads the columns that an import uses.
-fn batches(
-    opened: ParquetRecordBatchReaderBuilder<File>,
-    file: &str,
-) -> Result<ParquetRecordBatchReader, DatasetError> {
-    let used = |(at, field): (usize, &FieldRef)| rows::is_read(field.name()).then_some(at);
-    let used: Vec<usize> = opened.schema().fields().iter().enumerate().filter_map(used).collect();
-    let mask = ProjectionMask::roots(opened.parquet_schema(), used);
-    let built = opened.with_projection(mask).with_batch_size(BATCH_TRIALS).build();
-    built.map_err(|error| unreadable(file, &error))
-}
-
-fn unreadable(file: &str, error: &ParquetError) -> DatasetError {
-    let limit = format!("must be a Parquet file with the columns of the trials table: {error}");
-    whole(file, limit)
 }
 
 fn whole(file: &str, limit: impl Into<String>) -> DatasetError {
@@ -163,10 +169,14 @@ fn whole(file: &str, limit: impl Into<String>) -> DatasetError {
 }
 
 fn new_run(import: &Import, sensor: &ImportedSensor, checked: &Checked) -> NewRun {
-    let definition = serde_json::json!({
-        "imported": import.file, "sha256": checked.sha256, "trials": checked.trials,
-        "sensor": sensor.name, "columns_left_out": checked.columns_left_out,
+    let mut definition = serde_json::json!({
+        "imported": import.file, "sha256": checked.sha256, "trials": checked.summary.rows,
+        "sensor": sensor.name, "columns_left_out": checked.summary.columns_left_out,
     });
+    // An import without a map has the definition that it had before there were maps.
+    if import.coordinates != Coordinates::default() {
+        definition["coordinates"] = serde_json::json!(import.coordinates);
+    }
     NewRun {
         uid: RunUid::new(),
         experiment: import.name.clone(),
@@ -183,7 +193,7 @@ fn new_run(import: &Import, sensor: &ImportedSensor, checked: &Checked) -> NewRu
         deadband_n: 0.0,
         tip_diameter_mm: sensor.tip_diameter_mm,
         plan: None,
-        trials_planned: checked.trials,
+        trials_planned: checked.summary.rows,
         auto_resume: false,
         not_before: None,
         submitted_by: import.submitted_by.clone(),
@@ -219,9 +229,10 @@ async fn store_trials(
 ) -> Result<(), DatasetError> {
     let (sender, mut pages) = mpsc::channel::<Vec<ImportedTrial>>(2);
     let (path, file, sensor) = (path.to_owned(), import.file.clone(), sensor.clone());
+    let map = import.coordinates;
     let reading = background(move || -> Result<(), DatasetError> {
-        let mut reader = Reader::new(&file, &sensor);
-        for batch in batches(open(&path, &file)?, &file)? {
+        let mut reader = Reader::new(&file, &sensor, map);
+        for batch in Source::open(&path, &file)?.batches()? {
             let trials = reader.read(&batch?).map_err(DatasetError::Problems)?;
             if sender.blocking_send(trials).is_err() {
                 break;

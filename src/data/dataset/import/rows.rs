@@ -1,4 +1,4 @@
-//! Rows of a foreign Parquet file as trials: known columns by their names, each value checked.
+//! Rows of a foreign file as trials: known columns by their names, each value checked.
 //! PURE. Uses: arrow, `store`'s imported trial. Never: files; a default for a missing measurement.
 
 use std::collections::HashSet;
@@ -11,8 +11,10 @@ use arrow_cast::{CastOptions, cast, cast_with_options};
 use arrow_schema::{DataType, Field, Schema, TimeUnit};
 use jiff::Timestamp;
 
+use super::coordinates::Coordinates;
 use super::sensor::ImportedSensor;
-use crate::dataset::schema::VOLTAGES_V;
+use crate::dataset::schema::{SPLIT, VOLTAGES_V};
+use crate::dataset::split::Part;
 use crate::problem::Problem;
 use crate::record::{Flag, FrameQuality};
 use crate::simulate::compare::difference;
@@ -20,7 +22,7 @@ use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
 use crate::store::{Contact, IMPORTED_CONTACTS_MAX, ImportedTrial};
 
 /// Columns that are read.
-const READ: [&str; 9] = [
+const READ: [&str; 11] = [
     VOLTAGES_V,
     SIM_VOLTAGES_V,
     CONTACTS,
@@ -30,17 +32,29 @@ const READ: [&str; 9] = [
     "tips",
     "flags",
     "started_at",
+    FRAME_COUNT,
+    SPLIT,
 ];
+/// Column of the number of frames in the mean.
+const FRAME_COUNT: &str = "frame_count";
 /// Fields of a contact.
 const CONTACT: [&str; 4] = ["x_mm", "y_mm", "force_n", "diameter_mm"];
 /// Number of problems after which checking ends.
 const PROBLEMS_MAX: usize = 20;
 /// Largest valid force of a contact, N.
 const FORCE_MAX_N: f64 = 100_000.0;
+/// Largest plausible magnitude of a voltage, V: beyond it the unit is another one, such as mV or counts.
+const VOLTAGE_MAX_V: f32 = 1000.0;
 
 /// Whether an import reads the column with this name.
 pub fn is_read(name: &str) -> bool {
     READ.contains(&name)
+}
+
+/// Names of the columns of a file that an import reads.
+pub fn read(schema: &Schema) -> Vec<String> {
+    let names = schema.fields().iter().map(|field| field.name());
+    names.filter(|name| is_read(name)).cloned().collect()
 }
 
 /// Names of the columns of a file that an import ignores.
@@ -54,15 +68,17 @@ pub fn ignored(schema: &Schema) -> Vec<String> {
 pub struct Reader<'a> {
     file: &'a str,
     sensor: &'a ImportedSensor,
+    map: Coordinates,
     keys: HashSet<(u32, u32)>,
     row: u64,
     problems: Vec<Problem>,
 }
 
 impl<'a> Reader<'a> {
-    /// Starts a reader for trials of a sensor; `file` is the name of the file in messages.
-    pub fn new(file: &'a str, sensor: &'a ImportedSensor) -> Self {
-        Self { file, sensor, keys: HashSet::new(), row: 0, problems: Vec::new() }
+    /// Starts a reader for trials of a sensor, whose positions `map` converts to skin coordinates; `file` is
+    /// the name of the file in messages.
+    pub fn new(file: &'a str, sensor: &'a ImportedSensor, map: Coordinates) -> Self {
+        Self { file, sensor, map, keys: HashSet::new(), row: 0, problems: Vec::new() }
     }
 
     /// Checks that the required columns exist.
@@ -72,8 +88,12 @@ impl<'a> Reader<'a> {
     pub fn check(&self, schema: &Schema) -> Result<(), Vec<Problem>> {
         let names: Vec<&str> = schema.fields().iter().map(|f| f.name().as_str()).collect();
         let wanted = [
-            (VOLTAGES_V, "lists of voltages"),
-            (CONTACTS, "lists of contacts, empty for an untouched skin"),
+            (VOLTAGES_V, "lists of voltages (CSV: columns v0, v1, ..)"),
+            (
+                CONTACTS,
+                "lists of contacts, empty for an untouched skin (CSV: x_mm, y_mm, force_n; NPZ and MAT: \
+                 contacts_xy_mm)",
+            ),
         ];
         let missing = wanted.into_iter().filter(|(name, _)| schema.index_of(name).is_err());
         let problems: Vec<Problem> = missing
@@ -138,6 +158,10 @@ impl<'a> Reader<'a> {
         if tips.is_err() {
             self.wrong("tips", "out of range", "must be from 0 to 255");
         }
+        let frame_count = u32::try_from(whole(&columns.frame_count).unwrap_or(0));
+        if frame_count.is_err() {
+            self.wrong(FRAME_COUNT, "out of range", limit);
+        }
         let has_key = configuration.is_ok() && depth_index.is_ok();
         let (configuration, depth_index, tips) =
             (configuration.unwrap_or(0), depth_index.unwrap_or(0), tips.ok().flatten());
@@ -155,6 +179,12 @@ impl<'a> Reader<'a> {
             let ms = times.as_primitive::<TimestampMillisecondType>().value(at);
             Timestamp::from_millisecond(ms).ok()
         });
+        let split = columns.split.as_ref().filter(|parts| !parts.is_null(at));
+        let split = split.map(|parts| parts.as_string::<i32>().value(at).trim().to_owned());
+        let split = split.filter(|part| !part.is_empty());
+        if let Some(part) = split.as_ref().filter(|part| Part::named(part).is_none()) {
+            self.wrong(SPLIT, part, "must be train, validation or test, or null");
+        }
         if self.problems.len() > before {
             return None;
         }
@@ -178,6 +208,8 @@ impl<'a> Reader<'a> {
                 ..FrameQuality::default()
             },
             started_at,
+            frame_count: frame_count.unwrap_or(0),
+            split,
             voltages_v,
         })
     }
@@ -200,6 +232,13 @@ impl<'a> Reader<'a> {
             values.iter().map(|v| v.filter(|v| !v.is_nan()).unwrap_or(f32::NAN)).collect();
         if frame.iter().any(|v| v.is_infinite()) {
             self.wrong(column, "infinite", "must be finite, V; null or NaN for a missing channel");
+            return None;
+        }
+        let large = |v: &f32| v.abs() > VOLTAGE_MAX_V;
+        if let Some((channel, volts)) = frame.iter().enumerate().find(|(_, v)| large(v)) {
+            let limit =
+                format!("must be from -{VOLTAGE_MAX_V} to {VOLTAGE_MAX_V} V: check the unit");
+            self.wrong(&format!("{column}[{channel}]"), volts, limit);
             return None;
         }
         if frame.iter().all(|v| v.is_nan()) {
@@ -227,7 +266,11 @@ impl<'a> Reader<'a> {
         };
         let mut contacts = Vec::with_capacity(found.len());
         for contact in 0..found.len() {
-            let [x_mm, y_mm, force_n, diameter_mm] = CONTACT.map(|name| number(name, contact));
+            let [mut x_mm, mut y_mm, force_n, diameter_mm] =
+                CONTACT.map(|name| number(name, contact));
+            if let (Some(x), Some(y)) = (x_mm, y_mm) {
+                [x_mm, y_mm] = self.map.apply([x, y]).map(Some);
+            }
             let (width_mm, height_mm) = (self.sensor.width_mm, self.sensor.height_mm);
             for (name, value, least, most) in [
                 ("x_mm", x_mm, 0.0, width_mm),
@@ -288,6 +331,8 @@ struct Columns {
     tips: Option<ArrayRef>,
     flags: Option<ArrayRef>,
     started_at: Option<ArrayRef>,
+    frame_count: Option<ArrayRef>,
+    split: Option<ArrayRef>,
 }
 
 impl Columns {
@@ -320,6 +365,8 @@ impl Columns {
             tips: column("tips", DataType::Int64, "whole numbers")?,
             flags: column("flags", list(DataType::Utf8), "lists of words")?,
             started_at: column("started_at", time, "times")?,
+            frame_count: column(FRAME_COUNT, DataType::Int64, "whole numbers")?,
+            split: column(SPLIT, DataType::Utf8, "words")?,
         })
     }
 }

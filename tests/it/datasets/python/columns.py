@@ -53,9 +53,11 @@ ARROW = {
 }
 SIMULATED = ["sim_voltages_v", "sim_model", "rmse_v", "fvu"]
 DRAWN = ["seed", "index"]
+IMPORTED = ["imported_split"]
 WITHOUT = {  # Columns that a dataset has no use for.
-    "run-1": [*DRAWN, "split"], "real": [*DRAWN, *SIMULATED], "real-untouched": [*DRAWN, *SIMULATED],
-    "r2s-transfer": DRAWN, "s2s-recon": ["voltages_v"],
+    "run-1": [*DRAWN, "split"], "real": [*DRAWN, *SIMULATED, *IMPORTED],
+    "real-untouched": [*DRAWN, *SIMULATED, *IMPORTED], "r2s-transfer": [*DRAWN, *IMPORTED],
+    "s2s-recon": ["voltages_v", *IMPORTED],
 }
 
 

@@ -1,0 +1,171 @@
+//! `palpate dataset import`: checks a file, prints what was understood, and uploads it.
+//! Uses: `client`, `dataset::import`. Never: a trial that is stored in this process.
+
+use std::collections::BTreeMap;
+use std::fmt::Display;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::Args;
+use serde_json::{Value, json};
+
+use super::client::{Client, TextPart};
+use super::error::CliError;
+use super::files::read_input;
+use super::output::{counted, say, say_json};
+use super::{At, embed};
+use crate::dataset::error::DatasetError;
+use crate::dataset::import::coordinates::Coordinates;
+use crate::dataset::import::preview;
+use crate::dataset::import::summary::Summary;
+
+/// Longest wait until an import is stored.
+const STORING: Duration = Duration::from_secs(3600);
+
+/// Options of `dataset import`.
+#[derive(Debug, Args)]
+pub struct ImportArgs {
+    /// Parquet, CSV, NPZ or MAT file.
+    file: PathBuf,
+    /// Sensor file: TOML with name, channels, width_mm and height_mm, or one of Palpate's.
+    #[arg(long, value_name = "SENSOR.toml")]
+    sensor: PathBuf,
+    /// Label: measured, virtual or simulated.
+    #[arg(long, default_value = "measured")]
+    label: String,
+    /// Name of the experiment [default: the file's].
+    #[arg(long)]
+    name: Option<String>,
+    /// Map from the coordinates of the file to those of the skin: TOML with any of rotate_deg, mirror_x,
+    /// offset_mm = [x, y] and scale.
+    #[arg(long, value_name = "FILE.toml")]
+    coordinates: Option<PathBuf>,
+    /// Check the file, show what was understood, and store nothing. Needs no service.
+    #[arg(long)]
+    dry_run: bool,
+    #[command(flatten)]
+    at: At,
+}
+
+/// Runs `palpate dataset import`.
+///
+/// # Errors
+/// `CliError` if a file cannot be read, a value is invalid, or the server refuses.
+pub async fn import(args: ImportArgs) -> Result<(), CliError> {
+    let sensor = read_input(&args.sensor)?;
+    let map = args.coordinates.as_deref().map(read_input).transpose()?;
+    let summary = understood(&args, sensor.clone(), map.as_deref()).await?;
+    if !args.at.json {
+        show(&summary);
+    }
+    if args.dry_run {
+        match args.at.json {
+            true => say_json(&json!({ "summary": summary, "stored": false })),
+            false => say("nothing was stored: --dry-run"),
+        }
+        return Ok(());
+    }
+    let at = args.at.clone();
+    embed::with_server(&at, move |client| async move {
+        store(&client, &args, sensor, map, &summary).await
+    })
+    .await
+}
+
+/// Checks the file as the service does.
+async fn understood(
+    args: &ImportArgs,
+    sensor: String,
+    map: Option<&str>,
+) -> Result<Summary, CliError> {
+    let map_file = args.coordinates.as_ref().map(|path| path.display().to_string());
+    let map = Coordinates::from_toml(&map_file.unwrap_or_default(), map.unwrap_or_default())
+        .map_err(CliError::Problems)?;
+    let (path, sensor_file) = (args.file.clone(), args.sensor.display().to_string());
+    let file = path.display().to_string();
+    let reading =
+        tokio::task::spawn_blocking(move || preview(&path, &file, &sensor_file, &sensor, map))
+            .await;
+    match reading.unwrap_or(Err(DatasetError::Worker)) {
+        Ok(summary) => Ok(summary),
+        Err(DatasetError::Problems(problems)) => Err(CliError::Problems(problems)),
+        Err(DatasetError::File { path, source, .. }) => Err(CliError::File { path, source }),
+        Err(error) => {
+            let operation = format!("reading {}", args.file.display());
+            Err(CliError::Refused { operation, status: 400, detail: error.to_string() })
+        }
+    }
+}
+
+async fn store(
+    client: &Client,
+    args: &ImportArgs,
+    sensor: String,
+    map: Option<String>,
+    summary: &Summary,
+) -> Result<(), CliError> {
+    let name = args.name.clone().unwrap_or_else(|| {
+        args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+    });
+    let file_name = Some(args.sensor.display().to_string());
+    let map_file = args.coordinates.as_ref().map(|path| path.display().to_string());
+    let map = map.map(|text| TextPart { key: "coordinates", text, file_name: map_file });
+    let texts = [
+        TextPart { key: "sensor", text: sensor, file_name },
+        TextPart::value("name", name),
+        TextPart::value("label", args.label.clone()),
+        TextPart::value("who", client.who().to_owned()),
+    ];
+    let mut made: Value = client
+        .patient(STORING)
+        .upload("/api/v1/imports", &args.file, texts.into_iter().chain(map))
+        .await?;
+    if args.at.json {
+        made["summary"] = json!(summary);
+        say_json(&made);
+        return Ok(());
+    }
+    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+    let run = &made["run"];
+    let trials = counted(made["trials"].as_u64().unwrap_or_default(), "trial", "trials");
+    say(format_args!("run {}: {trials} ({})", run["scan_id"], text(&run["label"])));
+    say(format_args!("  its dataset: palpate dataset show {}", text(&made["dataset"])));
+    Ok(())
+}
+
+/// Prints a summary for people.
+fn show(summary: &Summary) {
+    let range = |range: Option<[f64; 2]>, unit: &str| match range {
+        Some([least, most]) => format!("{least} to {most} {unit}"),
+        None => "not known".to_owned(),
+    };
+    let line = |what: &str, value: &dyn Display| say(format_args!("  {what:<16} {value}"));
+    say(counted(summary.rows, "trial", "trials"));
+    line("columns", &summary.columns.join(", "));
+    if !summary.columns_left_out.is_empty() {
+        line("unused columns", &summary.columns_left_out.join(", "));
+    }
+    let missing = match summary.missing_voltages {
+        0 => String::new(),
+        missing => format!(", {missing} values missing"),
+    };
+    let volts = range(summary.voltages_v, "V");
+    line("voltages", &format_args!("{} channels, {volts}{missing}", summary.channels));
+    line("contacts", &counts(&summary.contact_counts, "with "));
+    line("x", &range(summary.x_mm, "mm"));
+    line("y", &range(summary.y_mm, "mm"));
+    let without = match summary.contacts_without_force {
+        0 => String::new(),
+        without => format!(", {without} contacts without"),
+    };
+    line("forces", &format_args!("{}{without}", range(summary.force_n, "N")));
+    if !summary.splits.is_empty() {
+        line("split", &counts(&summary.splits, ""));
+    }
+}
+
+/// Numbers of trials by a key.
+fn counts<K: Display>(counts: &BTreeMap<K, u64>, before: &str) -> String {
+    let each = counts.iter().map(|(key, trials)| format!("{trials} {before}{key}"));
+    each.collect::<Vec<_>>().join(", ")
+}

@@ -1,0 +1,440 @@
+//! Named arrays of a file as trials: which are read, of which shapes, and their rows as batches.
+//! Uses: `batch`, the readers `npz` and `mat`. Never: an allocation before its size is known and allowed.
+//!
+//! Rows are along the first dimension. The arrays that are read are held in memory, because MATLAB and some
+//! NumPy files store them column by column.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use arrow_array::{ArrayRef, RecordBatch};
+use arrow_schema::{DataType, Field, Schema};
+
+use super::batch::{self, SCALARS, Scalar};
+use super::{mat, npz};
+use crate::dataset::error::DatasetError;
+use crate::dataset::import::BATCH_TRIALS;
+use crate::dataset::import::extent::Extent;
+use crate::dataset::schema::VOLTAGES_V;
+use crate::problem::Problem;
+use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
+
+/// Largest size in memory of the arrays that are read, bytes.
+pub const HELD_MAX_BYTES: u64 = 1 << 30;
+
+/// Array of the positions of contacts, (n, k, 2), mm.
+const CONTACTS_XY_MM: &str = "contacts_xy_mm";
+/// Arrays of the fields of contacts, in the order of an array `contacts` (n, k, 4).
+const FIELDS: [&str; 4] = ["x_mm", "y_mm", "force_n", "diameter_mm"];
+
+/// Container of the arrays.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Container {
+    /// A zip file of `.npy` files, as `numpy.savez` writes it.
+    Npz,
+    /// A MAT file of version 5 to 7.
+    Mat,
+}
+
+/// Type of the values of an array.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// Real numbers, or truth values.
+    Numbers,
+    /// Texts of at most this number of bytes.
+    Texts(u64),
+    /// Times, UTC.
+    Times,
+    /// Values that cannot be read.
+    Other,
+}
+
+impl Kind {
+    fn words(self) -> &'static str {
+        match self {
+            Self::Numbers => "numbers",
+            Self::Texts(_) => "texts",
+            Self::Times => "times",
+            Self::Other => "values of another type",
+        }
+    }
+}
+
+/// Shape and type of an array, by its header.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Shape {
+    /// Lengths of the dimensions.
+    pub dims: Vec<usize>,
+    /// Type of the values.
+    pub kind: Kind,
+}
+
+impl Shape {
+    /// Number of values; the largest number if it is not representable.
+    pub(super) fn values(&self) -> u64 {
+        self.dims.iter().fold(1, |all: u64, n| all.saturating_mul(*n as u64))
+    }
+
+    fn shown(&self) -> String {
+        let dims: Vec<String> = self.dims.iter().map(usize::to_string).collect();
+        format!("({}) {}", dims.join(", "), self.kind.words())
+    }
+}
+
+/// Values of an array, row by row.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Values {
+    /// Voltages, V.
+    Singles(Vec<f32>),
+    /// Numbers.
+    Numbers(Vec<f64>),
+    /// Texts.
+    Texts(Vec<String>),
+    /// Times, ms since 1970, UTC.
+    Times(Vec<Option<i64>>),
+}
+
+/// Whether the values of the array with this name are held as f32.
+pub(super) fn is_frame(name: &str) -> bool {
+    name == VOLTAGES_V || name == SIM_VOLTAGES_V
+}
+
+/// Collects values in the order of the rows. `by_columns`: the first dimension varies fastest in `values`.
+///
+/// # Errors
+/// The first error of `values`, or that they are too few.
+pub(super) fn in_order<T: Clone + Default>(
+    dims: &[usize],
+    by_columns: bool,
+    mut values: impl Iterator<Item = io::Result<T>>,
+) -> io::Result<Vec<T>> {
+    let count = dims.iter().fold(1, |all: usize, n| all.saturating_mul(*n));
+    let mut out = vec![T::default(); count];
+    let mut index = vec![0_usize; dims.len()];
+    for n in 0..count {
+        let value = values.next().unwrap_or_else(|| Err(io::ErrorKind::UnexpectedEof.into()))?;
+        let at = match by_columns {
+            true => dims.iter().zip(&index).fold(0, |at, (length, i)| at * length + i),
+            false => n,
+        };
+        out[at] = value;
+        for (i, length) in index.iter_mut().zip(dims) {
+            *i += 1;
+            if *i < *length {
+                break;
+            }
+            *i = 0;
+        }
+    }
+    Ok(out)
+}
+
+/// Where the values of a field of a contact are: at `trial * per_trial + contact * step + first`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Place {
+    array: &'static str,
+    per_trial: usize,
+    step: usize,
+    first: usize,
+}
+
+/// The arrays that are read.
+#[derive(Debug, Default)]
+struct Layout {
+    rows: usize,
+    read: BTreeMap<String, Shape>,
+    /// Largest number of contacts of a trial, and the places of their fields.
+    contacts: Option<(usize, [Option<Place>; 4])>,
+    left_out: Vec<String>,
+}
+
+impl Layout {
+    /// Chooses the arrays that are read. `file` is the name of the file in messages.
+    ///
+    /// # Errors
+    /// A problem for each array of another shape or type than it must have, and one if they need more memory
+    /// than is allowed.
+    fn of(file: &str, arrays: BTreeMap<String, Shape>) -> Result<Self, Vec<Problem>> {
+        let mut layout = Self::default();
+        let mut problems = Vec::new();
+        let mut wrong = |name: &str, value: &str, limit: String| {
+            problems.push(Problem::new(file, name, value, limit));
+        };
+        let rows = arrays.get(VOLTAGES_V).and_then(|shape| shape.dims.first()).copied();
+        layout.rows = rows.unwrap_or_default();
+        let rows = layout.rows;
+        let is_list = |shape: &Shape| {
+            let dims = &shape.dims;
+            matches!(dims.as_slice(), [n] | [n, 1] | [1, n] if *n == rows)
+        };
+        for name in [VOLTAGES_V, SIM_VOLTAGES_V] {
+            let Some(shape) = arrays.get(name) else { continue };
+            let fits = shape.dims.len() == 2 && shape.dims[0] == rows && shape.dims[1] > 0;
+            if !fits || shape.kind != Kind::Numbers {
+                wrong(
+                    name,
+                    &shape.shown(),
+                    format!("must be numbers of the shape ({rows}, channels), V"),
+                );
+            }
+        }
+        for (name, scalar) in SCALARS {
+            let Some(shape) = arrays.get(name) else { continue };
+            let (fits, words) = match (scalar, shape.kind) {
+                (Scalar::Number, kind) => (kind == Kind::Numbers, "numbers"),
+                (Scalar::Time, kind) => (matches!(kind, Kind::Times | Kind::Texts(_)), "times"),
+                (Scalar::Text | Scalar::Words, kind) => (matches!(kind, Kind::Texts(_)), "texts"),
+            };
+            if !fits || !is_list(shape) {
+                wrong(name, &shape.shown(), format!("must be {words} of the shape ({rows})"));
+            }
+        }
+        let has = |name: &str| arrays.contains_key(name);
+        let places = has(FIELDS[0]) || has(FIELDS[1]);
+        let forms = [has(CONTACTS), has(CONTACTS_XY_MM), places];
+        if forms.into_iter().filter(|form| *form).count() > 1 {
+            let limit =
+                format!("must have one form: {CONTACTS}, or {CONTACTS_XY_MM}, or x_mm and y_mm");
+            wrong(CONTACTS, "several forms", limit);
+            return Err(problems);
+        }
+        let mut fields = [None; 4];
+        let mut most = None;
+        let mut lengths = |name: &'static str, inner: usize| -> Option<(usize, usize)> {
+            let shape = arrays.get(name)?;
+            let found = match (shape.dims.as_slice(), inner) {
+                ([n], 1) if *n == rows => Some(1),
+                ([n, k], 1) if *n == rows => Some(*k),
+                ([1, n], 1) if *n == rows => Some(1),
+                ([n, last], _) if *n == rows && *last == inner => Some(1),
+                ([n, k, last], _) if *n == rows && *last == inner => Some(*k),
+                _ => None,
+            };
+            let found =
+                found.filter(|k| shape.kind == Kind::Numbers && most.is_none_or(|m| m == *k));
+            if found.is_none() {
+                let k = most.map_or("k".to_owned(), |k: usize| k.to_string());
+                let words = match inner {
+                    1 => format!("must be numbers of the shape ({rows}) or ({rows}, {k})"),
+                    _ => format!("must be numbers of the shape ({rows}, {k}, {inner})"),
+                };
+                wrong(name, &shape.shown(), words);
+            }
+            most = most.or(found);
+            found.map(|k| (k * inner, inner))
+        };
+        if let Some((per_trial, step)) = lengths(CONTACTS, FIELDS.len()) {
+            fields =
+                [0, 1, 2, 3].map(|first| Some(Place { array: CONTACTS, per_trial, step, first }));
+        } else {
+            if let Some((per_trial, step)) = lengths(CONTACTS_XY_MM, 2) {
+                for (first, field) in fields.iter_mut().take(2).enumerate() {
+                    *field = Some(Place { array: CONTACTS_XY_MM, per_trial, step, first });
+                }
+            }
+            for (name, field) in FIELDS.into_iter().zip(&mut fields) {
+                if let Some((per_trial, step)) = lengths(name, 1) {
+                    *field = Some(Place { array: name, per_trial, step, first: 0 });
+                }
+            }
+        }
+        layout.contacts = most.map(|most| (most, fields));
+        for (name, shape) in arrays {
+            let of_contacts = fields.iter().flatten().any(|place| place.array == name);
+            if is_frame(&name) || of_contacts || SCALARS.iter().any(|(known, _)| *known == name) {
+                layout.read.insert(name, shape);
+            } else {
+                layout.left_out.push(name);
+            }
+        }
+        let held = layout.read.iter().map(|(name, shape)| match shape.kind {
+            Kind::Numbers if is_frame(name) => shape.values().saturating_mul(4),
+            Kind::Texts(bytes) => shape.values().saturating_mul(bytes.saturating_add(24)),
+            _ => shape.values().saturating_mul(16),
+        });
+        let held = held.fold(0, u64::saturating_add);
+        if held > HELD_MAX_BYTES && problems.is_empty() {
+            let limit = format!(
+                "must be at most {HELD_MAX_BYTES} in memory: split the file, or save it as Parquet"
+            );
+            problems.push(Problem::new(file, "bytes", held, limit));
+        }
+        if problems.is_empty() { Ok(layout) } else { Err(problems) }
+    }
+}
+
+/// A file of arrays whose headers have been read.
+#[derive(Debug)]
+pub struct Arrays {
+    container: Container,
+    path: PathBuf,
+    file: String,
+    layout: Layout,
+}
+
+impl Arrays {
+    /// Reads the headers of the arrays.
+    ///
+    /// # Errors
+    /// `DatasetError::File` if the file cannot be opened; `Problems` if it cannot be read, or an array has
+    /// another shape or type than it must have.
+    pub fn open(container: Container, path: &Path, file: &str) -> Result<Self, DatasetError> {
+        let opened = std::fs::File::open(path).map_err(DatasetError::file("opening", path))?;
+        let shapes = match container {
+            Container::Npz => npz::shapes(opened),
+            Container::Mat => mat::shapes(opened),
+        };
+        let shapes = shapes.map_err(|error| unreadable(file, container, &error))?;
+        let layout = Layout::of(file, shapes).map_err(DatasetError::Problems)?;
+        Ok(Self { container, path: path.into(), file: file.into(), layout })
+    }
+
+    /// Names of the columns that are read, and of the arrays that are ignored.
+    pub fn schema(&self) -> Schema {
+        let layout = &self.layout;
+        let of_contacts = |name: &&String| {
+            is_frame(name) || SCALARS.iter().any(|(known, _)| *known == name.as_str())
+        };
+        let mut names: Vec<&str> =
+            layout.read.keys().filter(of_contacts).map(String::as_str).collect();
+        names.extend(layout.contacts.is_some().then_some(CONTACTS));
+        names.extend(layout.left_out.iter().map(String::as_str));
+        let field = |name: &str| Field::new(name, DataType::Null, true);
+        Schema::new(names.into_iter().map(field).collect::<Vec<_>>())
+    }
+
+    /// Numbers of rows and values.
+    pub fn extent(&self) -> Extent {
+        let rows = self.layout.rows as u64;
+        let mut values: BTreeMap<String, u64> = self
+            .layout
+            .read
+            .iter()
+            .filter(|(name, _)| is_frame(name))
+            .map(|(name, shape)| (name.clone(), shape.values()))
+            .collect();
+        let most = self.layout.contacts.map_or(0, |(most, _)| most as u64);
+        values.insert(CONTACTS.into(), rows.saturating_mul(most));
+        Extent::new(rows, values)
+    }
+
+    /// Reads the arrays; returns their rows, page by page.
+    ///
+    /// # Errors
+    /// As [`Self::open`]; a page is an error if a text is not of the type of its column.
+    pub fn batches(self) -> Result<Batches, DatasetError> {
+        let path = &self.path;
+        let opened = std::fs::File::open(path).map_err(DatasetError::file("opening", path))?;
+        let wanted = &self.layout.read;
+        let arrays = match self.container {
+            Container::Npz => npz::read(opened, wanted),
+            Container::Mat => mat::read(opened, wanted),
+        };
+        let arrays = arrays.map_err(|error| unreadable(&self.file, self.container, &error))?;
+        Ok(Batches { file: self.file, layout: self.layout, arrays, row: 0 })
+    }
+}
+
+fn unreadable(file: &str, container: Container, error: &io::Error) -> DatasetError {
+    let words = match container {
+        Container::Npz => "must be an NPZ file of arrays without pickle, as numpy.savez writes it",
+        Container::Mat => "must be a MAT file of version 5 to 7",
+    };
+    DatasetError::Problems(vec![Problem::whole(file, format!("{words}: {error}"))])
+}
+
+/// Pages of rows.
+pub struct Batches {
+    file: String,
+    layout: Layout,
+    arrays: BTreeMap<String, Values>,
+    row: usize,
+}
+
+impl Iterator for Batches {
+    type Item = Result<RecordBatch, DatasetError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let first = self.row;
+        let end = self.layout.rows.min(first + BATCH_TRIALS);
+        self.row = end;
+        (first < end).then(|| self.page(first, end))
+    }
+}
+
+impl Batches {
+    fn page(&self, first: usize, end: usize) -> Result<RecordBatch, DatasetError> {
+        let mut columns: Vec<(&str, ArrayRef)> = Vec::new();
+        for (name, values) in &self.arrays {
+            match values {
+                Values::Singles(volts) => {
+                    let channels = volts.len() / self.layout.rows.max(1);
+                    let page = volts[first * channels..end * channels].to_vec();
+                    let may_lack = name == SIM_VOLTAGES_V;
+                    columns.push((name, batch::frames(page, channels, may_lack)?));
+                }
+                _ => {
+                    if let Some((_, scalar)) = SCALARS.iter().find(|(known, _)| known == name) {
+                        columns.push((name, self.scalar(name, *scalar, values, first, end)?));
+                    }
+                }
+            }
+        }
+        if let Some((most, fields)) = &self.layout.contacts {
+            let trials: Vec<Vec<_>> = (first..end)
+                .map(|trial| {
+                    let contact = |n| fields.map(|place| self.field(place?, trial, n));
+                    (0..*most).filter_map(|n| batch::contact(contact(n))).collect()
+                })
+                .collect();
+            columns.push((CONTACTS, batch::contacts(&trials)?));
+        }
+        Ok(RecordBatch::try_from_iter_with_nullable(
+            columns.into_iter().map(|(name, array)| (name, array, true)),
+        )?)
+    }
+
+    fn field(&self, place: Place, trial: usize, contact: usize) -> Option<f64> {
+        let Some(Values::Numbers(values)) = self.arrays.get(place.array) else { return None };
+        values.get(trial * place.per_trial + contact * place.step + place.first).copied()
+    }
+
+    fn scalar(
+        &self,
+        name: &str,
+        scalar: Scalar,
+        values: &Values,
+        first: usize,
+        end: usize,
+    ) -> Result<ArrayRef, DatasetError> {
+        let wrong = |row: usize, value: &str, limit: String| {
+            let key = format!("row {row}, {name}");
+            DatasetError::Problems(vec![Problem::new(&self.file, &key, value, limit)])
+        };
+        Ok(match (scalar, values) {
+            (_, Values::Numbers(values)) => {
+                batch::numbers(values[first..end].iter().copied().map(Some))
+            }
+            (_, Values::Times(values)) => batch::times(values[first..end].to_vec()),
+            (Scalar::Time, Values::Texts(texts)) => {
+                let times = texts[first..end].iter().enumerate().map(|(at, text)| {
+                    batch::parse_time(text).map_err(|limit| wrong(first + at, text, limit))
+                });
+                batch::times(times.collect::<Result<_, _>>()?)
+            }
+            (Scalar::Text, Values::Texts(texts)) => {
+                batch::texts(texts[first..end].iter().map(String::as_str))
+            }
+            (_, Values::Texts(texts)) => {
+                let words = texts[first..end].iter().enumerate().map(|(at, text)| {
+                    batch::parse_words(text).map_err(|limit| wrong(first + at, text, limit))
+                });
+                batch::words(words.collect::<Result<Vec<_>, _>>()?.into_iter())
+            }
+            (_, Values::Singles(values)) => {
+                batch::numbers(values[first..end].iter().map(|v| Some(f64::from(*v))))
+            }
+        })
+    }
+}

@@ -1,0 +1,95 @@
+//! What an import understood of a file: rows, columns, and ranges of the values.
+//! PURE. Uses: `store`'s imported trial. Never: a value that a trial does not have.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use crate::store::ImportedTrial;
+
+/// Summary of the trials of a file.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct Summary {
+    /// Number of trials.
+    pub rows: u64,
+    /// Columns that are read.
+    pub columns: Vec<String>,
+    /// Columns that are ignored.
+    pub columns_left_out: Vec<String>,
+    /// Number of voltages of a frame.
+    pub channels: usize,
+    /// Number of voltages without a value, of all frames.
+    pub missing_voltages: u64,
+    /// Smallest and largest voltage, V; absent without a value.
+    pub voltages_v: Option<[f64; 2]>,
+    /// Number of trials by number of contacts.
+    pub contact_counts: BTreeMap<usize, u64>,
+    /// Smallest and largest x of the contacts, skin coordinates, mm.
+    pub x_mm: Option<[f64; 2]>,
+    /// Smallest and largest y of the contacts, skin coordinates, mm.
+    pub y_mm: Option<[f64; 2]>,
+    /// Smallest and largest force of the contacts, N.
+    pub force_n: Option<[f64; 2]>,
+    /// Number of contacts without a force.
+    pub contacts_without_force: u64,
+    /// Number of trials by the part that the file states.
+    pub splits: BTreeMap<String, u64>,
+}
+
+/// Extends a range by a value.
+fn extend(range: &mut Option<[f64; 2]>, value: f64) {
+    let [least, most] = range.unwrap_or([value; 2]);
+    *range = Some([least.min(value), most.max(value)]);
+}
+
+impl Summary {
+    /// Adds a trial.
+    pub fn add(&mut self, trial: &ImportedTrial) {
+        self.rows += 1;
+        self.channels = trial.voltages_v.len();
+        for volts in &trial.voltages_v {
+            match volts.is_nan() {
+                true => self.missing_voltages += 1,
+                false => extend(&mut self.voltages_v, f64::from(*volts)),
+            }
+        }
+        *self.contact_counts.entry(trial.contacts.len()).or_default() += 1;
+        for contact in &trial.contacts {
+            contact.x_mm.into_iter().for_each(|x| extend(&mut self.x_mm, x));
+            contact.y_mm.into_iter().for_each(|y| extend(&mut self.y_mm, y));
+            match contact.force_n {
+                Some(force) => extend(&mut self.force_n, force),
+                None => self.contacts_without_force += 1,
+            }
+        }
+        if let Some(part) = &trial.split {
+            *self.splits.entry(part.clone()).or_default() += 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::Contact;
+
+    #[test]
+    fn ranges_hold_what_is_known_and_nothing_else() {
+        let mut summary = Summary::default();
+        let mut trial = ImportedTrial { voltages_v: vec![f32::NAN, -2.0], ..Default::default() };
+        summary.add(&trial);
+        assert_eq!((summary.voltages_v, summary.x_mm), (Some([-2.0, -2.0]), None));
+        let force = Contact { force_n: Some(4.0), ..Contact::default() };
+        let place = Contact { x_mm: Some(3.0), y_mm: Some(1.0), ..Contact::default() };
+        trial.contacts = vec![force, place];
+        trial.voltages_v = vec![1.5, 0.0];
+        trial.split = Some("test".into());
+        summary.add(&trial);
+        assert_eq!((summary.rows, summary.channels, summary.missing_voltages), (2, 2, 1));
+        assert_eq!(summary.voltages_v, Some([-2.0, 1.5]));
+        assert_eq!((summary.x_mm, summary.force_n), (Some([3.0, 3.0]), Some([4.0, 4.0])));
+        assert_eq!(summary.contacts_without_force, 1);
+        assert_eq!(summary.contact_counts, BTreeMap::from([(0, 1), (2, 1)]));
+        assert_eq!(summary.splits, BTreeMap::from([("test".to_owned(), 1)]));
+    }
+}

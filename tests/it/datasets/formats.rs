@@ -1,0 +1,249 @@
+//! The same trials in every format that imports read, through the command, row by row. Without numpy, pandas
+//! and scipy the test says that it was left out; with `PALPATE_REQUIRE_TOOLS=1` it fails instead.
+
+use std::path::PathBuf;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+use super::filled::{Filled, folder};
+use crate::support::{self, PALPATE};
+
+const FILES: [&str; 5] = ["trials.parquet", "trials.csv", "trials.npz", "trials.mat", "packed.mat"];
+
+/// Runs `palpate dataset import` on a file of `files`.
+async fn import(lab: &Filled, files: &PathBuf, file: &str, more: &[&str]) -> Output {
+    let mut command = Command::new(PALPATE);
+    command.current_dir(files).args(["dataset", "import", file, "--sensor", "pad.toml"]);
+    command.args(more).args(["--url", &lab.url("")]);
+    tokio::task::spawn_blocking(move || command.output().unwrap()).await.unwrap()
+}
+
+/// Writes the files of a script of `python/`; `None` without its modules.
+async fn written(script: &str, name: &str) -> Option<PathBuf> {
+    let python = support::python("pandas, numpy, scipy, pyarrow")?;
+    let files = folder(name);
+    let mut command = Command::new(python);
+    command.env("PYTHONDONTWRITEBYTECODE", "1");
+    command.arg(format!("{}/tests/it/datasets/python/{script}", env!("CARGO_MANIFEST_DIR")));
+    command.arg(&files);
+    let output = tokio::task::spawn_blocking(move || command.output().unwrap()).await.unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    Some(files)
+}
+
+/// Trials of a run without what differs between two imports of equal trials.
+async fn trials(lab: &Filled, run: i64) -> Vec<Value> {
+    let page = lab.get(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
+    let mut trials = page["items"].as_array().unwrap().clone();
+    for trial in &mut trials {
+        for key in ["trial_id", "run", "scan_id", "experiment"] {
+            trial.as_object_mut().unwrap().remove(key);
+        }
+    }
+    trials
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_format_gives_the_same_trials() {
+    let Some(files) = written("formats.py", "formats-files").await else { return };
+    let lab = Filled::open("formats").await;
+    let mut wanted: Option<Vec<Value>> = None;
+    for file in FILES {
+        let output = import(&lab, &files, file, &["--name", file, "--json"]).await;
+        let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{file}: {errors}");
+        let made: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(
+            (&made["trials"], &made["columns_left_out"]),
+            (&5.into(), &serde_json::json!(["weather"])),
+            "{file}"
+        );
+        let found = trials(&lab, made["run"]["scan_id"].as_i64().unwrap()).await;
+        match &wanted {
+            Some(wanted) => assert_eq!(&found, wanted, "{file}"),
+            None => {
+                assert_eq!(found[0]["contacts"][1]["x_mm"], 30.0);
+                assert_eq!(found[1]["missing_channels"], 1);
+                assert!(found[2]["contacts"].as_array().unwrap().is_empty());
+                assert!(found[3]["contacts"][1].get("force_n").is_none());
+                assert_eq!(
+                    (&found[2]["imported_split"], found[4].get("imported_split")),
+                    (&"test".into(), None)
+                );
+                assert_eq!(found[2]["frame_count"], 8);
+                wanted = Some(found);
+            }
+        }
+    }
+    // A format is recognised by the content: the name does not matter, and HDF5 is named.
+    std::fs::write(files.join("new.mat"), b"MATLAB 7.3 MAT-file, and so on").unwrap();
+    let output = import(&lab, &files, "new.mat", &[]).await;
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(2) && errors.contains("'-v7'"), "{errors}");
+    lab.close().await;
+    std::fs::remove_dir_all(files).unwrap();
+}
+
+/// Makes a dataset of all trials of these runs with a split: the status and the answer.
+async fn split(lab: &Filled, name: &str, runs: &[&str], split: Value) -> (u16, Value) {
+    let definition = serde_json::json!({ "name": name, "task": "trials", "runs": runs,
+        "untouched": "keep", "split": split });
+    lab.post("/api/v1/datasets", serde_json::json!({ "definition": definition })).await
+}
+
+/// Part of each row of a dataset, by experiment and configuration.
+async fn parts(lab: &Filled, made: &Value) -> Vec<(String, u64, String)> {
+    let id = made["id"].as_str().unwrap_or_else(|| panic!("{made}"));
+    let path = format!("/api/v1/datasets/{id}/rows?columns=experiment,configuration,split");
+    let page = lab.get(&path).await;
+    let rows = page["items"].as_array().unwrap().iter();
+    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+    rows.map(|row| {
+        (text(&row["experiment"]), row["configuration"].as_u64().unwrap(), text(&row["split"]))
+    })
+    .collect()
+}
+
+/// A CSV file of `trials` trials, each a configuration at another position, with a part if `split` names one.
+fn table(trials: u32, split: &str) -> String {
+    let mut text = "v0,v1,v2,v3,v4,v5,x_mm,y_mm,force_n,split\n".to_owned();
+    for n in 0..trials {
+        text += &format!("{n},1,2,3,4,5,{},{},5,{split}\n", n % 100, trials % 90);
+    }
+    text
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
+    let lab = Filled::open("imported-splits").await;
+    let files = folder("imported-splits-files");
+    let pad = "name = \"pad\"\nchannels = 6\nwidth_mm = 100\nheight_mm = 100\n";
+    std::fs::write(files.join("pad.toml"), pad).unwrap();
+    let some = "v0,v1,v2,v3,v4,v5,x_mm,y_mm,split\n0,1,2,3,4,5,1,1,test\n0,1,2,3,4,5,1,1,train\n\
+                0,1,2,3,4,5,1,1,\n0,1,2,3,4,5,1,1,validation\n";
+    for (name, text) in [("some", some), ("one", &table(40, "")), ("two", &table(30, ""))] {
+        std::fs::write(files.join(format!("{name}.csv")), text).unwrap();
+        let output = import(&lab, &files, &format!("{name}.csv"), &[]).await;
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    // Equal positions are in different parts, because the file says so.
+    let (status, made) =
+        split(&lab, "imported", &["some"], serde_json::json!({ "by": "imported" })).await;
+    assert_eq!(
+        (status, &made["report"]["left_out"]),
+        (200, &serde_json::json!({ "no imported part": 1 })),
+        "{made}"
+    );
+    let found: Vec<String> = parts(&lab, &made).await.into_iter().map(|(.., part)| part).collect();
+    assert_eq!(found, ["test", "train", "validation"]);
+    let (status, refused) =
+        split(&lab, "none", &["one"], serde_json::json!({ "by": "imported" })).await;
+    let detail = refused["detail"].as_str().unwrap();
+    assert!(status != 200 && detail.contains("a column split with train"), "{status} {refused}");
+    // Leave one batch out: the named run is the test part, and the other is divided.
+    let by =
+        |tests: &str| serde_json::json!({ "by": "run", "ratio": [3, 1, 1], "test_runs": [tests] });
+    let (status, made) = split(&lab, "left-out", &["one", "two"], by("two")).await;
+    assert_eq!(status, 200, "{made}");
+    let found = parts(&lab, &made).await;
+    let count =
+        |run: &str, part: &str| found.iter().filter(|(r, _, p)| r == run && p == part).count();
+    assert_eq!(
+        [count("one", "train"), count("one", "validation"), count("one", "test")],
+        [30, 10, 0]
+    );
+    assert_eq!(
+        [count("two", "train"), count("two", "validation"), count("two", "test")],
+        [0, 0, 30]
+    );
+    let (status, refused) = split(&lab, "unknown", &["one"], by("two")).await;
+    let detail = refused["detail"].as_str().unwrap();
+    assert!(
+        status == 400 && detail.contains("split.test_runs = two: must be one of"),
+        "{status} {refused}"
+    );
+    let (status, refused) = split(&lab, "all", &["two"], by("two")).await;
+    let detail = refused["detail"].as_str().unwrap();
+    assert!(status == 400 && detail.contains("must leave at least one"), "{status} {refused}");
+    // A part that is none is refused with its row.
+    std::fs::write(files.join("bad.csv"), table(2, "training")).unwrap();
+    let output = import(&lab, &files, "bad.csv", &[]).await;
+    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(errors.contains("split = training: must be train, validation or test"), "{errors}");
+    lab.close().await;
+    std::fs::remove_dir_all(files).unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_dry_run_shows_what_was_understood_and_stores_nothing() {
+    let lab = Filled::open("dry-run").await;
+    let files = folder("dry-run-files");
+    let pad = "name = \"pad\"\nchannels = 3\nwidth_mm = 100\nheight_mm = 100\n";
+    std::fs::write(files.join("pad.toml"), pad).unwrap();
+    let text = "v0,v1,v2,x_mm,y_mm,force_n,weather,split\n0.5,,-1.5,10,20,2.5,rain,train\n1,2,3,,,,sun,test\n";
+    std::fs::write(files.join("pad.csv"), text).unwrap();
+    let runs = async || lab.get("/api/v1/runs").await["items"].as_array().unwrap().len();
+    let before = runs().await;
+    let output = import(&lab, &files, "pad.csv", &["--dry-run"]).await;
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let words = String::from_utf8(output.stdout).unwrap();
+    for wanted in [
+        "2 trials",
+        "voltages_v, contacts, split",
+        "unused columns   weather",
+        "3 channels, -1.5 to 3 V, 1 values missing",
+        "1 with 0, 1 with 1",
+        "x                10 to 10 mm",
+        "forces           2.5 to 2.5 N",
+        "1 test, 1 train",
+        "nothing was stored",
+    ] {
+        assert!(words.contains(wanted), "{wanted}: {words}");
+    }
+    assert_eq!(runs().await, before);
+    let output = import(&lab, &files, "pad.csv", &[]).await;
+    let words = String::from_utf8(output.stdout).unwrap();
+    assert!(words.contains("3 channels, -1.5 to 3 V") && words.contains("its dataset"), "{words}");
+    assert_eq!(runs().await, before + 1);
+    std::fs::write(files.join("counts.csv"), text.replace("-1.5", "4096")).unwrap();
+    let output = import(&lab, &files, "counts.csv", &["--dry-run"]).await;
+    let errors = String::from_utf8_lossy(&output.stderr);
+    let wanted = "row 0, voltages_v[2] = 4096: must be from -1000 to 1000 V";
+    assert!(output.status.code() == Some(2) && errors.contains(wanted), "{errors}");
+    lab.close().await;
+    std::fs::remove_dir_all(files).unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn positions_of_a_robot_become_positions_on_the_skin() {
+    let lab = Filled::open("coordinates").await;
+    let files = folder("coordinates-files");
+    let pad = "name = \"pad\"\nchannels = 3\nwidth_mm = 100\nheight_mm = 80\n";
+    std::fs::write(files.join("pad.toml"), pad).unwrap();
+    // The robot counts in metres from the corner opposite to the skin's.
+    let text = "v0,v1,v2,x_mm,y_mm,force_n\n1,2,3,-0.1,-0.08,2\n1,2,3,0,-0.03,2\n";
+    std::fs::write(files.join("robot.csv"), text).unwrap();
+    let output = import(&lab, &files, "robot.csv", &[]).await;
+    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(errors.contains("x_mm = -0.1: must be from 0 to 100"), "{errors}");
+    std::fs::write(files.join("map.toml"), "scale = 1000\noffset_mm = [100, 80]\n").unwrap();
+    let output = import(&lab, &files, "robot.csv", &["--coordinates", "map.toml", "--json"]).await;
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let made: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let found = trials(&lab, made["run"]["scan_id"].as_i64().unwrap()).await;
+    let place =
+        |n: usize| ["x_mm", "y_mm"].map(|key| found[n]["contacts"][0][key].as_f64().unwrap());
+    assert_eq!((place(0), place(1)), ([0.0, 0.0], [100.0, 50.0]));
+    assert!(
+        made["run"]["definition"].as_str().is_none_or(|text| text.contains("coordinates")),
+        "{made}"
+    );
+    std::fs::write(files.join("map.toml"), "rotate_deg = 400\n").unwrap();
+    let output = import(&lab, &files, "robot.csv", &["--coordinates", "map.toml"]).await;
+    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+    let wanted = "rotate_deg: must be from -360 to 360";
+    assert!(output.status.code() == Some(2) && errors.contains(wanted), "{errors}");
+    lab.close().await;
+    std::fs::remove_dir_all(files).unwrap();
+}
