@@ -441,11 +441,11 @@ fn a_gap_file_with_the_table_laminate_is_a_skin_of_other_physics() {
 #[test]
 fn the_signal_of_other_physics_is_that_of_eq_1_at_one_weight() {
     let responses = std::sync::Arc::clone(skin().model().responses());
-    let nominal = ForwardModel::new(&sensor(), responses).unwrap();
+    let nominal = ForwardModel::new(sensor(), responses).unwrap();
     let mut work = Workspace::default();
     let places = sensor().points().iter().step_by(16).map(|p| [p.x_mm, p.y_mm]).collect::<Vec<_>>();
     let size_mv = |frame: &[f64]| 1e3 * (frame.iter().map(|v| v * v).sum::<f64>() / 784.0).sqrt();
-    let median = |sizes: Vec<f64>| upper_quantile(&sorted(sizes.into_iter()), 0.5).unwrap();
+    let median = |sizes: Vec<f64>| upper_quantile(&sorted(sizes), 0.5).unwrap();
     for name in ["gap-c", "gap-d"] {
         let text = std::fs::read_to_string(format!("../experiments/gaps/{name}.toml")).unwrap();
         let skin = AnySkin::new(sensor(), GapFile::from_toml(&text).unwrap(), 5, None).unwrap();
