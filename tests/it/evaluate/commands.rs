@@ -6,32 +6,37 @@ use std::process::Command;
 
 use palpate::ids::TrialKey;
 use palpate::journal::{ExitStatus, Journal};
-use palpate::store::RunKind;
+use palpate::store::{NewRun, RunKind};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
 
-use crate::datasets::filled::{fill, folder, new_run, press, store, twins};
+use crate::datasets::filled::{fill, folder, new_run, press, rig, store, twins};
 use crate::support::{PALPATE, sensor};
 
-/// Configurations of three tips: enough for one in the part test.
-const TRIPLES: u32 = 15;
+/// Numbers of tips of further runs, and their configurations: some are in each part.
+const TIPS: [u8; 2] = [1, 3];
+const CONFIGURATIONS: u32 = 15;
 
-/// The trials of `fill`, and a run of three tips, whose twins are complete.
+/// The trials of `fill`, and runs of one and of three tips.
 async fn trials(data: &Path) {
     fill(data).await;
     let store = store(data).await;
     let points: Vec<[f64; 2]> = sensor().points().iter().map(|p| [p.x_mm, p.y_mm]).collect();
     let mut chance = ChaCha8Rng::seed_from_u64(6);
-    let run = store.create_run(new_run(RunKind::RealHex, "made-up-triples")).await.unwrap().uid;
-    for configuration in 0..TRIPLES {
-        for depth_index in 0..11 {
-            let key = TrialKey { configuration, depth_index };
-            store.trial(run, &press(key, 3, &points, &mut chance)).await.unwrap();
+    for tips in TIPS {
+        let new = NewRun { rig: Some(rig()), ..new_run(RunKind::RealHex, "made-up-tips") };
+        let run = store.create_run(new).await.unwrap().uid;
+        for configuration in 0..CONFIGURATIONS {
+            for depth_index in 0..11 {
+                let key = TrialKey { configuration, depth_index };
+                store.trial(run, &press(key, tips, &points, &mut chance)).await.unwrap();
+            }
         }
+        twins(&store, run, "sim-0000000000000001", &mut chance).await;
+        let now = jiff::Timestamp::now();
+        store.end_run(run, ExitStatus::Success, "made up", now).await.unwrap();
     }
-    twins(&store, run, "sim-0000000000000001", &mut chance).await;
-    store.end_run(run, ExitStatus::Success, "made up", jiff::Timestamp::now()).await.unwrap();
     store.close().await;
 }
 

@@ -12,6 +12,11 @@ pub fn conv(draw: &mut Draw, inputs: usize, outputs: usize, kernel: usize, bias:
     Layer::Conv { inputs, outputs, kernel, weight, bias }
 }
 
+/// Likeness to five centres.
+fn near(draw: &mut Draw) -> Layer {
+    Layer::Kernel { inputs: 12, centres: draw.numbers(5 * 12, -0.1, 0.1), gamma: 40.0 }
+}
+
 /// A small net around each kind of layer.
 pub fn kinds(draw: &mut Draw) -> Vec<(&'static str, Network)> {
     let plain = |output: &[usize], layers| net(12, output, layers, Form::Plain);
@@ -28,7 +33,6 @@ pub fn kinds(draw: &mut Draw) -> Vec<(&'static str, Network)> {
         weight: kernel,
         bias: vec![],
     };
-    let near = Layer::Kernel { inputs: 12, centres: draw.numbers(5 * 12, -0.1, 0.1), gamma: 40.0 };
     vec![
         ("dense", plain(&[7], vec![draw.dense(12, 7)])),
         ("relu", plain(&[12], vec![Layer::Relu])),
@@ -47,7 +51,6 @@ pub fn kinds(draw: &mut Draw) -> Vec<(&'static str, Network)> {
                 vec![image(), conv(draw, 3, 8, 1, true), Layer::PixelShuffle { factor: 2 }],
             ),
         ),
-        ("kernel", plain(&[5], vec![near])),
         ("standardise", plain(&[12], vec![Layer::Standardise { mean, sd }])),
         ("scale", plain(&[12], vec![Layer::Scale { scale: 30.0, shift: -0.25 }])),
         ("unit-norm", plain(&[12], vec![unit(None)])),
@@ -62,6 +65,7 @@ pub fn kinds(draw: &mut Draw) -> Vec<(&'static str, Network)> {
                 Form::Residual { floor: 1e-3 },
             ),
         ),
+        ("kernel", plain(&[5], vec![near(draw)])),
     ]
 }
 

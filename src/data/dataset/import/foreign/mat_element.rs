@@ -103,6 +103,9 @@ pub(super) fn each(
             _ => {}
         }
         io::copy(&mut body, &mut io::sink())?;
+        if body.limit() > 0 {
+            return Err(invalid("it ends within an array"));
+        }
         if kind != COMPRESSED {
             io::copy(&mut (&mut *file).take(padding(bytes)), &mut io::sink())?;
         }
