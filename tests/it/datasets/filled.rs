@@ -180,6 +180,17 @@ pub fn rig() -> String {
 
 /// Twins of all trials of a run but the last three.
 pub async fn twins(store: &Store, run: RunUid, model: &str, chance: &mut ChaCha8Rng) {
+    twins_but(3, store, run, model, chance).await;
+}
+
+/// Twins of all trials of a run but the last ones.
+pub async fn twins_but(
+    last: usize,
+    store: &Store,
+    run: RunUid,
+    model: &str,
+    chance: &mut ChaCha8Rng,
+) {
     let new = NewTwinModel {
         hash: model.into(),
         sensor_sha256: "s".into(),
@@ -190,7 +201,7 @@ pub async fn twins(store: &Store, run: RunUid, model: &str, chance: &mut ChaCha8
     let model: TwinModelId = store.twin_model(new).await.unwrap();
     let query = TrialQuery { run: Some(run), limit: 10_000, ..TrialQuery::default() };
     let trials = store.trials(&query).await.unwrap();
-    let twins = trials[..trials.len() - 3].iter().map(|trial| {
+    let twins = trials[..trials.len() - last].iter().map(|trial| {
         let voltages_v = (0..784).map(|_| chance.random_range(-1.0..1.0)).collect();
         let outcome = TwinOutcome::Frame { voltages_v, rmse_v: 0.125, fvu: Some(0.5) };
         Twin { trial: trial.trial_id, outcome }
