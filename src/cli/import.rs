@@ -136,7 +136,7 @@ async fn store(
 /// Prints a summary for people.
 fn show(summary: &Summary) {
     let range = |range: Option<[f64; 2]>, unit: &str| match range {
-        Some([least, most]) => format!("{least} to {most} {unit}"),
+        Some([least, most]) => format!("{} to {} {unit}", short(least), short(most)),
         None => "not known".to_owned(),
     };
     let line = |what: &str, value: &dyn Display| say(format_args!("  {what:<16} {value}"));
@@ -162,6 +162,11 @@ fn show(summary: &Summary) {
     if !summary.splits.is_empty() {
         line("split", &counts(&summary.splits, ""));
     }
+}
+
+/// A number rounded to four digits.
+fn short(number: f64) -> f64 {
+    format!("{number:.3e}").parse().unwrap_or(number)
 }
 
 /// Numbers of trials by a key.

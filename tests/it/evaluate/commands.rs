@@ -71,9 +71,9 @@ fn rows(data: &Path, name: &str, head: &[&str]) -> usize {
     text.lines().filter(|line| line.starts_with('|')).count() - 2
 }
 
-fn is_svg(data: &Path, name: &str) {
+fn is_svg(data: &Path, name: &str, label: &str) {
     let text = std::fs::read_to_string(data.join("tables").join(name)).unwrap();
-    assert!(text.starts_with("<svg") && text.contains("virtual"), "{name}");
+    assert!(text.starts_with("<svg") && text.contains(label), "{name}");
 }
 
 #[tokio::test]
@@ -94,7 +94,7 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     let head = ["trained on", "train", "I", "II", "III", "IV", "V", "VI"];
     // Measured voltages, and a row each of ours and of the paper's for six nets.
     assert_eq!(rows(&data, "table-iii.md", &head), 13);
-    is_svg(&data, "table-iii.svg");
+    is_svg(&data, "table-iii.svg", "virtual");
 
     let table = evaluate(&data, "maps", &tiny);
     let maps = table["maps"].as_array().unwrap();
@@ -102,15 +102,15 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     assert_eq!(names.len(), 12);
     assert!(names.contains(&"4x20") && names.contains(&"20x60"), "{names:?}");
     assert!(maps.iter().all(|map| map["report"]["part"] == "test" && map["report"]["rows"] == 20));
-    is_svg(&data, "fig-9.svg");
+    is_svg(&data, "fig-9.svg", "simulated");
 
     let figure = evaluate(&data, "noise", &tiny);
     assert_eq!(figure["truth"].as_array().unwrap().len(), 3);
     let sds = figure["residuals"]["sd_v"].as_array().unwrap();
     assert!(sds.len() == 784 && sds.iter().all(|sd| sd.as_f64().unwrap() > 0.0));
     assert_eq!(rows(&data, "fig-10.md", &["noise", "contacts found", "forces, N"]), 3);
-    is_svg(&data, "fig-10a.svg");
-    is_svg(&data, "fig-10b.svg");
+    is_svg(&data, "fig-10a.svg", "virtual");
+    is_svg(&data, "fig-10b.svg", "virtual");
 
     let figure = evaluate(&data, "factorial", &tiny);
     let conditions = figure["conditions"].as_array().unwrap();
@@ -124,7 +124,7 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     let names: Vec<&str> = ours.iter().map(|method| method["name"].as_str().unwrap()).collect();
     assert_eq!(names, ["one step, Tikhonov", "one step, NOSER", "exact, 1 frame", "exact, mean"]);
     assert!(ours.iter().all(|method| method["report"]["rows"] == 12), "all of Real-Random");
-    is_svg(&data, "fig-12.svg");
+    is_svg(&data, "fig-12.svg", "virtual");
 
     let scored =
         evaluate(&data, "method", &all(&["tikhonov", "--dataset", "real", "--part", "test"]));
