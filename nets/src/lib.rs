@@ -34,3 +34,4 @@ pub mod checkpoint;
 pub mod batches;
 pub mod compute;
 pub mod progress;
+pub mod closed_form;

@@ -5,6 +5,7 @@ use burn::tensor::{Tensor, TensorData};
 use nets::architecture::Answer;
 use nets::batches::{Batch, Pass};
 use nets::checkpoint::{self, EpochLoss, Place, State, Subject};
+use nets::closed_form::{self, constant_channels};
 use nets::error::{RecipeError, TrainError, require};
 use nets::input::Input;
 use nets::loss::Loss;
@@ -12,7 +13,6 @@ use nets::network::Network;
 use nets::noise::NoiseSource;
 use nets::progress::{End, Flow, Observer, Plan, Progress, Trained};
 use nets::recipe::Recipe;
-use nets::ridge::fit::constant_channels;
 use nets::samples::Samples;
 use nets::statistics::Statistics;
 
@@ -43,7 +43,7 @@ pub fn train(
     device::run(plan.compute, || match plan.recipe.net.architecture().closed_form() {
         Some(form) => {
             check(plan, train, validation)?;
-            nets::ridge::fit::fit(plan, form, [train, validation], observer)
+            closed_form::fit(plan, form, [train, validation], observer)
         }
         None => Training::new(plan, train, validation, checkpoint, observer)?.run(observer),
     })?

@@ -1,12 +1,10 @@
 //! Ridge regression and kernel ridge regression from measured voltages to a quantity: fitted in closed
 //! form, and what every net must be compared with. Channels are standardised; the penalty, and the width
 //! of the kernel, are those of the least error on the validation rows.
-//! PURE. Uses: the shared parts; `fit` computes. Never: data.
+//! PURE. Uses: the shared parts. Never: data, a fit (`closed_form` computes it).
 //!
 //! Source: C. Saunders, A. Gammerman, V. Vovk, Ridge Regression Learning Algorithm in Dual Variables,
 //! ICML 1998.
-
-pub mod fit;
 
 use serde::{Deserialize, Serialize};
 

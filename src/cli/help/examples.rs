@@ -158,6 +158,7 @@ pub const EXAMPLES: &[(&str, &[&str])] = &[
     ("evaluate", &["palpate evaluate simulation --run 3"]),
     ("evaluate simulation", &["palpate evaluate simulation --run 3 --out figures --also png"]),
     ("evaluate method", &["palpate evaluate method fast --dataset real --part test"]),
+    ("evaluate quantity", &["palpate evaluate quantity position --dataset pad"]),
     ("evaluate transfer", &["palpate evaluate transfer --scale small --out table-iii"]),
     ("evaluate maps", &["palpate evaluate maps --scale small --out maps"]),
     ("evaluate noise", &["palpate evaluate noise --scale small --out noise"]),

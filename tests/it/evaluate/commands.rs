@@ -60,7 +60,8 @@ fn evaluate(data: &Path, command: &str, options: &[&str]) -> Value {
 
 /// Number of rows of a table file, whose columns are `head`.
 fn rows(data: &Path, name: &str, head: &[&str]) -> usize {
-    let text = std::fs::read_to_string(data.join("tables").join(name)).unwrap();
+    let path = data.join("tables").join(format!("{name}.md"));
+    let text = std::fs::read_to_string(path).unwrap();
     let mut lines = text.lines().filter(|line| line.starts_with('|'));
     let cells = |line: &str| {
         line.trim_matches('|').split('|').map(|cell| cell.trim().to_owned()).collect::<Vec<_>>()
@@ -93,7 +94,7 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     assert!(fvu > 0.5, "frames and twins were drawn apart: FVU {fvu}");
     let head = ["trained on", "train", "I", "II", "III", "IV", "V", "VI"];
     // Measured voltages, and a row each of ours and of the paper's for six nets.
-    assert_eq!(rows(&data, "table-iii.md", &head), 13);
+    assert_eq!(rows(&data, "table-iii", &head), 13);
     is_svg(&data, "table-iii.svg", "virtual");
 
     let table = evaluate(&data, "maps", &tiny);
@@ -108,7 +109,7 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     assert_eq!(figure["truth"].as_array().unwrap().len(), 3);
     let sds = figure["residuals"]["sd_v"].as_array().unwrap();
     assert!(sds.len() == 784 && sds.iter().all(|sd| sd.as_f64().unwrap() > 0.0));
-    assert_eq!(rows(&data, "fig-10.md", &["noise", "contacts found", "forces, N"]), 3);
+    assert_eq!(rows(&data, "fig-10", &["noise", "contacts found", "forces, N"]), 3);
     is_svg(&data, "fig-10a.svg", "virtual");
     is_svg(&data, "fig-10b.svg", "virtual");
 
@@ -138,5 +139,5 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     let scores: Vec<&Value> = nets.iter().map(|net| &net["scores"]["rows"]).collect();
     assert!(scores.iter().all(|rows| **rows == 20), "the same rows: {scores:?}");
     let head = ["net", "rows", "wrong by", "median", "right %", "of ridge"];
-    assert_eq!(rows(&data, "quantity-count.md", &head), 4);
+    assert_eq!(rows(&data, "quantity-count", &head), 4);
 }

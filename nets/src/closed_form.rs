@@ -1,6 +1,6 @@
-//! The closed-form fits: penalties, and widths of the kernel, are tried, and the one with the least error
-//! on the validation rows is kept.
-//! Uses: faer. Never: test rows; more than a bounded number of rows in memory.
+//! Fits of nets in closed form (`ridge`): penalties, and widths of the kernel, are tried, and the one with the
+//! least error on the validation rows is kept.
+//! Uses: faer, `recipe`, `progress`. Never: test rows; more than a bounded number of rows in memory.
 
 use faer::prelude::Solve;
 use faer::{Mat, Side};
