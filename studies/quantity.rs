@@ -176,7 +176,10 @@ fn verdicts(entries: &[Entry]) -> String {
     if left_out > 0 {
         text += &format!("{left_out} rows without this quantity have no score.\n");
     }
-    text + "Error of a pattern or a count: the share of rows that are not right.\n"
+    if entries.iter().any(|entry| entry.scores.right.is_some()) {
+        text += "Error here: the share of rows that are not right.\n";
+    }
+    text
 }
 
 /// Restrictions of the reports, each once.
