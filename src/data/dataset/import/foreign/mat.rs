@@ -6,7 +6,8 @@ use std::fs::File;
 use std::io::{self, BufReader};
 
 use super::arrays::{Kind, Shape, Values, in_order, is_frame};
-use super::mat_element::{CELL, CHAR, Elements, Matrix, NUMBERS, character, each, invalid};
+use super::invalid;
+use super::mat_element::{CELL, CHAR, Elements, Matrix, NUMBERS, character, each};
 
 /// Longest text of a cell array, characters.
 const TEXT_MAX_CHARS: usize = 100;

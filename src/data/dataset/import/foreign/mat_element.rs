@@ -10,6 +10,8 @@ use std::io::{self, Read};
 
 use flate2::read::ZlibDecoder;
 
+use super::invalid;
+
 const MATRIX: u32 = 14;
 const COMPRESSED: u32 = 15;
 /// Largest length of the dimensions or the name of a matrix, bytes.
@@ -42,10 +44,6 @@ impl Matrix {
     pub(super) fn count(&self) -> usize {
         self.dims.iter().fold(1, |all: usize, n| all.saturating_mul(*n))
     }
-}
-
-pub(super) fn invalid(words: impl Into<String>) -> io::Error {
-    io::Error::new(io::ErrorKind::InvalidData, words.into())
 }
 
 /// Type and length of an element; short data are part of its tag.

@@ -1,5 +1,5 @@
 //! Files of other formats as batches of the columns that `rows` reads: CSV, NumPy's NPZ, MATLAB's MAT.
-//! Uses: the files of this folder, csv, npyz, zip, flate2. Never: a check of a value that `rows` makes; a CSV
+//! Uses: the files of this folder, csv, zip, flate2. Never: a check of a value that `rows` makes; a CSV
 //! file as a whole in memory; arrays of more bytes than [`arrays::HELD_MAX_BYTES`].
 //!
 //! | column of `rows` | CSV | NPZ and MAT, of n trials |
@@ -10,13 +10,21 @@
 //!
 //! A contact is absent if position and force are: an empty cell, or NaN.
 
+use std::io;
+
 pub(super) mod arrays;
 mod batch;
 pub(super) mod csv;
 mod line_limit;
 mod mat;
 mod mat_element;
+mod npy;
 mod npz;
 
 #[cfg(test)]
 mod tests;
+
+/// An error of the file's content.
+fn invalid(words: impl Into<String>) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, words.into())
+}

@@ -1,0 +1,233 @@
+//! Difference of a skin's frames from those of its model, estimated from trials whose contacts are known.
+//! Uses: `skin`, sim-core's `inverse`, std threads. Never: files.
+
+use std::thread;
+
+use serde::{Deserialize, Serialize};
+use sim_core::forward::{Contact, ForwardModel, Workspace};
+use sim_core::inverse::contacts::{
+    ErrorModel, ErrorModelError, Fit, FitError, FitWork, FittedContact, FramePair,
+};
+use sim_core::inverse::skin::{MeasuredTrial, noise_v};
+use sim_core::stats::{sorted, upper_quantile};
+
+use super::skin::{ExactSkin, offset_v};
+use super::untouched::{Drift, Untouched};
+use crate::infer::error::InferError;
+use crate::infer::methods::UntouchedBefore;
+
+/// Standard deviation of a voltage's noise if neither known trials nor the calibration state it, V.
+const NOISE_SD_V: f64 = 1.2e-3;
+/// Largest number of directions of the model's error that are estimated from known trials: with
+/// fewer, the residual is fitted as an additional contact (592 trials, 48 or 96 of them: exact
+/// count 75 or 77 %, each +-3.5).
+const ERROR_DIRECTIONS: usize = 96;
+/// Number of known trials needed per direction.
+const KNOWN_FOR_EACH: usize = 4;
+/// Smallest number of known trials from which the model's error is estimated.
+pub(super) const LEAST_KNOWN: usize = 60;
+/// Largest number of threads that prepare a skin.
+const THREADS: usize = 8;
+/// Number of known trials from which the factors on standard deviations are estimated.
+const STRETCHED_BY: usize = 200;
+/// Smallest force of a contact used for these factors, N: the paper's deadband.
+const CLEAR_N: f64 = 5.0;
+/// Quantile at which the factors are determined: users rely on the limits of the errors.
+/// `TOLD_BY_SD` is this quantile of |x|, for a normal x of standard deviation 1.
+const TOLD_BY: f64 = 0.9;
+const TOLD_BY_SD: f64 = 1.645;
+
+/// A measured trial whose contacts are known.
+#[derive(Debug, Clone)]
+pub struct KnownTrial {
+    /// Contacts that pressed the skin.
+    pub contacts: Vec<Contact>,
+    /// Measured frame, V.
+    pub frame_v: Vec<f32>,
+    /// Number of averaged frames.
+    pub frames: f64,
+    /// The untouched skin before it, if it was measured.
+    pub untouched: Option<UntouchedBefore>,
+}
+
+/// The trials of a run from which the errors of a skin are estimated.
+#[derive(Debug, Clone, Default)]
+pub struct KnownTrials {
+    /// With contacts, of configurations that no skin is fitted to.
+    pub pressed: Vec<KnownTrial>,
+    /// Without contacts.
+    pub untouched: Untouched,
+}
+
+/// Difference of a skin's frames from those of its model.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SkinErrors {
+    /// Standard deviation of a voltage's noise in one frame, V.
+    pub(super) noise_sd_v: f64,
+    /// What the offsets of the readout differ by from those that are subtracted.
+    pub(super) drift: Drift,
+    pub(super) model: ErrorModel,
+    /// Factors on the standard deviations of positions and forces: contacts imitate a part of the
+    /// model's error, which the fit cannot detect.
+    pub(super) stretch: Stretch,
+    /// Number of known trials from which the model's error was estimated; 0 if it was not.
+    pub(super) learnt_from: usize,
+}
+
+impl SkinErrors {
+    /// Number of voltages in a frame.
+    pub fn channels(&self) -> usize {
+        self.model.channels()
+    }
+}
+
+/// Ratio of the errors of known contacts to the stated standard deviations.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(super) struct Stretch {
+    /// Of positions.
+    pub place: f64,
+    /// Of forces.
+    pub force: f64,
+}
+
+impl ExactSkin {
+    /// Prepares a model, calibrated or not. Its difference from this skin is estimated from known
+    /// trials, if there are enough; otherwise every misfit counts as noise.
+    ///
+    /// # Errors
+    /// `InferError` if the error model is invalid or a known trial cannot be fitted.
+    pub fn new(model: &ForwardModel, trials: &KnownTrials) -> Result<Self, InferError> {
+        let KnownTrials { pressed: known, untouched } = trials;
+        let channels = model.sensor().channels();
+        let offset_v = offset_v(model);
+        let enough = known.len() >= LEAST_KNOWN;
+        let noise_sd_v = untouched.noise_sd_v().filter(|_| enough);
+        let noise_sd_v = noise_sd_v.or_else(|| enough.then(|| seen(known, &offset_v)).flatten());
+        let evidence = model.sensor().skin().map(|skin| skin.evidence.noise_v);
+        let noise_sd_v = noise_sd_v.or(evidence).unwrap_or(NOISE_SD_V);
+        let drift = untouched.drift(&offset_v);
+        let white = ErrorModel::white(channels, noise_sd_v)?;
+        let stretch = Stretch { place: 1.0, force: 1.0 };
+        let skin = Self::with(
+            model,
+            SkinErrors { noise_sd_v, drift, model: white.clone(), stretch, learnt_from: 0 },
+        )?;
+        if !enough {
+            return Ok(skin);
+        }
+        let learnt = match skin.learn(model, known, white) {
+            Ok(learnt) => learnt,
+            // Trials below the noise contain no information except the noise.
+            Err(InferError::Errors(ErrorModelError::FewPairs { .. })) => return Ok(skin),
+            Err(error) => return Err(error),
+        };
+        let learnt_from = known.len();
+        let errors = SkinErrors { noise_sd_v, drift, model: learnt, stretch, learnt_from };
+        let mut skin = Self::with(model, errors)?;
+        skin.errors.stretch = skin.stretch(known)?;
+        Ok(skin)
+    }
+
+    /// Ratio of the distance of fits from known contacts to the standard deviations that they
+    /// state.
+    fn stretch(&self, known: &[KnownTrial]) -> Result<Stretch, InferError> {
+        let some: Vec<&KnownTrial> =
+            known.iter().step_by(known.len().div_ceil(STRETCHED_BY)).collect();
+        let (mut places, mut forces) = (Vec::new(), Vec::new());
+        for (trial, (_, fit)) in some.iter().zip(self.refined(&some)?) {
+            if fit.contacts.len() != trial.contacts.len() {
+                continue;
+            }
+            // Contacts of a fit are in another order; a search would not report the lightest.
+            let clear = trial.contacts.iter().filter(|truth| truth.force_n >= CLEAR_N);
+            for (truth, found) in clear.filter_map(|truth| Some((truth, nearest(&fit, truth)?))) {
+                let is = found.contact;
+                places.push(((is.x_mm - truth.x_mm) / found.x_sd_mm).abs());
+                places.push(((is.y_mm - truth.y_mm) / found.y_sd_mm).abs());
+                forces.push(((is.force_n - truth.force_n) / found.force_sd_n).abs());
+            }
+        }
+        Ok(Stretch { place: stretched(places), force: stretched(forces) })
+    }
+
+    /// Frames of known trials without offsets, V, and their fits started at the true contacts; on
+    /// several threads, in the order of the trials.
+    fn refined(&self, known: &[&KnownTrial]) -> Result<Vec<(Vec<f64>, Fit)>, InferError> {
+        let refine = |trials: &[&KnownTrial]| {
+            let mut work = FitWork::default();
+            let one = |trial: &&KnownTrial| {
+                let mut frame_v = Vec::new();
+                let untouched = self.better(trial.untouched.as_ref());
+                self.take_offsets(&trial.frame_v, untouched, &mut frame_v);
+                let observation = self.observation(&frame_v, trial.frames, untouched);
+                let fit = self.fitter.refine(&observation, &trial.contacts, &mut work)?;
+                Ok((frame_v, fit))
+            };
+            trials.iter().map(one).collect::<Result<Vec<_>, InferError>>()
+        };
+        let threads = thread::available_parallelism().map_or(1, |n| n.get().min(THREADS));
+        let shares = known.chunks(known.len().div_ceil(threads).max(1));
+        let done: Result<Vec<_>, InferError> = thread::scope(|scope| {
+            let working: Vec<_> = shares.map(|share| scope.spawn(|| refine(share))).collect();
+            let join = |handle: thread::ScopedJoinHandle<'_, _>| {
+                handle.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+            };
+            working.into_iter().map(join).collect()
+        });
+        Ok(done?.into_iter().flatten().collect())
+    }
+
+    /// Estimates the part of known trials that no contact explains: frames are modelled at contacts
+    /// that were refined from the true ones (reason: sim-core's [`ErrorModel::with_pairs`]).
+    fn learn(
+        &self,
+        model: &ForwardModel,
+        known: &[KnownTrial],
+        white: ErrorModel,
+    ) -> Result<ErrorModel, InferError> {
+        let mut forward = Workspace::default();
+        let mut frames = Vec::with_capacity(known.len());
+        let fits = self.refined(&known.iter().collect::<Vec<_>>())?;
+        for (trial, (measured_v, fit)) in known.iter().zip(fits) {
+            let refined: Vec<Contact> = fit.contacts.iter().map(|found| found.contact).collect();
+            let modelled_v = model.voltages(&refined, &mut forward).map_err(FitError::from)?;
+            let offset_sd_v = self.offset_sd_v(self.better(trial.untouched.as_ref()));
+            frames.push((measured_v, modelled_v.to_vec(), trial.frames, offset_sd_v));
+        }
+        let pairs: Vec<FramePair<'_>> = frames
+            .iter()
+            .map(|(measured_v, modelled_v, frames, offset_sd_v)| FramePair {
+                measured_v,
+                modelled_v,
+                frames: *frames,
+                offset_sd_v: *offset_sd_v,
+            })
+            .collect();
+        Ok(white.with_pairs(&pairs, ERROR_DIRECTIONS.min(pairs.len() / KNOWN_FOR_EACH))?)
+    }
+}
+
+/// Standard deviation of the noise in one frame, estimated from known trials, V.
+fn seen(known: &[KnownTrial], offset_v: &[f64]) -> Option<f64> {
+    let single = |trial: &KnownTrial| {
+        let root = trial.frames.sqrt();
+        let volts = trial.frame_v.iter().zip(offset_v);
+        let frame_v = volts.map(|(v, offset)| (root * (f64::from(*v) - offset)) as f32).collect();
+        MeasuredTrial { contacts: Vec::new(), frame_v }
+    };
+    noise_v(&known.iter().map(single).collect::<Vec<_>>())
+}
+
+/// The fitted contact nearest to a true one.
+fn nearest<'a>(fit: &'a Fit, truth: &Contact) -> Option<&'a FittedContact> {
+    let square_mm2 = |found: &FittedContact| {
+        (found.contact.x_mm - truth.x_mm).powi(2) + (found.contact.y_mm - truth.y_mm).powi(2)
+    };
+    fit.contacts.iter().min_by(|a, b| square_mm2(a).total_cmp(&square_mm2(b)))
+}
+
+/// The factor that makes the 90 % quantile of these that of a normal; at least 1.
+fn stretched(mut in_sd: Vec<f64>) -> f64 {
+    in_sd.retain(|z| z.is_finite());
+    upper_quantile(&sorted(in_sd), TOLD_BY).map_or(1.0, |edge| (edge / TOLD_BY_SD).max(1.0))
+}

@@ -1,0 +1,200 @@
+//! A skin that is ready for fits: its offsets, its errors, and its readings.
+//! Uses: `errors`, `untouched`, `zero`, sim-core's `inverse::contacts`. Never: files, threads.
+
+use sim_core::forward::ForwardModel;
+use sim_core::inverse::contacts::{ContactFitter, Fit, FitOptions, FittedContact, Observation};
+
+use super::errors::{LEAST_KNOWN, SkinErrors, Stretch};
+use super::zero::Zero;
+use crate::ids::CalibrationId;
+use crate::infer::answer::{FoundContact, Reading};
+use crate::infer::error::InferError;
+use crate::infer::methods::UntouchedBefore;
+
+/// Drift in a day, in standard deviations of the noise of a pair, from which offsets must be measured anew.
+const DRIFT_MATTERS: f64 = 2.0;
+/// A fit whose residual exceeds this multiple of the assumed noise does not explain the frame.
+const MISFIT_EXPLAINED: f64 = 3.0;
+
+/// A skin for fits of contacts. Its preparation takes most of a minute.
+pub struct ExactSkin {
+    /// Id of its calibration; `None` for the nominal skin.
+    calibration: Option<CalibrationId>,
+    /// The run that it was calibrated to, if any.
+    run: Option<String>,
+    /// Hash of its model.
+    simulation: String,
+    /// Width and height, mm.
+    size_mm: [f64; 2],
+    /// Offsets of the untouched frame, V.
+    pub(super) offset_v: Vec<f64>,
+    pub(super) errors: SkinErrors,
+    pub(super) fitter: ContactFitter,
+}
+
+impl std::fmt::Debug for ExactSkin {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("ExactSkin").field("simulation", &self.simulation).finish_non_exhaustive()
+    }
+}
+
+impl ExactSkin {
+    /// Prepares a model with errors that were estimated earlier.
+    ///
+    /// # Errors
+    /// `InferError::Fitter` if the tables of the fit cannot be computed.
+    pub fn with(model: &ForwardModel, errors: SkinErrors) -> Result<Self, InferError> {
+        Ok(Self {
+            calibration: model.sensor().calibration().map(CalibrationId::unchecked),
+            run: model.sensor().skin().map(|skin| skin.evidence.run.clone()),
+            simulation: model.model_hash().into(),
+            size_mm: [model.sensor().file.width_mm, model.sensor().file.height_mm],
+            offset_v: offset_v(model),
+            fitter: ContactFitter::new(model, &errors.model, FitOptions::default())?,
+            errors,
+        })
+    }
+
+    /// Width and height, mm.
+    pub fn size_mm(&self) -> [f64; 2] {
+        self.size_mm
+    }
+
+    /// What limits the answers of this skin, if anything is known to.
+    pub fn limitation(&self) -> Option<String> {
+        let unknown = self.errors.learnt_from == 0;
+        unknown.then(|| {
+            let of_run = match &self.run {
+                Some(run) => format!("the run {run}, to which it was calibrated,"),
+                None => "a Real-Hex run on this sensor".to_owned(),
+            };
+            format!(
+                "the errors of its model are unknown: the database has fewer than {LEAST_KNOWN} trials of \
+                 {of_run} of 1 to 3 contacts that it was not fitted to; every misfit counts as noise"
+            )
+        })
+    }
+
+    /// The estimated errors of the model.
+    pub fn errors(&self) -> &SkinErrors {
+        &self.errors
+    }
+
+    /// Id of the run that it was calibrated to, if any.
+    pub fn run(&self) -> Option<&str> {
+        self.run.as_deref()
+    }
+
+    /// Id of its calibration, if any.
+    pub fn calibration(&self) -> Option<&CalibrationId> {
+        self.calibration.as_ref()
+    }
+
+    /// Id of the model in answers: the calibration's, or else the hash of the model.
+    pub fn id(&self) -> &str {
+        self.calibration.as_ref().map_or(self.simulation.as_str(), CalibrationId::as_str)
+    }
+
+    /// Number of voltages in a frame.
+    pub fn channels(&self) -> usize {
+        self.offset_v.len()
+    }
+
+    /// The untouched skin, if it gives better offsets than the calibration.
+    pub(super) fn better<'a>(
+        &self,
+        untouched: Option<&'a UntouchedBefore>,
+    ) -> Option<&'a UntouchedBefore> {
+        let fits = |skin: &&UntouchedBefore| skin.voltages_v.len() == self.channels();
+        let day_sd_v = self.errors.drift.day_sd_v;
+        let is_better = |skin: &&UntouchedBefore| {
+            day_sd_v.is_none_or(|day_sd_v| self.offset_sd_v(Some(skin)) < day_sd_v)
+        };
+        untouched.filter(fits).filter(is_better)
+    }
+
+    /// Standard deviation of what is left of an offset, V: at least the noise of the untouched frame.
+    pub(super) fn offset_sd_v(&self, untouched: Option<&UntouchedBefore>) -> f64 {
+        let pairs = self.channels().isqrt() as f64;
+        let noise_v =
+            |skin: &UntouchedBefore| self.errors.noise_sd_v / (pairs * skin.frames).sqrt();
+        self.errors.drift.after_v(untouched).max(untouched.map_or(0.0, noise_v))
+    }
+
+    /// Warns of offsets that may have drifted by more than the noise of a mean of `frames` frames.
+    fn drifted(&self, is_tared: bool, frames: f64) -> Option<String> {
+        let drift_v = self.errors.drift.sd_v(None);
+        let pairs = self.channels().isqrt() as f64;
+        let matters = drift_v > DRIFT_MATTERS * self.errors.noise_sd_v / (pairs * frames).sqrt();
+        (matters && !is_tared).then(|| {
+            let drift_mv = 1e3 * drift_v;
+            format!("offsets of the calibration, which drift by {drift_mv:.2} mV a day: tare the empty skin")
+        })
+    }
+
+    /// Converts the fit of a mean of `frames` frames to a reading.
+    pub(super) fn reading(&self, fit: &Fit, is_tared: bool, frames: f64) -> Reading {
+        let Stretch { place, force } = self.errors.stretch;
+        let contact = |found: &FittedContact| FoundContact {
+            x_mm: found.contact.x_mm,
+            y_mm: found.contact.y_mm,
+            force_n: Some(found.contact.force_n),
+            x_sd_mm: Some(place * found.x_sd_mm),
+            y_sd_mm: Some(place * found.y_sd_mm),
+            force_sd_n: Some(force * found.force_sd_n),
+            ..FoundContact::default()
+        };
+        let mut contacts: Vec<FoundContact> = fit.contacts.iter().map(contact).collect();
+        contacts.sort_by(|a, b| b.force_n.unwrap_or(0.0).total_cmp(&a.force_n.unwrap_or(0.0)));
+        let misfit = fit.chi2 / fit.degrees_of_freedom;
+        let outside = (misfit > MISFIT_EXPLAINED).then(|| {
+            format!("misfit = {misfit:.1}: limit {MISFIT_EXPLAINED} for contacts on this skin")
+        });
+        let outside = outside.into_iter().collect();
+        let notes = self.drifted(is_tared, frames).into_iter().collect();
+        Reading { contacts, misfit: Some(misfit), outside, notes, ..Reading::default() }
+    }
+
+    /// Subtracts the offsets of the untouched skin from a frame, V: those of the calibration, and their
+    /// drift since, if the untouched skin was measured.
+    pub(super) fn take_offsets(
+        &self,
+        frame: &[f32],
+        untouched: Option<&UntouchedBefore>,
+        frame_v: &mut Vec<f64>,
+    ) {
+        self.take_calibrated(frame, frame_v);
+        if let Some(untouched) = untouched {
+            let mut drifted_v = Vec::new();
+            self.take_calibrated(&untouched.voltages_v, &mut drifted_v);
+            Zero::of(&drifted_v).take_off(frame_v);
+        }
+    }
+
+    pub(super) fn take_calibrated(&self, frame: &[f32], frame_v: &mut Vec<f64>) {
+        frame_v.clear();
+        let offsets = self.offset_v.iter();
+        frame_v.extend(frame.iter().zip(offsets).map(|(v, offset)| f64::from(*v) - offset));
+    }
+
+    /// A mean of `frames` frames without offsets, V, as the fit reads it.
+    pub(super) fn observation<'a>(
+        &self,
+        frame_v: &'a [f64],
+        frames: f64,
+        untouched: Option<&UntouchedBefore>,
+    ) -> Observation<'a> {
+        let offset_sd_v = self.offset_sd_v(untouched);
+        Observation { frame_v, frames, offset_sd_v }
+    }
+}
+
+/// Offsets of a model's untouched frame, V; zero if they are unknown.
+pub(super) fn offset_v(model: &ForwardModel) -> Vec<f64> {
+    let channels = model.sensor().channels();
+    let offsets_mv = model.sensor().skin().map(|skin| skin.offsets_mv.as_slice());
+    match offsets_mv {
+        Some(mv) if mv.len() == channels => mv.iter().map(|mv| 1e-3 * mv).collect(),
+        _ => vec![0.0; channels],
+    }
+}
